@@ -1,0 +1,251 @@
+"""Spheres, capsules, boxes, poses, and vectorised distances between them. numpy only.
+
+Lengths are metres. A pose is a 4x4 matrix named ``target_from_source``: ``world_from_camera @ point_in_camera``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from greenhouse_gym.errors import InvalidValueError
+
+Array: TypeAlias = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class _JsonArray:
+    """Lets pydantic read a fixed-shape float array from nested lists and write it back as such."""
+
+    shape: tuple[int, ...]
+
+    def parse(self, value: Any) -> Array:
+        """Turn nested sequences into a read-only float64 array of this shape with finite entries."""
+        try:
+            array = np.array(value, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise InvalidValueError(f"expected {self.shape} numbers, got {value!r}") from error
+        if array.shape != self.shape:
+            raise InvalidValueError(f"expected an array of shape {self.shape}, got shape {array.shape}")
+        if not np.isfinite(array).all():
+            raise InvalidValueError(f"expected finite numbers, got {array.tolist()}")
+        array.setflags(write=False)
+        return array
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        from pydantic_core import core_schema
+
+        return core_schema.no_info_plain_validator_function(
+            self.parse, serialization=core_schema.plain_serializer_function_ser_schema(lambda array: array.tolist())
+        )
+
+
+_VECTOR, _MATRIX = _JsonArray((3,)), _JsonArray((3, 3))
+Vector: TypeAlias = Annotated[Array, _VECTOR]
+Rotation: TypeAlias = Annotated[Array, _MATRIX]
+
+
+def _positive(name: str, value: Any) -> float:
+    number = float(value)
+    if not (np.isfinite(number) and number > 0):
+        raise InvalidValueError(f"{name} must be a positive number of metres, got {value!r}")
+    return number
+
+
+@dataclass(frozen=True, eq=False)
+class Sphere:
+    """A ball: ``center`` (3,) and ``radius``, metres."""
+
+    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
+
+    center: Vector
+    radius: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "center", _VECTOR.parse(self.center))
+        object.__setattr__(self, "radius", _positive("radius", self.radius))
+
+
+@dataclass(frozen=True, eq=False)
+class Capsule:
+    """All points within ``radius`` of the segment from ``start`` (3,) to ``end`` (3,), metres."""
+
+    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
+
+    start: Vector
+    end: Vector
+    radius: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "start", _VECTOR.parse(self.start))
+        object.__setattr__(self, "end", _VECTOR.parse(self.end))
+        object.__setattr__(self, "radius", _positive("radius", self.radius))
+
+    @property
+    def length(self) -> float:
+        """Length of the axis, metres (without the round ends)."""
+        return float(np.linalg.norm(self.end - self.start))
+
+
+@dataclass(frozen=True, eq=False)
+class Box:
+    """A box: ``center`` (3,), ``half_extents`` (3,) metres, ``rotation`` (3, 3) world_from_box."""
+
+    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
+
+    center: Vector
+    half_extents: Vector
+    rotation: Rotation
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "center", _VECTOR.parse(self.center))
+        object.__setattr__(self, "half_extents", _VECTOR.parse(self.half_extents))
+        object.__setattr__(self, "rotation", _MATRIX.parse(self.rotation))
+        if (self.half_extents <= 0).any():
+            raise InvalidValueError(f"half_extents must be positive, got {self.half_extents.tolist()}")
+        if not is_rotation(self.rotation):
+            raise InvalidValueError(f"rotation must be orthonormal with determinant 1, got {self.rotation.tolist()}")
+
+
+Shape: TypeAlias = Sphere | Capsule | Box
+
+
+# -- poses ------------------------------------------------------------------------------------------------------------
+
+
+def is_rotation(matrix: npt.ArrayLike, tolerance: float = 1e-5) -> bool:
+    """Whether a (3, 3) matrix is orthonormal with determinant +1."""
+    r = np.asarray(matrix, dtype=np.float64)
+    return bool(
+        r.shape == (3, 3)
+        and np.isfinite(r).all()
+        and np.allclose(r @ r.T, np.eye(3), atol=tolerance)
+        and np.linalg.det(r) > 0
+    )
+
+
+def pose(rotation: npt.ArrayLike | None = None, translation: npt.ArrayLike | None = None) -> Array:
+    """A (4, 4) pose from a (3, 3) rotation and a (3,) translation, each the identity when left out."""
+    result = np.eye(4)
+    if rotation is not None:
+        result[:3, :3] = rotation
+    if translation is not None:
+        result[:3, 3] = translation
+    return result
+
+
+def invert(target_from_source: npt.ArrayLike) -> Array:
+    """Inverse of rigid poses, (..., 4, 4) to (..., 4, 4)."""
+    t = np.asarray(target_from_source, dtype=np.float64)
+    result = np.zeros_like(t)
+    rotation = np.swapaxes(t[..., :3, :3], -1, -2)
+    result[..., :3, :3] = rotation
+    result[..., :3, 3] = -np.einsum("...ij,...j->...i", rotation, t[..., :3, 3])
+    result[..., 3, 3] = 1.0
+    return result
+
+
+def transform(target_from_source: npt.ArrayLike, points: npt.ArrayLike) -> Array:
+    """Points (n, 3) of the source frame expressed in the target frame, (n, 3)."""
+    t = np.asarray(target_from_source, dtype=np.float64)
+    return np.asarray(points, dtype=np.float64) @ t[:3, :3].T + t[:3, 3]
+
+
+def rotation_about(axis: npt.ArrayLike, angle: float) -> Array:
+    """The (3, 3) rotation by ``angle`` radians about ``axis`` (3,) (Rodrigues' formula)."""
+    a = np.asarray(axis, dtype=np.float64)
+    a = a / np.linalg.norm(a)
+    k = np.array([[0.0, -a[2], a[1]], [a[2], 0.0, -a[0]], [-a[1], a[0], 0.0]])
+    return np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * (k @ k)
+
+
+def rotation_angle(rotation: npt.ArrayLike) -> float:
+    """The angle in radians, 0 to pi, by which a (3, 3) rotation turns (stable near 0 and pi)."""
+    r = np.asarray(rotation, dtype=np.float64)
+    sine = 0.5 * np.linalg.norm([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]])
+    return float(np.arctan2(sine, 0.5 * (np.trace(r) - 1.0)))
+
+
+def frame_along(direction: npt.ArrayLike) -> Array:
+    """A (3, 3) rotation whose third column is the unit vector along ``direction`` (3,)."""
+    z = np.asarray(direction, dtype=np.float64)
+    z = z / np.linalg.norm(z)
+    helper = np.eye(3)[np.argmin(np.abs(z))]
+    x = np.cross(helper, z)
+    x /= np.linalg.norm(x)
+    return np.column_stack([x, np.cross(z, x), z])
+
+
+# -- distances --------------------------------------------------------------------------------------------------------
+
+
+def distance_to_spheres(points: npt.ArrayLike, centers: npt.ArrayLike, radii: npt.ArrayLike) -> Array:
+    """Signed distances (n, k), negative inside, from points (n, 3) to spheres: centers (k, 3), radii (k,)."""
+    p, c = np.asarray(points, dtype=np.float64), np.asarray(centers, dtype=np.float64).reshape(-1, 3)
+    return np.asarray(np.linalg.norm(p[:, None] - c[None], axis=-1) - np.asarray(radii), dtype=np.float64)
+
+
+def closest_on_segments(points: npt.ArrayLike, starts: npt.ArrayLike, ends: npt.ArrayLike) -> Array:
+    """Closest points (n, k, 3) to points (n, 3) on the segments from starts (k, 3) to ends (k, 3)."""
+    p = np.asarray(points, dtype=np.float64)[:, None]
+    a, b = (np.asarray(e, dtype=np.float64).reshape(-1, 3)[None] for e in (starts, ends))
+    axis = b - a
+    squared = np.maximum((axis * axis).sum(-1), 1e-18)
+    share = np.clip(((p - a) * axis).sum(-1) / squared, 0.0, 1.0)
+    return np.asarray(a + share[..., None] * axis, dtype=np.float64)
+
+
+def distance_to_capsules(
+    points: npt.ArrayLike, starts: npt.ArrayLike, ends: npt.ArrayLike, radii: npt.ArrayLike
+) -> Array:
+    """Signed distances (n, k), negative inside, from points (n, 3) to capsules: axes (k, 3), (k, 3), radii (k,)."""
+    nearest = closest_on_segments(points, starts, ends)
+    p = np.asarray(points, dtype=np.float64)[:, None]
+    return np.asarray(np.linalg.norm(p - nearest, axis=-1) - np.asarray(radii), dtype=np.float64)
+
+
+def distance_to_boxes(
+    points: npt.ArrayLike, centers: npt.ArrayLike, half_extents: npt.ArrayLike, rotations: npt.ArrayLike
+) -> Array:
+    """Signed distances (n, k), negative inside, to boxes: (k, 3), (k, 3), rotations (k, 3, 3) world_from_box."""
+    p = np.asarray(points, dtype=np.float64)
+    c, h = (np.asarray(e, dtype=np.float64).reshape(-1, 3) for e in (centers, half_extents))
+    local = np.einsum("kji,nkj->nki", np.asarray(rotations, dtype=np.float64).reshape(-1, 3, 3), p[:, None] - c[None])
+    excess = np.abs(local) - h[None]
+    outside = np.linalg.norm(np.maximum(excess, 0.0), axis=-1)
+    return np.asarray(outside + np.minimum(excess.max(-1), 0.0), dtype=np.float64)
+
+
+def distance_to_shapes(points: npt.ArrayLike, shapes: Sequence[Shape], chunk: int = 4096) -> Array:
+    """Signed distances (n, k), negative inside, from points (n, 3) to a mixed list of k shapes.
+
+    Args:
+        points: (n, 3) metres.
+        shapes: k spheres, capsules or boxes, in the points' frame.
+        chunk: points handled at a time, which bounds the memory for intermediate results.
+    """
+    p = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+    result = np.empty((len(p), len(shapes)))
+    columns = {kind: [i for i, s in enumerate(shapes) if isinstance(s, kind)] for kind in (Sphere, Capsule, Box)}
+    spheres = [s for s in shapes if isinstance(s, Sphere)]
+    capsules = [s for s in shapes if isinstance(s, Capsule)]
+    boxes = [s for s in shapes if isinstance(s, Box)]
+    for first in range(0, len(p), chunk):
+        rows = slice(first, first + chunk)
+        if spheres:
+            result[rows, columns[Sphere]] = distance_to_spheres(
+                p[rows], [s.center for s in spheres], [s.radius for s in spheres]
+            )
+        if capsules:
+            result[rows, columns[Capsule]] = distance_to_capsules(
+                p[rows], [s.start for s in capsules], [s.end for s in capsules], [s.radius for s in capsules]
+            )
+        if boxes:
+            result[rows, columns[Box]] = distance_to_boxes(
+                p[rows], [s.center for s in boxes], [s.half_extents for s in boxes], [s.rotation for s in boxes]
+            )
+    return result

@@ -1,0 +1,19 @@
+"""Scenes (files), the MuJoCo models made from them, and banks of scenes."""
+
+from greenhouse_gym.scene.bank import SceneBank
+from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene, scene_spec
+from greenhouse_gym.scene.scene import DIFFICULTIES, Difficulty, Provenance, Scene, Shapes, Stand, Target
+
+__all__ = [
+    "DIFFICULTIES",
+    "CompiledScene",
+    "Difficulty",
+    "Provenance",
+    "Scene",
+    "SceneBank",
+    "Shapes",
+    "Stand",
+    "Target",
+    "compile_scene",
+    "scene_spec",
+]

@@ -1,0 +1,180 @@
+"""Scene + robot to a MuJoCo model: the one place where both the simulator and the planners get their collision world.
+
+Obstacles are geoms of the world body (separate static bodies cost about twelve times the collision time). Collision
+masks: bit 1 is "the arm", bit 2 is "the cup". Obstacles carry both bits; clearing bit 2 of the target lets the cup,
+and nothing else of the arm, touch it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.geometry import Box, Capsule, Shape, frame_along
+from greenhouse_gym.robots import Robot, get_robot
+from greenhouse_gym.robots.robot import CUP_GEOM, TIP_SITE
+from greenhouse_gym.scene.scene import Scene
+
+DEFAULT_CAPACITY = 300
+"""Obstacles a padded model has room for."""
+
+ARM_AND_CUP, ARM_ONLY = 3, 1
+"""Collision masks of an obstacle, and of the target (which the cup may touch)."""
+
+TIMESTEP = 0.01
+_PARKED = (0.0, 0.0, -50.0)
+_STEM_COLORS = {
+    "main": (0.33, 0.48, 0.2, 1.0),
+    "peduncle": (0.4, 0.6, 0.25, 1.0),
+    "pedicel": (0.45, 0.65, 0.3, 1.0),
+    "string": (0.85, 0.85, 0.8, 1.0),
+    "pipe": (0.8, 0.8, 0.82, 1.0),
+}
+_CLUTTER_COLOR = (0.25, 0.5, 0.22, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledScene:
+    """A scene with an arm as a MuJoCo model, and where things are in it.
+
+    Attributes:
+        scene: The scene.
+        robot: The arm.
+        model: The compiled model. Treat it as read-only: it is shared.
+        tip_site: Id of the site ``tip``.
+        probe_sites: (k,) ids of the sites at which clearance is observed.
+        obstacle_geoms: Slice of the geom ids of all obstacle slots: tomatoes, stems, clutter, then parked ones.
+        cup_geom: Id of the geom that may touch the target, or -1.
+    """
+
+    scene: Scene
+    robot: Robot
+    model: mujoco.MjModel
+    tip_site: int
+    probe_sites: np.ndarray[tuple[int], np.dtype[np.int64]]
+    obstacle_geoms: slice
+    cup_geom: int
+
+    def tomato_geom(self, tomato: int) -> int:
+        """Geom id of a tomato, by its index in the scene."""
+        return int(self.obstacle_geoms.start) + tomato
+
+    def allow_cup_on(self, model: mujoco.MjModel, tomato: int, allowed: bool = True) -> None:
+        """In ``model`` (a copy of this one), let the cup touch a tomato, or forbid it again."""
+        mask = ARM_ONLY if allowed else ARM_AND_CUP
+        geom = self.tomato_geom(tomato)
+        model.geom_contype[geom] = mask
+        model.geom_conaffinity[geom] = mask
+
+
+def scene_spec(scene: Scene, robot: str | Robot | None = None, capacity: int | None = None) -> mujoco.MjSpec:
+    """The scene, and the arm if one is named, as an editable MuJoCo specification.
+
+    Args:
+        scene: The scene.
+        robot: Name, file or `Robot`; None leaves the arm out.
+        capacity: Pad the obstacles with parked geoms to this number, so that models of several scenes have one size.
+
+    Raises:
+        InvalidValueError: The scene has more obstacles than ``capacity``.
+    """
+    arm = None if robot is None else get_robot(robot)
+    spec = mujoco.MjSpec() if arm is None else arm.spec()
+    spec.modelname = scene.name
+    spec.compiler.degree = False
+    spec.option.timestep = TIMESTEP
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 960
+    world = spec.worldbody
+    world.add_light(pos=[-1.0, 0.0, 3.0], dir=[0.5, 0.0, -1.0], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
+    world.add_geom(
+        name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[5, 5, 0.1], rgba=[0.72, 0.71, 0.68, 1],
+        contype=ARM_AND_CUP, conaffinity=ARM_AND_CUP,
+    )  # fmt: skip
+    if arm is not None:
+        _place_arm(spec, scene, arm)
+    names = [f"tomato_{i}" for i in range(len(scene.tomatoes))]
+    names += [f"stem_{i}_{stem.kind}" for i, stem in enumerate(scene.stems)]
+    names += [f"clutter_{i}" for i in range(len(scene.clutter))]
+    colors = [_tomato_color(tomato.ripeness) for tomato in scene.tomatoes]
+    colors += [_STEM_COLORS[stem.kind] for stem in scene.stems] + [_CLUTTER_COLOR] * len(scene.clutter)
+    for name, shape, color in zip(names, scene.obstacles, colors, strict=True):
+        _add_obstacle(world, name, shape, color)
+    if capacity is not None:
+        if len(names) > capacity:
+            raise InvalidValueError(
+                f"scene {scene.name!r} has {len(names)} obstacles, the padded model room for {capacity}"
+            )
+        for i in range(capacity - len(names)):
+            world.add_geom(
+                name=f"parked_{i}", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.001, 0, 0], pos=_PARKED,
+                rgba=[0, 0, 0, 0], contype=ARM_AND_CUP, conaffinity=ARM_AND_CUP,
+            )  # fmt: skip
+    return spec
+
+
+def compile_scene(scene: Scene, robot: str | Robot = "ur5e", capacity: int | None = None) -> CompiledScene:
+    """Compile a scene with an arm (about 5 ms); `scene_spec` says what the arguments mean."""
+    arm = get_robot(robot)
+    model = scene_spec(scene, arm, capacity).compile()
+    first = model.geom("floor").id + (2 if _has_column(scene, arm) else 1)
+    count = capacity if capacity is not None else len(scene.obstacles)
+    return CompiledScene(
+        scene=scene,
+        robot=arm,
+        model=model,
+        tip_site=model.site(TIP_SITE).id,
+        probe_sites=np.array([model.site(name).id for name in arm.probes], dtype=np.int64),
+        obstacle_geoms=slice(first, first + count),
+        cup_geom=int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, CUP_GEOM)),
+    )
+
+
+def base_position(scene: Scene, robot: Robot) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    """(3,) position of the arm's base in the scene, metres: below the shoulder at the height of the stand."""
+    return np.asarray(scene.stand.position + [0.0, 0.0, scene.stand.shoulder_height - robot.shoulder_height])
+
+
+def _has_column(scene: Scene, robot: Robot) -> bool:
+    return bool(base_position(scene, robot)[2] - scene.stand.position[2] > 0.1)
+
+
+def _place_arm(spec: mujoco.MjSpec, scene: Scene, robot: Robot) -> None:
+    position = base_position(scene, robot)
+    base = spec.worldbody.first_body()
+    base.pos = position
+    base.quat = [np.cos(scene.stand.yaw / 2), 0.0, 0.0, np.sin(scene.stand.yaw / 2)]
+    if _has_column(scene, robot):
+        floor = scene.stand.position[2]
+        half = (position[2] - floor - 0.03) / 2
+        spec.worldbody.add_geom(
+            name="cart", type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.12, 0.12, half],
+            pos=[position[0], position[1], floor + half], quat=base.quat, rgba=[0.45, 0.45, 0.48, 1],
+            contype=ARM_AND_CUP, conaffinity=ARM_AND_CUP,
+        )  # fmt: skip
+
+
+def _tomato_color(ripeness: float | None) -> tuple[float, float, float, float]:
+    r = 1.0 if ripeness is None else ripeness
+    return (0.45 + 0.4 * r, 0.6 - 0.47 * r, 0.2 - 0.1 * r, 1.0)
+
+
+def _add_obstacle(world: mujoco.MjsBody, name: str, shape: Shape, color: tuple[float, ...]) -> None:
+    common = {"name": name, "rgba": color, "contype": ARM_AND_CUP, "conaffinity": ARM_AND_CUP}
+    if isinstance(shape, Box):
+        quat = np.empty(4)
+        mujoco.mju_mat2Quat(quat, shape.rotation.flatten())
+        world.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=shape.half_extents, pos=shape.center, quat=quat, **common)
+    elif isinstance(shape, Capsule) and shape.length > 1e-6:
+        quat = np.empty(4)
+        mujoco.mju_mat2Quat(quat, frame_along(shape.end - shape.start).flatten())
+        world.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[shape.radius, shape.length / 2, 0],
+            pos=(shape.start + shape.end) / 2, quat=quat, **common,
+        )  # fmt: skip
+    else:
+        center = (shape.start + shape.end) / 2 if isinstance(shape, Capsule) else shape.center
+        world.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[shape.radius, 0, 0], pos=center, **common)

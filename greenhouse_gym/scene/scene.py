@@ -1,0 +1,133 @@
+"""The scene file: tomatoes, stems, clutter, where the arm stands, targets with certificates, provenance."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from greenhouse_gym.crop import Stem, Tomato
+from greenhouse_gym.errors import FileFormatError, InvalidValueError
+from greenhouse_gym.geometry import Box, Capsule, Shape, Sphere, Vector
+from greenhouse_gym.paths import write_atomically
+
+if TYPE_CHECKING:
+    from greenhouse_gym.robots import Robot
+
+SCHEMA_VERSION = 1
+Difficulty = Literal["easy", "medium", "hard", "unreachable"]
+DIFFICULTIES: tuple[str, ...] = get_args(Difficulty)
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Stand(_Part):
+    """Where the arm stands in the scene frame.
+
+    Attributes:
+        position: (3,) point on the floor below the base axis, metres.
+        yaw: Heading about z, radians; 0 faces the plants (+x).
+        shoulder_height: Height of the shoulder joint above that point, metres.
+    """
+
+    position: Vector = Field(default_factory=lambda: [0.0, 0.0, 0.0], validate_default=True)
+    yaw: float = 0.0
+    shoulder_height: float = Field(default=1.1, gt=0)
+
+
+class Target(_Part):
+    """A tomato as a reaching target.
+
+    Attributes:
+        tomato: Index into `Scene.tomatoes`.
+        difficulty: One of `DIFFICULTIES`.
+        robot: The arm the certificate is for.
+        witness: A checked collision-free joint path (k, joints) in radians from the arm's start to the target, or None
+            where none was found.
+    """
+
+    tomato: int = Field(ge=0)
+    difficulty: Difficulty
+    robot: str = "ur5e"
+    witness: tuple[tuple[float, ...], ...] | None = None
+
+
+class Provenance(_Part):
+    """Where a scene comes from: recording, settings, package version, row, station, growth week."""
+
+    row: str
+    station: int | None = None
+    week: int | None = None
+    recording: str | None = None
+    recording_sha256: str | None = None
+    settings: dict[str, Any] = Field(default_factory=dict)
+    package_version: str | None = None
+
+
+class Shapes(_Part):
+    """Tomatoes, stems and clutter in the scene frame: what stands around the arm."""
+
+    tomatoes: tuple[Tomato, ...] = ()
+    stems: tuple[Stem, ...] = ()
+    clutter: tuple[Sphere | Capsule | Box, ...] = ()
+
+    @property
+    def obstacles(self) -> tuple[Shape, ...]:
+        """All shapes in one order: tomatoes, stems, clutter."""
+        return (*self.tomatoes, *self.stems, *self.clutter)
+
+
+class Scene(Shapes):
+    """One place in a row with an arm in front of it.
+
+    The frame is the world frame of the package: z up, y along the row, x from the aisle into the plants, origin on
+    the floor below the arm. Lengths are metres, angles radians.
+    """
+
+    schema_version: Literal[1] = SCHEMA_VERSION
+    name: str
+    stand: Stand = Field(default_factory=Stand)
+    targets: tuple[Target, ...] = ()
+    provenance: Provenance
+    truth: Shapes | None = None
+
+    @model_validator(mode="after")
+    def _targets_exist(self) -> Scene:
+        for target in self.targets:
+            if target.tomato >= len(self.tomatoes):
+                raise InvalidValueError(f"target names tomato {target.tomato}, the scene has {len(self.tomatoes)}")
+        return self
+
+    @classmethod
+    def load(cls, path: str | Path) -> Scene:
+        """Read a scene from its JSON file.
+
+        Raises:
+            FileFormatError: The file is missing, is not JSON, or breaks the schema; the message names the field.
+        """
+        try:
+            return cls.model_validate_json(Path(path).read_bytes())
+        except OSError as error:
+            raise FileFormatError(path, f"cannot be read ({error.strerror or error})") from error
+        except ValidationError as error:
+            first = error.errors()[0]
+            where = ".".join(map(str, first["loc"])) or "the file"
+            given = repr(first.get("input"))
+            given = given if len(given) <= 80 else given[:77] + "..."
+            raise FileFormatError(path, f"not a valid scene: {where}: {first['msg']} (got {given})") from error
+
+    def save(self, path: str | Path) -> Path:
+        """Write the scene as JSON (to a temporary name, then renamed) and return the path."""
+        return write_atomically(path, self.model_dump_json(indent=None) + "\n")
+
+    def to_mjcf(self, robot: str | Robot | None = None) -> str:
+        """The scene as an XML text that plain MuJoCo opens, with the arm in it if one is named."""
+        from greenhouse_gym.scene.mjcf import scene_spec
+
+        spec = scene_spec(self, robot)
+        spec.compile()  # MuJoCo writes XML from a compiled specification only
+        xml: str = spec.to_xml()
+        return xml

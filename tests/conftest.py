@@ -1,0 +1,50 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from greenhouse_gym.crop import Stem, Tomato
+from greenhouse_gym.geometry import Box, Sphere
+from greenhouse_gym.scene import Provenance, Scene, SceneBank, Target
+from greenhouse_gym.scene.bank import write_bank
+
+
+def make_scene(seed: int, stems: int = 4, row: str | None = None) -> Scene:
+    """A small made-up scene: vertical stems 0.6 m from the arm, a truss in front of each, a leaf beside."""
+    rng = np.random.default_rng(seed)
+    tomatoes: list[Tomato] = []
+    parts: list[Stem] = []
+    clutter: list[Box | Sphere] = []
+    for truss, y in enumerate(np.linspace(-0.6, 0.6, stems) + rng.uniform(-0.05, 0.05, stems)):
+        x = 0.6 + rng.uniform(-0.03, 0.03)
+        parts.append(Stem([x, y, 0.4], [x, y, 2.2], 0.006, kind="main"))
+        z = rng.uniform(0.9, 1.5)
+        hang = np.array([x - 0.1, y, z - 0.03])
+        parts.append(Stem([x, y, z], hang, 0.002, kind="peduncle"))
+        for k in range(3):
+            center = hang + [0.0, 0.06 * (k - 1), -0.05 + rng.uniform(-0.01, 0.01)]
+            tomatoes.append(Tomato(center, rng.uniform(0.022, 0.028), truss=truss, ripeness=rng.uniform()))
+        clutter.append(Box([x + 0.05, y + 0.1, z + 0.25], [0.08, 0.05, 0.005], np.eye(3)))
+        clutter.append(Sphere([x + 0.1, y - 0.1, z + 0.3], 0.04))
+    return Scene(
+        name=f"made-up-{seed}",
+        tomatoes=tuple(tomatoes),
+        stems=tuple(parts),
+        clutter=tuple(clutter),
+        targets=tuple(Target(tomato=i, difficulty="easy") for i in range(len(tomatoes))),
+        provenance=Provenance(row=row or f"made-up-row-{seed}", week=0),
+    )
+
+
+@pytest.fixture(scope="session")
+def scene() -> Scene:
+    return make_scene(0)
+
+
+@pytest.fixture(scope="session")
+def bank(tmp_path_factory: pytest.TempPathFactory) -> SceneBank:
+    folder: Path = tmp_path_factory.mktemp("bank")
+    splits = ["train", "train", "train", "train", "validation", "test", "test"]
+    return write_bank(folder, [(make_scene(i), split) for i, split in enumerate(splits)], name="made-up")
