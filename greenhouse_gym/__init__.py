@@ -1,0 +1,1 @@
+"""Reinforcement learning and motion planning in reconstructed tomato greenhouses."""

@@ -152,7 +152,8 @@ def invert(target_from_source: npt.ArrayLike) -> Array:
 def transform(target_from_source: npt.ArrayLike, points: npt.ArrayLike) -> Array:
     """Points (n, 3) of the source frame expressed in the target frame, (n, 3)."""
     t = np.asarray(target_from_source, dtype=np.float64)
-    return np.asarray(points, dtype=np.float64) @ t[:3, :3].T + t[:3, 3]
+    moved: Array = np.asarray(points, dtype=np.float64) @ t[:3, :3].T + t[:3, 3]
+    return moved
 
 
 def rotation_about(axis: npt.ArrayLike, angle: float) -> Array:

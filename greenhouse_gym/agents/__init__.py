@@ -1,0 +1,1 @@
+"""Agents: the protocol, planner and policy agents, simple baselines."""

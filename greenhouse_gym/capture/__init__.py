@@ -1,0 +1,1 @@
+"""Recordings of a row: frames, rigs, readers and writer, the simulated rig."""

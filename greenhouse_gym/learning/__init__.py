@@ -1,0 +1,1 @@
+"""Training functions and policy files."""

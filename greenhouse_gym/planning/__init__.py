@@ -1,0 +1,1 @@
+"""Motion planning with OMPL: goals, collision model, planners, paths."""

@@ -1,0 +1,1 @@
+"""A procedural tomato row with known truth."""

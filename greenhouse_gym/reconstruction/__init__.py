@@ -1,0 +1,1 @@
+"""From a recording to one cloud of the row, and its mesh."""

@@ -99,9 +99,7 @@ def _read_robot(path: Path) -> Robot:
     if model.njnt == 0 or (model.jnt_type != mujoco.mjtJoint.mjJNT_HINGE).any():
         raise FileFormatError(path, "an arm needs hinge joints and no other kind")
     if model.nu != model.njnt:
-        raise FileFormatError(
-            path, f"{model.njnt} joints but {model.nu} actuators; expected one position actuator each"
-        )
+        raise FileFormatError(path, f"{model.njnt} joints, {model.nu} actuators; expected one position actuator each")
     require(mujoco.mjtObj.mjOBJ_SITE, TIP_SITE, "site")
     start = model.key_qpos[require(mujoco.mjtObj.mjOBJ_KEY, START_KEY, "key frame")].copy()
     probes = [i for i in range(model.nsite) if model.site(i).name.startswith(PROBE_PREFIX)]

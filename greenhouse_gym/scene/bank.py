@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError, require_choice
 from greenhouse_gym.paths import data_path, write_atomically
-from greenhouse_gym.scene.scene import SCHEMA_VERSION, Scene
+from greenhouse_gym.scene.scene import Scene
 
 Split = Literal["train", "validation", "test"]
 SPLITS: tuple[str, ...] = get_args(Split)
@@ -37,7 +37,7 @@ class Manifest(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    schema_version: Literal[1] = SCHEMA_VERSION
+    schema_version: Literal[1] = 1
     name: str
     description: str = ""
     scenes: tuple[Entry, ...]

@@ -106,7 +106,7 @@ def scene_spec(scene: Scene, robot: str | Robot | None = None, capacity: int | N
     if capacity is not None:
         if len(names) > capacity:
             raise InvalidValueError(
-                f"scene {scene.name!r} has {len(names)} obstacles, the padded model room for {capacity}"
+                f"scene {scene.name!r} has {len(names)} obstacles, more than the {capacity} allowed"
             )
         for i in range(capacity - len(names)):
             world.add_geom(

@@ -15,7 +15,6 @@ from greenhouse_gym.paths import write_atomically
 if TYPE_CHECKING:
     from greenhouse_gym.robots import Robot
 
-SCHEMA_VERSION = 1
 Difficulty = Literal["easy", "medium", "hard", "unreachable"]
 DIFFICULTIES: tuple[str, ...] = get_args(Difficulty)
 
@@ -87,7 +86,7 @@ class Scene(Shapes):
     the floor below the arm. Lengths are metres, angles radians.
     """
 
-    schema_version: Literal[1] = SCHEMA_VERSION
+    schema_version: Literal[1] = 1
     name: str
     stand: Stand = Field(default_factory=Stand)
     targets: tuple[Target, ...] = ()

@@ -1,0 +1,1 @@
+"""From a cloud to tomatoes, stems and clutter."""
