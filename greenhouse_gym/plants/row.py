@@ -1,0 +1,153 @@
+"""Grow a row: plants along a line, week by week, as a list of analytic primitives.
+
+A vine is lowered by about one truss a week while new trusses open at the top, so week w shows the same plants with
+every truss one spacing lower and riper than in week w - 1. Dimensions are those of high-wire tomato at harvest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import count
+
+import numpy as np
+
+from greenhouse_gym.crop import Stem, Tomato
+from greenhouse_gym.errors import InvalidValueError, UnknownNameError
+from greenhouse_gym.geometry import Array, Box, Shape
+from greenhouse_gym.plants.leaf import grow_leaf
+from greenhouse_gym.plants.truss import FruitStyle, grow_truss
+
+STEM_LINE = 0.5
+"""Distance of the stem line from the tripod's line, metres: x of the row in the world frame."""
+
+ROW_PITCH = 1.6
+PLANT_SPACING = (0.42, 0.58)
+TRUSS_SPACING = (0.20, 0.30)
+GUTTER_HEIGHT = 0.5
+WIRE_HEIGHT = 2.4
+LOWEST_TRUSS, HIGHEST_TRUSS = 0.6, 2.2
+BARE_BELOW = 1.35  # leaves below this height are taken off as the vine is lowered
+
+STYLES = {
+    "cluster": FruitStyle(count=(3, 5), diameter=(0.045, 0.067), rachis=0.13),
+    "beefsteak": FruitStyle(count=(3, 4), diameter=(0.067, 0.095), rachis=0.13),
+    "cherry": FruitStyle(count=(10, 20), diameter=(0.026, 0.034), rachis=0.17),
+}
+"""Fruit styles by name: numbers and sizes as grown."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlantRow:
+    """A row of tomato plants as analytic primitives in the world frame (metres).
+
+    The frame: z up, y along the row, x into the plants, origin on the floor below the tripod's first station; the stem
+    line is at x = 0.5 m.
+
+    Attributes:
+        tomatoes: Every fruit, with its truss and ripeness.
+        stems: Main stems, peduncles, pedicels, strings and pipes as straight capsules.
+        clutter: Leaves (thin boxes, petioles as capsules) and the gutter.
+        length: Length of the row that is meant to be photographed, metres, from y = 0.
+        week: Growth week; 0 is the first harvest.
+        behind: The next row, or None.
+    """
+
+    tomatoes: tuple[Tomato, ...]
+    stems: tuple[Stem, ...]
+    clutter: tuple[Shape, ...]
+    length: float
+    week: int
+    behind: PlantRow | None = None
+
+
+def grow_row(
+    seed: int, length: float = 5.0, week: int = 0, style: str = "cluster", stem_line: float = STEM_LINE
+) -> PlantRow:
+    """Grow a row of tomato plants with a second row behind it.
+
+    Args:
+        seed: Same seed, same plants; over the weeks the same plants grow on.
+        length: Length of row to be photographed, metres; plants stand half a metre beyond both ends.
+        week: Growth week, 0 = first harvest.
+        style: One of `STYLES`.
+        stem_line: x of the row, metres.
+
+    Returns:
+        The row, its primitives in the world frame.
+
+    Raises:
+        InvalidValueError: ``length`` is not positive and finite, or ``week`` is negative.
+        UnknownNameError: No such style.
+    """
+    if not (np.isfinite(length) and length > 0):
+        raise InvalidValueError(f"length must be a positive number of metres, got {length!r}")
+    if week < 0:
+        raise InvalidValueError(f"week must be 0 or more, got {week!r}")
+    if style not in STYLES:
+        raise UnknownNameError("fruit style", style, STYLES)
+    front = _grow_line(seed, 0, length, week, STYLES[style], stem_line)
+    back = _grow_line(seed, 1, length, week, STYLES[style], stem_line + ROW_PITCH)
+    return PlantRow(front.tomatoes, front.stems, front.clutter, length, week, behind=back)
+
+
+def _grow_line(seed: int, line: int, length: float, week: int, style: FruitStyle, x: float) -> PlantRow:
+    rng = np.random.default_rng([seed, line])
+    tomatoes: list[Tomato] = []
+    stems: list[Stem] = []
+    clutter: list[Shape] = []
+    y = -0.5 + rng.uniform(0, 0.2)
+    truss_numbers = count()
+    for plant in count():
+        if y > length + 0.5:
+            break
+        base = np.array([x + rng.uniform(-0.03, 0.03), y, GUTTER_HEIGHT])
+        fruits, parts, leaves = _grow_plant([seed, line, plant], base, week, style, truss_numbers)
+        tomatoes += fruits
+        stems += parts
+        clutter += leaves
+        y += rng.uniform(*PLANT_SPACING)
+    low, high = -0.8, length + 0.8
+    middle, half = (low + high) / 2, (high - low) / 2
+    clutter.append(Box([x, middle, GUTTER_HEIGHT - 0.05], [0.11, half, 0.05], np.eye(3)))
+    stems += [Stem([x - d, low, 0.06], [x - d, high, 0.06], 0.0255, kind="pipe") for d in (0.32, 0.82)]
+    return PlantRow(tuple(tomatoes), tuple(stems), tuple(clutter), length, week)
+
+
+def _grow_plant(
+    seed: list[int], base: Array, week: int, style: FruitStyle, truss_numbers: Iterator[int]
+) -> tuple[list[Tomato], list[Stem], list[Shape]]:
+    rng = np.random.default_rng(seed)
+    tomatoes: list[Tomato] = []
+    spacing = rng.uniform(*TRUSS_SPACING)
+    radius = rng.uniform(0.004, 0.007)
+    heights = np.arange(GUTTER_HEIGHT, WIRE_HEIGHT + 0.05, 0.1)
+    sway = np.cumsum(rng.normal(0, 0.008, (len(heights), 2)), axis=0)
+    sway -= np.outer(np.linspace(0, 1, len(heights)), sway[-1])  # the string holds the top above the gutter
+    axis = np.column_stack([base[0] + sway[:, 0], base[1] + sway[:, 1], heights])
+    stems = [Stem(a, b, radius, kind="main") for a, b in zip(axis[:-1], axis[1:], strict=True)]
+    beside = np.array([0.0, radius + 0.004, 0.0]) * rng.choice([-1.0, 1.0])
+    stems += [Stem(a + beside, b + beside, 0.001, kind="string") for a, b in zip(axis[4:-1], axis[5:], strict=True)]
+
+    clutter: list[Shape] = []
+    offset = rng.uniform(0, spacing)
+    twist = rng.uniform(0, 2 * np.pi)
+    # truss j opens one spacing above truss j - 1; each week lowers the vine by one spacing
+    for j in range(week, week + int((HIGHEST_TRUSS - LOWEST_TRUSS) / spacing) + 2):
+        own = np.random.default_rng([*seed, j])
+        height = LOWEST_TRUSS + offset + (j - week) * spacing
+        if height > HIGHEST_TRUSS:
+            break
+        node = np.array([np.interp(height, heights, axis[:, k]) for k in range(3)])
+        # pickers turn trusses to the aisle; leaves go all around
+        azimuth = np.pi + own.normal(0, 0.7)
+        ripeness = float(np.clip(1.0 - (height - 0.75) / 0.6, 0.0, 1.0))
+        fruits, parts = grow_truss(own, node, radius, azimuth, ripeness, style, next(truss_numbers))
+        tomatoes += fruits
+        stems += parts
+        for leaf in range(3):
+            leaf_height = height + (leaf + 0.5) * spacing / 3
+            if leaf_height > max(BARE_BELOW, LOWEST_TRUSS) and leaf_height < WIRE_HEIGHT - 0.1:
+                node = np.array([np.interp(leaf_height, heights, axis[:, k]) for k in range(3)])
+                clutter += grow_leaf(own, node, twist + 2.4 * (3 * j + leaf))
+    return tomatoes, stems, clutter
