@@ -1,0 +1,186 @@
+"""Distance fields: how far it is to the nearest stem or piece of clutter, and which way, looked up instead of computed.
+
+A field covers a box in front of the arm, in the frame of the arm's base (x forward, z up). It is sampled at nodes
+2 cm apart, kept as float16 and capped at `MAX_DISTANCE`, beyond which nobody asks. Fields of many scenes lie in one
+stacked array, so that one lookup serves many simulations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from greenhouse_gym.geometry import Box, Capsule, Shape
+
+Float32 = npt.NDArray[np.float32]
+
+CELL = 0.02
+"""Distance between nodes, metres."""
+
+SHAPE = (48, 88, 88)
+"""Nodes along x, y, z: multiples of the largest block of `distance_field`."""
+
+ORIGIN = (0.10, -0.87, -0.80)
+"""The first node in the frame of the arm's base, metres."""
+
+MAX_DISTANCE = 0.3
+"""Distances are capped here, metres."""
+
+_BLOCK = 8
+
+
+def distance_field(shapes: Sequence[Shape], scene_from_base: npt.ArrayLike | None = None) -> npt.NDArray[np.float16]:
+    """Signed distances to the union of the shapes at the nodes of the grid, capped at `MAX_DISTANCE`.
+
+    Exact at the nodes. Blocks of nodes are halved from 8 to 1 node per side; a shape stays with a block only while it
+    may be the nearest one somewhere in it, so few pairs of node and shape are left to compute (about 40 ms for 300
+    shapes).
+
+    Args:
+        shapes: Spheres, capsules and boxes in the scene frame.
+        scene_from_base: (4, 4) pose of the arm's base in the scene; the identity when left out.
+
+    Returns:
+        Array of shape `SHAPE`, float16, metres.
+    """
+    field = np.full(SHAPE, MAX_DISTANCE, dtype=np.float16)
+    if not shapes:
+        return field
+    parts = _Parts(shapes, np.eye(4) if scene_from_base is None else np.asarray(scene_from_base, dtype=np.float64))
+    # Pairs of a block and a shape, ordered by block; `corner` (blocks, 3) is a block's first node.
+    corner = np.stack(np.meshgrid(*(np.arange(0, n, _BLOCK) for n in SHAPE), indexing="ij"), -1).reshape(-1, 3)
+    block, part = np.repeat(np.arange(len(corner)), len(shapes)), np.tile(np.arange(len(shapes)), len(corner))
+    size = _BLOCK
+    while True:
+        middle = (corner + (size - 1) / 2) * CELL + ORIGIN
+        distance = parts.distance(middle[block].astype(np.float32), part)
+        nearest = np.minimum.reduceat(distance, np.searchsorted(block, np.arange(len(corner))))
+        if size == 1:
+            field[tuple(corner.T)] = np.minimum(nearest, MAX_DISTANCE)
+            return field
+        radius = (size - 1) / 2 * CELL * np.sqrt(3.0)
+        keep = distance <= np.minimum(nearest + 2 * radius, MAX_DISTANCE + radius)[block]
+        kept, block = np.unique(block[keep], return_inverse=True)
+        if len(kept) == 0:
+            return field
+        part, size = part[keep], size // 2
+        corner = (corner[kept] + size * _OCTANTS[:, None]).reshape(-1, 3)  # the first children of all, the second, ...
+        block = (block + len(kept) * np.arange(8)[:, None]).reshape(-1)
+        part = np.tile(part, 8)
+
+
+_OCTANTS = np.stack(np.meshgrid(*[[0, 1]] * 3, indexing="ij"), -1).reshape(8, 3)
+
+
+class _Parts:
+    """Shapes as arrays in the base frame; capsules include spheres (capsules without length)."""
+
+    def __init__(self, shapes: Sequence[Shape], scene_from_base: npt.NDArray[np.float64]):
+        rotation, position = scene_from_base[:3, :3], scene_from_base[:3, 3]
+        self.is_box = np.array([isinstance(s, Box) for s in shapes])
+        a, b, half = (np.zeros((len(shapes), 3)) for _ in range(3))
+        turns = np.zeros((len(shapes), 3, 3))
+        radius = np.zeros(len(shapes))
+        for i, s in enumerate(shapes):
+            a[i] = s.start if isinstance(s, Capsule) else s.center
+            b[i] = s.end if isinstance(s, Capsule) else s.center
+            if isinstance(s, Box):
+                half[i], turns[i] = s.half_extents, rotation.T @ s.rotation
+            else:
+                radius[i] = s.radius
+        self.start = ((a - position) @ rotation).astype(np.float32)
+        axis = (b - a) @ rotation
+        squared = (axis * axis).sum(-1)
+        self.axis = axis.astype(np.float32)
+        self.inverse = np.where(squared > 1e-12, 1.0 / np.maximum(squared, 1e-12), 0.0).astype(np.float32)
+        self.radius = radius.astype(np.float32)
+        self.half = half.astype(np.float32)
+        self.turn = turns.astype(np.float32)
+
+    def distance(self, points: Float32, part: npt.NDArray[np.int64]) -> Float32:
+        """Signed distances (m,) of points (m, 3) to the shapes part (m,), row by row."""
+        result = np.empty(len(points), dtype=np.float32)
+        boxes = self.is_box[part]
+        rows = np.flatnonzero(~boxes)
+        if len(rows):
+            i = part[rows]
+            offset, axis = points[rows] - self.start[i], self.axis[i]
+            share = np.einsum("mi,mi->m", offset, axis) * self.inverse[i]
+            offset -= np.clip(share, 0.0, 1.0)[:, None] * axis
+            result[rows] = np.sqrt(np.einsum("mi,mi->m", offset, offset)) - self.radius[i]
+        rows = np.flatnonzero(boxes)
+        if len(rows):
+            i = part[rows]
+            excess = np.abs(np.einsum("mji,mj->mi", self.turn[i], points[rows] - self.start[i])) - self.half[i]
+            outside = np.maximum(excess, 0.0)
+            result[rows] = np.sqrt(np.einsum("mi,mi->m", outside, outside)) + np.minimum(excess.max(-1), 0.0)
+        return result
+
+
+class FieldStore:
+    """Fields of many scenes in one array, addressed by slot."""
+
+    def __init__(self) -> None:
+        self._values = np.empty((16, *SHAPE), dtype=np.float16)
+        self._count = 0
+
+    def __len__(self) -> int:
+        return self._count
+
+    def add(self, field: npt.NDArray[np.float16]) -> int:
+        """Keep a field and return its slot."""
+        if self._count == len(self._values):
+            grown = np.empty((2 * self._count, *SHAPE), dtype=np.float16)
+            grown[: self._count] = self._values
+            self._values = grown
+        self._values[self._count] = field
+        self._count += 1
+        return self._count - 1
+
+    def lookup(self, slots: npt.NDArray[np.int64], points: npt.NDArray[np.float64]) -> tuple[Float32, Float32]:
+        """Distances to the nearest obstacle, and which way it lies, by trilinear interpolation.
+
+        Outside the grid, the nearest point of the grid is asked and the way to it added. Elementwise, so a
+        simulation's result does not depend on how many are asked at once.
+
+        Args:
+            slots: (n,) slots, one per simulation.
+            points: (n, k, 3) points in the frame of the arm's base, metres.
+
+        Returns:
+            Distances (n, k), metres, at most `MAX_DISTANCE`; unit directions (n, k, 3) towards the obstacle, zero
+            where the distance is capped.
+        """
+        position = ((points - ORIGIN) / CELL).astype(np.float32)
+        inside = np.clip(position, 0.0, _LAST)
+        away = position - inside
+        node = np.minimum(inside.astype(np.int64), _LAST_CELL)
+        x, y, z = np.moveaxis(inside - node, -1, 0)
+        flat = ((slots[:, None] * SHAPE[0] + node[..., 0]) * SHAPE[1] + node[..., 1]) * SHAPE[2] + node[..., 2]
+        c = self._values.reshape(-1)[flat + _CORNERS].astype(np.float32)  # (8, n, k), z fastest
+        low_z, step_z = c[0::2], c[1::2] - c[0::2]
+        cz = low_z + z * step_z  # (4, n, k): x then y
+        step_y = cz[1::2] - cz[0::2]
+        cy = cz[0::2] + y * step_y  # (2, n, k): x
+        step_x = cy[1] - cy[0]
+        distance = cy[0] + x * step_x
+        dy = step_y[0] + x * (step_y[1] - step_y[0])
+        dz_low, dz_high = step_z[0] + y * (step_z[1] - step_z[0]), step_z[2] + y * (step_z[3] - step_z[2])
+        gradient = np.stack([step_x, dy, dz_low + x * (dz_high - dz_low)], axis=-1)
+        distance = np.minimum(distance + CELL * _norm(away), np.float32(MAX_DISTANCE))
+        length = _norm(gradient)
+        known = (distance < MAX_DISTANCE - 1e-3) & (length > 1e-6)
+        direction = np.where(known[..., None], -gradient / np.maximum(length, 1e-6)[..., None], np.float32(0.0))
+        return distance, direction
+
+
+_LAST = np.array(SHAPE, dtype=np.float32) - 1
+_LAST_CELL = np.array(SHAPE, dtype=np.int64) - 2
+_CORNERS = (_OCTANTS @ [SHAPE[1] * SHAPE[2], SHAPE[2], 1])[:, None, None]
+
+
+def _norm(vectors: Float32) -> Float32:
+    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+    return np.asarray(np.sqrt(x * x + y * y + z * z), dtype=np.float32)
