@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from greenhouse_gym.geometry import Array, Box, Capsule, Shape
@@ -25,7 +27,7 @@ def grow_leaf(rng: np.random.Generator, node: Array, azimuth: float) -> list[Sha
     slopes = np.linspace(rng.uniform(0.1, 0.5), rng.uniform(-0.9, -0.4), 5)
     steps = length / 5 * (np.cos(slopes)[:, None] * outward + np.sin(slopes)[:, None] * [0.0, 0.0, 1.0])
     points = np.vstack([node, node + np.cumsum(steps, axis=0)])
-    leaf: list[Shape] = [Capsule(a, b, 0.0025) for a, b in zip(points[:-1], points[1:], strict=True)]
+    leaf: list[Shape] = [Capsule(a, b, 0.0025) for a, b in itertools.pairwise(points)]
     for k in range(2, 6):
         along = (points[k] - points[k - 1]) / np.linalg.norm(points[k] - points[k - 1])
         side = np.cross(along, [0.0, 0.0, 1.0])
@@ -38,5 +40,5 @@ def grow_leaf(rng: np.random.Generator, node: Array, azimuth: float) -> list[Sha
             half_length, half_width = rng.uniform(0.035, 0.06), rng.uniform(0.018, 0.03)
             frame = np.column_stack([direction, width, np.cross(direction, width)])
             center = points[k] + (half_length + 0.01) * direction
-            leaf.append(Box(center, [half_length, half_width, LEAFLET_THICKNESS / 2], frame))
+            leaf.append(Box(center, np.array([half_length, half_width, LEAFLET_THICKNESS / 2]), frame))
     return leaf

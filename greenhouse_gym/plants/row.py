@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import count
+from itertools import count, pairwise
 
 import numpy as np
 
@@ -109,8 +109,11 @@ def _grow_line(seed: int, line: int, length: float, week: int, style: FruitStyle
         y += rng.uniform(*PLANT_SPACING)
     low, high = -0.8, length + 0.8
     middle, half = (low + high) / 2, (high - low) / 2
-    clutter.append(Box([x, middle, GUTTER_HEIGHT - 0.05], [0.11, half, 0.05], np.eye(3)))
-    stems += [Stem([x - d, low, 0.06], [x - d, high, 0.06], 0.0255, kind="pipe") for d in (0.32, 0.82)]
+    gutter = np.array([x, middle, GUTTER_HEIGHT - 0.05])
+    clutter.append(Box(gutter, np.array([0.11, half, 0.05]), np.eye(3)))
+    for beside in (0.32, 0.82):
+        ends = np.array([[x - beside, low, 0.06], [x - beside, high, 0.06]])
+        stems.append(Stem(ends[0], ends[1], 0.0255, kind="pipe"))
     return PlantRow(tuple(tomatoes), tuple(stems), tuple(clutter), length, week)
 
 
@@ -125,9 +128,9 @@ def _grow_plant(
     sway = np.cumsum(rng.normal(0, 0.008, (len(heights), 2)), axis=0)
     sway -= np.outer(np.linspace(0, 1, len(heights)), sway[-1])  # the string holds the top above the gutter
     axis = np.column_stack([base[0] + sway[:, 0], base[1] + sway[:, 1], heights])
-    stems = [Stem(a, b, radius, kind="main") for a, b in zip(axis[:-1], axis[1:], strict=True)]
+    stems = [Stem(a, b, radius, kind="main") for a, b in pairwise(axis)]
     beside = np.array([0.0, radius + 0.004, 0.0]) * rng.choice([-1.0, 1.0])
-    stems += [Stem(a + beside, b + beside, 0.001, kind="string") for a, b in zip(axis[4:-1], axis[5:], strict=True)]
+    stems += [Stem(a + beside, b + beside, 0.001, kind="string") for a, b in pairwise(axis)]
 
     clutter: list[Shape] = []
     offset = rng.uniform(0, spacing)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,7 +62,7 @@ def grow_truss(
     steps = length / segments * (np.cos(slopes)[:, None] * outward + np.sin(slopes)[:, None] * [0.0, 0.0, 1.0])
     rachis = np.vstack([node, node + np.cumsum(steps, axis=0)])
     thickness = rng.uniform(0.0015, 0.00225)
-    parts = [Stem(a, b, thickness, kind="peduncle") for a, b in zip(rachis[:-1], rachis[1:], strict=True)]
+    parts = [Stem(a, b, thickness, kind="peduncle") for a, b in itertools.pairwise(rachis)]
 
     shares = np.linspace(0.5, 1.0, count)
     joints = np.column_stack([np.interp(shares, np.linspace(0, 1, len(rachis)), rachis[:, k]) for k in range(3)])

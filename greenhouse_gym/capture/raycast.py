@@ -1,0 +1,181 @@
+"""Ray-cast a row: depth, which shape each pixel shows, and shaded color. Open3D's Embree scene, no OpenGL."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from greenhouse_gym.capture.rig import Intrinsics
+from greenhouse_gym.geometry import Array, Box, Capsule, Shape, frame_along, invert
+from greenhouse_gym.open3d_loader import open3d
+from greenhouse_gym.plants.row import PlantRow
+
+_STEM_COLORS = {
+    "main": (0.36, 0.50, 0.22),
+    "peduncle": (0.42, 0.58, 0.26),
+    "pedicel": (0.45, 0.60, 0.28),
+    "string": (0.85, 0.84, 0.78),
+    "pipe": (0.80, 0.80, 0.80),
+}
+_LEAF_COLOR = (0.20, 0.42, 0.16)
+_GUTTER_COLOR = (0.90, 0.90, 0.88)
+_BACKGROUND = (0.75, 0.80, 0.82)
+RIPENESS_COLORS = np.array([[0.46, 0.58, 0.24], [0.72, 0.62, 0.20], [0.86, 0.42, 0.12], [0.76, 0.10, 0.07]])
+"""Skin color (RGB, 0-1) at ripeness 0, 1/3, 2/3 and 1."""
+
+
+class View(NamedTuple):
+    """What a camera sees: depth (h, w) metres (inf = nothing), shape (h, w) index or -1, color (h, w, 3) uint8."""
+
+    depth: npt.NDArray[np.float32]
+    shape: npt.NDArray[np.int32]
+    color: npt.NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False)
+class RowRaycaster:
+    """A row ready to be looked at from anywhere.
+
+    Attributes:
+        scene: Open3D's RaycastingScene with one mesh of all shapes.
+        owner: (triangles,) index of the shape each triangle belongs to.
+        axes: (shapes, 2, 3) ends of the shapes' axes; both the center for spheres and boxes.
+        round: (shapes,) whether a shape's normal points away from its axis.
+        colors: (shapes, 3) base color, 0-1.
+    """
+
+    scene: Any
+    owner: npt.NDArray[np.int32]
+    axes: Array
+    round: npt.NDArray[np.bool_]
+    colors: Array
+
+    @classmethod
+    def of(cls, row: PlantRow) -> RowRaycaster:
+        """Prepare a row and the one behind it; shapes are numbered tomatoes, stems, clutter, then the row behind."""
+        shapes: list[Shape] = []
+        colors: list[Array] = []
+        rng = np.random.default_rng(0)
+        while True:
+            shapes += [*row.tomatoes, *row.stems, *row.clutter]
+            colors += [_ripeness_color(1.0 if t.ripeness is None else t.ripeness) for t in row.tomatoes]
+            colors += [np.array(_STEM_COLORS[stem.kind]) for stem in row.stems]
+            colors += [np.array(_GUTTER_COLOR if _is_gutter(shape) else _LEAF_COLOR) for shape in row.clutter]
+            if row.behind is None:
+                break
+            row = row.behind
+        vertices, triangles, owner = tessellate(shapes)
+        o3d = open3d()
+        scene = o3d.t.geometry.RaycastingScene()
+        scene.add_triangles(o3d.core.Tensor(vertices.astype(np.float32)), o3d.core.Tensor(triangles.astype(np.uint32)))
+        axes = np.array(
+            [[s.start, s.end] if isinstance(s, Capsule) else [s.center, s.center] for s in shapes], dtype=np.float64
+        )
+        jitter = rng.normal(1.0, 0.05, (len(shapes), 1))
+        rounds = np.array([not isinstance(s, Box) for s in shapes])
+        return cls(scene, owner, axes, rounds, np.clip(np.array(colors) * jitter, 0, 1))
+
+    def look(self, world_from_camera: Array, intrinsics: Intrinsics) -> View:
+        """Cast one ray per pixel from a camera at ``world_from_camera`` (4, 4)."""
+        o3d = open3d()
+        rays = self.scene.create_rays_pinhole(
+            o3d.core.Tensor(intrinsics.matrix),
+            o3d.core.Tensor(invert(world_from_camera)),
+            intrinsics.width,
+            intrinsics.height,
+        )
+        hits = self.scene.cast_rays(rays)
+        depth = hits["t_hit"].numpy()
+        triangle = hits["primitive_ids"].numpy()
+        hit = np.isfinite(depth)
+        shape = np.full(depth.shape, -1, dtype=np.int32)
+        shape[hit] = self.owner[triangle[hit]]
+        color = np.empty((*depth.shape, 3))
+        color[:] = _BACKGROUND
+        directions = rays.numpy()[..., 3:]
+        points = rays.numpy()[..., :3][hit] + depth[hit][:, None] * directions[hit]
+        normals = self._normals(points, shape[hit], hits["primitive_normals"].numpy()[hit])
+        color[hit] = _shade(self.colors[shape[hit]], normals, directions[hit])
+        return View(depth, shape, (np.clip(color, 0, 1) * 255).astype(np.uint8))
+
+    def _normals(self, points: Array, shape: npt.NDArray[np.int32], flat: Array) -> Array:
+        start, end = self.axes[shape, 0], self.axes[shape, 1]
+        axis = end - start
+        share = ((points - start) * axis).sum(-1) / np.maximum((axis * axis).sum(-1), 1e-12)
+        away = points - (start + np.clip(share, 0, 1)[:, None] * axis)
+        away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
+        return np.where(self.round[shape][:, None], away, flat)
+
+
+def tessellate(shapes: Sequence[Shape]) -> tuple[Array, npt.NDArray[np.int64], npt.NDArray[np.int32]]:
+    """Shapes as one triangle mesh: vertices (v, 3), triangles (t, 3), index of the shape of each triangle (t,)."""
+    vertices, triangles, owner = [], [], []
+    count = 0
+    fine, coarse = _unit_capsule(24, 10), _unit_capsule(10, 3)
+    for index, shape in enumerate(shapes):
+        if isinstance(shape, Box):
+            local, faces = _unit_box()
+            own = shape.center + (local * shape.half_extents) @ shape.rotation.T
+        elif isinstance(shape, Capsule):
+            local, side, faces = coarse
+            along = shape.end - shape.start
+            length = max(shape.length, 1e-9)
+            frame = frame_along(along if length > 1e-9 else np.array([0.0, 0.0, 1.0]))
+            lifted = shape.radius * local + np.outer(side * length / 2, [0.0, 0.0, 1.0])
+            own = (shape.start + shape.end) / 2 + lifted @ frame.T
+        else:
+            local, _, faces = fine
+            own = shape.center + shape.radius * local
+        vertices.append(own)
+        triangles.append(faces + count)
+        owner.append(np.full(len(faces), index, dtype=np.int32))
+        count += len(own)
+    return np.concatenate(vertices), np.concatenate(triangles), np.concatenate(owner)
+
+
+def _unit_capsule(around: int, rings: int) -> tuple[Array, Array, npt.NDArray[np.int64]]:
+    """Vertices (v, 3) of a unit sphere cut at its equator, the side (v,) +-1 each belongs to, triangles (t, 3)."""
+    latitude = np.concatenate([np.linspace(-np.pi / 2, 0, rings + 1), np.linspace(0, np.pi / 2, rings + 1)])
+    side = np.repeat([-1.0, 1.0], rings + 1)
+    longitude = np.arange(around) * 2 * np.pi / around
+    lat, lon = np.meshgrid(latitude, longitude, indexing="ij")
+    # a polygon lies inside its circle; scaling by the mean of both keeps the size right on average
+    scale = 2.0 / (1.0 + np.cos(np.pi / around))
+    vertices = np.stack([scale * np.cos(lat) * np.cos(lon), scale * np.cos(lat) * np.sin(lon), np.sin(lat)], axis=-1)
+    grid = np.arange(lat.size).reshape(lat.shape)
+    a, b = grid[:-1], grid[1:]
+    c, d = np.roll(b, -1, axis=1), np.roll(a, -1, axis=1)
+    triangles = np.concatenate([np.stack([a, d, c], axis=-1), np.stack([a, c, b], axis=-1)]).reshape(-1, 3)
+    return vertices.reshape(-1, 3), np.repeat(side, around), triangles
+
+
+def _unit_box() -> tuple[Array, npt.NDArray[np.int64]]:
+    """The eight corners (8, 3) of the box from -1 to 1, and its twelve triangles."""
+    corners = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    return corners, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
+
+
+def _ripeness_color(ripeness: float) -> Array:
+    stops = np.linspace(0, 1, len(RIPENESS_COLORS))
+    return np.array([np.interp(ripeness, stops, RIPENESS_COLORS[:, k]) for k in range(3)])
+
+
+def _is_gutter(shape: Shape) -> bool:
+    return isinstance(shape, Box) and bool(shape.half_extents[1] > 0.5)
+
+
+def _shade(base: Array, normals: Array, directions: Array) -> Array:
+    """Diffuse light from above and from the camera, an ambient part, and a highlight."""
+    toward_camera = -directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    facing = np.abs((normals * toward_camera).sum(1))
+    normals = normals * np.sign((normals * toward_camera).sum(1, keepdims=True) + 1e-9)
+    above = np.clip(normals @ np.array([-0.35, 0.2, 0.91]), 0, 1)
+    half = toward_camera + np.array([-0.35, 0.2, 0.91])
+    half /= np.linalg.norm(half, axis=1, keepdims=True)
+    highlight = np.clip((normals * half).sum(1), 0, 1) ** 40
+    return base * (0.40 + 0.30 * facing + 0.45 * above)[:, None] + 0.15 * highlight[:, None]

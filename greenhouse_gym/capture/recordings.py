@@ -1,0 +1,210 @@
+"""Recordings: the `Recording` type, and the package's own folder format, read and written.
+
+The folder holds ``recording.json``, ``color/<camera>/000000.png`` and ``depth/<camera>/000000.png`` (uint16). The images
+of a station are read when the station is asked for, so a recording of any length needs the memory of one station.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from greenhouse_gym.capture.frames import RgbdFrame, Station
+from greenhouse_gym.capture.images import encode_png, read_color, read_depth
+from greenhouse_gym.capture.rig import Camera, Intrinsics, Rig
+from greenhouse_gym.errors import FileFormatError, GreenhouseError, InvalidValueError
+from greenhouse_gym.geometry import Array, is_rotation
+from greenhouse_gym.paths import write_atomically
+
+INDEX = "recording.json"
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A walk along a row: ``len(recording)`` stations, ``recording[i]`` reads or renders one.
+
+    Attributes:
+        name: What to call it in reports.
+        rig: The cameras.
+        size: Number of stations.
+        load: Gives station i; called anew at each access, nothing is kept.
+    """
+
+    name: str
+    rig: Rig
+    size: int
+    load: Callable[[int], Station]
+
+    def __len__(self) -> int:
+        return self.size
+
+    def __getitem__(self, index: int) -> Station:
+        if not -self.size <= index < self.size:
+            raise IndexError(f"recording {self.name!r} has {self.size} stations, there is no station {index}")
+        return self.load(index % self.size)
+
+    def __iter__(self) -> Iterator[Station]:
+        return (self.load(index) for index in range(self.size))
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+
+class CameraRecord(_Model):
+    """A camera in ``recording.json``."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    rig_from_camera: list[list[float]]
+    depth_scale: float
+
+    def camera(self) -> Camera:
+        """The camera this record describes."""
+        intrinsics = Intrinsics(self.width, self.height, self.fx, self.fy, self.cx, self.cy)
+        return Camera(intrinsics, np.array(self.rig_from_camera), self.depth_scale)
+
+
+class StationRecord(_Model):
+    """A station in ``recording.json``: image files per camera, relative to the folder."""
+
+    color: dict[str, str]
+    depth: dict[str, str]
+    world_from_station: list[list[float]] | None = None
+
+
+class RecordingIndex(_Model):
+    """What ``recording.json`` holds."""
+
+    schema_version: Literal[1] = 1
+    name: str
+    reference: str
+    cameras: dict[str, CameraRecord]
+    stations: list[StationRecord]
+
+
+def open_folder(path: str | Path) -> Recording:
+    """Open a folder in the package's own format; stations are read when they are asked for.
+
+    Args:
+        path: The folder that holds ``recording.json``.
+
+    Raises:
+        FileFormatError: The index is missing or damaged, or describes an impossible camera. Image files are checked
+            when their station is read: missing, truncated, or of another size than the camera's.
+    """
+    folder = Path(path)
+    file = folder / INDEX
+    try:
+        index = RecordingIndex.model_validate_json(file.read_bytes())
+    except OSError as error:
+        raise FileFormatError(file, f"cannot be read ({error.strerror or error}); not a recording's folder?") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"])) or "the file"
+        raise FileFormatError(file, f"{where}: {first['msg']} (got {first.get('input')!r:.80})") from error
+    try:
+        rig = Rig({name: record.camera() for name, record in index.cameras.items()}, index.reference)
+    except (InvalidValueError, ValueError) as error:
+        raise FileFormatError(file, str(error)) from error
+    poses = [_checked_pose(file, i, record.world_from_station) for i, record in enumerate(index.stations)]
+
+    def load(i: int) -> Station:
+        record = index.stations[i]
+        frames = {}
+        for name, camera in rig.cameras.items():
+            if name not in record.color or name not in record.depth:
+                raise FileFormatError(file, f"station {i} names no images for camera {name!r}")
+            frames[name] = read_frame(folder / record.color[name], folder / record.depth[name], camera)
+        return Station(frames, poses[i])
+
+    return Recording(index.name, rig, len(index.stations), load)
+
+
+def read_frame(color_file: str | Path, depth_file: str | Path, camera: Camera) -> RgbdFrame:
+    """Read one RGB-D image from a color and a depth file.
+
+    Raises:
+        FileFormatError: A file is missing, truncated, of the wrong kind, or the sizes disagree.
+    """
+    color, depth = read_color(color_file), read_depth(depth_file)
+    if depth.shape != color.shape[:2]:
+        raise FileFormatError(
+            depth_file,
+            f"depth image is {depth.shape[1]}x{depth.shape[0]}, its color image {color_file} is "
+            f"{color.shape[1]}x{color.shape[0]}",
+        )
+    try:
+        return RgbdFrame(color, (depth * np.float32(camera.depth_scale)).astype(np.float32), camera.intrinsics)
+    except InvalidValueError as error:
+        raise FileFormatError(depth_file, str(error)) from error
+
+
+def write_recording(recording: Recording, path: str | Path, on_station: Callable[[int], None] | None = None) -> Path:
+    """Write a recording in the package's folder format, station by station, the index last.
+
+    Each file is put in place whole, and the index comes last, so an interrupted write leaves no half recording behind.
+    Depth is stored in units of the camera's depth scale, as uint16.
+
+    Args:
+        recording: Any recording, also a simulated one.
+        path: The folder; made if missing.
+        on_station: Called with the index of each station written.
+
+    Raises:
+        FileFormatError: The folder already holds a finished recording.
+    """
+    folder = Path(path)
+    if (folder / INDEX).exists():
+        raise FileFormatError(folder / INDEX, "already holds a recording; choose another folder or remove it")
+    stations = []
+    for i in range(len(recording)):
+        names = {kind: {c: f"{kind}/{c}/{i:06d}.png" for c in recording.rig.cameras} for kind in ("color", "depth")}
+        station = recording[i]
+        for camera_name, frame in station.frames.items():
+            scale = recording.rig.cameras[camera_name].depth_scale
+            units = np.clip(np.rint(frame.depth / scale), 0, np.iinfo(np.uint16).max).astype(np.uint16)
+            for kind, image in (("color", frame.color), ("depth", units)):
+                write_atomically(folder / names[kind][camera_name], encode_png(image))
+        world_from_station = station.world_from_station
+        stations.append(
+            StationRecord(
+                color=names["color"],
+                depth=names["depth"],
+                world_from_station=None if world_from_station is None else world_from_station.tolist(),
+            )
+        )
+        if on_station:
+            on_station(i)
+    cameras = {
+        name: CameraRecord(
+            **vars(camera.intrinsics),
+            rig_from_camera=camera.rig_from_camera.tolist(),
+            depth_scale=camera.depth_scale,
+        )
+        for name, camera in recording.rig.cameras.items()
+    }
+    index = RecordingIndex(name=recording.name, reference=recording.rig.reference, cameras=cameras, stations=stations)
+    write_atomically(folder / INDEX, index.model_dump_json(indent=1) + "\n")
+    return folder
+
+
+def _checked_pose(file: Path, station: int, matrix: list[list[float]] | None) -> Array | None:
+    if matrix is None:
+        return None
+    try:
+        result = np.array(matrix, dtype=np.float64)
+        if result.shape != (4, 4) or not is_rotation(result[:3, :3], tolerance=1e-4):
+            raise GreenhouseError
+    except (ValueError, GreenhouseError) as error:
+        raise FileFormatError(file, f"station {station}: world_from_station is not a 4x4 pose: {matrix}") from error
+    return result

@@ -1,0 +1,128 @@
+"""Cameras and how they stand on the tripod.
+
+Rig frame: origin on the floor below the tripod, x forward into the plants, y along the row, z up. Camera frame
+(OpenCV): x right, y down, z forward in the image as it is stored.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Literal
+
+import numpy as np
+
+from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.geometry import Array, is_rotation, pose, rotation_about
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """A pinhole camera: image size and focal lengths and principal point in pixels."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+    def __post_init__(self) -> None:
+        for name in ("width", "height", "fx", "fy"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0):
+                raise InvalidValueError(f"intrinsics: {name} must be positive and finite, got {value!r}")
+        for name in ("cx", "cy"):
+            if not np.isfinite(getattr(self, name)):
+                raise InvalidValueError(f"intrinsics: {name} must be finite, got {getattr(self, name)!r}")
+
+    @property
+    def matrix(self) -> Array:
+        """The (3, 3) camera matrix."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+
+D435_DEPTH = Intrinsics(848, 480, 424.2, 424.2, 423.5, 239.5)
+"""The D435's 848x480 depth mode."""
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """One camera of a rig.
+
+    Attributes:
+        intrinsics: The pinhole model; color and depth images share it (depth aligned to color).
+        rig_from_camera: (4, 4) pose of the camera in the rig frame, metres.
+        depth_scale: Metres per unit of the stored depth images.
+    """
+
+    intrinsics: Intrinsics
+    rig_from_camera: Array
+    depth_scale: float = 0.001
+
+    def __post_init__(self) -> None:
+        matrix = np.array(self.rig_from_camera, dtype=np.float64)
+        if matrix.shape != (4, 4) or not np.isfinite(matrix).all() or not np.allclose(matrix[3], [0, 0, 0, 1]):
+            raise InvalidValueError(f"rig_from_camera must be a finite 4x4 pose, got {matrix.tolist()}")
+        if not is_rotation(matrix[:3, :3], tolerance=1e-4):
+            raise InvalidValueError(f"rig_from_camera: not a rotation: {matrix[:3, :3].tolist()}")
+        if not (np.isfinite(self.depth_scale) and self.depth_scale > 0):
+            raise InvalidValueError(f"depth_scale must be positive metres per unit, got {self.depth_scale!r}")
+        matrix.setflags(write=False)
+        object.__setattr__(self, "rig_from_camera", matrix)
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """Cameras on one tripod.
+
+    Attributes:
+        cameras: Each camera by name, in the order in which they stand.
+        reference: Name of the camera whose silhouettes align the stations: the middle one of the paper.
+    """
+
+    cameras: Mapping[str, Camera]
+    reference: str
+
+    def __post_init__(self) -> None:
+        if self.reference not in self.cameras:
+            raise InvalidValueError(f"reference camera {self.reference!r} is not among {', '.join(self.cameras)}")
+        object.__setattr__(self, "cameras", MappingProxyType(dict(self.cameras)))
+
+
+def three_camera_rig(
+    intrinsics: Intrinsics = D435_DEPTH,
+    beam: Literal["level", "upright"] = "level",
+    spacing: float = 0.25,
+    inward: float = np.deg2rad(25.0),
+    height: float = 1.1,
+    portrait: bool = True,
+) -> Rig:
+    """The paper's rig: three cameras on a beam, the outer two turned towards the middle.
+
+    Args:
+        intrinsics: The same for all three.
+        beam: ``"level"``: the beam lies along the row; ``"upright"``: it stands.
+        spacing: Distance between neighbours on the beam, metres.
+        inward: Angle by which the outer cameras turn to the middle, radians.
+        height: Height of the middle camera above the floor, metres.
+        portrait: Images lie on their side, so that what stands still in the row moves along the image's vertical.
+    """
+    if portrait:  # image right is down in the world, image down is along the row
+        upright_camera = np.column_stack([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+    else:
+        upright_camera = np.column_stack([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+    along, axis = (np.array([0.0, 1.0, 0.0]), [0.0, 0.0, 1.0]) if beam == "level" else (
+        np.array([0.0, 0.0, 1.0]), [0.0, -1.0, 0.0]
+    )  # fmt: skip
+    cameras = {}
+    for name, side in (("first", -1.0), ("middle", 0.0), ("last", 1.0)):
+        turn = rotation_about(axis, -side * inward)
+        position = np.array([0.0, 0.0, height]) + side * spacing * along
+        cameras[name] = Camera(intrinsics, pose(turn @ upright_camera, position))
+    return Rig(cameras, reference="middle")
+
+
+SEED_RIG = three_camera_rig()
+"""Three D435 in portrait on a level beam along the row, 25 cm apart, the outer two turned 25 degrees to the middle."""

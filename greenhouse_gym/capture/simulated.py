@@ -1,0 +1,91 @@
+"""A simulated rig walks along a grown row: the same `Recording` a real rig gives, with true poses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from greenhouse_gym.capture.frames import RgbdFrame, Station
+from greenhouse_gym.capture.raycast import RowRaycaster
+from greenhouse_gym.capture.recordings import Recording
+from greenhouse_gym.capture.rig import SEED_RIG, Rig
+from greenhouse_gym.capture.sensor import StereoNoise, draw_biases, sense_depth
+from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.geometry import Array, pose, rotation_about
+from greenhouse_gym.plants.row import PlantRow
+
+
+@dataclass(frozen=True)
+class WalkSettings:
+    """How the tripod is moved by hand; errors are uniform."""
+
+    step: float = 0.10  # m between stations
+    step_error: float = 0.015  # m, each step, accumulating
+    offset_error: float = 0.01  # m, sideways and in height, around the nominal line
+    angle_error: float = float(np.deg2rad(2.0))  # rad about each axis, around the nominal attitude
+    color_noise: float = 2.5  # gray levels, one sigma
+    noise: StereoNoise = field(default_factory=StereoNoise)
+
+
+def simulate_recording(
+    row: PlantRow, seed: int, rig: Rig = SEED_RIG, stations: int | None = None, settings: WalkSettings | None = None
+) -> Recording:
+    """Photograph a grown row with a simulated rig.
+
+    Stations are rendered when they are asked for; the same station comes out the same every time.
+
+    Args:
+        row: The row.
+        seed: Seed of the walk, the camera biases and the noise.
+        rig: The cameras.
+        stations: Number of stops; by default one every step over the row's length.
+        settings: Tripod and sensor errors.
+
+    Returns:
+        A recording whose stations carry their true poses, in the row's frame.
+
+    Raises:
+        InvalidValueError: ``stations`` is not positive.
+    """
+    settings = settings or WalkSettings()
+    count = round(row.length / settings.step) if stations is None else stations
+    if count < 1:
+        raise InvalidValueError(f"stations must be at least 1, got {count}")
+    poses = walk(count, seed, rig, settings)
+    biases = draw_biases(len(rig.cameras), np.random.default_rng([seed, 1]), settings.noise)
+    caster = RowRaycaster.of(row)
+
+    def load(i: int) -> Station:
+        frames = {}
+        for k, (name, camera) in enumerate(rig.cameras.items()):
+            rng = np.random.default_rng([seed, 2, i, k])
+            view = caster.look(poses[i] @ camera.rig_from_camera, camera.intrinsics)
+            depth = sense_depth(view.depth, camera.intrinsics.fx, rng, settings.noise, float(biases[k]))
+            noise = settings.color_noise * rng.standard_normal(view.color.shape, dtype=np.float32)
+            color = np.clip(view.color + noise, 0, 255).astype(np.uint8)
+            frames[name] = RgbdFrame(color, depth, camera.intrinsics)
+        return Station(frames, poses[i])
+
+    return Recording(f"simulated-{seed}", rig, count, load)
+
+
+def walk(count: int, seed: int, rig: Rig, settings: WalkSettings) -> Array:
+    """Poses of the rig at each station, (count, 4, 4) world_from_station.
+
+    Angles turn about the reference camera, where a tripod's head is, so they do not add to the offsets.
+    """
+    rng = np.random.default_rng([seed, 0])
+    steps = settings.step + rng.uniform(-settings.step_error, settings.step_error, count)
+    along = np.concatenate([[0.0], np.cumsum(steps[1:])])
+    offsets = rng.uniform(-settings.offset_error, settings.offset_error, (count, 2))
+    angles = rng.uniform(-settings.angle_error, settings.angle_error, (count, 3))
+    head = rig.cameras[rig.reference].rig_from_camera[:3, 3]
+    poses = np.empty((count, 4, 4))
+    for i in range(count):
+        turn = np.eye(3)
+        for axis, angle in zip(np.eye(3), angles[i], strict=True):
+            turn = turn @ rotation_about(axis, float(angle))
+        shift = np.array([offsets[i, 0], along[i], offsets[i, 1]])
+        poses[i] = pose(turn, head + shift - turn @ head)
+    return poses
