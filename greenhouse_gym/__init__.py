@@ -1,1 +1,19 @@
-"""Reinforcement learning and motion planning in reconstructed tomato greenhouses."""
+"""Reinforcement learning and motion planning in reconstructed tomato greenhouses.
+
+Importing the package registers its environments with Gymnasium; everything else is imported when it is used.
+"""
+
+import gymnasium
+
+__version__ = "0.1.0"
+
+ENV_IDS: tuple[str, ...] = ("TomatoReach-v0",)
+"""Ids of the environments this package registers."""
+
+gymnasium.register(
+    id="TomatoReach-v0",
+    entry_point="greenhouse_gym.envs.tomato_reach:TomatoReachEnv",
+    vector_entry_point="greenhouse_gym.envs.vector:TomatoReachVectorEnv",
+)
+
+__all__ = ["ENV_IDS", "__version__"]
