@@ -1,1 +1,17 @@
 """From a recording to one cloud of the row, and its mesh."""
+
+from greenhouse_gym.reconstruction.row import RowCloud, RowReport, StationReport, reconstruct_row
+from greenhouse_gym.reconstruction.settings import ReconstructionSettings
+from greenhouse_gym.reconstruction.surface import METHODS, TriangleMesh, simplify_points, triangulate
+
+__all__ = [
+    "METHODS",
+    "ReconstructionSettings",
+    "RowCloud",
+    "RowReport",
+    "StationReport",
+    "TriangleMesh",
+    "reconstruct_row",
+    "simplify_points",
+    "triangulate",
+]

@@ -1,0 +1,98 @@
+"""Clouds of points with colors and normals, and the passage to and from Open3D."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from greenhouse_gym.capture.frames import Station
+from greenhouse_gym.capture.rig import Rig
+from greenhouse_gym.geometry import Array, transform
+from greenhouse_gym.open3d_loader import open3d
+from greenhouse_gym.reconstruction.settings import ReconstructionSettings
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """Points with colors and normals.
+
+    Attributes:
+        points: (n, 3) metres.
+        colors: (n, 3) RGB in [0, 1].
+        normals: (n, 3) unit vectors, toward the cameras.
+    """
+
+    points: Array
+    colors: Array
+    normals: Array
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def select(self, rows: npt.NDArray[np.generic]) -> Cloud:
+        """The points at ``rows``: indices or a mask."""
+        return Cloud(self.points[rows], self.colors[rows], self.normals[rows])
+
+    def moved(self, target_from_source: Array) -> Cloud:
+        """The cloud expressed in another frame."""
+        return Cloud(
+            transform(target_from_source, self.points), self.colors, self.normals @ target_from_source[:3, :3].T
+        )
+
+
+def to_open3d(cloud: Cloud) -> Any:
+    """A cloud as Open3D's legacy point cloud."""
+    o3d = open3d()
+    result = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(cloud.points))
+    result.colors = o3d.utility.Vector3dVector(cloud.colors)
+    result.normals = o3d.utility.Vector3dVector(cloud.normals)
+    return result
+
+
+def from_open3d(cloud: Any) -> Cloud:
+    """A cloud from Open3D's legacy point cloud; averaged normals get unit length again."""
+    normals = np.array(cloud.normals)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    return Cloud(np.array(cloud.points), np.array(cloud.colors), normals)
+
+
+def thin_out(cloud: Cloud, voxel: float) -> Cloud:
+    """One point per cube of ``voxel`` metres: the mean of what lies in it."""
+    return from_open3d(to_open3d(cloud).voxel_down_sample(voxel)) if len(cloud) else cloud
+
+
+def station_cloud(station: Station, rig: Rig, settings: ReconstructionSettings) -> Cloud:
+    """What all cameras of a station see of the foreground, in the rig frame, thinned out to the merged cloud's voxel.
+
+    The cut is along the rig's forward axis from the reference camera, so that the turned cameras keep the same slab
+    of the row as the middle one.
+    """
+    o3d = open3d()
+    front = rig.cameras[rig.reference].rig_from_camera[0, 3] + settings.foreground
+    parts = []
+    for name, frame in station.frames.items():
+        rig_from_camera = rig.cameras[name].rig_from_camera
+        rows, columns = frame.pixels(frame.depth < 2.0 * settings.foreground)
+        points = transform(rig_from_camera, frame.back_project(rows, columns))
+        kept = points[:, 0] < front
+        part = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points[kept]))
+        part.colors = o3d.utility.Vector3dVector(frame.color[rows[kept], columns[kept]] / 255.0)
+        part = part.voxel_down_sample(settings.voxel)
+        part.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(radius=0.008, max_nn=30))
+        part.orient_normals_towards_camera_location(rig_from_camera[:3, 3])
+        parts.append(from_open3d(part) if len(part.points) else Cloud(*np.zeros((3, 0, 3))))
+    return merge(parts)
+
+
+def merge(clouds: list[Cloud]) -> Cloud:
+    """Clouds of one frame as one."""
+    if not clouds:
+        return Cloud(*np.zeros((3, 0, 3)))
+    return Cloud(
+        np.concatenate([c.points for c in clouds]),
+        np.concatenate([c.colors for c in clouds]),
+        np.concatenate([c.normals for c in clouds]),
+    )
