@@ -1,0 +1,168 @@
+"""Goal configurations: arm configurations with the grasp point on the target's center and nothing touched.
+
+Method: the randomised forward kinematics search of "Simulation of a robotics operation" in the paper this package
+follows, random configurations with the grasp point within a threshold of the target, brought onto it by inverse
+kinematics (damped least squares; Wampler 1986), without near-duplicates. Everything runs on batches.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.geometry import Array
+from greenhouse_gym.planning.collision import CollisionChecker, planning_model
+from greenhouse_gym.planning.kinematics import Chain, tool_chain, tool_state
+from greenhouse_gym.robots import Robot
+from greenhouse_gym.scene import Scene
+from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
+
+SAMPLE_BUDGET = 40_000
+"""Random configurations after which the search gives up."""
+
+TOLERANCE = 1e-3
+"""Distance of the grasp point from the target's center at which inverse kinematics has converged, metres."""
+
+_BATCH = 1000
+_ITERATIONS = 20
+_DAMPING = 0.03  # metres per radian
+_STEP = 0.2  # metres the grasp point is moved per iteration at most
+
+
+@dataclass(frozen=True)
+class GoalStatistics:
+    """What became of the random configurations of a goal search.
+
+    Attributes:
+        samples: Random configurations drawn.
+        within_threshold: Those with the grasp point within the threshold of the target.
+        converged: Those that inverse kinematics brought onto the target within the joint limits.
+        duplicate: Converged ones that repeat an accepted one.
+        colliding: Converged, new ones that touch something.
+    """
+
+    samples: int
+    within_threshold: int
+    converged: int
+    duplicate: int
+    colliding: int
+
+
+@dataclass(frozen=True, eq=False)
+class Goals:
+    """Goal configurations for one target.
+
+    Attributes:
+        configurations: (k, joints) radians, in the order found; k = 0 where none exists.
+        statistics: How the search went.
+    """
+
+    configurations: Array
+    statistics: GoalStatistics
+
+
+def goal_configurations(
+    scene: Scene,
+    target: int,
+    robot: str | Robot = "ur5e",
+    count: int = 60,
+    threshold: float = 0.65,
+    min_difference: float = 0.01,
+    seed: int = 0,
+) -> Goals:
+    """Find configurations that bring the grasp point to a tomato's center without touching anything but by the cup.
+
+    The grasp point lies one target radius ahead of the tip along the tool axis, so the cup sits on the skin.
+
+    Args:
+        scene: The scene.
+        target: Index of the tomato in the scene.
+        robot: Name or file of the arm, or a `Robot`.
+        count: How many configurations to find; the search also ends after `SAMPLE_BUDGET` random configurations.
+        threshold: Distance of the random grasp point from the target up to which inverse kinematics is tried, metres.
+        min_difference: A configuration is new if it differs from every accepted one by at least this in some joint,
+            radians.
+        seed: Same seed, same result.
+
+    Raises:
+        InvalidValueError: No such tomato, or a number that makes no sense.
+    """
+    compiled = compile_scene(scene, robot)
+    checker = CollisionChecker(planning_model(compiled, target))
+    return search_goals(compiled, checker, target, count, threshold, min_difference, seed)
+
+
+def search_goals(
+    compiled: CompiledScene,
+    checker: CollisionChecker,
+    target: int,
+    count: int = 60,
+    threshold: float = 0.65,
+    min_difference: float = 0.01,
+    seed: int = 0,
+) -> Goals:
+    """As `goal_configurations`, for a scene compiled and a checker made already."""
+    if count < 1:
+        raise InvalidValueError(f"count must be at least 1, got {count!r}")
+    if not (threshold > 0 and min_difference >= 0):
+        raise InvalidValueError(
+            f"expected threshold > 0 and min_difference >= 0, got {threshold!r} and {min_difference!r}"
+        )
+    arm, tomato = compiled.robot, compiled.scene.tomatoes[target]
+    chain = tool_chain(compiled.model, compiled.tip_site)
+    rng = np.random.default_rng(seed)
+    accepted = np.empty((count, len(arm.joints)))
+    found = samples = within = converged = duplicate = colliding = 0
+    while found < count and samples < SAMPLE_BUDGET:
+        batch = rng.uniform(arm.lower, arm.upper, (_BATCH, len(arm.joints)))
+        samples += _BATCH
+        offset = tool_state(chain, batch, tomato.radius).point - tomato.center
+        near = batch[(offset * offset).sum(-1) <= threshold**2]
+        within += len(near)
+        solutions = inverse_kinematics(chain, near, tomato.center, tomato.radius, arm)
+        converged += len(solutions)
+        for solution in solutions:
+            if (np.abs(accepted[:found] - solution) < min_difference).all(-1).any():
+                duplicate += 1
+            elif not checker.is_free(solution):
+                colliding += 1
+            else:
+                accepted[found] = solution
+                found += 1
+                if found == count:
+                    break
+    return Goals(accepted[:found].copy(), GoalStatistics(samples, within, converged, duplicate, colliding))
+
+
+def inverse_kinematics(chain: Chain, guesses: Array, point: Array, ahead: float, arm: Robot) -> Array:
+    """Bring the grasp point onto a point from many first guesses, by damped least squares within the joint limits.
+
+    Args:
+        chain: The arm's chain.
+        guesses: (m, n) configurations, radians.
+        point: (3,) where the grasp point shall be, metres, world frame.
+        ahead: Distance of the grasp point from the tip along the tool axis, metres.
+        arm: Whose limits hold.
+
+    Returns:
+        (k, n) the k <= m configurations that converged to `TOLERANCE`, in the order of their guesses.
+    """
+    q = guesses.copy()
+    done = np.zeros(len(q), dtype=bool)
+    for _ in range(_ITERATIONS):
+        active = np.flatnonzero(~done)
+        if not len(active):
+            break
+        state = tool_state(chain, q[active], ahead)
+        error = point - state.point
+        distance = np.linalg.norm(error, axis=-1, keepdims=True)
+        arrived = distance[:, 0] < TOLERANCE
+        done[active[arrived]] = True
+        active, jacobian = active[~arrived], state.jacobian[~arrived]
+        error = (error * np.minimum(1.0, _STEP / np.maximum(distance, 1e-12)))[~arrived]
+        normal = jacobian @ np.swapaxes(jacobian, -1, -2) + _DAMPING**2 * np.eye(3)
+        step = np.einsum("mij,mi->mj", jacobian, np.linalg.solve(normal, error[..., None])[..., 0])
+        q[active] = np.clip(q[active] + step, arm.lower, arm.upper)
+    return q[done]

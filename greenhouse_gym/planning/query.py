@@ -1,0 +1,208 @@
+"""`plan`: from a scene and a target to a collision-free joint path, with any planner of OMPL."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from greenhouse_gym.errors import InvalidValueError, require_choice
+from greenhouse_gym.geometry import Array
+from greenhouse_gym.planning.collision import PROOF, CollisionChecker, planning_model
+from greenhouse_gym.planning.goals import Goals, GoalStatistics, search_goals
+from greenhouse_gym.planning.ompl_worker import Answer, Query
+from greenhouse_gym.planning.path import path_length
+from greenhouse_gym.planning.planners import PLANNERS
+from greenhouse_gym.planning.worker import WorkerCrashedError, WorkerFailedError, WorkerTimeoutError, shared_worker
+from greenhouse_gym.robots import Robot
+from greenhouse_gym.scene import Scene
+from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
+
+Status = Literal[
+    "solved",  # a path was found and proven free
+    "no_goal",  # no configuration reaches the target without touching something
+    "start_in_collision",  # the start touches something, or nearly
+    "no_solution",  # the time or the checks were used up without a path
+    "approximate",  # the same, but a path that ends near a goal was found
+    "timeout",  # the planner ignored its time limit and was killed
+    "crashed",  # the planning process died, or the planner raised an error
+    "invalid",  # the planner's path does not lead from the start to a goal, or is not free
+]
+
+GRACE = 5.0
+"""Seconds beyond the time limit after which a planner that does not return is killed."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlanResult:
+    """What became of a plan.
+
+    Attributes:
+        status: One of `Status`.
+        path: (k, joints) free joint path from the start to a goal, radians; None unless solved.
+        planner: Name of the planner.
+        raw_length: Length of the planner's own path before it was simplified, radians; nan without one.
+        length: Length of ``path``, radians; nan without one.
+        planning_time: Seconds the planner searched.
+        simplification_time: Seconds for shortening the path and proving it free.
+        goal_time: Seconds for the goal configurations.
+        checks: Configurations the planner checked for collisions.
+        goals: How the search for goal configurations went; None where they were given.
+        message: What happened, where the status does not tell it all.
+    """
+
+    status: Status
+    path: Array | None
+    planner: str
+    raw_length: float = math.nan
+    length: float = math.nan
+    planning_time: float = 0.0
+    simplification_time: float = 0.0
+    goal_time: float = 0.0
+    checks: int = 0
+    goals: GoalStatistics | None = None
+    message: str = ""
+
+
+def plan(
+    scene: Scene,
+    target: int,
+    robot: str | Robot = "ur5e",
+    planner: str = "RRTConnect",
+    time_limit: float = 5.0,
+    max_checks: int | None = None,
+    goals: int | Goals | npt.ArrayLike = 60,
+    seed: int = 0,
+    start: npt.ArrayLike | None = None,
+) -> PlanResult:
+    """Plan a path that brings the tool to a tomato and touches nothing else.
+
+    The planner runs in a process of its own; whatever happens there ends in a status. The path is shortened, and it
+    counts only after every motion has been proven free in this process.
+
+    Args:
+        scene: The scene.
+        target: Index of the tomato in the scene.
+        robot: Name or file of the arm, or a `Robot`.
+        planner: A name in `PLANNERS`.
+        time_limit: Seconds the planner may search.
+        max_checks: Number of collision checks after which the search ends. As long as this and not the time ends it,
+            the same seed gives the same path (for planners that are themselves reproducible, such as RRTConnect).
+        goals: How many goal configurations to find, or the configurations (k, joints) themselves, radians.
+        seed: Seed of the goal search and of the planner.
+        start: (joints,) start configuration, radians; the arm's own when left out.
+
+    Raises:
+        UnknownNameError: No such planner or arm.
+        InvalidValueError: No such tomato; a limit that is not positive and finite; a start or goals outside the limits.
+        MissingDependencyError: OMPL is not installed.
+    """
+    compiled = compile_scene(scene, robot)
+    checker = CollisionChecker(planning_model(compiled, target))
+    return plan_with(compiled, checker, target, planner, time_limit, max_checks, goals, seed, start)
+
+
+def plan_with(
+    compiled: CompiledScene,
+    checker: CollisionChecker,
+    target: int,
+    planner: str = "RRTConnect",
+    time_limit: float = 5.0,
+    max_checks: int | None = None,
+    goals: int | Goals | npt.ArrayLike = 60,
+    seed: int = 0,
+    start: npt.ArrayLike | None = None,
+) -> PlanResult:
+    """As `plan`, for a scene compiled and a checker made already."""
+    require_choice("planner", planner, PLANNERS)
+    if not (math.isfinite(time_limit) and time_limit > 0):
+        raise InvalidValueError(f"time_limit must be a positive, finite number of seconds, got {time_limit!r}")
+    if max_checks is not None and max_checks < 1:
+        raise InvalidValueError(f"max_checks must be at least 1 or None, got {max_checks!r}")
+    arm = compiled.robot
+    origin = _configurations("start", [arm.start if start is None else start], arm)[0]
+    if not checker.is_free(origin):
+        touching = ", ".join(f"{a} with {b}" for a, b in checker.contacts(origin))
+        return PlanResult("start_in_collision", None, planner, message=f"at the start: {touching}")
+    began = time.perf_counter()
+    statistics = None
+    if isinstance(goals, int):
+        searched = search_goals(compiled, checker, target, count=goals, seed=seed)
+        ends, statistics = searched.configurations, searched.statistics
+    else:
+        given = goals.configurations if isinstance(goals, Goals) else np.asarray(goals, dtype=np.float64)
+        ends = _configurations("goals", given, arm)
+        ends = ends[[checker.is_free(end) for end in ends]]
+    goal_time = time.perf_counter() - began
+    if not len(ends):
+        return PlanResult("no_goal", None, planner, goal_time=goal_time, goals=statistics)
+    query = Query(checker.model, arm.lower, arm.upper, origin, ends, planner, time_limit, max_checks, seed)
+    return replace(_ask(checker, query), goal_time=goal_time, goals=statistics)
+
+
+def _ask(checker: CollisionChecker, query: Query) -> PlanResult:
+    """Have the planning process answer, and believe nothing it says about the path."""
+    began = time.perf_counter()
+
+    def failed(status: Status, error: Exception) -> PlanResult:
+        return PlanResult(
+            status, None, query.planner, planning_time=time.perf_counter() - began, message=f"{query.planner}: {error}"
+        )
+
+    try:
+        answer: Answer = shared_worker().call("solve", query, query.time_limit + GRACE)
+    except WorkerTimeoutError as error:
+        return failed("timeout", error)
+    except (WorkerCrashedError, WorkerFailedError) as error:
+        return failed("crashed", error)
+    status, message, path = answer.status, "", answer.path
+    if path is not None:
+        message = _flaw(checker, query, path)
+        if message:
+            status, path = "invalid", None
+    return PlanResult(
+        status,
+        path,
+        query.planner,
+        raw_length=math.nan if answer.raw_path is None else path_length(answer.raw_path),
+        length=math.nan if path is None else path_length(path),
+        planning_time=answer.planning_time,
+        simplification_time=answer.simplification_time,
+        checks=answer.checks,
+        message=message,
+    )
+
+
+def _flaw(checker: CollisionChecker, query: Query, path: Array) -> str:
+    """What is wrong with a path, or nothing."""
+    if path.ndim != 2 or path.shape[1] != len(query.start) or not np.isfinite(path).all():
+        return f"{query.planner}: the path has the shape {path.shape} or entries that are not numbers"
+    if not np.array_equal(path[0], query.start):
+        return f"{query.planner}: the path starts at {path[0].tolist()}, not at {query.start.tolist()}"
+    if not (path[-1] == query.goals).all(-1).any():
+        return f"{query.planner}: the path ends at {path[-1].tolist()}, which is none of the goals"
+    if ((path < query.lower) | (path > query.upper)).any():
+        return f"{query.planner}: the path leaves the joint limits"
+    if not checker.path_is_free(path, PROOF):
+        return f"{query.planner}: the path is not free"
+    return ""
+
+
+def _configurations(what: str, values: npt.ArrayLike, arm: Robot) -> Array:
+    """Configurations (k, joints) of an arm, within its limits."""
+    array = np.asarray(values, dtype=np.float64)
+    joints = len(arm.joints)
+    if array.ndim != 2 or array.shape[1] != joints:
+        raise InvalidValueError(f"{what}: {arm.name} takes {joints} joint angles, got an array of shape {array.shape}")
+    outside = ~((array >= arm.lower) & (array <= arm.upper))
+    if outside.any():
+        row, joint = np.argwhere(outside)[0]
+        raise InvalidValueError(
+            f"{what}: joint {arm.joints[joint]!r} at {array[row, joint]:.5f} rad is outside its limits, "
+            f"{arm.lower[joint]:.5f} to {arm.upper[joint]:.5f}"
+        )
+    return array

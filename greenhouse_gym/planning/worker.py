@@ -1,0 +1,143 @@
+"""The caller's side of the OMPL process: started when first needed, kept warm, killed when it hangs, replaced.
+
+Nothing that happens in that process harms the caller. It is started as a fresh interpreter that does not run the
+caller's ``__main__``, so it works from a script without a guard, an interactive session or a notebook.
+"""
+
+from __future__ import annotations
+
+import atexit
+import json
+import multiprocessing
+import os
+import subprocess
+import sys
+import threading
+from importlib.util import find_spec
+from multiprocessing.connection import Connection
+from typing import Any
+
+from greenhouse_gym.errors import GreenhouseError, MissingDependencyError
+
+_BOOT = (
+    "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
+    "from greenhouse_gym.planning.ompl_worker import serve; serve(int(sys.argv[2]))"
+)
+_START_LIMIT = 120.0  # seconds an interpreter may take to start and import OMPL on a busy machine
+
+
+class WorkerCrashedError(GreenhouseError):
+    """The planning process died while it worked on a query."""
+
+
+class WorkerTimeoutError(GreenhouseError):
+    """The planning process did not answer in time and was killed."""
+
+
+class WorkerFailedError(GreenhouseError):
+    """The planning process is well, but the query raised an error in it."""
+
+
+class Worker:
+    """One planning process; safe to use from several threads, which then take turns."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._process: subprocess.Popen[bytes] | None = None
+        self._connection: Connection[Any, Any] | None = None
+        self._owner = 0
+
+    @property
+    def pid(self) -> int | None:
+        """The process id, or None while no process runs."""
+        return None if self._process is None else self._process.pid
+
+    def call(self, command: str, argument: Any, hard_limit: float) -> Any:
+        """Have the process work on something.
+
+        Args:
+            command: One of the commands of `greenhouse_gym.planning.ompl_worker.serve`.
+            argument: Goes with the command.
+            hard_limit: Seconds after which the process is killed.
+
+        Raises:
+            WorkerTimeoutError: It took longer than the hard limit.
+            WorkerCrashedError: The process died.
+            WorkerFailedError: The command raised an error.
+            MissingDependencyError: OMPL is not installed.
+        """
+        with self._lock:
+            try:
+                connection = self._started()
+                try:
+                    connection.send((command, argument, hard_limit))
+                except OSError:  # it died since the last call, with no work of ours: a new one takes over
+                    self._kill()
+                    connection = self._started()
+                    connection.send((command, argument, hard_limit))
+                succeeded, result = self._receive(connection, hard_limit)
+            except BaseException:  # KeyboardInterrupt included: the answer to this query must not reach the next one
+                self._kill()
+                raise
+        if not succeeded:
+            raise WorkerFailedError(result)
+        return result
+
+    def close(self) -> None:
+        """End the process, if one runs; the next call starts another."""
+        with self._lock:
+            self._kill()
+
+    def _started(self) -> Connection[Any, Any]:
+        if self._connection is not None and self._owner != os.getpid():
+            # this interpreter was forked: the process belongs to the parent
+            self._process = self._connection = None
+        if self._process is not None and self._process.poll() is not None:
+            self._kill()
+        if self._connection is not None:
+            return self._connection
+        if find_spec("ompl") is None:
+            raise MissingDependencyError("ompl", "plan")
+        ours, theirs = multiprocessing.Pipe()
+        handle = theirs.fileno()
+        with theirs:
+            self._process = subprocess.Popen(
+                [sys.executable, "-c", _BOOT, json.dumps(sys.path), str(handle)],
+                pass_fds=[handle],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                start_new_session=True,  # Ctrl-C is for the caller
+            )
+        self._connection, self._owner = ours, os.getpid()
+        self._receive(ours, _START_LIMIT)
+        return ours
+
+    def _receive(self, connection: Connection[Any, Any], limit: float) -> tuple[bool, Any]:
+        if not connection.poll(limit):
+            raise WorkerTimeoutError(f"the planning process did not answer within {limit:.1f} s and was killed")
+        try:
+            reply: tuple[bool, Any] = connection.recv()
+        except (EOFError, OSError) as error:
+            assert self._process is not None
+            code = self._process.wait()
+            how = f"signal {-code}" if code < 0 else f"exit status {code}"
+            raise WorkerCrashedError(f"the planning process died with {how}") from error
+        return reply
+
+    def _kill(self) -> None:
+        process, connection = self._process, self._connection
+        self._process = self._connection = None
+        if connection is not None:
+            connection.close()
+        if process is not None:
+            process.kill()
+            process.wait()
+
+
+_WORKER = Worker()
+atexit.register(_WORKER.close)
+
+
+def shared_worker() -> Worker:
+    """The process that `greenhouse_gym.planning.plan` uses."""
+    return _WORKER
