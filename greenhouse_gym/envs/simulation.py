@@ -94,6 +94,7 @@ class ReachSimulation:
         self.observe = _choose("observation", observation, OBSERVATIONS)(self.robot)
         self.command_rule = _choose("action", action, ACTIONS)
         self.reward_terms = _choose("reward", reward, REWARDS)
+        self.env_options = {"robot": str(self.robot.name), "observation": observation, "action": action}
         self.worlds = worlds_of(self.robot, physics)
         self.count = count
         self.steps = np.zeros(count, dtype=np.int64)

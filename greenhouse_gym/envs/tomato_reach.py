@@ -158,7 +158,7 @@ class TomatoReachEnv(gymnasium.Env[Float32, npt.NDArray[np.float32]]):
 
         model, data = self.model_and_data()
         goal = self.simulation.goal(0)
-        return picture(model, data, tip=self._tip(), target=goal, trace=np.array(self._tip_trace))
+        return picture(model, data, self._tip(), goal, self._tip_trace, samples=1)
 
     def model_and_data(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
         """A copy of the episode's MuJoCo model and its current state, to look at or to compute with."""

@@ -144,7 +144,7 @@ class TomatoReachVectorEnv(VectorEnv[Float32, npt.NDArray[np.float32], npt.NDArr
 
         simulation = self.simulation
         return tuple(
-            picture(*simulation.model_and_data(i), tip=simulation.tip(i), target=simulation.goal(i))
+            picture(*simulation.model_and_data(i), simulation.tip(i), simulation.goal(i), samples=1)
             for i in range(self.num_envs)
         )
 

@@ -1,1 +1,1 @@
-"""Adapters to other libraries."""
+"""Bridges to other libraries; each module imports its library, so import the one you need."""

@@ -1,1 +1,1 @@
-"""Training functions and policy files."""
+"""Training: PPO on the vector environment, checkpoints, and policy files."""

@@ -1,0 +1,138 @@
+"""Stable-Baselines3: its `VecEnv` over the native vector environment."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from greenhouse_gym.envs import TomatoReachVectorEnv
+from greenhouse_gym.errors import MissingDependencyError
+from greenhouse_gym.robots import Robot
+from greenhouse_gym.scene import SceneBank
+
+try:
+    from stable_baselines3.common.vec_env import VecEnv, VecMonitor
+except ImportError as error:  # pragma: no cover - depends on the installation
+    raise MissingDependencyError("stable-baselines3", "train") from error
+
+
+class Sb3VecEnv(VecEnv):  # type: ignore[misc]
+    """A `TomatoReachVectorEnv` with autoreset in the same step, as Stable-Baselines3 wants it.
+
+    Infos are empty except at an episode's end, where they hold ``terminal_observation``, ``TimeLimit.truncated``,
+    ``is_success`` and the environment's other keys.
+    """
+
+    def __init__(self, env: TomatoReachVectorEnv):
+        self.env = env  # first: the base class asks for the render mode
+        super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
+        self._actions: npt.NDArray[np.float32] | None = None
+
+    def reset(self) -> npt.NDArray[np.float32]:
+        """Begin new episodes everywhere and return the observations (n, size)."""
+        # Only the first reset, or one after `seed`, has seeds.
+        seeds = None if all(seed is None for seed in self._seeds) else self._seeds
+        observations, infos = self.env.reset(seed=seeds, options=self._options[0] or None)
+        self.reset_infos = [_info(infos, i) for i in range(self.num_envs)]
+        self._reset_seeds()
+        self._reset_options()
+        return observations
+
+    def step_async(self, actions: npt.NDArray[np.float32]) -> None:
+        """Keep the actions for `step_wait`."""
+        self._actions = actions
+
+    def step_wait(
+        self,
+    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.bool_], list[dict[str, Any]]]:
+        """Act once everywhere; episodes that end begin anew."""
+        observations, rewards, terminated, truncated, infos = self.env.step(self._actions)
+        dones = terminated | truncated
+        single: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        for i in np.flatnonzero(dones):
+            single[i] = _info(infos["final_info"], i)
+            single[i]["terminal_observation"] = infos["final_obs"][i]
+            single[i]["TimeLimit.truncated"] = bool(truncated[i])
+        return observations, rewards.astype(np.float32), dones, single
+
+    def close(self) -> None:
+        """Free the simulations."""
+        self.env.close()
+
+    def get_images(self) -> Sequence[npt.NDArray[np.uint8] | None]:
+        """A picture of each simulation."""
+        return self.env.render() or [None] * self.num_envs
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """The vector environment's attribute, once per index."""
+        return [getattr(self.env, attr_name) for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Set an attribute of the vector environment (the simulations share it)."""
+        setattr(self.env, attr_name, value)
+
+    def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
+        """Call a method of the vector environment once and give the result for every index."""
+        result = getattr(self.env, method_name)(*method_args, **method_kwargs)
+        return [result for _ in self._get_indices(indices)]
+
+    def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
+        """No simulation is wrapped."""
+        return [False for _ in self._get_indices(indices)]
+
+
+def make_sb3_vec_env(
+    num_envs: int = 128,
+    bank: str | Path | SceneBank = "default",
+    split: str = "train",
+    robot: str | Path | Robot = "ur5e",
+    observation: str = "state",
+    action: str = "joint",
+    reward: str = "dense",
+    difficulty: str | Iterable[str] = ("easy", "medium", "hard"),
+    physics: str = "reconstruction",
+    render_mode: str | None = None,
+    threads: int = 0,
+    seed: int | None = None,
+) -> VecMonitor:
+    """The vector environment for Stable-Baselines3, with episode returns and lengths recorded.
+
+    Args:
+        num_envs: Number of simulations.
+        bank: This and the others as in `TomatoReachVectorEnv`.
+        split: Split the episodes are drawn from.
+        robot: The arm.
+        observation: Kind of observation.
+        action: Kind of action.
+        reward: Kind of reward.
+        difficulty: Difficulties to draw targets from.
+        physics: What is simulated.
+        render_mode: How `render` shows it.
+        threads: Threads that simulate.
+        seed: Seeds the simulations' generators with seed + i at the first reset.
+    """
+    env = TomatoReachVectorEnv(
+        num_envs, bank=bank, split=split, robot=robot, observation=observation, action=action, reward=reward,
+        difficulty=difficulty, physics=physics, render_mode=render_mode, autoreset_mode="SameStep", threads=threads,
+    )  # fmt: skip
+    wrapped = Sb3VecEnv(env)
+    if seed is not None:
+        wrapped.seed(seed)
+    return VecMonitor(wrapped)
+
+
+def _info(infos: dict[str, Any], i: int) -> dict[str, Any]:
+    """One simulation's info out of the vector environment's."""
+    result: dict[str, Any] = {}
+    for key, values in infos.items():
+        if key.startswith("_"):
+            continue
+        if isinstance(values, dict):
+            result[key] = _info(values, i)
+        else:
+            result[key] = values[i] if values.dtype == object else values[i].item()
+    return result

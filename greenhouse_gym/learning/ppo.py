@@ -1,0 +1,276 @@
+"""PPO by Stable-Baselines3 on the native vector environment, with settings that are known to learn."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from greenhouse_gym.errors import InvalidValueError, MissingDependencyError
+from greenhouse_gym.integrations.sb3 import make_sb3_vec_env
+from greenhouse_gym.paths import write_atomically
+
+try:
+    import torch
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.callbacks import BaseCallback
+    from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+
+    from greenhouse_gym.learning.checkpoints import NAME as CHECKPOINT
+    from greenhouse_gym.learning.checkpoints import load_checkpoint, read_notes, save_checkpoint
+    from greenhouse_gym.learning.policies import save_policy
+except ImportError as error:  # pragma: no cover - depends on the installation
+    raise MissingDependencyError("stable-baselines3", "train") from error
+
+CENTERS_AND_SCALES: dict[str, tuple[float, float]] = {
+    "joint_position": (0.0, 1.5),
+    "joint_velocity": (0.0, 1.0),
+    "command_error": (0.0, 0.1),
+    "grasp_offset": (0.0, 0.25),
+    "target_position": (0.0, 0.5),
+    "clearance": (0.1, 0.1),
+    "obstacle_direction": (0.0, 1.0),
+}
+"""Typical center and size of each group of the observation, which bring it to about one: fixed, so nothing drifts."""
+
+WINDOW = 10
+"""Rollouts that a point of the learning curve averages over."""
+
+
+@dataclass(frozen=True)
+class PpoSettings:
+    """Settings of a training.
+
+    Attributes:
+        bank: Name or folder of the scene bank.
+        split: Split to train on.
+        robot: The arm.
+        difficulty: Difficulties of the targets.
+        total_steps: Steps of all simulations together.
+        num_envs: Simulations.
+        rollout_steps: Steps of each simulation between updates.
+        batch_size: Samples per gradient step.
+        epochs: Passes over a rollout.
+        learning_rate: At the start; falls linearly to zero.
+        discount: Of future rewards, per step.
+        gae_lambda: Of the advantage estimate.
+        clip_range: Of the probability ratio.
+        log_std: Initial logarithm of the action noise.
+        hidden: Sizes of the hidden layers, of actor and critic each.
+        seed: Of scenes, weights and noise.
+        threads: Threads for simulation and network; 0 uses all cores.
+    """
+
+    bank: str = "default"
+    split: str = "train"
+    robot: str = "ur5e"
+    difficulty: tuple[str, ...] = ("easy", "medium", "hard")
+    total_steps: int = 2_000_000
+    num_envs: int = 128
+    rollout_steps: int = 64
+    batch_size: int = 2048
+    epochs: int = 5
+    learning_rate: float = 5e-4
+    discount: float = 0.99
+    gae_lambda: float = 0.95
+    clip_range: float = 0.2
+    log_std: float = -0.7
+    hidden: tuple[int, ...] = (256, 256)
+    seed: int = 0
+    threads: int = 0
+
+
+def train_ppo(
+    settings: PpoSettings,
+    out: str | Path,
+    *,
+    resume: bool = False,
+    time_limit: float | None = None,
+    checkpoint_seconds: float = 60.0,
+) -> Path:
+    """Train a policy.
+
+    ``out`` gets ``settings.json``, ``curve.csv`` (one line per rollout), ``checkpoint.safetensors`` now and then and at
+    the end, also when interrupted, and ``policy.json`` with ``policy.safetensors`` beside it. A resumed training goes
+    on with the weights, the optimizer and the step count of the checkpoint, in new episodes.
+
+    Args:
+        settings: The settings.
+        out: Folder for the results.
+        resume: Go on from the checkpoint in ``out``, if there is one.
+        time_limit: Stop after this many seconds, as if interrupted.
+        checkpoint_seconds: Time between checkpoints.
+
+    Returns:
+        The path of the policy's JSON file.
+
+    Raises:
+        InvalidValueError: The checkpoint was made with other settings.
+        FileFormatError: The checkpoint is damaged.
+    """
+    out = Path(out)
+    resumed = resume and (out / CHECKPOINT).is_file()
+    described = json.loads(json.dumps(asdict(settings)))
+    if resumed and (made_with := read_notes(out)["settings"]) | {"total_steps": 0} != described | {"total_steps": 0}:
+        different = [key for key in described if key != "total_steps" and made_with.get(key) != described[key]]
+        raise InvalidValueError(f"the checkpoint in {out} was made with other settings: {', '.join(different)}")
+    if settings.threads:
+        torch.set_num_threads(settings.threads)
+    env = make_sb3_vec_env(
+        settings.num_envs, bank=settings.bank, split=settings.split, robot=settings.robot,
+        difficulty=settings.difficulty, threads=settings.threads, seed=settings.seed,
+    )  # fmt: skip
+    model = _model(settings, env)
+    rows: list[dict[str, float]] = []
+    if resumed:
+        load_checkpoint(model, out)
+        rows = [row for row in _read_curve(out) if row["steps"] <= model.num_timesteps]
+        env.seed(settings.seed + model.num_timesteps)
+    write_atomically(out / "settings.json", json.dumps(described, indent=1) + "\n")
+    report = _Report(out, settings, described, rows, time_limit, checkpoint_seconds)
+    try:
+        if model.num_timesteps < settings.total_steps:
+            remaining = settings.total_steps - model.num_timesteps
+            model.learn(remaining, callback=report, reset_num_timesteps=not resumed)
+    except KeyboardInterrupt:
+        report.say(f"interrupted after {model.num_timesteps} steps; resume goes on from here")
+    finally:
+        report.finish(model)
+        env.close()
+    return save_policy(model, out / "policy", {"settings": described})
+
+
+def _model(settings: PpoSettings, env: Any) -> Any:
+    layout = env.get_attr("simulation")[0].observe.layout
+    return PPO(
+        "MlpPolicy",
+        env,
+        n_steps=settings.rollout_steps,
+        batch_size=settings.batch_size,
+        n_epochs=settings.epochs,
+        learning_rate=lambda remaining: settings.learning_rate * remaining,
+        gamma=settings.discount,
+        gae_lambda=settings.gae_lambda,
+        clip_range=settings.clip_range,
+        policy_kwargs={
+            "net_arch": list(settings.hidden),
+            "log_std_init": settings.log_std,
+            "features_extractor_class": ScaledObservation,
+            "features_extractor_kwargs": {"layout": layout},
+        },
+        seed=settings.seed,
+        device="cpu",
+    )
+
+
+class ScaledObservation(BaseFeaturesExtractor):  # type: ignore[misc]
+    """Brings every group of the observation to about one, by `CENTERS_AND_SCALES`."""
+
+    def __init__(self, observation_space: Any, layout: tuple[tuple[str, int], ...]):
+        super().__init__(observation_space, features_dim=int(np.prod(observation_space.shape)))
+        pairs = np.concatenate([np.tile(CENTERS_AND_SCALES[name], (size, 1)) for name, size in layout])
+        self.register_buffer("center", torch.tensor(pairs[:, 0], dtype=torch.float32))
+        self.register_buffer("scale", torch.tensor(pairs[:, 1], dtype=torch.float32))
+
+    def forward(self, observations: torch.Tensor) -> torch.Tensor:
+        """Scaled observations."""
+        return (observations - self.center) / self.scale
+
+
+class _Report(BaseCallback):  # type: ignore[misc]
+    """Keeps the learning curve, the checkpoints and the progress display, and the time limit."""
+
+    def __init__(
+        self,
+        out: Path,
+        settings: PpoSettings,
+        described: dict[str, Any],
+        rows: list[dict[str, float]],
+        time_limit: float | None,
+        checkpoint_seconds: float,
+    ):
+        super().__init__()
+        self.out, self.settings, self.described, self.rows = out, settings, described, rows
+        self.time_limit, self.checkpoint_seconds = time_limit, checkpoint_seconds
+        self.before = rows[-1]["seconds"] if rows else 0.0
+        self.began = self.saved = self.spoke = time.monotonic()
+        self.episodes: list[list[dict[str, Any]]] = [[]]
+        self.console = Console(stderr=True)
+        columns = ["PPO", BarColumn(), "{task.completed:,.0f} steps", TimeRemainingColumn()]
+        self.progress = Progress(*columns, TextColumn("{task.fields[note]}"), console=self.console)
+        self.task = self.progress.add_task("", total=settings.total_steps, note="")
+        if self.console.is_terminal:
+            self.progress.start()
+
+    def say(self, text: str) -> None:
+        """Print a line, above the progress bar if there is one."""
+        self.console.print(text, highlight=False)
+
+    def _on_step(self) -> bool:
+        self.episodes[-1] += [info for info in self.locals["infos"] if "episode" in info]
+        return self.time_limit is None or time.monotonic() - self.began < self.time_limit
+
+    def _on_rollout_end(self) -> None:
+        now = time.monotonic()
+        self.episodes = self.episodes[-WINDOW:]
+        infos = [info for rollout in self.episodes for info in rollout]
+        self.episodes.append([])
+
+        def mean(value: Callable[[dict[str, Any]], float]) -> float:
+            return round(float(np.mean([value(info) for info in infos])), 5) if infos else float("nan")
+
+        row = {
+            "steps": self.num_timesteps,
+            "seconds": round(self.before + now - self.began, 2),
+            "success_rate": mean(lambda info: info["is_success"]),
+            "collision_rate": mean(lambda info: info["collision"]),
+            "return": mean(lambda info: info["episode"]["r"]),
+            "length": mean(lambda info: info["episode"]["l"]),
+        }
+        self.rows.append(row)
+        note = f"success {row['success_rate']:.0%}, collision {row['collision_rate']:.0%}"
+        if self.console.is_terminal:
+            self.progress.update(self.task, completed=self.num_timesteps, note=note)
+        elif now - self.spoke > 20:
+            self.spoke = now
+            self.say(f"{self.num_timesteps:,} steps, {row['seconds']:.0f} s: {note}, return {row['return']:.2f}")
+        if now - self.saved > self.checkpoint_seconds:
+            self.saved = now
+            self._save(self.model)
+
+    def finish(self, model: Any) -> None:
+        """Write what there is and stop the progress display."""
+        self.progress.stop()
+        self._save(model)
+
+    def _save(self, model: Any) -> None:
+        save_checkpoint(model, self.out, {"settings": self.described})
+        _write_curve(self.out, self.rows)
+
+
+_COLUMNS = ("steps", "seconds", "success_rate", "collision_rate", "return", "length")
+
+
+def _write_curve(out: Path, rows: list[dict[str, float]]) -> None:
+    text = io.StringIO()
+    writer = csv.DictWriter(text, _COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_atomically(out / "curve.csv", text.getvalue())
+
+
+def _read_curve(out: Path) -> list[dict[str, float]]:
+    path = out / "curve.csv"
+    if not path.is_file():
+        return []
+    with path.open() as file:
+        return [{key: float(value) for key, value in row.items()} for row in csv.DictReader(file)]
