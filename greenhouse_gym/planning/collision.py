@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import copy
 from functools import cached_property, lru_cache
+from itertools import pairwise
 
 import mujoco
 import numpy as np
@@ -92,7 +93,7 @@ class CollisionChecker:
         points = np.asarray(path, dtype=np.float64)
         if len(points) == 1:
             return self.is_free(points[0])
-        return all(self.motion_is_free(a, b, resolution) for a, b in zip(points[:-1], points[1:], strict=True))
+        return all(self.motion_is_free(a, b, resolution) for a, b in pairwise(points))
 
     def contacts(self, configuration: npt.ArrayLike) -> tuple[tuple[str, str], ...]:
         """Names of the pairs of geoms that touch in a configuration (or are within the model's margin)."""

@@ -28,6 +28,9 @@ SEARCH = 3 * PROOF
 """Resolution at which motions are checked at first, metres; `PROOF` follows where that was too coarse."""
 
 
+Outcome = Literal["solved", "approximate", "no_solution"]
+
+
 @dataclass(frozen=True, eq=False)
 class Query:
     """What a planner is asked. Angles are radians.
@@ -68,7 +71,7 @@ class Answer:
         checks: Configurations the planner checked.
     """
 
-    status: Literal["solved", "approximate", "no_solution"]
+    status: Outcome
     path: Array | None
     raw_path: Array | None
     planning_time: float
@@ -151,7 +154,8 @@ def solve(ompl: tuple[ModuleType, ModuleType, ModuleType], query: Query) -> Answ
     checker = CollisionChecker(query.model)
     began = time.perf_counter()
     simplification_time = 0.0
-    status, raw, path = "no_solution", None, None
+    status: Outcome = "no_solution"
+    raw, path = None, None
     for resolution in (SEARCH, PROOF):
         problem = _Problem(base, query, checker, resolution, began + query.time_limit + simplification_time)
         planner = getattr(geometric, query.planner)(problem.information)

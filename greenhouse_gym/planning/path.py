@@ -9,6 +9,8 @@ Trajectory Generation for Path Following with Bounded Acceleration and Velocity,
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import numpy.typing as npt
 
@@ -36,7 +38,7 @@ def resample(path: npt.ArrayLike, step: float) -> Array:
     """
     points = np.asarray(path, dtype=np.float64)
     pieces = [points[:1]]
-    for a, b in zip(points[:-1], points[1:], strict=True):
+    for a, b in pairwise(points):
         count = max(1, int(np.ceil(np.abs(b - a).max() / step)))
         pieces.append(a + (np.arange(1, count + 1) / count)[:, None] * (b - a))
     return np.concatenate(pieces)

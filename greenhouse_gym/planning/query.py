@@ -124,7 +124,7 @@ def plan_with(
     if max_checks is not None and max_checks < 1:
         raise InvalidValueError(f"max_checks must be at least 1 or None, got {max_checks!r}")
     arm = compiled.robot
-    origin = _configurations("start", [arm.start if start is None else start], arm)[0]
+    origin = _configurations("start", np.asarray(arm.start if start is None else start)[None], arm)[0]
     if not checker.is_free(origin):
         touching = ", ".join(f"{a} with {b}" for a, b in checker.contacts(origin))
         return PlanResult("start_in_collision", None, planner, message=f"at the start: {touching}")
@@ -159,7 +159,8 @@ def _ask(checker: CollisionChecker, query: Query) -> PlanResult:
         return failed("timeout", error)
     except (WorkerCrashedError, WorkerFailedError) as error:
         return failed("crashed", error)
-    status, message, path = answer.status, "", answer.path
+    status: Status = answer.status
+    path, message = answer.path, ""
     if path is not None:
         message = _flaw(checker, query, path)
         if message:
