@@ -11,20 +11,53 @@ import numpy.typing as npt
 
 from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.envs.reach_task import ACTION_STEP, SUBSTEPS
+from greenhouse_gym.errors import require_choice
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.planning import PlanResult, follow_path, plan
+from greenhouse_gym.planning import PLANNERS, PlanResult, follow_path, plan
+from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene.mjcf import TIMESTEP
 
 INTERVAL = SUBSTEPS * TIMESTEP
 """Seconds from one action to the next."""
 
 
+class PathFollower:
+    """Turns a joint path into the environment's actions, one after the other, and then stays still.
+
+    Args:
+        path: (k, joints) radians, from where the arm is.
+        robot: Whose limits on speed and acceleration hold.
+
+    Attributes:
+        commands: (steps, joints) what is commanded after each action, radians.
+    """
+
+    def __init__(self, path: Array, robot: Robot):
+        speed = np.minimum(robot.velocity_limits, ACTION_STEP / INTERVAL)
+        self.commands = follow_path(path, speed, robot.acceleration_limits, INTERVAL)
+        self._actions = iter(np.diff(self.commands, axis=0, prepend=path[:1]) / ACTION_STEP)
+        self._still = np.zeros(len(robot.joints))
+
+    def action(self) -> npt.NDArray[np.float32]:
+        """The next action, (joints,) in [-1, 1]."""
+        return next(self._actions, self._still).astype(np.float32)
+
+
 class PlannerAgent:
     """Plans with OMPL and follows the path through the environment's joint actions; stays still without a path.
 
+    Args:
+        planner: A name in `greenhouse_gym.planning.PLANNERS`.
+        time_limit: Seconds the planner may search.
+        max_checks: Collision checks after which it stops, or None.
+        goals: Number of goal configurations.
+        name: Shown in tables; the planner's name when left out.
+
     Attributes:
         result: The last episode's plan, or None before the first.
-        commands: (steps, joints) commands of the last episode, radians.
+
+    Raises:
+        UnknownNameError: No such planner.
     """
 
     env_options: Mapping[str, Any] = MappingProxyType({})
@@ -37,37 +70,28 @@ class PlannerAgent:
         goals: int = 60,
         name: str | None = None,
     ):
-        """Keep what `greenhouse_gym.planning.plan` shall be called with, and the name shown in tables."""
+        self.planner = require_choice("planner", planner, PLANNERS)
+        self.time_limit, self.max_checks, self.goals = time_limit, max_checks, goals
         self.name = name or planner
-        self.planner, self.time_limit, self.max_checks, self.goals = planner, time_limit, max_checks, goals
         self.result: PlanResult | None = None
-        self.commands: Array = np.empty((0, 0))
-        self._last: Array = np.empty(0)
-        self._step = 0
+        self._follower: PathFollower | None = None
 
     @property
-    def planning_time(self) -> float:
-        """Seconds from the problem to the path in the last episode: goals, search and simplification."""
-        r = self.result
-        return 0.0 if r is None else r.goal_time + r.planning_time + r.simplification_time
+    def status(self) -> str:
+        """What became of the last episode's plan, see `greenhouse_gym.planning.PlanResult.status`."""
+        return "" if self.result is None else self.result.status
 
     def reset(self, problem: Problem) -> None:
         """Plan."""
-        arm = problem.robot
         self.result = plan(
-            problem.scene, problem.target, arm, self.planner, self.time_limit, self.max_checks, self.goals,
+            problem.scene, problem.target, problem.robot, self.planner, self.time_limit, self.max_checks, self.goals,
             seed=problem.seed, start=problem.start,
         )  # fmt: skip
         path = problem.start[None] if self.result.path is None else self.result.path
-        speed = np.minimum(arm.velocity_limits, ACTION_STEP / INTERVAL)
-        self.commands = follow_path(path, speed, arm.acceleration_limits, INTERVAL)
-        self._last, self._step = problem.start, 0
+        self._follower = PathFollower(path, problem.robot)
 
     def act(self, observation: Any) -> npt.NDArray[np.float32]:
-        """The step to the next command; zero at the end of the path."""
-        if self._step >= len(self.commands):
-            return np.zeros(len(self._last), dtype=np.float32)
-        command = self.commands[self._step]
-        action = (command - self._last) / ACTION_STEP
-        self._last, self._step = command, self._step + 1
-        return action.astype(np.float32)
+        """The next action along the path, whatever is observed."""
+        if self._follower is None:
+            raise RuntimeError("reset the agent before it acts")
+        return self._follower.action()

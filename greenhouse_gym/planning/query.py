@@ -130,8 +130,8 @@ def plan_with(
         return PlanResult("start_in_collision", None, planner, message=f"at the start: {touching}")
     began = time.perf_counter()
     statistics = None
-    if isinstance(goals, int):
-        searched = search_goals(compiled, checker, target, count=goals, seed=seed)
+    if isinstance(goals, int | np.integer):
+        searched = search_goals(compiled, checker, target, count=int(goals), seed=seed)
         ends, statistics = searched.configurations, searched.statistics
     else:
         given = goals.configurations if isinstance(goals, Goals) else np.asarray(goals, dtype=np.float64)

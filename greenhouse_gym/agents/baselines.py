@@ -1,0 +1,76 @@
+"""Simple agents to measure others against."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from greenhouse_gym.agents.agent import Problem
+from greenhouse_gym.agents.planner_agent import PathFollower
+from greenhouse_gym.planning import goal_configurations
+
+_NOTHING_SPECIAL: Mapping[str, Any] = MappingProxyType({})
+
+
+class StillAgent:
+    """Never moves."""
+
+    name = "still"
+    env_options = _NOTHING_SPECIAL
+
+    def __init__(self) -> None:
+        self._action = np.zeros(0, dtype=np.float32)
+
+    def reset(self, problem: Problem) -> None:
+        """Note the number of joints."""
+        self._action = np.zeros(len(problem.robot.joints), dtype=np.float32)
+
+    def act(self, observation: Any) -> npt.NDArray[np.float32]:
+        """Zero."""
+        return self._action
+
+
+class RandomAgent:
+    """Draws every action uniformly."""
+
+    name = "random"
+    env_options = _NOTHING_SPECIAL
+
+    def __init__(self) -> None:
+        self._random = np.random.default_rng(0)
+        self._joints = 0
+
+    def reset(self, problem: Problem) -> None:
+        """Begin the episode's own random sequence."""
+        self._random = np.random.default_rng(problem.seed)
+        self._joints = len(problem.robot.joints)
+
+    def act(self, observation: Any) -> npt.NDArray[np.float32]:
+        """Uniform in [-1, 1]."""
+        return self._random.uniform(-1.0, 1.0, self._joints).astype(np.float32)
+
+
+class StraightLineAgent:
+    """Takes the free goal configuration nearest to the start and moves there straight, whatever is in between."""
+
+    name = "straight line"
+    env_options = _NOTHING_SPECIAL
+
+    def __init__(self) -> None:
+        self._follower: PathFollower | None = None
+
+    def reset(self, problem: Problem) -> None:
+        """Choose the goal."""
+        ends = goal_configurations(problem.scene, problem.target, problem.robot, seed=problem.seed).configurations
+        nearest = np.abs(ends - problem.start).max(-1).argsort()[:1]  # empty where no goal exists
+        self._follower = PathFollower(np.concatenate([problem.start[None], ends[nearest]]), problem.robot)
+
+    def act(self, observation: Any) -> npt.NDArray[np.float32]:
+        """The next action along the line."""
+        if self._follower is None:
+            raise RuntimeError("reset the agent before it acts")
+        return self._follower.action()

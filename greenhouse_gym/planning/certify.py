@@ -1,0 +1,78 @@
+"""Certificates for a scene's tomatoes: how hard each is to reach, with a path that proves it can be reached."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from greenhouse_gym.geometry import Array
+from greenhouse_gym.planning.collision import PROOF, CollisionChecker, planning_model
+from greenhouse_gym.planning.goals import search_goals
+from greenhouse_gym.planning.query import PlanResult, plan_with
+from greenhouse_gym.robots import Robot
+from greenhouse_gym.scene import Scene, Target
+from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
+from greenhouse_gym.scene.scene import Difficulty
+
+EASY, MEDIUM = 1_000, 10_000
+"""Collision checks RRTConnect needs, in the median over `SEEDS` runs, for a target that is easy or medium at most."""
+
+MAX_CHECKS = 100_000
+"""Collision checks after which a run counts as failed."""
+
+SEEDS = 3
+"""Runs per target."""
+
+_TIME_LIMIT = 60.0  # seconds; far more than the checks take, so that they and not the machine decide
+_DECIMALS = 6  # of a witness, radians
+
+
+def certify_targets(scene: Scene, robot: str | Robot = "ur5e", seed: int = 0) -> tuple[Target, ...]:
+    """Rate every tomato of a scene as a target.
+
+    "easy", "medium" and "hard" go by the collision checks that RRTConnect needs (`EASY`, `MEDIUM`). "unreachable" is a
+    tomato for which no goal configuration or no path was found. The witness is the shortest of the paths found,
+    rounded, and proven free after the rounding.
+
+    Args:
+        scene: The scene; targets it already has are not looked at.
+        robot: Name or file of the arm, or a `Robot`.
+        seed: Same seed, same result.
+
+    Returns:
+        A target for each tomato, in their order.
+    """
+    compiled = compile_scene(scene, robot)
+    return tuple(certify_target(compiled, tomato, seed) for tomato in range(len(scene.tomatoes)))
+
+
+def certify_target(compiled: CompiledScene, tomato: int, seed: int = 0) -> Target:
+    """Rate one tomato; see `certify_targets`."""
+    checker = CollisionChecker(planning_model(compiled, tomato))
+    goals = search_goals(compiled, checker, tomato, seed=seed)
+    results = [
+        plan_with(compiled, checker, tomato, "RRTConnect", _TIME_LIMIT, MAX_CHECKS, goals, seed + run)
+        for run in range(SEEDS if len(goals.configurations) else 0)
+    ]
+    witness = _witness(checker, compiled.robot, results)
+    if witness is None:
+        return Target(tomato=tomato, difficulty="unreachable", robot=compiled.robot.name)
+    needed = float(np.median([r.checks if r.status == "solved" else math.inf for r in results]))
+    difficulty: Difficulty = "easy" if needed <= EASY else "medium" if needed <= MEDIUM else "hard"
+    return Target(
+        tomato=tomato,
+        difficulty=difficulty,
+        robot=compiled.robot.name,
+        witness=tuple(tuple(configuration) for configuration in witness.tolist()),
+    )
+
+
+def _witness(checker: CollisionChecker, robot: Robot, results: Sequence[PlanResult]) -> Array | None:
+    for result in sorted(results, key=lambda r: r.length if r.path is not None else math.inf):
+        if result.path is not None:
+            rounded = np.clip(result.path.round(_DECIMALS), robot.lower, robot.upper)
+            if checker.path_is_free(rounded, PROOF):
+                return rounded
+    return None
