@@ -81,10 +81,25 @@ def station_cloud(station: Station, rig: Rig, settings: ReconstructionSettings) 
         part = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points[kept]))
         part.colors = o3d.utility.Vector3dVector(frame.color[rows[kept], columns[kept]] / 255.0)
         part = part.voxel_down_sample(settings.voxel)
-        part.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(radius=0.008, max_nn=30))
+        part.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(16))
         part.orient_normals_towards_camera_location(rig_from_camera[:3, 3])
         parts.append(from_open3d(part) if len(part.points) else Cloud(*np.zeros((3, 0, 3))))
     return merge(parts)
+
+
+def voxel_means(cloud: Cloud, voxel: float) -> tuple[Cloud, npt.NDArray[np.int64]]:
+    """The mean point of each occupied cube of ``voxel`` metres, and the cube's number for each point, (n,)."""
+    cubes = np.floor((cloud.points - cloud.points.min(axis=0)) / voxel).astype(np.int64)
+    extent = cubes.max(axis=0) + 1
+    keys = (cubes[:, 0] * extent[1] + cubes[:, 1]) * extent[2] + cubes[:, 2]
+    _, cube, count = np.unique(keys, return_inverse=True, return_counts=True)
+
+    def mean(values: Array) -> Array:
+        return np.column_stack([np.bincount(cube, values[:, k]) for k in range(3)]) / count[:, None]
+
+    normals = mean(cloud.normals)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    return Cloud(mean(cloud.points), mean(cloud.colors), normals), cube
 
 
 def merge(clouds: list[Cloud]) -> Cloud:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from time import perf_counter
@@ -15,7 +16,7 @@ from greenhouse_gym.capture.rig import Rig
 from greenhouse_gym.errors import ReconstructionError
 from greenhouse_gym.geometry import Array, invert
 from greenhouse_gym.open3d_loader import open3d
-from greenhouse_gym.reconstruction.clouds import Cloud, merge, thin_out, to_open3d
+from greenhouse_gym.reconstruction.clouds import Cloud, merge, to_open3d, voxel_means
 from greenhouse_gym.reconstruction.registration import Registration, StationView, refine, register, view_station
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings
 
@@ -201,7 +202,7 @@ def _optimize(good: list[int], edges: dict[tuple[int, int], Registration], setti
     graph = pipelines.PoseGraph()
     number = {station: k for k, station in enumerate(good)}
     poses = [np.eye(4)]
-    for earlier, later in zip(good[:-1], good[1:], strict=True):
+    for earlier, later in itertools.pairwise(good):
         poses.append(poses[-1] @ edges[earlier, later].first_from_second)
     for world_from_station in poses:
         graph.nodes.append(pipelines.PoseGraphNode(world_from_station))
@@ -216,9 +217,7 @@ def _optimize(good: list[int], edges: dict[tuple[int, int], Registration], setti
             graph,
             pipelines.GlobalOptimizationLevenbergMarquardt(),
             pipelines.GlobalOptimizationConvergenceCriteria(),
-            pipelines.GlobalOptimizationOption(
-                max_correspondence_distance=settings.fine_distance, reference_node=0
-            ),
+            pipelines.GlobalOptimizationOption(max_correspondence_distance=settings.fine_distance, reference_node=0),
         )
     optimized = np.array([node.pose for node in graph.nodes])
     return np.round(invert(optimized[0]) @ optimized, 9)
@@ -232,23 +231,13 @@ def merge_stations(stations: RegisteredStations, settings: ReconstructionSetting
         if cloud is not None:
             clouds.append(cloud.moved(stations.world_from_station[i]))
             numbers.append(np.full(len(cloud), i, dtype=np.int32))
-    everything, station = merge(clouds), np.concatenate(numbers)
-    thin = thin_out(everything, settings.voxel)
-    nearest = _first_station(thin, everything, station, settings.voxel)
+    thin, voxel = voxel_means(merge(clouds), settings.voxel)
+    first_seen = np.full(len(thin), len(stations.registered), dtype=np.int32)
+    np.minimum.at(first_seen, voxel, np.concatenate(numbers))
     report = replace(stations.report, merged_points=len(thin), points=len(thin))
     return RowCloud(
-        thin.points, thin.colors, thin.normals, nearest, stations.registered, stations.world_from_station, report
+        thin.points, thin.colors, thin.normals, first_seen, stations.registered, stations.world_from_station, report
     )
-
-
-def _first_station(
-    thin: Cloud, everything: Cloud, station: npt.NDArray[np.int32], voxel: float
-) -> npt.NDArray[np.int32]:
-    """The earliest station among the points that a thinned-out point stands for."""
-    from scipy.spatial import cKDTree
-
-    _, nearest = cKDTree(everything.points).query(thin.points, distance_upper_bound=2 * voxel, workers=-1)
-    return station[np.minimum(nearest, len(station) - 1)]
 
 
 def remove_outliers(row: RowCloud, settings: ReconstructionSettings) -> RowCloud:

@@ -15,7 +15,7 @@ class ReconstructionSettings:
     longest_gap: float = 0.45  # m beyond which two stations share too little to be registered
     min_foreground: float = 0.01  # share of the reference image that must be foreground
     max_shift_difference: float = 0.6  # share of the foreground that may differ at the best shift
-    register_voxel: float = 0.004  # m, clouds given to ICP
+    register_voxel: float = 0.006  # m, clouds given to ICP
     coarse_distance: float = 0.02  # m, point-to-plane ICP
     fine_distance: float = 0.006  # m, generalized ICP
     min_fitness: float = 0.35  # share of points with a partner within fine_distance

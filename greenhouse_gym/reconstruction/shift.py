@@ -59,7 +59,7 @@ def best_shift(
         The best shift, or None where no try left any foreground to compare.
     """
     best: Shift | None = None
-    tries = [s for s in range(shortest, min(longest, first.shape[axis] - 1) + 1, step)]
+    tries = list(range(shortest, min(longest, first.shape[axis] - 1) + 1, step))
     for pixels in [*(-s for s in reversed(tries)), *tries]:
         a, b = overlap(first, pixels, axis)
         one, two = first[along(axis, a)], second[along(axis, b)]

@@ -1,0 +1,42 @@
+"""Progress of long work: a bar on a terminal, plain lines elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from time import perf_counter
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+CONSOLE = Console()
+_SECONDS_BETWEEN_LINES = 10.0
+
+
+@contextmanager
+def progress(what: str, total: int) -> Iterator[Callable[[int], None]]:
+    """Show how far a piece of work is.
+
+    Args:
+        what: What is being done.
+        total: Number of parts.
+
+    Yields:
+        A function to call with the number of parts that are done.
+    """
+    if CONSOLE.is_terminal:
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+        with Progress(*columns, TimeRemainingColumn(), console=CONSOLE, transient=True) as bars:
+            task = bars.add_task(what, total=total)
+            yield lambda done: bars.update(task, completed=done)
+        return
+    started = last = perf_counter()
+
+    def report(done: int) -> None:
+        nonlocal last
+        now = perf_counter()
+        if done >= total or now - last >= _SECONDS_BETWEEN_LINES:
+            last = now
+            CONSOLE.print(f"{what}: {done} of {total}, {now - started:.0f} s", highlight=False)
+
+    yield report
