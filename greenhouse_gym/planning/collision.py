@@ -43,8 +43,15 @@ def planning_model(compiled: CompiledScene, target: int, margin: float = MARGIN)
         raise InvalidValueError(f"target {target!r}: scene {compiled.scene.name!r} has tomatoes 0 to {count - 1}")
     model = copy.copy(compiled.model)
     compiled.allow_cup_on(model, target)
-    model.geom_margin[model.geom_bodyid == 0] = margin
+    set_margin(model, np.flatnonzero(model.geom_bodyid == 0), margin)
     return model
+
+
+def set_margin(model: mujoco.MjModel, geoms: npt.NDArray[np.int64], margin: float) -> None:
+    """Let some geoms of the world body be felt from a distance on, in metres."""
+    model.geom_margin[geoms] = margin
+    # the compiler's maximum over a body's geoms, which the search for pairs of geoms goes by
+    model.body_margin[0] = model.geom_margin[model.geom_bodyid == 0].max()
 
 
 class CollisionChecker:
@@ -94,6 +101,11 @@ class CollisionChecker:
         if len(points) == 1:
             return self.is_free(points[0])
         return all(self.motion_is_free(a, b, resolution) for a, b in pairwise(points))
+
+    def clearance(self, configuration: npt.ArrayLike) -> float:
+        """Distance from the arm to what it may not touch, metres, negative inside; inf beyond the model's margin."""
+        self.is_free(configuration)
+        return float(self._data.contact.dist.min(initial=np.inf))
 
     def contacts(self, configuration: npt.ArrayLike) -> tuple[tuple[str, str], ...]:
         """Names of the pairs of geoms that touch in a configuration (or are within the model's margin)."""
