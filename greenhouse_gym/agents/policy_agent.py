@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,10 @@ from greenhouse_gym.paths import data_path, write_atomically
 
 Float32 = npt.NDArray[np.float32]
 
-ACTIVATIONS = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, np.float32(0.0))}
+ACTIVATIONS: dict[str, Callable[[Float32], Float32]] = {
+    "tanh": np.tanh,
+    "relu": lambda x: np.maximum(x, np.float32(0.0)),
+}
 """Activations between layers by name."""
 
 _VERSION = 1
@@ -49,12 +52,13 @@ class Policy:
 
     def __call__(self, observations: npt.ArrayLike) -> Float32:
         """Actions in [-1, 1], (joints,) or (n, joints), for observations (size,) or (n, size)."""
-        x = (np.asarray(observations, dtype=np.float32) - self.center) / self.scale
+        x = np.asarray(observations, dtype=np.float32)
         if x.shape[-1:] != self.center.shape:
             raise InvalidValueError(f"expected observations of {len(self.center)} entries, got shape {x.shape}")
+        x = (x - self.center) / self.scale
         activate = ACTIVATIONS[self.activation]
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
-            x = activate(x @ weight.T + bias)
+            x = activate(np.asarray(x @ weight.T + bias, dtype=np.float32))
         return np.clip(x @ self.weights[-1].T + self.biases[-1], -1.0, 1.0).astype(np.float32)
 
     def save(self, path: str | Path) -> Path:

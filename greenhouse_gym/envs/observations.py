@@ -30,7 +30,7 @@ class Observation(Protocol):
         layout: Name of each group of entries with its number of entries, in order.
     """
 
-    space: spaces.Box
+    space: spaces.Space[Float32]
     layout: tuple[tuple[str, int], ...]
 
     def __call__(self, situation: Situation) -> Float32:
@@ -53,11 +53,10 @@ class StateObservation:
             ("obstacle_direction", np.full(3 * probes, -1.0), np.full(3 * probes, 1.0)),
         ]
         self.layout = tuple((name, len(low)) for name, low, _ in groups)
-        self.space = spaces.Box(
-            np.concatenate([low for _, low, _ in groups]).astype(np.float32),
-            np.concatenate([high for _, _, high in groups]).astype(np.float32),
-            dtype=np.float32,
+        self.low, self.high = (
+            np.concatenate(bounds).astype(np.float32) for bounds in ([g[1] for g in groups], [g[2] for g in groups])
         )
+        self.space: spaces.Space[Float32] = spaces.Box(self.low, self.high, dtype=np.float32)
 
     def __call__(self, situation: Situation) -> Float32:
         """Observations (n, size)."""
@@ -71,9 +70,9 @@ class StateObservation:
             s.clearance,
             s.obstacle.reshape(len(s.obstacle), -1),
         )
-        result = np.empty((len(s.joints), *self.space.shape), dtype=np.float32)
+        result = np.empty((len(s.joints), len(self.low)), dtype=np.float32)
         np.concatenate(parts, axis=1, out=result, casting="same_kind")
-        np.clip(result, self.space.low, self.space.high, out=result)
+        np.clip(result, self.low, self.high, out=result)
         return result
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from mujoco.batch import Batch
 
+from greenhouse_gym.envs.clearance import FAR_AWAY, nearest_obstacle, to_base
 from greenhouse_gym.envs.episodes import Episode, EpisodeSampler
 from greenhouse_gym.envs.observations import OBSERVATIONS
 from greenhouse_gym.envs.reach_task import (
@@ -31,7 +32,6 @@ from greenhouse_gym.errors import UnknownNameError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.scene import SceneBank, compile_scene
-from greenhouse_gym.scene.field import MAX_DISTANCE
 
 Ids = npt.NDArray[np.int64]
 Contact = tuple[str, ...]
@@ -159,18 +159,17 @@ class ReachSimulation:
         self.steps[i] = 0
         self._command[i] = episode.start
         self._field[i] = world.field
-        stand = world.base_from_scene
-        self._frame[i] = [*(-stand[:3, :3].T @ stand[:3, 3]), stand[0, 0], stand[1, 0]]
+        self._frame[i] = world.frame
         self._target[i] = world.tomatoes[episode.target, :3]
         center, radius = world.goal(episode.target)
         self._goal[i] = [*center, radius]
         if len(world.tomatoes) > self._tomatoes.shape[1]:
-            grown = np.full((self.count, len(world.tomatoes), 4), _FAR, dtype=np.float32)
+            grown = np.full((self.count, len(world.tomatoes), 4), FAR_AWAY, dtype=np.float32)
             grown[:, : self._tomatoes.shape[1]] = self._tomatoes
             self._tomatoes = grown
-        self._tomatoes[i] = _FAR
+        self._tomatoes[i] = FAR_AWAY
         self._tomatoes[i, : len(world.tomatoes)] = world.tomatoes
-        self._tomatoes[i, episode.target] = _FAR
+        self._tomatoes[i, episode.target] = FAR_AWAY
 
     # -- step ---------------------------------------------------------------------------------------------------------
 
@@ -254,7 +253,7 @@ class ReachSimulation:
 
     # -- looking ------------------------------------------------------------------------------------------------------
 
-    def _look(self, ids: Ids | slice, touched: Bools) -> Situation:
+    def _look(self, ids: Ids | slice, touched: npt.ArrayLike) -> Situation:
         """The situation of some simulations from their current kinematics."""
         frame = self._frame[ids]
         positions, tip_frame = self._site_xpos[ids], self._site_xmat[ids][:, self._tip].reshape(-1, 9)
@@ -262,33 +261,19 @@ class ReachSimulation:
         grasp = positions[:, self._tip] + goal[:, 3:] * tip_frame[:, 2::3]
         gap = grasp - goal[:, :3]
         joints = self._qpos[ids].copy()
-        probes = _to_base(positions[:, self._probes], frame)
-        distance, direction = self._nearest(ids, probes)
+        probes = to_base(positions[:, self._probes], frame)
+        distance, direction = nearest_obstacle(self.worlds.fields, self._field[ids], self._tomatoes[ids], probes)
         return Situation(
             joints=joints,
             velocities=self._qvel[ids].copy(),
             command=self._command[ids].copy(),
-            grasp=_to_base(grasp[:, None], frame)[:, 0],
+            grasp=to_base(grasp[:, None], frame)[:, 0],
             target=self._target[ids].copy(),
             distance=np.sqrt(gap[:, 0] ** 2 + gap[:, 1] ** 2 + gap[:, 2] ** 2),
             clearance=distance - self._probe_radii,
             obstacle=direction,
             touched=np.asarray(touched, dtype=np.bool_),
         )
-
-    def _nearest(self, ids: Ids | slice, probes: Array) -> tuple[Any, Any]:
-        """Distances (n, k) and directions (n, k, 3) from the probes to the nearest obstacle that is not the target."""
-        distance, direction = self.worlds.fields.lookup(self._field[ids], probes)
-        spheres, points = self._tomatoes[ids], probes.astype(np.float32)
-        x, y, z = (spheres[:, None, :, axis] - points[:, :, None, axis] for axis in range(3))
-        away = np.sqrt(x * x + y * y + z * z)
-        surface = away - spheres[:, None, :, 3]
-        nearest = surface.argmin(axis=2)[..., None]
-        gap = np.take_along_axis(surface, nearest, 2)[..., 0]
-        unit = np.concatenate([np.take_along_axis(part, nearest, 2) for part in (x, y, z)], axis=2)
-        unit /= np.maximum(np.take_along_axis(away, nearest, 2), np.float32(1e-6))
-        nearer = gap < np.minimum(distance, np.float32(MAX_DISTANCE))
-        return np.where(nearer, gap, distance), np.where(nearer[..., None], unit, direction)
 
     def _contact_names(self, i: int, configuration: Array) -> Contact:
         """The deepest contact of a simulation at a configuration."""
@@ -303,18 +288,7 @@ class ReachSimulation:
 
 
 _NOTHING: Contact = ()
-_FAR = np.array([1e3, 1e3, 1e3, 0.0], dtype=np.float32)
 _RAMP = (np.arange(1, SUBSTEPS + 1) / SUBSTEPS)[:, None]
-
-
-def _to_base(points: Array, frame: Array) -> Array:
-    """Points (n, k, 3) of the scene in the frames (n, 5) of the arms' bases."""
-    offset = points - frame[:, None, :3]
-    cosine, sine = frame[:, None, 3], frame[:, None, 4]
-    result = offset.copy()
-    result[..., 0] = cosine * offset[..., 0] - sine * offset[..., 1]
-    result[..., 1] = sine * offset[..., 0] + cosine * offset[..., 1]
-    return result
 
 
 def _part(situation: Situation, ids: Ids) -> Situation:

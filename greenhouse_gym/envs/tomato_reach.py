@@ -177,7 +177,7 @@ class TomatoReachEnv(gymnasium.Env[Float32, npt.NDArray[np.float32]]):
         return self.simulation.tip(0)
 
 
-def action_space(robot: Robot) -> spaces.Box:
+def action_space(robot: Robot) -> spaces.Space[Float32]:
     """One number in [-1, 1] per joint."""
     return spaces.Box(-1.0, 1.0, (len(robot.joints),), dtype=np.float32)
 

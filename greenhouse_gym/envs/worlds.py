@@ -34,7 +34,7 @@ class World:
     Attributes:
         scene: The scene as agents know it.
         compiled: What the physics run on: the scene, or its truth.
-        base_from_scene: (4, 4) pose of the scene in the frame of the arm's base.
+        frame: (5,) position of the arm's base in the scene, metres, and cosine and sine of its heading.
         tomatoes: (t, 4) center in the base frame and radius of the scene's tomatoes, metres, float32.
         field: Slot of the scene's distance field in the store.
         bodies: (t,) index, for every tomato of the scene, of the tomato that stands for it in the physics.
@@ -42,7 +42,7 @@ class World:
 
     scene: Scene
     compiled: CompiledScene
-    base_from_scene: Array
+    frame: Array
     tomatoes: np.ndarray[tuple[int, int], np.dtype[np.float32]]
     field: int
     bodies: np.ndarray[tuple[int], np.dtype[np.int64]]
@@ -93,13 +93,12 @@ class Worlds:
             true = np.array([tomato.center for tomato in physical.tomatoes]).reshape(-1, 3)
             bodies = np.linalg.norm(centers[:, None] - true[None], axis=-1).argmin(axis=1)
         scene_from_base = pose(rotation_about([0, 0, 1], scene.stand.yaw), base_position(scene, self.robot))
-        base_from_scene = invert(scene_from_base)
         radii = np.array([[tomato.radius] for tomato in scene.tomatoes]).reshape(-1, 1)
         return World(
             scene=scene,
             compiled=compile_scene(physical, self.robot, capacity),
-            base_from_scene=base_from_scene,
-            tomatoes=np.hstack([transform(base_from_scene, centers), radii]).astype(np.float32),
+            frame=np.array([*scene_from_base[:3, 3], *scene_from_base[:2, 0]]),
+            tomatoes=np.hstack([transform(invert(scene_from_base), centers), radii]).astype(np.float32),
             field=self.fields.add(distance_field([*scene.stems, *scene.clutter], scene_from_base)),
             bodies=bodies,
         )

@@ -53,7 +53,7 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
         observations, rewards, terminated, truncated, infos = self.env.step(self._actions)
         dones = terminated | truncated
         single: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        for i in np.flatnonzero(dones):
+        for i in np.flatnonzero(dones).tolist():
             single[i] = _info(infos["final_info"], i)
             single[i]["terminal_observation"] = infos["final_obs"][i]
             single[i]["TimeLimit.truncated"] = bool(truncated[i])

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TimeRemainingColumn
 
 from greenhouse_gym.errors import InvalidValueError, MissingDependencyError
 from greenhouse_gym.integrations.sb3 import make_sb3_vec_env
@@ -205,8 +205,10 @@ class _Report(BaseCallback):  # type: ignore[misc]
         self.began = self.saved = self.spoke = time.monotonic()
         self.episodes: list[list[dict[str, Any]]] = [[]]
         self.console = Console(stderr=True)
-        columns = ["PPO", BarColumn(), "{task.completed:,.0f} steps", TimeRemainingColumn()]
-        self.progress = Progress(*columns, TextColumn("{task.fields[note]}"), console=self.console)
+        self.progress = Progress(
+            "PPO", BarColumn(), "{task.completed:,.0f} steps", TimeRemainingColumn(), "{task.fields[note]}",
+            console=self.console,
+        )  # fmt: skip
         self.task = self.progress.add_task("", total=settings.total_steps, note="")
         if self.console.is_terminal:
             self.progress.start()

@@ -200,7 +200,9 @@ def picture_of_path(
     return picture(compiled.model, data, trace[0], center, trace, camera, width, height, samples)
 
 
-def _cast(model: mujoco.MjModel, data: mujoco.MjData, origin: Array, rays: Array) -> tuple[Array, Array, Array]:
+def _cast(
+    model: mujoco.MjModel, data: mujoco.MjData, origin: Array, rays: Array
+) -> tuple[Array, npt.NDArray[np.int32], Array]:
     """Distances (m,), -1 for a miss, geom ids (m,) and normals (m, 3) for unit rays (m, 3) from one point."""
     count = len(rays)
     geom, distance, normal = np.full(count, -1, dtype=np.int32), np.empty(count), np.empty(3 * count)

@@ -1,0 +1,81 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from greenhouse_gym.geometry import Box, Capsule, Shape, Sphere, distance_to_shapes, pose, rotation_about, transform
+from greenhouse_gym.scene.field import CELL, MAX_DISTANCE, ORIGIN, SHAPE, FieldStore, distance_field
+
+
+def some_shapes(seed: int, count: int = 40) -> list[Shape]:
+    random = np.random.default_rng(seed)
+    shapes: list[Shape] = []
+    for k in range(count):
+        center = random.uniform([0.0, -1.0, -0.9], [1.1, 1.0, 1.0])
+        if k % 3 == 0:
+            shapes.append(Sphere(center, random.uniform(0.01, 0.06)))
+        elif k % 3 == 1:
+            shapes.append(Capsule(center, center + random.uniform(-0.3, 0.3, 3), random.uniform(0.002, 0.02)))
+        else:
+            turn = rotation_about(random.normal(size=3), random.uniform(0, 3))
+            shapes.append(Box(center, random.uniform(0.005, 0.1, 3), turn))
+    return shapes
+
+
+def inside_points(seed: int, count: int) -> np.ndarray:
+    top = np.array(ORIGIN) + (np.array(SHAPE) - 1) * CELL
+    return np.random.default_rng(seed).uniform(ORIGIN, top, (count, 3))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_nodes_hold_the_exact_distance(seed: int) -> None:
+    scene_from_base = pose(rotation_about([0, 0, 1], 0.4), [0.1, -0.05, 0.9])
+    shapes = some_shapes(seed)
+    field = distance_field(shapes, pose())
+    nodes = np.random.default_rng(seed).integers(0, SHAPE, (3000, 3))
+    points = nodes * CELL + ORIGIN
+    expected = np.minimum(distance_to_shapes(points, shapes).min(axis=1), MAX_DISTANCE)
+    np.testing.assert_allclose(field[tuple(nodes.T)], expected, atol=3e-4)
+    turned = distance_field(shapes, scene_from_base)
+    expected = np.minimum(distance_to_shapes(transform(scene_from_base, points), shapes).min(axis=1), MAX_DISTANCE)
+    np.testing.assert_allclose(turned[tuple(nodes.T)], expected, atol=3e-4)
+
+
+def test_without_shapes_everything_is_far() -> None:
+    assert (distance_field([]) == np.float16(MAX_DISTANCE)).all()
+    behind = distance_field([Sphere([-5.0, 0.0, 0.0], 0.1)])
+    assert (behind == np.float16(MAX_DISTANCE)).all()
+
+
+def test_lookup_interpolates_distance_and_direction() -> None:
+    ball = Sphere([0.6, 0.0, 0.0], 0.05)
+    store = FieldStore()
+    slot = store.add(distance_field([ball]))
+    points = inside_points(0, 4000)
+    points = points[np.linalg.norm(points - ball.center, axis=1) > 0.08]
+    distance, direction = store.lookup(np.array([slot]), points[None])
+    expected = np.linalg.norm(points - ball.center, axis=1) - 0.05
+    np.testing.assert_allclose(distance[0], np.minimum(expected, MAX_DISTANCE), atol=5e-3)
+    near = expected < MAX_DISTANCE - 0.03
+    towards = (ball.center - points) / np.linalg.norm(ball.center - points, axis=1, keepdims=True)
+    assert ((direction[0] * towards).sum(axis=1)[near] > 0.98).all()
+    assert (direction[0][expected > MAX_DISTANCE + 0.03] == 0).all()
+
+
+def test_outside_the_grid_the_way_to_it_is_added() -> None:
+    store = FieldStore()
+    slot = store.add(distance_field([Sphere([0.12, 0.0, 0.0], 0.03)]))
+    distance, _ = store.lookup(np.array([slot]), np.array([[[0.0, 0.0, 0.0], [-5.0, 0.0, 0.0], [0.5, 30.0, 1.0]]]))
+    np.testing.assert_allclose(distance[0], [0.09, MAX_DISTANCE, MAX_DISTANCE], atol=5e-3)
+
+
+def test_many_scenes_at_once_give_what_each_gives_alone() -> None:
+    store = FieldStore()
+    slots = np.array([store.add(distance_field(some_shapes(seed, 6))) for seed in range(18)])  # grows once
+    points = inside_points(1, 18 * 9).reshape(18, 9, 3)
+    distance, direction = store.lookup(slots, points)
+    for i in range(18):
+        alone = store.lookup(slots[i : i + 1], points[i : i + 1])
+        np.testing.assert_array_equal(alone[0][0], distance[i])
+        np.testing.assert_array_equal(alone[1][0], direction[i])
+    assert len(np.unique(distance[:, 0])) > 3
