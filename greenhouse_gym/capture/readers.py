@@ -29,8 +29,8 @@ def open_recording(path: str | Path) -> Recording:
     """Open a recording; its stations are read when they are asked for.
 
     Understood are the package's own folders (``recording.json``), a calibrated camera's folders (``rgb/``, ``depth/``,
-    ``camera_*.yaml`` and optionally ``groundtruth_handeye.txt``), and Open3D's RGB-D folders (``color/``, ``depth/`` and
-    optionally ``trajectory.log`` and ``camera*.json``). Depth is in millimetres in all of them.
+    ``camera_*.yaml`` and optionally ``groundtruth_handeye.txt``), and Open3D's RGB-D folders (``color/``, ``depth/``
+    and optionally ``trajectory.log`` and ``camera*.json``). Depth is in millimetres in all of them.
 
     Raises:
         FileFormatError: The folder is none of these, or a file in it is missing or damaged. Images are checked when
@@ -54,10 +54,12 @@ def _open_calibrated(folder: Path) -> Recording:
         raise FileFormatError(folder, "no camera_*.yaml with the intrinsics")
     text = files[0].read_text()
     try:
-        size = [int(re.search(rf"^image_{side}:\s*(\d+)", text, re.M)[1]) for side in ("width", "height")]  # type: ignore[index]
-        matrix = json.loads(re.search(r"^camera_matrix:\s*(\[[^\]]*\])", text, re.M)[1])  # type: ignore[index]
-        intrinsics = Intrinsics(size[0], size[1], matrix[0], matrix[4], matrix[2], matrix[5])
-    except (TypeError, ValueError, IndexError) as error:
+        fields = dict(re.findall(r"^(\w+):\s*(\S.*)$", text, re.M))
+        matrix = json.loads(fields["camera_matrix"])
+        intrinsics = Intrinsics(
+            int(fields["image_width"]), int(fields["image_height"]), matrix[0], matrix[4], matrix[2], matrix[5]
+        )
+    except (KeyError, TypeError, ValueError, IndexError) as error:
         raise FileFormatError(
             files[0], f"expected image_width, image_height and a camera_matrix of nine numbers ({error})"
         ) from error
@@ -114,7 +116,7 @@ def _single_camera(
         frame = read_frame(color[i], depth[i], camera)
         return Station({"camera": frame}, None if known is None else known @ _RIG_FROM_CAMERA.T)
 
-    return Recording(folder.name, Rig({"camera": camera}, "camera"), len(color), load)
+    return Recording(folder.name, Rig({"camera": camera}, "camera"), len(color), load, folder)
 
 
 def _numbers(path: Path, columns: int) -> Array:

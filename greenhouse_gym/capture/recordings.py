@@ -1,7 +1,7 @@
 """Recordings: the `Recording` type, and the package's own folder format, read and written.
 
-The folder holds ``recording.json``, ``color/<camera>/000000.png`` and ``depth/<camera>/000000.png`` (uint16). The images
-of a station are read when the station is asked for, so a recording of any length needs the memory of one station.
+The folder holds ``recording.json`` and ``color/<camera>/000000.png``, ``depth/<camera>/000000.png`` (uint16). The
+images of a station are read when it is asked for, so a recording of any length needs the memory of one station.
 """
 
 from __future__ import annotations
@@ -33,12 +33,14 @@ class Recording:
         rig: The cameras.
         size: Number of stations.
         load: Gives station i; called anew at each access, nothing is kept.
+        folder: Where it lies on disk, or None for one that is simulated.
     """
 
     name: str
     rig: Rig
     size: int
     load: Callable[[int], Station]
+    folder: Path | None = None
 
     def __len__(self) -> int:
         return self.size
@@ -127,7 +129,7 @@ def open_folder(path: str | Path) -> Recording:
             frames[name] = read_frame(folder / record.color[name], folder / record.depth[name], camera)
         return Station(frames, poses[i])
 
-    return Recording(index.name, rig, len(index.stations), load)
+    return Recording(index.name, rig, len(index.stations), load, folder)
 
 
 def read_frame(color_file: str | Path, depth_file: str | Path, camera: Camera) -> RgbdFrame:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import NamedTuple
 
 import numpy as np
@@ -50,7 +51,7 @@ def find_main_stems(points: Array, normals: Array, settings: ShapeSettings) -> l
             break
         radius = _chain_radius(chain, points, normals, settings)
         axis = _axis(chain, points, normals, radius)
-        stems += [Stem(a, b, radius, kind="main") for a, b in zip(axis[:-1], axis[1:], strict=True)]
+        stems += [Stem(a, b, radius, kind="main") for a, b in itertools.pairwise(axis)]
         discs = [d for d in discs if _beside(d.center, axis) > 0.02]
     return stems
 
@@ -69,7 +70,9 @@ def _discs(points: Array, normals: Array, settings: ShapeSettings) -> list[Disc]
         image[cells[:, 0], cells[:, 1]] = True
         label, count = ndimage.label(image, structure=np.ones((3, 3)))
         own = label[cells[:, 0], cells[:, 1]]
-        for part in np.split(rows[np.argsort(own, kind="stable")], np.cumsum(np.bincount(own, minlength=count + 1))[:-1]):
+        for part in np.split(
+            rows[np.argsort(own, kind="stable")], np.cumsum(np.bincount(own, minlength=count + 1))[:-1]
+        ):
             if len(part) < 8:
                 continue
             cloud = points[part]

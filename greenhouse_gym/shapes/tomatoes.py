@@ -150,9 +150,7 @@ def choose(fits: list[SphereFit], points: Array, settings: ShapeSettings) -> lis
     chosen: list[SphereFit] = []
     for fit in sorted(fits, key=lambda f: -f.coverage * f.radius):
         own = fit.points[~owner[fit.points]]
-        apart = all(
-            np.linalg.norm(fit.center - other.center) > 0.75 * (fit.radius + other.radius) for other in chosen
-        )
+        apart = all(np.linalg.norm(fit.center - other.center) > 0.75 * (fit.radius + other.radius) for other in chosen)
         if apart and len(own) > 0.6 * len(fit.points):
             owner[fit.points] = True
             chosen.append(fit)
