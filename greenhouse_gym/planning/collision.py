@@ -92,8 +92,16 @@ class CollisionChecker:
             a, b = b, a
         if not (self.is_free(b) and self.is_free(a)):
             return False
-        steps = int(np.ceil(self.reaches @ np.abs(b - a) / resolution))
-        return all(map(self.is_free, a + halving_order(steps) * (b - a)))
+        return all(map(self.is_free, a + halving_order(self._steps(a, b, resolution)) * (b - a)))
+
+    def free_share(self, start: npt.ArrayLike, end: npt.ArrayLike, resolution: float) -> float:
+        """The share of the straight motion from a free configuration up to which it is free, 0 to 1."""
+        a, b = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
+        steps = max(1, self._steps(a, b, resolution))
+        for step in range(1, steps + 1):
+            if not self.is_free(a + step / steps * (b - a)):
+                return (step - 1) / steps
+        return 1.0
 
     def path_is_free(self, path: npt.ArrayLike, resolution: float) -> bool:
         """Whether all motions of a path (k, joints) are free."""
@@ -101,6 +109,9 @@ class CollisionChecker:
         if len(points) == 1:
             return self.is_free(points[0])
         return all(self.motion_is_free(a, b, resolution) for a, b in pairwise(points))
+
+    def _steps(self, a: Array, b: Array, resolution: float) -> int:
+        return int(np.ceil(self.reaches @ np.abs(b - a) / resolution))
 
     def clearance(self, configuration: npt.ArrayLike) -> float:
         """Distance from the arm to what it may not touch, metres, negative inside; inf beyond the model's margin."""

@@ -25,10 +25,10 @@ from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning.collision import PROOF, CollisionChecker
 
 SEARCH = 3 * PROOF
-"""Resolution at which motions are checked at first, metres; `PROOF` follows where that was too coarse."""
+"""Resolution at which motions are checked first, metres; `PROOF` follows where that was too coarse."""
 
 
-Outcome = Literal["solved", "approximate", "no_solution"]
+Outcome = Literal["solved", "approximate", "no_solution", "invalid"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +44,7 @@ class Query:
         planner: Name of an OMPL planner.
         time_limit: Seconds.
         max_checks: Number of configurations that may be checked, or None.
+        optimizing: Whether the planner uses all its time: it then checks motions at `PROOF` from the start.
         seed: Seed of OMPL's random numbers.
     """
 
@@ -55,6 +56,7 @@ class Query:
     planner: str
     time_limit: float
     max_checks: int | None
+    optimizing: bool
     seed: int
 
 
@@ -63,7 +65,7 @@ class Answer:
     """What a planner found.
 
     Attributes:
-        status: One of the three.
+        status: "invalid" if the planner's path could not be proven free.
         path: (k, joints) the simplified path, or None.
         raw_path: (k, joints) the planner's own path, or None.
         planning_time: Seconds the planner took.
@@ -156,7 +158,7 @@ def solve(ompl: tuple[ModuleType, ModuleType, ModuleType], query: Query) -> Answ
     simplification_time = 0.0
     status: Outcome = "no_solution"
     raw, path = None, None
-    for resolution in (SEARCH, PROOF):
+    for resolution in (PROOF,) if query.optimizing else (SEARCH, PROOF):
         problem = _Problem(base, query, checker, resolution, began + query.time_limit + simplification_time)
         planner = getattr(geometric, query.planner)(problem.information)
         planner.setProblemDefinition(problem.definition)
@@ -170,28 +172,31 @@ def solve(ompl: tuple[ModuleType, ModuleType, ModuleType], query: Query) -> Answ
         solve_end, solve_checks = time.perf_counter(), checker.checks
         found = problem.definition.getSolutionPath()
         raw = _to_array(found, len(query.start))
-        problem.lift_limits()
         path = _simplified(geometric, problem, checker, found, raw)
         simplification_time += time.perf_counter() - solve_end
         checker.checks = solve_checks
+        status = "invalid" if path is None else "solved"
         if path is not None:
-            status = "solved"
             break
     total = time.perf_counter() - began
     return Answer(status, path, raw, total - simplification_time, simplification_time, checker.checks)
 
 
-def _simplified(geometric: ModuleType, problem: _Problem, checker: CollisionChecker, found: Any, raw: Array) -> Any:
-    """The shortened path if it is proven free, else the planner's own path if that is, else None."""
+def _simplified(
+    geometric: ModuleType, problem: _Problem, checker: CollisionChecker, found: Any, raw: Array
+) -> Array | None:
+    """The path shortened and proven free; the planner's own path if only that can be proven, or None."""
+    proven = checker.path_is_free(raw, PROOF)
+    problem.lift_limits(PROOF if proven else problem.resolution)
     simplifier = geometric.PathSimplifier(problem.information)
     simplifier.reduceVertices(found)
     simplifier.partialShortcutPath(found)
     simplifier.reduceVertices(found)
     simplifier.collapseCloseVertices(found)
-    for path in (_to_array(found, raw.shape[1]), raw):
-        if checker.path_is_free(path, PROOF):
-            return path
-    return None
+    shortened = _to_array(found, raw.shape[1])
+    if checker.path_is_free(shortened, PROOF):
+        return shortened
+    return raw if proven else None
 
 
 def _to_array(path: Any, joints: int) -> Array:
@@ -203,6 +208,7 @@ class _Problem:
 
     def __init__(self, base: ModuleType, query: Query, checker: CollisionChecker, resolution: float, deadline: float):
         joints = len(query.start)
+        self.resolution = resolution
         self._limited = True
         max_checks = float("inf") if query.max_checks is None else query.max_checks
 
@@ -215,12 +221,17 @@ class _Problem:
         class Motions(base.MotionValidator):  # type: ignore[misc,name-defined]
             """Whole motions per call from C++, checked exactly as the finished path will be."""
 
-            def checkMotion(self, first: Any, second: Any, last_valid: Any = None) -> bool:  # noqa: N802
+            def checkMotion(motions, first: Any, second: Any, last_valid: Any = None) -> bool:  # noqa: N802, N805
                 a = np.array([first[j] for j in range(joints)])
                 b = np.array([second[j] for j in range(joints)])
-                free = not exhausted() and checker.motion_is_free(a, b, resolution)
+                free = not exhausted() and checker.motion_is_free(a, b, self.resolution)
                 if last_valid is not None and not free:
-                    last_valid.second = 0.0
+                    # the state that receives the last free configuration may be the motion's end itself
+                    share = 0.0 if exhausted() else checker.free_share(a, b, self.resolution)
+                    last_valid.second = share
+                    if last_valid.first is not None:
+                        for j, angle in enumerate(a + share * (b - a)):
+                            last_valid.first[j] = float(angle)
                 return free
 
         bounds = base.RealVectorBounds(joints)
@@ -234,6 +245,9 @@ class _Problem:
         self.information.setStateValidityChecker(self._checker)
         self._motions = Motions(self.information)
         self.information.setMotionValidator(self._motions)
+        # for the planners that check states along a motion on their own
+        finest = resolution / float(np.linalg.norm(checker.reaches))
+        self.information.setStateValidityCheckingResolution(finest / self._space.getMaximumExtent())
         self.information.setup()
         self.definition = base.ProblemDefinition(self.information)
         self.definition.addStartState(self._state(base, query.start))
@@ -243,8 +257,9 @@ class _Problem:
         self.definition.setGoal(goals)
         self.termination = base.PlannerTerminationCondition(base.PlannerTerminationConditionFn(exhausted))
 
-    def lift_limits(self) -> None:
-        self._limited = False
+    def lift_limits(self, resolution: float) -> None:
+        """Check motions at this resolution from now on, whatever time and checks it takes."""
+        self._limited, self.resolution = False, resolution
 
     def _state(self, base: ModuleType, configuration: Array) -> Any:
         state = base.State(self._space)

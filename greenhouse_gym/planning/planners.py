@@ -40,7 +40,7 @@ PLANNERS: Mapping[str, PlannerInfo] = _table(
     PlannerInfo("KPIECE1", "kinodynamic planning by interior-exterior cell exploration, one level of cells"),
     PlannerInfo("LBKPIECE1", "lazy bidirectional KPIECE"),
     PlannerInfo("LBTRRT", "lower bound tree RRT: near-optimal within a given factor", True),
-    PlannerInfo("LazyLBTRRT", "lower bound tree RRT with lazy collision checks", True),
+    PlannerInfo("LazyLBTRRT", "lower bound tree RRT with lazy collision checks (its paths are often not free)", True),
     PlannerInfo("LazyPRM", "probabilistic roadmap with lazy collision checks"),
     PlannerInfo("LazyPRMstar", "PRM* with lazy collision checks", True),
     PlannerInfo("LazyRRT", "RRT with lazy collision checks"),
@@ -55,11 +55,11 @@ PLANNERS: Mapping[str, PlannerInfo] = _table(
     PlannerInfo("RRTstar", "asymptotically optimal rapidly exploring random tree", True),
     PlannerInfo("SBL", "single-query bidirectional roadmap with lazy collision checks"),
     PlannerInfo("SORRTstar", "informed RRT* that takes its samples in order", True),
-    PlannerInfo("SPARS", "sparse roadmap spanner", True),
-    PlannerInfo("SPARStwo", "sparse roadmap spanner without the dense roadmap", True),
+    PlannerInfo("SPARS", "sparse roadmap spanner (OMPL 1.7.0 crashes)", True),
+    PlannerInfo("SPARStwo", "sparse roadmap spanner without the dense roadmap (OMPL 1.7.0 crashes)", True),
     PlannerInfo("SST", "stable sparse RRT", True),
     PlannerInfo("STRIDE", "search tree with resolution-independent density estimation"),
-    PlannerInfo("STRRTstar", "space-time RRT*: needs a state space with time", True),
+    PlannerInfo("STRRTstar", "space-time RRT*: needs a state space with time, so it fails here", True),
     PlannerInfo("TRRT", "transition-based RRT: prefers cheap regions"),
 )
 """All geometric planners of OMPL 1.7.0, sorted by name."""

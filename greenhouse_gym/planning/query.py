@@ -140,7 +140,10 @@ def plan_with(
     goal_time = time.perf_counter() - began
     if not len(ends):
         return PlanResult("no_goal", None, planner, goal_time=goal_time, goals=statistics)
-    query = Query(checker.model, arm.lower, arm.upper, origin, ends, planner, time_limit, max_checks, seed)
+    query = Query(
+        checker.model, arm.lower, arm.upper, origin, ends, planner, time_limit, max_checks,
+        PLANNERS[planner].optimizing, seed,
+    )  # fmt: skip
     return replace(_ask(checker, query), goal_time=goal_time, goals=statistics)
 
 
