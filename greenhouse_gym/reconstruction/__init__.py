@@ -1,5 +1,6 @@
 """From a recording to one cloud of the row, and its mesh."""
 
+from greenhouse_gym.reconstruction.files import load_row, report_as_json, save_row
 from greenhouse_gym.reconstruction.row import RowCloud, RowReport, StationReport, reconstruct_row
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings
 from greenhouse_gym.reconstruction.surface import METHODS, TriangleMesh, simplify_points, triangulate
@@ -11,7 +12,10 @@ __all__ = [
     "RowReport",
     "StationReport",
     "TriangleMesh",
+    "load_row",
     "reconstruct_row",
+    "report_as_json",
+    "save_row",
     "simplify_points",
     "triangulate",
 ]

@@ -1,0 +1,181 @@
+"""The paper's figures from our own data. No OpenGL: points are splatted, meshes ray-cast, arms ray-cast by MuJoCo."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from greenhouse_gym.capture import Recording
+from greenhouse_gym.capture.frames import RgbdFrame
+from greenhouse_gym.capture.images import encode_png
+from greenhouse_gym.errors import MissingDependencyError
+from greenhouse_gym.geometry import Array, pose, transform
+from greenhouse_gym.open3d_loader import open3d
+from greenhouse_gym.paths import write_atomically
+from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, TriangleMesh
+from greenhouse_gym.reconstruction.foreground import blacked_out, foreground_mask
+from greenhouse_gym.reconstruction.registration import mean_offset, refine, silhouette_shift, view_station
+from greenhouse_gym.reconstruction.shift import along, overlap
+
+Image = npt.NDArray[np.uint8]
+
+FRONT = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+"""View from the aisle: image right is -y, up is z, away is x."""
+
+TOP = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+"""View from above: image right is -y, up is x."""
+
+RED, BLUE = (0.85, 0.15, 0.12), (0.12, 0.25, 0.85)
+
+
+def save(image: Image, path: Path) -> Path:
+    """Write an image (height, width, 3) as a PNG file."""
+    return write_atomically(path, encode_png(image))
+
+
+def upright(image: Image) -> Image:
+    """A portrait camera's image turned so that up is up."""
+    return np.ascontiguousarray(np.rot90(image, -1))
+
+
+def side_by_side(images: Sequence[Image], gap: int = 12) -> Image:
+    """Images in a row on white, the heights made equal by padding."""
+    tallest = max(image.shape[0] for image in images)
+    parts: list[Image] = []
+    for image in images:
+        padded = np.full((tallest, image.shape[1], 3), 255, dtype=np.uint8)
+        padded[: image.shape[0]] = image
+        parts += [padded, np.full((tallest, gap, 3), 255, dtype=np.uint8)]
+    return np.concatenate(parts[:-1], axis=1)
+
+
+def splat(points: Array, colors: Array, view: Array = FRONT, width: int = 1400, size: int = 2) -> Image:
+    """Draw points (n, 3) with colors (n, 3) in [0, 1] orthographically on white, near ones over far ones.
+
+    Args:
+        points: Metres.
+        colors: RGB.
+        view: (3, 3) rows: image right, image up, away from the viewer.
+        width: Pixels.
+        size: Pixels along the side of a point.
+    """
+    right, up, away = view @ points.T
+    scale = (width - 20) / max(float(np.ptp(right)), 1e-6)
+    height = int(np.ptp(up) * scale) + 20
+    image = np.full((height + size, width + size, 3), 255, dtype=np.uint8)
+    columns = ((right - right.min()) * scale).astype(int) + 10
+    rows = height - 10 - ((up - up.min()) * scale).astype(int)
+    order = np.argsort(-away, kind="stable")
+    ink = (np.clip(colors[order], 0, 1) * 255).astype(np.uint8)
+    for dy in range(size):
+        for dx in range(size):
+            image[rows[order] + dy, columns[order] + dx] = ink
+    return image[:height, :width]
+
+
+def draw_mesh(mesh: TriangleMesh, view: Array = FRONT, width: int = 1400) -> Image:
+    """Draw a mesh orthographically, shaded by its faces' directions."""
+    o3d = open3d()
+    scene: Any = o3d.t.geometry.RaycastingScene()
+    vertices = mesh.vertices @ view.T
+    scene.add_triangles(
+        o3d.core.Tensor(vertices.astype(np.float32)), o3d.core.Tensor(mesh.triangles.astype(np.uint32))
+    )
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    step = (high[0] - low[0]) / width
+    x, y = np.meshgrid(np.arange(low[0], high[0], step), np.arange(high[1], low[1], -step))
+    rays = np.zeros((*x.shape, 6), dtype=np.float32)
+    rays[..., 0], rays[..., 1], rays[..., 2], rays[..., 5] = x, y, low[2] - 1.0, 1.0
+    hits = scene.cast_rays(o3d.core.Tensor(rays))
+    normals = hits["primitive_normals"].numpy()
+    light = np.abs(normals @ (np.array([0.3, 0.5, -0.81]) / np.linalg.norm([0.3, 0.5, -0.81])))
+    shade = np.where(np.isfinite(hits["t_hit"].numpy()), 0.25 + 0.7 * light, 1.0)
+    return (np.repeat(shade[..., None], 3, axis=2) * 255).astype(np.uint8)
+
+
+def registration_pictures(
+    recording: Recording, first: int, second: int, settings: ReconstructionSettings, out: Path
+) -> list[Path]:
+    """Two images 10 cm apart, their foreground, the overlay at the best shift, clouds before and after ICP."""
+    rig = recording.rig
+    camera = rig.cameras[rig.reference]
+    one, two = (view_station(recording[i], rig, settings) for i in (first, second))
+    assert one.frame is not None
+    assert two.frame is not None
+    frames = (one.frame, two.frame)
+    paths = [
+        save(side_by_side([upright(f.color) for f in frames]), out / "1-two-images.png"),
+        save(side_by_side([upright(blacked_out(f, settings.foreground)) for f in frames]), out / "2-foreground.png"),
+    ]
+    shift = silhouette_shift(*frames, camera, second - first, settings)
+    if isinstance(shift, str):
+        return paths
+    overlay = shifted_silhouettes(frames, shift.pixels, shift.axis, settings.foreground)
+    paths.append(save(upright(overlay), out / "3-silhouettes-at-best-shift.png"))
+    offset = mean_offset(*frames, shift, settings)
+    if offset is None:
+        return paths
+    start = pose(translation=camera.rig_from_camera[:3, :3] @ offset)
+    result = refine(one, two, start, rig, second - first, settings)
+    views = []
+    for first_from_second in (start, result.first_from_second):
+        moved = transform(first_from_second, two.cloud.points)
+        everything = np.concatenate([one.cloud.points, moved])
+        colors = np.concatenate([np.tile(RED, (len(one.cloud), 1)), np.tile(BLUE, (len(moved), 1))])
+        views.append(splat(everything, colors, width=700, size=1))
+    paths.append(save(side_by_side(views), out / "4-before-and-after-icp.png"))
+    return paths
+
+
+def shifted_silhouettes(frames: tuple[RgbdFrame, RgbdFrame], pixels: int, axis: int, farthest: float) -> Image:
+    """Two silhouettes over each other after a shift: the first red, the second blue, both purple."""
+    a, b = overlap(frames[0].depth, pixels, axis)
+    one = foreground_mask(frames[0], farthest)[along(axis, a)]
+    two = foreground_mask(frames[1], farthest)[along(axis, b)]
+    image = np.full((*one.shape, 3), 255, dtype=np.uint8)
+    image[one & ~two] = (220, 50, 40)
+    image[two & ~one] = (40, 70, 220)
+    image[one & two] = (140, 60, 160)
+    return image
+
+
+def row_pictures(merged: RowCloud, row: RowCloud, mesh: TriangleMesh, out: Path) -> list[Path]:
+    """The row in one color per station before and after outlier removal, in its own colors, and as a mesh."""
+    count = len(row.registered)
+    hue = np.random.default_rng(3).permutation(count) / count
+    wheel = 0.5 + 0.45 * np.cos(2 * np.pi * (hue[:, None] + [0.0, 1 / 3, 2 / 3]))
+    return [
+        save(splat(merged.points, wheel[merged.station]), out / "5-stations-before-outlier-removal.png"),
+        save(splat(row.points, wheel[row.station]), out / "6-stations-after-outlier-removal.png"),
+        save(splat(row.points, row.colors), out / "7-row.png"),
+        save(draw_mesh(mesh), out / "8-mesh.png"),
+    ]
+
+
+def training_curve(steps: Sequence[float], success: Sequence[float], random_success: float, path: Path) -> Path:
+    """Success over steps, with the random agent's as a line.
+
+    Raises:
+        MissingDependencyError: The extra ``viz`` is not installed.
+    """
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise MissingDependencyError("matplotlib", "viz") from error
+    figure = Figure(figsize=(7, 4.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    axes.plot(np.asarray(steps) / 1e6, 100 * np.asarray(success), color="#2c7a3f", linewidth=2, label="PPO")
+    axes.axhline(100 * random_success, color="#b03a2e", linestyle="--", label="random agent")
+    axes.set(xlabel="environment steps (millions)", ylabel="episodes that reach the tomato (%)", ylim=(0, 100))
+    axes.legend(frameon=False)
+    axes.spines[["top", "right"]].set_visible(False)
+    draw: Callable[..., None] = figure.savefig
+    path.parent.mkdir(parents=True, exist_ok=True)
+    draw(path, dpi=120)
+    return path
