@@ -156,7 +156,7 @@ class PolicyAgent:
         Raises:
             InvalidValueError: The policy was trained for another arm.
         """
-        trained_for = self.env_options.get("robot", problem.robot.name)
+        trained_for = Path(self.env_options.get("robot", problem.robot.name)).stem
         if problem.robot.name != trained_for:
             raise InvalidValueError(f"policy {self.name!r} drives {trained_for!r}, got robot {problem.robot.name!r}")
 

@@ -7,10 +7,10 @@ import numpy.typing as npt
 
 from greenhouse_gym.envs.reach_task import Float32
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.scene.field import MAX_DISTANCE, FieldStore
+from greenhouse_gym.scene.field import FieldStore
 
-FAR_AWAY = np.array([1e3, 1e3, 1e3, 0.0], dtype=np.float32)
-"""A sphere that is never the nearest: pads the tomatoes, and stands in for the target."""
+FAR_AWAY = np.array([1e3, 1e3, 1e3, 0.0], dtype=np.float32)[:, None]
+"""A sphere (4, 1) that is never the nearest: pads the tomatoes, and stands in for the target."""
 
 
 def nearest_obstacle(
@@ -21,19 +21,19 @@ def nearest_obstacle(
     Args:
         fields: Where the fields of stems and clutter are kept.
         slots: (n,) slot of each simulation's field.
-        tomatoes: (n, t, 4) centers and radii of the tomatoes that count, padded with `FAR_AWAY`.
+        tomatoes: (4, n, t) x, y, z and radii of the tomatoes that count, padded with `FAR_AWAY`.
         points: (n, k, 3), like everything else in the base frame.
     """
     distance, direction = fields.lookup(slots, points)
     near = points.astype(np.float32)
-    x, y, z = (tomatoes[:, None, :, axis] - near[:, :, None, axis] for axis in range(3))
+    x, y, z = (tomatoes[axis, :, None] - near[:, :, None, axis] for axis in range(3))  # (n, k, t)
     away = np.sqrt(x * x + y * y + z * z)
-    surface = away - tomatoes[:, None, :, 3]
-    first = surface.argmin(axis=2)[..., None]
-    gap = np.take_along_axis(surface, first, 2)[..., 0]
-    unit = np.concatenate([np.take_along_axis(part, first, 2) for part in (x, y, z)], axis=2)
-    unit /= np.maximum(np.take_along_axis(away, first, 2), np.float32(1e-6))
-    nearer = gap < np.minimum(distance, np.float32(MAX_DISTANCE))
+    surface = away - tomatoes[3, :, None]
+    rows, columns = np.ogrid[: near.shape[0], : near.shape[1]]
+    first = (rows, columns, surface.argmin(axis=2))
+    gap, length = surface[first], np.maximum(away[first], np.float32(1e-6))
+    unit = np.stack([x[first] / length, y[first] / length, z[first] / length], axis=-1)
+    nearer = gap < distance
     return np.where(nearer, gap, distance), np.where(nearer[..., None], unit, direction)
 
 

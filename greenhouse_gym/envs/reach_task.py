@@ -66,6 +66,17 @@ class Situation:
         """(n,) whether the grasp point is at the target and nothing was touched."""
         return np.asarray((self.distance < SUCCESS_RADIUS) & ~self.touched)
 
+    def select(self, ids: npt.NDArray[np.int64]) -> Situation:
+        """The situation of some of the simulations."""
+        return Situation(**{name: values[ids] for name, values in vars(self).items()})
+
+    def replaced(self, ids: npt.NDArray[np.int64], fresh: Situation) -> Situation:
+        """A copy with the ``fresh`` situation of some of the simulations."""
+        values = {name: old.copy() for name, old in vars(self).items()}
+        for name, array in values.items():
+            array[ids] = getattr(fresh, name)
+        return Situation(**values)
+
 
 def check_actions(actions: Any, shape: tuple[int, ...]) -> Array:
     """The actions as float64 within [-1, 1].

@@ -31,7 +31,8 @@ from greenhouse_gym.envs.worlds import World, worlds_of
 from greenhouse_gym.errors import UnknownNameError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot, get_robot
-from greenhouse_gym.scene import SceneBank, compile_scene
+from greenhouse_gym.robots.robot import ROBOTS
+from greenhouse_gym.scene import SceneBank
 
 Ids = npt.NDArray[np.int64]
 Contact = tuple[str, ...]
@@ -94,7 +95,8 @@ class ReachSimulation:
         self.observe = _choose("observation", observation, OBSERVATIONS)(self.robot)
         self.command_rule = _choose("action", action, ACTIONS)
         self.reward_terms = _choose("reward", reward, REWARDS)
-        self.env_options = {"robot": str(self.robot.name), "observation": observation, "action": action}
+        name = self.robot.name if self.robot.name in ROBOTS else str(self.robot.path)
+        self.env_options = {"robot": name, "observation": observation, "action": action}
         self.worlds = worlds_of(self.robot, physics)
         self.count = count
         self.steps = np.zeros(count, dtype=np.int64)
@@ -111,7 +113,7 @@ class ReachSimulation:
         self._frame = np.zeros((count, 5))  # base position and cosine, sine of its heading
         self._target = np.zeros((count, 3))  # in the base frame
         self._goal = np.zeros((count, 4))  # in the scene, and radius
-        self._tomatoes = np.zeros((count, 1, 4), dtype=np.float32)
+        self._tomatoes = np.zeros((4, count, 1), dtype=np.float32)
         self._probe_radii = self.robot.probe_radii.astype(np.float32)
 
     # -- reset --------------------------------------------------------------------------------------------------------
@@ -132,20 +134,14 @@ class ReachSimulation:
         for i, touches in zip(ids, touched, strict=True):
             self.contact[i] = self._contact_names(int(i), self._qpos[i]) if touches else _NOTHING
         fresh = self._look(ids, touched)
-        if self.situation is None or len(ids) == self.count:
-            self.situation = fresh
-        else:
-            self.situation = _merged(self.situation, ids, fresh)
+        self.situation = fresh if len(ids) == self.count else self._seen().replaced(ids, fresh)
 
     def _make_batch(self, world: World) -> Batch:
         compiled = world.compiled
-        template = compile_scene(
-            compiled.scene, self.robot, compiled.obstacle_geoms.stop - compiled.obstacle_geoms.start
-        )
-        self._models = [copy.copy(template.model) for _ in range(self.count)]
-        self._data = mujoco.MjData(template.model)
-        self._tip, self._probes = template.tip_site, template.probe_sites
-        batch = self._batch = Batch(template.model, self.count, self._threads)
+        self._models = [copy.copy(compiled.model) for _ in range(self.count)]
+        self._data = mujoco.MjData(compiled.model)
+        self._tip, self._probes = compiled.tip_site, compiled.probe_sites
+        batch = self._batch = Batch(compiled.model, self.count, self._threads)
         self._qpos, self._qvel, self._ctrl = batch.bind("qpos"), batch.bind("qvel"), batch.bind("ctrl")
         self._site_xpos, self._site_xmat = batch.bind("site_xpos"), batch.bind("site_xmat")
         self._ncon = batch.bind("ncon")
@@ -163,13 +159,13 @@ class ReachSimulation:
         self._target[i] = world.tomatoes[episode.target, :3]
         center, radius = world.goal(episode.target)
         self._goal[i] = [*center, radius]
-        if len(world.tomatoes) > self._tomatoes.shape[1]:
-            grown = np.full((self.count, len(world.tomatoes), 4), FAR_AWAY, dtype=np.float32)
-            grown[:, : self._tomatoes.shape[1]] = self._tomatoes
-            self._tomatoes = grown
-        self._tomatoes[i] = FAR_AWAY
-        self._tomatoes[i, : len(world.tomatoes)] = world.tomatoes
-        self._tomatoes[i, episode.target] = FAR_AWAY
+        count, room = len(world.tomatoes), self._tomatoes.shape[2]
+        if count > room:
+            padding = np.broadcast_to(FAR_AWAY[:, None], (4, self.count, count - room))
+            self._tomatoes = np.concatenate([self._tomatoes, padding], axis=2)
+        self._tomatoes[:, i] = FAR_AWAY
+        self._tomatoes[:, i, :count] = world.tomatoes.T
+        self._tomatoes[:, i, episode.target] = FAR_AWAY[:, 0]
 
     # -- step ---------------------------------------------------------------------------------------------------------
 
@@ -207,7 +203,7 @@ class ReachSimulation:
 
     def observation(self, ids: Ids | None = None) -> Float32:
         """Observations of all simulations, or of some."""
-        return self.observe(self._seen() if ids is None else _part(self._seen(), ids))
+        return self.observe(self._seen() if ids is None else self._seen().select(ids))
 
     def info(self) -> dict[str, npt.NDArray[Any]]:
         """What the environments' docstring promises, as new arrays of length n."""
@@ -248,7 +244,7 @@ class ReachSimulation:
 
     def _seen(self) -> Situation:
         if self.situation is None:
-            raise RuntimeError("reset the environment before its first step")
+            raise RuntimeError("reset the whole environment first")
         return self.situation
 
     # -- looking ------------------------------------------------------------------------------------------------------
@@ -262,7 +258,7 @@ class ReachSimulation:
         gap = grasp - goal[:, :3]
         joints = self._qpos[ids].copy()
         probes = to_base(positions[:, self._probes], frame)
-        distance, direction = nearest_obstacle(self.worlds.fields, self._field[ids], self._tomatoes[ids], probes)
+        distance, direction = nearest_obstacle(self.worlds.fields, self._field[ids], self._tomatoes[:, ids], probes)
         return Situation(
             joints=joints,
             velocities=self._qvel[ids].copy(),
@@ -289,18 +285,6 @@ class ReachSimulation:
 
 _NOTHING: Contact = ()
 _RAMP = (np.arange(1, SUBSTEPS + 1) / SUBSTEPS)[:, None]
-
-
-def _part(situation: Situation, ids: Ids) -> Situation:
-    return Situation(**{name: values[ids] for name, values in vars(situation).items()})
-
-
-def _merged(situation: Situation, ids: Ids, fresh: Situation) -> Situation:
-    values = {}
-    for name, old in vars(situation).items():
-        values[name] = old.copy()
-        values[name][ids] = getattr(fresh, name)
-    return Situation(**values)
 
 
 def _choose(kind: str, name: str, choices: dict[str, Any]) -> Callable[..., Any]:

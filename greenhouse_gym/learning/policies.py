@@ -8,12 +8,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from torch import nn
 
 from greenhouse_gym.agents.policy_agent import Policy
 from greenhouse_gym.envs import TomatoReachVectorEnv
 
-_ACTIVATION_NAMES = {nn.Tanh: "tanh", nn.ReLU: "relu"}
+_ACTIVATION_NAMES = {"Tanh": "tanh", "ReLU": "relu"}  # torch is not imported here: playing a policy needs none
 
 
 class Score(NamedTuple):
@@ -30,7 +29,7 @@ def policy_of(
 ) -> Policy:
     """The mean of a Stable-Baselines3 actor (with an MLP and a scaling extractor, as `train_ppo` makes it) in numpy."""
     network = model.policy
-    linear = [layer for layer in network.mlp_extractor.policy_net if isinstance(layer, nn.Linear)]
+    linear = [layer for layer in network.mlp_extractor.policy_net if hasattr(layer, "in_features")]
     linear.append(network.action_net)
     size = linear[0].in_features
     extractor = network.pi_features_extractor
@@ -41,7 +40,7 @@ def policy_of(
     return Policy(
         weights=tuple(numbers(layer.weight) for layer in linear),
         biases=tuple(numbers(layer.bias) for layer in linear),
-        activation=_ACTIVATION_NAMES[network.activation_fn],
+        activation=_ACTIVATION_NAMES[network.activation_fn.__name__],
         center=numbers(extractor.center) if hasattr(extractor, "center") else np.zeros(size, dtype=np.float32),
         scale=numbers(extractor.scale) if hasattr(extractor, "scale") else np.ones(size, dtype=np.float32),
         env_options=env_options,

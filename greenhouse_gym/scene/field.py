@@ -49,25 +49,31 @@ def distance_field(shapes: Sequence[Shape], scene_from_base: npt.ArrayLike | Non
     if not shapes:
         return field
     parts = _Parts(shapes, np.eye(4) if scene_from_base is None else np.asarray(scene_from_base, dtype=np.float64))
-    # Pairs of a block and a shape, ordered by block; `corner` (blocks, 3) is a block's first node.
+    # Pairs of a block and a shape, ordered by block; `corner` (blocks, 3) is a block's first node, `first` (blocks,)
+    # its first pair.
     corner = np.stack(np.meshgrid(*(np.arange(0, n, _BLOCK) for n in SHAPE), indexing="ij"), -1).reshape(-1, 3)
     block, part = np.repeat(np.arange(len(corner)), len(shapes)), np.tile(np.arange(len(shapes)), len(corner))
+    first = np.arange(len(corner)) * len(shapes)
     size = _BLOCK
     while True:
-        middle = (corner + (size - 1) / 2) * CELL + ORIGIN
-        distance = parts.distance(middle[block].astype(np.float32), part)
-        nearest = np.minimum.reduceat(distance, np.searchsorted(block, np.arange(len(corner))))
+        middle = ((corner + (size - 1) / 2) * CELL + ORIGIN).astype(np.float32)
+        distance = parts.distance(middle[block], part)
+        nearest = np.minimum.reduceat(distance, first)
         if size == 1:
             field[tuple(corner.T)] = np.minimum(nearest, MAX_DISTANCE)
             return field
         radius = (size - 1) / 2 * CELL * np.sqrt(3.0)
         keep = distance <= np.minimum(nearest + 2 * radius, MAX_DISTANCE + radius)[block]
-        kept, block = np.unique(block[keep], return_inverse=True)
-        if len(kept) == 0:
+        block, part, size = block[keep], part[keep], size // 2
+        if len(block) == 0:
             return field
-        part, size = part[keep], size // 2
-        corner = (corner[kept] + size * _OCTANTS[:, None]).reshape(-1, 3)  # the first children of all, the second, ...
-        block = (block + len(kept) * np.arange(8)[:, None]).reshape(-1)
+        begins = np.diff(block, prepend=-1) != 0
+        corner, first = corner[block[begins]], np.flatnonzero(begins)
+        # First come the first children of all blocks, then the second, ...
+        eighth = np.arange(8)[:, None]
+        block = (np.cumsum(begins) - 1 + len(corner) * eighth).reshape(-1)
+        first = (first + len(part) * eighth).reshape(-1)
+        corner = (corner + size * _OCTANTS[:, None]).reshape(-1, 3)
         part = np.tile(part, 8)
 
 
@@ -153,12 +159,12 @@ class FieldStore:
             Distances (n, k), metres, at most `MAX_DISTANCE`; unit directions (n, k, 3) towards the obstacle, zero
             where the distance is capped.
         """
-        position = ((points - ORIGIN) / CELL).astype(np.float32)
-        inside = np.clip(position, 0.0, _LAST)
-        away = position - inside
+        # One contiguous plane per axis from here on.
+        position = np.ascontiguousarray(np.moveaxis((points - ORIGIN) / CELL, -1, 0), dtype=np.float32)
+        inside = np.clip(position, np.float32(0.0), _LAST)
         node = np.minimum(inside.astype(np.int64), _LAST_CELL)
-        x, y, z = np.moveaxis(inside - node, -1, 0)
-        flat = ((slots[:, None] * SHAPE[0] + node[..., 0]) * SHAPE[1] + node[..., 1]) * SHAPE[2] + node[..., 2]
+        x, y, z = inside - node
+        flat = ((slots[:, None] * SHAPE[0] + node[0]) * SHAPE[1] + node[1]) * SHAPE[2] + node[2]
         c = self._values.reshape(-1)[flat + _CORNERS].astype(np.float32)  # (8, n, k), z fastest
         low_z, step_z = c[0::2], c[1::2] - c[0::2]
         cz = low_z + z * step_z  # (4, n, k): x then y
@@ -168,19 +174,18 @@ class FieldStore:
         distance = cy[0] + x * step_x
         dy = step_y[0] + x * (step_y[1] - step_y[0])
         dz_low, dz_high = step_z[0] + y * (step_z[1] - step_z[0]), step_z[2] + y * (step_z[3] - step_z[2])
-        gradient = np.stack([step_x, dy, dz_low + x * (dz_high - dz_low)], axis=-1)
-        distance = np.minimum(distance + CELL * _norm(away), np.float32(MAX_DISTANCE))
-        length = _norm(gradient)
-        known = (distance < MAX_DISTANCE - 1e-3) & (length > 1e-6)
-        direction = np.where(known[..., None], -gradient / np.maximum(length, 1e-6)[..., None], np.float32(0.0))
-        return distance, direction
+        dz = dz_low + x * (dz_high - dz_low)
+        distance = np.minimum(distance + np.float32(CELL) * _norm(*(position - inside)), np.float32(MAX_DISTANCE))
+        length = _norm(step_x, dy, dz)
+        known = (distance < np.float32(MAX_DISTANCE - 1e-3)) & (length > np.float32(1e-6))
+        shrink = np.where(known, np.float32(-1.0), np.float32(0.0)) / np.maximum(length, np.float32(1e-6))
+        return distance, np.stack([step_x * shrink, dy * shrink, dz * shrink], axis=-1)
 
 
-_LAST = np.array(SHAPE, dtype=np.float32) - 1
-_LAST_CELL = np.array(SHAPE, dtype=np.int64) - 2
+_LAST = np.array(SHAPE, dtype=np.float32)[:, None, None] - 1
+_LAST_CELL = np.array(SHAPE, dtype=np.int64)[:, None, None] - 2
 _CORNERS = (_OCTANTS @ [SHAPE[1] * SHAPE[2], SHAPE[2], 1])[:, None, None]
 
 
-def _norm(vectors: Float32) -> Float32:
-    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+def _norm(x: Float32, y: Float32, z: Float32) -> Float32:
     return np.asarray(np.sqrt(x * x + y * y + z * z), dtype=np.float32)
