@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.geometry import Box, Capsule, Shape, frame_along
+from greenhouse_gym.geometry import Box, Capsule, Shape
 from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.robots.robot import CUP_GEOM, TIP_SITE
 from greenhouse_gym.scene.scene import Scene
@@ -170,7 +170,7 @@ def _add_obstacle(world: mujoco.MjsBody, name: str, shape: Shape, color: tuple[f
         world.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=shape.half_extents, pos=shape.center, quat=quat, **common)
     elif isinstance(shape, Capsule) and shape.length > 1e-6:
         quat = np.empty(4)
-        mujoco.mju_mat2Quat(quat, frame_along(shape.end - shape.start).flatten())
+        mujoco.mju_quatZ2Vec(quat, shape.end - shape.start)
         world.add_geom(
             type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[shape.radius, shape.length / 2, 0],
             pos=(shape.start + shape.end) / 2, quat=quat, **common,
