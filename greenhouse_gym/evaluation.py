@@ -117,7 +117,13 @@ class Evaluation:
 
 
 def evaluate(
-    agent: Agent, split: str = "test", episodes: int = 200, seed: int = 0, progress: bool | None = None, **options: Any
+    agent: Agent,
+    split: str = "test",
+    episodes: int = 200,
+    seed: int = 0,
+    progress: bool | None = None,
+    problems: Sequence[tuple[str, int]] | None = None,
+    **options: Any,
 ) -> Evaluation:
     """Run an agent over episodes drawn from a split.
 
@@ -128,6 +134,8 @@ def evaluate(
         seed: Episode i has the seed ``seed + i``: with the same bank, split and difficulties, the same scene and target
             for every agent.
         progress: Whether to show a bar; None shows it on a terminal.
+        problems: Names of scenes with targets to run instead, one episode each: of any split and difficulty, and
+            whatever ``episodes`` says.
         **options: Further keywords of the environment, such as ``bank`` or ``difficulty``; those the agent needs cannot
             be changed.
 
@@ -142,8 +150,9 @@ def evaluate(
     env = gymnasium.make(ENV_ID, split=split, **{**options, **agent.env_options})
     show = sys.stderr.isatty() if progress is None else progress
     try:
-        seeds = track(range(seed, seed + episodes), description=agent.name, disable=not show)
-        return Evaluation(agent.name, tuple(_episode(env, agent, s) for s in seeds))
+        chosen = [{}] * episodes if problems is None else [{"scene": name, "target": k} for name, k in problems]
+        runs = track(list(enumerate(chosen, start=seed)), description=agent.name, disable=not show)
+        return Evaluation(agent.name, tuple(_episode(env, agent, s, where) for s, where in runs))
     finally:
         env.close()
 
@@ -193,10 +202,10 @@ def comparison_table(evaluations: Sequence[Evaluation]) -> str:
     return "\n".join("| " + " | ".join(row) + " |" for row in rows) + "\n"
 
 
-def _episode(env: gymnasium.Env[Any, Any], agent: Agent, seed: int) -> Record:
+def _episode(env: gymnasium.Env[Any, Any], agent: Agent, seed: int, where: dict[str, Any]) -> Record:
     reach = env.unwrapped
     assert isinstance(reach, TomatoReachEnv)
-    observation, info = env.reset(seed=seed)
+    observation, info = env.reset(seed=seed, options=where)
     began = time.perf_counter()
     agent.reset(Problem(reach.scene, reach.target, reach.robot, reach.start, seed))
     planning_time = time.perf_counter() - began

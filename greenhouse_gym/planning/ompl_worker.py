@@ -112,8 +112,12 @@ def serve(handle: int) -> None:
 
     A message is (command, argument, hard limit in seconds); the answer is (True, result) or (False, error text).
     """
-    ompl = import_ompl()
     connection = Connection(handle)
+    try:
+        ompl = import_ompl()
+    except Exception as error:
+        connection.send((False, f"OMPL cannot be imported: {error}"))
+        return
     connection.send((True, "ready"))
     commands: dict[str, Callable[[Any], Any]] = {
         "planners": lambda _: planner_names(ompl),

@@ -68,14 +68,11 @@ class Worker:
         """
         with self._lock:
             try:
-                connection = self._started()
                 try:
-                    connection.send((command, argument, hard_limit))
-                except OSError:  # it died since the last call, with no work of ours: a new one takes over
+                    succeeded, result = self._exchange((command, argument, hard_limit))
+                except ConnectionError:  # it died before it read the message: a new process takes over
                     self._kill()
-                    connection = self._started()
-                    connection.send((command, argument, hard_limit))
-                succeeded, result = self._receive(connection, hard_limit)
+                    succeeded, result = self._exchange((command, argument, hard_limit))
             except BaseException:  # KeyboardInterrupt included: the answer to this query must not reach the next one
                 self._kill()
                 raise
@@ -109,15 +106,22 @@ class Worker:
                 start_new_session=True,  # Ctrl-C is for the caller
             )
         self._connection, self._owner = ours, os.getpid()
-        self._receive(ours, _START_LIMIT)
+        succeeded, reply = self._receive(ours, _START_LIMIT)
+        if not succeeded:
+            raise WorkerCrashedError(f"the planning process cannot start: {reply}")
         return ours
+
+    def _exchange(self, message: tuple[str, Any, float]) -> tuple[bool, Any]:
+        connection = self._started()
+        connection.send(message)
+        return self._receive(connection, message[2])
 
     def _receive(self, connection: Connection[Any, Any], limit: float) -> tuple[bool, Any]:
         if not connection.poll(limit):
             raise WorkerTimeoutError(f"the planning process did not answer within {limit:.1f} s and was killed")
         try:
             reply: tuple[bool, Any] = connection.recv()
-        except (EOFError, OSError) as error:
+        except EOFError as error:
             assert self._process is not None
             code = self._process.wait()
             how = f"signal {-code}" if code < 0 else f"exit status {code}"

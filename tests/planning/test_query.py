@@ -1,0 +1,144 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from greenhouse_gym.crop import Tomato
+from greenhouse_gym.errors import InvalidValueError, UnknownNameError
+from greenhouse_gym.planning import CollisionChecker, PlanResult, goal_configurations, plan, planning_model, query
+from greenhouse_gym.planning.ompl_worker import Answer
+from greenhouse_gym.robots import get_robot
+from greenhouse_gym.scene import Scene
+from greenhouse_gym.scene.mjcf import compile_scene
+
+START = get_robot("ur5e").start
+
+
+@pytest.mark.parametrize("planner", ["RRTConnect", "KPIECE1", "LazyPRM", "RRTstar", "EITstar", "PDST"])
+def test_planned_paths_are_free_in_the_simulator(scene: Scene, planner: str) -> None:
+    result = plan(scene, 0, planner=planner, time_limit=1.0)
+    assert result.status == "solved"
+    assert result.path is not None
+    assert np.array_equal(result.path[0], START)
+    goals = goal_configurations(scene, 0).configurations
+    assert (result.path[-1] == goals).all(-1).any()
+    simulator = CollisionChecker(planning_model(compile_scene(scene), 0, margin=0.0))
+    for a, b in zip(result.path[:-1], result.path[1:], strict=True):
+        assert all(map(simulator.is_free, a + np.linspace(0, 1, 800)[:, None] * (b - a)))
+    assert result.length <= result.raw_length + 1e-9
+    assert result.checks > 0
+    assert result.goals is not None
+
+
+def test_same_seed_and_checks_same_path(scene: Scene) -> None:
+    first, again, other = (plan(scene, 7, max_checks=50_000, time_limit=60.0, seed=s) for s in (5, 5, 6))
+    assert first.path is not None
+    assert other.path is not None
+    assert np.array_equal(first.path, again.path)
+    assert first.checks == again.checks
+    assert not np.array_equal(first.path, other.path)
+
+
+def test_checks_are_a_budget(scene: Scene) -> None:
+    result = plan(scene, 7, max_checks=50, time_limit=60.0)
+    assert result.status in ("no_solution", "approximate")
+    assert result.path is None
+    assert math.isnan(result.length)
+    assert 50 <= result.checks < 600  # the motion under way is finished
+    assert result.planning_time < 5.0
+
+
+def test_goals_may_be_given(scene: Scene) -> None:
+    goals = goal_configurations(scene, 2, count=5)
+    for given in (goals, goals.configurations, goals.configurations[:1].tolist()):
+        result = plan(scene, 2, goals=given)
+        assert result.status == "solved"
+        assert result.path is not None
+        assert (result.path[-1] == goals.configurations).all(-1).any()
+        assert result.goals is None
+
+
+def test_start_elsewhere(scene: Scene) -> None:
+    start = START + [0.5, 0.2, 0.3, -0.4, 0.5, 0.0]
+    result = plan(scene, 3, start=start)
+    assert result.path is not None
+    assert np.array_equal(result.path[0], start)
+    touching = goal_configurations(scene, 2, count=1).configurations[0]  # the cup may touch the target, no other
+    assert plan(scene, 3, start=touching).message == "at the start: tomato_2 with cup"
+
+
+def test_a_colliding_start_is_a_result(scene: Scene) -> None:
+    result = plan(scene, 0, start=[0, 1.0, 0, 0, 0, 0])
+    assert result.status == "start_in_collision"
+    assert "cart" in result.message
+
+
+def test_nothing_to_reach_is_a_result(scene: Scene) -> None:
+    far = scene.model_copy(update={"tomatoes": (Tomato([3.0, 0.0, 1.0], 0.03, truss=0),)})
+    result = plan(far, 0)
+    assert result.status == "no_goal"
+    assert result.goals is not None
+    assert result.goals.converged == 0
+    folded = [0, 1.0, 0, 0, 0, 0]  # in the cart
+    assert plan(scene, 0, goals=[folded]).status == "no_goal"
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"target": 12}, "tomatoes 0 to 11"),
+        ({"time_limit": 0.0}, "time_limit"),
+        ({"time_limit": -1.0}, "time_limit"),
+        ({"time_limit": math.inf}, "time_limit"),
+        ({"time_limit": math.nan}, "time_limit"),
+        ({"max_checks": 0}, "max_checks"),
+        ({"goals": 0}, "count"),
+        ({"start": [0, 0, 0, 4, 0, 0]}, "wrist_1.*4.00000"),
+        ({"start": [math.nan] * 6}, "shoulder_pan"),
+        ({"start": [0.0]}, "6 joint angles"),
+        ({"goals": [[0, 0, 9, 0, 0, 0]]}, "elbow"),
+        ({"goals": [0.0, 1.0]}, "6 joint angles"),
+    ],
+)
+def test_bad_values_are_named(scene: Scene, wrong: dict[str, object], message: str) -> None:
+    with pytest.raises(InvalidValueError, match=message):
+        plan(scene, **{"target": 0, **wrong})  # type: ignore[arg-type]
+
+
+def test_unknown_names_list_the_choices(scene: Scene) -> None:
+    with pytest.raises(UnknownNameError, match="Did you mean 'RRTConnect'"):
+        plan(scene, 0, planner="RRTconnect")
+    with pytest.raises(UnknownNameError, match="ur5e"):
+        plan(scene, 0, robot="ur6")
+
+
+@pytest.mark.parametrize(
+    ("flaw", "message"),
+    [("start", "starts at"), ("end", "none of the goals"), ("limits", "joint limits"), ("nan", "not numbers"),
+     ("cut", "not free")],
+)  # fmt: skip
+def test_no_path_of_the_worker_is_believed(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch, flaw: str, message: str
+) -> None:
+    good = plan(scene, 7)
+    assert good.path is not None
+    path = good.path.copy()
+    if flaw == "cut":
+        low = START + [0, 1.5, 0, 0, 0, 0]  # through the cart
+        path = np.array([path[0], low.clip(-3, 1.5), path[-1]])
+    elif flaw == "start":
+        path[0] += 1e-6
+    elif flaw == "end":
+        path[-1] += 1e-6
+    elif flaw == "limits":
+        path = np.insert(path, 1, 5.0, axis=0)
+    else:
+        path = np.insert(path, 1, np.nan, axis=0)
+    answer = Answer("solved", path, path, 0.1, 0.0, 10)
+    monkeypatch.setattr(query.shared_worker(), "call", lambda *_: answer)
+    result: PlanResult = plan(scene, 7)
+    assert result.status == "invalid"
+    assert result.path is None
+    assert message in result.message

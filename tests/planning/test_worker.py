@@ -1,0 +1,161 @@
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from greenhouse_gym.errors import MissingDependencyError
+from greenhouse_gym.planning import PLANNERS, plan, query
+from greenhouse_gym.planning.worker import (
+    Worker,
+    WorkerCrashedError,
+    WorkerFailedError,
+    WorkerTimeoutError,
+    shared_worker,
+)
+from greenhouse_gym.scene import Scene
+
+
+@pytest.fixture
+def worker() -> Iterator[Worker]:
+    worker = Worker()
+    yield worker
+    worker.close()
+
+
+def alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def test_the_table_of_planners_is_what_ompl_has() -> None:
+    assert shared_worker().call("planners", None, 30.0) == tuple(PLANNERS)
+    assert len(PLANNERS) == 34
+    assert all(info.name == name and info.description for name, info in PLANNERS.items())
+
+
+def test_a_hang_ends_at_the_hard_limit_and_the_next_call_works(worker: Worker) -> None:
+    assert len(worker.call("planners", None, 30.0)) == 34
+    first = worker.pid
+    began = time.perf_counter()
+    with pytest.raises(WorkerTimeoutError, match=r"0\.3 s"):
+        worker.call("sleep", 60.0, 0.3)
+    assert time.perf_counter() - began < 5.0
+    assert first is not None
+    assert not alive(first)
+    assert len(worker.call("planners", None, 30.0)) == 34
+    assert worker.pid != first
+
+
+def test_killed_while_idle_it_is_replaced_unnoticed(worker: Worker) -> None:
+    worker.call("planners", None, 30.0)
+    assert worker.pid is not None
+    os.kill(worker.pid, signal.SIGKILL)
+    assert len(worker.call("planners", None, 30.0)) == 34
+
+
+def test_errors_of_a_command_leave_the_process_alone(worker: Worker) -> None:
+    with pytest.raises(WorkerFailedError, match="KeyError: 'dance'"):
+        worker.call("dance", None, 5.0)
+    first = worker.pid
+    assert first is not None
+    assert worker.call("sleep", 0.0, 5.0) is None
+
+
+def test_killed_from_outside_while_planning(scene: Scene) -> None:
+    shared_worker().call("sleep", 0.0, 30.0)
+    pid = shared_worker().pid
+    assert pid is not None
+    killer = threading.Timer(0.5, os.kill, (pid, signal.SIGKILL))
+    killer.start()
+    result = plan(scene, 0, planner="RRTstar", time_limit=20.0)
+    killer.join()
+    assert result.status == "crashed"
+    assert result.path is None
+    assert "signal 9" in result.message
+    assert plan(scene, 0).status == "solved"
+
+
+def test_a_planner_that_ignores_its_limit_times_out(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    shared_worker().call("sleep", 0.0, 30.0)
+    with monkeypatch.context() as patched:
+        patched.setattr(query, "GRACE", -19.5)  # an optimizing planner uses all of its 20 s
+        result = plan(scene, 0, planner="RRTstar", time_limit=20.0)
+    assert result.status == "timeout"
+    assert result.path is None
+    assert 0.4 < result.planning_time < 5.0
+    assert plan(scene, 0).status == "solved"
+
+
+def test_a_crash_in_ompl_is_a_status(scene: Scene) -> None:
+    result = plan(scene, 0, planner="SPARStwo", time_limit=2.0)
+    assert result.status == "crashed"
+    assert "SPARStwo" in result.message
+
+
+def test_ctrl_c_reaches_the_caller_and_the_next_call_works(worker: Worker) -> None:
+    worker.call("sleep", 0.0, 30.0)
+    first = worker.pid
+    assert first is not None
+    threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
+    with pytest.raises(KeyboardInterrupt):
+        worker.call("sleep", 60.0, 30.0)
+    assert not alive(first)
+    assert len(worker.call("planners", None, 30.0)) == 34
+
+
+def test_without_ompl_the_extra_is_named(worker: Worker, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("greenhouse_gym.planning.worker.find_spec", lambda name: None)
+    with pytest.raises(MissingDependencyError, match=r"greenhouse-gym\[plan\]"):
+        worker.call("planners", None, 30.0)
+
+
+def test_a_dead_worker_error_is_told_apart(worker: Worker) -> None:
+    worker.call("sleep", 0.0, 30.0)
+    assert worker.pid is not None
+    threading.Timer(0.3, os.kill, (worker.pid, signal.SIGSEGV)).start()
+    with pytest.raises(WorkerCrashedError, match="signal 11"):
+        worker.call("sleep", 60.0, 30.0)
+
+
+SCRIPT = """
+import sys
+from greenhouse_gym.planning import plan
+from greenhouse_gym.planning.worker import shared_worker
+from greenhouse_gym.scene import Scene
+result = plan(Scene.load(sys.argv[1]), 0)
+assert not any(name.split(".")[0] == "ompl" for name in sys.modules)
+print(result.status, shared_worker().pid)
+"""
+
+
+@pytest.mark.parametrize("how", ["-c", "script", "stdin"])
+def test_an_interpreter_exits_cleanly_after_planning(scene: Scene, tmp_path: Path, how: str) -> None:
+    file = scene.save(tmp_path / "scene.json")
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT)
+    arguments = {"-c": ["-c", SCRIPT], "script": [str(script)], "stdin": ["-"]}[how]
+    run = subprocess.run(
+        [sys.executable, *arguments, str(file)],
+        input=SCRIPT if how == "stdin" else None, capture_output=True, text=True, timeout=120, cwd=tmp_path,
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr
+    assert run.stderr == ""
+    status, pid = run.stdout.split()
+    assert status == "solved"
+    assert not alive(int(pid))
+
+
+def test_ompl_stays_out_of_this_process(scene: Scene) -> None:
+    assert plan(scene, 1).status == "solved"
+    assert not any(name.split(".")[0] == "ompl" for name in sys.modules)
