@@ -82,9 +82,7 @@ def draw_mesh(mesh: TriangleMesh, view: Array = FRONT, width: int = 1400) -> Ima
     o3d = open3d()
     scene: Any = o3d.t.geometry.RaycastingScene()
     vertices = mesh.vertices @ view.T
-    scene.add_triangles(
-        o3d.core.Tensor(vertices.astype(np.float32)), o3d.core.Tensor(mesh.triangles.astype(np.uint32))
-    )
+    scene.add_triangles(o3d.core.Tensor(vertices.astype(np.float32)), o3d.core.Tensor(mesh.triangles.astype(np.uint32)))
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     step = (high[0] - low[0]) / width
     x, y = np.meshgrid(np.arange(low[0], high[0], step), np.arange(high[1], low[1], -step))

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.errors import InvalidValueError, require_choice
+from greenhouse_gym.errors import FileFormatError, InvalidValueError, require_choice
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.open3d_loader import open3d
 from greenhouse_gym.reconstruction.clouds import Cloud, to_open3d
@@ -105,3 +107,37 @@ def _clean(mesh: Any) -> Any:
     mesh.remove_duplicated_triangles()
     mesh.remove_unreferenced_vertices()
     return mesh
+
+
+def save_points(cloud: Cloud, path: str | Path) -> None:
+    """Write a cloud as a file that viewers open: PLY, PCD or XYZ, by the suffix.
+
+    Raises:
+        FileFormatError: The file could not be written.
+    """
+    _write(path, lambda name: open3d().io.write_point_cloud(name, to_open3d(cloud)))
+
+
+def save_mesh(mesh: TriangleMesh, path: str | Path) -> None:
+    """Write a mesh as a file that viewers open: PLY, OBJ or STL, by the suffix.
+
+    Raises:
+        FileFormatError: The file could not be written.
+    """
+    o3d = open3d()
+    stored = o3d.geometry.TriangleMesh(
+        o3d.utility.Vector3dVector(mesh.vertices), o3d.utility.Vector3iVector(mesh.triangles.astype(np.int32))
+    )
+    stored.compute_vertex_normals()
+    _write(path, lambda name: o3d.io.write_triangle_mesh(name, stored))
+
+
+def _write(path: str | Path, write: Callable[[str], bool]) -> None:
+    """Write to a temporary name of the same suffix, then rename."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.part{path.suffix}")
+    if not write(str(temporary)):
+        temporary.unlink(missing_ok=True)
+        raise FileFormatError(path, "could not be written")
+    temporary.replace(path)

@@ -1,0 +1,36 @@
+"""All commands in one application; an expected error becomes one line and exit status 1."""
+
+from __future__ import annotations
+
+import sys
+
+import typer
+from rich.console import Console
+
+from greenhouse_gym.cli import acting, demo, sensing
+from greenhouse_gym.errors import GreenhouseError
+
+app = typer.Typer(
+    help="Reinforcement learning and motion planning in reconstructed tomato greenhouses.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+app.command()(sensing.simulate)
+app.command()(sensing.reconstruct)
+app.command()(sensing.build)
+app.command("build-shipped")(sensing.build_shipped)
+app.command()(acting.plan)
+app.command()(acting.train)
+app.command()(acting.compare)
+app.command()(acting.render)
+app.command()(demo.demo)
+
+
+def main() -> None:
+    """Run the command line."""
+    try:
+        app()
+    except GreenhouseError as error:
+        Console(stderr=True).print(f"[bold red]error:[/] {error}", highlight=False, markup=True)
+        sys.exit(1)
