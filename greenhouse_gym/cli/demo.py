@@ -83,6 +83,7 @@ def run_demo(out: Path, seed: int, settings: DemoSettings) -> Report:
     shapes = _extract(row, recording, cloud, report)
     bank = _build(out, recording, cloud, shapes, settings, report)
     _plan_to_every_tomato(out, bank, report)
+    _draw_the_arm(out, recording, cloud, bank, report)
     curve = _train(out, seed, settings, report)
     evaluations = _compare(out, seed, settings, report)
     with report.stage("training curve") as results:
@@ -223,11 +224,7 @@ def _build(
 
 def _plan_to_every_tomato(out: Path, bank: SceneBank, report: Report) -> None:
     from greenhouse_gym.agents import PlannerAgent
-    from greenhouse_gym.cli.pictures import save
     from greenhouse_gym.evaluation import evaluate
-    from greenhouse_gym.planning import resample
-    from greenhouse_gym.robots import get_robot
-    from greenhouse_gym.scene.render import picture_of_path
 
     with report.stage("plan to every tomato, follow each path") as results:
         problems = [(scene.name, k) for scene in bank for k in range(len(scene.tomatoes))]
@@ -238,12 +235,24 @@ def _plan_to_every_tomato(out: Path, bank: SceneBank, report: Report) -> None:
         share = reached / max(len(with_goal), 1)
         results.append(f"{reached} of {len(with_goal)} tomatoes with a goal configuration reached ({share:.1%})")
         report.figures |= {"targets_with_goal": len(with_goal), "targets_reached": reached}
+
+
+def _draw_the_arm(out: Path, recording: Recording, cloud: RowCloud, bank: SceneBank, report: Report) -> None:
+    from greenhouse_gym.cli.pictures import overview, save, splat, upright
+    from greenhouse_gym.planning import resample
+    from greenhouse_gym.robots import get_robot
+    from greenhouse_gym.scene.render import picture_of_path
+
     with report.stage("pictures of the arm") as results:
         scene, target = _showpiece(bank)
         path = np.array(scene.targets[target].witness or [get_robot("ur5e").start])
         pictures = {"9-arm-at-start": path[:1], "10-arm-at-target": resample(path, 0.03)}
         for name, joints in pictures.items():
-            save(picture_of_path(scene, "ur5e", target, joints, width=960, height=720), out / f"{name}.png")
+            image = picture_of_path(scene, "ur5e", target, joints, width=960, height=720)
+            save(image, out / f"{name}.png")
+        station = recording[scene.provenance.station or 0]
+        photograph = upright(station.frames[recording.rig.reference].color)
+        overview(photograph, splat(cloud.points, cloud.colors), image, out / "0-overview.png")
         results.append(f"{scene.name}, tomato {target}")
 
 

@@ -53,6 +53,17 @@ def side_by_side(images: Sequence[Image], gap: int = 12) -> Image:
     return np.concatenate(parts[:-1], axis=1)
 
 
+def overview(photograph: Image, cloud: Image, scene: Image, path: Path, height: int = 480) -> Path:
+    """The way of the data in one picture: a photograph, the row's cloud, the arm in the scene."""
+    import cv2
+
+    parts = [
+        cv2.resize(image, (image.shape[1] * height // image.shape[0], height), interpolation=cv2.INTER_AREA)
+        for image in (photograph, cloud, scene)
+    ]
+    return save(side_by_side([np.asarray(part, dtype=np.uint8) for part in parts]), path)
+
+
 def splat(points: Array, colors: Array, view: Array = FRONT, width: int = 1400, size: int = 2) -> Image:
     """Draw points (n, 3) with colors (n, 3) in [0, 1] orthographically on white, near ones over far ones.
 
