@@ -12,7 +12,7 @@ from greenhouse_gym.planning.collision import PROOF, CollisionChecker, planning_
 from greenhouse_gym.planning.goals import search_goals
 from greenhouse_gym.planning.query import PlanResult, plan_with
 from greenhouse_gym.robots import Robot
-from greenhouse_gym.scene import Scene, Target
+from greenhouse_gym.scene import DIFFICULTIES, Scene, Target
 from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
 from greenhouse_gym.scene.scene import Difficulty
 
@@ -34,7 +34,7 @@ def certify_targets(scene: Scene, robot: str | Robot = "ur5e", seed: int = 0) ->
 
     "easy", "medium" and "hard" go by the collision checks that RRTConnect needs (`EASY`, `MEDIUM`). "unreachable" is a
     tomato for which no goal configuration or no path was found. The witness is the shortest of the paths found,
-    rounded, and proven free after the rounding.
+    rounded, and proven free after the rounding. Runs that cannot change the rating any more are left out.
 
     Args:
         scene: The scene; targets it already has are not looked at.
@@ -52,21 +52,32 @@ def certify_target(compiled: CompiledScene, tomato: int, seed: int = 0) -> Targe
     """Rate one tomato; see `certify_targets`."""
     checker = CollisionChecker(planning_model(compiled, tomato))
     goals = search_goals(compiled, checker, tomato, seed=seed)
-    results = [
-        plan_with(compiled, checker, tomato, "RRTConnect", _TIME_LIMIT, MAX_CHECKS, goals, seed + run)
-        for run in range(SEEDS if len(goals.configurations) else 0)
-    ]
+    results: list[PlanResult] = []
+    ratings: list[Difficulty] = []
+    while len(goals.configurations) and len(results) < SEEDS and not _decided(ratings):
+        seed_of_run = seed + len(results)
+        results.append(plan_with(compiled, checker, tomato, "RRTConnect", _TIME_LIMIT, MAX_CHECKS, goals, seed_of_run))
+        ratings.append(_rating(results[-1]))
     witness = _witness(checker, compiled.robot, results)
     if witness is None:
         return Target(tomato=tomato, difficulty="unreachable", robot=compiled.robot.name)
-    needed = float(np.median([r.checks if r.status == "solved" else math.inf for r in results]))
-    difficulty: Difficulty = "easy" if needed <= EASY else "medium" if needed <= MEDIUM else "hard"
+    difficulty = sorted(ratings, key=DIFFICULTIES.index)[len(ratings) // 2]
     return Target(
         tomato=tomato,
         difficulty=difficulty,
         robot=compiled.robot.name,
         witness=tuple(tuple(configuration) for configuration in witness.tolist()),
     )
+
+
+def _rating(result: PlanResult) -> Difficulty:
+    needed = result.checks if result.status == "solved" else math.inf
+    return "easy" if needed <= EASY else "medium" if needed <= MEDIUM else "hard"
+
+
+def _decided(ratings: Sequence[Difficulty]) -> bool:
+    """Whether more than half of all runs agree, so that the others cannot change the median."""
+    return any(ratings.count(rating) > SEEDS // 2 for rating in ratings)
 
 
 def _witness(checker: CollisionChecker, robot: Robot, results: Sequence[PlanResult]) -> Array | None:

@@ -44,6 +44,7 @@ class Query:
         planner: Name of an OMPL planner.
         time_limit: Seconds.
         max_checks: Number of configurations that may be checked, or None.
+        step: Longest motion by which the planner's trees grow, or None for OMPL's own choice.
         optimizing: Whether the planner uses all its time: it then checks motions at `PROOF` from the start.
         seed: Seed of OMPL's random numbers.
     """
@@ -56,6 +57,7 @@ class Query:
     planner: str
     time_limit: float
     max_checks: int | None
+    step: float | None
     optimizing: bool
     seed: int
 
@@ -166,6 +168,8 @@ def solve(ompl: tuple[ModuleType, ModuleType, ModuleType], query: Query) -> Answ
         problem = _Problem(base, query, checker, resolution, began + query.time_limit + simplification_time)
         planner = getattr(geometric, query.planner)(problem.information)
         planner.setProblemDefinition(problem.definition)
+        if query.step is not None:
+            planner.params().setParam("range", str(query.step))
         planner.setup()
         planner.solve(problem.termination)
         solved = problem.definition.hasExactSolution()

@@ -141,9 +141,18 @@ def plan_with(
     if not len(ends):
         return PlanResult("no_goal", None, planner, goal_time=goal_time, goals=statistics)
     query = Query(
-        checker.model, arm.lower, arm.upper, origin, ends, planner, time_limit, max_checks,
-        PLANNERS[planner].optimizing, seed,
-    )  # fmt: skip
+        model=checker.model,
+        lower=arm.lower,
+        upper=arm.upper,
+        start=origin,
+        goals=ends,
+        planner=planner,
+        time_limit=time_limit,
+        max_checks=max_checks,
+        step=PLANNERS[planner].step,
+        optimizing=PLANNERS[planner].optimizing,
+        seed=seed,
+    )
     return replace(_ask(checker, query), goal_time=goal_time, goals=statistics)
 
 
