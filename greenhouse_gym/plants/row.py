@@ -77,13 +77,15 @@ def grow_row(
         The row, its primitives in the world frame.
 
     Raises:
-        InvalidValueError: ``length`` is not positive and finite, or ``week`` is negative.
+        InvalidValueError: ``length`` is not positive and finite, or ``week`` or ``seed`` is negative.
         UnknownNameError: No such style.
     """
     if not (np.isfinite(length) and length > 0):
         raise InvalidValueError(f"length must be a positive number of metres, got {length!r}")
     if week < 0:
         raise InvalidValueError(f"week must be 0 or more, got {week!r}")
+    if seed < 0:
+        raise InvalidValueError(f"seed must be 0 or more, got {seed!r}")
     if style not in STYLES:
         raise UnknownNameError("fruit style", style, STYLES)
     front = _grow_line(seed, 0, length, week, STYLES[style], stem_line)

@@ -89,23 +89,33 @@ def _push_apart(
     """Relax fruit centers (n, 3) until fruits clear each other, the rachis and the main stem, within their reach."""
     centers = centers.copy()
     gap = radii[:, None] + radii[None] + 0.0005
-    for _ in range(200):
+
+    def separate() -> tuple[Array, Array]:
+        """How deep each two fruits overlap (n, n), and how each is to move because of it (n, 3)."""
         delta = centers[:, None] - centers[None]
         distance = np.linalg.norm(delta, axis=-1) + np.eye(len(centers))
         overlap = np.maximum(gap - distance, 0.0) * (1.0 - np.eye(len(centers)))
-        centers += 0.5 * ((overlap / distance)[..., None] * delta).sum(axis=1)
-        for points, room in ((rachis, radii + 0.003), (None, radii + stem_radius + 0.002)):
-            if points is None:
-                away = centers - node
-                away[:, 2] = 0.0
-            else:
-                nearest = np.linalg.norm(centers[:, None] - points[None], axis=-1).argmin(axis=1)
-                away = centers - points[nearest]
-            size = np.maximum(np.linalg.norm(away, axis=1), 1e-6)
-            centers += (np.maximum(room - size, 0.0) / size)[:, None] * away
-        if overlap.max(initial=0.0) < 1e-4:
+        return overlap, 0.5 * ((overlap / distance)[..., None] * delta).sum(axis=1)
+
+    for _ in range(50):
+        for _ in range(200):
+            overlap, move = separate()
+            centers += move
+            for points, room in ((rachis, radii + 0.003), (None, radii + stem_radius + 0.002)):
+                if points is None:
+                    away = centers - node
+                    away[:, 2] = 0.0
+                else:
+                    nearest = np.linalg.norm(centers[:, None] - points[None], axis=-1).argmin(axis=1)
+                    away = centers - points[nearest]
+                size = np.maximum(np.linalg.norm(away, axis=1), 1e-6)
+                centers += (np.maximum(room - size, 0.0) / size)[:, None] * away
+            if overlap.max(initial=0.0) < 1e-4:
+                break
+        # a fruit pushed beyond its pedicel keeps its place and gets the longer pedicel; one pushed onto it moves off
+        towards = centers - joints
+        size = np.maximum(np.linalg.norm(towards, axis=1), 1e-6)
+        centers += (np.maximum(radii + 0.004 - size, 0.0) / size)[:, None] * towards
+        if separate()[0].max(initial=0.0) < 1e-3:
             break
-    # a fruit pushed beyond its pedicel keeps its place and gets the longer pedicel
-    towards = centers - joints
-    size = np.maximum(np.linalg.norm(towards, axis=1), 1e-6)
-    return centers + (np.maximum(radii + 0.004 - size, 0.0) / size)[:, None] * towards
+    return centers
