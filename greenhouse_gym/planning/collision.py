@@ -160,16 +160,19 @@ def joint_reaches(model: mujoco.MjModel) -> Array:
             body = int(model.body_parentid[body])
         return owner.get(body, -1)
 
+    parts: list[list[int]] = [[] for _ in range(n)]
+    for moving in np.flatnonzero(model.geom_bodyid > 0).tolist():
+        if (joint := last_joint(int(model.geom_bodyid[moving]))) >= 0:
+            parts[joint].append(moving)
     from_axis, from_anchor = np.zeros(n), np.zeros(n)
     beyond = 0.0
     for j in reversed(range(n)):
         anchor, axis = data.xanchor[j], data.xaxis[j]
-        for geom in range(model.ngeom):
-            if last_joint(int(model.geom_bodyid[geom])) == j:
-                for point, radius in _geom_points(model, data, geom):
-                    arm = point - anchor
-                    from_axis[j] = max(from_axis[j], float(np.linalg.norm(np.cross(axis, arm))) + radius)
-                    from_anchor[j] = max(from_anchor[j], float(np.linalg.norm(arm)) + radius)
+        for geom in parts[j]:
+            for point, radius in _geom_points(model, data, geom):
+                arm = point - anchor
+                from_axis[j] = max(from_axis[j], float(np.linalg.norm(np.cross(axis, arm))) + radius)
+                from_anchor[j] = max(from_anchor[j], float(np.linalg.norm(arm)) + radius)
         if j + 1 < n:
             gap = data.xanchor[j + 1] - anchor
             from_axis[j] = max(from_axis[j], float(np.linalg.norm(np.cross(axis, gap))) + beyond)

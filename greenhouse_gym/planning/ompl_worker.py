@@ -195,7 +195,9 @@ def _simplified(
 ) -> Array | None:
     """The path shortened and proven free; the planner's own path if only that can be proven, or None."""
     proven = checker.path_is_free(raw, PROOF)
-    problem.lift_limits(PROOF if proven else problem.resolution)
+    problem.limits.hold = False
+    if proven:
+        problem.limits.resolution = PROOF
     simplifier = geometric.PathSimplifier(problem.information)
     simplifier.reduceVertices(found)
     simplifier.partialShortcutPath(found)
@@ -211,17 +213,25 @@ def _to_array(path: Any, joints: int) -> Array:
     return np.array([[state[j] for j in range(joints)] for state in path.getStates()])
 
 
+@dataclass
+class _Limits:
+    """At which resolution motions are checked, and whether the limits on time and checks hold."""
+
+    resolution: float
+    hold: bool = True
+
+
 class _Problem:
-    """A query as OMPL's objects, with limits on time and checks that can be lifted for the simplification."""
+    """A query as OMPL's objects, with limits on time and checks."""
 
     def __init__(self, base: ModuleType, query: Query, checker: CollisionChecker, resolution: float, deadline: float):
         joints = len(query.start)
-        self.resolution = resolution
-        self._limited = True
+        # what the callbacks share; they must not know this object, or C++ and Python would keep each other alive
+        limits = self.limits = _Limits(resolution)
         max_checks = float("inf") if query.max_checks is None else query.max_checks
 
         def exhausted() -> bool:
-            return self._limited and (checker.checks >= max_checks or time.perf_counter() >= deadline)
+            return limits.hold and (checker.checks >= max_checks or time.perf_counter() >= deadline)
 
         def is_free(state: Any) -> bool:
             return not exhausted() and checker.is_free([state[j] for j in range(joints)])
@@ -229,13 +239,13 @@ class _Problem:
         class Motions(base.MotionValidator):  # type: ignore[misc,name-defined]
             """Whole motions per call from C++, checked exactly as the finished path will be."""
 
-            def checkMotion(motions, first: Any, second: Any, last_valid: Any = None) -> bool:  # noqa: N802, N805
+            def checkMotion(self, first: Any, second: Any, last_valid: Any = None) -> bool:  # noqa: N802
                 a = np.array([first[j] for j in range(joints)])
                 b = np.array([second[j] for j in range(joints)])
-                free = not exhausted() and checker.motion_is_free(a, b, self.resolution)
+                free = not exhausted() and checker.motion_is_free(a, b, limits.resolution)
                 if last_valid is not None and not free:
                     # the state that receives the last free configuration may be the motion's end itself
-                    share = 0.0 if exhausted() else checker.free_share(a, b, self.resolution)
+                    share = 0.0 if exhausted() else checker.free_share(a, b, limits.resolution)
                     last_valid.second = share
                     if last_valid.first is not None:
                         for j, angle in enumerate(a + share * (b - a)):
@@ -264,10 +274,6 @@ class _Problem:
             goals.addState(self._state(base, goal))
         self.definition.setGoal(goals)
         self.termination = base.PlannerTerminationCondition(base.PlannerTerminationConditionFn(exhausted))
-
-    def lift_limits(self, resolution: float) -> None:
-        """Check motions at this resolution from now on, whatever time and checks it takes."""
-        self._limited, self.resolution = False, resolution
 
     def _state(self, base: ModuleType, configuration: Array) -> Any:
         state = base.State(self._space)

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from greenhouse_gym.errors import MissingDependencyError
-from greenhouse_gym.planning import PLANNERS, plan, query
+from greenhouse_gym.planning import PLANNERS, goal_configurations, plan, query
 from greenhouse_gym.planning.worker import (
     Worker,
     WorkerCrashedError,
@@ -159,3 +159,18 @@ def test_an_interpreter_exits_cleanly_after_planning(scene: Scene, tmp_path: Pat
 def test_ompl_stays_out_of_this_process(scene: Scene) -> None:
     assert plan(scene, 1).status == "solved"
     assert not any(name.split(".")[0] == "ompl" for name in sys.modules)
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="reads the memory of a process from /proc")
+def test_queries_leave_no_memory_behind(scene: Scene) -> None:
+    """OMPL's objects and Python's callbacks must not keep each other alive: that costs 0.7 MB a query."""
+    goals = goal_configurations(scene, 0, count=3)
+
+    def megabytes_after(queries: int) -> float:
+        for seed in range(queries):
+            assert plan(scene, 0, goals=goals, seed=seed).status == "solved"
+        status = Path(f"/proc/{shared_worker().pid}/status").read_text()
+        return int(status.split("VmRSS:")[1].split()[0]) / 1024
+
+    before = megabytes_after(80)
+    assert megabytes_after(80) - before < 30
