@@ -12,6 +12,7 @@ from greenhouse_gym.capture.frames import Station
 from greenhouse_gym.capture.rig import Rig
 from greenhouse_gym.geometry import Array, transform
 from greenhouse_gym.open3d_loader import open3d
+from greenhouse_gym.reconstruction.normals import image_normals
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings
 
 
@@ -70,7 +71,6 @@ def station_cloud(station: Station, rig: Rig, settings: ReconstructionSettings) 
     The cut is along the rig's forward axis from the reference camera, so that the turned cameras keep the same slab
     of the row as the middle one.
     """
-    o3d = open3d()
     front = rig.cameras[rig.reference].rig_from_camera[0, 3] + settings.foreground
     parts = []
     for name, frame in station.frames.items():
@@ -78,13 +78,12 @@ def station_cloud(station: Station, rig: Rig, settings: ReconstructionSettings) 
         rows, columns = frame.pixels(frame.depth < 2.0 * settings.foreground)
         points = transform(rig_from_camera, frame.back_project(rows, columns))
         kept = points[:, 0] < front
-        part = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points[kept]))
-        part.colors = o3d.utility.Vector3dVector(frame.color[rows[kept], columns[kept]] / 255.0)
-        part = part.voxel_down_sample(settings.voxel)
-        part.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(16))
-        part.orient_normals_towards_camera_location(rig_from_camera[:3, 3])
-        parts.append(from_open3d(part) if len(part.points) else Cloud(*np.zeros((3, 0, 3))))
-    return merge(parts)
+        rows, columns = rows[kept], columns[kept]
+        mask = np.zeros(frame.depth.shape, dtype=bool)
+        mask[rows, columns] = True
+        normals = image_normals(frame, mask, settings.normal_window) @ rig_from_camera[:3, :3].T
+        parts.append(Cloud(points[kept], frame.color[rows, columns] / 255.0, normals))
+    return thin_out(merge(parts), settings.voxel)
 
 
 def voxel_means(cloud: Cloud, voxel: float) -> tuple[Cloud, npt.NDArray[np.int64]]:

@@ -15,6 +15,7 @@ class ReconstructionSettings:
     longest_gap: float = 0.45  # m beyond which two stations share too little to be registered
     min_foreground: float = 0.01  # share of the reference image that must be foreground
     max_shift_difference: float = 0.6  # share of the foreground that may differ at the best shift
+    normal_window: int = 7  # px, side of the window a normal is fitted in
     register_voxel: float = 0.006  # m, clouds given to ICP
     coarse_distance: float = 0.02  # m, point-to-plane ICP
     fine_distance: float = 0.006  # m, generalized ICP
