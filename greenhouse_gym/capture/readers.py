@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from greenhouse_gym.capture.frames import Station
-from greenhouse_gym.capture.recordings import INDEX, Recording, open_folder, read_frame
+from greenhouse_gym.capture.recordings import INDEX, Recording, checked_pose, open_folder, read_frame
 from greenhouse_gym.capture.rig import Camera, Intrinsics, Rig
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import Array, pose
@@ -52,9 +52,8 @@ def _open_calibrated(folder: Path) -> Recording:
     files = sorted(folder.glob("camera_*.yaml"))
     if not files:
         raise FileFormatError(folder, "no camera_*.yaml with the intrinsics")
-    text = files[0].read_text()
     try:
-        fields = dict(re.findall(r"^(\w+):\s*(\S.*)$", text, re.M))
+        fields = dict(re.findall(r"^(\w+):\s*(\S.*)$", files[0].read_text(), re.M))
         matrix = json.loads(fields["camera_matrix"])
         intrinsics = Intrinsics(
             int(fields["image_width"]), int(fields["image_height"]), matrix[0], matrix[4], matrix[2], matrix[5]
@@ -66,12 +65,16 @@ def _open_calibrated(folder: Path) -> Recording:
     poses: dict[int, Array] = {}
     truth = folder / "groundtruth_handeye.txt"
     if truth.exists():
-        rows = _numbers(truth, 8)
-        for row in rows:
+        for row in _numbers(truth, 8):
+            if not row[4:8].any():
+                raise FileFormatError(truth, f"the quaternion of image {row[0]:.0f} is zero")
             poses[int(row[0])] = pose(_rotation_from_quaternion(row[4:8]), row[1:4])
     color = sorted((folder / "rgb").glob("*.png"))
+    for file in color:
+        if poses and not file.stem.isdecimal():
+            raise FileFormatError(file, f"expected a number as the image's name, by which {truth.name} gives its pose")
     return _single_camera(folder, intrinsics, color, [folder / "depth" / f.name for f in color],
-                          [poses.get(int(f.stem)) for f in color])  # fmt: skip
+                          [poses.get(int(f.stem)) if poses else None for f in color])  # fmt: skip
 
 
 def _open_open3d(folder: Path) -> Recording:
@@ -88,15 +91,14 @@ def _open_open3d(folder: Path) -> Recording:
     poses: list[Array | None] = [None] * len(color)
     trajectory = folder / "trajectory.log"
     if trajectory.exists():
-        lines = [line for line in trajectory.read_text().splitlines() if line.strip()]
         try:
+            lines = [line for line in trajectory.read_text().splitlines() if line.strip()]
             blocks = [np.array([list(map(float, row.split())) for row in lines[i + 1 : i + 5]])
                       for i in range(0, len(lines), 5)]  # fmt: skip
-            if any(block.shape != (4, 4) for block in blocks):
-                raise ValueError("a pose is not 4x4")
         except ValueError as error:
             raise FileFormatError(trajectory, f"expected a header line and a 4x4 matrix per image ({error})") from error
-        poses[: len(blocks)] = blocks[: len(color)]
+        for i, block in enumerate(blocks[: len(color)]):
+            poses[i] = checked_pose(trajectory, f"pose {i}", block)
     return _single_camera(folder, intrinsics, color, [folder / "depth" / f"{f.stem}.png" for f in color], poses)
 
 
@@ -124,6 +126,8 @@ def _numbers(path: Path, columns: int) -> Array:
         rows = np.array([list(map(float, line.split())) for line in path.read_text().splitlines() if line.strip()])
         if rows.ndim != 2 or rows.shape[1] != columns:
             raise ValueError(f"shape {rows.shape}")
+        if not np.isfinite(rows).all():
+            raise ValueError("not all are finite")
     except ValueError as error:
         raise FileFormatError(path, f"expected {columns} numbers a line ({error})") from error
     return rows

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from greenhouse_gym.capture.frames import RgbdFrame, Station
@@ -118,7 +119,10 @@ def open_folder(path: str | Path) -> Recording:
         rig = Rig({name: record.camera() for name, record in index.cameras.items()}, index.reference)
     except (InvalidValueError, ValueError) as error:
         raise FileFormatError(file, str(error)) from error
-    poses = [_checked_pose(file, i, record.world_from_station) for i, record in enumerate(index.stations)]
+    poses = [
+        None if matrix is None else checked_pose(file, f"station {i}: world_from_station", matrix)
+        for i, matrix in enumerate(record.world_from_station for record in index.stations)
+    ]
 
     def load(i: int) -> Station:
         record = index.stations[i]
@@ -200,13 +204,18 @@ def write_recording(recording: Recording, path: str | Path, on_station: Callable
     return folder
 
 
-def _checked_pose(file: Path, station: int, matrix: list[list[float]] | None) -> Array | None:
-    if matrix is None:
-        return None
+def checked_pose(file: Path, what: str, matrix: npt.ArrayLike) -> Array:
+    """A (4, 4) pose that was read from a file.
+
+    Raises:
+        FileFormatError: It is none: wrong shape, not finite, no rotation, or another last row than 0 0 0 1.
+    """
     try:
         result = np.array(matrix, dtype=np.float64)
-        if result.shape != (4, 4) or not is_rotation(result[:3, :3], tolerance=1e-4):
+        if result.shape != (4, 4) or not np.isfinite(result).all() or not np.allclose(result[3], [0, 0, 0, 1]):
+            raise GreenhouseError
+        if not is_rotation(result[:3, :3], tolerance=1e-4):
             raise GreenhouseError
     except (ValueError, GreenhouseError) as error:
-        raise FileFormatError(file, f"station {station}: world_from_station is not a 4x4 pose: {matrix}") from error
+        raise FileFormatError(file, f"{what} is not a 4x4 pose: {matrix!r}") from error
     return result

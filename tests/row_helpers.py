@@ -1,0 +1,65 @@
+"""A short simulated row, rendered and reconstructed once per test process, and recordings made of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from greenhouse_gym.capture import Intrinsics, Recording, RgbdFrame, Station, simulate_recording, three_camera_rig
+from greenhouse_gym.geometry import Array
+from greenhouse_gym.plants import PlantRow, grow_row
+from greenhouse_gym.reconstruction import RowCloud, reconstruct_row
+
+HALF = three_camera_rig(Intrinsics(424, 240, 212.1, 212.1, 211.5, 119.5))
+"""The rig with a quarter of the pixels."""
+
+
+def from_stations(stations: Sequence[Station], like: Recording) -> Recording:
+    return replace(like, size=len(stations), load=stations.__getitem__)
+
+
+@cache
+def grown() -> PlantRow:
+    return grow_row(seed=1, length=0.5)
+
+
+@cache
+def full_recording() -> Recording:
+    """Five stations of the half metre of `grown`, as `SEED_RIG` sees them."""
+    simulated = simulate_recording(grown(), seed=1)
+    return from_stations(list(simulated), simulated)
+
+
+@cache
+def half_recording() -> Recording:
+    """The same walk with a quarter of the pixels."""
+    simulated = simulate_recording(grown(), seed=1, rig=HALF)
+    return from_stations(list(simulated), simulated)
+
+
+def true_poses(recording: Recording) -> Array:
+    poses = [station.world_from_station for station in recording]
+    assert all(pose is not None for pose in poses)
+    return np.array(poses, dtype=np.float64)
+
+
+@cache
+def full_cloud() -> RowCloud:
+    return reconstruct_row(full_recording())
+
+
+@cache
+def half_cloud() -> RowCloud:
+    return reconstruct_row(half_recording())
+
+
+def black(station: Station) -> Station:
+    """The station without a single depth reading."""
+    frames = {
+        name: RgbdFrame(frame.color, np.zeros_like(frame.depth), frame.intrinsics)
+        for name, frame in station.frames.items()
+    }
+    return Station(frames, station.world_from_station)
