@@ -57,13 +57,15 @@ def train(
 
 
 def compare(
-    agents: Annotated[list[str], typer.Argument(help="Planner names, policy names or files, 'random', 'still'.")],
+    agents: Annotated[
+        list[str] | None, typer.Argument(help="Planner names, policy names or files, 'random', 'still'.")
+    ] = None,
     bank: Bank = "default",
     split: Annotated[str, typer.Option(help="train, validation or test.")] = "test",
     episodes: int = 100,
     seed: int = 0,
 ) -> None:
-    """Run agents on the same episodes and print one table."""
+    """Run agents on the same episodes and print one table; by default a planner, the shipped policy and chance."""
     from greenhouse_gym.agents import Agent, PlannerAgent, PolicyAgent, RandomAgent, StillAgent
     from greenhouse_gym.evaluation import compare as run
     from greenhouse_gym.evaluation import comparison_table
@@ -76,13 +78,14 @@ def compare(
             return StillAgent()
         return PlannerAgent(name) if name in PLANNERS else PolicyAgent.load(name)
 
-    table = comparison_table(run([agent(name) for name in agents], split, episodes, seed, bank=bank))
+    chosen = [agent(name) for name in agents or ("RRTConnect", "ppo-ur5e", "random")]
+    table = comparison_table(run(chosen, split, episodes, seed, bank=bank))
     typer.echo(table, nl=False)
 
 
 def render(
-    scene: Annotated[str, typer.Option(help="Name of the scene in the bank.")],
-    out: Annotated[Path, typer.Option(help="PNG file.")],
+    scene: Annotated[str, typer.Option(help="Name of the scene in the bank; its first one by default.")] = "",
+    out: Annotated[Path, typer.Option(help="PNG file.")] = Path("scene.png"),
     target: Annotated[int, typer.Option(help="Index of the tomato the red line goes to.")] = 0,
     bank: Bank = "default",
 ) -> None:
@@ -93,5 +96,6 @@ def render(
     from greenhouse_gym.scene.render import picture_of_path
 
     arm = get_robot("ur5e")
-    save(picture_of_path(SceneBank.open(bank).scene(scene), arm, target, arm.start[None]), out)
+    opened = SceneBank.open(bank)
+    save(picture_of_path(opened.scene(scene) if scene else opened[0], arm, target, arm.start[None]), out)
     CONSOLE.print(f"picture in {out}")
