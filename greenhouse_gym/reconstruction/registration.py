@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -56,9 +57,11 @@ class Registration(NamedTuple):
     information: Array | None = None
 
 
-def view_station(station: Station, rig: Rig, settings: ReconstructionSettings) -> StationView:
-    """Prepare a station for registration and merging."""
-    cloud = station_cloud(station, rig, settings)
+def view_station(
+    station: Station, rig: Rig, settings: ReconstructionSettings, bias: Mapping[str, float] | None = None
+) -> StationView:
+    """Prepare a station for registration and merging; ``bias`` is the cameras' relative depth error by name."""
+    cloud = station_cloud(station, rig, settings, bias)
     return StationView(station.frames[rig.reference], cloud, to_open3d(thin_out(cloud, settings.register_voxel)))
 
 
@@ -116,28 +119,32 @@ def mean_offset(first: RgbdFrame, second: RgbdFrame, shift: Shift, settings: Rec
     return np.asarray((here - there).mean(axis=0))
 
 
-def icp(first: Any, second: Any, start: Array, settings: ReconstructionSettings) -> Any:
-    """Open3D ICP from ``start``: point-to-plane at the coarse distance, then generalized at the fine one."""
+def coarse_icp(first: Any, second: Any, start: Array, settings: ReconstructionSettings) -> Array:
+    """Open3D's point-to-plane ICP from ``start`` at the coarse distance: first_from_second."""
     registration = open3d().pipelines.registration
-    coarse = registration.registration_icp(
+    result = registration.registration_icp(
         second, first, settings.coarse_distance, start,
         registration.TransformationEstimationPointToPlane(),
-        registration.ICPConvergenceCriteria(max_iteration=40),
+        registration.ICPConvergenceCriteria(max_iteration=settings.icp_iterations),
     )  # fmt: skip
+    return np.asarray(result.transformation)
+
+
+def fine_icp(first: Any, second: Any, start: Array, settings: ReconstructionSettings) -> Any:
+    """Open3D's generalized ICP from ``start`` at the fine distance."""
+    registration = open3d().pipelines.registration
     return registration.registration_generalized_icp(
-        second, first, settings.fine_distance, coarse.transformation,
+        second, first, settings.fine_distance, start,
         registration.TransformationEstimationForGeneralizedICP(),
-        registration.ICPConvergenceCriteria(max_iteration=40),
+        registration.ICPConvergenceCriteria(max_iteration=settings.icp_iterations),
     )  # fmt: skip
 
 
 def refine(
     first: StationView, second: StationView, start: Array, rig: Rig, steps: int, settings: ReconstructionSettings
 ) -> Registration:
-    """ICP from a start pose, and the checks that accept or refuse its result."""
-    if not len(first.sparse.points) or not len(second.sparse.points):
-        return Registration(start, False, "a station has no foreground points")
-    result = icp(first.sparse, second.sparse, start, settings)
+    """Fine ICP from a start pose, and the checks that accept or refuse its result."""
+    result = fine_icp(first.sparse, second.sparse, start, settings)
     first_from_second = np.round(np.array(result.transformation), 9)  # the last bits depend on Open3D's threads
     head = rig.cameras[rig.reference].rig_from_camera[:3, 3]
     reason = implausible(first_from_second, head, steps, settings)
@@ -187,4 +194,7 @@ def register(
     if offset is None:
         return Registration(np.eye(4), False, "no pixels shared at the best shift", shift)
     in_rig = camera.rig_from_camera[:3, :3] @ offset
-    return refine(first, second, pose(translation=in_rig), rig, steps, settings)._replace(shift=shift, offset=in_rig)
+    if not len(first.sparse.points) or not len(second.sparse.points):
+        return Registration(np.eye(4), False, "a station has no foreground points", shift, in_rig)
+    start = coarse_icp(first.sparse, second.sparse, pose(translation=in_rig), settings)
+    return refine(first, second, start, rig, steps, settings)._replace(shift=shift, offset=in_rig)

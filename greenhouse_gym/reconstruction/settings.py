@@ -19,11 +19,13 @@ class ReconstructionSettings:
     register_voxel: float = 0.006  # m, clouds given to ICP
     coarse_distance: float = 0.02  # m, point-to-plane ICP
     fine_distance: float = 0.006  # m, generalized ICP
+    icp_iterations: int = 30
     min_fitness: float = 0.35  # share of points with a partner within fine_distance
     max_rmse: float = 0.0035  # m over those partners
     max_rotation: float = 0.14  # rad between two stations, twice the tripod's +-2 degrees about each axis
     max_sideways: float = 0.06  # m across the row between two stations
-    neighbours: int = 2  # also register stations that many steps apart, and optimize the pose graph
+    links: tuple[int, ...] = (2, 4)  # also register stations that many steps apart, and optimize the pose graph
+    calibration_stations: int = 5  # from which the cameras' relative depth errors are estimated; 0 = not at all
     voxel: float = 0.002  # m, the merged cloud
     outlier_radius: float = 0.006  # m
     outlier_neighbours: int = 8
