@@ -108,18 +108,24 @@ def default_splits(rows: int) -> list[str]:
 
 def finished_scenes(folder: Path, recording: Recording, settings: BuildSettings) -> list[Scene]:
     """Scenes of a recording that an earlier build left in the folder, if they were made the same way; else none."""
-    found = []
-    for path in sorted(folder.glob(f"{recording.name}-[0-9]*.json")):
-        try:
-            found.append(Scene.load(path))
-        except FileFormatError:
-            return []
+    try:
+        found = [
+            Scene.load(folder / f"{scene_name(recording, k)}.json")
+            for k in range(len(stand_positions(recording, settings)))
+        ]
+    except FileFormatError:
+        return []
     same = all(
         (scene.provenance.settings, scene.provenance.package_version, scene.provenance.recording_sha256)
         == (_plain(settings), version("greenhouse-gym"), _fingerprint(recording))
         for scene in found
     )
-    return found if same and len(found) == len(stand_positions(recording, settings)) else []
+    return found if same else []
+
+
+def scene_name(recording: Recording, stand: int) -> str:
+    """Name of the scene at a stand of a recording, counted from 0."""
+    return f"{recording.name}-{stand:02d}"
 
 
 def stand_positions(recording: Recording, settings: BuildSettings) -> list[float]:
@@ -171,7 +177,7 @@ def cut_scenes(
         near = _at_most(near, settings.primitives)
         scenes.append(
             Scene(
-                name=f"{recording.name}-{k:02d}",
+                name=scene_name(recording, k),
                 tomatoes=tuple(s for s in near[0] if isinstance(s, Tomato)),
                 stems=tuple(s for s in near[1] if isinstance(s, Stem)),
                 clutter=tuple(near[2]),

@@ -82,8 +82,10 @@ class RowRaycaster:
     def look(self, world_from_camera: Array, intrinsics: Intrinsics) -> View:
         """Cast one ray per pixel from a camera at ``world_from_camera`` (4, 4)."""
         o3d = open3d()
+        # Open3D counts pixels from their corners, the package (as OpenCV) from their centers
+        corner_based = intrinsics.matrix + [[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]]
         rays = self.scene.create_rays_pinhole(
-            o3d.core.Tensor(intrinsics.matrix),
+            o3d.core.Tensor(corner_based),
             o3d.core.Tensor(invert(world_from_camera)),
             intrinsics.width,
             intrinsics.height,

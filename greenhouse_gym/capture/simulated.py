@@ -46,12 +46,14 @@ def simulate_recording(
         A recording whose stations carry their true poses, in the row's frame.
 
     Raises:
-        InvalidValueError: ``stations`` is not positive.
+        InvalidValueError: ``stations`` is not positive, or ``seed`` is negative.
     """
     settings = settings or WalkSettings()
     count = round(row.length / settings.step) if stations is None else stations
     if count < 1:
         raise InvalidValueError(f"stations must be at least 1, got {count}")
+    if seed < 0:
+        raise InvalidValueError(f"seed must be 0 or more, got {seed!r}")
     poses = walk(count, seed, rig, settings)
     biases = draw_biases(len(rig.cameras), np.random.default_rng([seed, 1]), settings.noise)
     caster = RowRaycaster.of(row)

@@ -6,6 +6,7 @@ import sys
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 
 from greenhouse_gym.cli import acting, demo, sensing
 from greenhouse_gym.errors import GreenhouseError
@@ -32,5 +33,5 @@ def main() -> None:
     try:
         app()
     except GreenhouseError as error:
-        Console(stderr=True).print(f"[bold red]error:[/] {error}", highlight=False, markup=True)
+        Console(stderr=True).print(f"[bold red]error:[/] {escape(str(error))}", highlight=False, soft_wrap=True)
         sys.exit(1)

@@ -94,7 +94,7 @@ def camera_cloud(frame: RgbdFrame, name: str, rig: Rig, settings: Reconstruction
 def station_cloud(
     station: Station, rig: Rig, settings: ReconstructionSettings, bias: Mapping[str, float] | None = None
 ) -> Cloud:
-    """What all cameras of a station see of the foreground, in the rig frame, one point per voxel of the merged cloud."""
+    """What all cameras of a station see of the foreground, in the rig frame, one point per voxel of the merged row."""
     bias = bias or {}
     parts = [camera_cloud(frame, name, rig, settings, bias.get(name, 0.0)) for name, frame in station.frames.items()]
     return thin_out(merge(parts), settings.voxel)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import zipfile
+import zlib
 from dataclasses import asdict
 from pathlib import Path
 
@@ -40,14 +41,15 @@ def load_row(path: str | Path) -> RowCloud:
         FileFormatError: The file is missing, damaged, or lacks an array.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with Path(path).open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             arrays = {name: file[name] for name in _ARRAYS}
             report = json.loads(str(file["report"]))
+        stations = tuple(StationReport(**station) for station in report.pop("stations"))
+        row_report = RowReport(stations, **report)
     except OSError as error:
         raise FileFormatError(path, f"cannot be read ({error.strerror or error})") from error
-    except (KeyError, ValueError, zipfile.BadZipFile) as error:
+    except (KeyError, TypeError, ValueError, EOFError, AttributeError, zipfile.BadZipFile, zlib.error) as error:
         raise FileFormatError(path, f"not a row cloud: {error}") from error
     for name in ("points", "colors", "normals"):
         arrays[name] = arrays[name].astype(np.float64)
-    stations = tuple(StationReport(**station) for station in report.pop("stations"))
-    return RowCloud(**arrays, report=RowReport(stations, **report))
+    return RowCloud(**arrays, report=row_report)

@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, require_choice
 from greenhouse_gym.geometry import Array
@@ -41,8 +42,8 @@ def simplify_points(cloud: AnyCloud, target: int = 10_000) -> AnyCloud:
         raise InvalidValueError(f"target must be at least 1, got {target}")
     if len(cloud) <= target:
         return cloud
-    extent = float(np.ptp(cloud.points, axis=0).max())
-    small, large = extent / 1e5, max(extent, 1e-9)
+    extent = max(float(np.ptp(cloud.points, axis=0).max()), 1e-9)
+    small, large = extent / 1e5, extent
     rows = np.arange(len(cloud))
     for _ in range(40):
         size = float(np.sqrt(small * large))
@@ -74,12 +75,12 @@ def triangulate(cloud: Cloud, method: str = "ball_pivoting", faces: int | None =
 
     Args:
         cloud: Points with normals.
-        method: ``"ball_pivoting"``, ``"poisson"`` (trimmed where the cloud is thin) or ``"alpha_shape"``.
+        method: ``"ball_pivoting"``, ``"poisson"`` (trimmed where no points are near) or ``"alpha_shape"``.
         faces: Most faces wanted, by quadric decimation; None keeps all.
 
     Raises:
         UnknownNameError: No such method.
-        InvalidValueError: Fewer than four points.
+        InvalidValueError: Fewer than four points, or points in a plane for an alpha shape.
     """
     require_choice("meshing method", method, METHODS)
     if len(cloud) < 4:
@@ -92,10 +93,13 @@ def triangulate(cloud: Cloud, method: str = "ball_pivoting", faces: int | None =
         radii = o3d.utility.DoubleVector([1.2 * spacing, 2.0 * spacing, 4.0 * spacing])
         mesh = o3d.geometry.TriangleMesh.create_from_point_cloud_ball_pivoting(points, radii)
     elif method == "poisson":
-        mesh, density = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(points, depth=9, n_threads=1)
-        mesh.remove_vertices_by_mask(np.asarray(density) < np.quantile(np.asarray(density), 0.05))
+        mesh, _ = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(points, depth=9, n_threads=1)
+        mesh.remove_vertices_by_mask(cKDTree(cloud.points).query(np.asarray(mesh.vertices))[0] > 3.0 * spacing)
     else:
-        mesh = o3d.geometry.TriangleMesh.create_from_point_cloud_alpha_shape(points, 3.0 * spacing)
+        try:
+            mesh = o3d.geometry.TriangleMesh.create_from_point_cloud_alpha_shape(points, 3.0 * spacing)
+        except RuntimeError as error:
+            raise InvalidValueError(f"these {len(cloud)} points have no alpha shape: {error}") from error
     mesh = _clean(mesh)
     if faces is not None and len(mesh.triangles) > faces:
         mesh = _clean(mesh.simplify_quadric_decimation(faces))

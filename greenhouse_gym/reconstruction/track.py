@@ -119,7 +119,7 @@ def register_stations(
         registering += perf_counter() - read
         if on_station:
             on_station(i)
-    if len(good) < min(2, len(recording)):
+    if len(good) < max(1, min(2, len(recording))):
         reasons = "; ".join(f"station {r.station}: {r.reason}" for r in reports if r.reason)
         raise ReconstructionError(
             f"recording {recording.name!r}: {len(good)} of {len(recording)} stations registered, at least 2 needed. "

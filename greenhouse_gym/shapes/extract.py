@@ -77,9 +77,12 @@ def _checked(points: npt.ArrayLike, colors: npt.ArrayLike, normals: npt.ArrayLik
             raise InvalidValueError(f"{name} must be of shape ({len(p)}, 3), got {array.shape}")
         if not np.isfinite(array).all():
             raise InvalidValueError(f"{name} must be finite, {(~np.isfinite(array)).any(axis=1).sum()} rows are not")
-    extent = np.ptp(p, axis=0).max(initial=0.0) if len(p) else 0.0
-    if extent > 200.0:
-        raise InvalidValueError(f"the cloud is {extent:.0f} m across; expected metres, not millimetres")
+    depth, height, length = np.sort(np.ptp(p, axis=0)) if len(p) else np.zeros(3)
+    if length > 200.0 or height > 20.0:
+        raise InvalidValueError(
+            f"the cloud is {length:.0f} by {height:.0f} by {depth:.0f} m, no row of plants; "
+            "expected metres, not millimetres, and no stray points"
+        )
     if n is None:
         n = _estimated_normals(p)
     return Cloud(p, c, n)

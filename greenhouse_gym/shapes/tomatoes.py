@@ -22,6 +22,8 @@ from greenhouse_gym.shapes.settings import ShapeSettings
 _REDNESS = np.array([-0.12, 0.07, 0.34, 0.77])
 """(R - G) / (R + G) of the skin at ripeness 0, 1/3, 2/3, 1: green, turning, orange, red."""
 
+_MOST_CELLS = 1e8  # of one histogram; 400 MB
+
 
 @dataclass(frozen=True, eq=False)
 class SphereFit:
@@ -64,7 +66,22 @@ def find_tomatoes(points: Array, normals: Array, colors: Array, settings: ShapeS
 
 
 def vote(points: Array, normals: Array, settings: ShapeSettings) -> Array:
-    """Candidate spheres (k, 4), center and radius, at the peaks of the vote, strongest first."""
+    """Candidate spheres (k, 4), center and radius, at the peaks of the vote.
+
+    A cloud too large for one histogram is cut in two across its longest axis, and each half votes with what is near.
+    """
+    if not len(points):
+        return np.zeros((0, 4))
+    extent = np.ptp(points, axis=0) + 2 * settings.radii[1]
+    if np.prod(extent / settings.vote_cell) > _MOST_CELLS:
+        axis = int(np.argmax(extent))
+        low, high = points[:, axis].min(), points[:, axis].max()
+        middle, reach = (low + high) / 2, 2 * settings.radii[1]
+        parts = []
+        for near, own in ((points[:, axis] < middle + reach, -1), (points[:, axis] > middle - reach, 1)):
+            found = vote(points[near], normals[near], settings)
+            parts.append(found[np.where(found[:, axis] < middle, -1, 1) == own])
+        return np.concatenate(parts)
     cell = settings.vote_cell
     low = points.min(axis=0) - settings.radii[1] - 2 * cell
     shape = np.ceil((points.max(axis=0) + settings.radii[1] + 2 * cell - low) / cell).astype(int) + 1

@@ -1,0 +1,324 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from row_helpers import full_cloud, full_recording, grown, true_poses
+
+from greenhouse_gym.accuracy import match_tomatoes, visible_tomatoes
+from greenhouse_gym.capture.raycast import RIPENESS_COLORS
+from greenhouse_gym.crop import Tomato
+from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.geometry import Sphere, distance_to_shapes, invert, transform
+from greenhouse_gym.shapes import RowShapes, ShapeSettings, extract_shapes
+from greenhouse_gym.shapes.clutter import bounding_box, cover, pieces
+from greenhouse_gym.shapes.tomatoes import group_trusses, ripeness_of
+
+SETTINGS = ShapeSettings()
+RED = np.array([0.76, 0.10, 0.07])
+CAMERA = np.array([0.0, 0.2, 1.1])
+
+
+def half_sphere(
+    center: tuple[float, float, float], radius: float, seed: int = 0, noise: float = 0.001, color: np.ndarray = RED
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points, colors and normals of the side of a ball that faces the camera, one per 2 mm square, with noise."""
+    random = np.random.default_rng(seed)
+    unit = random.normal(size=(int(4 * np.pi * radius**2 / 0.002**2), 3))
+    unit /= np.linalg.norm(unit, axis=1, keepdims=True)
+    unit = unit[unit @ (CAMERA - center) > 0]
+    points = center + (radius + random.normal(0, noise, (len(unit), 1))) * unit
+    normals = unit + random.normal(0, 0.1, unit.shape)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    colors = np.clip(color * random.uniform(0.5, 1.2, (len(unit), 1)), 0, 1)
+    return points, colors, normals
+
+
+def together(*parts: tuple[np.ndarray, np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return tuple(np.concatenate(arrays) for arrays in zip(*parts, strict=True))  # type: ignore[return-value]
+
+
+def cylinder(
+    x: float, y: float, low: float, high: float, radius: float, seed: int = 0
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The side of an upright cylinder that faces the camera."""
+    random = np.random.default_rng(seed)
+    count = int(np.pi * radius * (high - low) / 0.002**2)
+    angle = random.uniform(np.pi / 2, 3 * np.pi / 2, count)
+    normals = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(count)])
+    points = np.column_stack([np.full(count, x), np.full(count, y), random.uniform(low, high, count)])
+    points += (radius + random.normal(0, 0.0007, (count, 1))) * normals
+    return points, np.tile([0.36, 0.50, 0.22], (count, 1)), normals
+
+
+def plane(seed: int = 0, count: int = 20_000) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    random = np.random.default_rng(seed)
+    points = np.column_stack([np.full(count, 0.5), random.uniform(0, 0.4, count), random.uniform(0.9, 1.3, count)])
+    points[:, 0] += random.normal(0, 0.001, count)
+    return points, np.full((count, 3), 0.5), np.tile([-1.0, 0.0, 0.0], (count, 1))
+
+
+def assert_nothing_swallows(shapes: RowShapes, points: np.ndarray) -> None:
+    """No single shape holds much more than what was seen there."""
+    extent = np.ptp(points, axis=0).max() if len(points) else 0.0
+    for shape in (*shapes.tomatoes, *shapes.stems):
+        assert shape.radius < 0.05
+    for box in shapes.clutter:
+        assert 2 * box.half_extents.max() <= np.sqrt(3) * extent + 0.01
+
+
+# -- ideal shapes -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("radius", [0.0225, 0.028, 0.0335])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_single_ball_is_found(radius: float, seed: int) -> None:
+    center = (0.45, 0.2 + 0.05 * seed, 1.1 - 0.07 * seed)
+    shapes = extract_shapes(*half_sphere(center, radius, seed))
+    assert len(shapes.tomatoes) == 1
+    assert np.linalg.norm(shapes.tomatoes[0].center - center) < 0.002
+    assert shapes.tomatoes[0].radius == pytest.approx(radius, rel=0.02)
+    assert shapes.stems == ()
+
+
+def test_normals_are_estimated_when_they_are_left_out() -> None:
+    points, colors, _ = half_sphere((0.45, 0.2, 1.1), 0.03, noise=0.0005)
+    shapes = extract_shapes(points, colors)
+    assert len(shapes.tomatoes) == 1
+    assert np.linalg.norm(shapes.tomatoes[0].center - [0.45, 0.2, 1.1]) < 0.002
+
+
+@pytest.mark.parametrize("apart", [(0, 1, 0), (0, 0, 1), (0, 0.6, 0.8)])
+def test_touching_balls_are_told_apart(apart: tuple[float, float, float]) -> None:
+    first = np.array([0.45, 0.15, 1.1])
+    second = first + 0.056 * np.array(apart)
+    shapes = extract_shapes(*together(half_sphere(tuple(first), 0.03, 0), half_sphere(tuple(second), 0.026, 1)))
+    matches = match_tomatoes([Tomato(first, 0.03, truss=0), Tomato(second, 0.026, truss=0)], shapes.tomatoes)
+    assert len(matches.true) == len(shapes.tomatoes) == 2
+    assert matches.center_errors.max() < 0.002
+    assert matches.diameter_errors.max() < 0.06
+    assert len({tomato.truss for tomato in shapes.tomatoes}) == 1
+
+
+def test_balls_far_apart_hang_on_trusses_of_their_own() -> None:
+    shapes = extract_shapes(*together(half_sphere((0.45, 0.1, 1.1), 0.03, 0), half_sphere((0.45, 0.3, 1.1), 0.03, 1)))
+    assert sorted(tomato.truss for tomato in shapes.tomatoes) == [0, 1]
+    np.testing.assert_array_equal(group_trusses(np.zeros((1, 3)), np.array([0.03]), 0.015), [0])
+
+
+@pytest.mark.parametrize(("ripeness", "color"), list(zip(np.linspace(0, 1, 4), RIPENESS_COLORS, strict=True)))
+def test_ripeness_comes_from_the_color_whatever_the_light(ripeness: float, color: np.ndarray) -> None:
+    shapes = extract_shapes(*half_sphere((0.45, 0.2, 1.1), 0.03, color=color))
+    assert shapes.tomatoes[0].ripeness == pytest.approx(ripeness, abs=0.1)
+    assert ripeness_of(color[None]) == pytest.approx(ripeness, abs=0.1)
+    assert ripeness_of(0.4 * color[None]) == pytest.approx(ripeness_of(color[None]), abs=1e-3)
+    assert 0.0 <= ripeness_of(np.zeros((3, 3))) <= 1.0
+
+
+@pytest.mark.parametrize("radius", [0.005, 0.007])
+def test_an_upright_cylinder_is_a_main_stem(radius: float) -> None:
+    shapes = extract_shapes(*cylinder(0.5, 0.2, 0.6, 1.4, radius))
+    assert shapes.tomatoes == ()
+    main = [stem for stem in shapes.stems if stem.kind == "main"]
+    assert main
+    assert min(s.start[2] for s in main) == pytest.approx(0.6, abs=0.05)
+    assert max(s.end[2] for s in main) == pytest.approx(1.4, abs=0.05)
+    for stem in main:
+        assert stem.radius == pytest.approx(radius, abs=0.0015)
+        for end in (stem.start, stem.end):
+            np.testing.assert_allclose(end[:2], [0.5, 0.2], atol=0.002)
+
+
+def test_a_hidden_part_of_a_stem_is_bridged() -> None:
+    shapes = extract_shapes(*together(cylinder(0.5, 0.2, 0.6, 0.9, 0.006, 0), cylinder(0.5, 0.2, 1.05, 1.4, 0.006, 1)))
+    main = [stem for stem in shapes.stems if stem.kind == "main"]
+    hidden = np.column_stack([np.full(20, 0.5), np.full(20, 0.2), np.linspace(0.9, 1.05, 20)])
+    assert distance_to_shapes(hidden, main).min(axis=1).max() < 0.002
+
+
+def test_a_ball_before_a_stem() -> None:
+    shapes = extract_shapes(*together(cylinder(0.55, 0.2, 0.6, 1.5, 0.006), half_sphere((0.47, 0.22, 1.1), 0.03)))
+    assert len(shapes.tomatoes) == 1
+    assert {stem.kind for stem in shapes.stems} == {"main"}
+
+
+# -- clutter ----------------------------------------------------------------------------------------------------------
+
+
+def test_boxes_cover_every_point_of_big_pieces() -> None:
+    points, colors, normals = together(plane(), half_sphere((0.4, 0.8, 1.1), 0.08))  # too large for a tomato
+    shapes = extract_shapes(points, colors, normals)
+    assert shapes.tomatoes == ()
+    # the cloud is thinned out to 3 mm before, so a point may stick out by less than that
+    assert distance_to_shapes(points, shapes.clutter).min(axis=1).max() < 0.003
+    volume = sum(8 * np.prod(box.half_extents) for box in shapes.clutter)
+    assert volume < 4 * (0.4 * 0.4 * 0.02 + 0.16**3 / 2)
+
+
+@pytest.mark.parametrize("budget", [1, 2, 5, 40])
+def test_cover_keeps_its_budget_and_holds_all_points(budget: int) -> None:
+    random = np.random.default_rng(0)
+    points = random.normal(0, 0.003, (3000, 3)) + random.uniform(0, 0.5, (1, 3)) * np.linspace(0, 1, 3000)[:, None]
+    boxes = cover(points, budget, SETTINGS)
+    assert 1 <= len(boxes) <= budget + 1
+    assert distance_to_shapes(points, boxes).min(axis=1).max() < 1e-9
+
+
+def test_more_boxes_waste_less() -> None:
+    bent = np.column_stack([np.cos(t := np.linspace(0, np.pi, 4000)), np.sin(t), 0 * t]) * 0.2
+    bent += np.random.default_rng(0).normal(0, 0.002, bent.shape)
+    volumes = [sum(8 * np.prod(b.half_extents) for b in cover(bent, n, SETTINGS)) for n in (1, 4, 16)]
+    assert volumes[2] < 0.5 * volumes[1] < 0.25 * volumes[0]
+
+
+def test_pieces_hang_together_within_the_gap() -> None:
+    line = np.column_stack([np.linspace(0, 0.1, 40), np.zeros(40), np.zeros(40)])
+    label = pieces(np.concatenate([line, line + [0, 0.03, 0]]), 0.012)
+    assert len(np.unique(label[:40])) == len(np.unique(label[40:])) == 1
+    assert label[0] != label[40]
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 50])
+def test_a_bounding_box_holds_its_points(count: int) -> None:
+    points = np.random.default_rng(count).uniform(-0.1, 0.1, (count, 3))
+    assert distance_to_shapes(points, [bounding_box(points)]).max() < 1e-9
+    assert distance_to_shapes(np.repeat(points[:1], 4, axis=0), [bounding_box(points)]).max() < 1e-9
+
+
+# -- what is no row ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 10, 49])
+def test_few_points_hold_nothing(count: int) -> None:
+    points = np.random.default_rng(0).uniform(0, 1, (count, 3))
+    shapes = extract_shapes(points, np.full((count, 3), 0.5))
+    assert (shapes.tomatoes, shapes.stems, shapes.clutter) == ((), (), ())
+
+
+def test_equal_points_hold_nothing() -> None:
+    points = np.tile([0.5, 0.2, 1.1], (500, 1))
+    for normals in (None, np.tile([-1.0, 0.0, 0.0], (500, 1))):
+        shapes = extract_shapes(points, np.full((500, 3), 0.5), normals)
+        assert shapes.tomatoes == ()
+        assert shapes.stems == ()
+        assert_nothing_swallows(shapes, points)
+
+
+@pytest.mark.parametrize("with_normals", [True, False])
+def test_a_plane_is_clutter(with_normals: bool) -> None:
+    points, colors, normals = plane()
+    shapes = extract_shapes(points, colors, normals if with_normals else None)
+    assert shapes.tomatoes == ()
+    assert shapes.stems == ()
+    assert_nothing_swallows(shapes, points)
+    assert sum(8 * np.prod(box.half_extents) for box in shapes.clutter) < 0.4 * 0.4 * 0.03
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_holds_no_fruit(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    points = random.uniform([0.3, 0.0, 0.8], [0.6, 0.5, 1.4], (20_000, 3))
+    normals = random.normal(size=(20_000, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    shapes = extract_shapes(points, random.random((20_000, 3)), normals)
+    assert shapes.tomatoes == ()
+    assert_nothing_swallows(shapes, points)
+
+
+def test_a_line_of_points_does_no_harm() -> None:
+    points = np.column_stack([np.full(500, 0.5), np.linspace(0, 0.5, 500), np.full(500, 1.0)])
+    shapes = extract_shapes(points, np.full((500, 3), 0.5))
+    assert shapes.tomatoes == ()
+    assert_nothing_swallows(shapes, points)
+
+
+@pytest.mark.parametrize("which", ["points", "colors", "normals"])
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_what_is_not_finite_is_refused(which: str, bad: float) -> None:
+    arrays = dict(zip(("points", "colors", "normals"), half_sphere((0.45, 0.2, 1.1), 0.03), strict=True))
+    arrays[which][7, 1] = bad
+    with pytest.raises(InvalidValueError, match=rf"{which} must be finite, 1 rows"):
+        extract_shapes(**arrays)
+
+
+@pytest.mark.parametrize("which", ["colors", "normals"])
+def test_arrays_must_fit_together(which: str) -> None:
+    arrays = dict(zip(("points", "colors", "normals"), half_sphere((0.45, 0.2, 1.1), 0.03), strict=True))
+    arrays[which] = arrays[which][:-1]
+    with pytest.raises(InvalidValueError, match=which):
+        extract_shapes(**arrays)
+    with pytest.raises(InvalidValueError, match="points"):
+        extract_shapes(arrays["points"][:, :2], arrays["points"])
+
+
+@pytest.mark.parametrize("scale", [1000.0, 100.0])
+def test_millimetres_and_centimetres_are_refused(scale: float) -> None:
+    points, colors, normals = together(
+        cylinder(0.5, 0.2, 0.6, 1.5, 0.006), half_sphere((0.47, 0.22, 1.1), 0.03), plane(count=5000)
+    )
+    with pytest.raises(InvalidValueError, match="metres"):
+        extract_shapes(scale * points, colors, normals)
+
+
+def test_stray_points_far_away() -> None:
+    parts = plane(count=5000), half_sphere((0.4, 0.2, 1.1), 0.03)
+
+    def stray(place: list[float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return np.array([place]), np.full((1, 3), 0.5), np.array([[-1.0, 0.0, 0.0]])
+
+    shapes = extract_shapes(*together(*parts, stray([10.0, 15.0, 9.0])))
+    assert len(shapes.tomatoes) == 1
+    with pytest.raises(InvalidValueError, match="stray"):
+        extract_shapes(*together(*parts, stray([60.0, 60.0, 60.0])))
+
+
+def test_a_long_row_is_searched_piece_by_piece(monkeypatch: pytest.MonkeyPatch) -> None:
+    balls = [half_sphere((0.45, y, 1.1), 0.03, k) for k, y in enumerate(np.arange(0.0, 1.0, 0.09))]
+    whole = extract_shapes(*together(*balls))
+    monkeypatch.setattr("greenhouse_gym.shapes.tomatoes._MOST_CELLS", 5e4)
+    pieced = extract_shapes(*together(*balls))
+    assert len(whole.tomatoes) == len(pieced.tomatoes) == len(balls)
+    for a, b in zip(whole.tomatoes, pieced.tomatoes, strict=True):
+        np.testing.assert_allclose(a.center, b.center, atol=1e-4)
+        assert a.radius == pytest.approx(b.radius, abs=1e-4)
+
+
+# -- a simulated row --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.xdist_group("row")
+def test_tomatoes_of_a_simulated_row_against_the_truth() -> None:
+    cloud, recording, row = full_cloud(), full_recording(), grown()
+    shapes = extract_shapes(cloud.points, cloud.colors, cloud.normals)
+    poses = true_poses(recording)
+    centers = transform(invert(poses[0]), np.array([t.center for t in row.tomatoes]))
+    true = [Tomato(c, t.radius, t.truss, t.ripeness) for c, t in zip(centers, row.tomatoes, strict=True)]
+    visible = visible_tomatoes(row, recording.rig, poses)
+    matches = match_tomatoes(true, shapes.tomatoes)
+    assert visible.sum() > 15
+    assert visible[matches.true].sum() >= 0.75 * visible.sum()
+    assert len(matches.found) >= 0.9 * len(shapes.tomatoes)
+    assert np.median(matches.center_errors) < 0.004
+    assert np.median(matches.diameter_errors) < 0.06
+    ripeness = [(true[i].ripeness, shapes.tomatoes[j].ripeness) for i, j in zip(*matches[:2], strict=True)]
+    assert np.median([abs(a - b) for a, b in ripeness if a is not None and b is not None]) < 0.15
+    assert {stem.kind for stem in shapes.stems} >= {"main", "peduncle"}
+    assert_nothing_swallows(shapes, cloud.points)
+    for tomato in shapes.tomatoes:  # the truth and the found have one frame
+        assert isinstance(tomato, Sphere)
+    again = extract_shapes(cloud.points, cloud.colors, cloud.normals)
+    assert [t.center.tolist() for t in again.tomatoes] == [t.center.tolist() for t in shapes.tomatoes]
+
+
+def test_matching_is_one_to_one_within_a_radius() -> None:
+    true = [Tomato([0, 0.1 * k, 1], 0.03, truss=0) for k in range(3)]
+    found = [
+        Tomato([0, 0.201, 1], 0.033, truss=0),
+        Tomato([0, 0.01, 1], 0.03, truss=0),
+        Tomato([0, 0.02, 1], 0.03, truss=0),
+    ]
+    matches = match_tomatoes(true, found)
+    np.testing.assert_array_equal(matches.true, [0, 2])
+    np.testing.assert_array_equal(matches.found, [1, 0])
+    np.testing.assert_allclose(matches.center_errors, [0.01, 0.001])
+    np.testing.assert_allclose(matches.diameter_errors, [0.0, 0.1])
+    assert len(match_tomatoes(true, []).true) == len(match_tomatoes([], found).true) == 0

@@ -1,0 +1,306 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from row_helpers import HALF, half_cloud, half_recording
+
+from greenhouse_gym import build
+from greenhouse_gym.build import BuildSettings, build_bank, cut_scenes, default_splits, level, stand_positions
+from greenhouse_gym.capture import Recording, write_recording
+from greenhouse_gym.crop import Stem, Tomato
+from greenhouse_gym.errors import InvalidValueError, ReconstructionError
+from greenhouse_gym.geometry import Box, distance_to_shapes, pose, rotation_about, rotation_angle
+from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, RowReport
+from greenhouse_gym.scene import Scene, SceneBank, Target
+from greenhouse_gym.scene.bank import MANIFEST
+from greenhouse_gym.shapes import RowShapes, ShapeSettings, extract_shapes
+
+
+def recording(name: str = "row", stations: int = 20) -> Recording:
+    """A recording whose stations nobody looks at."""
+    return Recording(name, HALF, stations, lambda i: pytest.fail("a station was read"))
+
+
+def made_up_row(stations: int, tilt: float = 0.0) -> RowCloud:
+    """A walk of ten centimetres a station; each station tilted to the other side of the one before."""
+    poses = np.array([pose(rotation_about([1, 0, 0], tilt * (-1) ** k), [0.0, 0.1 * k, 0.0]) for k in range(stations)])
+    none = np.zeros((0, 3))
+    return RowCloud(none, none, none, np.zeros(0, np.int32), np.ones(stations, bool), poses, RowReport(()))
+
+
+def made_up_shapes(length: float = 2.0, boxes: int = 300) -> RowShapes:
+    """Stems every half metre, a tomato on each, and many small boxes."""
+    random = np.random.default_rng(0)
+    places = np.arange(0.25, length, 0.5)
+    return RowShapes(
+        tuple(Tomato([0.4, y, 1.0 + 1e-7], 0.0300004, truss=k, ripeness=0.5) for k, y in enumerate(places)),
+        tuple(Stem([0.52, y, 0.5], [0.5, y + 0.01, 2.1], 0.006, kind="main") for y in places),
+        tuple(
+            Box(random.uniform([0.3, 0, 0.6], [0.8, length, 1.9]), random.uniform(0.003, 0.02, 3),
+                rotation_about(random.normal(size=3), random.uniform(0, 3)))
+            for _ in range(boxes)
+        ),
+    )  # fmt: skip
+
+
+# -- parts ------------------------------------------------------------------------------------------------------------
+
+
+def test_splits_of_rows() -> None:
+    assert default_splits(1) == ["train"]
+    assert default_splits(2) == ["train", "validation"]
+    assert default_splits(3) == ["train", "train", "validation"]
+    assert default_splits(6) == ["train"] * 4 + ["validation", "test"]
+    for rows in range(1, 40):
+        splits = default_splits(rows)
+        assert len(splits) == rows
+        assert splits.count("train") >= max(1, rows // 2)
+        assert 0 <= splits.count("validation") - splits.count("test") <= 1
+
+
+@pytest.mark.parametrize(
+    ("stations", "expected"), [(20, [0.5, 1.0, 1.5]), (5, [0.25]), (1, [0.05]), (10, [0.5]), (25, [0.5, 1.0, 1.5, 2.0])]
+)
+def test_stands_are_spread_evenly_along_the_walk(stations: int, expected: list[float]) -> None:
+    positions = stand_positions(recording(stations=stations), BuildSettings())
+    if stations == 25:
+        np.testing.assert_allclose(np.diff(positions), 0.5)
+        assert np.mean(positions) == pytest.approx(1.25)
+    else:
+        np.testing.assert_allclose(positions, expected)
+
+
+def test_leveling_takes_the_mean_of_the_stations() -> None:
+    row = made_up_row(10)
+    tilted = pose(rotation_about([1.0, 2.0, 0.0], 0.03))
+    first_tilted = replace(row, world_from_station=np.array([tilted @ p for p in row.world_from_station]))
+    np.testing.assert_allclose(level(first_tilted), np.linalg.inv(tilted), atol=1e-9)
+    np.testing.assert_allclose(level(row), np.eye(4), atol=1e-12)
+    assert rotation_angle(level(made_up_row(10, tilt=0.02))[:3, :3]) < 1e-9
+    gone = first_tilted.world_from_station.copy()
+    gone[4] = np.nan
+    partial = replace(first_tilted, world_from_station=gone, registered=np.arange(10) != 4)
+    np.testing.assert_allclose(level(partial), np.linalg.inv(tilted), atol=1e-9)
+
+
+def scenes_of(shapes: RowShapes, settings: BuildSettings | None = None) -> list[Scene]:
+    return cut_scenes(made_up_row(20), shapes, recording(), 2, settings or BuildSettings())
+
+
+def test_scenes_stand_before_the_stem_line() -> None:
+    scenes = scenes_of(made_up_shapes())
+    assert [scene.name for scene in scenes] == ["row-00", "row-01", "row-02"]
+    for scene, station in zip(scenes, (5, 10, 15), strict=True):
+        stems = [stem for stem in scene.stems if stem.kind == "main"]
+        assert np.median([(s.start[0] + s.end[0]) / 2 for s in stems]) == pytest.approx(0.60, abs=1e-4)
+        assert scene.stand.shoulder_height == 1.1
+        assert (scene.provenance.row, scene.provenance.week) == ("row", 2)
+        assert scene.provenance.station == station
+        assert scene.targets == ()
+        near = sorted(tomato.center[1] for tomato in scene.tomatoes)
+        np.testing.assert_allclose(near, np.arange(len(near)) * 0.5 + near[0], atol=1e-4)
+        assert all(abs(y) < 0.8 for y in near)
+
+
+@pytest.mark.parametrize("primitives", [300, 60])
+def test_scenes_keep_to_the_number_of_primitives_and_the_arms_reach(primitives: int) -> None:
+    settings = BuildSettings(primitives=primitives)
+    shapes = made_up_shapes(boxes=900)
+    fuller = scenes_of(shapes, BuildSettings(primitives=100_000))
+    for scene, whole in zip(scenes_of(shapes, settings), fuller, strict=True):
+        assert len(scene.obstacles) <= primitives < len(whole.obstacles)
+        distance = distance_to_shapes(np.array([[0.0, 0.0, 1.1]]), scene.obstacles)[0]
+        assert distance.max() < settings.reach
+        everything = np.sort(distance_to_shapes(np.array([[0.0, 0.0, 1.1]]), whole.obstacles)[0])
+        np.testing.assert_allclose(np.sort(distance), everything[: len(distance)])  # the nearest are kept
+
+
+def rounded(numbers: np.ndarray | float) -> bool:
+    return bool(np.allclose(np.asarray(numbers), np.round(numbers, 5), rtol=0, atol=1e-12))
+
+
+def test_shapes_are_rounded_to_a_hundredth_of_a_millimetre() -> None:
+    for scene in cut_scenes(made_up_row(20, tilt=0.01), made_up_shapes(), recording(), None, BuildSettings()):
+        for shape in scene.obstacles:
+            if isinstance(shape, Box):
+                assert rounded(shape.center)
+                assert rounded(shape.half_extents)
+            elif isinstance(shape, Stem):
+                assert rounded(shape.start)
+                assert rounded(shape.end)
+                assert rounded(shape.radius)
+            else:
+                assert rounded(shape.center)
+                assert rounded(shape.radius)
+
+
+def test_without_main_stems_the_nominal_distance_counts() -> None:
+    shapes = replace(made_up_shapes(), stems=())
+    scene = scenes_of(shapes)[0]
+    assert {round(float(t.center[0]), 5) for t in scene.tomatoes} == {0.5}  # 0.4 from the camera's line, 0.6 - 0.5 more
+
+
+def test_an_empty_row_gives_empty_scenes() -> None:
+    assert [scene.obstacles for scene in scenes_of(RowShapes())] == [(), (), ()]
+
+
+# -- whole builds -----------------------------------------------------------------------------------------------------
+
+
+class Calls:
+    """Cheap stand-ins for the three long stages that count how often they are called."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.reconstructed: list[str] = []
+        self.fail_at: str | None = None
+        monkeypatch.setattr(build, "reconstruct_row", self.reconstruct)
+        monkeypatch.setattr(build, "extract_shapes", lambda *_: made_up_shapes(boxes=20))
+        monkeypatch.setattr(build, "certify_targets", self.certify)
+
+    def reconstruct(self, recording: Recording, settings: ReconstructionSettings) -> RowCloud:
+        if recording.name == self.fail_at:
+            raise ReconstructionError("stopped")
+        self.reconstructed.append(recording.name)
+        return made_up_row(len(recording))
+
+    def certify(self, scene: Scene, robot: str, seed: int) -> tuple[Target, ...]:
+        return tuple(Target(tomato=i, difficulty="easy", robot=robot) for i in range(len(scene.tomatoes)))
+
+
+@pytest.fixture
+def calls(monkeypatch: pytest.MonkeyPatch) -> Calls:
+    return Calls(monkeypatch)
+
+
+ROWS = [recording("a"), recording("b"), recording("a-1")]
+
+
+def built(out: Path, rows: list[Recording] = ROWS, **options: Any) -> SceneBank:
+    return build_bank(rows, out, "made-up", on_stage=lambda text: None, **options)
+
+
+def test_a_bank_of_three_rows(calls: Calls, tmp_path: Path) -> None:
+    bank = built(tmp_path, weeks=[0, 1, 2], description="Made up.")
+    assert calls.reconstructed == ["a", "b", "a-1"]
+    assert len(bank) == 9
+    assert bank.names("train") == ["a-00", "a-01", "a-02", "b-00", "b-01", "b-02"]
+    assert bank.names("validation") == ["a-1-00", "a-1-01", "a-1-02"]
+    assert [bank.scene(f"{row}-00").provenance.week for row in ("a", "b", "a-1")] == [0, 1, 2]
+    assert all(len(scene.targets) == len(scene.tomatoes) > 0 for scene in bank)
+    assert SceneBank.open(tmp_path).manifest.description == "Made up."
+
+
+def test_a_finished_build_is_not_repeated_and_gives_the_same_files(calls: Calls, tmp_path: Path) -> None:
+    built(tmp_path)
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    calls.reconstructed.clear()
+    built(tmp_path)
+    assert calls.reconstructed == []
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_an_interrupted_build_goes_on_where_it_stopped(calls: Calls, tmp_path: Path) -> None:
+    calls.fail_at = "b"
+    with pytest.raises(ReconstructionError):
+        built(tmp_path)
+    assert not (tmp_path / MANIFEST).exists()
+    calls.fail_at = None
+    assert len(built(tmp_path)) == 9
+    assert calls.reconstructed == ["a", "b", "a-1"]
+
+
+def test_a_row_of_which_a_scene_is_missing_or_damaged_is_built_anew(calls: Calls, tmp_path: Path) -> None:
+    built(tmp_path)
+    calls.reconstructed.clear()
+    (tmp_path / "a-01.json").unlink()
+    content = (tmp_path / "b-02.json").read_bytes()
+    (tmp_path / "b-02.json").write_bytes(content[:100])
+    built(tmp_path)
+    assert calls.reconstructed == ["a", "b"]
+    assert (tmp_path / "b-02.json").read_bytes() == content
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        BuildSettings(width=1.5),
+        BuildSettings(reconstruction=ReconstructionSettings(voxel=0.003)),
+        BuildSettings(reconstruction=ReconstructionSettings(step_range=(0.02, 0.15))),
+        BuildSettings(shapes=ShapeSettings(radii=(0.02, 0.04))),
+    ],
+)
+def test_changed_settings_rebuild_every_row(calls: Calls, tmp_path: Path, settings: BuildSettings) -> None:
+    built(tmp_path)
+    calls.reconstructed.clear()
+    built(tmp_path, settings=settings)
+    assert calls.reconstructed == ["a", "b", "a-1"]
+    built(tmp_path, settings=settings)
+    assert calls.reconstructed == ["a", "b", "a-1"]
+
+
+def test_another_version_rebuilds(calls: Calls, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    built(tmp_path)
+    monkeypatch.setattr(build, "version", lambda name: "99.0")
+    built(tmp_path)
+    assert calls.reconstructed == ["a", "b", "a-1"] * 2
+
+
+def test_another_recording_of_the_same_name_rebuilds(calls: Calls, tmp_path: Path) -> None:
+    first = replace(ROWS[0], folder=tmp_path / "one")
+    second = replace(ROWS[0], folder=tmp_path / "two")
+    for row, content in ((first, "1"), (second, "2")):
+        assert row.folder is not None
+        row.folder.mkdir()
+        (row.folder / "recording.json").write_text(content)
+    for row in (first, first, second):
+        built(tmp_path / "bank", [row])
+    assert calls.reconstructed == ["a", "a"]
+    hashes = [scene.provenance.recording_sha256 for scene in SceneBank.open(tmp_path / "bank")]
+    assert len(set(hashes)) == 1
+    assert hashes[0] is not None
+
+
+def test_stages_are_told(calls: Calls, tmp_path: Path) -> None:
+    told: list[str] = []
+    build_bank([recording("a")], tmp_path, "b", on_stage=told.append)
+    build_bank([recording("a")], tmp_path, "b", on_stage=told.append)
+    assert told[0] == "a: reconstructing 20 stations"
+    assert told[-1] == "a: 3 scenes already built"
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"rows": []},
+        {"rows": [recording("a"), recording("a")]},
+        {"splits": ["train"]},
+        {"weeks": [1, 2]},
+    ],
+)
+def test_lists_must_fit_together(calls: Calls, tmp_path: Path, options: dict[str, Any]) -> None:
+    with pytest.raises(InvalidValueError, match="expected recordings with different names"):
+        built(tmp_path, **options)
+    assert calls.reconstructed == []
+
+
+@pytest.mark.xdist_group("row")
+def test_a_bank_from_a_recording_on_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every stage is the real one, but for the certificates."""
+    from greenhouse_gym.capture import open_recording
+
+    monkeypatch.setattr(build, "certify_targets", lambda scene, robot, seed: ())
+    opened = open_recording(write_recording(half_recording(), tmp_path / "recording"))
+    bank = build_bank([opened], tmp_path / "bank", "real", on_stage=lambda text: None)
+    (scene,) = bank
+    assert scene.provenance.recording == "simulated-1"
+    assert scene.provenance.recording_sha256 is not None
+    assert len(scene.tomatoes) > 5
+    assert len(scene.obstacles) <= 300
+    assert {stem.kind for stem in scene.stems} >= {"main"}
+    expected = extract_shapes(half_cloud().points, half_cloud().colors, half_cloud().normals)
+    assert abs(len(scene.tomatoes) - len(expected.tomatoes)) <= 0.5 * len(expected.tomatoes)
+    scene.to_mjcf("ur5e")

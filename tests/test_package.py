@@ -1,0 +1,108 @@
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("dist")
+    command = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(out), str(ROOT)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    (built,) = out.glob("*.whl")
+    return built
+
+
+@pytest.fixture(scope="module")
+def unpacked(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("site")
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(folder)
+    return folder
+
+
+def run(code: str, unpacked: Path, cwd: Path) -> str:
+    """Run code that finds the package in the unpacked wheel only, from a folder that has nothing to do with it."""
+    environment = {**os.environ, "PYTHONPATH": str(unpacked)}
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, env=environment, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_the_wheel_carries_code_data_and_types(unpacked: Path) -> None:
+    package = unpacked / "greenhouse_gym"
+    for path in sorted((ROOT / "greenhouse_gym").rglob("*.py")):
+        assert (unpacked / path.relative_to(ROOT)).is_file()
+    for name in ("py.typed", "robots/ur5e.xml"):
+        assert (package / name).read_bytes() == (ROOT / "greenhouse_gym" / name).read_bytes()
+    for folder in ("tests", "benchmarks", "scenes", "training"):
+        assert not (unpacked / folder).exists()
+    assert next(unpacked.glob("*.dist-info/licenses/LICENSE")).is_file()
+    assert "greenhouse-gym = greenhouse_gym.cli:main" in next(unpacked.glob("*.dist-info/entry_points.txt")).read_text()
+
+
+@pytest.mark.parametrize("bank", ["default", "mini"])
+def test_the_wheel_carries_the_shipped_banks(unpacked: Path, bank: str) -> None:
+    shipped = unpacked / "greenhouse_gym" / "_scenes" / bank
+    assert (shipped / "manifest.json").is_file()
+    for path in (ROOT / "scenes" / bank).iterdir():
+        assert (shipped / path.name).read_bytes() == path.read_bytes()
+
+
+def test_the_wheel_is_small(wheel: Path) -> None:
+    assert wheel.stat().st_size < 30e6
+
+
+def test_an_installed_package_uses_its_own_data(unpacked: Path, tmp_path: Path) -> None:
+    code = (
+        "import greenhouse_gym, gymnasium\n"
+        "from greenhouse_gym.scene import SceneBank\n"
+        "env = gymnasium.make('TomatoReach-v0', bank='mini')\n"
+        "env.reset(seed=0)\n"
+        "env.step(env.action_space.sample())\n"
+        "print(greenhouse_gym.__file__)\n"
+        "print(SceneBank.open('mini').path)\n"
+        "print(len([scene for scene in SceneBank.open('mini')]))\n"
+    )
+    module, bank, count = run(code, unpacked, tmp_path).splitlines()
+    assert Path(module).is_relative_to(unpacked)
+    assert Path(bank) == (unpacked / "greenhouse_gym" / "_scenes" / "mini").resolve()
+    assert int(count) == 4
+
+
+def test_the_banks_scenes_are_whole() -> None:
+    """Every scene opens with its checksum, has reachable targets, and no row lies in two splits."""
+    from greenhouse_gym.scene import SceneBank
+
+    bank = SceneBank.open("default")
+    rows = {
+        split: {bank.scene(name).provenance.row for name in bank.names(split)}
+        for split in ("train", "validation", "test")
+    }
+    assert all(rows.values())
+    assert not rows["train"] & rows["test"]
+    assert not rows["train"] & rows["validation"]
+    for scene in bank:
+        assert len(scene.obstacles) <= 300
+        assert len(scene.targets) == len(scene.tomatoes)
+    reachable = [target for scene in bank for target in scene.targets if target.difficulty != "unreachable"]
+    assert all(target.witness for target in reachable)
+    assert {target.difficulty for target in reachable} == {"easy", "medium", "hard"}
+    assert set(SceneBank.open("mini").names()) <= set(bank.names())
+
+
+def test_versions_agree() -> None:
+    from importlib.metadata import version
+
+    import greenhouse_gym
+
+    assert greenhouse_gym.__version__ == version("greenhouse-gym")
