@@ -118,7 +118,8 @@ def _reconstruct(out: Path, row: PlantRow, recording: Recording, report: Report)
     from greenhouse_gym.accuracy import distance_to_truth, drift
     from greenhouse_gym.cli.pictures import registration_pictures, row_pictures
     from greenhouse_gym.reconstruction import ReconstructionSettings, save_row, simplify_points, triangulate
-    from greenhouse_gym.reconstruction.row import merge_stations, register_stations, remove_outliers
+    from greenhouse_gym.reconstruction.row import merge_stations, remove_outliers
+    from greenhouse_gym.reconstruction.track import register_stations
 
     settings = ReconstructionSettings()
     with report.stage("reconstruct") as results:

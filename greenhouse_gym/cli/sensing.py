@@ -41,8 +41,9 @@ def reconstruct(
     from greenhouse_gym.paths import write_atomically
     from greenhouse_gym.reconstruction import ReconstructionSettings, report_as_json, save_row, simplify_points
     from greenhouse_gym.reconstruction import triangulate as make_mesh
-    from greenhouse_gym.reconstruction.row import merge_stations, register_stations, remove_outliers
+    from greenhouse_gym.reconstruction.row import merge_stations, remove_outliers
     from greenhouse_gym.reconstruction.surface import save_mesh, save_points
+    from greenhouse_gym.reconstruction.track import register_stations
 
     settings = ReconstructionSettings()
     opened = open_recording(recording)

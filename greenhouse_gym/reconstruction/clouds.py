@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.capture.frames import Station
+from greenhouse_gym.capture.frames import RgbdFrame, Station
 from greenhouse_gym.capture.rig import Rig
 from greenhouse_gym.geometry import Array, transform
 from greenhouse_gym.open3d_loader import open3d
@@ -65,24 +66,37 @@ def thin_out(cloud: Cloud, voxel: float) -> Cloud:
     return from_open3d(to_open3d(cloud).voxel_down_sample(voxel)) if len(cloud) else cloud
 
 
-def station_cloud(station: Station, rig: Rig, settings: ReconstructionSettings) -> Cloud:
-    """What all cameras of a station see of the foreground, in the rig frame, thinned out to the merged cloud's voxel.
+def camera_cloud(frame: RgbdFrame, name: str, rig: Rig, settings: ReconstructionSettings, bias: float = 0.0) -> Cloud:
+    """What one camera of a station sees of the foreground, in the rig frame.
 
     The cut is along the rig's forward axis from the reference camera, so that the turned cameras keep the same slab
     of the row as the middle one.
+
+    Args:
+        frame: The camera's image.
+        name: The camera.
+        rig: The rig.
+        settings: All settings.
+        bias: Relative depth error of the camera; depths are divided by (1 + bias).
     """
     front = rig.cameras[rig.reference].rig_from_camera[0, 3] + settings.foreground
-    parts = []
-    for name, frame in station.frames.items():
-        rig_from_camera = rig.cameras[name].rig_from_camera
-        rows, columns = frame.pixels(frame.depth < 2.0 * settings.foreground)
-        points = transform(rig_from_camera, frame.back_project(rows, columns))
-        kept = points[:, 0] < front
-        rows, columns = rows[kept], columns[kept]
-        mask = np.zeros(frame.depth.shape, dtype=bool)
-        mask[rows, columns] = True
-        normals = image_normals(frame, mask, settings.normal_window) @ rig_from_camera[:3, :3].T
-        parts.append(Cloud(points[kept], frame.color[rows, columns] / 255.0, normals))
+    rig_from_camera = rig.cameras[name].rig_from_camera
+    rows, columns = frame.pixels(frame.depth < 2.0 * settings.foreground)
+    points = transform(rig_from_camera, frame.back_project(rows, columns) / (1.0 + bias))
+    kept = points[:, 0] < front
+    rows, columns = rows[kept], columns[kept]
+    mask = np.zeros(frame.depth.shape, dtype=bool)
+    mask[rows, columns] = True
+    normals = image_normals(frame, mask, settings.normal_window) @ rig_from_camera[:3, :3].T
+    return Cloud(points[kept], frame.color[rows, columns] / 255.0, normals)
+
+
+def station_cloud(
+    station: Station, rig: Rig, settings: ReconstructionSettings, bias: Mapping[str, float] | None = None
+) -> Cloud:
+    """What all cameras of a station see of the foreground, in the rig frame, one point per voxel of the merged row."""
+    bias = bias or {}
+    parts = [camera_cloud(frame, name, rig, settings, bias.get(name, 0.0)) for name, frame in station.frames.items()]
     return thin_out(merge(parts), settings.voxel)
 
 

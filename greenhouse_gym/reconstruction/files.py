@@ -13,7 +13,8 @@ import numpy as np
 
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.paths import write_atomically
-from greenhouse_gym.reconstruction.row import RowCloud, RowReport, StationReport
+from greenhouse_gym.reconstruction.row import RowCloud
+from greenhouse_gym.reconstruction.track import RowReport, StationReport
 
 _ARRAYS = ("points", "colors", "normals", "station", "registered", "world_from_station")
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from greenhouse_gym.geometry import Array, pose, rotation_angle, transform
 from greenhouse_gym.open3d_loader import open3d
 from greenhouse_gym.reconstruction.clouds import Cloud, station_cloud, thin_out, to_open3d
 from greenhouse_gym.reconstruction.foreground import foreground_mask
+from greenhouse_gym.reconstruction.icp import Surface, align
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings
 from greenhouse_gym.reconstruction.shift import Shift, along, best_shift, overlap
 
@@ -24,12 +26,14 @@ class StationView:
     Attributes:
         frame: The reference camera's image; None once it is no longer needed.
         cloud: All cameras' foreground in the rig frame, at the merged cloud's density.
-        sparse: The same as Open3D's point cloud, thinned out for ICP.
+        surface: The same, a little thinner, for others to be registered to.
+        source: The same, thinner still, to be registered to others.
     """
 
     frame: RgbdFrame | None
     cloud: Cloud
-    sparse: Any
+    surface: Surface
+    source: Cloud
 
 
 class Registration(NamedTuple):
@@ -56,10 +60,17 @@ class Registration(NamedTuple):
     information: Array | None = None
 
 
-def view_station(station: Station, rig: Rig, settings: ReconstructionSettings) -> StationView:
-    """Prepare a station for registration and merging."""
-    cloud = station_cloud(station, rig, settings)
-    return StationView(station.frames[rig.reference], cloud, to_open3d(thin_out(cloud, settings.register_voxel)))
+def view_station(
+    station: Station, rig: Rig, settings: ReconstructionSettings, bias: Mapping[str, float] | None = None
+) -> StationView:
+    """Prepare a station for registration and merging; ``bias`` is the cameras' relative depth error by name."""
+    cloud = station_cloud(station, rig, settings, bias)
+    return StationView(
+        station.frames[rig.reference],
+        cloud,
+        Surface(thin_out(cloud, settings.surface_voxel)),
+        thin_out(cloud, settings.register_voxel),
+    )
 
 
 def row_axis(camera: Camera) -> int:
@@ -116,42 +127,32 @@ def mean_offset(first: RgbdFrame, second: RgbdFrame, shift: Shift, settings: Rec
     return np.asarray((here - there).mean(axis=0))
 
 
-def icp(first: Any, second: Any, start: Array, settings: ReconstructionSettings) -> Any:
-    """Open3D ICP from ``start``: point-to-plane at the coarse distance, then generalized at the fine one."""
+def coarse_icp(first: Cloud, second: Cloud, start: Array, settings: ReconstructionSettings) -> Array:
+    """Open3D's point-to-plane ICP from ``start`` at the coarse distance: first_from_second."""
     registration = open3d().pipelines.registration
-    coarse = registration.registration_icp(
-        second, first, settings.coarse_distance, start,
+    result = registration.registration_icp(
+        to_open3d(second), to_open3d(first), settings.coarse_distance, start,
         registration.TransformationEstimationPointToPlane(),
-        registration.ICPConvergenceCriteria(max_iteration=40),
+        registration.ICPConvergenceCriteria(max_iteration=settings.icp_iterations),
     )  # fmt: skip
-    return registration.registration_generalized_icp(
-        second, first, settings.fine_distance, coarse.transformation,
-        registration.TransformationEstimationForGeneralizedICP(),
-        registration.ICPConvergenceCriteria(max_iteration=40),
-    )  # fmt: skip
+    return np.asarray(result.transformation)
 
 
 def refine(
     first: StationView, second: StationView, start: Array, rig: Rig, steps: int, settings: ReconstructionSettings
 ) -> Registration:
-    """ICP from a start pose, and the checks that accept or refuse its result."""
-    if not len(first.sparse.points) or not len(second.sparse.points):
-        return Registration(start, False, "a station has no foreground points")
-    result = icp(first.sparse, second.sparse, start, settings)
-    first_from_second = np.round(np.array(result.transformation), 9)  # the last bits depend on Open3D's threads
+    """Fine ICP from a start pose, and the checks that accept or refuse its result."""
+    result = align(first.surface, second.source, start, settings)
+    first_from_second = np.round(result.first_from_second, 9)  # the start's last bits depend on Open3D's threads
     head = rig.cameras[rig.reference].rig_from_camera[:3, 3]
     reason = implausible(first_from_second, head, steps, settings)
     if result.fitness < settings.min_fitness:
         reason = f"fitness {result.fitness:.2f} below {settings.min_fitness}"
-    elif result.inlier_rmse > settings.max_rmse:
-        reason = f"inlier RMSE {1e3 * result.inlier_rmse:.1f} mm above {1e3 * settings.max_rmse:.1f} mm"
-    information = open3d().pipelines.registration.get_information_matrix_from_point_clouds(
-        second.sparse, first.sparse, settings.fine_distance, first_from_second
-    )
+    elif result.rmse > settings.max_rmse:
+        reason = f"inlier RMSE {1e3 * result.rmse:.1f} mm above {1e3 * settings.max_rmse:.1f} mm"
     return Registration(
-        first_from_second, not reason, reason, fitness=result.fitness, rmse=result.inlier_rmse,
-        information=np.asarray(information),
-    )  # fmt: skip
+        first_from_second, not reason, reason, fitness=result.fitness, rmse=result.rmse, information=result.information
+    )
 
 
 def implausible(first_from_second: Array, head: Array, steps: int, settings: ReconstructionSettings) -> str:
@@ -187,4 +188,7 @@ def register(
     if offset is None:
         return Registration(np.eye(4), False, "no pixels shared at the best shift", shift)
     in_rig = camera.rig_from_camera[:3, :3] @ offset
-    return refine(first, second, pose(translation=in_rig), rig, steps, settings)._replace(shift=shift, offset=in_rig)
+    if not len(first.source) or not len(second.source):
+        return Registration(np.eye(4), False, "a station has no foreground points", shift, in_rig)
+    start = coarse_icp(first.source, second.source, pose(translation=in_rig), settings)
+    return refine(first, second, start, rig, steps, settings)._replace(shift=shift, offset=in_rig)

@@ -16,14 +16,18 @@ class ReconstructionSettings:
     min_foreground: float = 0.01  # share of the reference image that must be foreground
     max_shift_difference: float = 0.6  # share of the foreground that may differ at the best shift
     normal_window: int = 7  # px, side of the window a normal is fitted in
-    register_voxel: float = 0.006  # m, clouds given to ICP
+    register_voxel: float = 0.006  # m, the cloud that ICP moves
+    surface_voxel: float = 0.003  # m, the cloud that ICP moves it to
     coarse_distance: float = 0.02  # m, point-to-plane ICP
-    fine_distance: float = 0.006  # m, generalized ICP
+    fine_distance: float = 0.005  # m, ICP between surfaces that face the same way
+    facing: float = 0.8  # least cosine between the normals of two points that are partners
+    icp_iterations: int = 30
     min_fitness: float = 0.35  # share of points with a partner within fine_distance
-    max_rmse: float = 0.0035  # m over those partners
+    max_rmse: float = 0.0025  # m along the normals of those partners
     max_rotation: float = 0.14  # rad between two stations, twice the tripod's +-2 degrees about each axis
     max_sideways: float = 0.06  # m across the row between two stations
-    neighbours: int = 2  # also register stations that many steps apart, and optimize the pose graph
+    links: tuple[int, ...] = (2, 3)  # also register stations that many steps apart, and optimize the pose graph
+    calibration_stations: int = 5  # from which the cameras' relative depth errors are estimated; 0 = not at all
     voxel: float = 0.002  # m, the merged cloud
     outlier_radius: float = 0.006  # m
     outlier_neighbours: int = 8
