@@ -167,8 +167,10 @@ def cut_scenes(
     stem_line = _stem_line(stems, recording)
     heads = transform(leveled, row.world_from_station[row.registered][:, :3, 3])
     numbers = np.flatnonzero(row.registered)
+    direction = -1.0 if heads[-1, 1] < 0 else 1.0  # the tripod may have gone either way along the row
     scenes = []
-    for k, along in enumerate(stand_positions(recording, settings)):
+    for k, walked in enumerate(stand_positions(recording, settings)):
+        along = direction * walked
         origin = np.array([stem_line - settings.stem_distance, along, 0.0])
         shift = pose(translation=-origin)
         near = [

@@ -29,7 +29,7 @@ def estimate_bias(recording: Recording, settings: ReconstructionSettings) -> dic
     """
     names = list(recording.rig.cameras)
     bias = dict.fromkeys(names, 0.0)
-    if len(names) < 2 or settings.calibration_stations < 1:
+    if len(names) < 2 or settings.calibration_stations < 1 or len(recording) == 0:
         return bias
     chosen = np.unique(np.linspace(0, len(recording) - 1, settings.calibration_stations).round().astype(int))
     clouds = [_clouds(recording[int(i)], recording.rig, settings) for i in chosen]

@@ -20,7 +20,7 @@ DIFFICULTIES: tuple[str, ...] = get_args(Difficulty)
 
 
 class _Part(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class Stand(_Part):
