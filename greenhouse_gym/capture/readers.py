@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from greenhouse_gym.capture.frames import Station
 from greenhouse_gym.capture.recordings import INDEX, Recording, checked_pose, open_folder, read_frame
@@ -68,7 +69,7 @@ def _open_calibrated(folder: Path) -> Recording:
         for row in _numbers(truth, 8):
             if not row[4:8].any():
                 raise FileFormatError(truth, f"the quaternion of image {row[0]:.0f} is zero")
-            poses[int(row[0])] = pose(_rotation_from_quaternion(row[4:8]), row[1:4])
+            poses[int(row[0])] = pose(Rotation.from_quat(row[4:8]).as_matrix(), row[1:4])
     color = sorted((folder / "rgb").glob("*.png"))
     for file in color:
         if poses and not file.stem.isdecimal():
@@ -131,14 +132,3 @@ def _numbers(path: Path, columns: int) -> Array:
     except ValueError as error:
         raise FileFormatError(path, f"expected {columns} numbers a line ({error})") from error
     return rows
-
-
-def _rotation_from_quaternion(xyzw: Array) -> Array:
-    x, y, z, w = xyzw / np.linalg.norm(xyzw)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )

@@ -18,7 +18,7 @@ from greenhouse_gym.open3d_loader import open3d
 from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, TriangleMesh
 from greenhouse_gym.reconstruction.foreground import blacked_out, foreground_mask
-from greenhouse_gym.reconstruction.registration import mean_offset, refine, silhouette_shift, view_station
+from greenhouse_gym.reconstruction.registration import register, view_station
 from greenhouse_gym.reconstruction.shift import along, overlap
 
 Image = npt.NDArray[np.uint8]
@@ -111,7 +111,6 @@ def registration_pictures(
 ) -> list[Path]:
     """Two images 10 cm apart, their foreground, the overlay at the best shift, clouds before and after ICP."""
     rig = recording.rig
-    camera = rig.cameras[rig.reference]
     one, two = (view_station(recording[i], rig, settings) for i in (first, second))
     assert one.frame is not None
     assert two.frame is not None
@@ -120,18 +119,13 @@ def registration_pictures(
         save(side_by_side([upright(f.color) for f in frames]), out / "1-two-images.png"),
         save(side_by_side([upright(blacked_out(f, settings.foreground)) for f in frames]), out / "2-foreground.png"),
     ]
-    shift = silhouette_shift(*frames, camera, second - first, settings)
-    if isinstance(shift, str):
+    found = register(one, two, rig, second - first, settings)
+    if found.shift is None or found.offset is None:
         return paths
-    overlay = shifted_silhouettes(frames, shift.pixels, shift.axis, settings.foreground)
+    overlay = shifted_silhouettes(frames, found.shift.pixels, found.shift.axis, settings.foreground)
     paths.append(save(upright(overlay), out / "3-silhouettes-at-best-shift.png"))
-    offset = mean_offset(*frames, shift, settings)
-    if offset is None:
-        return paths
-    start = pose(translation=camera.rig_from_camera[:3, :3] @ offset)
-    result = refine(one, two, start, rig, second - first, settings)
     views = []
-    for first_from_second in (start, result.first_from_second):
+    for first_from_second in (pose(translation=found.offset), found.first_from_second):
         moved = transform(first_from_second, two.cloud.points)
         everything = np.concatenate([one.cloud.points, moved])
         colors = np.concatenate([np.tile(RED, (len(one.cloud), 1)), np.tile(BLUE, (len(moved), 1))])

@@ -135,7 +135,7 @@ def coarse_icp(first: Cloud, second: Cloud, start: Array, settings: Reconstructi
         registration.TransformationEstimationPointToPlane(),
         registration.ICPConvergenceCriteria(max_iteration=settings.icp_iterations),
     )  # fmt: skip
-    return np.asarray(result.transformation)
+    return np.round(np.array(result.transformation), 9)  # the last bits depend on Open3D's threads
 
 
 def refine(
@@ -143,7 +143,7 @@ def refine(
 ) -> Registration:
     """Fine ICP from a start pose, and the checks that accept or refuse its result."""
     result = align(first.surface, second.source, start, settings)
-    first_from_second = np.round(result.first_from_second, 9)  # the start's last bits depend on Open3D's threads
+    first_from_second = np.round(result.first_from_second, 9)
     head = rig.cameras[rig.reference].rig_from_camera[:3, 3]
     reason = implausible(first_from_second, head, steps, settings)
     if result.fitness < settings.min_fitness:
