@@ -8,10 +8,6 @@ Writes benchmarks/results/planners.json and prints a table. Times are over all r
 from __future__ import annotations
 
 import argparse
-import importlib.metadata
-import json
-import os
-import platform
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,14 +15,13 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from results_file import RESULTS, write_results
 from rich.progress import track
 
-from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.planning import PLANNERS, CollisionChecker, plan, planning_model
 from greenhouse_gym.scene import Scene, SceneBank
 from greenhouse_gym.scene.mjcf import compile_scene
 
-RESULTS = Path(__file__).parent / "results" / "planners.json"
 DEFAULT_PLANNERS = ("RRTConnect", "LazyPRM", "LBKPIECE1", "SBL", "BKPIECE1", "PRM", "RRT", "EST", "STRIDE")
 
 
@@ -38,7 +33,7 @@ def main() -> None:
     parser.add_argument("--targets", type=int, default=60, help="targets, spread evenly over the split")
     parser.add_argument("--planners", nargs="+", default=DEFAULT_PLANNERS, choices=tuple(PLANNERS), metavar="NAME")
     parser.add_argument("--time-limit", type=float, default=5.0, help="seconds per plan")
-    parser.add_argument("--out", type=Path, default=RESULTS)
+    parser.add_argument("--out", type=Path, default=RESULTS / "planners.json")
     arguments = parser.parse_args()
     targets = reachable_targets(SceneBank.open(arguments.bank), arguments.split, arguments.targets)
     bare = bare_checks_per_second(targets)
@@ -46,12 +41,10 @@ def main() -> None:
     result = {
         "command": f"benchmarks/planners.py --bank {Path(arguments.bank).name} --targets {len(targets)} "
         f"--time-limit {arguments.time_limit:g}",
-        "machine": {"system": platform.platform(), "cores": os.cpu_count(), "python": platform.python_version()},
-        "versions": {name: importlib.metadata.version(name) for name in ("greenhouse-gym", "mujoco", "numpy", "ompl")},
         "bare_checks_per_second": bare,
         "planners": rows,
     }
-    write_atomically(arguments.out, json.dumps(result, indent=1) + "\n")
+    write_results(arguments.out, result, ["mujoco", "ompl"])
     print(table(rows))
 
 

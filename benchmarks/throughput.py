@@ -9,24 +9,19 @@ bare physics are `Batch.step` over the same models with the same commands: no co
 from __future__ import annotations
 
 import argparse
-import json
-import os
-import platform
 import time
 from collections.abc import Callable
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
+from results_file import RESULTS, write_results
 from rich.console import Console
 from rich.table import Table
 
 from greenhouse_gym.envs import TomatoReachEnv, TomatoReachVectorEnv
 from greenhouse_gym.envs.reach_task import ACTION_STEP, SUBSTEPS
-from greenhouse_gym.paths import write_atomically
 
 ROUNDS, STEPS = 8, 40
-RESULTS = Path(__file__).parent / "results" / "throughput.json"
 
 
 def rate(steps: int, act: Callable[[], None]) -> float:
@@ -80,7 +75,7 @@ def main() -> None:
     parser.add_argument("--split", default="train")
     parser.add_argument("--num-envs", type=int, default=256)
     parser.add_argument("--threads", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=RESULTS)
+    parser.add_argument("--out", type=Path, default=RESULTS / "throughput.json")
     arguments = parser.parse_args()
     rates = measure(arguments.bank, arguments.split, arguments.num_envs, arguments.threads)
     medians = {name: float(np.median(values)) for name, values in rates.items()}
@@ -95,18 +90,8 @@ def main() -> None:
         "num_envs": arguments.num_envs,
         "steps_per_second": {name: round(value) for name, value in medians.items()},
         "share_of_bare_physics": round(float(np.median(shares)), 3),
-        "versions": {name: version(name) for name in ("greenhouse-gym", "mujoco", "numpy", "gymnasium")},
-        "machine": {"processor": _processor(), "cores": os.cpu_count(), "system": platform.platform()},
-        "python": platform.python_version(),
     }
-    write_atomically(arguments.out, json.dumps(result, indent=1) + "\n")
-
-
-def _processor() -> str:
-    info = Path("/proc/cpuinfo")
-    lines = info.read_text().splitlines() if info.is_file() else []
-    names = [line.split(":")[1].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor() or "unknown"
+    write_results(arguments.out, result, ["mujoco", "gymnasium"])
 
 
 if __name__ == "__main__":
