@@ -1,9 +1,8 @@
 """Fine registration of two stations: point-to-plane ICP between surfaces that face the same way.
 
-Stems are thinner than the distance within which ICP looks for partners, and stations see them from different sides.
-Plain ICP then pairs the near side of a stem with its far side and turns the stations against each other; here two
-points are partners only if their normals agree. The error is measured along the mean of both normals (symmetric
-point-to-plane, Rusinkiewicz 2019) with Tukey weights.
+The error is measured along the mean of both normals (symmetric point-to-plane, Rusinkiewicz 2019) with Tukey weights.
+Stems are thinner than the distance within which partners are looked for, and stations see them from different sides, so
+two points are partners only if their normals agree.
 """
 
 from __future__ import annotations
