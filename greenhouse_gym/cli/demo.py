@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from greenhouse_gym.evaluation import Evaluation
     from greenhouse_gym.plants import PlantRow
     from greenhouse_gym.reconstruction import RowCloud
-    from greenhouse_gym.scene import Scene, SceneBank
+    from greenhouse_gym.scene import Scene, SceneBank, Target
     from greenhouse_gym.shapes import RowShapes
 
 
@@ -258,9 +258,15 @@ def _draw_the_arm(out: Path, recording: Recording, cloud: RowCloud, bank: SceneB
 
 
 def _showpiece(bank: SceneBank) -> tuple[Scene, int]:
-    """A scene and a target worth a picture: the hardest that can be reached."""
-    order = {"hard": 0, "medium": 1, "easy": 2, "unreachable": 3}
-    scene, target = min(((s, t) for s in bank for t in s.targets), key=lambda pair: order[pair[1].difficulty])
+    """A scene and a target worth a picture: the ripest tomato that can be reached and that the arm does not hide."""
+
+    def worth(pair: tuple[Scene, Target]) -> tuple[bool, bool, float]:
+        scene, target = pair
+        tomato = scene.tomatoes[target.tomato]
+        camera_side = bool(tomato.center[1] < -0.2)
+        return target.witness is not None, camera_side, tomato.ripeness or 0.0
+
+    scene, target = max(((scene, target) for scene in bank for target in scene.targets), key=worth)
     return scene, target.tomato
 
 
