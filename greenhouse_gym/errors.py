@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from difflib import get_close_matches
+from inspect import signature
 
 
 class GreenhouseError(Exception):
@@ -29,6 +30,10 @@ class UnknownNameError(GreenhouseError, KeyError):
         return self.message
 
 
+class UnknownKeywordError(GreenhouseError, TypeError):
+    """A call names a keyword that does not exist; the message lists those that do."""
+
+
 class FileFormatError(GreenhouseError, ValueError):
     """A file is missing, damaged, or does not hold what its format promises."""
 
@@ -46,6 +51,19 @@ class MissingDependencyError(GreenhouseError, ImportError):
 
 class ReconstructionError(GreenhouseError):
     """A recording could not be turned into a row; the message gives the reasons."""
+
+
+def refuse_unknown_keywords(function: Callable[..., object], unknown: Mapping[str, object]) -> None:
+    """Raise `UnknownKeywordError` for the first of the keywords that ``function`` collected without knowing them.
+
+    Args:
+        function: What was called; its named parameters are the choices.
+        unknown: What its ``**unknown`` holds.
+    """
+    if unknown:
+        parameters = signature(function).parameters.values()
+        choices = [p.name for p in parameters if p.kind is not p.VAR_KEYWORD and p.name != "self"]
+        raise UnknownKeywordError(UnknownNameError("keyword", next(iter(unknown)), choices).message)
 
 
 def require_choice(kind: str, name: str, choices: Iterable[str]) -> str:

@@ -14,7 +14,7 @@ from gymnasium import spaces
 
 from greenhouse_gym.envs.reach_task import Float32
 from greenhouse_gym.envs.simulation import ReachSimulation, StepResult
-from greenhouse_gym.errors import require_choice
+from greenhouse_gym.errors import refuse_unknown_keywords, require_choice
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene, SceneBank
@@ -83,6 +83,7 @@ class TomatoReachEnv(gymnasium.Env[Float32, npt.NDArray[np.float32]]):
 
     Raises:
         UnknownNameError: A name is not among the choices; the message lists them.
+        UnknownKeywordError: A keyword does not exist; the message lists those that do.
     """
 
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": 20}  # noqa: RUF012
@@ -98,7 +99,9 @@ class TomatoReachEnv(gymnasium.Env[Float32, npt.NDArray[np.float32]]):
         difficulty: str | Iterable[str] = ("easy", "medium", "hard"),
         physics: str = "reconstruction",
         render_mode: str | None = None,
+        **unknown: Any,
     ):
+        refuse_unknown_keywords(TomatoReachEnv.__init__, unknown)
         if render_mode is not None:
             require_choice("render mode", render_mode, RENDER_MODES)
         self.render_mode = render_mode

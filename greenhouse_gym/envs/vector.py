@@ -15,7 +15,7 @@ from gymnasium.vector.utils import batch_space
 from greenhouse_gym.envs.reach_task import Bools, Float32
 from greenhouse_gym.envs.simulation import Ids, ReachSimulation
 from greenhouse_gym.envs.tomato_reach import RENDER_MODES, action_space
-from greenhouse_gym.errors import InvalidValueError, UnknownNameError, require_choice
+from greenhouse_gym.errors import InvalidValueError, UnknownNameError, refuse_unknown_keywords, require_choice
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import SceneBank
@@ -54,7 +54,9 @@ class TomatoReachVectorEnv(VectorEnv[Float32, npt.NDArray[np.float32], npt.NDArr
         render_mode: str | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         threads: int = 0,
+        **unknown: Any,
     ):
+        refuse_unknown_keywords(TomatoReachVectorEnv.__init__, unknown)
         if num_envs < 1:
             raise InvalidValueError(f"num_envs must be at least 1, got {num_envs!r}")
         if render_mode is not None:

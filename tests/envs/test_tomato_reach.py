@@ -3,6 +3,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import warnings
+from collections.abc import Callable
 from typing import Any
 
 import gymnasium
@@ -15,7 +16,7 @@ from reach_helpers import REACH, scene_of, tool_at, touched_in_plain_mujoco
 import greenhouse_gym
 from greenhouse_gym.crop import Stem, Tomato
 from greenhouse_gym.envs import TomatoReachEnv
-from greenhouse_gym.errors import InvalidValueError, UnknownNameError
+from greenhouse_gym.errors import InvalidValueError, UnknownKeywordError, UnknownNameError
 from greenhouse_gym.scene import Scene, SceneBank, Shapes
 
 
@@ -278,11 +279,6 @@ def test_unknown_names_are_answered_with_the_choices(bank: SceneBank, keyword: d
         TomatoReachEnv(**{"bank": bank, **keyword})
 
 
-def test_unknown_keywords_are_refused(bank: SceneBank) -> None:
-    with pytest.raises(TypeError, match="colour"):
-        gymnasium.make("TomatoReach-v0", bank=bank, colour="red")
-
-
 def test_difficulties_without_targets_are_refused_at_reset(bank: SceneBank) -> None:
     with pytest.raises(InvalidValueError, match="unreachable"):
         make(bank, difficulty="unreachable").reset(seed=0)
@@ -359,3 +355,10 @@ def test_making_an_environment_loads_no_optional_library(bank: SceneBank) -> Non
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("make", [gymnasium.make, gymnasium.make_vec])
+def test_an_unknown_keyword_is_refused_with_the_ones_that_exist(make: Callable[..., object], bank: SceneBank) -> None:
+    with pytest.raises(UnknownKeywordError, match=r"'robots'.*Did you mean 'robot'.*difficulty") as caught:
+        make("TomatoReach-v0", bank=bank, robots="ur5e")
+    assert isinstance(caught.value, TypeError)
