@@ -14,7 +14,7 @@ class ReconstructionSettings:
     step_range: tuple[float, float] = (0.03, 0.15)  # m the tripod may move from one station to the next
     longest_gap: float = 0.45  # m beyond which two stations share too little to be registered
     min_foreground: float = 0.01  # share of the reference image that must be foreground
-    max_shift_difference: float = 0.6  # share of the foreground that may differ at the best shift
+    max_shift_difference: float = 0.9  # share of the foreground that may differ at the best shift; ICP decides
     normal_window: int = 7  # px, side of the window a normal is fitted in
     register_voxel: float = 0.006  # m, the cloud that ICP moves
     surface_voxel: float = 0.003  # m, the cloud that ICP moves it to
