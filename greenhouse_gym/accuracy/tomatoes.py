@@ -1,4 +1,4 @@
-"""How right a reconstruction is, where the truth is known: drift, cloud to truth, tomatoes found."""
+"""Which tomatoes a recording could show, and which of them were found."""
 
 from __future__ import annotations
 
@@ -12,49 +12,8 @@ from scipy.optimize import linear_sum_assignment
 from greenhouse_gym.capture.raycast import RowRaycaster
 from greenhouse_gym.capture.rig import Intrinsics, Rig
 from greenhouse_gym.crop import Tomato
-from greenhouse_gym.geometry import Array, distance_to_shapes, invert, transform
+from greenhouse_gym.geometry import Array, invert, transform
 from greenhouse_gym.plants import PlantRow
-from greenhouse_gym.reconstruction import RowCloud
-
-
-class Drift(NamedTuple):
-    """Translation error of the last registered station relative to the first, metres, and the length walked."""
-
-    error: float
-    length: float
-
-    @property
-    def share(self) -> float:
-        """The error as a share of the length."""
-        return self.error / self.length
-
-
-def drift(row: RowCloud, world_from_station: Array) -> Drift:
-    """Compare a row's stations with their true poses (stations, 4, 4).
-
-    The error is that of the last registered station's origin in the frame of the first; the length is that of the true
-    way from station to station.
-    """
-    good = np.flatnonzero(row.registered)
-    true = invert(world_from_station[good[0]]) @ world_from_station[good]
-    error = np.linalg.norm(row.world_from_station[good[-1], :3, 3] - true[-1, :3, 3])
-    length = np.linalg.norm(np.diff(true[:, :3, 3], axis=0), axis=1).sum()
-    return Drift(float(error), float(length))
-
-
-def distance_to_truth(row: RowCloud, truth: PlantRow, world_from_first: Array, samples: int = 20_000) -> Array:
-    """Unsigned distances (n,) metres from an even sample of a row's points to the nearest true surface.
-
-    Args:
-        row: The reconstructed row.
-        truth: The grown row.
-        world_from_first: (4, 4) true pose of the first registered station.
-        samples: Most points to look at.
-    """
-    step = max(1, len(row) // samples)
-    points = transform(world_from_first, row.points[::step])
-    shapes = [*truth.tomatoes, *truth.stems, *truth.clutter]
-    return np.abs(distance_to_shapes(points, shapes, chunk=512)).min(axis=1)
 
 
 def visible_tomatoes(

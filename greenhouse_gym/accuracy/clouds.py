@@ -1,0 +1,148 @@
+"""Drift of the stations, and how far a cloud lies from the true surfaces, as a whole or metre by metre.
+
+The true surfaces are the triangles that the simulated cameras saw; they lie within 0.2 mm of the analytic shapes.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from greenhouse_gym.capture.raycast import RowRaycaster
+from greenhouse_gym.geometry import Array, invert, pose, transform
+from greenhouse_gym.open3d_loader import open3d
+from greenhouse_gym.plants import PlantRow
+
+
+class ReconstructedRow(Protocol):
+    """What is compared with the truth: a `RowCloud`, or what another method makes of a recording."""
+
+    @property
+    def points(self) -> Array:
+        """(n, 3) metres, in the frame of the first registered station."""
+
+    @property
+    def registered(self) -> npt.NDArray[np.bool_]:
+        """(stations,)."""
+
+    @property
+    def world_from_station(self) -> Array:
+        """(stations, 4, 4), in the points' frame; NaN where not registered, identity for the first that is."""
+
+
+class Drift(NamedTuple):
+    """Translation error of the last registered station relative to the first, metres, and the length walked."""
+
+    error: float
+    length: float
+
+    @property
+    def share(self) -> float:
+        """The error as a share of the length."""
+        return self.error / self.length
+
+
+def drift(row: ReconstructedRow, world_from_station: Array) -> Drift:
+    """Compare a row's stations with their true poses (stations, 4, 4).
+
+    The error is that of the last registered station's origin in the frame of the first; the length is that of the true
+    way from station to station.
+    """
+    good = np.flatnonzero(row.registered)
+    true = invert(world_from_station[good[0]]) @ world_from_station[good]
+    error = np.linalg.norm(row.world_from_station[good[-1], :3, 3] - true[-1, :3, 3])
+    length = np.linalg.norm(np.diff(true[:, :3, 3], axis=0), axis=1).sum()
+    return Drift(float(error), float(length))
+
+
+def distance_to_truth(row: ReconstructedRow, truth: PlantRow, world_from_first: Array, samples: int = 20_000) -> Array:
+    """Unsigned distances (n,) metres from an even sample of a row's points to the nearest true surface.
+
+    Args:
+        row: The reconstructed row.
+        truth: The grown row.
+        world_from_first: (4, 4) true pose of the first registered station.
+        samples: About as many points are looked at.
+    """
+    return distance_to_surface(transform(world_from_first, row.points), truth, samples)
+
+
+def distance_to_surface(points: Array, truth: PlantRow, samples: int = 20_000) -> Array:
+    """Unsigned distances (n,) metres from an even sample of points (k, 3) in the world to the nearest true surface."""
+    thinned = points[:: max(1, len(points) // samples)]
+    return np.asarray(np.linalg.norm(thinned - _closest(RowRaycaster.of(truth), thinned), axis=1))
+
+
+def place(row: ReconstructedRow, world_from_station: Array) -> Array:
+    """A row's points (n, 3) in the world, its first registered station at its true pose (of (stations, 4, 4))."""
+    return transform(world_from_station[np.flatnonzero(row.registered)[0]], row.points)
+
+
+def place_by_windows(
+    row: ReconstructedRow, truth: PlantRow, world_from_station: Array, window: float = 1.0, samples: int = 3000
+) -> Array:
+    """A row's points in the world after one rigid alignment to the true surfaces per window along the row.
+
+    This takes the drift out: what stays is how right the cloud is within a metre. An alignment starts from the true
+    pose of a registered station near the window's center and minimizes the distance to the closest true points.
+
+    Args:
+        row: The reconstructed row.
+        truth: The grown row.
+        world_from_station: (stations, 4, 4) true poses.
+        window: Longest window, metres; the row's extent is split evenly.
+        samples: About as many points of each window are aligned.
+
+    Returns:
+        (n, 3) metres, in the order of the row's points.
+    """
+    caster = RowRaycaster.of(truth)
+    good = np.flatnonzero(row.registered)
+    world_from_row = world_from_station[good] @ invert(row.world_from_station[good])
+    along = place(row, world_from_station)[:, 1]
+    station_along = transform(world_from_row[0], row.world_from_station[good, :3, 3])[:, 1]
+    count = max(1, int(np.ceil(np.ptp(along) / window)))
+    edges = np.linspace(along.min(), along.max(), count + 1)
+    member = np.digitize(along, edges[1:-1])
+    placed = np.empty_like(row.points)
+    for k in np.unique(member):
+        own = row.points[member == k]
+        thinned = own[:: max(1, len(own) // samples)]
+        nearest = np.argsort(np.abs(station_along - edges[k : k + 2].mean()), kind="stable")[:3]
+        start = min((world_from_row[i] for i in nearest), key=lambda start: _median_distance(caster, start, thinned))
+        placed[member == k] = transform(_align(caster, start, thinned), own)
+    return placed
+
+
+def _closest(caster: RowRaycaster, points: Array) -> Array:
+    """The points (n, 3) of the true surfaces closest to points (n, 3)."""
+    queries = open3d().core.Tensor(points.astype(np.float32))
+    return np.asarray(caster.scene.compute_closest_points(queries)["points"].numpy(), dtype=np.float64)
+
+
+def _median_distance(caster: RowRaycaster, world_from_row: Array, points: Array) -> float:
+    moved = transform(world_from_row, points)
+    return float(np.median(np.linalg.norm(moved - _closest(caster, moved), axis=1)))
+
+
+def _align(caster: RowRaycaster, start: Array, points: Array, iterations: int = 30) -> Array:
+    """The (4, 4) pose near ``start`` that brings points (n, 3) closest to the true surfaces: Gauss-Newton, robust."""
+    world_from_points = start
+    for _ in range(iterations):
+        moved = transform(world_from_points, points)
+        away = moved - _closest(caster, moved)
+        distance = np.linalg.norm(away, axis=1)
+        axes = away / np.maximum(distance, 1e-9)[:, None]
+        center = moved.mean(axis=0)
+        jacobian = np.column_stack([np.cross(moved - center, axes), axes])
+        scale = max(2.5 * 1.4826 * float(np.median(distance)), 0.002)
+        weighted = jacobian * (np.clip(1 - (distance / scale) ** 2, 0, None) ** 2)[:, None]
+        step = np.linalg.lstsq(jacobian.T @ weighted, -weighted.T @ distance, rcond=1e-9)[0]
+        turn = Rotation.from_rotvec(step[:3]).as_matrix()
+        world_from_points = pose(turn, center + step[3:] - turn @ center) @ world_from_points
+        if np.abs(step).max() < 1e-6:
+            break
+    return world_from_points
