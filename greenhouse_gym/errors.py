@@ -42,6 +42,14 @@ class FileFormatError(GreenhouseError, ValueError):
         super().__init__(f"{path}: {problem}")
 
 
+class FileWriteError(GreenhouseError, OSError):
+    """A file could not be written; what was there before is unharmed."""
+
+    def __init__(self, path: object, error: OSError):
+        self.path = path
+        super().__init__(f"{path}: cannot be written ({error.strerror or error})")
+
+
 class MissingDependencyError(GreenhouseError, ImportError):
     """An optional dependency is not installed; the message names the extra that brings it."""
 

@@ -6,6 +6,8 @@ import os
 import tempfile
 from pathlib import Path
 
+from greenhouse_gym.errors import FileWriteError
+
 _PACKAGE = Path(__file__).resolve().parent
 _IN_CHECKOUT = {"scenes": Path("scenes"), "policies": Path("training/policies")}
 
@@ -23,11 +25,18 @@ def data_path(kind: str) -> Path:
 
 
 def write_atomically(path: str | Path, content: str | bytes) -> Path:
-    """Write a file so that a reader sees the old content or the new, never a part: temporary name, then rename."""
+    """Write a file so that a reader sees the old content or the new, never a part: temporary name, then rename.
+
+    Raises:
+        FileWriteError: It could not be written, say because the disk is full.
+    """
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
     data = content.encode() if isinstance(content, str) else content
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    except OSError as error:
+        raise FileWriteError(path, error) from error
     try:
         with os.fdopen(handle, "wb") as file:
             file.write(data)
@@ -35,7 +44,9 @@ def write_atomically(path: str | Path, content: str | bytes) -> Path:
         os.umask(umask)
         Path(temporary).chmod(0o666 & ~umask)
         Path(temporary).replace(path)
-    except BaseException:
+    except BaseException as error:
         Path(temporary).unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            raise FileWriteError(path, error) from error
         raise
     return path

@@ -50,9 +50,7 @@ class RgbdFrame:
 
     def back_project(self, rows: npt.NDArray[np.int64], columns: npt.NDArray[np.int64]) -> Array:
         """Points (n, 3) in the camera frame, metres, of the pixels at ``rows`` and ``columns`` (n,)."""
-        k = self.intrinsics
-        z = self.depth[rows, columns].astype(np.float64)
-        return np.column_stack([(columns - k.cx) / k.fx * z, (rows - k.cy) / k.fy * z, z])
+        return self.intrinsics.back_project(rows, columns, self.depth[rows, columns])
 
 
 def _size(image: npt.NDArray[np.generic]) -> str:

@@ -12,6 +12,7 @@ from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, is_rotation, pose, rotation_about
@@ -41,6 +42,26 @@ class Intrinsics:
     def matrix(self) -> Array:
         """The (3, 3) camera matrix."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    def back_project(
+        self, rows: npt.NDArray[np.int64], columns: npt.NDArray[np.int64], depth: npt.NDArray[np.floating]
+    ) -> Array:
+        """Points (n, 3) in the camera frame of the pixels at ``rows`` and ``columns`` (n,), ``depth`` (n,) metres."""
+        z = depth.astype(np.float64)
+        return np.column_stack([(columns - self.cx) / self.fx * z, (rows - self.cy) / self.fy * z, z])
+
+    def project(self, points: Array) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+        """Which points (n, 3) of the camera frame fall into the image, and on which pixels.
+
+        Returns:
+            Rows of ``points`` (k,), and the row and the column of the pixel each falls on (k,).
+        """
+        ahead = np.flatnonzero(points[:, 2] > 1e-6)
+        x, y, z = points[ahead].T
+        columns = np.rint(x / z * self.fx + self.cx)
+        rows = np.rint(y / z * self.fy + self.cy)
+        inside = (columns >= 0) & (columns < self.width) & (rows >= 0) & (rows < self.height)
+        return ahead[inside], rows[inside].astype(np.int64), columns[inside].astype(np.int64)
 
 
 D435_DEPTH = Intrinsics(848, 480, 424.2, 424.2, 423.5, 239.5)

@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from greenhouse_gym.capture.frames import RgbdFrame, Station
 from greenhouse_gym.capture.raycast import RowRaycaster
 from greenhouse_gym.capture.recordings import Recording
-from greenhouse_gym.capture.rig import SEED_RIG, Rig
+from greenhouse_gym.capture.rig import SEED_RIG, Camera, Rig
 from greenhouse_gym.capture.sensor import StereoNoise, draw_biases, sense_depth
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, pose, rotation_about
@@ -24,6 +25,8 @@ class WalkSettings:
     step_error: float = 0.015  # m, each step, accumulating
     offset_error: float = 0.01  # m, sideways and in height, around the nominal line
     angle_error: float = float(np.deg2rad(2.0))  # rad about each axis, around the nominal attitude
+    camera_offset: float = 0.0  # m, along each axis, by which the cameras stand off the places the rig gives
+    camera_angle: float = 0.0  # rad about each axis, likewise; the reference camera stands right
     color_noise: float = 2.5  # gray levels, one sigma
     noise: StereoNoise = field(default_factory=StereoNoise)
 
@@ -56,11 +59,12 @@ def simulate_recording(
         raise InvalidValueError(f"seed must be 0 or more, got {seed!r}")
     poses = walk(count, seed, rig, settings)
     biases = draw_biases(len(rig.cameras), np.random.default_rng([seed, 1]), settings.noise)
+    actual = misplaced(rig, seed, settings)
     caster = RowRaycaster.of(row)
 
     def load(i: int) -> Station:
         frames = {}
-        for k, (name, camera) in enumerate(rig.cameras.items()):
+        for k, (name, camera) in enumerate(actual.cameras.items()):
             rng = np.random.default_rng([seed, 2, i, k])
             view = caster.look(poses[i] @ camera.rig_from_camera, camera.intrinsics)
             depth = sense_depth(view.depth, camera.intrinsics.fx, rng, settings.noise, float(biases[k]))
@@ -70,6 +74,21 @@ def simulate_recording(
         return Station(frames, poses[i])
 
     return Recording(f"simulated-{seed}", rig, count, load)
+
+
+def misplaced(rig: Rig, seed: int, settings: WalkSettings) -> Rig:
+    """The cameras where they really stand, of a rig whose file is not quite right."""
+    rng = np.random.default_rng([seed, 3])
+    cameras = {}
+    for name, camera in rig.cameras.items():
+        shift = rng.uniform(-settings.camera_offset, settings.camera_offset, 3)
+        angles = rng.uniform(-settings.camera_angle, settings.camera_angle, 3)
+        there = camera.rig_from_camera
+        if name != rig.reference:
+            turn = Rotation.from_rotvec(angles).as_matrix()
+            there = pose(turn @ there[:3, :3], there[:3, 3] + shift)
+        cameras[name] = Camera(camera.intrinsics, there, camera.depth_scale)
+    return Rig(cameras, rig.reference)
 
 
 def walk(count: int, seed: int, rig: Rig, settings: WalkSettings) -> Array:

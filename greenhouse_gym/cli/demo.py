@@ -118,15 +118,15 @@ def _reconstruct(out: Path, row: PlantRow, recording: Recording, report: Report)
     from greenhouse_gym.accuracy import distance_to_truth, drift
     from greenhouse_gym.cli.pictures import registration_pictures, row_pictures
     from greenhouse_gym.reconstruction import ReconstructionSettings, save_row, simplify_points, triangulate
-    from greenhouse_gym.reconstruction.row import merge_stations, remove_outliers
-    from greenhouse_gym.reconstruction.track import register_stations
+    from greenhouse_gym.reconstruction.row import merge_segment, remove_outliers
+    from greenhouse_gym.reconstruction.walk import walk_through
 
     settings = ReconstructionSettings()
     with report.stage("reconstruct") as results:
         with progress("stations", len(recording)) as done:
-            stations = register_stations(recording, settings, lambda i: done(i + 1))
-        merged = merge_stations(stations, settings)
-        cloud = remove_outliers(merged, settings)
+            walk = walk_through(recording, settings, lambda i: done(i + 1))
+        merged, outlier = merge_segment(walk, 0, settings)
+        cloud = remove_outliers(merged, outlier)
         few = simplify_points(cloud)
         mesh = triangulate(few)
         save_row(cloud, out / "row.npz")

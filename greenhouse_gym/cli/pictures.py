@@ -10,16 +10,16 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.capture import Recording
-from greenhouse_gym.capture.frames import RgbdFrame
 from greenhouse_gym.capture.images import encode_png
 from greenhouse_gym.errors import MissingDependencyError
 from greenhouse_gym.geometry import Array, pose, transform
 from greenhouse_gym.open3d_loader import open3d
 from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, TriangleMesh
-from greenhouse_gym.reconstruction.foreground import blacked_out, foreground_mask
-from greenhouse_gym.reconstruction.registration import register, view_station
-from greenhouse_gym.reconstruction.shift import along, overlap
+from greenhouse_gym.reconstruction.foreground import blacked_out
+from greenhouse_gym.reconstruction.registration import register
+from greenhouse_gym.reconstruction.shift import Shift, along, overlap
+from greenhouse_gym.reconstruction.views import Calibration, CameraView, view_station
 
 Image = npt.NDArray[np.uint8]
 
@@ -110,35 +110,34 @@ def registration_pictures(
     recording: Recording, first: int, second: int, settings: ReconstructionSettings, out: Path
 ) -> list[Path]:
     """Two images 10 cm apart, their foreground, the overlay at the best shift, clouds before and after ICP."""
-    rig = recording.rig
-    one, two = (view_station(recording[i], rig, settings) for i in (first, second))
-    assert one.frame is not None
-    assert two.frame is not None
-    frames = (one.frame, two.frame)
+    one, two = (view_station(recording[i], Calibration(recording.rig), settings) for i in (first, second))
+    views = (one.reference, two.reference)
     paths = [
-        save(side_by_side([upright(f.color) for f in frames]), out / "1-two-images.png"),
-        save(side_by_side([upright(blacked_out(f, settings.foreground)) for f in frames]), out / "2-foreground.png"),
+        save(side_by_side([upright(view.color) for view in views]), out / "1-two-images.png"),
+        save(
+            side_by_side([upright(blacked_out(view.color, view.foreground)) for view in views]),
+            out / "2-foreground.png",
+        ),
     ]
-    found = register(one, two, rig, second - first, settings)
+    found = register(one, two, second - first, settings)
     if found.shift is None or found.offset is None:
         return paths
-    overlay = shifted_silhouettes(frames, found.shift.pixels, found.shift.axis, settings.foreground)
+    overlay = shifted_silhouettes(*views, found.shift)
     paths.append(save(upright(overlay), out / "3-silhouettes-at-best-shift.png"))
-    views = []
+    here, there = one.cloud(), two.cloud()
+    pictures = []
     for first_from_second in (pose(translation=found.offset), found.first_from_second):
-        moved = transform(first_from_second, two.cloud.points)
-        everything = np.concatenate([one.cloud.points, moved])
-        colors = np.concatenate([np.tile(RED, (len(one.cloud), 1)), np.tile(BLUE, (len(moved), 1))])
-        views.append(splat(everything, colors, width=700, size=1))
-    paths.append(save(side_by_side(views), out / "4-before-and-after-icp.png"))
+        everything = np.concatenate([here.points, transform(first_from_second, there.points)])
+        colors = np.concatenate([np.tile(RED, (len(here), 1)), np.tile(BLUE, (len(there), 1))])
+        pictures.append(splat(everything, colors, width=700, size=1))
+    paths.append(save(side_by_side(pictures), out / "4-before-and-after-icp.png"))
     return paths
 
 
-def shifted_silhouettes(frames: tuple[RgbdFrame, RgbdFrame], pixels: int, axis: int, farthest: float) -> Image:
+def shifted_silhouettes(first: CameraView, second: CameraView, shift: Shift) -> Image:
     """Two silhouettes over each other after a shift: the first red, the second blue, both purple."""
-    a, b = overlap(frames[0].depth, pixels, axis)
-    one = foreground_mask(frames[0], farthest)[along(axis, a)]
-    two = foreground_mask(frames[1], farthest)[along(axis, b)]
+    a, b = overlap(first.depth, shift.pixels, shift.axis)
+    one, two = first.foreground[along(shift.axis, a)], second.foreground[along(shift.axis, b)]
     image = np.full((*one.shape, 3), 255, dtype=np.uint8)
     image[one & ~two] = (220, 50, 40)
     image[two & ~one] = (40, 70, 220)

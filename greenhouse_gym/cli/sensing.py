@@ -41,16 +41,16 @@ def reconstruct(
     from greenhouse_gym.paths import write_atomically
     from greenhouse_gym.reconstruction import ReconstructionSettings, report_as_json, save_row, simplify_points
     from greenhouse_gym.reconstruction import triangulate as make_mesh
-    from greenhouse_gym.reconstruction.row import merge_stations, remove_outliers
+    from greenhouse_gym.reconstruction.row import merge_segment, remove_outliers
     from greenhouse_gym.reconstruction.surface import save_mesh, save_points
-    from greenhouse_gym.reconstruction.track import register_stations
+    from greenhouse_gym.reconstruction.walk import walk_through
 
     settings = ReconstructionSettings()
     opened = open_recording(recording)
     with progress("stations", len(opened)) as done:
-        stations = register_stations(opened, settings, lambda i: done(i + 1))
-    merged = merge_stations(stations, settings)
-    row = remove_outliers(merged, settings)
+        walk = walk_through(opened, settings, lambda i: done(i + 1), out / "walk")
+    merged, outlier = merge_segment(walk, 0, settings)
+    row = remove_outliers(merged, outlier)
     save_row(row, out / "row.npz")
     write_atomically(out / "report.json", report_as_json(row.report))
     save_points(row, out / "row.ply")

@@ -1,10 +1,10 @@
 """From a recording to one cloud of the row, and its mesh."""
 
 from greenhouse_gym.reconstruction.files import load_row, report_as_json, save_row
-from greenhouse_gym.reconstruction.row import RowCloud, reconstruct_row
+from greenhouse_gym.reconstruction.report import RowReport, StationReport
+from greenhouse_gym.reconstruction.row import RowCloud, reconstruct_row, reconstruct_segments
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings
 from greenhouse_gym.reconstruction.surface import METHODS, TriangleMesh, simplify_points, triangulate
-from greenhouse_gym.reconstruction.track import RowReport, StationReport
 
 __all__ = [
     "METHODS",
@@ -15,6 +15,7 @@ __all__ = [
     "TriangleMesh",
     "load_row",
     "reconstruct_row",
+    "reconstruct_segments",
     "report_as_json",
     "save_row",
     "simplify_points",

@@ -1,81 +1,183 @@
-"""Relative depth error of each camera, from the surfaces that several cameras of a station see.
+"""Depth errors and places of the cameras, from the surfaces that several cameras of a station see.
 
 A stereo camera reports (1 + bias) times the depth. The cameras' axes cross in the plants, so two cameras see the same
-surface from different sides; the gap between what they report, along the surface's normal, is linear in their biases.
-A bias common to all cameras scales everything alike and cannot be seen this way.
+surface from different sides; the gap between what they report, along the surface's normal, is linear in their biases
+and in small motions of the cameras. Because the cameras stand a known distance apart, an error common to all of them
+shows as well. Where the cameras themselves are not quite where the rig file says, part of that knowledge is lost, so
+their places are only estimated if that explains the overlap notably better.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from dataclasses import dataclass
 from itertools import permutations
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
-from greenhouse_gym.capture.frames import Station
 from greenhouse_gym.capture.recordings import Recording
-from greenhouse_gym.capture.rig import Rig
-from greenhouse_gym.geometry import Array
-from greenhouse_gym.reconstruction.clouds import Cloud, camera_cloud, thin_out
+from greenhouse_gym.capture.rig import Camera, Rig
+from greenhouse_gym.errors import FileFormatError
+from greenhouse_gym.geometry import Array, invert, pose, transform
+from greenhouse_gym.reconstruction.clouds import Cloud
+from greenhouse_gym.reconstruction.icp import tukey
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings
+from greenhouse_gym.reconstruction.views import Calibration, CameraView, view_camera
+
+_LIKELY = np.array([0.005, 0.01, 0.01, 0.01, 0.002, 0.002, 0.002])  # one sigma: depth error, rad, m
+_COMMON = 1e-5  # one sigma of the sum of the depth errors, where the cameras' places are estimated as well
+_GAP = 0.001  # m, one sigma of the gap between two readings of a surface
+_HELPS = 0.98  # of the median gap that may be left for the cameras' places to be changed; 0.99 where they are right
+_ITERATIONS = 15  # at most; the partners within reach change with the corrections, so it converges slowly
+_SAMPLES = 1500  # points of each camera and station
+_FEWEST = 500  # gaps below which nothing is concluded
 
 
-def estimate_bias(recording: Recording, settings: ReconstructionSettings) -> dict[str, float]:
-    """Relative depth error of each camera, by name; they add up to zero.
+@dataclass(frozen=True)
+class CalibrationReport:
+    """What was found out about the cameras.
 
-    Looks at ``settings.calibration_stations`` stations spread over the recording; those without shared surfaces add
-    nothing. Zero for every camera where nothing is shared at all, or with a single camera.
+    Attributes:
+        bias: Relative depth error by camera.
+        turned: By how much each camera is turned against the rig file, radians; empty where the file was kept.
+        shifted: By how much each camera is shifted against the rig file, metres; empty where the file was kept.
+        gap_before: Median distance between two cameras' readings of a surface, as the rig file has them, metres.
+        gap_after: The same after calibration.
     """
-    names = list(recording.rig.cameras)
-    bias = dict.fromkeys(names, 0.0)
-    if len(names) < 2 or settings.calibration_stations < 1 or len(recording) == 0:
-        return bias
-    chosen = np.unique(np.linspace(0, len(recording) - 1, settings.calibration_stations).round().astype(int))
-    clouds = [_clouds(recording[int(i)], recording.rig, settings) for i in chosen]
-    for _ in range(3):  # the pairs of points change a little with the biases
-        step = _solve(clouds, recording.rig, bias, settings)
-        bias = {name: bias[name] + step[k] for k, name in enumerate(names)}
-    return {name: round(value, 9) for name, value in bias.items()}
+
+    bias: dict[str, float]
+    turned: dict[str, float]
+    shifted: dict[str, float]
+    gap_before: float = 0.0
+    gap_after: float = 0.0
 
 
-def _clouds(station: Station, rig: Rig, settings: ReconstructionSettings) -> dict[str, Cloud]:
-    return {
-        name: thin_out(camera_cloud(frame, name, rig, settings), 2 * settings.voxel)
-        for name, frame in station.frames.items()
-    }
+def calibrate(recording: Recording, settings: ReconstructionSettings) -> tuple[Calibration, CalibrationReport]:
+    """Estimate depth errors, and where it helps the places of the cameras, from a few stations of a recording.
 
-
-def _solve(
-    stations: list[dict[str, Cloud]], rig: Rig, bias: Mapping[str, float], settings: ReconstructionSettings
-) -> Array:
-    """The change of the biases, (cameras,), that closes the gaps best in the least-squares sense."""
+    Looks at ``settings.calibration_stations`` stations spread over the recording; those that cannot be read or share no
+    surfaces add nothing. The rig and its depths are kept where there is too little to see, or a single camera.
+    """
+    rig = recording.rig
     names = list(rig.cameras)
-    normal_matrix = np.ones((len(names), len(names)))  # the biases add up to zero
-    right = np.zeros(len(names))
-    for clouds in stations:
-        moved = {name: _corrected(cloud, rig, name, bias[name]) for name, cloud in clouds.items() if len(cloud) > 50}
-        for one, two in permutations(moved, 2):
-            a, b = moved[one], moved[two]
-            distance, row = cKDTree(b.points).query(a.points, distance_upper_bound=settings.fine_distance)
-            found = np.isfinite(distance)
-            source, target = a.select(found), b.select(row[found])
-            facing = (source.normals * target.normals).sum(axis=1) > 0.9
-            source, target = source.select(facing), target.select(facing)
-            gap = ((source.points - target.points) * target.normals).sum(axis=1)
-            # a larger bias of camera `one` moves its points outwards along its rays, and likewise for `two`
-            jacobian = np.zeros((len(gap), len(names)))
-            for name, cloud, sign in ((one, source, -1.0), (two, target, 1.0)):
-                rays = cloud.points - rig.cameras[name].rig_from_camera[:3, 3]
-                jacobian[:, names.index(name)] = sign * (rays * target.normals).sum(axis=1)
-            weight = np.clip(1 - (gap / settings.fine_distance) ** 2, 0, None) ** 2
-            normal_matrix += jacobian.T @ (weight[:, None] * jacobian)
-            right -= jacobian.T @ (weight * gap)
-    solution = np.linalg.lstsq(normal_matrix, right, rcond=1e-9)[0]
-    return np.asarray(solution - solution.mean())
+    corrections = np.zeros((len(names), 7))
+    nothing = Calibration(rig), CalibrationReport(dict.fromkeys(names, 0.0), {}, {})
+    if len(names) < 2 or settings.calibration_stations < 1 or len(recording) == 0:
+        return nothing
+    stations = _stations(recording, settings)
+    gaps, _ = _gaps(stations, rig, corrections, settings)
+    if len(gaps) < _FEWEST:
+        return nothing
+    before = float(np.median(np.abs(gaps)))
+    biased, after = _fit(stations, rig, corrections, settings, rig_too=False)
+    if settings.calibrate_rig:
+        placed, left = _fit(stations, rig, corrections, settings, rig_too=True)
+        if left < _HELPS * after:
+            cameras = {name: _placed(camera, placed[k]) for k, (name, camera) in enumerate(rig.cameras.items())}
+            report = CalibrationReport(
+                _by_name(names, placed[:, 0]),
+                _by_name(names, np.linalg.norm(placed[:, 1:4], axis=1)),
+                _by_name(names, np.linalg.norm(placed[:, 4:], axis=1)),
+                before,
+                left,
+            )
+            return Calibration(Rig(cameras, rig.reference), report.bias), report
+    report = CalibrationReport(_by_name(names, biased[:, 0]), {}, {}, before, after)
+    return Calibration(rig, report.bias), report
 
 
-def _corrected(cloud: Cloud, rig: Rig, name: str, bias: float) -> Cloud:
-    """A camera's cloud with its depths divided by (1 + bias)."""
-    origin = rig.cameras[name].rig_from_camera[:3, 3]
-    return Cloud(origin + (cloud.points - origin) / (1.0 + bias), cloud.colors, cloud.normals)
+def _by_name(names: list[str], values: Array) -> dict[str, float]:
+    return {name: round(float(value), 9) for name, value in zip(names, values, strict=True)}
+
+
+def _placed(camera: Camera, correction: Array) -> Camera:
+    """The camera turned and shifted by a correction (7,): depth error, rotation vector, translation."""
+    turn, there = Rotation.from_rotvec(correction[1:4]).as_matrix(), camera.rig_from_camera
+    moved = np.round(pose(turn @ there[:3, :3], there[:3, 3] + correction[4:]), 12)
+    return Camera(camera.intrinsics, moved, camera.depth_scale)
+
+
+def _stations(recording: Recording, settings: ReconstructionSettings) -> list[dict[str, CameraView]]:
+    chosen = np.unique(np.linspace(0, len(recording) - 1, settings.calibration_stations).round().astype(int))
+    views = []
+    for i in chosen:
+        try:
+            station = recording[int(i)]
+        except FileFormatError:
+            continue  # the walk through the recording reports it
+        known = Calibration(recording.rig)
+        views.append({name: view_camera(frame, name, known, settings) for name, frame in station.frames.items()})
+    return views
+
+
+def _fit(
+    stations: list[dict[str, CameraView]],
+    rig: Rig,
+    corrections: Array,
+    settings: ReconstructionSettings,
+    rig_too: bool,
+) -> tuple[Array, float]:
+    """Corrections (cameras, 7) that close the gaps best, starting from some, and the median gap they leave."""
+    free = np.zeros(corrections.shape, dtype=bool)
+    free[:, 0] = True
+    if rig_too:
+        free[:, 1:] = True
+        free[list(rig.cameras).index(rig.reference), 1:] = False
+    chosen = np.flatnonzero(free)
+    likely = np.tile(_LIKELY, len(corrections))
+    for _ in range(_ITERATIONS):
+        gaps, jacobian = _gaps(stations, rig, corrections, settings)
+        weighted = (jacobian * (tukey(gaps) / _GAP**2)[:, None])[:, chosen]
+        matrix = jacobian.T[chosen] @ weighted + np.diag(1 / likely[chosen] ** 2)
+        right = -weighted.T @ gaps - (corrections.ravel() / likely**2)[chosen]
+        if rig_too:  # a common depth error could not be told from cameras farther apart
+            common = np.isin(chosen, np.arange(0, corrections.size, 7)).astype(np.float64)
+            matrix += np.outer(common, common) / _COMMON**2
+            right -= common * corrections[:, 0].sum() / _COMMON**2
+        step = np.zeros(corrections.size)
+        step[chosen] = np.linalg.solve(matrix, right)
+        corrections = corrections + step.reshape(corrections.shape)
+        if np.abs(step).max() < 2e-5:
+            break
+    gaps, _ = _gaps(stations, rig, corrections, settings)
+    return corrections, float(np.median(np.abs(gaps)))
+
+
+def _gaps(
+    stations: list[dict[str, CameraView]], rig: Rig, corrections: Array, settings: ReconstructionSettings
+) -> tuple[Array, Array]:
+    """Gaps (n,) between two cameras' readings along the surface, and their derivative by the corrections (n, 7 c)."""
+    names = list(rig.cameras)
+    gaps, jacobians = [np.zeros(0)], [np.zeros((0, corrections.size))]
+    for views in stations:
+        samples = {name: view.sample(_SAMPLES) for name, view in views.items()}
+        for one, two in permutations(names, 2):
+            i, j = names.index(one), names.index(two)
+            a = _corrected(samples[one], rig.cameras[one], corrections[i])
+            seen_by = _placed(rig.cameras[two], corrections[j])
+            row, v, u = seen_by.intrinsics.project(transform(invert(seen_by.rig_from_camera), a.points))
+            shown = views[two].foreground[v, u]
+            a = a.select(row[shown])
+            b = _corrected(views[two].cloud(v[shown], u[shown]), rig.cameras[two], corrections[j])
+            axis = a.normals + b.normals
+            axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-9)
+            apart = a.points - b.points
+            near = np.linalg.norm(apart, axis=1) < settings.fine_distance
+            near &= (a.normals * b.normals).sum(axis=1) > settings.facing
+            a, b, axis, apart = a.select(near), b.select(near), axis[near], apart[near]
+            jacobian = np.zeros((len(axis), len(names), 7))
+            for k, cloud, sign in ((i, a, 1.0), (j, b, -1.0)):
+                rays = cloud.points - rig.cameras[names[k]].rig_from_camera[:3, 3]
+                jacobian[:, k, 0] = -sign * (rays * axis).sum(axis=1)
+                jacobian[:, k, 1:4] = sign * np.cross(rays, axis)
+                jacobian[:, k, 4:] = sign * axis
+            gaps.append((apart * axis).sum(axis=1))
+            jacobians.append(jacobian.reshape(len(axis), corrections.size))
+    return np.concatenate(gaps), np.concatenate(jacobians)
+
+
+def _corrected(cloud: Cloud, camera: Camera, correction: Array) -> Cloud:
+    """A camera's cloud with a correction (7,) applied: depths divided, then turned about the camera, then shifted."""
+    turn, origin = Rotation.from_rotvec(correction[1:4]).as_matrix(), camera.rig_from_camera[:3, 3]
+    points = (cloud.points - origin) / (1.0 + correction[0]) @ turn.T + origin + correction[4:]
+    return Cloud(points, cloud.colors, cloud.normals @ turn.T)

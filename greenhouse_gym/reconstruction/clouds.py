@@ -1,20 +1,15 @@
-"""Clouds of points with colors and normals, and the passage to and from Open3D."""
+"""Clouds of points with colors and normals, and the passage to Open3D."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.capture.frames import RgbdFrame, Station
-from greenhouse_gym.capture.rig import Rig
 from greenhouse_gym.geometry import Array, transform
 from greenhouse_gym.open3d_loader import open3d
-from greenhouse_gym.reconstruction.normals import image_normals
-from greenhouse_gym.reconstruction.settings import ReconstructionSettings
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,61 +49,48 @@ def to_open3d(cloud: Cloud) -> Any:
     return result
 
 
-def from_open3d(cloud: Any) -> Cloud:
-    """A cloud from Open3D's legacy point cloud; averaged normals get unit length again."""
-    normals = np.array(cloud.normals)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    return Cloud(np.array(cloud.points), np.array(cloud.colors), normals)
+@dataclass(frozen=True, eq=False)
+class PackedCloud:
+    """A cloud in 18 bytes per point: ``points`` float32, ``colors`` uint8, ``normals`` int8 (1/127), (n, 3) each."""
+
+    points: npt.NDArray[np.float32]
+    colors: npt.NDArray[np.uint8]
+    normals: npt.NDArray[np.int8]
+
+    @classmethod
+    def of(cls, cloud: Cloud) -> PackedCloud:
+        """Pack a cloud."""
+        return cls(
+            cloud.points.astype(np.float32),
+            np.rint(255 * np.clip(cloud.colors, 0, 1)).astype(np.uint8),
+            np.rint(127 * cloud.normals).astype(np.int8),
+        )
+
+    def select(self, rows: npt.NDArray[np.generic]) -> PackedCloud:
+        """The points at ``rows``: indices or a mask."""
+        return PackedCloud(self.points[rows], self.colors[rows], self.normals[rows])
+
+    def moved(self, target_from_source: Array) -> Cloud:
+        """The cloud expressed in another frame, at full width again."""
+        normals = self.normals / 127.0
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+        return Cloud(self.points.astype(np.float64), self.colors / 255.0, normals).moved(target_from_source)
 
 
-def thin_out(cloud: Cloud, voxel: float) -> Cloud:
-    """One point per cube of ``voxel`` metres: the mean of what lies in it."""
-    return from_open3d(to_open3d(cloud).voxel_down_sample(voxel)) if len(cloud) else cloud
-
-
-def camera_cloud(frame: RgbdFrame, name: str, rig: Rig, settings: ReconstructionSettings, bias: float = 0.0) -> Cloud:
-    """What one camera of a station sees of the foreground, in the rig frame.
-
-    The cut is along the rig's forward axis from the reference camera, so that the turned cameras keep the same slab
-    of the row as the middle one.
-
-    Args:
-        frame: The camera's image.
-        name: The camera.
-        rig: The rig.
-        settings: All settings.
-        bias: Relative depth error of the camera; depths are divided by (1 + bias).
-    """
-    front = rig.cameras[rig.reference].rig_from_camera[0, 3] + settings.foreground
-    rig_from_camera = rig.cameras[name].rig_from_camera
-    rows, columns = frame.pixels(frame.depth < 2.0 * settings.foreground)
-    points = transform(rig_from_camera, frame.back_project(rows, columns) / (1.0 + bias))
-    kept = points[:, 0] < front
-    rows, columns = rows[kept], columns[kept]
-    mask = np.zeros(frame.depth.shape, dtype=bool)
-    mask[rows, columns] = True
-    normals = image_normals(frame, mask, settings.normal_window) @ rig_from_camera[:3, :3].T
-    return Cloud(points[kept], frame.color[rows, columns] / 255.0, normals)
-
-
-def station_cloud(
-    station: Station, rig: Rig, settings: ReconstructionSettings, bias: Mapping[str, float] | None = None
-) -> Cloud:
-    """What all cameras of a station see of the foreground, in the rig frame, one point per voxel of the merged row."""
-    bias = bias or {}
-    parts = [camera_cloud(frame, name, rig, settings, bias.get(name, 0.0)) for name, frame in station.frames.items()]
-    return thin_out(merge(parts), settings.voxel)
+def voxels(points: Array, size: float, offset: float = 0.0) -> npt.NDArray[np.int64]:
+    """A number for the cube of ``size`` metres each point (n, 3) lies in, the grid moved by ``offset`` cubes."""
+    cubes = np.floor(points / size + offset).astype(np.int64)
+    cubes -= cubes.min(axis=0, initial=0)
+    extent = cubes.max(axis=0, initial=0) + 1
+    return np.asarray((cubes[:, 0] * extent[1] + cubes[:, 1]) * extent[2] + cubes[:, 2])
 
 
 def voxel_means(cloud: Cloud, voxel: float) -> tuple[Cloud, npt.NDArray[np.int64]]:
-    """The mean point of each occupied cube of ``voxel`` metres, and the cube's number for each point, (n,)."""
-    cubes = np.floor((cloud.points - cloud.points.min(axis=0)) / voxel).astype(np.int64)
-    extent = cubes.max(axis=0) + 1
-    keys = (cubes[:, 0] * extent[1] + cubes[:, 1]) * extent[2] + cubes[:, 2]
-    _, cube, count = np.unique(keys, return_inverse=True, return_counts=True)
+    """The mean point of each occupied cube of ``voxel`` metres, and the row of its mean for each point, (n,)."""
+    _, cube, count = np.unique(voxels(cloud.points, voxel), return_inverse=True, return_counts=True)
 
     def mean(values: Array) -> Array:
-        return np.column_stack([np.bincount(cube, values[:, k]) for k in range(3)]) / count[:, None]
+        return np.column_stack([np.bincount(cube, values[:, k], len(count)) for k in range(3)]) / count[:, None]
 
     normals = mean(cloud.normals)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)

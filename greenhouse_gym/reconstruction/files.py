@@ -13,8 +13,9 @@ import numpy as np
 
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.paths import write_atomically
+from greenhouse_gym.reconstruction.calibration import CalibrationReport
+from greenhouse_gym.reconstruction.report import RowReport, station_report
 from greenhouse_gym.reconstruction.row import RowCloud
-from greenhouse_gym.reconstruction.track import RowReport, StationReport
 
 _ARRAYS = ("points", "colors", "normals", "station", "registered", "world_from_station")
 
@@ -44,8 +45,11 @@ def load_row(path: str | Path) -> RowCloud:
         with Path(path).open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             arrays = {name: file[name] for name in _ARRAYS}
             report = json.loads(str(file["report"]))
-        stations = tuple(StationReport(**station) for station in report.pop("stations"))
-        row_report = RowReport(stations, **report)
+        stations = tuple(station_report(station) for station in report.pop("stations"))
+        calibration = CalibrationReport(**report.pop("calibration"))
+        segments = tuple(tuple(segment) for segment in report.pop("segments"))
+        warnings = tuple(report.pop("warnings"))
+        row_report = RowReport(stations, segments, warnings=warnings, calibration=calibration, **report)
     except OSError as error:
         raise FileFormatError(path, f"cannot be read ({error.strerror or error})") from error
     except (KeyError, TypeError, ValueError, EOFError, AttributeError, zipfile.BadZipFile, zlib.error) as error:

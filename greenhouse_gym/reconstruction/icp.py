@@ -1,34 +1,25 @@
 """Fine registration of two stations: point-to-plane ICP between surfaces that face the same way.
 
-The error is measured along the mean of both normals (symmetric point-to-plane, Rusinkiewicz 2019) with Tukey weights.
-Stems are thinner than the distance within which partners are looked for, and stations see them from different sides, so
-two points are partners only if their normals agree.
+A point's partner is what the other station's cameras measured at the pixels it falls on (Blais and Levine 1995), so no
+search tree is needed, and several cameras may each give one. The error is measured along the mean of both normals
+(symmetric point-to-plane, Rusinkiewicz 2019) with Tukey weights. Stems are thinner than the distance within which
+partners are looked for, and stations see them from different sides, so two points are partners only if their normals
+agree.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
+import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from greenhouse_gym.geometry import Array, pose, transform
+from greenhouse_gym.geometry import Array, invert, pose, transform
 from greenhouse_gym.reconstruction.clouds import Cloud
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings
-
-
-@dataclass(frozen=True, eq=False)
-class Surface:
-    """A cloud to register to; its search tree is built once."""
-
-    cloud: Cloud
-
-    @cached_property
-    def tree(self) -> cKDTree:
-        """Search tree over the points."""
-        return cKDTree(self.cloud.points)
+from greenhouse_gym.reconstruction.views import StationView
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,65 +28,122 @@ class Alignment:
 
     Attributes:
         first_from_second: (4, 4).
-        fitness: Share of the second cloud's points with a partner.
+        overlap: Share of the second station's sample that the first could see.
+        fitness: Share of those with a partner.
+        contradicted: Share of those that have none, and that the first station sees through.
         rmse: Root mean square distance of partners along their normals, metres.
-        information: (6, 6) rotation then translation, in the first cloud's frame, for the pose graph.
+        stiffness: Least share of the partners' normals along any direction, 0 to 1/3: near 0 the stations can slide
+            along each other.
+        information: (6, 6) rotation then translation, in the first station's frame, for the pose graph.
     """
 
     first_from_second: Array
+    overlap: float
     fitness: float
+    contradicted: float
     rmse: float
+    stiffness: float
     information: Array
 
 
-def align(first: Surface, second: Cloud, start: Array, settings: ReconstructionSettings) -> Alignment:
-    """Register the second cloud to the first from a start within ``settings.fine_distance``.
+class Partners(NamedTuple):
+    """Pairs of points: ``row`` (k,) of the moved cloud, ``residual`` (k,) metres along ``axes`` (k, 3)."""
+
+    row: npt.NDArray[np.int64]
+    residual: Array
+    axes: Array
+
+
+def align(first: StationView, second: Cloud, start: Array, settings: ReconstructionSettings) -> Alignment:
+    """Register the second cloud to the first station from a start within ``settings.fine_distance``.
 
     Args:
         first: What to register to.
-        second: The cloud to move.
+        second: The cloud to move, in its own station's rig frame.
         start: (4, 4) first_from_second to start from.
         settings: All settings.
     """
     current = np.array(start, dtype=np.float64)
     for _ in range(settings.icp_iterations):
-        points, residual, axes = _partners(first, second, current, settings)
-        if len(points) < 6:
+        moved = second.moved(current)
+        found = partners(first, moved, settings)
+        if len(found.row) < 6:
             break
+        points = moved.points[found.row]
         center = points.mean(axis=0)
-        jacobian = np.column_stack([np.cross(points - center, axes), axes])
-        weighted = jacobian * _tukey(residual)[:, None]
-        step = np.linalg.lstsq(jacobian.T @ weighted, -weighted.T @ residual, rcond=1e-9)[0]
+        jacobian = np.column_stack([np.cross(points - center, found.axes), found.axes])
+        weighted = jacobian * tukey(found.residual)[:, None]
+        step = np.linalg.lstsq(jacobian.T @ weighted, -weighted.T @ found.residual, rcond=1e-9)[0]
         turn = Rotation.from_rotvec(step[:3]).as_matrix()
         current = pose(turn, center + step[3:] - turn @ center) @ current
-        if np.abs(step).max() < 1e-5:
+        if np.abs(step).max() < 2e-5:
             break
-    points, residual, axes = _partners(first, second, current, settings)
-    if len(points) < 6:
-        return Alignment(current, 0.0, float("nan"), np.eye(6))
-    jacobian = np.column_stack([np.cross(points, axes), axes])
-    rmse = float(np.sqrt(np.mean(residual**2)))
-    information = jacobian.T @ (jacobian * _tukey(residual)[:, None]) / max(rmse, 1e-6) ** 2
-    return Alignment(current, len(points) / len(second), rmse, information)
+    return _assess(first, second, current, settings)
 
 
-def _partners(
-    first: Surface, second: Cloud, first_from_second: Array, settings: ReconstructionSettings
-) -> tuple[Array, Array, Array]:
-    """Moved points (k, 3) that have a partner, distances along the mean normals (k,), those normals (k, 3)."""
-    moved = transform(first_from_second, second.points)
-    normals = second.normals @ first_from_second[:3, :3].T
-    distance, rows = first.tree.query(moved, distance_upper_bound=settings.fine_distance, workers=-1)
-    near = np.flatnonzero(np.isfinite(distance))
-    near = near[(normals[near] * first.cloud.normals[rows[near]]).sum(axis=1) > settings.facing]
-    rows = rows[near]
-    axes = normals[near] + first.cloud.normals[rows]
-    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-    residual = ((moved[near] - first.cloud.points[rows]) * axes).sum(axis=1)
-    return moved[near], residual, axes
+def _assess(first: StationView, second: Cloud, first_from_second: Array, settings: ReconstructionSettings) -> Alignment:
+    moved = second.moved(first_from_second)
+    found = partners(first, moved, settings)
+    seen, through = _seen(first, moved.points, settings.see_through)
+    matched = np.zeros(len(moved), dtype=bool)
+    matched[found.row] = True
+    seen |= matched
+    overlap = np.count_nonzero(seen)
+    if len(found.row) < 6:
+        share = overlap / max(len(moved), 1)
+        return Alignment(first_from_second, share, 0.0, 0.0, float("nan"), 0.0, np.eye(6))
+    weight = tukey(found.residual)
+    jacobian = np.column_stack([np.cross(moved.points[found.row], found.axes), found.axes])
+    rmse = float(np.sqrt(np.mean(found.residual**2)))
+    information = jacobian.T @ (jacobian * weight[:, None]) / max(rmse, 1e-6) ** 2
+    return Alignment(
+        first_from_second,
+        overlap=overlap / len(moved),
+        fitness=np.count_nonzero(matched) / overlap,
+        contradicted=np.count_nonzero(through & ~matched) / overlap,
+        rmse=rmse,
+        stiffness=float(np.linalg.eigvalsh(found.axes.T @ found.axes)[0] / len(found.row)),
+        information=information,
+    )
 
 
-def _tukey(residual: Array) -> Array:
+def partners(first: StationView, moved: Cloud, settings: ReconstructionSettings) -> Partners:
+    """What the first station measured where the points of a cloud in its frame fall, if near and facing alike."""
+    rows, residuals, axes = [], [], []
+    for view in first.cameras.values():
+        row, v, u = view.camera.intrinsics.project(transform(invert(view.camera.rig_from_camera), moved.points))
+        shown = view.foreground[v, u]
+        row, v, u = row[shown], v[shown], u[shown]
+        apart = moved.points[row] - view.points(v, u)
+        axis = moved.normals[row] + view.normals[v, u]
+        # unit normals: |a + b|^2 = 2 + 2 a . b
+        squared = (axis**2).sum(axis=1)
+        near = ((apart**2).sum(axis=1) < settings.fine_distance**2) & (squared > 2 + 2 * settings.facing)
+        axis = axis[near] / np.sqrt(squared[near])[:, None]
+        rows.append(row[near])
+        axes.append(axis)
+        residuals.append((apart[near] * axis).sum(axis=1))
+    return Partners(np.concatenate(rows), np.concatenate(residuals), np.concatenate(axes))
+
+
+def _seen(first: StationView, points: Array, margin: float) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+    """Which points (n,) in the first station's frame it could see, and which of them it sees through.
+
+    A point is seen through if a camera's reading lies more than ``margin`` behind it, and hidden if all readings lie
+    more than that in front of it.
+    """
+    seen, through = np.zeros((2, len(points)), dtype=bool)
+    for view in first.cameras.values():
+        in_camera = transform(invert(view.camera.rig_from_camera), points)
+        row, v, u = view.camera.intrinsics.project(in_camera)
+        reading = view.depth[v, u]
+        behind = reading - in_camera[row, 2]
+        seen[row] |= (reading > 0) & (behind > -margin)
+        through[row] |= behind > margin
+    return seen, through
+
+
+def tukey(residual: Array) -> Array:
     """Weights (k,) that fall to zero at 2.5 standard deviations, estimated robustly, at least a millimetre."""
     scale = max(2.5 * 1.4826 * float(np.median(np.abs(residual))), 0.001)
     return np.clip(1 - (residual / scale) ** 2, 0, None) ** 2

@@ -6,11 +6,13 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.capture.frames import RgbdFrame
+from greenhouse_gym.capture.rig import Intrinsics
 from greenhouse_gym.geometry import Array
 
 
-def image_normals(frame: RgbdFrame, mask: npt.NDArray[np.bool_], window: int = 7) -> Array:
+def image_normals(
+    depth: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_], intrinsics: Intrinsics, window: int = 7
+) -> Array:
     """Unit normals toward the camera at the masked pixels, in the camera frame.
 
     With x' = (u - cx) / fx and y' = (v - cy) / fy, the points of a plane n . X = d have 1/z = (n . (x', y', 1)) / d, so
@@ -18,18 +20,19 @@ def image_normals(frame: RgbdFrame, mask: npt.NDArray[np.bool_], window: int = 7
     out of its background is not bent towards it.
 
     Args:
-        frame: The image.
+        depth: (height, width) metres.
         mask: (height, width) pixels to use; all must have a reading.
+        intrinsics: The camera's.
         window: Side of the window, pixels.
 
     Returns:
         (n, 3) unit vectors in the order of ``np.nonzero(mask)``; against the line of sight where a fit is not possible.
     """
-    k = frame.intrinsics
+    k = intrinsics
     x = ((np.arange(k.width) - k.cx) / k.fx)[None, :]
     y = ((np.arange(k.height) - k.cy) / k.fy)[:, None]
     weight = mask.astype(np.float64)
-    inverse = np.where(mask, 1.0 / np.where(mask, frame.depth, 1.0), 0.0).astype(np.float64)
+    inverse = np.where(mask, 1.0 / np.where(mask, depth, 1.0), 0.0).astype(np.float64)
 
     def window_sum(image: Array) -> Array:
         summed = cv2.boxFilter(image, -1, (window, window), normalize=False, borderType=cv2.BORDER_CONSTANT)

@@ -1,20 +1,23 @@
-"""From a recording to one cloud of the row: register, optimize, merge, remove outliers."""
+"""From a recording to one cloud of the row: walk, optimize, merge, remove outliers."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.reconstruction.clouds import Cloud, merge, to_open3d, voxel_means
+from greenhouse_gym.reconstruction.clouds import Cloud
+from greenhouse_gym.reconstruction.graph import optimize
+from greenhouse_gym.reconstruction.merging import merge_stations, outliers
+from greenhouse_gym.reconstruction.report import RowReport
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings
-from greenhouse_gym.reconstruction.track import RegisteredStations, RowReport, register_stations
+from greenhouse_gym.reconstruction.walk import Walk, walk_through
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,55 +41,92 @@ def reconstruct_row(
     recording: Recording,
     settings: ReconstructionSettings | None = None,
     on_station: Callable[[int], None] | None = None,
+    folder: str | Path | None = None,
 ) -> RowCloud:
-    """Turn a recording into one metric cloud of the row, as the paper does.
+    """Turn a recording into one metric cloud of the row, as the paper does, and some steps beyond.
 
     60 cm foreground, silhouettes shifted to the least difference, mean XYZ offset, ICP; a station that cannot be
-    registered is skipped and the next tried against the last good one; merge of all cameras; radius outlier removal.
-    Beyond the paper, stations two steps apart are registered as well and the pose graph is optimized.
+    registered is skipped and the next tried against the last good one; merge of all cameras; removal of what few
+    stations saw. Beyond the paper, the cameras are calibrated from what they see in common, stations two and three
+    steps apart are registered as well, and the pose graph is optimized.
+
+    Where the row falls apart into segments that cannot be registered to each other, this is the one with the most
+    stations, and the report names the others; `reconstruct_segments` gives all.
 
     Args:
         recording: The recording; its stations are read one at a time.
         settings: All settings; the paper's values by default.
         on_station: Called with the number of each station when it is done (for progress bars).
+        folder: Where to note what was registered, so that an interrupted reconstruction goes on from there.
 
     Raises:
-        ReconstructionError: Fewer than two stations could be registered; the message gives the reasons.
+        ReconstructionError: Too few stations could be registered; the message gives the reasons.
+    """
+    return reconstruct_segments(recording, settings, on_station, folder, most=1)[0]
+
+
+def reconstruct_segments(
+    recording: Recording,
+    settings: ReconstructionSettings | None = None,
+    on_station: Callable[[int], None] | None = None,
+    folder: str | Path | None = None,
+    most: int | None = None,
+) -> tuple[RowCloud, ...]:
+    """Like `reconstruct_row`, all segments, the one with the most stations first, each in a frame of its own.
+
+    Args:
+        recording: The recording.
+        settings: All settings.
+        on_station: Called with the number of each station when it is done.
+        folder: Where to note what was registered.
+        most: Segments wanted; None for all.
     """
     settings = settings or ReconstructionSettings()
-    stations = register_stations(recording, settings, on_station)
-    started = perf_counter()
-    merged = merge_stations(stations, settings)
-    merged_at = perf_counter()
-    row = remove_outliers(merged, settings)
-    seconds = row.report.seconds | {"merge": merged_at - started, "outliers": perf_counter() - merged_at}
-    return replace(row, report=replace(row.report, seconds=seconds))
-
-
-def merge_stations(stations: RegisteredStations, settings: ReconstructionSettings) -> RowCloud:
-    """All registered stations in one frame, one point per voxel."""
-    clouds, numbers = [], []
-    for i in np.flatnonzero(stations.registered):
-        cloud = stations.clouds[i]
-        if cloud is not None:
-            clouds.append(cloud.moved(stations.world_from_station[i]))
-            numbers.append(np.full(len(cloud), i, dtype=np.int32))
-    thin, voxel = voxel_means(merge(clouds), settings.voxel)
-    first_seen = np.full(len(thin), len(stations.registered), dtype=np.int32)
-    np.minimum.at(first_seen, voxel, np.concatenate(numbers))
-    report = replace(stations.report, merged_points=len(thin), points=len(thin))
-    return RowCloud(
-        thin.points, thin.colors, thin.normals, first_seen, stations.registered, stations.world_from_station, report
+    walk = walk_through(recording, settings, on_station, None if folder is None else Path(folder))
+    return tuple(
+        remove_outliers(*merge_segment(walk, segment, settings)) for segment in range(len(walk.segments))[:most]
     )
 
 
-def remove_outliers(row: RowCloud, settings: ReconstructionSettings) -> RowCloud:
-    """Radius outlier removal: points with few neighbours are what did not overlap."""
-    if not len(row):
-        return row
-    kept: Any = to_open3d(row).remove_radius_outlier(settings.outlier_neighbours, settings.outlier_radius)[1]
-    rows = np.sort(np.asarray(kept, dtype=np.int64))
-    return replace(
-        row, points=row.points[rows], colors=row.colors[rows], normals=row.normals[rows], station=row.station[rows],
-        report=replace(row.report, points=len(rows)),
+def merge_segment(walk: Walk, segment: int, settings: ReconstructionSettings) -> tuple[RowCloud, npt.NDArray[np.bool_]]:
+    """One segment of a walk as one cloud, and which of its points (n,) are outliers."""
+    started = perf_counter()
+    stations = walk.segments[segment]
+    poses = np.full((len(walk.reports), 4, 4), np.nan)
+    poses[list(stations)] = optimize(stations, walk.edges, settings.fine_distance)
+    registered = np.zeros(len(walk.reports), dtype=bool)
+    registered[list(stations)] = True
+    optimized = perf_counter()
+    merged = merge_stations({i: walk.clouds[i] for i in stations}, poses, settings)
+    outlier = outliers(merged, poses, walk.calibration.rig, settings)
+    cloud = merged.cloud
+    report = RowReport(
+        walk.reports, walk.segments, segment, _warnings(walk), walk.calibrated, len(cloud), len(cloud),
+        walk.seconds | {"optimize": optimized - started, "merge": perf_counter() - optimized},
     )  # fmt: skip
+    row = RowCloud(cloud.points, cloud.colors, cloud.normals, merged.station, registered, poses, report)
+    return row, outlier
+
+
+def remove_outliers(row: RowCloud, outlier: npt.NDArray[np.bool_]) -> RowCloud:
+    """The row without the points marked (n,)."""
+    kept = ~outlier
+    return RowCloud(
+        row.points[kept], row.colors[kept], row.normals[kept], row.station[kept],
+        row.registered, row.world_from_station, replace(row.report, points=int(np.count_nonzero(kept))),
+    )  # fmt: skip
+
+
+def _warnings(walk: Walk) -> tuple[str, ...]:
+    """What a user should look at."""
+    warnings = []
+    if len(walk.segments) > 1:
+        parts = "; ".join(f"{s[0]} to {s[-1]} ({len(s)} stations)" for s in walk.segments)
+        warnings.append(f"the row falls apart into {len(walk.segments)} segments: stations {parts}")
+    skipped = sum(not report.registered for report in walk.reports)
+    if skipped > 0.1 * len(walk.reports):
+        warnings.append(f"{skipped} of {len(walk.reports)} stations were skipped")
+    seeing = [set(report.blind) for report in walk.reports if report.registered]
+    blind = sorted(set.intersection(*seeing)) if seeing else []
+    warnings += [f"camera {name!r} saw no foreground at any station" for name in blind]
+    return tuple(warnings)

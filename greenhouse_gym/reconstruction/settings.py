@@ -9,25 +9,38 @@ from dataclasses import dataclass
 class ReconstructionSettings:
     """How a recording becomes a row."""
 
+    # what belongs to the row
     foreground: float = 0.60  # m, the paper's cut
-    shift_step: int = 2  # px, "a few pixels at a time"
-    step_range: tuple[float, float] = (0.03, 0.15)  # m the tripod may move from one station to the next
-    longest_gap: float = 0.45  # m beyond which two stations share too little to be registered
     min_foreground: float = 0.01  # share of the reference image that must be foreground
-    max_shift_difference: float = 0.9  # share of the foreground that may differ at the best shift; ICP decides
+    max_foreground: float = 0.98  # share beyond which silhouettes say nothing
     normal_window: int = 7  # px, side of the window a normal is fitted in
-    register_voxel: float = 0.006  # m, the cloud that ICP moves
-    surface_voxel: float = 0.003  # m, the cloud that ICP moves it to
-    coarse_distance: float = 0.02  # m, point-to-plane ICP
+    # where registration starts
+    shift_step: int = 2  # px, "a few pixels at a time"
+    max_shift_difference: float = 0.9  # share of the foreground that may differ at the best shift; ICP decides
+    # registration
+    samples: int = 5000  # points of a station that ICP moves
+    coarse_distance: float = 0.02  # m, Open3D's point-to-plane ICP
     fine_distance: float = 0.005  # m, ICP between surfaces that face the same way
     facing: float = 0.8  # least cosine between the normals of two points that are partners
     icp_iterations: int = 30
-    min_fitness: float = 0.35  # share of points with a partner within fine_distance
+    links: tuple[int, ...] = (2, 3)  # also register stations that many steps apart, and optimize the pose graph
+    # what is accepted
+    step_range: tuple[float, float] = (0.03, 0.15)  # m the tripod may move from one station to the next
+    longest_gap: float = 0.45  # m beyond which a new segment of the row begins
+    min_overlap: float = 0.15  # share of the points that the other station could see
+    min_fitness: float = 0.6  # share of those points with a partner within fine_distance
     max_rmse: float = 0.0025  # m along the normals of those partners
+    see_through: float = 0.03  # m behind a point at which the other station must see something to contradict it
+    max_contradicted: float = 0.10  # share of the points both could see that one station sees through
     max_rotation: float = 0.14  # rad between two stations, twice the tripod's +-2 degrees about each axis
     max_sideways: float = 0.06  # m across the row between two stations
-    links: tuple[int, ...] = (2, 3)  # also register stations that many steps apart, and optimize the pose graph
-    calibration_stations: int = 5  # from which the cameras' relative depth errors are estimated; 0 = not at all
-    voxel: float = 0.002  # m, the merged cloud
+    min_registered: float = 0.25  # share of the stations without which there is no row
+    # calibration of the cameras
+    calibration_stations: int = 5  # from which depth errors and the rig are estimated; 0 = not at all
+    calibrate_rig: bool = True  # also where the cameras stand, if that explains the overlap notably better
+    # the merged cloud
+    voxel: float = 0.002  # m
     outlier_radius: float = 0.006  # m
-    outlier_neighbours: int = 8
+    outlier_neighbours: int = 8  # fewest points within that radius
+    outlier_stations: int = 2  # fewest stations that must have seen something there,
+    outlier_views: int = 4  # of at least so many that could have

@@ -3,19 +3,31 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 
-from greenhouse_gym.capture import SEED_RIG, Intrinsics, RgbdFrame, StereoNoise, WalkSettings, simulate_recording
+from greenhouse_gym.capture import (
+    SEED_RIG,
+    Intrinsics,
+    RgbdFrame,
+    Station,
+    StereoNoise,
+    WalkSettings,
+    simulate_recording,
+)
+from greenhouse_gym.capture.rig import D435_DEPTH
 from greenhouse_gym.capture.sensor import draw_biases
-from greenhouse_gym.geometry import pose, rotation_about, rotation_angle
+from greenhouse_gym.capture.simulated import misplaced
+from greenhouse_gym.geometry import invert, pose, rotation_about, rotation_angle, transform
 from greenhouse_gym.plants import grow_row
 from greenhouse_gym.reconstruction import ReconstructionSettings
-from greenhouse_gym.reconstruction.calibration import estimate_bias
-from greenhouse_gym.reconstruction.clouds import Cloud
-from greenhouse_gym.reconstruction.icp import Surface, align
+from greenhouse_gym.reconstruction.calibration import calibrate
+from greenhouse_gym.reconstruction.icp import align
 from greenhouse_gym.reconstruction.normals import image_normals
+from greenhouse_gym.reconstruction.registration import register, unconvincing
+from greenhouse_gym.reconstruction.views import Calibration, StationView, view_station
 
 SETTINGS = ReconstructionSettings()
 CAMERA = Intrinsics(200, 150, 110.0, 105.0, 99.0, 74.0)
@@ -36,7 +48,7 @@ def test_normals_of_a_plane(tilt: float, about: tuple[float, float, float]) -> N
     mask = np.zeros((150, 200), dtype=bool)
     mask[40:110, 50:150] = True
     mask &= (frame.depth > 0) & (frame.depth < 3)
-    angles = np.degrees(np.arccos(np.clip(image_normals(frame, mask) @ normal, -1, 1)))
+    angles = np.degrees(np.arccos(np.clip(image_normals(frame.depth, mask, CAMERA) @ normal, -1, 1)))
     assert angles.max() < 0.5
 
 
@@ -47,7 +59,7 @@ def test_a_background_outside_the_mask_does_not_bend_normals() -> None:
     depth[:, :100] = 2.0
     mask = np.zeros(depth.shape, dtype=bool)
     mask[:, 100:108] = True  # a stem eight pixels wide
-    normals = image_normals(replace(frame, depth=depth), mask)
+    normals = image_normals(depth, mask, CAMERA)
     assert np.degrees(np.arccos(np.clip(normals @ normal, -1, 1))).max() < 0.5
 
 
@@ -55,50 +67,78 @@ def test_single_pixels_look_back_along_the_ray() -> None:
     frame = plane_frame(np.array([0.0, 0.0, -1.0]), 0.5)
     mask = np.zeros(frame.depth.shape, dtype=bool)
     mask[10, 20] = True
-    normals = image_normals(frame, mask)
+    normals = image_normals(frame.depth, mask, CAMERA)
     assert np.isfinite(normals).all()
     assert np.allclose(np.linalg.norm(normals, axis=1), 1.0)
 
 
-def half_stems(rng: np.random.Generator, side: float, noise: float = 0.0, upright: bool = False) -> Cloud:
-    """Twelve stems 10 mm thick, in all directions or upright, each seen from one side only."""
-    parts, normals = [], []
-    for k in range(12):
-        frame = np.eye(3) if upright else np.linalg.qr(np.random.default_rng(k).normal(size=(3, 3)))[0]
-        center = np.random.default_rng(100 + k).uniform(-0.3, 0.3, 3)
-        angle = side * rng.uniform(-0.2 * np.pi, 0.7 * np.pi, 600)
-        around = np.cos(angle)[:, None] * frame[:, 0] + np.sin(angle)[:, None] * frame[:, 1]
-        along = rng.uniform(-0.15, 0.15, 600)[:, None] * frame[:, 2]
-        parts.append(center + along + (0.005 + noise * rng.normal(size=(600, 1))) * around)
-        normals.append(around)
-    points = np.concatenate(parts)
-    return Cloud(points, np.zeros_like(points), np.concatenate(normals))
+NOISELESS = StereoNoise(
+    disparity_noise=0.0, disparity_step=0.0, depth_unit=0.0, bias=0.0, dropout=0.0, edge_dropout=0.0, fatten=0
+)
 
 
-def test_stems_seen_from_two_sides_are_not_pulled_together() -> None:
-    rng = np.random.default_rng(0)
-    first, second = (half_stems(rng, side, 0.0005, upright=True) for side in (1.0, -1.0))
-    start = pose(rotation_about([0.0, 0.0, 1.0], 0.004), [0.001, -0.001, 0.0])
-    found = align(Surface(first), second, start, SETTINGS).first_from_second
-    assert np.linalg.norm(found[:2, 3]) < 0.0003
-    assert rotation_angle(found[:3, :3]) < 0.001
+@cache
+def views(noiseless: bool) -> tuple[StationView, StationView, np.ndarray]:
+    """Two stations and the true motion between them."""
+    noise = NOISELESS if noiseless else StereoNoise(bias=0.0)
+    recording = simulate_recording(grow_row(6, 0.5), seed=6, stations=2, settings=WalkSettings(noise=noise))
+    stations = list(recording)
+    poses = [station.world_from_station for station in stations]
+    assert poses[0] is not None
+    assert poses[1] is not None
+    one, two = (view_station(station, Calibration(recording.rig), SETTINGS) for station in stations)
+    return one, two, invert(poses[0]) @ poses[1]
 
 
-def test_a_known_motion_is_recovered() -> None:
-    rng = np.random.default_rng(1)
-    cloud = half_stems(rng, 1.0)
-    motion = pose(rotation_about([0.3, 1.0, -0.5], 0.005), [0.001, 0.0015, -0.001])
-    moved = cloud.moved(motion)
-    found = align(Surface(moved), cloud, np.eye(4), SETTINGS)
-    assert np.allclose(found.first_from_second, motion, atol=2e-4)
-    assert found.fitness > 0.95
+def off(motion: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """A start a few millimetres and a third of a degree off a motion."""
+    center = points.mean(axis=0)
+    turn = rotation_about([0.3, 1.0, -0.5], 0.006)
+    return motion @ pose(turn, center - turn @ center + [0.002, 0.002, -0.002])
+
+
+@pytest.mark.parametrize(("noiseless", "millimetres", "degrees"), [(True, 0.1, 0.02), (False, 0.3, 0.08)])
+def test_the_true_motion_is_recovered(noiseless: bool, millimetres: float, degrees: float) -> None:
+    first, second, true = views(noiseless)
+    found = align(first, second.sample, off(true, second.sample.points), SETTINGS)
+    apart = transform(found.first_from_second, second.sample.points) - transform(true, second.sample.points)
+    assert 1e3 * np.linalg.norm(apart.mean(axis=0)) < millimetres
+    assert np.degrees(rotation_angle(found.first_from_second[:3, :3].T @ true[:3, :3])) < degrees
+    assert found.overlap > 0.5
+    assert found.fitness > 0.7
+    assert found.contradicted < 0.02
+    assert found.stiffness > 0.05
     assert np.linalg.eigvalsh(found.information).min() > 0
 
 
+def test_what_is_not_there_is_contradicted() -> None:
+    first, second, true = views(False)
+    hand = second.sample.points.copy()
+    toward = second.reference.camera.rig_from_camera[:3, 3] - hand
+    hand += 0.5 * toward  # halfway to the camera
+    half = np.arange(len(hand)) % 2 == 0
+    points = np.where(half[:, None], hand, second.sample.points)
+    found = align(first, replace(second.sample, points=points), true, SETTINGS)
+    assert 0.3 < found.contradicted < 0.6
+
+
 def test_clouds_without_partners_have_no_fitness() -> None:
-    cloud = half_stems(np.random.default_rng(2), 1.0)
-    far = cloud.moved(pose(translation=[5.0, 0.0, 0.0]))
-    assert align(Surface(cloud), far, np.eye(4), SETTINGS).fitness == 0.0
+    first, second, _ = views(False)
+    far = pose(translation=[5.0, 0.0, 0.0])
+    assert align(first, second.sample, far, SETTINGS).fitness == 0.0
+
+
+def test_a_wall_does_not_tell_how_far_it_moved() -> None:
+    depth = np.full((D435_DEPTH.height, D435_DEPTH.width), 0.5) + np.random.default_rng(0).normal(0, 1e-3, (480, 848))
+    depth[:, 400:] = 0  # so that the silhouettes have an edge
+    frame = RgbdFrame(np.zeros((480, 848, 3), dtype=np.uint8), depth.astype(np.float32), D435_DEPTH)
+    rig = replace(SEED_RIG, cameras={"middle": SEED_RIG.cameras["middle"]})
+    wall = view_station(Station({"middle": frame}), Calibration(rig), SETTINGS)
+    found = register(wall, wall, 1, SETTINGS)
+    assert found.reason
+    moved = align(wall, wall.sample, pose(translation=[0.0, 0.08, 0.0]), SETTINGS)
+    assert moved.fitness > SETTINGS.min_fitness
+    assert "too even" in unconvincing(moved, SETTINGS)
 
 
 def test_biases_of_the_cameras_are_found() -> None:
@@ -106,13 +146,32 @@ def test_biases_of_the_cameras_are_found() -> None:
     row = grow_row(5, 0.4)
     recording = simulate_recording(row, seed=5, stations=3, settings=WalkSettings(noise=noise))
     true = draw_biases(3, np.random.default_rng([5, 1]), noise)
-    found = np.array([*estimate_bias(recording, SETTINGS).values()])
-    assert abs(found.sum()) < 1e-6
-    assert np.abs(found - (true - true.mean())).max() < 0.0015
-    assert np.ptp(true) > 0.005
+    calibration, report = calibrate(recording, SETTINGS)
+    found = np.array([*report.bias.values()])
+    assert np.abs(found - true).max() < 0.0015  # the part that is common to all cameras as well
+    assert np.abs(true).max() > 0.005
+    assert calibration.rig is recording.rig
+    assert report.gap_after < report.gap_before
 
 
 def test_one_camera_has_no_bias_to_compare() -> None:
     rig = replace(SEED_RIG, cameras={"middle": SEED_RIG.cameras["middle"]})
     recording = simulate_recording(grow_row(5, 0.4), seed=5, rig=rig, stations=2)
-    assert estimate_bias(recording, SETTINGS) == {"middle": 0.0}
+    assert calibrate(recording, SETTINGS)[1].bias == {"middle": 0.0}
+
+
+def test_cameras_that_stand_off_the_rig_file_are_found() -> None:
+    off_file = WalkSettings(camera_offset=0.002, camera_angle=0.005)
+    recording = simulate_recording(grow_row(7, 0.5), seed=7, settings=off_file)
+    calibration, report = calibrate(recording, SETTINGS)
+    actual = misplaced(recording.rig, 7, off_file)
+    assert report.turned
+    for name, camera in actual.cameras.items():
+        true, filed, found = (r.cameras[name].rig_from_camera for r in (actual, recording.rig, calibration.rig))
+        if name != recording.rig.reference:
+            before, after = (rotation_angle(true[:3, :3].T @ pose[:3, :3]) for pose in (filed, found))
+            assert after < 0.3 * before
+            assert np.linalg.norm(found[:3, 3] - true[:3, 3]) < 0.002
+        assert camera.depth_scale == calibration.rig.cameras[name].depth_scale
+    kept, _ = calibrate(recording, replace(SETTINGS, calibrate_rig=False))
+    assert kept.rig is recording.rig

@@ -1,15 +1,20 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from row_helpers import half_recording
 from scipy import ndimage
 
-from greenhouse_gym.capture import Intrinsics, RgbdFrame
+from greenhouse_gym.capture import SEED_RIG, Intrinsics, RgbdFrame, three_camera_rig
+from greenhouse_gym.capture.rig import D435_DEPTH
+from greenhouse_gym.geometry import transform
 from greenhouse_gym.reconstruction import ReconstructionSettings
 from greenhouse_gym.reconstruction.foreground import blacked_out, foreground_mask
 from greenhouse_gym.reconstruction.registration import mean_offset, row_axis, silhouette_shift
 from greenhouse_gym.reconstruction.shift import Shift, along, best_shift, overlap
+from greenhouse_gym.reconstruction.views import Calibration, CameraView, view_camera
 
 SETTINGS = ReconstructionSettings()
 
@@ -67,48 +72,70 @@ def test_overlap_shows_the_same_pixels(shift: int) -> None:
     assert len(first[a]) == 20 - abs(shift)
 
 
-def frame(depth: np.ndarray, color: int = 90) -> RgbdFrame:
+def view(depth: np.ndarray, color: int = 90) -> CameraView:
+    """What a camera at the origin of the rig, looking forward, sees."""
     height, width = depth.shape
     intrinsics = Intrinsics(width, height, 100.0, 100.0, (width - 1) / 2, (height - 1) / 2)
-    return RgbdFrame(np.full((height, width, 3), color, np.uint8), depth.astype(np.float32), intrinsics)
+    rig = three_camera_rig(intrinsics)
+    image = RgbdFrame(np.full((height, width, 3), color, np.uint8), depth.astype(np.float32), intrinsics)
+    return view_camera(image, "middle", Calibration(rig), SETTINGS)
 
 
 def test_foreground_is_what_is_nearer_than_60_cm() -> None:
-    image = frame(np.array([[0.0, 0.3], [0.599, 0.601]]))
-    np.testing.assert_array_equal(foreground_mask(image), [[False, True], [True, False]])
-    np.testing.assert_array_equal(foreground_mask(image, 0.4), [[False, True], [False, False]])
-    np.testing.assert_array_equal(blacked_out(image)[..., 0], [[0, 90], [90, 0]])
+    depth = np.array([[0.0, 0.3], [0.599, 0.601]], dtype=np.float32)
+    rig = three_camera_rig(Intrinsics(2, 2, 100.0, 100.0, 0.5, 0.5))
+    camera = rig.cameras["middle"]
+    mask = foreground_mask(depth, camera, rig)
+    np.testing.assert_array_equal(mask, [[False, True], [True, False]])
+    np.testing.assert_array_equal(foreground_mask(depth, camera, rig, 0.4), [[False, True], [False, False]])
+    color = np.full((2, 2, 3), 90, np.uint8)
+    np.testing.assert_array_equal(blacked_out(color, mask)[..., 0], [[0, 90], [90, 0]])
 
 
-def shifted_frames(pixels: int, axis: int) -> tuple[RgbdFrame, RgbdFrame]:
+def test_turned_cameras_keep_the_slab_of_the_middle_one() -> None:
+    depth = np.full((D435_DEPTH.height, D435_DEPTH.width), 0.5, dtype=np.float32)
+    for depths in (depth, 1.1 * depth, 1.25 * depth):
+        for camera in SEED_RIG.cameras.values():
+            mask = foreground_mask(depths, camera, SEED_RIG)
+            rows, columns = np.nonzero(depths > 0)
+            points = camera.intrinsics.back_project(rows, columns, depths[rows, columns])
+            np.testing.assert_array_equal(mask.ravel(), transform(camera.rig_from_camera, points)[:, 0] < 0.6)
+
+
+def shifted_views(pixels: int, axis: int) -> tuple[CameraView, CameraView]:
     """A flat scene at half a metre that moves by so many pixels: the camera moves by pixels / fx * depth."""
     image = np.where(blobs(), 0.5, 0.0) if axis == 0 else np.where(blobs().T, 0.5, 0.0)
-    return tuple(frame(cut(image, start, axis)) for start in (0, pixels))  # type: ignore[return-value]
+    return tuple(view(cut(image, start, axis)) for start in (0, pixels))  # type: ignore[return-value]
 
 
 @pytest.mark.parametrize("axis", [0, 1])
 def test_mean_offset_of_a_flat_scene(axis: int) -> None:
-    first, second = shifted_frames(40, axis)
-    offset = mean_offset(first, second, Shift(40, axis, 0.0), SETTINGS)
+    first, second = shifted_views(40, axis)
+    offset = mean_offset(first, second, Shift(40, axis, 0.0))
     expected = np.zeros(3)
     expected[1 - axis] = 40 / 100 * 0.5
     np.testing.assert_allclose(offset, expected, atol=1e-6)
 
 
 def test_mean_offset_leaves_out_pixels_that_hit_different_things() -> None:
-    first, second = shifted_frames(40, 0)
+    first, second = shifted_views(40, 0)
     depth = second.depth.copy()
-    depth[:, 80:] = np.where(depth[:, 80:] > 0, 0.58, 0.0)  # something else in half of the picture
-    depth[:, :80] += np.where(depth[:, :80] > 0, np.float32(0.01), np.float32(0))
-    offset = mean_offset(first, frame(depth), Shift(40, 0, 0.0), SETTINGS)
+    depth[:, 100:] = np.where(depth[:, 100:] > 0, 0.58, 0.0)  # something else in a third of the picture
+    depth[:, :100] += np.where(depth[:, :100] > 0, np.float32(0.01), np.float32(0))
+    offset = mean_offset(first, view(depth), Shift(40, 0, 0.0))
     assert offset is not None
     assert offset[2] == pytest.approx(-0.01, abs=1e-6)
 
 
 def test_no_shared_pixels_no_offset() -> None:
-    first, second = shifted_frames(40, 0)
-    assert mean_offset(first, frame(np.zeros_like(second.depth)), Shift(40, 0, 0.0), SETTINGS) is None
-    assert mean_offset(first, frame(second.depth + 0.2), Shift(40, 0, 0.0), SETTINGS) is None
+    first, second = shifted_views(40, 0)
+    assert mean_offset(first, view(np.zeros_like(second.depth)), Shift(40, 0, 0.0)) is None
+    assert mean_offset(first, view(second.depth + 0.2), Shift(40, 0, 0.0)) is None
+
+
+def reference_view(i: int) -> CameraView:
+    frame = half_recording()[i].frames["middle"]
+    return view_camera(frame, "middle", Calibration(half_recording().rig), SETTINGS)
 
 
 def test_silhouettes_of_a_row_give_the_way_of_the_tripod() -> None:
@@ -119,27 +146,27 @@ def test_silhouettes_of_a_row_give_the_way_of_the_tripod() -> None:
         one, two = recording[i], recording[i + 1]
         assert one.world_from_station is not None
         assert two.world_from_station is not None
-        frames = one.frames["middle"], two.frames["middle"]
-        shift = silhouette_shift(*frames, camera, 1, SETTINGS)
+        views = reference_view(i), reference_view(i + 1)
+        shift = silhouette_shift(*views, 1, SETTINGS)
         assert isinstance(shift, Shift)
         assert shift.pixels > 0  # lower down in the first image
-        offset = mean_offset(*frames, shift, SETTINGS)
+        offset = mean_offset(*views, shift)
         assert offset is not None
         head = np.append(camera.rig_from_camera[:3, 3], 1.0)
         true = (np.linalg.inv(one.world_from_station) @ two.world_from_station @ head)[1]
         along_row = (camera.rig_from_camera[:3, :3] @ offset)[1]
         assert along_row == pytest.approx(true, abs=0.04)  # only where ICP starts
-        back = silhouette_shift(frames[1], frames[0], camera, 1, SETTINGS)
+        back = silhouette_shift(*views[::-1], 1, SETTINGS)
         assert isinstance(back, Shift)
         assert back.pixels < 0
 
 
 def test_reasons_why_silhouettes_cannot_be_compared() -> None:
-    recording = half_recording()
-    camera = recording.rig.cameras["middle"]
-    good = recording[0].frames["middle"]
-    dark = RgbdFrame(good.color, np.zeros_like(good.depth), good.intrinsics)
-    assert "second image has 0.0% foreground" in str(silhouette_shift(good, dark, camera, 1, SETTINGS))
-    assert "first image has 0.0% foreground" in str(silhouette_shift(dark, good, camera, 1, SETTINGS))
+    good, other = reference_view(0), reference_view(1)
+    dark = replace(good, depth=np.zeros_like(good.depth), foreground=np.zeros_like(good.foreground))
+    assert "second image has 0.0% foreground" in str(silhouette_shift(good, dark, 1, SETTINGS))
+    assert "first image has 0.0% foreground" in str(silhouette_shift(dark, good, 1, SETTINGS))
+    full = replace(good, depth=np.full_like(good.depth, 0.3), foreground=np.ones_like(good.foreground))
+    assert "100.0% of the image is nearer than 0.6 m" in str(silhouette_shift(good, full, 1, SETTINGS))
     strict = ReconstructionSettings(max_shift_difference=0.01)
-    assert "silhouettes differ by" in str(silhouette_shift(good, recording[1].frames["middle"], camera, 1, strict))
+    assert "silhouettes differ by" in str(silhouette_shift(good, other, 1, strict))

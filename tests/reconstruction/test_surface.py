@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError
 from greenhouse_gym.open3d_loader import open3d
 from greenhouse_gym.reconstruction import METHODS, TriangleMesh, simplify_points, triangulate
-from greenhouse_gym.reconstruction.clouds import Cloud, merge, thin_out, voxel_means
+from greenhouse_gym.reconstruction.clouds import Cloud, merge, voxel_means
 from greenhouse_gym.reconstruction.surface import check_mesh, save_mesh, save_points
 
 pytestmark = pytest.mark.xdist_group("row")
@@ -300,5 +300,3 @@ def test_clouds_move_select_and_merge() -> None:
     assert len(both) == 20
     np.testing.assert_array_equal(both.select(np.arange(10, 20)).points, moved.points)
     assert len(merge([])) == 0
-    assert len(thin_out(merge([]), 0.01)) == 0
-    assert 0 < len(thin_out(cloud, 0.05)) < 10

@@ -1,0 +1,123 @@
+"""What a walk has registered so far, noted station by station so that an interrupted one goes on.
+
+A folder holds ``walk.jsonl``, a header and one line per station, and ``000012.npz``, each station's cloud.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import zipfile
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from greenhouse_gym.capture.recordings import INDEX, Recording
+from greenhouse_gym.errors import FileWriteError
+from greenhouse_gym.paths import write_atomically
+from greenhouse_gym.reconstruction.clouds import PackedCloud
+from greenhouse_gym.reconstruction.graph import Edge
+from greenhouse_gym.reconstruction.report import StationReport, station_report
+from greenhouse_gym.reconstruction.settings import ReconstructionSettings
+
+_VERSION = 1  # of what a walk finds; raise it when registration changes, so that old notes are not continued
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """One station.
+
+    Attributes:
+        report: What happened to it; ``segment`` is the number of its segment's first station.
+        edges: Its accepted registrations, by the number of the earlier station.
+        cloud: Its foreground in its rig frame; None where it has none.
+    """
+
+    report: StationReport
+    edges: dict[int, Edge] = field(default_factory=dict)
+    cloud: PackedCloud | None = None
+
+
+@dataclass(eq=False)
+class Diary:
+    """Entries in the order of the stations, and where they are kept.
+
+    Attributes:
+        folder: None keeps them in memory alone.
+        entries: So far.
+    """
+
+    folder: Path | None
+    entries: list[Entry]
+
+    @classmethod
+    def open(cls, folder: Path | None, recording: Recording, settings: ReconstructionSettings) -> Diary:
+        """Continue what was noted of the same recording with the same settings, or begin anew."""
+        if folder is None:
+            return cls(None, [])
+        header = json.dumps(_identity(recording, settings), sort_keys=True)
+        log = folder / "walk.jsonl"
+        lines = log.read_text().splitlines() if log.exists() else []
+        if not lines or lines[0] != header:
+            write_atomically(log, header + "\n")
+            return cls(folder, [])
+        entries: list[Entry] = []
+        for line in lines[1:]:
+            try:
+                entry = _entry(json.loads(line), folder)
+            except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
+                break  # the interruption fell into this line or its cloud
+            if entry.report.station != len(entries):
+                break
+            entries.append(entry)
+        write_atomically(log, "\n".join([header, *lines[1 : len(entries) + 1]]) + "\n")
+        return cls(folder, entries)
+
+    def write(self, entry: Entry) -> None:
+        """Note a station; its cloud is put in place before the line that names it."""
+        self.entries.append(entry)
+        if self.folder is None:
+            return
+        if entry.cloud is not None:
+            buffer = io.BytesIO()
+            np.savez(buffer, **vars(entry.cloud))
+            write_atomically(_cloud_file(self.folder, entry.report.station), buffer.getvalue())
+        line = {
+            "report": asdict(entry.report),
+            "cloud": entry.cloud is not None,
+            "edges": {k: [matrix.tolist() for matrix in edge] for k, edge in entry.edges.items()},
+        }
+        log = self.folder / "walk.jsonl"
+        try:
+            with log.open("a") as file:
+                file.write(json.dumps(line) + "\n")
+        except OSError as error:
+            raise FileWriteError(log, error) from error
+
+
+def _identity(recording: Recording, settings: ReconstructionSettings) -> dict[str, Any]:
+    """What tells one walk from another: the recording's index file or rig, and all settings."""
+    rig = {name: [vars(c.intrinsics), c.rig_from_camera.tolist()] for name, c in recording.rig.cameras.items()}
+    index = recording.folder / INDEX if recording.folder else None
+    sha256 = hashlib.sha256(index.read_bytes()).hexdigest() if index and index.exists() else ""
+    return {
+        "version": _VERSION, "recording": recording.name, "stations": len(recording), "sha256": sha256,
+        "rig": rig, "settings": json.loads(json.dumps(asdict(settings))),
+    }  # fmt: skip
+
+
+def _entry(line: dict[str, Any], folder: Path) -> Entry:
+    report = station_report(line["report"])
+    cloud = None
+    if line["cloud"]:
+        with np.load(_cloud_file(folder, report.station), allow_pickle=False) as file:
+            cloud = PackedCloud(file["points"], file["colors"], file["normals"])
+    edges = {int(k): Edge(np.array(pose), np.array(information)) for k, (pose, information) in line["edges"].items()}
+    return Entry(report, edges, cloud)
+
+
+def _cloud_file(folder: Path, station: int) -> Path:
+    return folder / f"{station:06d}.npz"

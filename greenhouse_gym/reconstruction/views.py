@@ -1,0 +1,119 @@
+"""A station as registration sees it: its images in metres, its foreground as points with colors and normals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+import numpy.typing as npt
+
+from greenhouse_gym.capture.frames import RgbdFrame, Station
+from greenhouse_gym.capture.rig import Camera, Rig
+from greenhouse_gym.geometry import Array, transform
+from greenhouse_gym.reconstruction.clouds import Cloud, merge
+from greenhouse_gym.reconstruction.foreground import foreground_mask
+from greenhouse_gym.reconstruction.normals import image_normals
+from greenhouse_gym.reconstruction.settings import ReconstructionSettings
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """The cameras as they are, where that could be found out.
+
+    Attributes:
+        rig: The rig with the cameras where they stand.
+        bias: Relative depth error by camera: it reports ``(1 + bias)`` times the depth; 0 where not named.
+    """
+
+    rig: Rig
+    bias: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+
+
+@dataclass(frozen=True, eq=False)
+class CameraView:
+    """What one camera of a station sees.
+
+    Attributes:
+        camera: The camera.
+        color: (height, width, 3) uint8 RGB.
+        depth: (height, width) float32 metres, the depth error taken out; 0 = no reading.
+        foreground: (height, width) mask of the row's pixels.
+        normals: (height, width, 3) float32 unit normals of the foreground in the rig frame, toward the camera.
+    """
+
+    camera: Camera
+    color: npt.NDArray[np.uint8]
+    depth: npt.NDArray[np.float32]
+    foreground: npt.NDArray[np.bool_]
+    normals: npt.NDArray[np.float32]
+
+    def points(self, rows: npt.NDArray[np.int64], columns: npt.NDArray[np.int64]) -> Array:
+        """Points (n, 3) in the rig frame of some pixels (n,)."""
+        in_camera = self.camera.intrinsics.back_project(rows, columns, self.depth[rows, columns])
+        return transform(self.camera.rig_from_camera, in_camera)
+
+    def cloud(self, rows: npt.NDArray[np.int64], columns: npt.NDArray[np.int64]) -> Cloud:
+        """Some pixels (n,) of the foreground as a cloud in the rig frame."""
+        return Cloud(
+            self.points(rows, columns),
+            self.color[rows, columns] / 255.0,
+            self.normals[rows, columns].astype(np.float64),
+        )
+
+    def sample(self, count: int) -> Cloud:
+        """About ``count`` pixels of the foreground, evenly over them, as a cloud in the rig frame."""
+        pixels = np.flatnonzero(self.foreground)
+        chosen = pixels[np.linspace(0, len(pixels) - 1, min(count, len(pixels))).astype(np.int64)]
+        return self.cloud(*np.divmod(chosen, self.foreground.shape[1]))
+
+
+@dataclass(frozen=True, eq=False)
+class StationView:
+    """What all cameras of a station see.
+
+    Attributes:
+        cameras: By name.
+        reference: The camera whose silhouettes align the stations.
+        sample: Some of the foreground in the rig frame, for ICP to move.
+    """
+
+    cameras: Mapping[str, CameraView]
+    reference: CameraView
+    sample: Cloud
+
+    def cloud(self) -> Cloud:
+        """Every other pixel of the foreground of all cameras, as on a checkerboard, in the rig frame.
+
+        Stereo matching shares its noise among neighbours, so the other half would say little more.
+        """
+        parts = []
+        for view in self.cameras.values():
+            rows, columns = np.nonzero(view.foreground)
+            black = (rows + columns) % 2 == 0
+            parts.append(view.cloud(rows[black], columns[black]))
+        return merge(parts)
+
+
+def view_camera(frame: RgbdFrame, name: str, calibration: Calibration, settings: ReconstructionSettings) -> CameraView:
+    """What one image shows, the camera's depth error taken out."""
+    camera = calibration.rig.cameras[name]
+    depth = frame.depth / np.float32(1.0 + calibration.bias.get(name, 0.0))
+    mask = foreground_mask(depth, camera, calibration.rig, settings.foreground)
+    normals = np.zeros((*depth.shape, 3), dtype=np.float32)
+    in_camera = image_normals(depth, mask, camera.intrinsics, settings.normal_window)
+    normals[mask] = in_camera @ camera.rig_from_camera[:3, :3].T
+    return CameraView(camera, frame.color, depth, mask, normals)
+
+
+def view_station(station: Station, calibration: Calibration, settings: ReconstructionSettings) -> StationView:
+    """Prepare a station for registration and merging."""
+    cameras = {name: view_camera(frame, name, calibration, settings) for name, frame in station.frames.items()}
+    share = {name: np.count_nonzero(view.foreground) for name, view in cameras.items()}
+    every = max(1, round(sum(share.values()) / settings.samples))
+    return StationView(
+        cameras,
+        cameras[calibration.rig.reference],
+        merge([view.sample(int(share[name]) // every) for name, view in cameras.items()]),
+    )
