@@ -6,11 +6,13 @@ The row is worked through in slices along y, so memory is that of the result and
 from __future__ import annotations
 
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
+from threadpoolctl import threadpool_limits
 
 from greenhouse_gym.capture.rig import Rig
 from greenhouse_gym.geometry import Array, invert, transform
@@ -48,26 +50,29 @@ def merge_stations(
         settings: All settings.
     """
     along = {
-        i: cloud.points.astype(np.float64) @ world_from_station[i, 1, :3] + world_from_station[i, 1, 3]
+        i: cloud.points @ world_from_station[i, 1, :3].astype(np.float32) + np.float32(world_from_station[i, 1, 3])
         for i, cloud in clouds.items()
         if len(cloud.points)
     }
     spans = {i: (float(y.min()), float(y.max())) for i, y in along.items()}
     low, high = (edge(f(s[k] for s in spans.values())) for k, edge, f in ((0, np.floor, min), (1, np.ceil, max)))
     margin = 2 * settings.outlier_radius
-    parts = []
-    for start in np.arange(low, high, _SLICE):
+
+    def merge_slice(start: float) -> Merged:
         end = start + _SLICE
-        pieces, numbers = [], []
+        pieces, numbers = [merge([])], [np.zeros(0, dtype=np.int32)]
         for i, span in spans.items():
             if span[0] < end + margin and span[1] >= start - margin:
                 here = (along[i] >= start - margin) & (along[i] < end + margin)
                 pieces.append(clouds[i].select(here).moved(world_from_station[i]))
                 numbers.append(np.full(len(pieces[-1]), i, dtype=np.int32))
-        if pieces:
-            merged = _merge_slice(merge(pieces), np.concatenate(numbers), settings)
-            y = merged.cloud.points[:, 1]
-            parts.append(_select(merged, (y >= start) & (y < end)))
+        merged = _merge_points(merge(pieces), np.concatenate(numbers), settings)
+        y = merged.cloud.points[:, 1]
+        return _select(merged, (y >= start) & (y < end))
+
+    # numpy and the search tree let go of the interpreter's lock
+    with ThreadPoolExecutor(2) as pool, threadpool_limits(1, "blas"):
+        parts = list(pool.map(merge_slice, np.arange(low, high, _SLICE)))
     return Merged(
         merge([part.cloud for part in parts]),
         np.concatenate([part.station for part in parts]),
@@ -76,16 +81,16 @@ def merge_stations(
     )
 
 
-def _merge_slice(cloud: Cloud, station: npt.NDArray[np.int32], settings: ReconstructionSettings) -> Merged:
+def _merge_points(cloud: Cloud, station: npt.NDArray[np.int32], settings: ReconstructionSettings) -> Merged:
     means, row = voxel_means(cloud, settings.voxel)
     first_seen = np.full(len(means), np.iinfo(np.int32).max, dtype=np.int32)
     np.minimum.at(first_seen, row, station)
     seen_by = np.zeros(len(means), dtype=np.int32)
+    stations = int(station.max(initial=0)) + 1
     for offset in (0.0, 0.5):  # two grids, so that no neighbour is missed for lying across a cube's face
         cube = voxels(cloud.points, 1.5 * settings.outlier_radius, offset)
-        pairs = np.unique(cube * (int(station.max()) + 1) + station) // (int(station.max()) + 1)
-        cubes, stations = np.unique(pairs, return_counts=True)
-        np.maximum.at(seen_by, row, stations[np.searchsorted(cubes, cube)].astype(np.int32))
+        cubes, count = np.unique(np.unique(cube * stations + station) // stations, return_counts=True)
+        np.maximum.at(seen_by, row, count[np.searchsorted(cubes, cube)].astype(np.int32))
     return Merged(means, first_seen, seen_by, _lonely(means.points, settings))
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from time import perf_counter
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.errors import FileFormatError, ReconstructionError
@@ -92,19 +93,20 @@ def walk_through(
 
     for entry in diary.entries:
         note(entry)
-    for i, view in _views(recording, calibration, settings, len(diary.entries)):
-        if isinstance(view, str):
-            entry = Entry(StationReport(i, False, reason=view))
-        else:
-            near = _near(segments, i, settings)
-            kept = [station for segment in near for station in segment[-max(settings.links, default=1) :]]
-            views = {  # memory grows with the clouds, not with the images; after an interruption they are read again
-                k: views[k] if k in views else view_station(recording[k], calibration, settings) for k in kept
-            }
-            entry = _place(i, view, near, views, edges, settings)
-            views[i] = view
-        diary.write(entry)
-        note(entry)
+    with threadpool_limits(1, "blas"):  # two threads of our own do better than BLAS's on small products
+        for i, view in _views(recording, calibration, settings, len(diary.entries)):
+            if isinstance(view, str):
+                entry = Entry(StationReport(i, False, reason=view))
+            else:
+                near = _near(segments, i, settings)
+                kept = [station for segment in near for station in segment[-max(settings.links, default=1) :]]
+                views = {  # memory grows with the clouds, not with the images; read again after an interruption
+                    k: views[k] if k in views else view_station(recording[k], calibration, settings) for k in kept
+                }
+                entry = _place(i, view, near, views, edges, settings)
+                views[i] = view
+            diary.write(entry)
+            note(entry)
     reports, kept_segments = _conclude(diary.entries, segments, recording.name, settings)
     return Walk(
         calibration,
