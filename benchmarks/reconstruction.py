@@ -1,91 +1,221 @@
-"""How right rows and shapes are against the truth of simulated rows, sensor noise, bias and tripod error all on.
+"""How right reconstructed rows are against the truth of simulated ones: sensor noise, bias and tripod error all on.
 
-python benchmarks/reconstruction.py --length 5 --seeds 201 202 203
+python benchmarks/reconstruction.py --lengths 2 5 --workdir recordings
 
-Recordings are written to a temporary folder and read back, so that the time per station includes reading. The seeds are
+Rows of several lengths are reconstructed by the package, by plain Open3D and by the paper's chain alone; some once more
+with broken stations, and some with larger camera biases. Every reconstruction runs in a process of its own, so that the
+peak memory is its own, and reads its recording from disk, so that the time per station includes reading. The seeds are
 used nowhere else.
+
+Each measurement is written as soon as it is there; started again, the benchmark goes on with what is missing. What
+other sources than the present ones measured does not count.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
+import itertools
+import json
+import multiprocessing
+import resource
 import tempfile
 import time
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
+from broken_stations import break_stations
+from reconstruction_tables import tables
+from registration_baselines import multiway, paper_chain
 from results_file import RESULTS, write_results
 
-from greenhouse_gym.accuracy import distance_to_truth, drift, match_tomatoes, visible_tomatoes
-from greenhouse_gym.capture import open_recording, simulate_recording, write_recording
-from greenhouse_gym.geometry import invert, transform
+import greenhouse_gym
+from greenhouse_gym.accuracy import (
+    ReconstructedRow,
+    completeness,
+    distance_to_surface,
+    drift,
+    place,
+    place_by_windows,
+    visible_surface,
+)
+from greenhouse_gym.capture import (
+    Recording,
+    StereoNoise,
+    WalkSettings,
+    open_recording,
+    simulate_recording,
+    write_recording,
+)
+from greenhouse_gym.geometry import Array, invert
+from greenhouse_gym.open3d_loader import open3d
 from greenhouse_gym.plants import grow_row
 from greenhouse_gym.reconstruction import reconstruct_row
-from greenhouse_gym.shapes import extract_shapes
+
+METHODS: dict[str, Callable[[Recording], ReconstructedRow]] = {
+    "package": reconstruct_row,
+    "multiway": multiway,
+    "paper_chain": paper_chain,
+}
+BROKEN_LENGTHS, BROKEN_METHODS = (5.0, 10.0), ("package", "paper_chain")
+BIAS_LENGTH, BIASES = 5.0, (0.0, 0.002, 0.005, 0.01)
+MISPLACED = 0.02  # m
 
 
-def measure(seed: int, length: float, week: int) -> dict[str, Any]:
-    """Simulate, reconstruct and extract one row; all figures in SI units."""
-    truth = grow_row(seed, length, week)
-    with tempfile.TemporaryDirectory() as folder:
-        recording = open_recording(write_recording(simulate_recording(truth, seed), Path(folder) / "recording"))
-        poses = np.array([station.world_from_station for station in recording])
-        started = time.perf_counter()
-        row = reconstruct_row(recording)
-        reconstructed = time.perf_counter()
-        shapes = extract_shapes(row.points, row.colors, row.normals)
-        extracted = time.perf_counter()
-    first = poses[np.flatnonzero(row.registered)[0]]
-    distance = distance_to_truth(row, truth, first)
-    centers = transform(invert(first), np.array([tomato.center for tomato in truth.tomatoes]))
-    true = [replace(tomato, center=center) for tomato, center in zip(truth.tomatoes, centers, strict=True)]
-    matches = match_tomatoes(true, shapes.tomatoes)
-    visible = visible_tomatoes(truth, recording.rig, poses)
+@dataclass(frozen=True)
+class Case:
+    """One thing to measure.
+
+    Attributes:
+        length: Of the row, metres.
+        seed: Of the row, the walk and the noise.
+        method: One of `METHODS`.
+        broken: Whether 15 % of the stations are broken.
+        bias: One sigma of the relative depth error of a camera.
+    """
+
+    length: float
+    seed: int
+    method: str = "package"
+    broken: bool = False
+    bias: float = StereoNoise().bias
+
+    @property
+    def week(self) -> int:
+        """Growth week."""
+        return self.seed % 3
+
+    @property
+    def recording(self) -> str:
+        """Name of the recording's folder."""
+        return f"{self.length:g}m-{self.seed}" + ("" if self.bias == StereoNoise().bias else f"-bias-{self.bias:g}")
+
+
+def cases(lengths: Sequence[float], seeds: Sequence[int], parts: Sequence[str]) -> Iterator[Case]:
+    """Everything to measure; cases of one recording follow each other."""
+    for length, seed in itertools.product(lengths, seeds):
+        if "rows" in parts:
+            yield from (Case(length, seed, method) for method in METHODS)
+        if "broken" in parts and length in BROKEN_LENGTHS:
+            yield from (Case(length, seed, method, broken=True) for method in BROKEN_METHODS)
+        if "bias" in parts and length == BIAS_LENGTH:
+            yield from (Case(length, seed, bias=bias) for bias in BIASES)
+
+
+def render(case: Case, folder: Path) -> None:
+    """Write a case's recording to a folder."""
+    settings = WalkSettings(noise=StereoNoise(bias=case.bias))
+    truth = grow_row(case.seed, case.length, case.week)
+    write_recording(simulate_recording(truth, case.seed, settings=settings), folder)
+
+
+def measure(case: Case, folder: Path) -> dict[str, Any]:
+    """Reconstruct a recording and compare it with the truth; all figures in SI units, memory in bytes."""
+    open3d()  # its import is not counted
+    recording, broken = break_stations(open_recording(folder), 0.15 if case.broken else 0.0, case.seed)
+    started = time.perf_counter()
+    row = METHODS[case.method](recording)
+    seconds = time.perf_counter() - started
+    memory = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+    truth = grow_row(case.seed, case.length, case.week)
+    poses = np.array([station.world_from_station for station in recording])
+    good = ~np.isin(np.arange(len(recording)), list(broken))
+    surface = visible_surface(truth, recording.rig, poses[good])
+    placed, aligned = place(row, poses), place_by_windows(row, truth, poses)
+    plain_distance, distance = distance_to_surface(placed, truth), distance_to_surface(aligned, truth)
     error = drift(row, poses)
-    return {
-        "seed": seed,
-        "week": week,
-        "stations": len(row.registered),
+    figures = {
+        "code": sources(),
+        "week": case.week,
+        "stations": len(recording),
         "registered": int(row.registered.sum()),
-        "length": error.length,
+        "points": len(row.points),
+        "walked": error.length,
         "drift": error.share,
-        "cloud_to_truth_mean": float(distance.mean()),
-        "cloud_to_truth_95": float(np.quantile(distance, 0.95)),
-        "seconds_per_station": (reconstructed - started) / len(row.registered),
-        "tomatoes_visible": int(visible.sum()),
-        "tomatoes_recall": float(visible[matches.true].sum() / visible.sum()),
-        "tomatoes_precision": len(matches.found) / max(len(shapes.tomatoes), 1),
-        "center_error_median": float(np.median(matches.center_errors)),
-        "diameter_error_median": float(np.median(matches.diameter_errors)),
-        "shape_seconds_per_metre": (extracted - reconstructed) / length,
+        "distance_mean": float(distance.mean()),
+        "distance_95": float(np.quantile(distance, 0.95)),
+        "distance_mean_unaligned": float(plain_distance.mean()),
+        "distance_95_unaligned": float(np.quantile(plain_distance, 0.95)),
+        "completeness": completeness(aligned, surface),
+        "completeness_unaligned": completeness(placed, surface),
+        "seconds_per_station": seconds / len(recording),
+        "peak_memory": memory,
     }
+    if case.broken:
+        accepted = row.registered & ~good
+        figures |= {
+            "good": int(good.sum()),
+            "good_registered": int((row.registered & good).sum()),
+            "broken_stations": {str(i): kind for i, kind in broken.items()},
+            "broken_accepted": np.flatnonzero(accepted).tolist(),
+            "broken_misplaced": [int(i) for i in np.flatnonzero(accepted) if _misplaced(int(i), row, poses, good)],
+        }
+    return asdict(case) | figures
+
+
+def _misplaced(i: int, row: ReconstructedRow, poses: Array, good: npt.NDArray[np.bool_]) -> bool:
+    """Whether station ``i`` stands elsewhere, seen from the nearest good one, than where its images were taken."""
+    others = np.flatnonzero(row.registered & good)
+    k = others[np.argmin(np.abs(others - i))]
+    found = invert(row.world_from_station[k]) @ row.world_from_station[i]
+    true = invert(poses[k]) @ poses[i]
+    return bool(np.linalg.norm(found[:3, 3] - true[:3, 3]) > MISPLACED)
+
+
+def sources() -> str:
+    """A fingerprint of the sources on which the figures depend."""
+    package, here = Path(greenhouse_gym.__file__).parent, Path(__file__).parent
+    parts = [package / name for name in ("plants", "capture", "reconstruction", "accuracy")]
+    files = [file for part in parts for file in sorted(part.glob("*.py"))]
+    files += [package / "geometry.py", here / "registration_baselines.py", here / "broken_stations.py"]
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:12]
+
+
+def apart(function: Callable[..., Any], *arguments: Any) -> Any:
+    """Call a function in a process of its own."""
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        return pool.submit(function, *arguments).result()
+
+
+def measured(file: Path) -> list[dict[str, Any]]:
+    """What an earlier run with the present sources has measured."""
+    stored = json.loads(file.read_text()).get("measurements", []) if file.exists() else []
+    return [record for record in stored if record["code"] == sources()]
 
 
 def main() -> None:
-    """Measure some rows, print a table and write the results."""
+    """Measure what is missing, write the results, print tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--length", type=float, default=5.0, help="metres")
+    parser.add_argument("--lengths", type=float, nargs="+", default=[2.0, 5.0, 10.0, 20.0], help="metres")
     parser.add_argument("--seeds", type=int, nargs="+", default=[201, 202, 203])
+    parser.add_argument("--only", nargs="+", choices=["rows", "broken", "bias"], default=["rows", "broken", "bias"])
+    parser.add_argument("--workdir", type=Path, help="where to keep the rendered recordings; by default none is kept")
     parser.add_argument("--out", type=Path, default=RESULTS / "reconstruction.json")
     arguments = parser.parse_args()
-    rows = []
-    print(
-        "| row | registered | drift | cloud to truth, mean / 95 % | s per station | tomatoes found / right | center |"
-    )
-    print("|---|---:|---:|---:|---:|---:|---:|")
-    for week, seed in enumerate(arguments.seeds):
-        row = measure(seed, arguments.length, week)
-        rows.append(row)
-        print(
-            f"| {seed} | {row['registered']} of {row['stations']} | {row['drift']:.2%} "
-            f"| {1e3 * row['cloud_to_truth_mean']:.1f} / {1e3 * row['cloud_to_truth_95']:.1f} mm "
-            f"| {row['seconds_per_station']:.2f} | {row['tomatoes_recall']:.1%} / {row['tomatoes_precision']:.1%} "
-            f"| {1e3 * row['center_error_median']:.1f} mm |",
-            flush=True,
-        )
-    write_results(arguments.out, {"length": arguments.length, "rows": rows}, ["open3d", "scipy"])
+    records = measured(arguments.out)
+    todo = [
+        case
+        for case in dict.fromkeys(cases(arguments.lengths, arguments.seeds, arguments.only))
+        if not any(asdict(case).items() <= record.items() for record in records)
+    ]
+    for name, own in itertools.groupby(todo, key=lambda case: case.recording):
+        with nullcontext(arguments.workdir) if arguments.workdir else tempfile.TemporaryDirectory() as parent:
+            folder = Path(parent) / name
+            for case in own:
+                if not (folder / "recording.json").exists():
+                    apart(render, case, folder)
+                record = apart(measure, case, folder)
+                print(f"{name} {case.method}{' broken' * case.broken}: drift {record['drift']:.3%}", flush=True)
+                records.append(record)
+                write_results(arguments.out, {"measurements": records}, ["open3d", "scipy"])
+    print(tables(records))
 
 
 if __name__ == "__main__":
