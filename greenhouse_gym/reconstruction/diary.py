@@ -9,6 +9,7 @@ import hashlib
 import io
 import json
 import zipfile
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from greenhouse_gym.reconstruction.clouds import PackedCloud
 from greenhouse_gym.reconstruction.graph import Edge
 from greenhouse_gym.reconstruction.report import StationReport, station_report
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings
+from greenhouse_gym.reconstruction.views import Screen
 
 _VERSION = 1  # of what a walk finds; raise it when registration changes, so that old notes are not continued
 
@@ -34,11 +36,13 @@ class Entry:
         report: What happened to it; ``segment`` is the number of its segment's first station.
         edges: Its accepted registrations, by the number of the earlier station.
         cloud: Its foreground in its rig frame; None where it has none.
+        screens: What each of its cameras did not see through.
     """
 
     report: StationReport
     edges: dict[int, Edge] = field(default_factory=dict)
     cloud: PackedCloud | None = None
+    screens: Mapping[str, Screen] = field(default_factory=dict)
 
 
 @dataclass(eq=False)
@@ -83,7 +87,8 @@ class Diary:
             return
         if entry.cloud is not None:
             buffer = io.BytesIO()
-            np.savez(buffer, **vars(entry.cloud))
+            arrays: dict[str, Any] = vars(entry.cloud) | {f"screen {k}": screen for k, screen in entry.screens.items()}
+            np.savez(buffer, **arrays)
             write_atomically(_cloud_file(self.folder, entry.report.station), buffer.getvalue())
         line = {
             "report": asdict(entry.report),
@@ -111,12 +116,13 @@ def _identity(recording: Recording, settings: ReconstructionSettings) -> dict[st
 
 def _entry(line: dict[str, Any], folder: Path) -> Entry:
     report = station_report(line["report"])
-    cloud = None
+    cloud, screens = None, {}
     if line["cloud"]:
         with np.load(_cloud_file(folder, report.station), allow_pickle=False) as file:
             cloud = PackedCloud(file["points"], file["colors"], file["normals"])
+            screens = {name[7:]: file[name] for name in file.files if name.startswith("screen ")}
     edges = {int(k): Edge(np.array(pose), np.array(information)) for k, (pose, information) in line["edges"].items()}
-    return Entry(report, edges, cloud)
+    return Entry(report, edges, cloud, screens)
 
 
 def _cloud_file(folder: Path, station: int) -> Path:

@@ -18,6 +18,7 @@ from greenhouse_gym.capture.rig import Rig
 from greenhouse_gym.geometry import Array, invert, transform
 from greenhouse_gym.reconstruction.clouds import Cloud, PackedCloud, merge, voxel_means, voxels
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings
+from greenhouse_gym.reconstruction.views import BLOCK, Screen
 
 _SLICE = 0.5  # m along the row
 
@@ -109,26 +110,38 @@ def _select(merged: Merged, rows: npt.NDArray[np.bool_]) -> Merged:
 
 
 def outliers(
-    merged: Merged, world_from_station: Array, rig: Rig, settings: ReconstructionSettings
+    merged: Merged,
+    world_from_station: Array,
+    screens: Mapping[int, Mapping[str, Screen]],
+    rig: Rig,
+    settings: ReconstructionSettings,
 ) -> npt.NDArray[np.bool_]:
-    """Points (n,) that do not overlap: too few neighbours, or seen by too few of the stations that looked there.
+    """Points (n,) that do not overlap: too few neighbours, or seen by few stations while others see through the place.
 
     The second is what the paper's radius outlier removal is after: it takes away what a wrongly registered station
-    brought, and what stood in front of the cameras for a moment. Places that hardly any station looks at, as at the
-    row's ends, are spared.
+    brought, and what was in front of the cameras for a moment. What others could not see, or only one station looked
+    at, as at the row's ends, is spared.
+
+    Args:
+        merged: The stations merged.
+        world_from_station: (stations, 4, 4); NaN where not registered.
+        screens: What each station's cameras did not see through.
+        rig: The cameras.
+        settings: All settings.
     """
     result = merged.lonely.copy()
     doubtful = np.flatnonzero(~result & (merged.seen_by < settings.outlier_stations))
     points = merged.cloud.points[doubtful]
-    looked = np.zeros(len(points), dtype=np.int64)
-    front = rig.cameras[rig.reference].rig_from_camera[0, 3] + settings.foreground
-    for pose in world_from_station[np.isfinite(world_from_station[:, 0, 0])]:
-        near = np.flatnonzero(np.abs(points[:, 1] - pose[1, 3]) < 2 * settings.foreground)
-        in_rig = transform(invert(pose), points[near])
-        near, in_rig = near[in_rig[:, 0] < front], in_rig[in_rig[:, 0] < front]
-        inside = np.zeros(len(near), dtype=bool)
-        for camera in rig.cameras.values():
-            inside[camera.intrinsics.project(transform(invert(camera.rig_from_camera), in_rig))[0]] = True
-        looked[near[inside]] += 1
-    result[doubtful[looked >= settings.outlier_views]] = True
+    seen_through = np.zeros(len(points), dtype=np.int64)
+    for i in np.flatnonzero(np.isfinite(world_from_station[:, 0, 0])):
+        near = np.flatnonzero(np.abs(points[:, 1] - world_from_station[i, 1, 3]) < 2 * settings.foreground)
+        in_rig = transform(invert(world_from_station[i]), points[near])
+        through = np.zeros(len(near), dtype=bool)
+        for name, screen in screens[int(i)].items():
+            camera = rig.cameras[name]
+            in_camera = transform(invert(camera.rig_from_camera), in_rig)
+            row, v, u = camera.intrinsics.project(in_camera)
+            through[row] |= screen[v // BLOCK, u // BLOCK] / 1e3 > in_camera[row, 2] + settings.see_through
+        seen_through[near[through]] += 1
+    result[doubtful[seen_through >= settings.outlier_views]] = True
     return result

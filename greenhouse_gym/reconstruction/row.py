@@ -98,7 +98,7 @@ def merge_segment(walk: Walk, segment: int, settings: ReconstructionSettings) ->
     registered[list(stations)] = True
     optimized = perf_counter()
     merged = merge_stations({i: walk.clouds[i] for i in stations}, poses, settings)
-    outlier = outliers(merged, poses, walk.calibration.rig, settings)
+    outlier = outliers(merged, poses, walk.screens, walk.calibration.rig, settings)
     cloud = merged.cloud
     report = RowReport(
         walk.reports, walk.segments, segment, _warnings(walk), walk.calibrated, len(cloud), len(cloud),

@@ -41,6 +41,6 @@ class ReconstructionSettings:
     # the merged cloud
     voxel: float = 0.002  # m
     outlier_radius: float = 0.006  # m
-    outlier_neighbours: int = 8  # fewest points within that radius
+    outlier_neighbours: int = 2  # fewest points within that radius
     outlier_stations: int = 2  # fewest stations that must have seen something there,
-    outlier_views: int = 4  # of at least so many that could have
+    outlier_views: int = 2  # if at least so many see through the place

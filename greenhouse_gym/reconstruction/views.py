@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +17,10 @@ from greenhouse_gym.reconstruction.clouds import Cloud, merge
 from greenhouse_gym.reconstruction.foreground import foreground_mask
 from greenhouse_gym.reconstruction.normals import image_normals
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings
+
+BLOCK = 4  # px, side of the blocks of a screen
+Screen: TypeAlias = npt.NDArray[np.uint16]
+"""(height / BLOCK, width / BLOCK) millimetres, rounded up; 0 = no reading."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +66,14 @@ class CameraView:
             self.color[rows, columns] / 255.0,
             self.normals[rows, columns].astype(np.float64),
         )
+
+    def screen(self) -> Screen:
+        """The nearest reading of each block of pixels: what lies behind it, the camera cannot have seen through."""
+        k, far = self.camera.intrinsics, np.iinfo(np.uint16).max
+        millimetres = np.where(self.depth > 0, np.minimum(1e3 * self.depth, far - 1), far).astype(np.uint16)
+        padded = np.pad(millimetres, ((0, -k.height % BLOCK), (0, -k.width % BLOCK)), constant_values=far)
+        blocks = padded.reshape(padded.shape[0] // BLOCK, BLOCK, -1, BLOCK).min(axis=(1, 3))
+        return np.where(blocks == far, 0, blocks).astype(np.uint16)
 
     def sample(self, count: int) -> Cloud:
         """About ``count`` pixels of the foreground, evenly over them, as a cloud in the rig frame."""

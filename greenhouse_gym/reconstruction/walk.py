@@ -26,7 +26,7 @@ from greenhouse_gym.reconstruction.graph import Edge
 from greenhouse_gym.reconstruction.registration import Registration, refine, register
 from greenhouse_gym.reconstruction.report import StationReport
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings
-from greenhouse_gym.reconstruction.views import Calibration, StationView, view_station
+from greenhouse_gym.reconstruction.views import Calibration, Screen, StationView, view_station
 
 _TRIED = 3  # segments a station is tried against, the longest first
 _SHORTEST = 3  # stations that make a segment beside the longest one
@@ -46,6 +46,7 @@ class Walk:
         segments: Numbers of the stations of each segment, the longest first.
         edges: Accepted registrations by the numbers of the earlier and the later station.
         clouds: Each station's foreground in its rig frame, by its number.
+        screens: What each station's cameras did not see through.
         seconds: Time of each stage.
     """
 
@@ -55,6 +56,7 @@ class Walk:
     segments: tuple[tuple[int, ...], ...]
     edges: Mapping[tuple[int, int], Edge]
     clouds: Mapping[int, PackedCloud]
+    screens: Mapping[int, Mapping[str, Screen]]
     seconds: dict[str, float]
 
 
@@ -115,6 +117,7 @@ def walk_through(
         kept_segments,
         edges,
         {entry.report.station: entry.cloud for entry in diary.entries if entry.cloud is not None},
+        {entry.report.station: entry.screens for entry in diary.entries},
         {"calibrate": calibrated_at - started, "register": perf_counter() - calibrated_at},
     )
 
@@ -161,6 +164,7 @@ def _place(
 ) -> Entry:
     """Register station ``i`` to the last station of a segment and to those before; else it begins its own segment."""
     cloud = PackedCloud.of(view.cloud())
+    screens = {name: camera.screen() for name, camera in view.cameras.items()}
     blind = tuple(name for name, camera in view.cameras.items() if not camera.foreground.any())
     refused = StationReport(i, True, segment=i, blind=blind)
     for segment in near:
@@ -172,10 +176,10 @@ def _place(
             found.fitness, found.rmse, segment[0] if found.accepted else i, blind,
         )  # fmt: skip
         if found.accepted:
-            return Entry(report, _links(i, view, found, segment, views, edges, direction, settings), cloud)
+            return Entry(report, _links(i, view, found, segment, views, edges, direction, settings), cloud, screens)
         if refused.against is None:
             refused = report
-    return Entry(refused, {}, cloud)
+    return Entry(refused, {}, cloud, screens)
 
 
 def _direction(segment: list[int], edges: Mapping[tuple[int, int], Edge], view: StationView) -> int:
