@@ -1,0 +1,94 @@
+"""The files that a reconstruction leaves, gathered in a work folder and put in place when all are there."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from greenhouse_gym.capture import Recording
+from greenhouse_gym.cli.pictures import registration_pictures, row_pictures
+from greenhouse_gym.cli.report_page import report_page, segment_name
+from greenhouse_gym.errors import FileWriteError
+from greenhouse_gym.paths import write_atomically
+from greenhouse_gym.reconstruction import (
+    ReconstructionSettings,
+    RowCloud,
+    StationReport,
+    TriangleMesh,
+    report_as_json,
+    save_row,
+)
+from greenhouse_gym.reconstruction.row import merge_segment, remove_outliers
+from greenhouse_gym.reconstruction.surface import save_mesh, save_points
+from greenhouse_gym.reconstruction.walk import Walk
+
+
+def write_results(
+    walk: Walk,
+    recording: Recording,
+    settings: ReconstructionSettings,
+    mesh_as: Callable[[RowCloud], TriangleMesh],
+    out: Path,
+    work: Path,
+) -> tuple[list[RowCloud], TriangleMesh]:
+    """Write the clouds of all segments, and of the longest the mesh, the pictures and the report.
+
+    Args:
+        walk: The recording's.
+        recording: Read again for pictures of its stations.
+        settings: The walk's.
+        mesh_as: Makes the mesh.
+        out: Where the results go, in place of an earlier reconstruction's, which stay whole until all is there.
+        work: A folder of the same disk for what is not complete; emptied first.
+
+    Returns:
+        The cloud of each segment, the longest first, and the mesh.
+
+    Raises:
+        FileWriteError: A file could not be written, say because the disk is full.
+    """
+    shutil.rmtree(work, ignore_errors=True)
+    merged, outlier = merge_segment(walk, 0, settings)
+    rows = [remove_outliers(merged, outlier)]
+    rows += [remove_outliers(*merge_segment(walk, k, settings)) for k in range(1, len(walk.segments))]
+    for k, row in enumerate(rows):  # PLY files first: Open3D does not notice a full disk, the files after them do
+        save_row(row, work / f"{segment_name(k)}.npz")
+        save_points(row, work / f"{segment_name(k)}.ply")
+    mesh = mesh_as(rows[0])
+    save_mesh(mesh, work / "mesh.ply")
+    report = rows[0].report
+    write_atomically(work / "report.json", report_as_json(report))
+    pair = typical_pair(report.stations)
+    pictures = registration_pictures(recording, *pair, settings, work) if pair else []
+    pictures += row_pictures(merged, rows[0], mesh, work)
+    head = recording.rig.cameras[recording.rig.reference].rig_from_camera[:3, 3]
+    page = report_page(recording.name, rows, len(mesh.triangles), head, settings, pair, pictures)
+    write_atomically(work / "report.html", page)
+    _put_in_place(work, out)
+    return rows, mesh
+
+
+def typical_pair(stations: Sequence[StationReport]) -> tuple[int, int] | None:
+    """The two neighbors whose registration has the median fitness; None if no neighbors were registered."""
+    pairs = sorted(
+        (s.fitness, s.station) for s in stations
+        if s.registered and not s.reason and s.against == s.station - 1 and s.fitness is not None
+    )  # fmt: skip
+    if not pairs:
+        return None
+    _, station = pairs[(len(pairs) - 1) // 2]
+    return station - 1, station
+
+
+def _put_in_place(work: Path, out: Path) -> None:
+    """Move results from one folder to another, in place of what an earlier run left there."""
+    try:
+        for old in out.iterdir():
+            if re.fullmatch(r"row-\d+\.(npz|ply)|[1-8]-[a-z-]+\.png", old.name):
+                old.unlink()
+        for path in work.iterdir():
+            path.replace(out / path.name)
+    except OSError as error:
+        raise FileWriteError(out, error) from error

@@ -1,0 +1,218 @@
+from __future__ import annotations
+
+import re
+from base64 import b64decode
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from greenhouse_gym.cli.pictures import save
+from greenhouse_gym.cli.report_page import report_page
+from greenhouse_gym.cli.results import typical_pair
+from greenhouse_gym.cli.svg import Axis, Series, axis_around, plot
+from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, RowReport, StationReport
+from greenhouse_gym.reconstruction.calibration import CalibrationReport
+
+HOSTILE = "<script>alert('x')</script>\"&$name{0}"
+VOID = {"meta", "img"}
+HEAD = np.array([0.0, 0.0, 1.1])
+
+
+class Page(HTMLParser):
+    """A page taken apart; tags that are not closed, or not in order, are an error."""
+
+    def __init__(self, html: str):
+        super().__init__()
+        self.open: list[str] = []
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.texts: list[str] = []
+        self.feed(html)
+        self.close()
+        assert not self.open
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if self.open[-1:] != ["style"] and data.strip():
+            self.texts.append(data.strip())
+
+    def all(self, tag: str) -> list[dict[str, str | None]]:
+        return [attributes for name, attributes in self.tags if name == tag]
+
+
+STATIONS = (
+    StationReport(0, True, segment=0),
+    StationReport(1, True, 0, "", 60, 0.9, 0.0012, 0),
+    StationReport(2, False, 1, "silhouettes differ by 95% at the best shift", None, 0.0, float("nan"), None),
+    StationReport(3, True, 1, "", 61, 0.8, 0.0013, 0, ("last",)),
+    StationReport(4, True, 3, "", 62, 0.7, 0.0014, 0),
+    StationReport(5, True, 4, "fitness 0.20 below 0.6", 63, 0.2, 0.0041, 1),
+    StationReport(6, True, 5, "", 64, 0.95, 0.0011, 1),
+)
+CALIBRATION = CalibrationReport({"first": 0.0031, "last": -0.002}, {}, {}, 0.00089, 0.00065)
+
+
+def segment(number: int, stations: tuple[int, ...], points: int, report: RowReport) -> RowCloud:
+    registered = np.isin(np.arange(len(report.stations)), stations)
+    poses = np.full((len(report.stations), 4, 4), np.nan)
+    poses[registered] = np.eye(4)
+    poses[registered, 1, 3] = 0.1 * np.arange(registered.sum())
+    cloud = np.zeros((3, points, 3))
+    return RowCloud(*cloud, np.zeros(points, dtype=np.int32), registered, poses, replace(report, segment=number))
+
+
+def two_segments(**changes: object) -> list[RowCloud]:
+    report = RowReport(STATIONS, ((0, 1, 3, 4), (5, 6)), calibration=CALIBRATION, seconds={"register": 12.4})
+    report = replace(report, **changes)
+    return [segment(0, (0, 1, 3, 4), 12_000, report), segment(1, (5, 6), 345, report)]
+
+
+def page(rows: list[RowCloud], name: str = "row 7", pictures: tuple[Path, ...] = ()) -> str:
+    return report_page(name, rows, 1500, HEAD, ReconstructionSettings(), (0, 1), pictures)
+
+
+def test_headline_figures_and_warnings() -> None:
+    html = page(two_segments(warnings=("the row falls apart", "look & see")))
+    texts = Page(html).texts
+    for figure in ("6 of 7", "12,345", "1,500", "0.40 m"):
+        assert figure in texts
+    assert texts[texts.index("segments") + 1] == "2"
+    assert html.count('<p class="warning">') == 2
+    assert "look &amp; see" in html
+    assert "warning" not in "".join(Page(page(two_segments())).texts)
+
+
+def test_the_table_tells_each_station() -> None:
+    html = page(two_segments())
+    rows = [re.findall(r"<td[^>]*>(.*?)</td>", line) for line in html.splitlines() if line.count("<td") == 7]
+    rows[0] = rows[0][-7:]
+    assert rows == [
+        ["0", "", "", "", "", "1", ""],
+        ["1", "0", "60", "0.90", "1.20", "1", ""],
+        ["2", "refused by 1", "", "", "", "none", "silhouettes differ by 95% at the best shift"],
+        ["3", "1", "61", "0.80", "1.30", "1", "camera &#x27;last&#x27; saw no foreground"],
+        ["4", "3", "62", "0.70", "1.40", "1", ""],
+        ["5", "refused by 4", "63", "0.20", "4.10", "2", "fitness 0.20 below 0.6"],
+        ["6", "5", "64", "0.95", "1.10", "2", ""],
+    ]
+
+
+def test_each_segment_has_files_and_a_path() -> None:
+    parsed = Page(page(two_segments()))
+    text = "\n".join(parsed.texts)
+    assert "row.npz, row.ply" in text
+    assert "segment 2: 2 of stations 5 to 6, 345 points" in text
+    assert "row-2.npz, row-2.ply" in text
+    assert len(parsed.all("svg")) == 2 + 2
+    assert len(parsed.all("circle")) == 5 + 5 + 4 + 2  # a refused station without a result has no dot
+    assert "station 5: 0.20" in text
+
+
+def test_what_was_found_out_about_the_cameras() -> None:
+    text = " ".join(Page(page(two_segments())).texts)
+    assert "0.89 mm before calibration and 0.65 mm after it" in text
+    assert "0.31% too long" in text
+    assert "0.20% too short" in text
+    assert "stand where the rig file has them" in text
+    moved = replace(CALIBRATION, turned={"first": 0.01, "last": 0.0}, shifted={"first": 0.0021, "last": 0.0})
+    text = " ".join(Page(page(two_segments(calibration=moved))).texts)
+    assert "The rig was corrected" in text
+    assert "0.57°" in text
+    assert "2.1 mm" in text
+    unknown = CalibrationReport({"middle": 0.0}, {}, {})
+    assert "too little in common" in " ".join(Page(page(two_segments(calibration=unknown))).texts)
+
+
+def test_all_text_is_escaped() -> None:
+    stations = (
+        *STATIONS[:2],
+        replace(STATIONS[2], reason=HOSTILE),
+        replace(STATIONS[3], blind=(HOSTILE,)),
+        *STATIONS[4:],
+    )
+    calibration = CalibrationReport({HOSTILE: 0.01}, {}, {}, 0.001, 0.001)
+    html = page(
+        two_segments(stations=stations, calibration=calibration, warnings=(HOSTILE,), seconds={HOSTILE: 1.0}), HOSTILE
+    )
+    parsed = Page(html)
+    assert not parsed.all("script")
+    assert "<script" not in html
+    assert parsed.texts.count(HOSTILE) >= 5  # title, heading, warning, camera, reason
+
+
+def test_the_page_needs_nothing_else(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    noise = rng.integers(0, 255, (90, 120, 3), dtype=np.uint8)
+    flat = np.full((50, 400, 3), 200, dtype=np.uint8)
+    pictures = (save(noise, tmp_path / "1-two-images.png"), save(flat, tmp_path / "8-mesh.png"))
+    parsed = Page(page(two_segments(), pictures=pictures))
+    kinds = []
+    for image, expected in zip(parsed.all("img"), (noise, flat), strict=True):
+        source = re.fullmatch(r"data:image/(png|jpeg);base64,(.+)", image["src"] or "")
+        assert source
+        kind, data = source.groups()
+        decoded = cv2.imdecode(np.frombuffer(b64decode(data), np.uint8), cv2.IMREAD_COLOR)
+        assert decoded.shape == expected.shape
+        assert image["alt"]
+        kinds.append(kind)
+    assert kinds == ["jpeg", "png"]
+    assert "Stations 0 and 1 of the reference camera: neighbors of median fitness." in parsed.texts
+    for tag, attributes in parsed.tags:
+        assert tag not in {"script", "link", "iframe", "object"}
+        assert not {"href", "srcset", "onload", "onerror"} & set(attributes)
+
+
+def test_a_single_station_makes_a_page_too() -> None:
+    report = RowReport((StationReport(0, False, segment=None),), ((0,),))
+    parsed = Page(page([segment(0, (0,), 5, report)]))
+    assert "1 of 1" in parsed.texts
+
+
+def test_the_pair_of_median_fitness_is_shown() -> None:
+    assert typical_pair(STATIONS) == (0, 1)  # 0.7, 0.9 and 0.95
+    assert typical_pair(STATIONS[3:5]) == (3, 4)
+    assert typical_pair(STATIONS[:1]) is None
+    assert typical_pair((STATIONS[0], STATIONS[2], STATIONS[3])) is None  # neighbors, but not registered to each other
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "expected"),
+    [
+        (0.0, 1.0, [0.0, 0.2, 0.4, 0.6, 0.8, 1.0]),
+        (-0.5, 19.5, [0.0, 5.0, 10.0, 15.0]),
+        (-0.12, 0.05, [-0.1, -0.05, 0.0, 0.05]),
+        (0.0, 2.75, [0.0, 1.0, 2.0]),
+    ],
+)
+def test_ticks_are_round_values_on_the_axis(low: float, high: float, expected: list[float]) -> None:
+    np.testing.assert_allclose(Axis("", low, high).ticks(), expected, atol=1e-9)
+
+
+def test_an_axis_has_room_for_a_single_value() -> None:
+    axis = axis_around("m", np.array([3.0]), 0.2)
+    assert (axis.low, axis.high) == pytest.approx((2.9, 3.1))
+    assert axis.place(np.array([2.9, 3.0, 3.1]), 0, 100).tolist() == pytest.approx([0, 50, 100])
+    assert axis._replace(flipped=True).place(np.array([2.9]), 0, 100).tolist() == pytest.approx([100])
+
+
+def test_a_plot_places_its_dots_and_escapes_its_texts() -> None:
+    points = Series(np.array([[0.0, 0.0], [1.0, 1.0]]), "good", ["a", "<b>"], ["", "<c>"])
+    drawn = plot("<t>", Axis("<x>", 0, 1), Axis("<y>", 0, 1), [points, Series(np.zeros((0, 2)), "bad")], 200, 100)
+    parsed = Page(drawn)
+    circles = [(float(c["cx"] or ""), float(c["cy"] or "")) for c in parsed.all("circle")]
+    assert circles == [(52, 60), (184, 12)]
+    assert {"<b>", "<c>", "<x>", "<y>"} <= set(parsed.texts)
+    assert {tag for tag, _ in parsed.tags} == {"svg", "line", "text", "circle", "title"}
