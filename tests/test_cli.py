@@ -3,17 +3,22 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
-from row_helpers import half_recording
+from row_helpers import HALF, black, from_stations, half_recording
 from typer.testing import CliRunner
 
-from greenhouse_gym.capture import open_recording, write_recording
+from greenhouse_gym.capture import open_recording, simulate_recording, write_recording
 from greenhouse_gym.capture.images import read_color
 from greenhouse_gym.capture.recordings import INDEX
 from greenhouse_gym.cli import app
-from greenhouse_gym.errors import FileFormatError, GreenhouseError, UnknownNameError
+from greenhouse_gym.errors import FileFormatError, FileWriteError, GreenhouseError, UnknownNameError
+from greenhouse_gym.plants import grow_row
 from greenhouse_gym.reconstruction import load_row
 from greenhouse_gym.scene import SceneBank
 
@@ -70,19 +75,144 @@ def test_simulate_writes_a_recording_once(tmp_path: Path) -> None:
     assert not (tmp_path / "x").exists()
 
 
+# -- reconstruct ------------------------------------------------------------------------------------------------------
+
+RESULTS = {"row.npz", "row.ply", "mesh.ply", "report.json", "report.html"} | {
+    name for name in PICTURES if name.split("-")[0] in set("12345678")
+}
+SMALL = ("--points", "2000", "--faces", "1500")
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_recording(half_recording(), tmp_path_factory.mktemp("row") / "recording")
+
+
+@pytest.fixture(scope="module")
+def reconstructed(recording: Path) -> Path:
+    """What an uninterrupted reconstruction leaves; ``printed`` lies beside it."""
+    out = recording.parent / "out"
+    (recording.parent / "printed").write_text(run("reconstruct", recording, "--out", out, *SMALL))
+    return out
+
+
+def same_row(one: Path, two: Path) -> bool:
+    with np.load(one / "row.npz") as a, np.load(two / "row.npz") as b:
+        names = set(a.files) - {"report"}  # tells seconds
+        return len(names) == 6 and all(a[name].tobytes() == b[name].tobytes() for name in names)
+
+
 @pytest.mark.xdist_group("row")
-def test_reconstruct_writes_cloud_mesh_report_and_pictures(tmp_path: Path) -> None:
-    write_recording(half_recording(), tmp_path / "recording")
-    out = tmp_path / "out"
-    printed = run("reconstruct", tmp_path / "recording", "--out", out, "--points", "2000", "--faces", "1500")
+def test_reconstruct_writes_cloud_mesh_report_and_pictures(reconstructed: Path) -> None:
+    printed = (reconstructed.parent / "printed").read_text()
     assert "5 of 5 stations" in printed
-    assert {path.name for path in out.iterdir()} == {"row.npz", "row.ply", "mesh.ply", "report.json"} | {
-        name for name in PICTURES if name[0] in "5678"
-    }
-    row = load_row(out / "row.npz")
+    assert "going on" not in printed
+    assert {path.name for path in reconstructed.iterdir()} == RESULTS
+    row = load_row(reconstructed / "row.npz")
     assert row.registered.all()
-    assert len(json.loads((out / "report.json").read_text())["stations"]) == 5
-    assert all(is_a_picture(path) for path in out.glob("*.png"))
+    assert len(json.loads((reconstructed / "report.json").read_text())["stations"]) == 5
+    assert all(is_a_picture(path) for path in reconstructed.glob("*.png"))
+    page = (reconstructed / "report.html").read_text()
+    assert "<dd>5 of 5</dd>" in page
+    assert f"<dd>{len(row):,}</dd>" in page
+    assert page.count('src="data:image/') == 8
+
+
+@pytest.mark.xdist_group("row")
+def test_an_interrupted_reconstruction_goes_on_and_leaves_earlier_results_whole(
+    recording: Path, reconstructed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ctrl-C at the third station, then a disk that is full when the clouds are written, then all is well."""
+    old = {
+        "row.npz",
+        "row.ply",
+        "row-2.npz",
+        "row-3.ply",
+        "report.html",
+        "2-foreground.png",
+        "notes.txt",
+        "row-old.ply",
+    }
+    for name in old:
+        (tmp_path / name).write_text("old")
+
+    def untouched() -> bool:
+        there = {path.name for path in tmp_path.iterdir()}
+        return there == old | {"walk"} and all((tmp_path / name).read_text() == "old" for name in old)
+
+    @contextmanager
+    def interrupted(what: str, total: int) -> Iterator[Callable[[int], None]]:
+        def done(count: int) -> None:
+            if count == 3:
+                raise KeyboardInterrupt
+
+        yield done
+
+    def full(path: Path, content: str) -> None:
+        raise FileWriteError(path, OSError(28, "No space left on device"))
+
+    with monkeypatch.context() as patched:
+        patched.setattr("greenhouse_gym.cli.sensing.progress", interrupted)
+        result = CliRunner().invoke(app, ["reconstruct", str(recording), "--out", str(tmp_path)])
+    assert result.exit_code == 130
+    assert f"3 of 5 stations are kept in {tmp_path / 'walk'}; give the same command again" in result.output
+    assert untouched()
+
+    with monkeypatch.context() as patched:
+        patched.setattr("greenhouse_gym.cli.results.write_atomically", full)
+        assert "No space left" in str(fails("reconstruct", recording, "--out", tmp_path, *SMALL))
+    assert untouched()
+
+    assert "going on after station 4\n" in run("reconstruct", recording, "--out", tmp_path, *SMALL)
+    assert {path.name for path in tmp_path.iterdir()} == RESULTS | {"notes.txt", "row-old.ply"}
+    assert same_row(tmp_path, reconstructed)
+
+
+@pytest.mark.xdist_group("row")
+def test_a_gap_in_the_row_makes_two_segments(tmp_path: Path) -> None:
+    """And a name that is markup, for browsers and for the terminal, is shown as it is."""
+    other = simulate_recording(grow_row(seed=5, length=0.3), seed=5, rig=HALF)
+    stations = [*list(half_recording())[:4], *list(other)[:3]]
+    hostile = replace(from_stations(stations, half_recording()), name="<script>alert(1)</script>[/]")
+    write_recording(hostile, tmp_path / "recording")
+    out = tmp_path / "[red]out"
+    printed = run("reconstruct", tmp_path / "recording", "--out", out, *SMALL, "--method", "alpha_shape")
+    assert "7 of 7 stations" in printed
+    assert "station 4 begins a new segment: " in printed
+    assert "warning: the row falls apart into 2 segments" in printed
+    assert str(out) in printed
+    assert {path.name for path in out.iterdir()} == RESULTS | {"row-2.npz", "row-2.ply"}
+    first, second = load_row(out / "row.npz"), load_row(out / "row-2.npz")
+    assert first.registered.tolist() == [True] * 4 + [False] * 3
+    assert second.registered.tolist() == [False] * 4 + [True] * 3
+    page = (out / "report.html").read_text()
+    assert "<script" not in page
+    assert "<h1>&lt;script&gt;alert(1)&lt;/script&gt;[/]</h1>" in page
+    assert '<p class="warning">the row falls apart into 2 segments' in page
+    assert "row-2.npz, row-2.ply" in page
+
+
+@pytest.mark.xdist_group("row")
+def test_stations_without_neighbors_have_no_pictures_of_a_registration(tmp_path: Path) -> None:
+    first, second = half_recording()[0], half_recording()[1]
+    write_recording(from_stations([first, black(first), second], half_recording()), tmp_path / "recording")
+    printed = run("reconstruct", tmp_path / "recording", "--out", tmp_path / "out", *SMALL)
+    assert "2 of 3 stations" in printed
+    assert "station 1 skipped: camera 'middle': 0.0% foreground" in printed
+    assert {path.name for path in tmp_path.glob("out/*.png")} == {name for name in RESULTS if name[0] in "5678"}
+
+
+def test_reconstruct_checks_what_it_is_given(tmp_path: Path) -> None:
+    stations = [black(station) for station in half_recording()]
+    folder, out = write_recording(from_stations(stations, half_recording()), tmp_path / "recording"), tmp_path / "out"
+    assert "ball_pivoting" in str(fails("reconstruct", folder, "--out", out, "--method", "marching_cubes"))
+    assert not out.exists()
+    assert "0 of 5 stations registered" in str(fails("reconstruct", folder, "--out", out))
+    assert not list(out.iterdir())  # or mended images would not be looked at
+    (out / "walk").mkdir()
+    (out / "walk" / "thesis.txt").write_text("mine")
+    assert "no notes of a reconstruction" in str(fails("reconstruct", folder, "--out", out))
+    assert (out / "walk" / "thesis.txt").read_text() == "mine"
 
 
 def test_render_draws_a_scene(bank: SceneBank, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import Annotated
 
@@ -32,36 +33,58 @@ def simulate(
 def reconstruct(
     recording: Annotated[Path, typer.Argument(help="Folder of the recording.")],
     out: Out,
-    points: Annotated[int, typer.Option(help="Points the cloud is simplified to before it is meshed.")] = 10_000,
-    faces: Annotated[int, typer.Option(help="Most faces of the mesh.")] = 18_000,
+    method: Annotated[str, typer.Option(help="How to mesh: ball_pivoting, poisson or alpha_shape.")] = "ball_pivoting",
+    points: Annotated[int, typer.Option(min=4, help="Points the cloud is simplified to before it is meshed.")] = 10_000,
+    faces: Annotated[int, typer.Option(min=1, help="Most faces of the mesh.")] = 18_000,
 ) -> None:
-    """Turn a recording into a cloud and a mesh, with a report."""
+    """Turn a recording into a cloud and a mesh, with a report; an interrupted run goes on where it stopped.
+
+    Notes of the way are kept in the folder "walk" beside the results until all results are written.
+    """
     from greenhouse_gym.capture import open_recording
-    from greenhouse_gym.cli.pictures import row_pictures
-    from greenhouse_gym.paths import write_atomically
-    from greenhouse_gym.reconstruction import ReconstructionSettings, report_as_json, save_row, simplify_points
-    from greenhouse_gym.reconstruction import triangulate as make_mesh
-    from greenhouse_gym.reconstruction.row import merge_segment, remove_outliers
-    from greenhouse_gym.reconstruction.surface import save_mesh, save_points
+    from greenhouse_gym.cli.results import write_results
+    from greenhouse_gym.errors import FileFormatError, ReconstructionError, require_choice
+    from greenhouse_gym.reconstruction import METHODS, ReconstructionSettings, simplify_points, triangulate
+    from greenhouse_gym.reconstruction.diary import Diary
     from greenhouse_gym.reconstruction.walk import walk_through
 
-    settings = ReconstructionSettings()
-    opened = open_recording(recording)
-    with progress("stations", len(opened)) as done:
-        walk = walk_through(opened, settings, lambda i: done(i + 1), out / "walk")
-    merged, outlier = merge_segment(walk, 0, settings)
-    row = remove_outliers(merged, outlier)
-    save_row(row, out / "row.npz")
-    write_atomically(out / "report.json", report_as_json(row.report))
-    save_points(row, out / "row.ply")
-    mesh = make_mesh(simplify_points(row, points), faces=faces)
-    save_mesh(mesh, out / "mesh.ply")
-    row_pictures(merged, row, mesh, out)
-    for station in row.report.stations:
+    require_choice("meshing method", method, METHODS)
+    opened, settings, notes = open_recording(recording), ReconstructionSettings(), out / "walk"
+    if notes.exists() and not (notes / "walk.jsonl").exists():
+        raise FileFormatError(notes, "holds no notes of a reconstruction; choose another folder or remove it")
+    noted = len(Diary.open(notes, opened, settings).entries)
+    if noted:
+        _say(f"going on after station {noted - 1}")
+    try:
+        with progress("stations", len(opened)) as done:
+            walk = walk_through(opened, settings, lambda i: done(i + 1), notes)
+        with CONSOLE.status("merging, meshing, drawing"):
+            rows, mesh = write_results(
+                walk, opened, settings, lambda row: triangulate(simplify_points(row, points), method, faces),
+                out, work=notes / "results",
+            )  # fmt: skip
+        shutil.rmtree(notes)
+    except KeyboardInterrupt:
+        noted = len(Diary.open(notes, opened, settings).entries)
+        kept = f"{noted} of {len(opened)} stations are kept in {notes}"
+        _say(f"interrupted: {kept}; give the same command again to go on")
+        raise typer.Exit(130) from None
+    except ReconstructionError:
+        shutil.rmtree(notes)
+        raise
+    for station in rows[0].report.stations:
         if station.reason:
-            CONSOLE.print(f"station {station.station} skipped: {station.reason}", highlight=False)
-    stations_used = f"{row.registered.sum()} of {len(row.registered)} stations"
-    CONSOLE.print(f"{stations_used}, {len(row)} points, {len(mesh.triangles)} faces in {out}", highlight=False)
+            fate = "begins a new segment" if station.registered else "skipped"
+            _say(f"station {station.station} {fate}: {station.reason}")
+    for warning in rows[0].report.warnings:
+        _say(f"warning: {warning}", style="red")
+    registered, cloud = sum(row.registered.sum() for row in rows), sum(map(len, rows))
+    _say(f"{registered} of {len(opened)} stations, {cloud} points, {len(mesh.triangles)} faces: {out / 'report.html'}")
+
+
+def _say(text: str, style: str | None = None) -> None:
+    """Print a line as it is: brackets in names and reasons are no markup."""
+    CONSOLE.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
 
 
 def build(
