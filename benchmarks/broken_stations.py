@@ -35,7 +35,7 @@ def break_stations(recording: Recording, share: float = 0.15, seed: int = 0) -> 
     - ``hand``: something of skin color, 20 to 25 cm away, covers 40 to 70 % of the reference camera's image and 10 to
       30 % of the others'.
     - ``displaced``: the tripod stood 40 cm further on (or back, near the end) and then returned.
-    - ``duplicate``: the images of the station before once more.
+    - ``duplicate``: what the station before gave, good or broken, once more.
 
     The first station stays as it is.
 
@@ -59,7 +59,7 @@ def break_stations(recording: Recording, share: float = 0.15, seed: int = 0) -> 
             case "displaced":
                 return recording[i + DISPLACED_BY if i + DISPLACED_BY < len(recording) else i - DISPLACED_BY]
             case "duplicate":
-                return recording[i - 1]
+                return load(i - 1)
             case _:
                 return recording[i]
 

@@ -17,7 +17,7 @@ from greenhouse_gym.geometry import Array, invert, pose, transform
 from greenhouse_gym.open3d_loader import open3d
 from greenhouse_gym.reconstruction.foreground import foreground_mask
 from greenhouse_gym.reconstruction.registration import row_axis
-from greenhouse_gym.reconstruction.shift import along, best_shift, overlap
+from greenhouse_gym.reconstruction.shift import along, best_shifts, overlap
 
 FOREGROUND = 0.60  # m, the paper's cut
 STEP = 0.10  # m along the row, nominal
@@ -152,10 +152,10 @@ def silhouette_offset(first: Station, second: Station, rig: Rig, steps: int) -> 
     axis = row_axis(camera)
     focal = camera.intrinsics.fx if axis else camera.intrinsics.fy
     nearest = float(np.median(frames[1].depth[two]))
-    shift = best_shift(one, two, axis, int(0.03 * steps * focal / FOREGROUND), int(0.15 * steps * focal / nearest))
-    if shift is None:
+    shifts = best_shifts(one, two, axis, int(0.03 * steps * focal / FOREGROUND), int(0.15 * steps * focal / nearest))
+    if not shifts:
         return None
-    a, b = overlap(one, shift.pixels, axis)
+    a, b = overlap(one, shifts[0].pixels, axis)
     rows, columns = np.nonzero(one[along(axis, a)] & two[along(axis, b)])
     if not len(rows):
         return None

@@ -13,7 +13,7 @@ from greenhouse_gym.reconstruction.clouds import merge, to_open3d
 from greenhouse_gym.reconstruction.foreground import foreground_problem
 from greenhouse_gym.reconstruction.icp import Alignment, align
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings
-from greenhouse_gym.reconstruction.shift import Shift, along, best_shift, overlap
+from greenhouse_gym.reconstruction.shift import Shift, along, best_shifts, overlap
 from greenhouse_gym.reconstruction.views import CameraView, StationView
 
 _STIFFNESS = 0.01  # share of normals along the direction least held; a plane with the sensor's noise stays below
@@ -28,7 +28,7 @@ class Registration(NamedTuple):
         shift: The best shift of the silhouettes, if any.
         offset: (3,) mean offset of the shared pixels in the rig frame, metres: where ICP started.
         fitness: Share of the points both could see with a partner within the fine distance.
-        rmse: Root mean square distance of those partners along their normals, metres.
+        rmse: Root mean square distance of those partners along their normals, metres; None without partners.
         information: (6, 6) information matrix for the pose graph.
     """
 
@@ -37,7 +37,7 @@ class Registration(NamedTuple):
     shift: Shift | None = None
     offset: Array | None = None
     fitness: float = 0.0
-    rmse: float = float("nan")
+    rmse: float | None = None
     information: Array | None = None
 
     @property
@@ -52,10 +52,10 @@ def row_axis(camera: Camera) -> int:
     return 0 if rows_along_y >= columns_along_y else 1
 
 
-def silhouette_shift(
+def silhouette_shifts(
     first: CameraView, second: CameraView, steps: int, settings: ReconstructionSettings
-) -> Shift | str:
-    """The best shift between two reference images ``steps`` stations apart, or why there is none."""
+) -> list[Shift] | str:
+    """The best shifts between two reference images ``steps`` stations apart, the best first, or why there is none."""
     one, two = first.foreground, second.foreground
     for which, view in (("first", first), ("second", second)):
         problem = foreground_problem(
@@ -67,16 +67,17 @@ def silhouette_shift(
     focal = second.camera.intrinsics.fy if axis == 0 else second.camera.intrinsics.fx
     distance = float(np.median(second.depth[two]))
     low, high = settings.step_range
-    found = best_shift(
+    found = best_shifts(
         one, two, axis,
         shortest=int(low * steps * focal / settings.foreground),
         longest=int(min(high * steps, settings.longest_gap) * focal / distance),
         step=settings.shift_step,
+        count=settings.shifts_tried,
     )  # fmt: skip
-    if found is None:
+    if not found:
         return "no shift leaves any foreground to compare"
-    if found.difference > settings.max_shift_difference:
-        return f"silhouettes differ by {found.difference:.0%} at the best shift"
+    if found[0].difference > settings.max_shift_difference:
+        return f"silhouettes differ by {found[0].difference:.0%} at the best shift"
     return found
 
 
@@ -103,12 +104,14 @@ def mean_offset(first: CameraView, second: CameraView, shift: Shift) -> Array | 
     return np.asarray(apart[usual].mean(axis=0))
 
 
-def coarse_icp(first: StationView, second: StationView, start: Array, settings: ReconstructionSettings) -> Array:
-    """Open3D's point-to-plane ICP from ``start`` at the coarse distance: first_from_second."""
+def coarse_icp(
+    first: StationView, second: StationView, start: Array, distance: float, settings: ReconstructionSettings
+) -> Array:
+    """Open3D's point-to-plane ICP from ``start`` with partners within ``distance`` metres: first_from_second."""
     registration = open3d().pipelines.registration
     target = merge([view.sample(2 * settings.samples) for view in first.cameras.values()])
     result = registration.registration_icp(
-        to_open3d(second.sample), to_open3d(target), settings.coarse_distance, start,
+        to_open3d(second.sample), to_open3d(target), distance, start,
         registration.TransformationEstimationPointToPlane(),
         registration.ICPConvergenceCriteria(1e-4, 1e-4, settings.icp_iterations),
     )  # fmt: skip
@@ -116,15 +119,19 @@ def coarse_icp(first: StationView, second: StationView, start: Array, settings: 
 
 
 def refine(
-    first: StationView, second: StationView, start: Array, steps: int, direction: int, settings: ReconstructionSettings
+    first: StationView, second: StationView, start: Array, steps: int, pace: float, settings: ReconstructionSettings
 ) -> Registration:
     """Fine ICP from a start pose, and the checks that accept or refuse its result."""
     found = align(first, second.sample, start, settings)
     first_from_second = np.round(found.first_from_second, 9)
     head = second.reference.camera.rig_from_camera[:3, 3]
-    reason = unconvincing(found, settings) or implausible(first_from_second, head, steps, direction, settings)
+    reason = unconvincing(found, settings) or implausible(first_from_second, head, steps, pace, settings)
     return Registration(
-        first_from_second, reason, fitness=found.fitness, rmse=found.rmse, information=found.information
+        first_from_second,
+        reason,
+        fitness=found.fitness,
+        rmse=found.rmse if found.fitness else None,
+        information=found.information,
     )
 
 
@@ -144,12 +151,12 @@ def unconvincing(found: Alignment, settings: ReconstructionSettings) -> str:
 
 
 def implausible(
-    first_from_second: Array, head: Array, steps: int, direction: int, settings: ReconstructionSettings
+    first_from_second: Array, head: Array, steps: int, pace: float, settings: ReconstructionSettings
 ) -> str:
     """Why a motion cannot be that of a tripod moved along the row by ``steps`` stations, or "".
 
     The motion is that of the reference camera, ``head`` (3,) in the rig frame: a tilt moves the rig frame's origin on
-    the floor by centimetres without the tripod having been moved. ``direction`` is the sign of the walk so far along
+    the floor by centimetres without the tripod having been moved. The sign of ``pace`` is that of the walk so far along
     the rig's y, 0 if not known.
     """
     moved = transform(first_from_second, head[None])[0] - head
@@ -158,7 +165,7 @@ def implausible(
     sideways = float(np.hypot(moved[0], moved[2]))
     if not low <= abs(moved[1]) <= high:
         return f"moved {100 * moved[1]:.1f} cm along the row, expected {100 * low:.0f} to {100 * high:.0f} cm"
-    if moved[1] * direction < 0:
+    if moved[1] * pace < 0:
         return f"moved {100 * moved[1]:.1f} cm along the row, against the way of the stations before"
     if angle > settings.max_rotation:
         return f"turned by {np.degrees(angle):.1f} degrees, at most {np.degrees(settings.max_rotation):.1f} expected"
@@ -168,23 +175,59 @@ def implausible(
 
 
 def register(
-    first: StationView, second: StationView, steps: int, settings: ReconstructionSettings, direction: int = 0
+    first: StationView, second: StationView, steps: int, settings: ReconstructionSettings, pace: float = 0.0
 ) -> Registration:
     """Register a station to an earlier one that lies ``steps`` stations back, as in the paper.
+
+    A row repeats itself, so where ICP does not convince from the best shift of the silhouettes, it starts once more
+    from the next best ones, and at last from where the tripod would stand had it gone on as before.
 
     Args:
         first: The earlier station.
         second: The later one.
         steps: How many stations lie between them, plus one.
         settings: All settings.
-        direction: Sign of the walk so far along the rig's y, 0 if not known.
+        pace: Metres along the rig's y from one station to the next so far, 0 if not known.
     """
-    shift = silhouette_shift(first.reference, second.reference, steps, settings)
-    if isinstance(shift, str):
-        return Registration(np.eye(4), shift)
+    shifts = silhouette_shifts(first.reference, second.reference, steps, settings)
+    if isinstance(shifts, str):
+        return Registration(np.eye(4), shifts)
+    best: Registration | None = None
+    for shift in shifts:
+        found = register_from(shift, first, second, steps, pace, settings)
+        if found.accepted:
+            return found
+        best = best or found
+    assert best is not None
+    if pace and abs(pace) * steps <= settings.longest_gap:
+        found = register_at_pace(first, second, steps, pace, settings)
+        if found.accepted:
+            return found
+    return best
+
+
+def register_from(
+    shift: Shift,
+    first: StationView,
+    second: StationView,
+    steps: int,
+    pace: float,
+    settings: ReconstructionSettings,
+) -> Registration:
+    """Register a station to an earlier one from a shift of their silhouettes."""
     offset = mean_offset(first.reference, second.reference, shift)
     if offset is None:
         return Registration(np.eye(4), "no pixels shared at the best shift", shift)
     in_rig = second.reference.camera.rig_from_camera[:3, :3] @ offset
-    start = coarse_icp(first, second, pose(translation=in_rig), settings)
-    return refine(first, second, start, steps, direction, settings)._replace(shift=shift, offset=in_rig)
+    start = coarse_icp(first, second, pose(translation=in_rig), settings.coarse_distance, settings)
+    return refine(first, second, start, steps, pace, settings)._replace(shift=shift, offset=in_rig)
+
+
+def register_at_pace(
+    first: StationView, second: StationView, steps: int, pace: float, settings: ReconstructionSettings
+) -> Registration:
+    """Register a station to an earlier one from where the tripod would stand had it gone on as before."""
+    start = pose(translation=[0.0, pace * steps, 0.0])
+    for distance in (3 * settings.coarse_distance, settings.coarse_distance):
+        start = coarse_icp(first, second, start, distance, settings)
+    return refine(first, second, start, steps, pace, settings)

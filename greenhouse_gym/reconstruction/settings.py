@@ -16,6 +16,7 @@ class ReconstructionSettings:
     normal_window: int = 7  # px, side of the window a normal is fitted in
     # where registration starts
     shift_step: int = 2  # px, "a few pixels at a time"
+    shifts_tried: int = 3  # the best ones, until ICP convinces from one
     max_shift_difference: float = 0.9  # share of the foreground that may differ at the best shift; ICP decides
     # registration
     samples: int = 5000  # points of a station that ICP moves

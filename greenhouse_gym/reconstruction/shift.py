@@ -35,17 +35,19 @@ def along(axis: int, part: slice) -> tuple[slice, slice]:
     return (part, slice(None)) if axis == 0 else (slice(None), part)
 
 
-def best_shift(
+def best_shifts(
     first: npt.NDArray[np.bool_],
     second: npt.NDArray[np.bool_],
     axis: int,
     shortest: int,
     longest: int,
     step: int = 2,
-) -> Shift | None:
-    """Shift the second silhouette a few pixels at a time and keep the shift with the least difference.
+    count: int = 1,
+) -> list[Shift]:
+    """Shift the second silhouette a few pixels at a time and keep the shifts with the least difference.
 
-    Both directions are tried: the tripod may go either way along the row.
+    Both directions are tried: the tripod may go either way along the row. A row repeats itself, so beside the best
+    shift the next best valleys of the difference may be asked for.
 
     Args:
         first: (height, width) foreground of one station.
@@ -54,11 +56,12 @@ def best_shift(
         shortest: Fewest pixels to try, in either direction.
         longest: Most pixels to try.
         step: Pixels between two tries.
+        count: Most shifts wanted.
 
     Returns:
-        The best shift, or None where no try left any foreground to compare.
+        Shifts that differ less than their neighbours, the best first; none where no try left any foreground.
     """
-    best: Shift | None = None
+    tried: list[Shift] = []
     tries = list(range(shortest, min(longest, first.shape[axis] - 1) + 1, step))
     for pixels in [*(-s for s in reversed(tries)), *tries]:
         a, b = overlap(first, pixels, axis)
@@ -66,7 +69,9 @@ def best_shift(
         foreground = np.count_nonzero(one) + np.count_nonzero(two)
         if foreground == 0:
             continue
-        difference = np.count_nonzero(one != two) / foreground
-        if best is None or difference < best.difference:
-            best = Shift(pixels, axis, float(difference))
-    return best
+        tried.append(Shift(pixels, axis, float(np.count_nonzero(one != two) / foreground)))
+    around = [np.inf, *(shift.difference for shift in tried), np.inf]
+    valleys = [
+        shift for k, shift in enumerate(tried) if shift.difference <= around[k] and shift.difference < around[k + 2]
+    ]
+    return sorted(valleys, key=lambda shift: shift.difference)[:count]

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from time import perf_counter
 
@@ -169,25 +170,27 @@ def _place(
     refused = StationReport(i, True, segment=i, blind=blind)
     for segment in near:
         last = segment[-1]
-        direction = _direction(segment, edges, view)
-        found = register(views[last], view, i - last, settings, direction)
+        pace = _pace(segment, edges, view)
+        found = register(views[last], view, i - last, settings, pace)
         report = StationReport(
             i, found.accepted, last, found.reason, found.shift.pixels if found.shift else None,
             found.fitness, found.rmse, segment[0] if found.accepted else i, blind,
         )  # fmt: skip
         if found.accepted:
-            return Entry(report, _links(i, view, found, segment, views, edges, direction, settings), cloud, screens)
+            return Entry(report, _links(i, view, found, segment, views, edges, pace, settings), cloud, screens)
         if refused.against is None:
             refused = report
     return Entry(refused, {}, cloud, screens)
 
 
-def _direction(segment: list[int], edges: Mapping[tuple[int, int], Edge], view: StationView) -> int:
-    """Sign of the last step of a segment along the rig's y; 0 if it has a single station."""
+def _pace(segment: list[int], edges: Mapping[tuple[int, int], Edge], view: StationView) -> float:
+    """Metres along the rig's y from a station to the next, over the end of a segment; 0 if it has a single station."""
     if len(segment) < 2:
-        return 0
+        return 0.0
     head = view.reference.camera.rig_from_camera[:3, 3]
-    return int(np.sign((transform(edges[segment[-2], segment[-1]].first_from_second, head[None])[0] - head)[1]))
+    end = segment[-6:]
+    moved = sum((transform(edges[pair].first_from_second, head[None])[0] - head)[1] for pair in pairwise(end))
+    return float(moved / (end[-1] - end[0]))
 
 
 def _links(
@@ -197,7 +200,7 @@ def _links(
     segment: list[int],
     views: Mapping[int, StationView],
     edges: Mapping[tuple[int, int], Edge],
-    direction: int,
+    pace: float,
     settings: ReconstructionSettings,
 ) -> dict[int, Edge]:
     """The registration to the last station of a segment, and those to the ones before it that are accepted."""
@@ -207,7 +210,7 @@ def _links(
         earlier = segment[-count]
         start = edges[earlier, segment[-count + 1]].first_from_second @ start
         if count in settings.links:
-            further = refine(views[earlier], view, start, i - earlier, direction, settings)
+            further = refine(views[earlier], view, start, i - earlier, pace, settings)
             if further.accepted:
                 links[earlier] = further
     return {

@@ -12,8 +12,8 @@ from greenhouse_gym.capture.rig import D435_DEPTH
 from greenhouse_gym.geometry import transform
 from greenhouse_gym.reconstruction import ReconstructionSettings
 from greenhouse_gym.reconstruction.foreground import blacked_out, foreground_mask
-from greenhouse_gym.reconstruction.registration import mean_offset, row_axis, silhouette_shift
-from greenhouse_gym.reconstruction.shift import Shift, along, best_shift, overlap
+from greenhouse_gym.reconstruction.registration import mean_offset, row_axis, silhouette_shifts
+from greenhouse_gym.reconstruction.shift import Shift, along, best_shifts, overlap
 from greenhouse_gym.reconstruction.views import Calibration, CameraView, view_camera
 
 SETTINGS = ReconstructionSettings()
@@ -34,14 +34,11 @@ def test_a_known_shift_is_found_in_both_directions(pixels: int, axis: int) -> No
     image = blobs() if axis == 0 else blobs().T
     first = cut(image, 100 if pixels < 0 else 0, axis)
     second = cut(image, (100 if pixels < 0 else 0) + pixels, axis)
-    found = best_shift(first, second, axis, 20, 120)
-    assert found is not None
-    assert found == Shift(pixels, axis, 0.0)
+    assert best_shifts(first, second, axis, 20, 120) == [Shift(pixels, axis, 0.0)]
 
 
 def test_a_shift_between_two_tries_is_found_to_the_step() -> None:
-    found = best_shift(cut(blobs(), 0, 0), cut(blobs(), 41, 0), 0, 20, 120, step=2)
-    assert found is not None
+    [found] = best_shifts(cut(blobs(), 0, 0), cut(blobs(), 41, 0), 0, 20, 120, step=2)
     assert found.pixels in (40, 42)
     assert 0.0 < found.difference < 0.2
 
@@ -49,18 +46,27 @@ def test_a_shift_between_two_tries_is_found_to_the_step() -> None:
 def test_noise_does_not_move_the_shift() -> None:
     random = np.random.default_rng(1)
     first, second = (cut(blobs(), start, 0) ^ (random.random((200, 160)) < 0.1) for start in (0, 50))
-    found = best_shift(first, second, 0, 20, 120)
-    assert found is not None
+    [found] = best_shifts(first, second, 0, 20, 120)
     assert found.pixels == 50
 
 
 def test_nothing_to_compare() -> None:
     empty = np.zeros((200, 160), bool)
-    assert best_shift(empty, empty, 0, 20, 120) is None
+    assert best_shifts(empty, empty, 0, 20, 120) == []
     edge = empty.copy()
     edge[:5] = True  # leaves the overlap with every shift that is tried
-    assert best_shift(empty, edge, 0, 20, 120) is not None
-    assert best_shift(empty, edge, 0, 300, 400) is None  # longer than the image
+    assert best_shifts(empty, edge, 0, 20, 120)
+    assert best_shifts(empty, edge, 0, 300, 400) == []  # longer than the image
+
+
+def test_a_row_that_repeats_itself_has_several_good_shifts() -> None:
+    period = np.tile(blobs((60, 160)), (6, 1))
+    period[200:230] ^= blobs((30, 160), seed=1)  # but is not quite the same everywhere
+    found = best_shifts(period[:200], period[40:240], 0, 20, 120, count=3)
+    assert found[0] == Shift(40, 0, 0.0)
+    assert {-20, 100} & {shift.pixels for shift in found[1:]}
+    differences = [shift.difference for shift in found]
+    assert differences == sorted(differences)
 
 
 @pytest.mark.parametrize("shift", [-7, 0, 7])
@@ -147,8 +153,9 @@ def test_silhouettes_of_a_row_give_the_way_of_the_tripod() -> None:
         assert one.world_from_station is not None
         assert two.world_from_station is not None
         views = reference_view(i), reference_view(i + 1)
-        shift = silhouette_shift(*views, 1, SETTINGS)
-        assert isinstance(shift, Shift)
+        shifts = silhouette_shifts(*views, 1, SETTINGS)
+        assert not isinstance(shifts, str)
+        shift = shifts[0]
         assert shift.pixels > 0  # lower down in the first image
         offset = mean_offset(*views, shift)
         assert offset is not None
@@ -156,17 +163,17 @@ def test_silhouettes_of_a_row_give_the_way_of_the_tripod() -> None:
         true = (np.linalg.inv(one.world_from_station) @ two.world_from_station @ head)[1]
         along_row = (camera.rig_from_camera[:3, :3] @ offset)[1]
         assert along_row == pytest.approx(true, abs=0.04)  # only where ICP starts
-        back = silhouette_shift(*views[::-1], 1, SETTINGS)
-        assert isinstance(back, Shift)
-        assert back.pixels < 0
+        back = silhouette_shifts(*views[::-1], 1, SETTINGS)
+        assert not isinstance(back, str)
+        assert back[0].pixels < 0
 
 
 def test_reasons_why_silhouettes_cannot_be_compared() -> None:
     good, other = reference_view(0), reference_view(1)
     dark = replace(good, depth=np.zeros_like(good.depth), foreground=np.zeros_like(good.foreground))
-    assert "second image has 0.0% foreground" in str(silhouette_shift(good, dark, 1, SETTINGS))
-    assert "first image has 0.0% foreground" in str(silhouette_shift(dark, good, 1, SETTINGS))
+    assert "second image has 0.0% foreground" in str(silhouette_shifts(good, dark, 1, SETTINGS))
+    assert "first image has 0.0% foreground" in str(silhouette_shifts(dark, good, 1, SETTINGS))
     full = replace(good, depth=np.full_like(good.depth, 0.3), foreground=np.ones_like(good.foreground))
-    assert "100.0% of the image is nearer than 0.6 m" in str(silhouette_shift(good, full, 1, SETTINGS))
+    assert "100.0% of the image is nearer than 0.6 m" in str(silhouette_shifts(good, full, 1, SETTINGS))
     strict = ReconstructionSettings(max_shift_difference=0.01)
-    assert "silhouettes differ by" in str(silhouette_shift(good, other, 1, strict))
+    assert "silhouettes differ by" in str(silhouette_shifts(good, other, 1, strict))
