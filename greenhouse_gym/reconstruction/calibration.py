@@ -123,6 +123,8 @@ def _fit(
     if rig_too:
         free[:, 1:] = True
         free[list(rig.cameras).index(rig.reference), 1:] = False
+    shared = np.count_nonzero(_gaps(stations, rig, corrections, settings)[1][:, ::7], axis=0)
+    free[shared < _FEWEST] = False  # a camera that sees next to nothing would take up whatever the others share
     chosen = np.flatnonzero(free)
     likely = np.tile(_LIKELY, len(corrections))
     for _ in range(_ITERATIONS):

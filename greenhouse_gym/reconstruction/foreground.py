@@ -9,6 +9,8 @@ import numpy.typing as npt
 
 from greenhouse_gym.capture.rig import Camera, Rig
 
+_NEAREST = 0.05  # m; what is nearer is no reading of a depth camera
+
 
 def foreground_mask(
     depth: npt.NDArray[np.float32], camera: Camera, rig: Rig, farthest: float = 0.60
@@ -25,7 +27,7 @@ def foreground_mask(
         farthest: The cut, metres.
     """
     front = float(rig.cameras[rig.reference].rig_from_camera[0, 3]) + farthest
-    return (depth > 0) & (depth < _cut(camera, front, 2.0 * farthest))
+    return (depth > _NEAREST) & (depth < _cut(camera, front, 2.0 * farthest))
 
 
 @lru_cache(maxsize=32)

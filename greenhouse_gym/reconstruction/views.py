@@ -112,7 +112,7 @@ class StationView:
 def view_camera(frame: RgbdFrame, name: str, calibration: Calibration, settings: ReconstructionSettings) -> CameraView:
     """What one image shows, the camera's depth error taken out."""
     camera = calibration.rig.cameras[name]
-    depth = frame.depth / np.float32(1.0 + calibration.bias.get(name, 0.0))
+    depth = np.nan_to_num(frame.depth, posinf=0.0, neginf=0.0) / np.float32(1.0 + calibration.bias.get(name, 0.0))
     mask = foreground_mask(depth, camera, calibration.rig, settings.foreground)
     normals = np.zeros((*depth.shape, 3), dtype=np.float32)
     in_camera = image_normals(depth, mask, camera.intrinsics, settings.normal_window)
