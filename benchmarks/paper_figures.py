@@ -112,7 +112,7 @@ def photographs(recording: Recording, out: Path) -> None:
         ["first", "second", f"overlaid at a shift of {abs(found.shift.pixels)} pixels"],
         out / "5-silhouettes.jpg",
     )
-    here, there = one.cloud(), two.cloud()
+    here, there = (view.cloud().moved(np.eye(4)) for view in (one, two))
     clouds = []
     for first_from_second in (pose(translation=found.offset), found.first_from_second):
         points = np.concatenate([here.points, transform(first_from_second, there.points)])

@@ -13,8 +13,7 @@ from greenhouse_gym.errors import FileFormatError
 
 def read_color(path: str | Path) -> npt.NDArray[np.uint8]:
     """A color image file as (height, width, 3) uint8 RGB."""
-    image = _decode(Path(path), cv2.IMREAD_COLOR)
-    return np.ascontiguousarray(image[..., ::-1], dtype=np.uint8)
+    return np.asarray(_decode(Path(path), cv2.IMREAD_COLOR_RGB), dtype=np.uint8)
 
 
 def read_depth(path: str | Path) -> npt.NDArray[np.uint16]:

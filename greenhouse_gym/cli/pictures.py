@@ -124,7 +124,7 @@ def registration_pictures(
         return paths
     overlay = shifted_silhouettes(*views, found.shift)
     paths.append(save(upright(overlay), out / "3-silhouettes-at-best-shift.png"))
-    here, there = one.cloud(), two.cloud()
+    here, there = (view.cloud().moved(np.eye(4)) for view in (one, two))
     pictures = []
     for first_from_second in (pose(translation=found.offset), found.first_from_second):
         everything = np.concatenate([here.points, transform(first_from_second, there.points)])

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from itertools import permutations
 
 import numpy as np
+import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from greenhouse_gym.capture.recordings import Recording
@@ -29,6 +30,7 @@ _COMMON = 1e-5  # one sigma of the sum of the depth errors, where the cameras' p
 _GAP = 0.001  # m, one sigma of the gap between two readings of a surface
 _HELPS = 0.98  # of the median gap that may be left for the cameras' places to be changed; 0.99 where they are right
 _ITERATIONS = 15  # at most; the partners within reach change with the corrections, so it converges slowly
+_RELAXATION = 1.5  # of a step, which falls short while partners beyond reach are missing
 _SAMPLES = 1500  # points of each camera and station
 _FEWEST = 500  # gaps below which nothing is concluded
 
@@ -69,9 +71,16 @@ def calibrate(recording: Recording, settings: ReconstructionSettings) -> tuple[C
     if len(gaps) < _FEWEST:
         return nothing
     before = float(np.median(np.abs(gaps)))
-    biased, after = _fit(stations, rig, corrections, settings, rig_too=False)
-    if settings.calibrate_rig:
-        placed, left = _fit(stations, rig, corrections, settings, rig_too=True)
+    depth_only = np.zeros(corrections.shape, dtype=bool)
+    depth_only[:, 0] = True
+    biased, after = _fit(stations, rig, corrections, depth_only, settings)
+    # a camera that sees next to nothing would take up whatever the others share
+    sharing = np.count_nonzero(_gaps(stations, rig, biased, settings)[1][:, ::7], axis=0) >= _FEWEST
+    if settings.calibrate_rig and np.count_nonzero(sharing) > 1:
+        relative = biased - np.where(sharing[:, None], biased[sharing].mean(axis=0), 0.0)
+        movable = np.repeat(sharing[:, None], 7, axis=1)
+        movable[names.index(rig.reference), 1:] = False
+        placed, left = _fit(stations, rig, relative, movable, settings)
         if left < _HELPS * after:
             cameras = {name: _placed(camera, placed[k]) for k, (name, camera) in enumerate(rig.cameras.items())}
             report = CalibrationReport(
@@ -114,17 +123,10 @@ def _fit(
     stations: list[dict[str, CameraView]],
     rig: Rig,
     corrections: Array,
+    free: npt.NDArray[np.bool_],
     settings: ReconstructionSettings,
-    rig_too: bool,
 ) -> tuple[Array, float]:
-    """Corrections (cameras, 7) that close the gaps best, starting from some, and the median gap they leave."""
-    free = np.zeros(corrections.shape, dtype=bool)
-    free[:, 0] = True
-    if rig_too:
-        free[:, 1:] = True
-        free[list(rig.cameras).index(rig.reference), 1:] = False
-    shared = np.count_nonzero(_gaps(stations, rig, corrections, settings)[1][:, ::7], axis=0)
-    free[shared < _FEWEST] = False  # a camera that sees next to nothing would take up whatever the others share
+    """Corrections (cameras, 7) that close the gaps best, some of them free, and the median gap they leave."""
     chosen = np.flatnonzero(free)
     likely = np.tile(_LIKELY, len(corrections))
     for _ in range(_ITERATIONS):
@@ -132,12 +134,12 @@ def _fit(
         weighted = (jacobian * (tukey(gaps) / _GAP**2)[:, None])[:, chosen]
         matrix = jacobian.T[chosen] @ weighted + np.diag(1 / likely[chosen] ** 2)
         right = -weighted.T @ gaps - (corrections.ravel() / likely**2)[chosen]
-        if rig_too:  # a common depth error could not be told from cameras farther apart
+        if free[:, 1:].any():  # a common depth error could not be told from cameras farther apart
             common = np.isin(chosen, np.arange(0, corrections.size, 7)).astype(np.float64)
             matrix += np.outer(common, common) / _COMMON**2
             right -= common * corrections[:, 0].sum() / _COMMON**2
         step = np.zeros(corrections.size)
-        step[chosen] = np.linalg.solve(matrix, right)
+        step[chosen] = _RELAXATION * np.linalg.solve(matrix, right)
         corrections = corrections + step.reshape(corrections.shape)
         if np.abs(step).max() < 2e-5:
             break

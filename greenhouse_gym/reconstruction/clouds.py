@@ -57,15 +57,6 @@ class PackedCloud:
     colors: npt.NDArray[np.uint8]
     normals: npt.NDArray[np.int8]
 
-    @classmethod
-    def of(cls, cloud: Cloud) -> PackedCloud:
-        """Pack a cloud."""
-        return cls(
-            cloud.points.astype(np.float32),
-            np.rint(255 * np.clip(cloud.colors, 0, 1)).astype(np.uint8),
-            np.rint(127 * cloud.normals).astype(np.int8),
-        )
-
     def select(self, rows: npt.NDArray[np.generic]) -> PackedCloud:
         """The points at ``rows``: indices or a mask."""
         return PackedCloud(self.points[rows], self.colors[rows], self.normals[rows])

@@ -21,6 +21,8 @@ from greenhouse_gym.reconstruction.clouds import Cloud
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings
 from greenhouse_gym.reconstruction.views import StationView
 
+_RELAXATION = 1.3  # of a step, which falls short while partners beyond reach are missing
+
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
@@ -68,6 +70,7 @@ def align(first: StationView, second: Cloud, start: Array, settings: Reconstruct
         some = second.select(np.arange(0, len(second), every))
         for _ in range(settings.icp_iterations):
             step, center = _step(first, some.moved(current), settings)
+            step *= _RELAXATION
             turn = Rotation.from_rotvec(step[:3]).as_matrix()
             current = pose(turn, center + step[3:] - turn @ center) @ current
             if np.abs(step).max() < 2e-5 * every:

@@ -109,9 +109,10 @@ def coarse_icp(
 ) -> Array:
     """Open3D's point-to-plane ICP from ``start`` with partners within ``distance`` metres: first_from_second."""
     registration = open3d().pipelines.registration
-    target = merge([view.sample(2 * settings.samples) for view in first.cameras.values()])
+    target = merge([view.sample(settings.samples) for view in first.cameras.values()])
+    source = second.sample.select(np.arange(0, len(second.sample), 2))
     result = registration.registration_icp(
-        to_open3d(second.sample), to_open3d(target), distance, start,
+        to_open3d(source), to_open3d(target), distance, start,
         registration.TransformationEstimationPointToPlane(),
         registration.ICPConvergenceCriteria(1e-4, 1e-4, settings.icp_iterations),
     )  # fmt: skip

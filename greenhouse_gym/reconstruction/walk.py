@@ -164,7 +164,7 @@ def _place(
     settings: ReconstructionSettings,
 ) -> Entry:
     """Register station ``i`` to the last station of a segment and to those before; else it begins its own segment."""
-    cloud = PackedCloud.of(view.cloud())
+    cloud = view.cloud()
     screens = {name: camera.screen() for name, camera in view.cameras.items()}
     blind = tuple(name for name, camera in view.cameras.items() if not camera.foreground.any())
     refused = StationReport(i, True, segment=i, blind=blind)
