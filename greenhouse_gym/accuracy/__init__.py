@@ -1,28 +1,68 @@
-"""How right a reconstruction is, where the truth is known: drift, cloud to truth, completeness, tomatoes found."""
+"""How right reconstructions and shapes are, where the truth is known.
+
+Clouds: drift, cloud to truth, completeness. Shapes: tomatoes and trusses, stems by length, coverage and excess.
+"""
 
 from greenhouse_gym.accuracy.clouds import (
     Drift,
     ReconstructedRow,
+    align,
     distance_to_surface,
     distance_to_truth,
     drift,
+    moved,
     place,
     place_by_windows,
 )
 from greenhouse_gym.accuracy.completeness import completeness, visible_surface
-from greenhouse_gym.accuracy.tomatoes import Matches, match_tomatoes, visible_tomatoes
+from greenhouse_gym.accuracy.cover import coverage, excess
+from greenhouse_gym.accuracy.stems import StemComparison, compare_stems, pool_stems
+from greenhouse_gym.accuracy.tomatoes import (
+    OCCLUSION_BANDS,
+    RIPENESS_BANDS,
+    Matches,
+    TomatoComparison,
+    compare_tomatoes,
+    match_tomatoes,
+    pool_tomatoes,
+)
+from greenhouse_gym.accuracy.visibility import (
+    StemPieces,
+    Visibility,
+    cut_stems,
+    stem_visibility,
+    tomato_visibility,
+    visible_tomatoes,
+)
 
 __all__ = [
+    "OCCLUSION_BANDS",
+    "RIPENESS_BANDS",
     "Drift",
     "Matches",
     "ReconstructedRow",
+    "StemComparison",
+    "StemPieces",
+    "TomatoComparison",
+    "Visibility",
+    "align",
+    "compare_stems",
+    "compare_tomatoes",
     "completeness",
+    "coverage",
+    "cut_stems",
     "distance_to_surface",
     "distance_to_truth",
     "drift",
+    "excess",
     "match_tomatoes",
+    "moved",
     "place",
     "place_by_windows",
+    "pool_stems",
+    "pool_tomatoes",
+    "stem_visibility",
+    "tomato_visibility",
     "visible_surface",
     "visible_tomatoes",
 ]

@@ -5,16 +5,19 @@ The true surfaces are the triangles that the simulated cameras saw; they lie wit
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from dataclasses import replace
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from greenhouse_gym.capture.raycast import RowRaycaster
-from greenhouse_gym.geometry import Array, invert, pose, transform
+from greenhouse_gym.geometry import Array, Box, Capsule, Shape, invert, pose, transform
 from greenhouse_gym.open3d_loader import open3d
 from greenhouse_gym.plants import PlantRow
+
+AnyShape = TypeVar("AnyShape", bound=Shape)
 
 
 class ReconstructedRow(Protocol):
@@ -115,6 +118,27 @@ def place_by_windows(
         start = min((world_from_row[i] for i in nearest), key=lambda start: _median_distance(caster, start, thinned))
         placed[member == k] = transform(_align(caster, start, thinned), own)
     return placed
+
+
+def align(row: ReconstructedRow, truth: PlantRow, world_from_station: Array, samples: int = 6000) -> Array:
+    """The (4, 4) pose of a row's frame in the world that brings its points closest to the true surfaces.
+
+    One rigid motion for the whole row, from the true pose of its first registered station (of (stations, 4, 4)) on: it
+    spreads the drift evenly, where `place` lets it grow.
+    """
+    start = world_from_station[np.flatnonzero(row.registered)[0]]
+    return _align(RowRaycaster.of(truth), start, row.points[:: max(1, len(row.points) // samples)])
+
+
+def moved(shape: AnyShape, target_from_source: Array) -> AnyShape:
+    """A shape expressed in another frame."""
+    if isinstance(shape, Capsule):
+        start, end = transform(target_from_source, [shape.start, shape.end])
+        return replace(shape, start=start, end=end)
+    center = transform(target_from_source, shape.center[None])[0]
+    if isinstance(shape, Box):
+        return replace(shape, center=center, rotation=target_from_source[:3, :3] @ shape.rotation)
+    return replace(shape, center=center)
 
 
 def _closest(caster: RowRaycaster, points: Array) -> Array:

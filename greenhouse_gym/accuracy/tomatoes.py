@@ -1,75 +1,18 @@
-"""Which tomatoes a recording could show, and which of them were found."""
+"""Which tomatoes were found, how many of them, and how well, by ripeness and by how much of them was to be seen."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import linear_sum_assignment
 
-from greenhouse_gym.capture.raycast import RowRaycaster
-from greenhouse_gym.capture.rig import Intrinsics, Rig
+from greenhouse_gym.accuracy.visibility import Visibility
 from greenhouse_gym.crop import Tomato
-from greenhouse_gym.geometry import Array, invert, transform
-from greenhouse_gym.plants import PlantRow
-
-
-def visible_tomatoes(
-    row: PlantRow, rig: Rig, world_from_station: Array, share: float = 0.30, foreground: float = 0.60
-) -> npt.NDArray[np.bool_]:
-    """Which tomatoes (n,) of a row a recording could show at all.
-
-    A tomato is visible if in some frame at least ``share`` of the pixels it alone would cover show it, after the cut
-    ``foreground`` metres in front of the reference camera, along the rig's forward axis.
-
-    Args:
-        row: The grown row.
-        rig: The cameras.
-        world_from_station: (stations, 4, 4) true poses.
-        share: Of its own pixels.
-        foreground: Metres.
-    """
-    caster = RowRaycaster.of(row)
-    count = len(row.tomatoes)
-    centers = np.array([t.center for t in row.tomatoes]).reshape(-1, 3)
-    radii = np.array([t.radius for t in row.tomatoes])
-    front = rig.cameras[rig.reference].rig_from_camera[0, 3] + foreground
-    visible = np.zeros(count, dtype=bool)
-    for pose in world_from_station:
-        for camera in rig.cameras.values():
-            world_from_camera = pose @ camera.rig_from_camera
-            view = caster.look(world_from_camera, camera.intrinsics)
-            in_camera = transform(invert(world_from_camera), centers)
-            for i in np.flatnonzero(~visible & (in_camera[:, 2] > 2 * radii) & (in_camera[:, 2] < 2 * foreground)):
-                window, alone = _silhouette(in_camera[i], float(radii[i]), camera.intrinsics)
-                if not alone.any():
-                    continue
-                rows, columns = np.nonzero(alone & (view.shape[window] == i))
-                z = view.depth[window][rows, columns].astype(np.float64)
-                x = (columns + window[1].start - camera.intrinsics.cx) / camera.intrinsics.fx * z
-                y = (rows + window[0].start - camera.intrinsics.cy) / camera.intrinsics.fy * z
-                near = transform(camera.rig_from_camera, np.column_stack([x, y, z]))[:, 0] < front
-                visible[i] = np.count_nonzero(near) >= share * np.count_nonzero(alone)
-    return visible
-
-
-def _silhouette(
-    center: Array, radius: float, intrinsics: Intrinsics
-) -> tuple[tuple[slice, slice], npt.NDArray[np.bool_]]:
-    """The part of the image a sphere may cover, and which of its pixels have a ray through the sphere."""
-    k = intrinsics
-    reach = 1.3 * radius * max(k.fx, k.fy) / (center[2] - radius)
-    u, v = k.fx * center[0] / center[2] + k.cx, k.fy * center[1] / center[2] + k.cy
-    columns = slice(int(np.clip(u - reach, 0, k.width)), int(np.clip(u + reach, 0, k.width)))
-    rows = slice(int(np.clip(v - reach, 0, k.height)), int(np.clip(v + reach, 0, k.height)))
-    x, y = np.meshgrid(
-        (np.arange(columns.start, columns.stop) - k.cx) / k.fx, (np.arange(rows.start, rows.stop) - k.cy) / k.fy
-    )
-    along = (x * center[0] + y * center[1] + center[2]) / (x * x + y * y + 1.0)
-    nearest = (x * along - center[0]) ** 2 + (y * along - center[1]) ** 2 + (along - center[2]) ** 2
-    return (rows, columns), nearest < radius**2
+from greenhouse_gym.geometry import Array
 
 
 class Matches(NamedTuple):
@@ -100,3 +43,140 @@ def match_tomatoes(true: Sequence[Tomato], found: Sequence[Tomato]) -> Matches:
     close = distance[i, j] < radii[i]
     i, j = i[close], j[close]
     return Matches(i, j, distance[i, j], np.abs(sizes[j] / radii[i] - 1.0))
+
+
+RIPENESS_BANDS = {"green": (0.0, 1 / 3), "turning": (1 / 3, 2 / 3), "ripe": (2 / 3, np.inf)}
+"""Ripeness by name, from the lower bound up to below the upper one."""
+
+OCCLUSION_BANDS = {"cut off": (0.0, 0.3), "half hidden": (0.3, 0.6), "partly hidden": (0.6, 0.9), "free": (0.9, np.inf)}
+"""Share of a tomato's silhouette that was seen, by name, likewise; less than 0.3 is seen of those that the edge of the
+image cuts off."""
+
+
+@dataclass(frozen=True, eq=False)
+class TomatoComparison:
+    """The visible tomatoes of one row or of several, and what became of them.
+
+    Attributes:
+        ripeness: (n,) true ripeness of the visible tomatoes.
+        share: (n,) share of their silhouette that was seen (`Visibility.whole`).
+        center_error: (n,) metres; NaN where a tomato was missed.
+        diameter_error: (n,) relative, unsigned; NaN where a tomato was missed.
+        false: (m,) ripeness of found tomatoes where no true one is; NaN where they have none.
+        truss_right: (k,) for each truss with a visible tomato, whether one found truss holds exactly its visible ones.
+    """
+
+    ripeness: Array
+    share: Array
+    center_error: Array
+    diameter_error: Array
+    false: Array
+    truss_right: npt.NDArray[np.bool_]
+
+    @property
+    def found(self) -> npt.NDArray[np.bool_]:
+        """(n,) which visible tomatoes were found."""
+        return np.isfinite(self.center_error)
+
+    @property
+    def recall(self) -> float:
+        """Share of the visible tomatoes that were found."""
+        return _share(int(np.count_nonzero(self.found)), len(self.found))
+
+    @property
+    def precision(self) -> float:
+        """Share of the found tomatoes that are true; those that match a hidden tomato count for neither side."""
+        true = int(np.count_nonzero(self.found))
+        return _share(true, true + len(self.false))
+
+    @property
+    def f1(self) -> float:
+        """Harmonic mean of precision and recall."""
+        true = int(np.count_nonzero(self.found))
+        return _share(2 * true, len(self.found) + true + len(self.false))
+
+    def of_ripeness(self, low: float, high: float) -> TomatoComparison:
+        """Those from a true ripeness on up to below another, and the false ones that claim it; without trusses."""
+        claimed = (self.false >= low) & (self.false < high)
+        return self._select((self.ripeness >= low) & (self.ripeness < high), self.false[claimed])
+
+    def of_share(self, low: float, high: float) -> TomatoComparison:
+        """Those of which a share between two bounds was seen; without false ones and trusses."""
+        return self._select((self.share >= low) & (self.share < high), np.zeros(0))
+
+    def _select(self, rows: npt.NDArray[np.bool_], false: Array) -> TomatoComparison:
+        return TomatoComparison(
+            self.ripeness[rows], self.share[rows], self.center_error[rows], self.diameter_error[rows],
+            false, np.zeros(0, dtype=bool),
+        )  # fmt: skip
+
+
+def compare_tomatoes(true: Sequence[Tomato], visibility: Visibility, found: Sequence[Tomato]) -> TomatoComparison:
+    """Compare the visible tomatoes of a row with those found.
+
+    Found tomatoes are matched to visible ones first; what is left over is matched to hidden ones, and then counts
+    neither as true nor as false.
+
+    Args:
+        true: All n tomatoes of the row.
+        visibility: Of each of them.
+        found: In the frame of the true ones.
+    """
+    visible: npt.NDArray[np.int64] = np.flatnonzero(visibility.visible)
+    hidden = np.flatnonzero(~visibility.visible)
+    matches = match_tomatoes([true[i] for i in visible.tolist()], found)
+    left = np.setdiff1d(np.arange(len(found)), matches.found)
+    more = match_tomatoes([true[i] for i in hidden.tolist()], [found[j] for j in left.tolist()])
+    partner = np.full(len(found), -1)
+    partner[matches.found] = visible[matches.true]
+    partner[left[more.found]] = hidden[more.true]
+    center_error, diameter_error = np.full((2, len(visible)), np.nan)
+    center_error[matches.true], diameter_error[matches.true] = matches.center_errors, matches.diameter_errors
+    return TomatoComparison(
+        np.array([_ripeness(true[i]) for i in visible.tolist()]).reshape(-1),
+        visibility.whole[visible],
+        center_error,
+        diameter_error,
+        np.array([_ripeness(found[j]) for j in np.flatnonzero(partner < 0).tolist()]).reshape(-1),
+        _trusses_right(true, visibility.visible, found, partner),
+    )
+
+
+def pool_tomatoes(comparisons: Sequence[TomatoComparison]) -> TomatoComparison:
+    """Several rows as one."""
+    return TomatoComparison(
+        *(np.concatenate([getattr(c, field.name) for c in comparisons]) for field in fields(TomatoComparison))
+    )
+
+
+def _trusses_right(
+    true: Sequence[Tomato],
+    visible: npt.NDArray[np.bool_],
+    found: Sequence[Tomato],
+    partner: npt.NDArray[np.int64],
+) -> npt.NDArray[np.bool_]:
+    """For each truss with visible tomatoes, whether a found truss holds all of these and no others.
+
+    Each found truss stands for the true truss with which it shares most visible tomatoes, one to one. Hidden tomatoes
+    of the same truss may be found or not.
+    """
+    of_true, of_found = np.array([t.truss for t in true]), np.array([t.truss for t in found])
+    trusses, named = np.unique(of_true[visible]), np.unique(of_found)
+    shared = np.zeros((len(trusses), len(named)), dtype=int)
+    for j in np.flatnonzero(partner >= 0):
+        if visible[partner[j]]:
+            shared[trusses == of_true[partner[j]], named == of_found[j]] += 1
+    right = np.zeros(len(trusses), dtype=bool)
+    for i, k in zip(*linear_sum_assignment(-shared), strict=True):
+        own = partner[of_found == named[k]]
+        stray = (own < 0) | (of_true[own] != trusses[i])
+        right[i] = not stray.any() and shared[i, k] == np.count_nonzero(visible & (of_true == trusses[i]))
+    return right
+
+
+def _ripeness(tomato: Tomato) -> float:
+    return np.nan if tomato.ripeness is None else tomato.ripeness
+
+
+def _share(part: float, whole: float) -> float:
+    return part / whole if whole else float("nan")

@@ -1,0 +1,40 @@
+"""What perfect cameras at known places see of a row: the cloud that no sensor and no registration has spoiled."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from greenhouse_gym.capture import Recording, StereoNoise, WalkSettings
+from greenhouse_gym.geometry import invert
+from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud
+from greenhouse_gym.reconstruction.merging import merge_stations, outliers
+from greenhouse_gym.reconstruction.report import RowReport
+from greenhouse_gym.reconstruction.row import remove_outliers
+from greenhouse_gym.reconstruction.views import Calibration, view_station
+
+NOISE_FREE = WalkSettings(
+    color_noise=0.0,
+    noise=StereoNoise(
+        disparity_noise=0.0, disparity_step=0.0, depth_unit=0.0, bias=0.0, dropout=0.0, edge_dropout=0.0, fatten=0
+    ),
+)
+"""The usual walk with cameras that see without error (what one of the two imagers does not see stays a hole)."""
+
+
+def perfect_cloud(recording: Recording, settings: ReconstructionSettings | None = None) -> RowCloud:
+    """A recording's stations merged at their true poses, as `reconstruct_row` merges them."""
+    settings = settings or ReconstructionSettings()
+    clouds, screens, poses = {}, {}, []
+    for i, station in enumerate(recording):
+        assert station.world_from_station is not None
+        view = view_station(station, Calibration(recording.rig), settings)
+        clouds[i], poses = view.cloud(), [*poses, station.world_from_station]
+        screens[i] = {name: camera.screen() for name, camera in view.cameras.items()}
+    relative = np.array([invert(poses[0]) @ pose for pose in poses])
+    merged = merge_stations(clouds, relative, settings)
+    cloud = merged.cloud
+    row = RowCloud(
+        cloud.points, cloud.colors, cloud.normals, merged.station, np.ones(len(poses), dtype=bool), relative,
+        RowReport(()),
+    )  # fmt: skip
+    return remove_outliers(row, outliers(merged, relative, screens, recording.rig, settings))

@@ -1,0 +1,154 @@
+"""How right extracted shapes are against the truth of simulated rows, from noisy recordings and from perfect clouds.
+
+python benchmarks/shapes.py --workdir rows
+
+Ten held-out rows: their seeds are used nowhere else; week and fruit style follow from the seed. Each is measured twice:
+on the cloud that `reconstruct_row` makes of a noisy recording, and on perfect images merged at their true poses, which
+separates what extraction gets wrong from what it was given wrong. Every measurement runs in a process of its own.
+Shapes are compared after one rigid alignment of the row's cloud with the true surfaces, which takes most of the drift
+out (the tomatoes' centers are given without it as well).
+
+Recordings, clouds and measurements are kept under --workdir, by a fingerprint of the sources that made them; started
+again, the benchmark goes on with what is missing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import tempfile
+import time
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import nullcontext
+from dataclasses import asdict, fields, replace
+from itertools import product
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from results_file import RESULTS, write_results
+from shape_rows import CAUSES, Row, cloud_of, sources, visible_of
+from shape_tables import pooled, tables
+
+from greenhouse_gym.accuracy import (
+    StemComparison,
+    TomatoComparison,
+    Visibility,
+    align,
+    compare_stems,
+    compare_tomatoes,
+    coverage,
+    excess,
+    match_tomatoes,
+    moved,
+)
+from greenhouse_gym.build import BuildSettings, cut_scenes
+from greenhouse_gym.crop import STEM_KINDS
+from greenhouse_gym.geometry import Array, Capsule
+from greenhouse_gym.open3d_loader import open3d
+from greenhouse_gym.paths import write_atomically
+from greenhouse_gym.reconstruction import RowCloud
+from greenhouse_gym.shapes import RowShapes, extract_shapes
+
+HELD_OUT = range(401, 411)
+
+Comparison = TypeVar("Comparison", TomatoComparison, StemComparison)
+
+
+def measure(row: Row, cause: str, workdir: Path) -> dict[str, Any]:
+    """Extract the shapes of a row's cloud and compare them with the truth; all figures in SI units."""
+    cloud = cloud_of(row, cause, workdir)
+    visibility, visible_stems = visible_of(row, workdir)
+    open3d()  # its import is not counted
+    started = time.perf_counter()
+    shapes = extract_shapes(cloud.points, cloud.colors, cloud.normals)
+    seconds = time.perf_counter() - started
+
+    truth, poses = row.grow(), row.poses()
+    placed = in_frame(shapes, align(cloud, truth, poses))
+    everything = [*shapes.tomatoes, *shapes.stems, *shapes.clutter]
+    whole = Visibility(visibility.whole, visibility.whole)  # what the edge of the image cuts off counts as hidden
+    petioles = [shape for shape in truth.clutter if isinstance(shape, Capsule)]
+    unaligned = in_frame(shapes, poses[np.flatnonzero(cloud.registered)[0]])
+    return asdict(row) | {
+        "cause": cause,
+        "points": len(cloud),
+        "shapes": {"tomatoes": len(shapes.tomatoes), "stems": len(shapes.stems), "clutter": len(shapes.clutter)},
+        "tomatoes": plain(compare_tomatoes(truth.tomatoes, visibility, placed.tomatoes)),
+        "whole_tomatoes": plain(compare_tomatoes(truth.tomatoes, whole, placed.tomatoes)),
+        "unaligned_center_error": match_tomatoes(truth.tomatoes, unaligned.tomatoes).center_errors.tolist(),
+        "stems": {
+            kind: plain(compare_stems(truth.stems, visible_stems, petioles, placed.stems, kind)) for kind in STEM_KINDS
+        },
+        "coverage": coverage(cloud.points, everything),
+        "excess": excess([*placed.tomatoes, *placed.stems, *placed.clutter], truth),
+        "primitives": primitives(row, cloud, shapes),
+        "seconds_per_metre": seconds / row.length,
+    }
+
+
+def in_frame(shapes: RowShapes, target_from_source: Array) -> RowShapes:
+    """Shapes expressed in another frame."""
+    return RowShapes(
+        *(
+            tuple(moved(shape, target_from_source) for shape in part)
+            for part in (shapes.tomatoes, shapes.stems, shapes.clutter)
+        )
+    )
+
+
+def primitives(row: Row, cloud: RowCloud, shapes: RowShapes) -> list[int]:
+    """Number of primitives in each scene of a row, were it not capped."""
+    settings = replace(BuildSettings(), primitives=10**9)
+    recording = row.simulate()
+    return [len(scene.obstacles) for scene in cut_scenes(cloud, shapes, recording, row.week, settings)]
+
+
+def plain(comparison: Comparison) -> dict[str, Any]:
+    """A comparison as JSON has it."""
+    values = {field.name: getattr(comparison, field.name) for field in fields(comparison)}
+    return {name: value if isinstance(value, float) else value.tolist() for name, value in values.items()}
+
+
+def measured(row: Row, cause: str, workdir: Path) -> dict[str, Any]:
+    """The measurement of a row, made unless it is there."""
+    made = sources("plants/*.py", "capture/*.py", "reconstruction/*.py", "shapes/*.py", "accuracy/*.py", "build.py")
+    file = workdir / f"measured-{made}" / f"{row.name}-{cause}.json"
+    if not file.exists():
+        with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+            write_atomically(file, json.dumps(pool.submit(measure, row, cause, workdir).result()))
+    record: dict[str, Any] = json.loads(file.read_text())
+    return record
+
+
+def main() -> None:
+    """Measure what is missing, write the results, print tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, nargs="+", default=list(HELD_OUT))
+    parser.add_argument("--length", type=float, default=2.0, help="of each row, metres")
+    parser.add_argument("--only", nargs="+", choices=CAUSES, default=list(CAUSES))
+    parser.add_argument("--workdir", type=Path, help="where to keep everything that is made; by default none is kept")
+    parser.add_argument("--out", type=Path, default=RESULTS / "shapes.json")
+    arguments = parser.parse_args()
+    records = []
+    with nullcontext(arguments.workdir) if arguments.workdir else tempfile.TemporaryDirectory() as folder:
+        for seed, cause in product(arguments.seeds, arguments.only):
+            records.append(measured(Row(seed, arguments.length), cause, Path(folder)))
+            print(f"{Row(seed, arguments.length).name} {cause}: done", flush=True)
+    figures = {cause: pooled([r for r in records if r["cause"] == cause]) for cause in arguments.only}
+    write_results(
+        arguments.out,
+        {"seeds": arguments.seeds, "length": arguments.length, "figures": figures, "rows": per_row(records)},
+        ["open3d", "scipy"],
+    )
+    print(tables(figures))
+
+
+def per_row(records: list[dict[str, Any]]) -> dict[str, Any]:
+    """The figures of every single row."""
+    return {f"{r['seed']} {r['cause']}": pooled([r]) for r in records}
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,100 @@
+"""Whether shapes cover a cloud, and whether they claim more than there is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from greenhouse_gym.accuracy.clouds import distance_to_surface
+from greenhouse_gym.geometry import Array, Box, Capsule, Shape, distance_to_shapes, frame_along
+from greenhouse_gym.plants import PlantRow
+
+COVERED_WITHIN = 0.008
+"""Metres from a shape within which a point counts as covered."""
+
+EXCESS_BEYOND = 0.015
+"""Metres from every true surface beyond which a shape's surface counts as excess."""
+
+
+def coverage(points: Array, shapes: Sequence[Shape], samples: int = 20_000) -> float:
+    """Share of points (n, 3), of which an even sample is looked at, inside or within `COVERED_WITHIN` of a shape."""
+    thinned = points[:: max(1, len(points) // samples)]
+    return float((distance_to_nearest(thinned, shapes) <= COVERED_WITHIN).mean())
+
+
+def excess(shapes: Sequence[Shape], truth: PlantRow, samples: int = 20_000, seed: int = 0) -> float:
+    """Share of the shapes' outer surface farther than `EXCESS_BEYOND` from every true surface.
+
+    Surface inside another shape does not count; neither does what lies inside a true solid.
+
+    Args:
+        shapes: In the world.
+        truth: The grown row.
+        samples: Points on all surfaces together, spread evenly by area.
+        seed: Of the sample.
+    """
+    points = outer_samples(shapes, samples, np.random.default_rng(seed))
+    if not len(points):
+        return 0.0
+    far = points[distance_to_surface(points, truth, len(points)) > EXCESS_BEYOND]
+    solids: list[Shape] = []
+    row: PlantRow | None = truth
+    while row is not None:
+        solids += [*row.tomatoes, *row.stems, *row.clutter]
+        row = row.behind
+    return float(np.count_nonzero(distance_to_nearest(far, solids) > 0) / len(points))
+
+
+def distance_to_nearest(points: Array, shapes: Sequence[Shape], chunk: int = 1000) -> Array:
+    """Signed distances (n,) from points (n, 3) to the nearest shape, negative inside; inf without shapes."""
+    result = np.full(len(points), np.inf)
+    if shapes:
+        for first in range(0, len(points), chunk):
+            rows = slice(first, first + chunk)
+            result[rows] = distance_to_shapes(points[rows], shapes).min(axis=1)
+    return result
+
+
+def outer_samples(shapes: Sequence[Shape], count: int, rng: np.random.Generator) -> Array:
+    """Of ``count`` points spread evenly over the surfaces of all shapes, those (n, 3) that lie inside no other."""
+    if not shapes:
+        return np.zeros((0, 3))
+    areas = np.array([_area(shape) for shape in shapes])
+    counts = rng.multinomial(count, areas / areas.sum())
+    kept = []
+    for index, shape in enumerate(shapes):
+        points = _on_surface(shape, int(counts[index]), rng)
+        others = [*shapes[:index], *shapes[index + 1 :]]
+        kept.append(points[distance_to_nearest(points, others) >= 0])
+    return np.concatenate(kept)
+
+
+def _area(shape: Shape) -> float:
+    if isinstance(shape, Box):
+        return float(8 * (shape.half_extents * np.roll(shape.half_extents, 1)).sum())
+    length = shape.length if isinstance(shape, Capsule) else 0.0
+    return 4 * np.pi * shape.radius**2 + 2 * np.pi * shape.radius * length
+
+
+def _on_surface(shape: Shape, count: int, rng: np.random.Generator) -> Array:
+    """Points (count, 3) spread evenly over a shape's surface."""
+    if isinstance(shape, Box):
+        half = shape.half_extents
+        faces = np.array([half[1] * half[2], half[2] * half[0], half[0] * half[1]])
+        axis = rng.choice(3, count, p=faces / faces.sum())
+        local = rng.uniform(-1.0, 1.0, (count, 3))
+        local[np.arange(count), axis] = rng.choice([-1.0, 1.0], count)
+        return np.asarray(shape.center + (local * half) @ shape.rotation.T)
+    directions = rng.normal(size=(count, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    if not isinstance(shape, Capsule):
+        return np.asarray(shape.center + shape.radius * directions)
+    length, radius = shape.length, shape.radius
+    on_side = rng.random(count) < length / (length + 2 * radius)
+    angle, height = rng.uniform(0, 2 * np.pi, count), rng.uniform(-0.5, 0.5, count)
+    side = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), length * height])
+    ends = radius * directions + np.outer(np.copysign(length / 2, directions[:, 2]), [0.0, 0.0, 1.0])
+    local = np.where(on_side[:, None], side, ends)
+    frame = frame_along(shape.end - shape.start) if length > 1e-9 else np.eye(3)
+    return np.asarray((shape.start + shape.end) / 2 + local @ frame.T)
