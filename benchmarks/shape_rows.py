@@ -16,7 +16,7 @@ import perfect_clouds
 from perfect_clouds import NOISE_FREE, perfect_cloud
 
 import greenhouse_gym
-from greenhouse_gym.accuracy import Visibility, cut_stems, stem_visibility, tomato_visibility
+from greenhouse_gym.accuracy import Visibility, VisibleRow, visible_row
 from greenhouse_gym.capture import (
     SEED_RIG,
     Recording,
@@ -27,11 +27,11 @@ from greenhouse_gym.capture import (
 )
 from greenhouse_gym.capture.recordings import INDEX
 from greenhouse_gym.capture.simulated import walk
-from greenhouse_gym.crop import Stem
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.plants import STYLES, PlantRow, grow_row
 from greenhouse_gym.reconstruction import RowCloud, load_row, reconstruct_row, save_row
+from greenhouse_gym.scene.scene import Shapes
 
 CAUSES = ("noisy", "noise-free")
 """Where a cloud comes from: `reconstruct_row` of a noisy recording, or perfect images merged at their true poses."""
@@ -77,11 +77,12 @@ class Row:
         return simulate_recording(self.grow(), self.seed, settings=settings)
 
 
-def sources(*parts: str) -> str:
-    """A fingerprint of some of the package's files, and of how clouds without noise are made."""
+def sources(*parts: str | Path) -> str:
+    """A fingerprint of some files: patterns within the package, or whole paths; and of what every row depends on."""
     package = Path(greenhouse_gym.__file__).parent
     files = [Path(perfect_clouds.__file__), package / "geometry.py", package / "crop.py"]
-    files += [file for part in parts for file in sorted(package.glob(part))]
+    for part in parts:
+        files += [part] if isinstance(part, Path) else sorted(f for f in package.glob(part) if f.is_file())
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:12]
 
 
@@ -107,19 +108,16 @@ def cloud_of(row: Row, cause: str, workdir: Path) -> RowCloud:
     return load_row(file)
 
 
-def visible_of(row: Row, workdir: Path) -> tuple[Visibility, tuple[Stem, ...]]:
-    """How visible each tomato of a row is, and the visible pieces of its stems."""
-    made = sources("plants/*.py", "capture/*.py", "accuracy/visibility.py")
-    file = workdir / f"visible-{made}" / f"{row.name}.npz"
-    truth = row.grow()
-    cut = cut_stems(truth.stems)
-    if not file.exists():
-        poses = row.poses()
-        tomatoes = tomato_visibility(truth, SEED_RIG, poses)
-        stems = stem_visibility(truth, cut, SEED_RIG, poses)
+def visible_of(row: Row, workdir: Path) -> VisibleRow:
+    """What a row's recording could show of it."""
+    made = sources("plants/*.py", "capture/*.py", "accuracy/visibility.py", "accuracy/silhouettes.py")
+    folder = workdir / f"visible-{made}"
+    shares, pieces = folder / f"{row.name}.npy", folder / f"{row.name}.json"
+    if not (shares.exists() and pieces.exists()):
+        seen = visible_row(row.grow(), SEED_RIG, row.poses())
         buffer = io.BytesIO()
-        np.savez(buffer, in_image=tomatoes.in_image, whole=tomatoes.whole, stems=stems.visible)
-        write_atomically(file, buffer.getvalue())
-    with np.load(file) as stored:
-        tomatoes = Visibility(stored["in_image"], stored["whole"])
-        return tomatoes, tuple(cut.pieces[i] for i in np.flatnonzero(stored["stems"]))
+        np.save(buffer, np.stack(seen.tomatoes))
+        write_atomically(shares, buffer.getvalue())
+        write_atomically(pieces, Shapes(stems=seen.stems, clutter=seen.clutter).model_dump_json())
+    shapes = Shapes.model_validate_json(pieces.read_bytes())
+    return VisibleRow(Visibility(*np.load(shares)), shapes.stems, shapes.clutter)

@@ -28,6 +28,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 from results_file import RESULTS, write_results
+from shape_collisions import compare_collisions
 from shape_rows import CAUSES, Row, cloud_of, sources, visible_of
 from shape_tables import pooled, tables
 
@@ -43,15 +44,17 @@ from greenhouse_gym.accuracy import (
     match_tomatoes,
     moved,
 )
-from greenhouse_gym.build import BuildSettings, cut_scenes
+from greenhouse_gym.build import BuildSettings, cut_scenes, stand_positions
 from greenhouse_gym.crop import STEM_KINDS
-from greenhouse_gym.geometry import Array, Capsule
+from greenhouse_gym.geometry import Array, Capsule, transform
 from greenhouse_gym.open3d_loader import open3d
 from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.reconstruction import RowCloud
 from greenhouse_gym.shapes import RowShapes, extract_shapes
 
 HELD_OUT = range(401, 411)
+CONFIGURATIONS = 3000
+"""Random arm configurations per row and cause."""
 
 Comparison = TypeVar("Comparison", TomatoComparison, StemComparison)
 
@@ -59,30 +62,44 @@ Comparison = TypeVar("Comparison", TomatoComparison, StemComparison)
 def measure(row: Row, cause: str, workdir: Path) -> dict[str, Any]:
     """Extract the shapes of a row's cloud and compare them with the truth; all figures in SI units."""
     cloud = cloud_of(row, cause, workdir)
-    visibility, visible_stems = visible_of(row, workdir)
+    visible = visible_of(row, workdir)
     open3d()  # its import is not counted
     started = time.perf_counter()
     shapes = extract_shapes(cloud.points, cloud.colors, cloud.normals)
     seconds = time.perf_counter() - started
 
     truth, poses = row.grow(), row.poses()
-    placed = in_frame(shapes, align(cloud, truth, poses))
-    everything = [*shapes.tomatoes, *shapes.stems, *shapes.clutter]
-    whole = Visibility(visibility.whole, visibility.whole)  # what the edge of the image cuts off counts as hidden
+    world_from_row = align(cloud, truth, poses)
+    placed = in_frame(shapes, world_from_row)
+    everything = [*placed.tomatoes, *placed.stems, *placed.clutter]
+    points = transform(world_from_row, cloud.points)
+    stands = stand_positions(row.simulate(), BuildSettings())
+    whole = Visibility(
+        visible.tomatoes.whole, visible.tomatoes.whole
+    )  # what the edge of the image cuts off counts as hidden
     petioles = [shape for shape in truth.clutter if isinstance(shape, Capsule)]
     unaligned = in_frame(shapes, poses[np.flatnonzero(cloud.registered)[0]])
     return asdict(row) | {
         "cause": cause,
         "points": len(cloud),
         "shapes": {"tomatoes": len(shapes.tomatoes), "stems": len(shapes.stems), "clutter": len(shapes.clutter)},
-        "tomatoes": plain(compare_tomatoes(truth.tomatoes, visibility, placed.tomatoes)),
+        "tomatoes": plain(compare_tomatoes(truth.tomatoes, visible.tomatoes, placed.tomatoes)),
         "whole_tomatoes": plain(compare_tomatoes(truth.tomatoes, whole, placed.tomatoes)),
         "unaligned_center_error": match_tomatoes(truth.tomatoes, unaligned.tomatoes).center_errors.tolist(),
         "stems": {
-            kind: plain(compare_stems(truth.stems, visible_stems, petioles, placed.stems, kind)) for kind in STEM_KINDS
+            kind: plain(compare_stems(truth.stems, visible.stems, petioles, placed.stems, kind)) for kind in STEM_KINDS
         },
-        "coverage": coverage(cloud.points, everything),
-        "excess": excess([*placed.tomatoes, *placed.stems, *placed.clutter], truth),
+        "coverage": coverage(points, everything),
+        "excess": excess(everything, truth),
+        "collisions": compare_collisions(
+            everything,
+            truth,
+            visible,
+            points,
+            stand_positions(row.simulate(), BuildSettings()),
+            CONFIGURATIONS,
+            row.seed,
+        )._asdict(),
         "primitives": primitives(row, cloud, shapes),
         "seconds_per_metre": seconds / row.length,
     }
@@ -90,11 +107,12 @@ def measure(row: Row, cause: str, workdir: Path) -> dict[str, Any]:
 
 def in_frame(shapes: RowShapes, target_from_source: Array) -> RowShapes:
     """Shapes expressed in another frame."""
-    return RowShapes(
-        *(
-            tuple(moved(shape, target_from_source) for shape in part)
-            for part in (shapes.tomatoes, shapes.stems, shapes.clutter)
-        )
+    return replace(
+        shapes,
+        **{
+            name: tuple(moved(shape, target_from_source) for shape in getattr(shapes, name))
+            for name in ("tomatoes", "stems", "clutter")
+        },
     )
 
 
@@ -113,7 +131,9 @@ def plain(comparison: Comparison) -> dict[str, Any]:
 
 def measured(row: Row, cause: str, workdir: Path) -> dict[str, Any]:
     """The measurement of a row, made unless it is there."""
-    made = sources("plants/*.py", "capture/*.py", "reconstruction/*.py", "shapes/*.py", "accuracy/*.py", "build.py")
+    parts = ("plants", "capture", "reconstruction", "shapes", "accuracy", "scene", "robots")
+    here = Path(__file__).parent
+    made = sources(*(f"{part}/*" for part in parts), "build.py", here / "shapes.py", here / "shape_collisions.py")
     file = workdir / f"measured-{made}" / f"{row.name}-{cause}.json"
     if not file.exists():
         with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:

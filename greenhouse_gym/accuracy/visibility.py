@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
-from typing import NamedTuple
+from dataclasses import replace
+from itertools import product
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
+from greenhouse_gym.accuracy.silhouettes import Outlines
 from greenhouse_gym.capture.raycast import RowRaycaster
-from greenhouse_gym.capture.rig import Camera, Intrinsics, Rig
+from greenhouse_gym.capture.rig import Camera, Rig
 from greenhouse_gym.crop import Stem
-from greenhouse_gym.geometry import Array, Capsule, Shape, Sphere, invert, transform
+from greenhouse_gym.geometry import Array, Box, Capsule, Shape, invert
 from greenhouse_gym.plants import PlantRow
 
 VISIBLE = 0.30
@@ -20,6 +22,11 @@ VISIBLE = 0.30
 
 FOREGROUND = 0.60
 """Metres in front of the reference camera, along the rig's forward axis, beyond which nothing counts as seen."""
+
+LONGEST_PIECE = 0.02
+"""Metres; stems and leaves are cut into such pieces, so that a hidden part is not taken for a visible one."""
+
+Part = TypeVar("Part", bound=Shape)
 
 
 class Visibility(NamedTuple):
@@ -41,42 +48,79 @@ class Visibility(NamedTuple):
         return self.in_image >= VISIBLE
 
 
-class StemPieces(NamedTuple):
-    """Stems cut into short pieces, so that the hidden part of a stem is not taken for a visible one.
+class Pieces(NamedTuple, Generic[Part]):
+    """Shapes cut into pieces.
 
     Attributes:
         pieces: The pieces.
-        owner: (n,) index of the stem each was cut from.
+        owner: (n,) index of the shape each was cut from.
     """
 
-    pieces: tuple[Stem, ...]
+    pieces: tuple[Part, ...]
     owner: npt.NDArray[np.int64]
 
 
-def cut_stems(stems: Sequence[Stem], longest: float = 0.02) -> StemPieces:
-    """Cut stems into equal pieces of at most ``longest`` metres."""
-    pieces: list[Stem] = []
-    owner: list[int] = []
-    for index, stem in enumerate(stems):
-        ends = np.linspace(stem.start, stem.end, max(1, int(np.ceil(stem.length / longest - 1e-9))) + 1)
-        pieces += [Stem(a, b, stem.radius, stem.kind) for a, b in pairwise(ends)]
-        owner += [index] * (len(ends) - 1)
-    return StemPieces(tuple(pieces), np.array(owner, dtype=np.int64))
+class VisibleRow(NamedTuple):
+    """What a recording could show of a row.
+
+    Attributes:
+        tomatoes: Visibility of the row's tomatoes.
+        stems: The visible pieces of its stems.
+        clutter: The visible pieces of its leaves and gutter.
+    """
+
+    tomatoes: Visibility
+    stems: tuple[Stem, ...]
+    clutter: tuple[Shape, ...]
 
 
-def tomato_visibility(row: PlantRow, rig: Rig, world_from_station: Array) -> Visibility:
-    """Visibility of a row's tomatoes to a rig at true poses (stations, 4, 4)."""
-    return visibility(row, row.tomatoes, np.arange(len(row.tomatoes)), rig, world_from_station)
-
-
-def stem_visibility(row: PlantRow, cut: StemPieces, rig: Rig, world_from_station: Array) -> Visibility:
-    """Visibility of pieces of a row's stems to a rig at true poses (stations, 4, 4)."""
-    return visibility(row, cut.pieces, len(row.tomatoes) + cut.owner, rig, world_from_station)
+def visible_row(row: PlantRow, rig: Rig, world_from_station: Array) -> VisibleRow:
+    """What a rig at true poses (stations, 4, 4) could show of a row."""
+    stems, clutter = cut(row.stems), cut(row.clutter)
+    objects = [*row.tomatoes, *stems.pieces, *clutter.pieces]
+    first_stem, first_leaf = len(row.tomatoes), len(row.tomatoes) + len(row.stems)
+    owner = np.concatenate([np.arange(first_stem), first_stem + stems.owner, first_leaf + clutter.owner])
+    enough = np.where(np.arange(len(objects)) < first_stem, 1.0, VISIBLE)  # of a piece, no more than that matters
+    seen = visibility(row, objects, owner, rig, world_from_station, enough=enough)
+    ends = np.cumsum([first_stem, len(stems.pieces)])
+    of_stems, of_clutter = np.split(seen.visible, ends)[1:]
+    return VisibleRow(
+        Visibility(seen.in_image[:first_stem], seen.whole[:first_stem]),
+        tuple(stems.pieces[i] for i in np.flatnonzero(of_stems).tolist()),
+        tuple(clutter.pieces[i] for i in np.flatnonzero(of_clutter).tolist()),
+    )
 
 
 def visible_tomatoes(row: PlantRow, rig: Rig, world_from_station: Array) -> npt.NDArray[np.bool_]:
     """Which tomatoes (n,) of a row a recording could show at all, the rig standing at true poses (stations, 4, 4)."""
-    return tomato_visibility(row, rig, world_from_station).visible
+    return visibility(row, row.tomatoes, np.arange(len(row.tomatoes)), rig, world_from_station).visible
+
+
+def cut(shapes: Sequence[Part], longest: float = LONGEST_PIECE) -> Pieces[Part]:
+    """Cut capsules along their axes, and boxes along all three, into equal pieces of at most ``longest`` metres."""
+    pieces: list[Part] = []
+    owner: list[int] = []
+    for index, shape in enumerate(shapes):
+        own = _pieces(shape, longest)
+        pieces += own
+        owner += [index] * len(own)
+    return Pieces(tuple(pieces), np.array(owner, dtype=np.int64))
+
+
+def _pieces(shape: Part, longest: float) -> list[Part]:
+    if isinstance(shape, Capsule):
+        shares = np.linspace(0.0, 1.0, max(1, int(np.ceil(shape.length / longest - 1e-9))) + 1)
+        ends = shape.start + shares[:, None] * (shape.end - shape.start)
+        return [replace(shape, start=ends[i], end=ends[i + 1]) for i in range(len(ends) - 1)]
+    if isinstance(shape, Box):
+        counts = np.maximum(1, np.ceil(2 * shape.half_extents / longest - 1e-9)).astype(int)
+        centers = [(2 * np.arange(count) + 1) / count - 1 for count in counts]
+        half = shape.half_extents / counts
+        return [
+            replace(shape, center=shape.center + shape.rotation @ (shape.half_extents * at), half_extents=half)
+            for at in product(*centers)
+        ]
+    return [shape]
 
 
 def visibility(
@@ -86,48 +130,38 @@ def visibility(
     rig: Rig,
     world_from_station: Array,
     foreground: float = FOREGROUND,
+    enough: float | Array = 1.0,
 ) -> Visibility:
     """The share of the pixels an object alone would cover that show it, in the frame where it is largest.
 
     Args:
         row: The grown row.
-        objects: Spheres and capsules of the row, or parts of them.
+        objects: Shapes of the row, or parts of them.
         shape: (n,) number of the row's shape that each object is or belongs to, as `RowRaycaster` counts them.
         rig: The cameras.
         world_from_station: (stations, 4, 4) true poses.
         foreground: What lies beyond this many metres in front of the reference camera, along the rig's forward axis,
             is not seen.
+        enough: Share, or shares (n,), of its silhouette beyond which an object is not looked at again.
     """
-    caster = RowRaycaster.of(row)
+    caster, outlines = RowRaycaster.of(row), Outlines.of(objects)
     front = rig.cameras[rig.reference].rig_from_camera[0, 3] + foreground
-    axes = np.array([_ends(item) for item in objects]).reshape(-1, 2, 3)
-    radii = np.array([_radius(item) for item in objects])
     best = Visibility(np.zeros(len(objects)), np.zeros(len(objects)))
     for pose in world_from_station:
         for camera in rig.cameras.values():
             world_from_camera = pose @ camera.rig_from_camera
             depth, seen = caster.measure(world_from_camera, camera.intrinsics)
             seen[_beyond(depth, camera, front)] = -1
-            ends = transform(invert(world_from_camera), axes.reshape(-1, 3)).reshape(-1, 2, 3)
-            for i in _in_view(ends, radii, camera.intrinsics, 2 * foreground):
-                window, alone = _silhouette(ends[i], float(radii[i]), camera.intrinsics)
-                inside, part = _clipped(window, camera.intrinsics)
-                covered = alone[part]
-                count = np.count_nonzero(covered)
+            here = outlines.seen_from(invert(world_from_camera))
+            shows = np.isin(shape, np.unique(seen)) & (best.whole < enough)  # the others have no pixel in this frame
+            for i in here.in_view(camera.intrinsics, 2 * foreground, shows).tolist():
+                alone = here.silhouette(i, camera.intrinsics)
+                count = np.count_nonzero(alone.covered)
                 if count:
-                    shown = np.count_nonzero(covered & (seen[inside] == shape[i]))
+                    shown = np.count_nonzero(alone.covered & (seen[alone.image] == shape[i]))
                     best.in_image[i] = max(best.in_image[i], shown / count)
-                    best.whole[i] = max(best.whole[i], shown / np.count_nonzero(alone))
+                    best.whole[i] = max(best.whole[i], shown / alone.whole)
     return best
-
-
-def _ends(item: Shape) -> list[Array]:
-    return [item.start, item.end] if isinstance(item, Capsule) else [item.center, item.center]
-
-
-def _radius(item: Shape) -> float:
-    assert isinstance(item, (Sphere, Capsule)), "only spheres and capsules have silhouettes here"
-    return item.radius
 
 
 def _beyond(depth: npt.NDArray[np.float32], camera: Camera, front: float) -> npt.NDArray[np.bool_]:
@@ -138,57 +172,3 @@ def _beyond(depth: npt.NDArray[np.float32], camera: Camera, front: float) -> npt
     forward = turn[0, 0] * x + turn[0, 1] * y + turn[0, 2]
     with np.errstate(invalid="ignore"):
         return ~(depth * forward + turn[0, 3] < front)
-
-
-def _in_view(ends: Array, radii: Array, k: Intrinsics, farthest: float) -> npt.NDArray[np.int64]:
-    """Which capsules (n,), axes (n, 2, 3) in the camera frame, may show on an image; none that reach to the camera."""
-    z = ends[..., 2]
-    ahead = (z.min(axis=1) > 2 * radii) & (z.min(axis=1) < farthest)
-    safe = np.maximum(z, 1e-6)
-    margin = 1.3 * radii[:, None] * max(k.fx, k.fy) / np.maximum(safe - radii[:, None], 1e-6) + 1.0
-    u, v = k.fx * ends[..., 0] / safe + k.cx, k.fy * ends[..., 1] / safe + k.cy
-    across = ((u + margin).max(axis=1) > 0) & ((u - margin).min(axis=1) < k.width)
-    down = ((v + margin).max(axis=1) > 0) & ((v - margin).min(axis=1) < k.height)
-    return np.flatnonzero(ahead & across & down)
-
-
-def _silhouette(ends: Array, radius: float, k: Intrinsics) -> tuple[tuple[range, range], npt.NDArray[np.bool_]]:
-    """Rows and columns that a capsule may cover, within the image or not, and which of these pixels it covers."""
-    margin = 1.3 * radius * max(k.fx, k.fy) / (ends[:, 2] - radius) + 1.0
-    u, v = k.fx * ends[:, 0] / ends[:, 2] + k.cx, k.fy * ends[:, 1] / ends[:, 2] + k.cy
-    columns = range(int(np.floor((u - margin).min())), int(np.ceil((u + margin).max())) + 1)
-    rows = range(int(np.floor((v - margin).min())), int(np.ceil((v + margin).max())) + 1)
-    x, y = np.meshgrid((np.array(columns) - k.cx) / k.fx, (np.array(rows) - k.cy) / k.fy)
-    return (rows, columns), _rays_meet(x, y, ends, radius)
-
-
-def _rays_meet(x: Array, y: Array, ends: Array, radius: float) -> npt.NDArray[np.bool_]:
-    """Whether the rays from the origin along (x, y, 1) come within ``radius`` of the segment between two ends (2, 3).
-
-    The distance from a point of the segment to a ray's line is least where it is the common perpendicular of both
-    lines, or at an end.
-    """
-    squared = x * x + y * y + 1.0
-    start, along = ends[0], ends[1] - ends[0]
-
-    def dot(a: Array, b: Array) -> Array:
-        return np.asarray(a @ b)
-
-    ray_start = x * start[0] + y * start[1] + start[2]
-    ray_along = x * along[0] + y * along[1] + along[2]
-    # minimise |s + t a|^2 - ((s + t a) . d)^2 / d^2 over 0 <= t <= 1
-    quadratic = dot(along, along) - ray_along**2 / squared
-    linear = dot(start, along) - ray_start * ray_along / squared
-    t = np.clip(np.where(quadratic > 1e-12, -linear / np.maximum(quadratic, 1e-12), 0.0), 0.0, 1.0)
-    distance = dot(start, start) - ray_start**2 / squared + t * (2 * linear + t * quadratic)
-    return np.asarray(distance < radius**2)
-
-
-def _clipped(window: tuple[range, range], k: Intrinsics) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
-    """The part of a window of pixels that lies in the image: as slices of the image, and as slices of the window."""
-    inside, part = [], []
-    for span, size in zip(window, (k.height, k.width), strict=True):
-        low, high = min(max(span.start, 0), size), min(max(span.stop, 0), size)
-        inside.append(slice(low, high))
-        part.append(slice(low - span.start, high - span.start))
-    return (inside[0], inside[1]), (part[0], part[1])
