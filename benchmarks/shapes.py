@@ -46,7 +46,7 @@ from greenhouse_gym.accuracy import (
 )
 from greenhouse_gym.build import BuildSettings, cut_scenes, stand_positions
 from greenhouse_gym.crop import STEM_KINDS
-from greenhouse_gym.geometry import Array, Capsule, transform
+from greenhouse_gym.geometry import Array, Capsule, Shape, transform
 from greenhouse_gym.open3d_loader import open3d
 from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.reconstruction import RowCloud
@@ -71,12 +71,10 @@ def measure(row: Row, cause: str, workdir: Path) -> dict[str, Any]:
     truth, poses = row.grow(), row.poses()
     world_from_row = align(cloud, truth, poses)
     placed = in_frame(shapes, world_from_row)
-    everything = [*placed.tomatoes, *placed.stems, *placed.clutter]
+    everything: list[Shape] = [*placed.tomatoes, *placed.stems, *placed.clutter]
     points = transform(world_from_row, cloud.points)
     stands = stand_positions(row.simulate(), BuildSettings())
-    whole = Visibility(
-        visible.tomatoes.whole, visible.tomatoes.whole
-    )  # what the edge of the image cuts off counts as hidden
+    whole = Visibility(visible.tomatoes.whole, visible.tomatoes.whole)  # beyond the image's edge counts as hidden
     petioles = [shape for shape in truth.clutter if isinstance(shape, Capsule)]
     unaligned = in_frame(shapes, poses[np.flatnonzero(cloud.registered)[0]])
     return asdict(row) | {
@@ -92,13 +90,7 @@ def measure(row: Row, cause: str, workdir: Path) -> dict[str, Any]:
         "coverage": coverage(points, everything),
         "excess": excess(everything, truth),
         "collisions": compare_collisions(
-            everything,
-            truth,
-            visible,
-            points,
-            stand_positions(row.simulate(), BuildSettings()),
-            CONFIGURATIONS,
-            row.seed,
+            everything, truth, visible, points, stands, CONFIGURATIONS, row.seed
         )._asdict(),
         "primitives": primitives(row, cloud, shapes),
         "seconds_per_metre": seconds / row.length,
