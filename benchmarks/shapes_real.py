@@ -1,0 +1,231 @@
+"""What extraction makes of real clouds: cans and mugs on a table, and scanned tomato seedlings.
+
+GREENHOUSE_GYM_REAL_DATA=folder python benchmarks/shapes_real.py --pictures pictures
+
+No setting is changed for them. Only their size is: a can is brought down to the thickness of a main stem, a seedling up
+to the height of a piece of a grown plant; figures are in the data's own metres. The data come from others and stay
+where they are: without the folder nothing is measured, and pictures are drawn only where they are asked for.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from results_file import RESULTS, write_results
+from scipy.optimize import least_squares
+from scipy.spatial import cKDTree
+from shapes_real_data import CYLINDERS, KINECT, Seedling, TableScene, read_seedlings, read_table
+
+from greenhouse_gym.accuracy import compare_stems
+from greenhouse_gym.accuracy.cover import COVERED_WITHIN, distance_to_nearest
+from greenhouse_gym.accuracy.silhouettes import Outlines
+from greenhouse_gym.capture.images import encode_png
+from greenhouse_gym.crop import Stem, Tomato
+from greenhouse_gym.geometry import Array, Capsule, Shape, frame_along
+from greenhouse_gym.paths import write_atomically
+from greenhouse_gym.shapes import RowShapes, extract_shapes
+
+CAN_SCALE = 1 / 6
+"""By which the table is made smaller: cans of 36 mm radius come to the 6 mm of a main stem."""
+
+SEEDLING_HEIGHT = 0.4
+"""Metres to which every seedling is scaled."""
+
+Figures = dict[str, Any]
+
+
+# -- cans and mugs ----------------------------------------------------------------------------------------------------
+
+
+def measure_table(scene: TableScene, pictures: Path | None) -> dict[str, Figures]:
+    """Radius and axis of each can and mug against its labelled points, lengths in the scene's metres."""
+    shapes = extract_shapes(scene.points * CAN_SCALE, scene.colors, scene.normals)
+    stems = [scaled(stem, 1 / CAN_SCALE) for stem in shapes.stems]
+    if pictures:
+        tomatoes = [scaled(tomato, 1 / CAN_SCALE) for tomato in shapes.tomatoes]
+        outlined = draw(scene.photograph, [*tomatoes, *stems], scene.camera_from_world)
+        write_atomically(pictures / f"{scene.name}.png", encode_png(outlined))
+    return {
+        f"{scene.name} {label}": measure_can(scene.points[scene.labels == label], stems) for label in scene.cylinders
+    }
+
+
+def measure_can(points: Array, stems: Sequence[Stem]) -> Figures:
+    """How a labelled can's points (n, 3) lie around the stem that explains most of them, if there is one."""
+    reference = fit_cylinder(points)
+    explained = [np.abs(distance_to_nearest(points, [stem])) < 0.01 for stem in stems]
+    best = max(range(len(stems)), key=lambda i: int(explained[i].sum()), default=-1)
+    own = residual(points, reference)
+    figures: Figures = {"points": len(points), "reference_radius": reference.radius, "reference_residual": own}
+    if best < 0 or explained[best].mean() < 0.3:
+        return figures | {"found": False}
+    stem = stems[best]
+    cosine = abs(direction(stem) @ direction(reference))
+    return figures | {
+        "found": True,
+        "radius": stem.radius,
+        "radius_residual": residual(points, stem),
+        "axis_angle": float(np.arccos(min(cosine, 1.0))),
+    }
+
+
+def residual(points: Array, cylinder: Capsule) -> float:
+    """Median over points (n, 3) of the distance from the cylinder's side, metres."""
+    along = direction(cylinder)
+    away = points - cylinder.start
+    return float(np.median(np.abs(np.linalg.norm(away - np.outer(away @ along, along), axis=1) - cylinder.radius)))
+
+
+def direction(capsule: Capsule) -> Array:
+    """The unit vector along a capsule."""
+    return np.asarray((capsule.end - capsule.start) / capsule.length)
+
+
+def fit_cylinder(points: Array) -> Capsule:
+    """The cylinder around labelled points (n, 3): robust least squares of distance to axis minus radius.
+
+    Started from several directions, since the points show one side of it and maybe an end.
+    """
+    thinned = points[:: max(1, len(points) // 1500)]
+    center = thinned.mean(axis=0)
+    fits = []
+    for along in (*np.eye(3), *np.linalg.svd(thinned - center, full_matrices=False)[2]):
+        frame = frame_along(along)
+
+        def away(x: Array, frame: Array = frame) -> Array:
+            axis = frame @ [x[2], x[3], 1.0]
+            apart = thinned - center - frame[:, :2] @ x[:2]
+            return np.asarray(np.linalg.norm(np.cross(apart, axis / np.linalg.norm(axis)), axis=1) - x[4])
+
+        fit = least_squares(
+            away, [*(frame[:, :2].T @ [0.0, 0.0, 0.03]), 0.0, 0.0, 0.035], loss="soft_l1", f_scale=0.002
+        )
+        fits.append((fit.cost, frame, fit.x))
+    _, frame, x = min((f for f in fits if 0.01 < f[2][4] < 0.15), key=lambda f: f[0])
+    axis = frame @ [x[2], x[3], 1.0]
+    axis /= np.linalg.norm(axis)
+    origin = center + frame[:, :2] @ x[:2]
+    reach = (points - origin) @ axis
+    return Capsule(origin + reach.min() * axis, origin + reach.max() * axis, float(x[4]))
+
+
+# -- seedlings --------------------------------------------------------------------------------------------------------
+
+
+def measure_seedling(plant: Seedling, pictures: Path | None) -> Figures:
+    """Recall of a seedling's stems against its skeleton or its labels; lengths after scaling."""
+    shapes = extract_shapes(plant.points, plant.colors)
+    figures: Figures = {"points": len(plant.points), "scale": plant.scale, "stems": len(shapes.stems)}
+    if plant.skeleton is not None:
+        true = [Stem(a, b, 0.002, "main") for a, b in plant.skeleton if np.linalg.norm(b - a) > 1e-6]
+        found = [replace(stem, kind="main") for stem in shapes.stems]
+        compared = compare_stems(true, true, [], found, "main")
+        figures |= {"skeleton": compared.visible, "recall": compared.recall, "false": compared.false_share}
+    if plant.labels is not None:
+        stems = list(shapes.stems)
+        for name, classes in {"main stem": (7,), "stalk": (9,)}.items():
+            near = distance_to_nearest(plant.points[np.isin(plant.labels, classes)], stems)
+            figures[f"recall of {name}"] = float((near <= COVERED_WITHIN).mean()) if len(near) else float("nan")
+        figures["false"] = false_length(stems, plant.points[np.isin(plant.labels, (2, 7, 9))])
+    if pictures:
+        write_atomically(pictures / f"{plant.name}.png", encode_png(draw_seedling(plant, shapes)))
+    return figures
+
+
+def false_length(stems: Sequence[Stem], points: Array) -> float:
+    """Share of the stems' length farther than `COVERED_WITHIN` outside of labelled points (n, 3)."""
+    if not stems:
+        return float("nan")
+    tree = cKDTree(points)
+    far = total = 0.0
+    for stem in stems:
+        share = (np.arange(8) + 0.5)[:, None] / 8
+        gap = tree.query(stem.start + share * (stem.end - stem.start))[0] - stem.radius
+        far, total = far + stem.length * float((gap > COVERED_WITHIN).mean()), total + stem.length
+    return far / total
+
+
+# -- pictures ---------------------------------------------------------------------------------------------------------
+
+
+def draw(photograph: np.ndarray[Any, np.dtype[np.uint8]], shapes: Sequence[Shape], camera_from_world: Array) -> Any:
+    """Outlines of shapes over a photograph (h, w, 3), from its camera's own place: tomatoes red, stems blue."""
+    image = photograph.copy()
+    outlines = Outlines.of(shapes).seen_from(camera_from_world)
+    for i in outlines.in_view(KINECT, np.inf, np.ones(len(shapes), dtype=bool)).tolist():
+        mask = np.zeros(image.shape[:2], dtype=np.uint8)
+        alone = outlines.silhouette(i, KINECT)
+        mask[alone.image] = alone.covered
+        contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        cv2.drawContours(image, contours, -1, (230, 30, 30) if isinstance(shapes[i], Tomato) else (20, 60, 255), 2)
+    return image
+
+
+def draw_seedling(plant: Seedling, shapes: RowShapes, pixels: int = 800) -> Any:
+    """A seedling from two sides: its points, the skeleton in green, stems found in blue, tomatoes in red."""
+    halves = []
+    for across in (0, 1):
+        image = np.full((pixels, pixels, 3), 255, dtype=np.uint8)
+        low = plant.points.min(axis=0)
+        scale = 0.95 * pixels / np.ptp(plant.points, axis=0).max()
+
+        def at(points: Array, across: int = across, low: Array = low, scale: float = scale) -> Any:
+            flat = (np.atleast_2d(points) - low)[:, [across, 2]] * scale
+            return np.rint(np.column_stack([flat[:, 0], pixels - 1 - flat[:, 1]])).astype(int)
+
+        u, v = np.clip(at(plant.points), 0, pixels - 1).T
+        image[v, u] = 190
+        for tomato in shapes.tomatoes:
+            cv2.circle(image, at(tomato.center)[0].tolist(), round(tomato.radius * scale), (230, 30, 30), 2)
+        for a, b in [] if plant.skeleton is None else plant.skeleton:
+            cv2.line(image, at(a)[0].tolist(), at(b)[0].tolist(), (20, 160, 40), 3)
+        for stem in shapes.stems:
+            cv2.line(image, at(stem.start)[0].tolist(), at(stem.end)[0].tolist(), (20, 60, 255), 2)
+        halves.append(image)
+    return np.concatenate(halves, axis=1)
+
+
+def scaled(shape: Any, factor: float) -> Any:
+    """A sphere or capsule with all lengths multiplied."""
+    if isinstance(shape, Capsule):
+        return replace(shape, start=shape.start * factor, end=shape.end * factor, radius=shape.radius * factor)
+    return replace(shape, center=shape.center * factor, radius=shape.radius * factor)
+
+
+def main() -> None:
+    """Measure, write the results, print them."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, default=os.environ.get("GREENHOUSE_GYM_REAL_DATA"))
+    parser.add_argument("--pictures", type=Path, help="folder for pictures; by default none are drawn")
+    parser.add_argument("--out", type=Path, default=RESULTS / "shapes_real.json")
+    arguments = parser.parse_args()
+    if arguments.data is None or not Path(arguments.data).is_dir():
+        print("no real data: set GREENHOUSE_GYM_REAL_DATA or give --data")
+        return
+    cans: dict[str, Figures] = {}
+    for name in CYLINDERS:
+        cans |= measure_table(read_table(arguments.data, name), arguments.pictures)
+    plants = read_seedlings(arguments.data, SEEDLING_HEIGHT)
+    seedlings = {plant.name: measure_seedling(plant, arguments.pictures) for plant in plants}
+    found = [can["radius_residual"] for can in cans.values() if can["found"]]
+    summary = {
+        "cans_found": len(found),
+        "cans": len(cans),
+        "radius_residual_median": float(np.median(found)) if found else None,
+    }
+    write_results(
+        arguments.out, {"summary": summary, "cans and mugs": cans, "seedlings": seedlings}, ["open3d", "scipy"]
+    )
+    for name, figures in {"summary": summary, **cans, **seedlings}.items():
+        print(name, {key: round(v, 4) if isinstance(v, float) else v for key, v in figures.items()})
+
+
+if __name__ == "__main__":
+    main()
