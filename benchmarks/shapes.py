@@ -8,6 +8,11 @@ separates what extraction gets wrong from what it was given wrong. Every measure
 Shapes are compared after one rigid alignment of the row's cloud with the true surfaces, which takes most of the drift
 out (the tomatoes' centers are given without it as well).
 
+Tomatoes match within one true radius, one to one. A place on a stem's axis counts as found, or as true, where an axis
+of the other side lies within 10 mm and runs within 30 degrees of it; stems count by length. Only what was visible must
+be found, and what was hidden may be: tomatoes as a whole, stems and leaves in pieces of 2 cm, visible if some frame
+shows at least 30 % of the pixels that they alone would cover in it, after the cut at 60 cm.
+
 Recordings, clouds and measurements are kept under --workdir, by a fingerprint of the sources that made them; started
 again, the benchmark goes on with what is missing.
 """

@@ -123,6 +123,7 @@ def measure_seedling(plant: Seedling, pictures: Path | None) -> Figures:
     """Recall of a seedling's stems against its skeleton or its labels; lengths after scaling."""
     shapes = extract_shapes(plant.points, plant.colors)
     figures: Figures = {"points": len(plant.points), "scale": plant.scale, "stems": len(shapes.stems)}
+    figures["tomatoes"] = len(shapes.tomatoes)  # there are none
     if plant.skeleton is not None:
         true = [Stem(a, b, 0.002, "main") for a, b in plant.skeleton if np.linalg.norm(b - a) > 1e-6]
         found = [replace(stem, kind="main") for stem in shapes.stems]
