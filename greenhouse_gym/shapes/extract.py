@@ -13,7 +13,9 @@ from greenhouse_gym.geometry import Array, Box, distance_to_shapes
 from greenhouse_gym.reconstruction.clouds import Cloud, to_open3d, voxel_means
 from greenhouse_gym.shapes.clutter import cover
 from greenhouse_gym.shapes.settings import ShapeSettings
-from greenhouse_gym.shapes.stems import find_main_stems, find_thin_stems
+from greenhouse_gym.shapes.colors import could_be_fruit_or_stem
+from greenhouse_gym.shapes.peduncles import find_peduncles
+from greenhouse_gym.shapes.stems import find_main_stems
 from greenhouse_gym.shapes.tomatoes import find_tomatoes
 
 
@@ -57,12 +59,13 @@ def extract_shapes(
     if len(cloud) < 50:
         return RowShapes()
     cloud, _ = voxel_means(cloud, settings.voxel)
-    tomatoes = find_tomatoes(cloud.points, cloud.normals, cloud.colors, settings)
-    cloud = _without(cloud, list(tomatoes), 2 * settings.shell)
-    main = find_main_stems(cloud.points, cloud.normals, settings)
-    cloud = _without(cloud, main, settings.shell)
-    thin, explained = find_thin_stems(cloud.points, cloud.normals, tomatoes, settings)
-    cloud = cloud.select(~explained)
+    tomatoes = find_tomatoes(cloud.points, cloud.normals, cloud.colors, settings).tomatoes
+    cloud = _without(cloud, list(tomatoes), settings.shell)
+    woody = cloud.select(could_be_fruit_or_stem(cloud.colors, settings))
+    main = find_main_stems(woody.points, woody.normals, settings)
+    woody = _without(woody, main, settings.shell)
+    thin = find_peduncles(woody.points, woody.normals, tomatoes, main, settings)
+    cloud = _without(cloud, [*main, *thin], settings.shell)
     budget = round(settings.clutter_per_metre * float(np.ptp(cloud.points[:, 1]))) if len(cloud) else 0
     return RowShapes(tomatoes, (*main, *thin), tuple(cover(cloud.points, max(budget, 10), settings)))
 

@@ -1,4 +1,4 @@
-"""Stems: main stems as chains of discs through slices of height, thin stems as greedy capsules."""
+"""Main stems: chains of discs through slices of height."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
-from scipy.spatial import cKDTree
 
-from greenhouse_gym.crop import Stem, StemKind, Tomato
+from greenhouse_gym.crop import Stem
 from greenhouse_gym.geometry import Array, distance_to_capsules
 from greenhouse_gym.shapes.settings import ShapeSettings
 
@@ -21,9 +20,6 @@ class Disc(NamedTuple):
     slab: int
     center: Array
     rows: npt.NDArray[np.int64]
-
-
-# -- main stems -------------------------------------------------------------------------------------------------------
 
 
 def find_main_stems(points: Array, normals: Array, settings: ShapeSettings) -> list[Stem]:
@@ -132,86 +128,3 @@ def _axis(chain: list[Disc], points: Array, normals: Array, radius: float) -> Ar
 def _beside(point: Array, axis: Array) -> float:
     """Distance in metres of a point (3,) from a polyline (k, 3)."""
     return float(distance_to_capsules(point[None], axis[:-1], axis[1:], np.zeros(len(axis) - 1)).min())
-
-
-# -- thin stems -------------------------------------------------------------------------------------------------------
-
-
-def find_thin_stems(
-    points: Array, normals: Array, tomatoes: tuple[Tomato, ...], settings: ShapeSettings
-) -> tuple[list[Stem], npt.NDArray[np.bool_]]:
-    """Find peduncles and pedicels: thin straight pieces near the fruit.
-
-    Args:
-        points: (n, 3) what is neither tomato nor main stem, metres.
-        normals: (n, 3) unit vectors.
-        tomatoes: The fruit found so far.
-        settings: All settings.
-
-    Returns:
-        The pieces, and which points (n,) they explain.
-    """
-    explained = np.zeros(len(points), dtype=bool)
-    stems: list[Stem] = []
-    if not tomatoes or not len(points):
-        return stems, explained
-    fruit = cKDTree(np.array([t.center for t in tomatoes]))
-    reach = max(t.radius for t in tomatoes) + 0.10
-    near_fruit = np.flatnonzero(fruit.query(points)[0] < reach)
-    if len(near_fruit) < 10:
-        return stems, explained
-    tree = cKDTree(points[near_fruit])
-    line = _lines(points[near_fruit], tree, settings)
-    open_rows = line.copy()
-    for seed in np.argsort(points[near_fruit][:, 2], kind="stable")[::-1]:
-        if not open_rows[seed]:
-            continue
-        own = np.array(tree.query_ball_point(points[near_fruit[seed]], settings.thin_length / 2), dtype=np.int64)
-        own = own[open_rows[own]]
-        piece = _thin_piece(points[near_fruit[own]], normals[near_fruit[own]], fruit, tomatoes, settings)
-        open_rows[seed] = False
-        if piece is None:
-            continue
-        inside = distance_to_capsules(points[near_fruit[own]], piece.start, piece.end, piece.radius)[:, 0] < 0.004
-        open_rows[own[inside]] = False
-        explained[near_fruit[own[inside]]] = True
-        stems.append(piece)
-    return stems, explained
-
-
-def _lines(points: Array, tree: cKDTree, settings: ShapeSettings) -> npt.NDArray[np.bool_]:
-    """Which points (n,) lie on something long and thin: the spread of their neighbours has one large axis."""
-    _, rows = tree.query(points, k=min(40, len(points)), distance_upper_bound=0.015)
-    found = rows < len(points)
-    cloud = points[np.where(found, rows, 0)]
-    weight = found[..., None] / np.maximum(found.sum(axis=1), 1)[:, None, None]
-    centered = (cloud - (weight * cloud).sum(axis=1, keepdims=True)) * np.sqrt(weight)
-    values = np.linalg.eigvalsh(np.einsum("nki,nkj->nij", centered, centered))
-    thickness = np.sqrt(np.maximum(values[:, 1], 0.0))
-    return (found.sum(axis=1) >= 8) & (values[:, 1] < 0.2 * values[:, 2]) & (thickness < settings.thin_radii[1])
-
-
-def _thin_piece(
-    cloud: Array, normals: Array, fruit: cKDTree, tomatoes: tuple[Tomato, ...], settings: ShapeSettings
-) -> Stem | None:
-    """One capsule along the longest axis of a few points, if they are thin enough."""
-    if len(cloud) < 8:
-        return None
-    center = cloud.mean(axis=0)
-    _, _, axes = np.linalg.svd(cloud - center, full_matrices=False)
-    along = (cloud - center) @ axes[0]
-    across = (cloud - center) - along[:, None] * axes[0]
-    width = float(np.quantile(np.linalg.norm(across, axis=1), 0.9))
-    if np.ptp(along) < 0.012 or width > settings.thin_radii[1]:
-        return None
-    flat = normals - (normals @ axes[0])[:, None] * axes[0]
-    spread, square = ((across - across.mean(0)) * (flat - flat.mean(0))).sum(), ((flat - flat.mean(0)) ** 2).sum()
-    radius = float(np.clip(spread / max(square, 1e-9), *settings.thin_radii))
-    center = center - radius * flat.mean(axis=0)  # only the near side is seen; the axis lies behind it
-    ends = center + np.outer([along.min(), along.max()], axes[0])
-    gap = min(
-        float(np.linalg.norm(end - tomatoes[k].center) - tomatoes[k].radius)
-        for end, k in zip(ends, fruit.query(ends)[1], strict=True)
-    )
-    kind: StemKind = "pedicel" if gap < 0.008 and np.ptp(along) < 0.03 else "peduncle"
-    return Stem(ends[0], ends[1], radius, kind=kind)

@@ -1,0 +1,24 @@
+"""What colors say: leaves are bluish green, gutters and strings are white; fruit and stems are neither."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from greenhouse_gym.geometry import Array
+from greenhouse_gym.shapes.settings import ShapeSettings
+
+
+def could_be_fruit_or_stem(colors: Array, settings: ShapeSettings) -> npt.NDArray[np.bool_]:
+    """Which colors (n, 3) a tomato, ripe or not, or a stem may have; all of them in a cloud without colors."""
+    saturation = 1.0 - colors.min(axis=1, initial=1.0) / np.maximum(colors.max(axis=1, initial=0.0), 1e-6)
+    colorful = saturation > settings.least_saturation
+    if not colorful.any():
+        return np.ones(len(colors), dtype=bool)
+    return colorful & (redness(colors) > settings.least_redness)
+
+
+def redness(colors: Array) -> Array:
+    """(R - G) / (R + G) of colors (n, 3), which ignores shading."""
+    red, green = colors[:, 0], colors[:, 1]
+    return np.asarray((red - green) / np.maximum(red + green, 1e-6))

@@ -1,0 +1,177 @@
+"""Spheres in a cloud: oriented points vote for centers, robust least squares refines them.
+
+Every surface point of a sphere votes for the same center, ``point - radius * normal``, so centers are peaks of a
+histogram over positions and radii (a Hough transform for spheres with oriented points). Radii of one octave compete with
+each other; which of the overlapping spheres of different octaves is right is decided later, by how well they fit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from greenhouse_gym.geometry import Array
+from greenhouse_gym.shapes.settings import ShapeSettings
+
+_ABOVE_PLANE = 1.2  # times the votes a plane gathers in one place a sphere must have
+_MOST_POINTS = 300  # a fit looks at
+_SCALES = (3.0, 3.0, 2.0, 2.0, 1.5, 1.5, 1.0, 1.0)  # of the shell within which points count, iteration by iteration
+_DIRECTIONS = 100  # a sphere's coverage is counted in
+
+
+@dataclass(frozen=True, eq=False)
+class SphereFit:
+    """A sphere found in a cloud.
+
+    Attributes:
+        center: (3,) metres.
+        radius: Metres.
+        points: Rows of the cloud that lie on it.
+        coverage: Share of its directions in which it was seen.
+        rmse: Root mean square distance of its points from it, metres.
+        alignment: Mean cosine between their normals and its own.
+        outside: Points just outside it per point on it.
+        share: Points on it, as a share of those that half of it would have.
+    """
+
+    center: Array
+    radius: float
+    points: npt.NDArray[np.int64]
+    coverage: float
+    rmse: float
+    alignment: float
+    outside: float
+    share: float
+
+
+def vote(points: Array, normals: Array, settings: ShapeSettings) -> Array:
+    """Candidate spheres (k, 4), center and radius, at the peaks of the vote."""
+    if not len(points):
+        return np.zeros((0, 4))
+    radii = np.arange(settings.radii[0], settings.radii[1] + 1e-9, settings.radius_step)
+    octaves = max(1, round(np.log2(settings.radii[1] / settings.radii[0])))
+    edges = np.geomspace(settings.radii[0], settings.radii[1] + settings.radius_step, octaves + 1)
+    return np.concatenate(
+        [_peaks(points, normals, radii[(radii >= a) & (radii < b)], settings) for a, b in pairwise(edges)]
+    )
+
+
+def _peaks(points: Array, normals: Array, radii: Array, settings: ShapeSettings) -> Array:
+    """Candidates (k, 4) of one octave: what nothing near has more votes than."""
+    cell = settings.vote_cell
+    candidates, shares = [np.zeros((0, 4))], [np.zeros(0)]
+    for radius in radii:
+        half = 2 * np.pi * radius**2  # square metres
+        # a plane's votes fall into one layer of cells
+        least = max(settings.min_score, _ABOVE_PLANE * (3 * cell) ** 2 / half)
+        centers, votes = _crowded((points - radius * normals) / cell, least * half / settings.voxel**2)
+        candidates.append(np.column_stack([centers * cell, np.full(len(centers), radius)]))
+        shares.append(votes * settings.voxel**2 / half)
+    found, share = np.concatenate(candidates), np.concatenate(shares)
+    pairs = cKDTree(found[:, :3]).query_pairs(max(1.8 * cell, 0.6 * radii[0]), output_type="ndarray")
+    beaten = np.zeros(len(found), dtype=bool)
+    beaten[np.where(share[pairs[:, 0]] < share[pairs[:, 1]], pairs[:, 0], pairs[:, 1])] = True
+    return found[~beaten]
+
+
+def _crowded(positions: Array, least: float) -> tuple[Array, Array]:
+    """Centers (k, 3) of the unit cells in whose neighborhood of 27 at least so many positions (n, 3) lie, and how many.
+
+    Only cells that hold their share of the neighborhood themselves are looked at.
+    """
+    cells = np.floor(positions).astype(np.int64)
+    low = cells.min(axis=0) - 1
+    span = cells.max(axis=0) + 2 - low
+    keys, counts = np.unique(np.ravel_multi_index(tuple((cells - low).T), tuple(span)), return_counts=True)
+    before = np.concatenate([[0], np.cumsum(counts)])  # votes in the cells ahead of each
+    full = keys[counts >= least / 27]
+    votes = np.zeros(len(full), dtype=np.int64)
+    for x in (-1, 0, 1):
+        for y in (-1, 0, 1):  # the three cells along the last axis have consecutive keys
+            row = full + (x * span[1] + y) * span[2]
+            votes += before[np.searchsorted(keys, row + 1, "right")] - before[np.searchsorted(keys, row - 1, "left")]
+    crowded = votes >= least
+    return np.stack(np.unravel_index(full[crowded], tuple(span)), axis=1) + low + 0.5, votes[crowded]
+
+
+def fit_spheres(points: Array, normals: Array, candidates: Array, settings: ShapeSettings) -> list[SphereFit]:
+    """Refine candidates (k, 4); those that fit nothing are left out."""
+    tree = cKDTree(points)
+    directions = even_directions(_DIRECTIONS)
+    fits = []
+    for candidate in candidates:
+        near = np.array(tree.query_ball_point(candidate[:3], 1.4 * candidate[3]), dtype=np.int64)
+        refined = _refine(points[near], normals[near], candidate, settings)
+        if refined is None:
+            continue
+        near = np.array(tree.query_ball_point(refined[:3], 1.3 * refined[3]), dtype=np.int64)
+        fit = _assess(points, normals, near, refined[:3], float(refined[3]), directions, settings)
+        if fit is not None:
+            fits.append(fit)
+    return fits
+
+
+def _refine(cloud: Array, normals: Array, candidate: Array, settings: ShapeSettings) -> Array | None:
+    """Gauss-Newton with Tukey weights on ``distance - radius``; points whose normals look away do not count."""
+    stride = max(1, len(cloud) // _MOST_POINTS)
+    cloud, normals = cloud[::stride], normals[::stride]
+    center, radius = candidate[:3], float(candidate[3])
+    for scale in _SCALES:
+        away = cloud - center
+        distance = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
+        unit = away / distance[:, None]
+        residual = distance - radius
+        weight = np.clip(1 - (residual / (scale * settings.shell)) ** 2, 0, None) ** 2
+        weight *= (unit * normals).sum(axis=1) > 0.7
+        if np.count_nonzero(weight) < 15:
+            return None
+        jacobian = np.column_stack([-unit, -np.ones(len(unit))])
+        normal_matrix = jacobian.T @ (weight[:, None] * jacobian) + 1e-3 * weight.sum() * np.diag([1, 1, 1, 1e-2])
+        step = np.linalg.solve(normal_matrix, -jacobian.T @ (weight * residual))
+        center, radius = center + step[:3], radius + float(step[3])
+        if not settings.radii[0] * 0.9 <= radius <= settings.radii[1] * 1.1:
+            return None
+    return np.append(center, radius)
+
+
+def _assess(
+    points: Array,
+    normals: Array,
+    near: npt.NDArray[np.int64],
+    center: Array,
+    radius: float,
+    directions: Array,
+    settings: ShapeSettings,
+) -> SphereFit | None:
+    away = points[near] - center
+    distance = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
+    unit, residual = away / distance[:, None], distance - radius
+    alignment = (unit * normals[near]).sum(axis=1)
+    on = (np.abs(residual) < settings.shell) & (alignment > 0.7)
+    count = np.count_nonzero(on)
+    if count < 15:
+        return None
+    outside = np.count_nonzero((residual > settings.shell) & (residual < 0.3 * radius))
+    return SphereFit(
+        center,
+        radius,
+        near[on],
+        coverage=len(np.unique((unit[on] @ directions.T).argmax(axis=1))) / len(directions),
+        rmse=float(np.sqrt(np.mean(residual[on] ** 2))),
+        alignment=float(alignment[on].mean()),
+        outside=outside / count,
+        share=count * settings.voxel**2 / (2 * np.pi * radius**2),
+    )
+
+
+def even_directions(count: int) -> Array:
+    """Unit vectors (count, 3) spread evenly over the sphere (Fibonacci lattice)."""
+    k = np.arange(count) + 0.5
+    z = 1 - 2 * k / count
+    angle = np.pi * (1 + 5**0.5) * k
+    ring = np.sqrt(1 - z**2)
+    return np.column_stack([ring * np.cos(angle), ring * np.sin(angle), z])
