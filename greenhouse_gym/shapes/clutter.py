@@ -1,7 +1,7 @@
 """Clutter: what no tomato and no stem explains, covered by few oriented boxes.
 
-Conservative: every point of a piece lies in its box. Not bloated: the box that claims most empty space is split first,
-where that leaves the least.
+Leaves are flat, so smooth patches get boxes first; what these do not cover gets boxes by nearness. Then, again and
+again, the box that claims most empty space is split in two where that leaves the least.
 """
 
 from __future__ import annotations
@@ -15,44 +15,44 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from greenhouse_gym.geometry import Array, Box
+from greenhouse_gym.geometry import Array, Box, distance_to_shapes
 from greenhouse_gym.shapes.settings import ShapeSettings
 
 THINNEST = 0.0025
 """Smallest half extent of a box, metres: about the noise of the cloud."""
 
-_WORTH = 2e-4  # square metres a box must claim wrongly to be split
+_TOLERATED = 0.15  # share of a box's surface that may be empty
 _CUTS = (0.3, 0.4, 0.5, 0.6, 0.7)  # where along its axes a box may be split
 
 
 class _Piece(NamedTuple):
-    """Points, their box, and how much of the box's surface (square metres) is far from all of them."""
+    """Points, their box, how much of its surface (square metres) is far from all of them, and as a share."""
 
     rows: npt.NDArray[np.int64]
     box: Box
     claimed: float
+    share: float
 
 
-def cover(points: Array, budget: int, settings: ShapeSettings) -> list[Box]:
-    """Cover points (n, 3) with at most about ``budget`` oriented boxes.
+def cover(points: Array, normals: Array, budget: int, settings: ShapeSettings) -> list[Box]:
+    """Cover points (n, 3) with normals (n, 3) with at most about ``budget`` oriented boxes.
 
-    Pieces farther apart than ``settings.clutter_gap`` get boxes of their own; then the box with the largest empty
-    surface is split in two, again and again, until the budget is used or nothing is worth splitting.
+    Specks are left out: a handful of cells with points in them is noise.
     """
     if not len(points) or budget < 1:
         return []
-    label = pieces(points, settings.clutter_gap)
-    sizes = np.bincount(label)
-    large = [k for k in np.argsort(-sizes, kind="stable")[:budget] if sizes[k] >= settings.min_clutter_points]
-    heap: list[tuple[float, int, _Piece]] = []
-    for k in large:
-        piece = _boxed(points, np.flatnonzero(label == k), settings)
-        heapq.heappush(heap, (-piece.claimed, len(heap), piece))
-    number = len(heap)
+    centers, facing = _cells(points, normals, settings.clutter_cell)
+    found = [_boxed(centers, rows, settings) for rows in _patches(centers, facing, settings)]
+    missed = np.flatnonzero(_distance([piece.box for piece in found], centers) > settings.clutter_near)
+    found += [_boxed(centers, missed[rows], settings) for rows in _lumps(centers[missed], settings)]
+    heap = [(-piece.claimed, number, piece) for number, piece in enumerate(found)]
+    heap = sorted(heap, key=lambda entry: -len(entry[2].rows))[:budget]
+    heapq.heapify(heap)
+    number = len(found)
     done: list[Box] = []
     while heap and len(heap) + len(done) < budget:
         _, _, piece = heapq.heappop(heap)
-        parts = _split(points, piece, settings) if piece.claimed > _WORTH else None
+        parts = _split(centers, piece, settings) if piece.share > _TOLERATED else None
         if parts is None:
             done.append(piece.box)
             continue
@@ -60,6 +60,54 @@ def cover(points: Array, budget: int, settings: ShapeSettings) -> list[Box]:
             number += 1
             heapq.heappush(heap, (-part.claimed, number, part))
     return done + [piece.box for _, _, piece in heap]
+
+
+def _cells(points: Array, normals: Array, cell: float) -> tuple[Array, Array]:
+    """Mean point (k, 3) and mean unit normal (k, 3) of the points in each cube of a grid."""
+    cubes, row = np.unique(np.floor(points / cell).astype(np.int64), axis=0, return_inverse=True)
+    share = 1.0 / np.bincount(row.ravel(), minlength=len(cubes))
+    means, facing = (
+        share[:, None] * np.stack([np.bincount(row.ravel(), values[:, k]) for k in range(3)], axis=1)
+        for values in (points, normals)
+    )
+    return means, facing / np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-9)
+
+
+def _patches(centers: Array, facing: Array, settings: ShapeSettings) -> list[npt.NDArray[np.int64]]:
+    """Rows of the cells of each smooth patch: neighbors that face alike and lie in each other's plane."""
+    pairs = cKDTree(centers).query_pairs(1.8 * settings.clutter_cell, output_type="ndarray")
+    one, two = pairs.T
+    apart = centers[two] - centers[one]
+    off_plane = np.abs((apart * (facing[one] + facing[two])).sum(axis=1)) / 2
+    smooth = (facing[one] * facing[two]).sum(axis=1) > settings.clutter_facing
+    smooth &= off_plane < 0.5 * np.linalg.norm(apart, axis=1) + settings.clutter_cell / 5
+    return _connected(len(centers), pairs[smooth], settings.min_patch_cells)
+
+
+def _lumps(centers: Array, settings: ShapeSettings) -> list[npt.NDArray[np.int64]]:
+    """Rows of the cells of each lump: what lies nearer together than the gap between different things."""
+    if not len(centers):
+        return []
+    pairs = cKDTree(centers).query_pairs(settings.clutter_gap, output_type="ndarray")
+    return _connected(len(centers), pairs, settings.min_lump_cells)
+
+
+def _connected(count: int, pairs: npt.NDArray[np.int64], least: int) -> list[npt.NDArray[np.int64]]:
+    links = coo_array((np.ones(len(pairs), dtype=bool), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    label = connected_components(links, directed=False)[1]
+    rows = np.split(np.argsort(label, kind="stable"), np.cumsum(np.bincount(label))[:-1])
+    return [part for part in rows if len(part) >= least]
+
+
+def _distance(boxes: list[Box], points: Array) -> Array:
+    """Distance (n,) from each point to the nearest box; inf without boxes."""
+    nearest = np.full(len(points), np.inf)
+    tree = cKDTree(points)
+    for box in boxes:  # most boxes are far from most points
+        rows = tree.query_ball_point(box.center, float(np.linalg.norm(box.half_extents)) + 0.02)
+        distance = distance_to_shapes(points[rows], [box])[:, 0]
+        nearest[rows] = np.minimum(nearest[rows], distance)
+    return nearest
 
 
 def _split(points: Array, piece: _Piece, settings: ShapeSettings) -> tuple[_Piece, _Piece] | None:
@@ -71,7 +119,7 @@ def _split(points: Array, piece: _Piece, settings: ShapeSettings) -> tuple[_Piec
             continue
         for cut in _CUTS:
             beyond = local[:, axis] > 2 * cut - 1
-            if min(np.count_nonzero(beyond), np.count_nonzero(~beyond)) < settings.min_clutter_points:
+            if min(np.count_nonzero(beyond), np.count_nonzero(~beyond)) < settings.min_lump_cells:
                 continue
             parts = (
                 _boxed(points, piece.rows[beyond], settings),
@@ -84,10 +132,10 @@ def _split(points: Array, piece: _Piece, settings: ShapeSettings) -> tuple[_Piec
 
 def _boxed(points: Array, rows: npt.NDArray[np.int64], settings: ShapeSettings) -> _Piece:
     box = bounding_box(points[rows])
-    some = points[rows[:: max(1, len(rows) // 500)]]
     surface, areas = _surface(box, settings.clutter_margin)
-    far = cKDTree(some).query(surface, distance_upper_bound=settings.clutter_margin)[0] > settings.clutter_margin
-    return _Piece(rows, box, float(areas[far].sum()))
+    far = cKDTree(points[rows]).query(surface, distance_upper_bound=settings.clutter_margin)[0] == np.inf
+    claimed = float(areas[far].sum())
+    return _Piece(rows, box, claimed, claimed / float(areas.sum()))
 
 
 def _surface(box: Box, spacing: float) -> tuple[Array, Array]:
@@ -103,14 +151,6 @@ def _surface(box: Box, spacing: float) -> tuple[Array, Array]:
         points.append(grid.reshape(-1, 3))
         areas.append(np.full(grid.size // 3, 4 * box.half_extents[u] * box.half_extents[v] / (counts[u] * counts[v])))
     return box.center + np.concatenate(points) @ box.rotation.T, np.concatenate(areas)
-
-
-def pieces(points: Array, gap: float) -> npt.NDArray[np.int32]:
-    """Number (n,) of the piece each point belongs to: points within ``gap`` metres hang together."""
-    cubes, cube = np.unique(np.floor(points / (gap / 2)).astype(np.int64), axis=0, return_inverse=True)
-    pairs = cKDTree(cubes).query_pairs(2.0, output_type="ndarray")
-    links = coo_array((np.ones(len(pairs), dtype=bool), (pairs[:, 0], pairs[:, 1])), shape=(len(cubes), len(cubes)))
-    return np.asarray(connected_components(links, directed=False)[1][cube.ravel()], dtype=np.int32)
 
 
 def bounding_box(points: Array) -> Box:

@@ -12,9 +12,9 @@ from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, Box, distance_to_shapes
 from greenhouse_gym.reconstruction.clouds import Cloud, to_open3d, voxel_means
 from greenhouse_gym.shapes.clutter import cover
-from greenhouse_gym.shapes.settings import ShapeSettings
 from greenhouse_gym.shapes.colors import could_be_fruit_or_stem
 from greenhouse_gym.shapes.peduncles import find_peduncles
+from greenhouse_gym.shapes.settings import ShapeSettings
 from greenhouse_gym.shapes.stems import find_main_stems
 from greenhouse_gym.shapes.tomatoes import find_tomatoes
 
@@ -67,7 +67,7 @@ def extract_shapes(
     thin = find_peduncles(woody.points, woody.normals, tomatoes, main, settings)
     cloud = _without(cloud, [*main, *thin], settings.shell)
     budget = round(settings.clutter_per_metre * float(np.ptp(cloud.points[:, 1]))) if len(cloud) else 0
-    return RowShapes(tomatoes, (*main, *thin), tuple(cover(cloud.points, max(budget, 10), settings)))
+    return RowShapes(tomatoes, (*main, *thin), tuple(cover(cloud.points, cloud.normals, max(budget, 10), settings)))
 
 
 def _checked(points: npt.ArrayLike, colors: npt.ArrayLike, normals: npt.ArrayLike | None) -> Cloud:

@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 
 from greenhouse_gym.crop import Stem, StemKind, Tomato
 from greenhouse_gym.geometry import Array, closest_on_segments, distance_to_spheres
+from greenhouse_gym.shapes.polylines import simplified
 from greenhouse_gym.shapes.settings import ShapeSettings
 
 _FREE = 1e-3  # of its cost is left of an edge that belongs to the tree
@@ -163,7 +164,7 @@ def _capsules(way: list[int], places: Array, root: int, settings: ShapeSettings)
     """A way as few straight pieces; what is left of it before a fruit is its pedicel."""
     if len(places) < 2:
         return []
-    knots = _simplified(places, settings.path_tolerance)
+    knots = simplified(places, settings.axis_tolerance)
     to_end = np.linalg.norm(np.diff(knots[::-1], axis=0), axis=1).cumsum()[::-1]  # from the start of each piece
     pieces = []
     for (a, b), left in zip(pairwise(knots), to_end, strict=True):
@@ -171,15 +172,3 @@ def _capsules(way: list[int], places: Array, root: int, settings: ShapeSettings)
         kind: StemKind = "pedicel" if is_pedicel else "peduncle"
         pieces.append(Stem(a, b, settings.pedicel_radius if is_pedicel else settings.peduncle_radius, kind=kind))
     return pieces
-
-
-def _simplified(line: Array, tolerance: float) -> Array:
-    """The fewest of a line's points (k, 3) that stay within ``tolerance`` of it (Douglas and Peucker 1973)."""
-    if len(line) < 3:
-        return line
-    nearest = closest_on_segments(line, line[:1], line[-1:])[:, 0]
-    off = np.linalg.norm(line - nearest, axis=1)
-    worst = int(np.argmax(off))
-    if off[worst] <= tolerance:
-        return line[[0, -1]]
-    return np.vstack([_simplified(line[: worst + 1], tolerance)[:-1], _simplified(line[worst:], tolerance)])

@@ -31,8 +31,12 @@ class ShapeSettings:
     path_gap: float = 0.015  # hidden part of a peduncle that is bridged
     root_reach: float = 0.020  # from a main stem's axis to the first point of a peduncle
     pedicel_reach: float = 0.008  # from the last point of a pedicel to the skin
-    path_tolerance: float = 0.003
-    clutter_per_metre: int = 90  # boxes
+    axis_tolerance: float = 0.003  # a chain of capsules may be this far from the traced axis
+    clutter_per_metre: int = 85  # boxes
+    clutter_cell: float = 0.005  # boxes are looked for among the cells of this size that hold points
+    clutter_facing: float = 0.9  # cosine between the normals of neighbors on one smooth patch
+    min_patch_cells: int = 30  # smaller patches are no leaves
+    clutter_near: float = 0.007  # points this near a box are covered by it
     clutter_gap: float = 0.012  # points farther apart are different things
+    min_lump_cells: int = 8  # fewer are noise
     clutter_margin: float = 0.012  # a box's surface farther than this from all of its points is empty
-    min_clutter_points: int = 12  # fewer points are noise

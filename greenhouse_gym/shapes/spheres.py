@@ -1,8 +1,8 @@
 """Spheres in a cloud: oriented points vote for centers, robust least squares refines them.
 
 Every surface point of a sphere votes for the same center, ``point - radius * normal``, so centers are peaks of a
-histogram over positions and radii (a Hough transform for spheres with oriented points). Radii of one octave compete with
-each other; which of the overlapping spheres of different octaves is right is decided later, by how well they fit.
+histogram over positions and radii (a Hough transform for spheres with oriented points). Radii of one octave compete
+with each other; which of the overlapping spheres of different octaves is right is decided later, by their fit.
 """
 
 from __future__ import annotations
@@ -95,7 +95,8 @@ def _crowded(positions: Array, least: float) -> tuple[Array, Array]:
             row = full + (x * span[1] + y) * span[2]
             votes += before[np.searchsorted(keys, row + 1, "right")] - before[np.searchsorted(keys, row - 1, "left")]
     crowded = votes >= least
-    return np.stack(np.unravel_index(full[crowded], tuple(span)), axis=1) + low + 0.5, votes[crowded]
+    centers = np.stack(np.unravel_index(full[crowded], tuple(span)), axis=1) + low + 0.5
+    return centers, votes[crowded].astype(np.float64)
 
 
 def fit_spheres(points: Array, normals: Array, candidates: Array, settings: ShapeSettings) -> list[SphereFit]:

@@ -11,6 +11,7 @@ from scipy import ndimage
 
 from greenhouse_gym.crop import Stem
 from greenhouse_gym.geometry import Array, distance_to_capsules
+from greenhouse_gym.shapes.polylines import simplified
 from greenhouse_gym.shapes.settings import ShapeSettings
 
 
@@ -46,7 +47,7 @@ def find_main_stems(points: Array, normals: Array, settings: ShapeSettings) -> l
         if height < settings.min_stem or len(chain) * settings.stem_slab < 0.5 * height:
             break
         radius = _chain_radius(chain, points, normals, settings)
-        axis = _axis(chain, points, normals, radius)
+        axis = _axis(chain, points, normals, radius, settings)
         stems += [Stem(a, b, radius, kind="main") for a, b in itertools.pairwise(axis)]
         discs = [d for d in discs if _beside(d.center, axis) > 0.02]
     return stems
@@ -114,15 +115,13 @@ def _chain_radius(chain: list[Disc], points: Array, normals: Array, settings: Sh
     return float(np.clip(spread / max(square, 1e-9), *settings.stem_radii))
 
 
-def _axis(chain: list[Disc], points: Array, normals: Array, radius: float) -> Array:
+def _axis(chain: list[Disc], points: Array, normals: Array, radius: float, settings: ShapeSettings) -> Array:
     """Axis points (k, 3): the discs' points moved inwards by the radius, smoothed along the chain."""
     axis = np.array([d.center for d in chain])
     axis[:, :2] = [(points[d.rows, :2] - radius * normals[d.rows, :2]).mean(axis=0) for d in chain]
     smooth = ndimage.median_filter(axis[:, :2], size=(5, 1), mode="nearest")
     axis[:, :2] = ndimage.uniform_filter1d(smooth, 3, axis=0, mode="nearest")
-    keep = np.arange(len(axis)) % 3 == 0  # a knot every 9 cm follows the sway of a stem to a millimetre
-    keep[-1] = True
-    return axis[keep]
+    return simplified(axis, settings.axis_tolerance)
 
 
 def _beside(point: Array, axis: Array) -> float:
