@@ -30,14 +30,17 @@ def grown() -> PlantRow:
 @cache
 def full_recording() -> Recording:
     """Five stations of the half metre of `grown`, as `SEED_RIG` sees them."""
-    simulated = simulate_recording(grown(), seed=1)
-    return from_stations(list(simulated), simulated)
+    return rendered(simulate_recording(grown(), seed=1))
 
 
 @cache
 def half_recording() -> Recording:
     """The same walk with a quarter of the pixels."""
-    simulated = simulate_recording(grown(), seed=1, rig=HALF)
+    return rendered(simulate_recording(grown(), seed=1, rig=HALF))
+
+
+def rendered(simulated: Recording) -> Recording:
+    """A simulated recording whose stations are rendered once and kept."""
     return from_stations(list(simulated), simulated)
 
 
