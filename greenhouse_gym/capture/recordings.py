@@ -116,8 +116,8 @@ def open_folder(path: str | Path) -> Recording:
         where = ".".join(map(str, first["loc"])) or "the file"
         raise FileFormatError(file, f"{where}: {first['msg']} (got {first.get('input')!r:.80})") from error
     try:
-        rig = Rig({name: record.camera() for name, record in index.cameras.items()}, index.reference)
-    except (InvalidValueError, ValueError) as error:
+        rig = Rig({name: _camera(file, name, record) for name, record in index.cameras.items()}, index.reference)
+    except InvalidValueError as error:
         raise FileFormatError(file, str(error)) from error
     poses = [
         None if matrix is None else checked_pose(file, f"station {i}: world_from_station", matrix)
@@ -134,6 +134,13 @@ def open_folder(path: str | Path) -> Recording:
         return Station(frames, poses[i])
 
     return Recording(index.name, rig, len(index.stations), load, folder)
+
+
+def _camera(file: Path, name: str, record: CameraRecord) -> Camera:
+    try:
+        return record.camera()
+    except ValueError as error:
+        raise FileFormatError(file, f"camera {name!r}: {error}") from error
 
 
 def read_frame(color_file: str | Path, depth_file: str | Path, camera: Camera) -> RgbdFrame:

@@ -136,7 +136,7 @@ def _reconstruct(out: Path, row: PlantRow, recording: Recording, report: Report)
         ]
     with report.stage("pictures of the reconstruction") as results:
         middle = len(recording) // 2
-        paths = registration_pictures(recording, middle - 1, middle, settings, out)
+        paths = registration_pictures(recording, middle - 1, middle, walk.calibration, settings, out)
         paths += row_pictures(merged, cloud, mesh, out)
         results.append(f"{len(paths)} pictures")
     with report.stage("compare with the truth") as results:

@@ -107,10 +107,15 @@ def draw_mesh(mesh: TriangleMesh, view: Array = FRONT, width: int = 1400) -> Ima
 
 
 def registration_pictures(
-    recording: Recording, first: int, second: int, settings: ReconstructionSettings, out: Path
+    recording: Recording,
+    first: int,
+    second: int,
+    calibration: Calibration,
+    settings: ReconstructionSettings,
+    out: Path,
 ) -> list[Path]:
     """Two images 10 cm apart, their foreground, the overlay at the best shift, clouds before and after ICP."""
-    one, two = (view_station(recording[i], Calibration(recording.rig), settings) for i in (first, second))
+    one, two = (view_station(recording[i], calibration, settings) for i in (first, second))
     views = (one.reference, two.reference)
     paths = [
         save(side_by_side([upright(view.color) for view in views]), out / "1-two-images.png"),

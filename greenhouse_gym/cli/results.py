@@ -53,7 +53,7 @@ def write_results(
     merged, outlier = merge_segment(walk, 0, settings)
     rows = [remove_outliers(merged, outlier)]
     rows += [remove_outliers(*merge_segment(walk, k, settings)) for k in range(1, len(walk.segments))]
-    for k, row in enumerate(rows):  # PLY files first: Open3D does not notice a full disk, the files after them do
+    for k, row in enumerate(rows):
         save_row(row, work / f"{segment_name(k)}.npz")
         save_points(row, work / f"{segment_name(k)}.ply")
     mesh = mesh_as(rows[0])
@@ -61,7 +61,7 @@ def write_results(
     report = rows[0].report
     write_atomically(work / "report.json", report_as_json(report))
     pair = typical_pair(report.stations)
-    pictures = registration_pictures(recording, *pair, settings, work) if pair else []
+    pictures = registration_pictures(recording, *pair, walk.calibration, settings, work) if pair else []
     pictures += row_pictures(merged, rows[0], mesh, work)
     head = recording.rig.cameras[recording.rig.reference].rig_from_camera[:3, 3]
     page = report_page(recording.name, rows, len(mesh.triangles), head, settings, pair, pictures)

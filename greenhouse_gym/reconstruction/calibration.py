@@ -9,8 +9,11 @@ their places are only estimated if that explains the overlap notably better.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import permutations
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -33,6 +36,16 @@ _ITERATIONS = 15  # at most; the partners within reach change with the correctio
 _RELAXATION = 1.5  # of a step, which falls short while partners beyond reach are missing
 _SAMPLES = 1500  # points of each camera and station
 _FEWEST = 500  # gaps below which nothing is concluded
+
+
+class _Sampled(NamedTuple):
+    """What a camera sees, and some of it to compare with the other cameras."""
+
+    view: CameraView
+    sample: Cloud
+
+
+_Stations: TypeAlias = list[Mapping[str, _Sampled]]
 
 
 @dataclass(frozen=True)
@@ -106,21 +119,24 @@ def _placed(camera: Camera, correction: Array) -> Camera:
     return Camera(camera.intrinsics, moved, camera.depth_scale)
 
 
-def _stations(recording: Recording, settings: ReconstructionSettings) -> list[dict[str, CameraView]]:
+def _stations(recording: Recording, settings: ReconstructionSettings) -> _Stations:
     chosen = np.unique(np.linspace(0, len(recording) - 1, settings.calibration_stations).round().astype(int))
-    views = []
-    for i in chosen:
+    known = Calibration(recording.rig)
+
+    def look(i: int) -> Mapping[str, _Sampled]:
         try:
-            station = recording[int(i)]
+            station = recording[i]
         except FileFormatError:
-            continue  # the walk through the recording reports it
-        known = Calibration(recording.rig)
-        views.append({name: view_camera(frame, name, known, settings) for name, frame in station.frames.items()})
-    return views
+            return {}  # the walk through the recording reports it
+        views = {name: view_camera(frame, name, known, settings) for name, frame in station.frames.items()}
+        return {name: _Sampled(view, view.sample(_SAMPLES)) for name, view in views.items()}
+
+    with ThreadPoolExecutor(2) as pool:
+        return [station for station in pool.map(look, chosen.tolist()) if station]
 
 
 def _fit(
-    stations: list[dict[str, CameraView]],
+    stations: _Stations,
     rig: Rig,
     corrections: Array,
     free: npt.NDArray[np.bool_],
@@ -147,22 +163,23 @@ def _fit(
     return corrections, float(np.median(np.abs(gaps)))
 
 
-def _gaps(
-    stations: list[dict[str, CameraView]], rig: Rig, corrections: Array, settings: ReconstructionSettings
-) -> tuple[Array, Array]:
+def _gaps(stations: _Stations, rig: Rig, corrections: Array, settings: ReconstructionSettings) -> tuple[Array, Array]:
     """Gaps (n,) between two cameras' readings along the surface, and their derivative by the corrections (n, 7 c)."""
     names = list(rig.cameras)
     gaps, jacobians = [np.zeros(0)], [np.zeros((0, corrections.size))]
+    seen_by = {name: _placed(rig.cameras[name], corrections[k]) for k, name in enumerate(names)}
     for views in stations:
-        samples = {name: view.sample(_SAMPLES) for name, view in views.items()}
+        samples = {
+            name: _corrected(views[name].sample, rig.cameras[name], corrections[k]) for k, name in enumerate(names)
+        }
         for one, two in permutations(names, 2):
             i, j = names.index(one), names.index(two)
-            a = _corrected(samples[one], rig.cameras[one], corrections[i])
-            seen_by = _placed(rig.cameras[two], corrections[j])
-            row, v, u = seen_by.intrinsics.project(transform(invert(seen_by.rig_from_camera), a.points))
-            shown = views[two].foreground[v, u]
+            a, view = samples[one], views[two].view
+            in_camera = transform(invert(seen_by[two].rig_from_camera), a.points)
+            row, v, u = seen_by[two].intrinsics.project(in_camera)
+            shown = view.foreground[v, u]
             a = a.select(row[shown])
-            b = _corrected(views[two].cloud(v[shown], u[shown]), rig.cameras[two], corrections[j])
+            b = _corrected(view.cloud(v[shown], u[shown]), rig.cameras[two], corrections[j])
             axis = a.normals + b.normals
             axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-9)
             apart = a.points - b.points

@@ -1,6 +1,7 @@
 """What a walk has registered so far, noted station by station so that an interrupted one goes on.
 
-A folder holds ``walk.jsonl``, a header and one line per station, and ``000012.npz``, each station's cloud.
+A folder holds ``walk.jsonl``, a header and one line per station, and ``000012.npz``, each station's cloud. Checksums
+tell what an interruption or a bad disk spoiled; the walk is done again from there.
 """
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -17,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from greenhouse_gym.capture.recordings import INDEX, Recording
-from greenhouse_gym.errors import FileWriteError
+from greenhouse_gym.errors import FileFormatError, FileWriteError
 from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.reconstruction.clouds import PackedCloud
 from greenhouse_gym.reconstruction.graph import Edge
@@ -25,7 +26,8 @@ from greenhouse_gym.reconstruction.report import StationReport, station_report
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings
 from greenhouse_gym.reconstruction.views import Screen
 
-_VERSION = 1  # of what a walk finds; raise it when registration changes, so that old notes are not continued
+_VERSION = 2  # of what a walk finds; raise it when registration changes, so that old notes are not continued
+_IMAGES = ("color", "depth", "rgb", "RGBD")  # folders of a recording that hold its images
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +66,7 @@ class Diary:
             return cls(None, [])
         header = json.dumps(_identity(recording, settings), sort_keys=True)
         log = folder / "walk.jsonl"
-        lines = log.read_text().splitlines() if log.exists() else []
+        lines = log.read_text(errors="replace").splitlines() if log.exists() else []
         if not lines or lines[0] != header:
             write_atomically(log, header + "\n")
             return cls(folder, [])
@@ -72,7 +74,7 @@ class Diary:
         for line in lines[1:]:
             try:
                 entry = _entry(json.loads(line), folder)
-            except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
+            except (OSError, ValueError, KeyError, TypeError, AttributeError):
                 break  # the interruption fell into this line or its cloud
             if entry.report.station != len(entries):
                 break
@@ -85,40 +87,78 @@ class Diary:
         self.entries.append(entry)
         if self.folder is None:
             return
+        checksum = None
         if entry.cloud is not None:
             buffer = io.BytesIO()
             arrays: dict[str, Any] = vars(entry.cloud) | {f"screen {k}": screen for k, screen in entry.screens.items()}
             np.savez(buffer, **arrays)
             write_atomically(_cloud_file(self.folder, entry.report.station), buffer.getvalue())
+            checksum = zlib.crc32(buffer.getbuffer())
         line = {
             "report": asdict(entry.report),
-            "cloud": entry.cloud is not None,
+            "cloud": checksum,
             "edges": {k: [matrix.tolist() for matrix in edge] for k, edge in entry.edges.items()},
         }
         log = self.folder / "walk.jsonl"
         try:
             with log.open("a") as file:
-                file.write(json.dumps(line) + "\n")
+                file.write(json.dumps(line | {"checksum": _checksum(line)}) + "\n")
         except OSError as error:
             raise FileWriteError(log, error) from error
 
 
 def _identity(recording: Recording, settings: ReconstructionSettings) -> dict[str, Any]:
-    """What tells one walk from another: the recording's index file or rig, and all settings."""
+    """What tells one walk from another: the recording's files, or its rig and first images, and all settings."""
     rig = {name: [vars(c.intrinsics), c.rig_from_camera.tolist()] for name, c in recording.rig.cameras.items()}
     index = recording.folder / INDEX if recording.folder else None
     sha256 = hashlib.sha256(index.read_bytes()).hexdigest() if index and index.exists() else ""
     return {
         "version": _VERSION, "recording": recording.name, "stations": len(recording), "sha256": sha256,
-        "rig": rig, "settings": json.loads(json.dumps(asdict(settings))),
+        "images": _images(recording), "rig": rig, "reference": recording.rig.reference,
+        "settings": json.loads(json.dumps(asdict(settings))),
     }  # fmt: skip
 
 
+def _images(recording: Recording) -> str:
+    """A checksum of the sizes and times of a recording's image files, or of the first images of one without files."""
+    checksum = hashlib.sha256()
+    if recording.folder:
+        for kind in _IMAGES:
+            for file in sorted((recording.folder / kind).rglob("*.*")):
+                status = file.stat()
+                checksum.update(
+                    f"{file.relative_to(recording.folder)} {status.st_size} {status.st_mtime_ns}\n".encode()
+                )
+    elif len(recording):
+        try:
+            first = recording[0]
+        except FileFormatError:
+            return ""
+        for frame in first.frames.values():
+            checksum.update(frame.depth.tobytes())
+            checksum.update(frame.color.tobytes())
+    return checksum.hexdigest()
+
+
+def _checksum(line: dict[str, Any]) -> int:
+    return zlib.crc32(json.dumps(line).encode())
+
+
 def _entry(line: dict[str, Any], folder: Path) -> Entry:
+    """What a line says.
+
+    Raises:
+        ValueError: The line or its cloud is not what was written; other errors where it is not even a line.
+    """
+    if line.pop("checksum") != _checksum(line):
+        raise ValueError("the line was spoiled")
     report = station_report(line["report"])
     cloud, screens = None, {}
-    if line["cloud"]:
-        with np.load(_cloud_file(folder, report.station), allow_pickle=False) as file:
+    if line["cloud"] is not None:
+        content = _cloud_file(folder, report.station).read_bytes()
+        if zlib.crc32(content) != line["cloud"]:
+            raise ValueError("the cloud was spoiled")
+        with np.load(io.BytesIO(content), allow_pickle=False) as file:
             cloud = PackedCloud(file["points"], file["colors"], file["normals"])
             screens = {name[7:]: file[name] for name in file.files if name.startswith("screen ")}
     edges = {int(k): Edge(np.array(pose), np.array(information)) for k, (pose, information) in line["edges"].items()}

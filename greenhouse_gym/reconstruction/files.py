@@ -17,6 +17,7 @@ from greenhouse_gym.reconstruction.calibration import CalibrationReport
 from greenhouse_gym.reconstruction.report import RowReport, station_report
 from greenhouse_gym.reconstruction.row import RowCloud
 
+_DAMAGED = (KeyError, TypeError, ValueError, EOFError, AttributeError, RuntimeError, zipfile.BadZipFile, zlib.error)
 _ARRAYS = ("points", "colors", "normals", "station", "registered", "world_from_station")
 
 
@@ -52,7 +53,7 @@ def load_row(path: str | Path) -> RowCloud:
         row_report = RowReport(stations, segments, warnings=warnings, calibration=calibration, **report)
     except OSError as error:
         raise FileFormatError(path, f"cannot be read ({error.strerror or error})") from error
-    except (KeyError, TypeError, ValueError, EOFError, AttributeError, zipfile.BadZipFile, zlib.error) as error:
+    except _DAMAGED as error:
         raise FileFormatError(path, f"not a row cloud: {error}") from error
     for name in ("points", "colors", "normals"):
         arrays[name] = arrays[name].astype(np.float64)

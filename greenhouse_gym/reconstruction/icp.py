@@ -75,7 +75,7 @@ def align(first: StationView, second: Cloud, start: Array, settings: Reconstruct
             current = pose(turn, center + step[3:] - turn @ center) @ current
             if np.abs(step).max() < 2e-5 * every:
                 break
-    return _assess(first, second, current, settings)
+    return assess(first, second, current, settings)
 
 
 def _step(first: StationView, moved: Cloud, settings: ReconstructionSettings) -> tuple[Array, Array]:
@@ -91,7 +91,8 @@ def _step(first: StationView, moved: Cloud, settings: ReconstructionSettings) ->
     return np.asarray(step), np.asarray(center)
 
 
-def _assess(first: StationView, second: Cloud, first_from_second: Array, settings: ReconstructionSettings) -> Alignment:
+def assess(first: StationView, second: Cloud, first_from_second: Array, settings: ReconstructionSettings) -> Alignment:
+    """How well the second cloud, moved to where it is said to stand, agrees with the first station."""
     moved = second.moved(first_from_second)
     found = partners(first, moved, settings)
     seen, through = _seen(first, moved.points, settings.see_through)

@@ -7,11 +7,11 @@ from typing import NamedTuple
 import numpy as np
 
 from greenhouse_gym.capture.rig import Camera
-from greenhouse_gym.geometry import Array, pose, rotation_angle, transform
+from greenhouse_gym.geometry import Array, invert, pose, rotation_angle, transform
 from greenhouse_gym.open3d_loader import open3d
 from greenhouse_gym.reconstruction.clouds import merge, to_open3d
 from greenhouse_gym.reconstruction.foreground import foreground_problem
-from greenhouse_gym.reconstruction.icp import Alignment, align
+from greenhouse_gym.reconstruction.icp import Alignment, align, assess
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings
 from greenhouse_gym.reconstruction.shift import Shift, along, best_shifts, overlap
 from greenhouse_gym.reconstruction.views import CameraView, StationView
@@ -122,11 +122,19 @@ def coarse_icp(
 def refine(
     first: StationView, second: StationView, start: Array, steps: int, pace: float, settings: ReconstructionSettings
 ) -> Registration:
-    """Fine ICP from a start pose, and the checks that accept or refuse its result."""
+    """Fine ICP from a start pose, and the checks that accept or refuse its result.
+
+    What the second station sees must not stand where the first sees through. Where no ``pace`` is known, the first was
+    held against no other station before, so the same is asked of what it sees.
+    """
     found = align(first, second.sample, start, settings)
     first_from_second = np.round(found.first_from_second, 9)
     head = second.reference.camera.rig_from_camera[:3, 3]
     reason = unconvincing(found, settings) or implausible(first_from_second, head, steps, pace, settings)
+    if not reason and not pace:
+        through = assess(second, first.sample, invert(first_from_second), settings).contradicted
+        if through > settings.max_contradicted:
+            reason = f"{through:.0%} of the earlier station stands where this one sees through"
     return Registration(
         first_from_second,
         reason,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,9 +12,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from greenhouse_gym.errors import FileFormatError, InvalidValueError, require_choice
+from greenhouse_gym.errors import FileFormatError, FileWriteError, InvalidValueError, require_choice
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.open3d_loader import open3d
+from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.reconstruction.clouds import Cloud, to_open3d
 from greenhouse_gym.reconstruction.thinning import apart, first_of_each, spread_out
 
@@ -214,28 +216,67 @@ def save_points(cloud: Cloud, path: str | Path) -> None:
     """Write a cloud as a file that viewers open: PLY, PCD or XYZ, by the suffix.
 
     Raises:
-        FileFormatError: The file could not be written.
+        FileFormatError: No such suffix is known.
+        FileWriteError: The file could not be written, say because the disk is full.
     """
-    _write(path, lambda name: open3d().io.write_point_cloud(name, to_open3d(cloud)))
+    suffix = Path(path).suffix.lower()
+    if suffix == ".ply":  # on a full disk Open3D leaves a part of these without a word, and ends the process over .xyz
+        write_atomically(path, _ply(cloud))
+    elif suffix == ".xyz":
+        np.savetxt(table := io.BytesIO(), cloud.points, "%.10f")
+        write_atomically(path, table.getvalue())
+    else:
+        o3d = open3d().io
+        _write(
+            path,
+            lambda name: o3d.write_point_cloud(name, to_open3d(cloud)),
+            lambda name: len(o3d.read_point_cloud(name).points) == len(cloud),
+        )
+
+
+def _ply(cloud: Cloud) -> bytes:
+    """A cloud as the content of a binary PLY file."""
+    table = np.empty(len(cloud), np.dtype([("points", "<f8", 3), ("normals", "<f4", 3), ("colors", "u1", 3)]))
+    table["points"], table["normals"] = cloud.points, cloud.normals
+    table["colors"] = np.rint(255 * np.clip(cloud.colors, 0, 1))
+    kinds = {"double": ("x", "y", "z"), "float": ("nx", "ny", "nz"), "uchar": ("red", "green", "blue")}
+    properties = "".join(f"property {kind} {name}\n" for kind, names in kinds.items() for name in names)
+    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(cloud)}\n{properties}end_header\n"
+    return header.encode() + table.tobytes()
 
 
 def save_mesh(mesh: TriangleMesh, path: str | Path) -> None:
     """Write a mesh as a file that viewers open: PLY, OBJ or STL, by the suffix.
 
     Raises:
-        FileFormatError: The file could not be written.
+        FileFormatError: No such suffix is known.
+        FileWriteError: The file could not be written, say because the disk is full.
     """
-    stored = _to_open3d(mesh)
+    o3d, stored = open3d().io, _to_open3d(mesh)
     stored.compute_vertex_normals()
-    _write(path, lambda name: open3d().io.write_triangle_mesh(name, stored))
+    _write(
+        path,
+        lambda name: o3d.write_triangle_mesh(name, stored),
+        lambda name: len(o3d.read_triangle_mesh(name).triangles) == len(mesh.triangles),
+    )
 
 
-def _write(path: str | Path, write: Callable[[str], bool]) -> None:
-    """Write to a temporary name of the same suffix, then rename."""
+def _write(path: str | Path, write: Callable[[str], bool], whole: Callable[[str], bool]) -> None:
+    """Write to a temporary name of the same suffix, then rename.
+
+    Open3D reports success on a full disk too, so the file must prove ``whole`` when it is read again.
+    """
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.part{path.suffix}")
-    if not write(str(temporary)):
-        temporary.unlink(missing_ok=True)
-        raise FileFormatError(path, "could not be written")
-    temporary.replace(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if not write(str(temporary)):
+            raise FileFormatError(path, "could not be written")
+        if not whole(str(temporary)):
+            raise OSError("only a part of it; is the disk full?")
+        temporary.replace(path)
+    except OSError as error:
+        raise FileWriteError(path, error) from error
+    finally:
+        if temporary.exists():
+            temporary.unlink()

@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_limits
 
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.errors import FileFormatError, ReconstructionError
-from greenhouse_gym.geometry import transform
+from greenhouse_gym.geometry import Array, transform
 from greenhouse_gym.reconstruction.calibration import CalibrationReport, calibrate
 from greenhouse_gym.reconstruction.clouds import PackedCloud
 from greenhouse_gym.reconstruction.diary import Diary, Entry
@@ -204,15 +204,16 @@ def _links(
     settings: ReconstructionSettings,
 ) -> dict[int, Edge]:
     """The registration to the last station of a segment, and those to the ones before it that are accepted."""
-    links = {segment[-1]: found}
+    starts: dict[int, Array] = {}
     start = found.first_from_second  # the pose in the frame of ever earlier stations
     for count in range(2, min(max(settings.links, default=1), len(segment)) + 1):
         earlier = segment[-count]
         start = edges[earlier, segment[-count + 1]].first_from_second @ start
         if count in settings.links:
-            further = refine(views[earlier], view, start, i - earlier, pace, settings)
-            if further.accepted:
-                links[earlier] = further
+            starts[earlier] = start
+    with ThreadPoolExecutor(max(1, len(starts))) as pool:
+        further = pool.map(lambda k: refine(views[k], view, starts[k], i - k, pace, settings), starts)
+        links = {segment[-1]: found} | {k: link for k, link in zip(starts, further, strict=True) if link.accepted}
     return {
         earlier: Edge(link.first_from_second, link.information)
         for earlier, link in links.items()

@@ -263,10 +263,17 @@ def test_saved_meshes_open_in_open3d(tmp_path: Path, suffix: str) -> None:
     assert list(path.parent.iterdir()) == [path]
 
 
-def test_saved_points_open_in_open3d(tmp_path: Path) -> None:
-    path = tmp_path / "cloud.ply"
-    save_points(ball(100), path)
-    np.testing.assert_allclose(np.asarray(open3d().io.read_point_cloud(str(path)).points), ball(100).points, atol=1e-6)
+@pytest.mark.parametrize("suffix", [".ply", ".pcd", ".xyz"])
+def test_saved_points_open_in_open3d(tmp_path: Path, suffix: str) -> None:
+    cloud = ball(100)
+    path = tmp_path / "sub" / f"cloud{suffix}"
+    save_points(cloud, path)
+    read = open3d().io.read_point_cloud(str(path))
+    np.testing.assert_allclose(read.points, cloud.points, atol=1e-6)
+    if suffix != ".xyz":
+        np.testing.assert_allclose(read.normals, cloud.normals, atol=1e-6)
+        np.testing.assert_allclose(read.colors, cloud.colors, atol=1 / 255)
+    assert list(path.parent.iterdir()) == [path]
 
 
 def test_an_unknown_suffix_keeps_the_folder_clean(tmp_path: Path) -> None:
