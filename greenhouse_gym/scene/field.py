@@ -130,20 +130,26 @@ class FieldStore:
 
     def __init__(self) -> None:
         self._values = np.empty((16, *SHAPE), dtype=np.float16)
-        self._count = 0
+        self._free = list(range(15, -1, -1))
 
     def __len__(self) -> int:
-        return self._count
+        return len(self._values) - len(self._free)
 
     def add(self, field: npt.NDArray[np.float16]) -> int:
         """Keep a field and return its slot."""
-        if self._count == len(self._values):
-            grown = np.empty((2 * self._count, *SHAPE), dtype=np.float16)
-            grown[: self._count] = self._values
+        if not self._free:
+            count = len(self._values)
+            grown = np.empty((2 * count, *SHAPE), dtype=np.float16)
+            grown[:count] = self._values
             self._values = grown
-        self._values[self._count] = field
-        self._count += 1
-        return self._count - 1
+            self._free = list(range(2 * count - 1, count - 1, -1))
+        slot = self._free.pop()
+        self._values[slot] = field
+        return slot
+
+    def remove(self, slot: int) -> None:
+        """Give a slot free for another field."""
+        self._free.append(slot)
 
     def lookup(self, slots: npt.NDArray[np.int64], points: npt.NDArray[np.float64]) -> tuple[Float32, Float32]:
         """Distances to the nearest obstacle, and which way it lies, by trilinear interpolation.

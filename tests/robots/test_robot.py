@@ -125,7 +125,7 @@ def test_an_arm_of_ones_own(tmp_path: Path) -> None:
     assert (robot.name, robot.joints, robot.shoulder_height) == ("mine", ("one",), 0.2)
     np.testing.assert_allclose([robot.lower[0], robot.upper[0]], [-np.pi / 2, np.pi / 2])
     np.testing.assert_array_equal(robot.start, [0.1])
-    assert get_robot(str(file)).probes == ()
+    assert get_robot(str(file)).probes == ("probe_0",)  # the tip itself
 
 
 @pytest.mark.parametrize(
@@ -134,7 +134,11 @@ def test_an_arm_of_ones_own(tmp_path: Path) -> None:
         ('<site name="tip"/>', "", "site named 'tip'"),
         ('<position joint="one" kp="10"/>', "", "1 joints, 0 actuators"),
         ('<key name="start" qpos="0.1"/>', "", "key frame named 'start'"),
-        ('<numeric name="velocity_limits" data="3"/>', "", "numeric named 'velocity_limits'"),
+        ('<joint name="one" axis="0 0 1" range="-90 90"/>', '<joint name="one" axis="0 0 1"/>', "'one' has no limits"),
+        ('<position joint="one" kp="10"/>', '<motor joint="one"/>', "position actuator of joint 'one'"),
+        ('kp="10"/>', 'kp="10"/><position joint="one" kp="10"/>', "1 joints, 2 actuators"),
+        ("<worldbody>", '<worldbody><geom size="1"/>', "the arm alone"),
+        ('qpos="0.1"', 'qpos="9"', "outside the joint limits"),
         (
             'name="acceleration_limits" data="10"',
             'name="acceleration_limits" data="10 10"',
