@@ -19,7 +19,7 @@ from greenhouse_gym.geometry import Array
 
 Ids = npt.NDArray[np.int64]
 
-_POSITIONS = mujoco.mjtStage.mjSTAGE_POS
+_VELOCITIES = mujoco.mjtStage.mjSTAGE_VEL
 _CONTROLS = int(mujoco.mjtState.mjSTATE_CTRL)
 _RAMP = (np.arange(1, SUBSTEPS + 1) / SUBSTEPS)[:, None]
 
@@ -71,14 +71,15 @@ class Physics:
         compiled = world.compiled
         self.models = [copy.copy(compiled.model) for _ in range(count)]
         self._worlds: list[World | None] = [None] * count
-        self._batch = batch = Batch(compiled.model, count, threads)
+        self._batch = batch = Batch(compiled.model, count, threads, persistent=True)
         self._data = mujoco.MjData(compiled.model)
         self.qpos, self.qvel, self._ctrl = batch.bind("qpos"), batch.bind("qvel"), batch.bind("ctrl")
         self._site_xpos, self._site_xmat = batch.bind("site_xpos"), batch.bind("site_xmat")
         self._ncon = batch.bind("ncon")
         self._anchors: Array | None = batch.bind("xanchor") if needs_motion else None
         self._axes: Array | None = batch.bind("xaxis") if needs_motion else None
-        self._tip, self._probes = compiled.tip_site, compiled.probe_sites
+        self._tip = compiled.tip_site
+        self._points = np.array([compiled.tip_site, *compiled.probe_sites])
 
     def load(self, i: int, world: World, target: int, disturbance: Disturbance) -> None:
         """Make a simulation's model that of a world; takes effect with the next `place`."""
@@ -91,33 +92,36 @@ class Physics:
         self._batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
         self.qpos[ids] = configurations
         self._ctrl[ids] = configurations
-        self._batch.forward(ids, stage=_POSITIONS)
+        self._batch.forward(ids, stage=_VELOCITIES)
         touched = self._ncon[ids] > 0
         at = np.flatnonzero(touched)
         return Touches(touched, {int(ids[k]): self._contact(int(ids[k]), configurations[k]) for k in at})
 
     def advance(self, last: Array, command: Array) -> Touches:
         """One action: all servos follow a ramp from the last commands (n, j) to the new ones."""
-        began = self.qpos.copy()
+        began, at_rest = self.qpos.copy(), self._ncon.copy()
         ramp = last[:, None] + (command - last)[:, None] * _RAMP
-        # A step's derived values are one substep old: the record tells what was touched at the starts of the
-        # substeps, the last forward what is touched at the end.
-        record = self._batch.rollout(SUBSTEPS, ramp, _CONTROLS, record=("ncon", "qpos"))
-        self._batch.forward(stage=_POSITIONS)
-        before = record["ncon"].reshape(len(last), SUBSTEPS)
-        touched = np.asarray((before.max(axis=1) + self._ncon) > 0)
+        # A step's derived values are one substep old. So the last forward tells what is touched at the end, and the
+        # batch, which is persistent, goes on from there in the first substep of the next action; the record of the
+        # other substeps tells what is touched at their starts.
+        self._ctrl[:] = ramp[:, 0]
+        self._batch.step(nstep=1)
+        second = self.qpos.copy()
+        record = self._batch.rollout(SUBSTEPS - 1, ramp[:, 1:], _CONTROLS, record=("ncon", "qpos"))
+        self._batch.forward(stage=_VELOCITIES)
+        between = record["ncon"].reshape(len(last), SUBSTEPS - 1)
+        touched = np.asarray((between.max(axis=1) + self._ncon + at_rest) > 0)
         contacts = {}
         for i in np.flatnonzero(touched).tolist():
-            hits = np.flatnonzero(before[i])
+            hits = np.flatnonzero(np.concatenate([at_rest[i : i + 1], between[i]]))
             first = int(hits[0]) if len(hits) else SUBSTEPS
-            contacts[i] = self._contact(i, record["qpos"][i, first - 1] if first else began[i])
+            contacts[i] = self._contact(i, [began[i], second[i], *record["qpos"][i]][first])
         return Touches(touched, contacts)
 
-    def sites(self, ids: Ids | slice) -> tuple[Array, Array, Array]:
-        """Tips (m, 3), tool frames (m, 3, 3) and probe points (m, k, 3) of some simulations in their scenes."""
-        positions = self._site_xpos[ids]
+    def sites(self, ids: Ids | slice) -> tuple[Array, Array]:
+        """Tip and probe points (m, 1 + k, 3) and tool frames (m, 3, 3) of some simulations in their scenes."""
         frames = self._site_xmat[ids, self._tip].reshape(-1, 3, 3)
-        return positions[:, self._tip], frames, positions[:, self._probes]
+        return self._site_xpos[ids][:, self._points], frames
 
     def motion(self, heading: Array) -> ToolMotion:
         """How the tools move with the joints, (n, 2) cosine and sine of the bases' headings given."""

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from greenhouse_gym.envs.actions import ACTIONS, CommandLimits, check_actions, squared_norm
 from greenhouse_gym.envs.cameras import CameraRig, camera_poses, with_noise
-from greenhouse_gym.envs.clearance import FAR_AWAY, nearest_obstacle, to_base
+from greenhouse_gym.envs.clearance import FAR_AWAY, nearest_obstacle, to_base, turned_back
 from greenhouse_gym.envs.episodes import Difficulty, Episode, EpisodeSampler
 from greenhouse_gym.envs.observations import (
     DepthObservation,
@@ -250,7 +250,7 @@ class ReachSimulation:
     def tip(self, i: int) -> Array:
         """(3,) the tip in the scene, metres."""
         assert self._physics is not None
-        return np.array(self._physics.sites(np.array([i]))[0][0])
+        return np.array(self._physics.sites(np.array([i]))[0][0, 0])
 
     def goal(self, i: int) -> Array:
         """(3,) center in the scene of what has to be reached, metres."""
@@ -282,16 +282,16 @@ class ReachSimulation:
         """The situation of some simulations from their current kinematics."""
         physics, frame = self._physics, self._frame[ids]
         assert physics is not None
-        tip, tool, probes = physics.sites(ids)
-        points = to_base(np.concatenate([tip[:, None], probes], axis=1), frame)
-        axis = to_base(tool[:, None, :, 2], np.concatenate([np.zeros_like(frame[:, :3]), frame[:, 3:]], axis=1))[:, 0]
+        sites, tool = physics.sites(ids)
+        points = to_base(sites, frame)
+        axis = turned_back(tool[:, None, :, 2], frame)[:, 0]
         grasp = points[:, 0] + self._radius[ids] * axis
         gap = self._goal[ids] - grasp
         distance, direction = nearest_obstacle(
             self.worlds.fields, self._field[ids], self._tomatoes[:, ids], points[:, 1:]
         )
         joints = physics.qpos[ids]
-        depth, views = self._photograph(ids, frame, tip, tool)
+        depth, views = self._photograph(ids, frame, sites[:, 0], tool)
         return Situation(
             joints=joints + self._joint_offset[ids],
             velocities=physics.qvel[ids].copy(),

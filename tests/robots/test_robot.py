@@ -6,8 +6,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-
 from conftest import make_scene
+
 from greenhouse_gym.envs import TomatoReachEnv
 from greenhouse_gym.errors import FileFormatError, GreenhouseError, UnknownNameError
 from greenhouse_gym.robots import ROBOTS, Robot, get_robot, load_robot
