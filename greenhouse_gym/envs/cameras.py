@@ -157,4 +157,6 @@ def with_noise(depth: Float32, camera: DepthCamera, random: np.random.Generator)
     noise = replace(
         full, disparity_noise=full.disparity_noise * scale, disparity_step=full.disparity_step * scale, fatten=0
     )
-    return sense_depth(depth, camera.focal, random, noise)
+    sensed = sense_depth(depth, camera.focal, random, noise)
+    sensed[sensed > MAX_RANGE] = 0.0
+    return sensed

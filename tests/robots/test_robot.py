@@ -153,7 +153,8 @@ MENAGERIE_STYLE = """<mujoco model="two links"><compiler angle="degree"/>
 <body name="link2" pos="0 0 0.4"><joint name="j2" axis="1 0 0"/>
 <geom type="capsule" size="0.03" fromto="0 0 0.05 0 0 0.25"/>
 <site name="attachment_site" pos="0 0 0.3"/></body></body></body></worldbody>
-<actuator><general class="arm" joint="j1"/><general class="arm" joint="j2" ctrlrange="-0.5 9" ctrllimited="true"/></actuator>
+<actuator><general class="arm" joint="j1"/>
+<general class="arm" joint="j2" ctrlrange="-0.5 9" ctrllimited="true"/></actuator>
 <keyframe><key name="home" qpos="0.2 0.1"/></keyframe></mujoco>"""
 
 
