@@ -1,27 +1,41 @@
-"""How many environment steps per second: the vector environment, the bare physics under it, and the single environment.
+"""How many environment steps per second, side by side with the physics alone and with another package's environment.
 
-python benchmarks/throughput.py --bank default
+python benchmarks/throughput.py --fetch-python /path/to/python
 
-All three act at random on scenes of one bank, in turns, so that whatever else the machine does falls on all alike. The
-bare physics are `Batch.step` over the same models with the same commands: no contacts read, nothing observed.
+Everything acts at random, resets included, in turns, so that whatever else the machine does falls on all alike; the
+figures are medians over the rounds, and ratios are taken within each round. The bare physics are `Batch.step` over the
+same models with the same commands: no contacts read, nothing observed. ``--fetch-python`` names the interpreter of an
+environment with gymnasium-robotics in it (benchmarks/fetch_reach.py says how to make one); without it that comparison
+is left out.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
+import subprocess
+import sys
+import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from results_file import RESULTS, write_results
 from rich.console import Console
 from rich.table import Table
 
+from greenhouse_gym.crop import Tomato
 from greenhouse_gym.envs import TomatoReachEnv, TomatoReachVectorEnv
 from greenhouse_gym.envs.reach_task import ACTION_STEP, SUBSTEPS
+from greenhouse_gym.geometry import Box
+from greenhouse_gym.scene import Provenance, Scene, Target
+from greenhouse_gym.scene.bank import write_bank
 
-ROUNDS, STEPS = 8, 40
+ROUNDS, STEPS, SINGLE_STEPS, FETCH_STEPS = 7, 30, 300, 25
+OBSTACLES = (20, 100, 300, 1000)
 
 
 def rate(steps: int, act: Callable[[], None]) -> float:
@@ -31,65 +45,214 @@ def rate(steps: int, act: Callable[[], None]) -> float:
     return steps / (time.perf_counter() - began)
 
 
-def measure(bank: str, split: str, count: int, threads: int) -> dict[str, list[float]]:
-    """Rates of every round, by what was measured."""
-    random = np.random.default_rng(0)
-    actions = random.uniform(-1, 1, (STEPS, count, 6))
-    vector = TomatoReachVectorEnv(count, bank=bank, split=split, autoreset_mode="SameStep", threads=threads)
-    single = TomatoReachEnv(bank=bank, split=split)
-    vector.reset(seed=0)  # compiles scenes, which is not measured
-    single.reset(seed=0)
-    batch = vector.simulation._batch
-    assert batch is not None
+@contextmanager
+def fetch_reach(python: str | None) -> Iterator[dict[str, Callable[[], float]]]:
+    """Functions that measure FetchReach in a process that is kept warm; none without an interpreter for it."""
+    if python is None:
+        yield {}
+        return
+    command = [python, str(Path(__file__).with_name("fetch_reach.py"))]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert process.stdin is not None
+    assert process.stdout is not None
+    stdin, stdout = process.stdin, process.stdout
+
+    def ask(kind: str, count: int) -> float:
+        stdin.write(f"{kind} {count}\n")
+        stdin.flush()
+        return float(json.loads(stdout.readline()))
+
+    try:
+        yield {
+            "FetchReach-v4, AsyncVectorEnv(8)": lambda: ask("async", FETCH_STEPS),
+            "FetchReach-v4, single": lambda: ask("single", SINGLE_STEPS // 3),
+        }
+    finally:
+        stdin.close()
+        process.wait()
+
+
+def bare_physics(vector: TomatoReachVectorEnv, actions: np.ndarray) -> Callable[[], None]:
+    """Steps the models of a vector environment and does nothing else."""
+    physics = vector.simulation._physics
+    assert physics is not None
+    batch = physics._batch
     controls, joints = batch.bind("ctrl"), batch.bind("qpos")
+
+    def step() -> None:
+        for action in actions:
+            controls[:] = joints + ACTION_STEP * action
+            batch.step(nstep=SUBSTEPS)
+
+    return step
+
+
+def measure(arguments: argparse.Namespace) -> dict[str, list[float]]:
+    """Rates of every round, by what was measured."""
+    count = arguments.num_envs
+    where = {"bank": arguments.bank, "split": arguments.split}
+    actions = np.random.default_rng(0).uniform(-1, 1, (STEPS, count, 6))
+    vector = TomatoReachVectorEnv(count, **where, autoreset_mode="SameStep", threads=arguments.threads)
+    depth = TomatoReachVectorEnv(64, **where, observation="depth", autoreset_mode="SameStep", threads=arguments.threads)
+    single = TomatoReachEnv(**where)
+    for env in (vector, depth):
+        env.reset(seed=0)
+    for name in single.simulation.sampler.bank.names(arguments.split):  # compiles every scene, which is not measured
+        single.reset(options={"scene": name})
+    simulation = depth.simulation
+    step_bare = bare_physics(vector, actions)
 
     def step_vector() -> None:
         for action in actions:
             vector.step(action)
 
-    def step_bare() -> None:
-        for action in actions:
-            controls[:] = joints + ACTION_STEP * action
-            batch.step(nstep=SUBSTEPS)
-
     def step_single() -> None:
-        for action in actions[:, 0]:
+        for action in np.resize(actions[:, 0], (SINGLE_STEPS, 6)):
             *_, terminated, truncated, _ = single.step(action)
             if terminated or truncated:
                 single.reset()
 
-    rates: dict[str, list[float]] = {"vector environment": [], "bare Batch.step": [], "single environment": []}
-    for _ in range(ROUNDS):
-        vector.reset(seed=0)
-        rates["bare Batch.step"].append(rate(count * STEPS, step_bare))
-        vector.reset(seed=0)
-        rates["vector environment"].append(rate(count * STEPS, step_vector))
-        rates["single environment"].append(rate(STEPS, step_single))
+    def reset_single() -> None:
+        for _ in range(SINGLE_STEPS):
+            single.reset()
+
+    def look() -> None:
+        for _ in range(3):
+            simulation._look(slice(None), np.zeros(64, dtype=np.bool_))
+
+    def step_depth() -> None:
+        for action in actions[:5, :64]:
+            depth.step(action)
+
+    rates: dict[str, list[float]] = {}
+    with fetch_reach(arguments.fetch_python) as fetch:
+        tasks: dict[str, Callable[[], float]] = {
+            "bare Batch.step": lambda: rate(count * STEPS, step_bare),
+            "vector environment": lambda: rate(count * STEPS, step_vector),
+            "single environment": lambda: rate(SINGLE_STEPS, step_single),
+            "single environment, resets": lambda: rate(SINGLE_STEPS, reset_single),
+            "depth images 64x48, 64 simulations": lambda: rate(64 * 3, look),
+            "depth environment, 64 simulations": lambda: rate(64 * 5, step_depth),
+            **fetch,
+        }
+        for _ in range(ROUNDS):
+            for name, task in tasks.items():
+                if name in ("bare Batch.step", "vector environment"):
+                    vector.reset(seed=0)
+                elif "single env" in name:
+                    single.reset(seed=0)
+                rates.setdefault(name, []).append(task())
     return rates
 
 
+def obstacles_table(threads: int) -> dict[int, float]:
+    """Median steps per second of 64 simulations by the number of obstacles in the scene."""
+    banks, rates = {}, {count: [] for count in OBSTACLES}
+    with tempfile.TemporaryDirectory() as folder:
+        for count in OBSTACLES:
+            scenes = [(crowded_scene(seed, count), "train") for seed in range(4)]
+            banks[count] = write_bank(Path(folder) / str(count), scenes, name=f"{count} obstacles")
+        envs = {
+            count: TomatoReachVectorEnv(64, bank=bank, capacity=count, autoreset_mode="SameStep", threads=threads)
+            for count, bank in banks.items()
+        }
+        for env in envs.values():
+            env.reset(seed=0)
+    actions = np.random.default_rng(0).uniform(-1, 1, (STEPS, 64, 6))
+    for _ in range(ROUNDS):
+        for count, env in envs.items():
+            env.reset(seed=0)
+            rates[count].append(rate(64 * STEPS, lambda env=env: [env.step(action) for action in actions] and None))
+    return {count: float(np.median(values)) for count, values in rates.items()}
+
+
+def crowded_scene(seed: int, count: int) -> Scene:
+    """Leaf-like boxes and tomatoes, as dense everywhere however many there are."""
+    random = np.random.default_rng(seed)
+    spread = [0.25, 0.2 + 0.0012 * count, 0.7]
+    centers = [0.75, 0.0, 1.1] + random.uniform(-1, 1, (count, 3)) * spread
+    tomatoes = [Tomato(center, 0.03, truss=0) for center in centers[: count // 10]]
+    clutter = [Box(center, random.uniform(0.005, 0.04, 3), np.eye(3)) for center in centers[count // 10 :]]
+    return Scene(
+        name=f"crowded-{count}-{seed}",
+        tomatoes=tuple(tomatoes),
+        clutter=tuple(clutter),
+        targets=tuple(Target(tomato=i, difficulty="easy") for i in range(len(tomatoes))),
+        provenance=Provenance(row=f"crowded-{count}-{seed}"),
+    )
+
+
+def memory_of_the_vector_environment(arguments: argparse.Namespace) -> float:
+    """Peak resident memory, GB, of a process that runs the environment on every scene of the split."""
+    code = (
+        "import resource, sys, numpy as np\n"
+        "from greenhouse_gym.envs import TomatoReachVectorEnv\n"
+        f"env = TomatoReachVectorEnv({arguments.num_envs}, bank={arguments.bank!r}, split={arguments.split!r},"
+        " autoreset_mode='SameStep')\n"
+        "env.reset(seed=0)\n"
+        f"for name in env.simulation.sampler.bank.names({arguments.split!r}):\n"
+        "    env.reset(options={'scene': name})\n"
+        "for _ in range(50):\n"
+        "    env.step(env.action_space.sample())\n"
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return float(done.stdout.split()[-1]) * 1024 / 1e9
+
+
+def ratios(rates: dict[str, list[float]]) -> dict[str, float]:
+    """Medians of the ratios within each round."""
+    pairs = {
+        "vector environment / bare Batch.step": ("vector environment", "bare Batch.step"),
+        "vector environment / FetchReach-v4 AsyncVectorEnv(8)": (
+            "vector environment",
+            "FetchReach-v4, AsyncVectorEnv(8)",
+        ),
+        "single environment / FetchReach-v4 single": ("single environment", "FetchReach-v4, single"),
+    }
+    return {
+        name: float(np.median(np.array(rates[one]) / np.array(rates[other])))
+        for name, (one, other) in pairs.items()
+        if other in rates
+    }
+
+
 def main() -> None:
-    """Measure, print a table and write it down with versions and machine."""
+    """Measure, print tables and write them down with versions and machine."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--bank", default="default")
     parser.add_argument("--split", default="train")
     parser.add_argument("--num-envs", type=int, default=256)
     parser.add_argument("--threads", type=int, default=0)
+    parser.add_argument("--fetch-python")
     parser.add_argument("--out", type=Path, default=RESULTS / "throughput.json")
     arguments = parser.parse_args()
-    rates = measure(arguments.bank, arguments.split, arguments.num_envs, arguments.threads)
-    medians = {name: float(np.median(values)) for name, values in rates.items()}
-    shares = np.array(rates["vector environment"]) / np.array(rates["bare Batch.step"])
-    table = Table("what", "steps/s (median)", "lowest", "highest")
+    console = Console(width=120)
+    rates = measure(arguments)
+    table = Table("what", "per second (median)", "lowest", "highest")
     for name, values in rates.items():
-        table.add_row(name, f"{medians[name]:,.0f}", f"{min(values):,.0f}", f"{max(values):,.0f}")
-    Console().print(table)
-    Console().print(f"vector environment / bare physics: {np.median(shares):.0%}")
-    result = {
+        table.add_row(name, f"{np.median(values):,.0f}", f"{min(values):,.0f}", f"{max(values):,.0f}")
+    console.print(table)
+    compared = ratios(rates)
+    for name, ratio in compared.items():
+        console.print(f"{name}: {ratio:.2f}")
+    reset = 1000 / float(np.median(rates["single environment, resets"]))
+    console.print(f"reset with a new scene, single environment: {reset:.2f} ms")
+    crowded = obstacles_table(arguments.threads)
+    table = Table("obstacles per scene", "steps/s, 64 simulations")
+    for count, value in crowded.items():
+        table.add_row(str(count), f"{value:,.0f}")
+    console.print(table)
+    memory = memory_of_the_vector_environment(arguments)
+    console.print(f"peak memory of {arguments.num_envs} simulations on the whole split: {memory:.2f} GB")
+    result: dict[str, Any] = {
         "bank": Path(arguments.bank).name,
         "num_envs": arguments.num_envs,
-        "steps_per_second": {name: round(value) for name, value in medians.items()},
-        "share_of_bare_physics": round(float(np.median(shares)), 3),
+        "per_second": {name: round(float(np.median(values))) for name, values in rates.items()},
+        "ratios": {name: round(ratio, 3) for name, ratio in compared.items()},
+        "reset_ms": round(reset, 3),
+        "steps_per_second_by_obstacles": {str(count): round(value) for count, value in crowded.items()},
+        "peak_memory_gb": round(memory, 2),
     }
     write_results(arguments.out, result, ["mujoco", "gymnasium"])
 

@@ -34,6 +34,10 @@ class UnknownKeywordError(GreenhouseError, TypeError):
     """A call names a keyword that does not exist; the message lists those that do."""
 
 
+class EpisodeOverError(GreenhouseError, RuntimeError):
+    """An environment was stepped after its episode's end."""
+
+
 class FileFormatError(GreenhouseError, ValueError):
     """A file is missing, damaged, or does not hold what its format promises."""
 

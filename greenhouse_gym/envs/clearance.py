@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 import numpy.typing as npt
 
@@ -29,17 +31,32 @@ def nearest_obstacle(
     x, y, z = (tomatoes[axis, :, None] - near[:, :, None, axis] for axis in range(3))  # (n, k, t)
     away = np.sqrt(x * x + y * y + z * z)
     surface = away - tomatoes[3, :, None]
-    rows, columns = np.ogrid[: near.shape[0], : near.shape[1]]
-    first = (rows, columns, surface.argmin(axis=2))
-    gap, length = surface[first], np.maximum(away[first], np.float32(1e-6))
-    unit = np.stack([x[first] / length, y[first] / length, z[first] / length], axis=-1)
+    n, k, t = surface.shape
+    first = surface.argmin(axis=2)
+    first += _starts(n * k, t).reshape(n, k)
+    gap = surface.reshape(-1)[first]
     nearer = gap < distance
-    return np.where(nearer, gap, distance), np.where(nearer[..., None], unit, direction)
+    length = np.maximum(away.reshape(-1)[first], np.float32(1e-6))
+    for axis, offset in enumerate((x, y, z)):
+        np.divide(offset.reshape(-1)[first], length, out=direction[..., axis], where=nearer)
+    return np.minimum(gap, distance), direction
+
+
+@lru_cache(maxsize=64)
+def _starts(rows: int, length: int) -> npt.NDArray[np.int64]:
+    """Where each of so many rows of that length begins in a flat array."""
+    starts = np.arange(rows) * length
+    starts.setflags(write=False)
+    return starts
 
 
 def to_base(points: Array, frame: Array) -> Array:
     """Points (n, k, 3) of the scene in the frames of the arms' bases: (n, 5) position and cosine, sine of the yaw."""
-    offset = points - frame[:, None, :3]
+    return turned_back(points - frame[:, None, :3], frame)
+
+
+def turned_back(offset: Array, frame: Array) -> Array:
+    """Vectors (n, k, 3) of the scene in the frames of the arms' bases, given as in `to_base`."""
     cosine, sine = frame[:, None, 3], frame[:, None, 4]
     result = offset.copy()
     result[..., 0] = cosine * offset[..., 0] + sine * offset[..., 1]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -18,8 +18,13 @@ from greenhouse_gym.scene.bank import SPLITS
 UNRATED = "unrated"
 """Difficulty of a tomato that the scene does not list as a target."""
 
-OPTIONS = ("scene", "target", "start")
+OPTIONS = ("scene", "target", "start", "difficulty")
+
+Difficulty: TypeAlias = str | Iterable[str] | Mapping[str, float]
+"""One difficulty, several, or a weight for each."""
+
 _DRAWS = 64
+_KEPT = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,70 +47,101 @@ class Episode:
 class EpisodeSampler:
     """Draws episodes from one split of a bank: a scene, then one of its targets of the wanted difficulties.
 
+    An arm that a scene has no ratings for gets the targets that are rated for other arms, as `UNRATED` ones.
+
     Args:
         bank: Name, folder or `SceneBank`.
         split: One of "train", "validation", "test".
-        robot: The arm; only targets rated for it are drawn.
-        difficulty: One difficulty or several of `DIFFICULTIES`.
+        robot: The arm.
+        difficulty: One difficulty, several, or weights: the difficulty is drawn by weight then, before the scene.
     """
 
-    def __init__(self, bank: str | Path | SceneBank, split: str, robot: Robot, difficulty: str | Iterable[str]):
+    def __init__(self, bank: str | Path | SceneBank, split: str, robot: Robot, difficulty: Difficulty):
         self.bank = SceneBank.open(bank)
         self.split = require_choice("split", split, SPLITS)
         self.robot = robot
-        wanted = (difficulty,) if isinstance(difficulty, str) else tuple(difficulty)
-        if not wanted:
-            raise InvalidValueError(f"difficulty is empty; choices: {', '.join(DIFFICULTIES)}")
-        self.difficulties = tuple(require_choice("difficulty", name, DIFFICULTIES) for name in wanted)
+        # kept with its scene, so that the scene's identity stays its own
+        self._kept: dict[tuple[int, tuple[str, ...]], tuple[Scene, list[Target]]] = {}
+        self.set_difficulty(difficulty)
         self._names = self.bank.names(split)
         if not self._names:
-            raise InvalidValueError(f"bank {self.bank.path} has no scene in split {split!r}")
+            filled = [name for name in SPLITS if self.bank.names(name)]
+            raise InvalidValueError(
+                f"bank {self.bank.path} has no scene in split {split!r}; choices: {', '.join(filled) or '(none)'}"
+            )
 
-    def draw(self, random: np.random.Generator, options: Mapping[str, Any] | None = None) -> Episode:
-        """Draw an episode; ``options`` may fix the scene (name or `Scene`), the target (tomato) and the start.
+    def set_difficulty(self, difficulty: Difficulty) -> None:
+        """Draw targets of these difficulties from the next episode on.
 
         Raises:
-            UnknownNameError: An option or scene of that name does not exist.
+            UnknownNameError: There is no such difficulty.
+            InvalidValueError: None is given, or the weights are negative or all zero.
+        """
+        self._wanted = parse_difficulty(difficulty)
+
+    @property
+    def difficulty(self) -> dict[str, float]:
+        """Weight of each difficulty that is drawn, or 0 for all where they are drawn as the scenes have them."""
+        return dict(self._wanted)
+
+    def draw(self, random: np.random.Generator, options: Mapping[str, Any] | None = None) -> Episode:
+        """Draw an episode; ``options`` may fix the scene (name or `Scene`), target (tomato), start and difficulty.
+
+        Raises:
+            UnknownNameError: An option, scene or difficulty of that name does not exist.
             InvalidValueError: A target or start is outside what is allowed, or no target fits the difficulties.
         """
         options = options or {}
         for key in options:
             require_choice("reset option", key, OPTIONS)
-        scene = options.get("scene")
-        if scene is None:
-            if options.get("target") is not None:
-                raise InvalidValueError("the reset option 'target' needs the option 'scene'")
-            scene, fitting = self._draw_scene(random)
-        else:
+        wanted = self._wanted if options.get("difficulty") is None else parse_difficulty(options["difficulty"])
+        start = self._start(options.get("start"))
+        scene, tomato = options.get("scene"), options.get("target")
+        if scene is None and tomato is not None:
+            raise InvalidValueError("the reset option 'target' needs the option 'scene'")
+        if scene is not None:
             scene = scene if isinstance(scene, Scene) else self.bank.scene(str(scene))
-            fitting = self._fitting(scene)
-        tomato = options.get("target")
-        if tomato is None:
-            if not fitting:
-                raise InvalidValueError(self._nothing_fits(f"scene {scene.name!r}"))
-            target = fitting[int(random.integers(len(fitting)))]
-            tomato, difficulty = target.tomato, str(target.difficulty)
-        else:
-            tomato, difficulty = self._rate(scene, tomato)
-        return Episode(scene, tomato, difficulty, self._start(options.get("start")))
+        if tomato is not None:
+            assert scene is not None
+            return Episode(scene, *self._rate(scene, tomato), start)
+        names = _draw_difficulty(wanted, random)
+        if scene is None:
+            scene, fitting = self._draw_scene(random, names)
+        elif not (fitting := self._fitting(scene, names)):
+            raise InvalidValueError(self._nothing_fits(f"scene {scene.name!r}", names))
+        target = fitting[int(random.integers(len(fitting)))]
+        return Episode(scene, target.tomato, self._rating(target), start)
 
-    def _draw_scene(self, random: np.random.Generator) -> tuple[Scene, list[Target]]:
+    def _draw_scene(self, random: np.random.Generator, names: tuple[str, ...]) -> tuple[Scene, list[Target]]:
         # Drawing again when a scene has no fitting target keeps scenes equally likely without reading them all.
         for _ in range(_DRAWS):
             scene = self.bank.scene(self._names[int(random.integers(len(self._names)))])
-            if fitting := self._fitting(scene):
+            if fitting := self._fitting(scene, names):
                 return scene, fitting
-        scenes = [scene for scene in map(self.bank.scene, self._names) if self._fitting(scene)]
+        scenes = [scene for scene in map(self.bank.scene, self._names) if self._fitting(scene, names)]
         if not scenes:
-            raise InvalidValueError(self._nothing_fits(f"split {self.split!r} of bank {self.bank.path}"))
+            raise InvalidValueError(self._nothing_fits(f"split {self.split!r} of bank {self.bank.path}", names))
         scene = scenes[int(random.integers(len(scenes)))]
-        return scene, self._fitting(scene)
+        return scene, self._fitting(scene, names)
 
-    def _fitting(self, scene: Scene) -> list[Target]:
-        return [t for t in scene.targets if t.robot == self.robot.name and t.difficulty in self.difficulties]
+    def _fitting(self, scene: Scene, names: tuple[str, ...]) -> list[Target]:
+        key = (id(scene), names)
+        if key not in self._kept:
+            if len(self._kept) > _KEPT:
+                self._kept.clear()
+            mine = [target for target in scene.targets if target.robot == self.robot.name]
+            rated = mine or list({target.tomato: target for target in scene.targets}.values())
+            self._kept[key] = (scene, [target for target in rated if target.difficulty in names])
+        return self._kept[key][1]
 
-    def _nothing_fits(self, where: str) -> str:
-        return f"{where} has no target rated {' or '.join(self.difficulties)} for robot {self.robot.name!r}"
+    def _rating(self, target: Target) -> str:
+        return str(target.difficulty) if target.robot == self.robot.name else UNRATED
+
+    def _nothing_fits(self, where: str, names: tuple[str, ...]) -> str:
+        return (
+            f"{where} has no target rated {' or '.join(names)} for robot {self.robot.name!r}; difficulties are "
+            f"{', '.join(DIFFICULTIES)}"
+        )
 
     def _rate(self, scene: Scene, tomato: Any) -> tuple[int, str]:
         count = len(scene.tomatoes)
@@ -131,3 +167,29 @@ class EpisodeSampler:
                 f"start {q.tolist()} is outside the joint limits {robot.lower.tolist()} to {robot.upper.tolist()}"
             )
         return q
+
+
+def parse_difficulty(difficulty: Difficulty) -> dict[str, float]:
+    """Names of difficulties with their weights, which are all 0 where none were given.
+
+    Raises:
+        UnknownNameError: There is no such difficulty.
+        InvalidValueError: None is given, or the weights are negative or all zero.
+    """
+    if isinstance(difficulty, Mapping):
+        weights = {require_choice("difficulty", name, DIFFICULTIES): float(w) for name, w in difficulty.items()}
+        if not all(np.isfinite(w) and w >= 0 for w in weights.values()) or not any(weights.values()):
+            raise InvalidValueError(f"difficulty weights must be from 0 up and not all 0, got {dict(difficulty)}")
+        return {name: weight for name, weight in weights.items() if weight > 0}
+    names = (difficulty,) if isinstance(difficulty, str) else tuple(difficulty)
+    if not names:
+        raise InvalidValueError(f"difficulty is empty; choices: {', '.join(DIFFICULTIES)}")
+    return {require_choice("difficulty", name, DIFFICULTIES): 0.0 for name in names}
+
+
+def _draw_difficulty(wanted: Mapping[str, float], random: np.random.Generator) -> tuple[str, ...]:
+    names = tuple(wanted)
+    total = sum(wanted.values())
+    if total == 0 or len(names) == 1:
+        return names
+    return (names[int(random.choice(len(names), p=[weight / total for weight in wanted.values()]))],)

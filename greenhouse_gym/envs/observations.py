@@ -1,14 +1,19 @@
-"""What an agent sees: from a `Situation` of n simulations to an array that fits a Gymnasium space."""
+"""What an agent sees: from a `Situation` of n simulations to arrays that fit a Gymnasium space."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Protocol
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 from gymnasium import spaces
 
+from greenhouse_gym.envs.cameras import MAX_RANGE, DepthCamera
 from greenhouse_gym.envs.reach_task import MAX_LEAD, Float32, Situation
+from greenhouse_gym.errors import InvalidValueError, UnknownNameError
+from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene.field import MAX_DISTANCE
 
@@ -21,60 +26,231 @@ MAX_OFFSET = 3.0
 MIN_CLEARANCE = -0.1
 """Clearances are reported down to here, metres."""
 
+Layout: TypeAlias = tuple[tuple[str, int], ...]
+Observed: TypeAlias = npt.NDArray[Any] | dict[str, npt.NDArray[Any]]
+
 
 class Observation(Protocol):
     """A kind of observation.
 
     Attributes:
         space: The space of one simulation's observation.
-        layout: Name of each group of entries with its number of entries, in order.
+        layout: Name of each group of entries of its vector with its number of entries, in order.
+        cameras: What takes depth images for it.
+        sees_arm: Whether the arm is in them.
+        target_is_obstacle: Whether the clearances count the target too.
+        has_goals: Whether it is a goal environment's.
     """
 
-    space: spaces.Space[Float32]
-    layout: tuple[tuple[str, int], ...]
+    space: spaces.Space[Any]
+    layout: Layout
+    cameras: tuple[DepthCamera, ...]
+    sees_arm: bool
+    target_is_obstacle: bool
+    has_goals: bool
+
+    def __call__(self, situation: Situation) -> Observed:
+        """Observations of n simulations, new arrays within the space."""
+
+
+_GROUPS: dict[str, tuple[Callable[[Situation], npt.NDArray[Any]], Callable[[Robot], tuple[Any, Any]]]] = {
+    "joint_position": (lambda s: s.joints, lambda r: (r.lower - JOINT_MARGIN, r.upper + JOINT_MARGIN)),
+    "joint_velocity": (lambda s: s.velocities, lambda r: (-2.0 * r.velocity_limits, 2.0 * r.velocity_limits)),
+    "command_error": (lambda s: s.lead, lambda r: _around(2 * MAX_LEAD, len(r.joints))),
+    "grasp_offset": (lambda s: s.target - s.grasp, lambda r: _around(MAX_OFFSET, 3)),
+    "target_position": (lambda s: s.target, lambda r: _around(MAX_OFFSET, 3)),
+    "tip_position": (lambda s: s.tip, lambda r: _around(MAX_OFFSET, 3)),
+    "tool_axis": (lambda s: s.axis, lambda r: _around(1.0, 3)),
+    "clearance": (
+        lambda s: s.clearance,
+        lambda r: (np.full(len(r.probes), MIN_CLEARANCE), np.full(len(r.probes), MAX_DISTANCE)),
+    ),
+    "obstacle_direction": (
+        lambda s: s.obstacle.reshape(len(s.obstacle), -1),
+        lambda r: _around(1.0, 3 * len(r.probes)),
+    ),
+}
+
+
+def _around(limit: float, size: int) -> tuple[Array, Array]:
+    return np.full(size, -limit), np.full(size, limit)
+
+
+class _Vector:
+    """Groups of numbers side by side, clipped to their bounds."""
+
+    def __init__(self, robot: Robot, names: tuple[str, ...]):
+        self._parts = [_GROUPS[name][0] for name in names]
+        bounds = [_GROUPS[name][1](robot) for name in names]
+        self.layout: Layout = tuple((name, len(low)) for name, (low, _) in zip(names, bounds, strict=True))
+        self.low, self.high = (np.concatenate(side).astype(np.float32) for side in zip(*bounds, strict=True))
+        self.space = spaces.Box(self.low, self.high, dtype=np.float32)
 
     def __call__(self, situation: Situation) -> Float32:
-        """Observations (n, *space.shape), new arrays within the space."""
+        result = np.empty((len(situation.joints), len(self.low)), dtype=np.float32)
+        np.concatenate([part(situation) for part in self._parts], axis=1, out=result, casting="same_kind")
+        np.maximum(result, self.low, out=result)
+        np.minimum(result, self.high, out=result)
+        return result
 
 
 class StateObservation:
     """Joints, target and clearances as one vector; `TomatoReachEnv` documents every index."""
 
+    cameras: tuple[DepthCamera, ...] = ()
+    sees_arm = target_is_obstacle = has_goals = False
+
     def __init__(self, robot: Robot):
-        joints, probes = len(robot.joints), len(robot.probes)
-        speed = 2.0 * robot.velocity_limits
-        groups = [
-            ("joint_position", robot.lower - JOINT_MARGIN, robot.upper + JOINT_MARGIN),
-            ("joint_velocity", -speed, speed),
-            ("command_error", np.full(joints, -2 * MAX_LEAD), np.full(joints, 2 * MAX_LEAD)),
-            ("grasp_offset", np.full(3, -MAX_OFFSET), np.full(3, MAX_OFFSET)),
-            ("target_position", np.full(3, -MAX_OFFSET), np.full(3, MAX_OFFSET)),
-            ("clearance", np.full(probes, MIN_CLEARANCE), np.full(probes, MAX_DISTANCE)),
-            ("obstacle_direction", np.full(3 * probes, -1.0), np.full(3 * probes, 1.0)),
-        ]
-        self.layout = tuple((name, len(low)) for name, low, _ in groups)
-        self.low, self.high = (
-            np.concatenate(bounds).astype(np.float32) for bounds in ([g[1] for g in groups], [g[2] for g in groups])
-        )
-        self.space: spaces.Space[Float32] = spaces.Box(self.low, self.high, dtype=np.float32)
+        self._vector = _Vector(
+            robot,
+            (
+                "joint_position", "joint_velocity", "command_error", "grasp_offset", "target_position", "clearance",
+                "obstacle_direction",
+            ),
+        )  # fmt: skip
+        self.space: spaces.Space[Any] = self._vector.space
+        self.layout = self._vector.layout
 
-    def __call__(self, situation: Situation) -> Float32:
+    def __call__(self, situation: Situation) -> Observed:
         """Observations (n, size)."""
-        s = situation
-        parts = (
-            s.joints,
-            s.velocities,
-            s.command - s.joints,
-            s.target - s.grasp,
-            s.target,
-            s.clearance,
-            s.obstacle.reshape(len(s.obstacle), -1),
+        return self._vector(situation)
+
+
+class GoalObservation:
+    """The three parts of a goal environment; ``observation`` holds nothing that depends on the target."""
+
+    cameras: tuple[DepthCamera, ...] = ()
+    sees_arm = False
+    target_is_obstacle = has_goals = True
+
+    def __init__(self, robot: Robot):
+        self._vector = _Vector(
+            robot,
+            (
+                "joint_position", "joint_velocity", "command_error", "tip_position", "tool_axis", "clearance",
+                "obstacle_direction",
+            ),
+        )  # fmt: skip
+        self.layout = self._vector.layout
+        goal = spaces.Box(-MAX_OFFSET, MAX_OFFSET, (3,), dtype=np.float64)
+        self.space: spaces.Space[Any] = spaces.Dict(
+            {"observation": self._vector.space, "achieved_goal": goal, "desired_goal": goal}
         )
-        result = np.empty((len(s.joints), len(self.low)), dtype=np.float32)
-        np.concatenate(parts, axis=1, out=result, casting="same_kind")
-        np.clip(result, self.low, self.high, out=result)
-        return result
+
+    def __call__(self, situation: Situation) -> Observed:
+        """Observations (n, size), grasp points (n, 3) and centers (n, 3); the goals are exact, float64."""
+        return {
+            "achieved_goal": situation.grasp.copy(),
+            "desired_goal": situation.target.copy(),
+            "observation": self._vector(situation),
+        }
 
 
-OBSERVATIONS: dict[str, Callable[[Robot], Observation]] = {"state": StateObservation}
+_BODY = ("joint_position", "joint_velocity", "command_error", "grasp_offset", "target_position")
+
+
+@dataclass(frozen=True)
+class DepthObservation:
+    """Settings of the observation ``depth``: a depth image beside the arm's own state.
+
+    Attributes:
+        camera: Which camera, its size and opening.
+    """
+
+    camera: DepthCamera = field(default_factory=DepthCamera)
+
+    def __call__(self, robot: Robot) -> Observation:
+        """The observation for an arm."""
+        return _Depth(robot, self.camera)
+
+
+@dataclass(frozen=True)
+class PointsObservation:
+    """Settings of the observation ``points``: a cloud without the arm beside the arm's own state.
+
+    Attributes:
+        camera: Which camera, and its grid of rays: one point per pixel.
+    """
+
+    camera: DepthCamera = field(default_factory=lambda: DepthCamera("mast", 32, 24))
+
+    def __call__(self, robot: Robot) -> Observation:
+        """The observation for an arm."""
+        return _Points(robot, self.camera)
+
+
+class _Depth:
+    sees_arm = True
+    target_is_obstacle = has_goals = False
+
+    def __init__(self, robot: Robot, camera: DepthCamera):
+        self._vector = _Vector(robot, _BODY)
+        self.layout = self._vector.layout
+        self.cameras: tuple[DepthCamera, ...] = (camera,)
+        image = spaces.Box(0.0, 1.0, (1, camera.height, camera.width), dtype=np.float32)
+        self.space: spaces.Space[Any] = spaces.Dict({"depth": image, "state": self._vector.space})
+
+    def __call__(self, situation: Situation) -> Observed:
+        return {"depth": situation.depth / np.float32(MAX_RANGE), "state": self._vector(situation)}
+
+
+class _Points:
+    sees_arm = target_is_obstacle = has_goals = False
+
+    def __init__(self, robot: Robot, camera: DepthCamera):
+        self._vector = _Vector(robot, _BODY)
+        self.layout = self._vector.layout
+        self.cameras: tuple[DepthCamera, ...] = (camera,)
+        self._rays = camera.rays
+        cloud = spaces.Box(-MAX_OFFSET, MAX_OFFSET, (len(self._rays), 3), dtype=np.float32)
+        self.space: spaces.Space[Any] = spaces.Dict({"points": cloud, "state": self._vector.space})
+
+    def __call__(self, situation: Situation) -> Observed:
+        depth = situation.depth.reshape(len(situation.depth), -1, 1)
+        view = situation.views[:, 0]
+        inside = depth * self._rays  # camera frame
+        points = inside @ view[:, :3, :3].transpose(0, 2, 1) + view[:, None, :3, 3]
+        cloud = np.where(depth > 0, np.clip(points, -MAX_OFFSET, MAX_OFFSET), 0.0).astype(np.float32)
+        return {"points": cloud, "state": self._vector(situation)}
+
+
+OBSERVATIONS: Mapping[str, Callable[[Robot], Observation]] = {
+    "state": StateObservation,
+    "goal": GoalObservation,
+    "depth": DepthObservation(),
+    "points": PointsObservation(),
+}
 """Kinds of observations by name."""
+
+
+def make_observation(kind: str | DepthObservation | PointsObservation, robot: Robot) -> Observation:
+    """The observation of that name or with those settings.
+
+    Raises:
+        UnknownNameError: There is no such kind.
+    """
+    if isinstance(kind, (DepthObservation, PointsObservation)):
+        return kind(robot)
+    if not isinstance(kind, str) or kind not in OBSERVATIONS:
+        raise UnknownNameError("observation", kind, OBSERVATIONS)
+    return OBSERVATIONS[kind](robot)
+
+
+def select(observed: Observed, ids: Any) -> Any:
+    """The observations of some simulations, or of one, out of those of all."""
+    if isinstance(observed, dict):
+        return {key: values[ids] for key, values in observed.items()}
+    return observed[ids]
+
+
+def check_goals_are_known(observation: Observation, hidden: str) -> None:
+    """Refuse goal environments in which the goal that counts differs from the one that is told.
+
+    Raises:
+        InvalidValueError: They differ.
+    """
+    if observation.has_goals and hidden:
+        raise InvalidValueError(
+            f'observation="goal" computes rewards from the goals it tells, which {hidden} makes differ from those that '
+            'count; choose observation="state"'
+        )

@@ -1,9 +1,10 @@
-"""n simulations of the reaching task on one `mujoco.batch.Batch`: what both environments are made of."""
+"""n simulations of the reaching task: what both environments are made of."""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterable, Sequence
+import os
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,34 +12,46 @@ from typing import Any
 import mujoco
 import numpy as np
 import numpy.typing as npt
-from mujoco.batch import Batch
 
-from greenhouse_gym.envs.clearance import FAR_AWAY, nearest_obstacle, to_base
-from greenhouse_gym.envs.episodes import Episode, EpisodeSampler
-from greenhouse_gym.envs.observations import OBSERVATIONS
-from greenhouse_gym.envs.reach_task import (
-    ACTIONS,
-    REWARDS,
-    STEP_LIMIT,
-    SUBSTEPS,
-    Bools,
-    Float32,
-    Situation,
-    check_actions,
-    total_reward,
+from greenhouse_gym.envs.actions import ACTIONS, CommandLimits, check_actions, squared_norm
+from greenhouse_gym.envs.cameras import CameraRig, camera_poses, with_noise
+from greenhouse_gym.envs.clearance import FAR_AWAY, nearest_obstacle, to_base, turned_back
+from greenhouse_gym.envs.episodes import Difficulty, Episode, EpisodeSampler
+from greenhouse_gym.envs.observations import (
+    DepthObservation,
+    Observed,
+    PointsObservation,
+    check_goals_are_known,
+    make_observation,
 )
+from greenhouse_gym.envs.physics import NOTHING, Ids, Physics, Touches, prepare
+from greenhouse_gym.envs.randomization import NO_RANDOMIZATION, Disturbance, Randomization, draw_disturbance
+from greenhouse_gym.envs.reach_task import REWARDS, STEP_LIMIT, Bools, Float32, Situation, Transition, total_reward
 from greenhouse_gym.envs.worlds import World, worlds_of
 from greenhouse_gym.errors import UnknownNameError
-from greenhouse_gym.geometry import Array
+from greenhouse_gym.geometry import Array, invert
 from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.robots.robot import ROBOTS
 from greenhouse_gym.scene import SceneBank
 
-Ids = npt.NDArray[np.int64]
-Contact = tuple[str, ...]
-"""Names of two geoms that touch, the arm's part first; empty when nothing is touched."""
+STEP_INFOS = ("previous_goal", "effort")
+"""Keys of the info that a step has and a reset has not, beside the reward's terms."""
 
-_POSITIONS = mujoco.mjtStage.mjSTAGE_POS
+
+@dataclass(frozen=True)
+class EnvSettings:
+    """What an environment is made of; `TomatoReachEnv` says what each means."""
+
+    bank: str | Path | SceneBank = "default"
+    split: str = "train"
+    robot: str | Path | Robot = "ur5e"
+    observation: str | DepthObservation | PointsObservation = "state"
+    action: str = "joint"
+    reward: str = "dense"
+    difficulty: Difficulty = ("easy", "medium", "hard")
+    physics: str = "reconstruction"
+    randomization: Randomization = NO_RANDOMIZATION
+    capacity: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,200 +59,216 @@ class StepResult:
     """What one step of n simulations gave.
 
     Attributes:
-        situation: The situation after the step.
         reward: (n,).
         terms: The reward's terms by name, each (n,).
         terminated: (n,) success or collision.
         truncated: (n,) the step limit was reached without either.
+        transition: What the reward was computed from.
+        previous: (n, 3) grasp point before the step, metres.
     """
 
-    situation: Situation
     reward: Array
     terms: dict[str, Array]
     terminated: Bools
     truncated: Bools
+    transition: Transition
+    previous: Array
 
 
 class ReachSimulation:
-    """n simulations, each on a private padded model into which a reset copies the episode's scene.
+    """n simulations of the reaching task.
 
     Args:
         count: Number of simulations n.
-        bank: Name or folder of the scene bank, or a `SceneBank`.
-        split: Split the episodes are drawn from.
-        robot: Name or MJCF file of the arm.
-        observation: One of `OBSERVATIONS`.
-        action: One of `ACTIONS`.
-        reward: One of `REWARDS`.
-        difficulty: Difficulties that are drawn.
-        physics: "reconstruction", or "truth" to simulate the true row behind the scene.
+        settings: What they are made of.
         threads: Threads of the batch; 0 uses all cores.
+
+    Attributes:
+        robot: The arm.
+        sampler: Draws the episodes.
+        observe: Makes the observations.
+        situation: What the simulations look like now; None before the first reset.
+        command: (n, j) last commanded joint positions, radians.
     """
 
-    def __init__(
-        self,
-        count: int,
-        *,
-        bank: str | Path | SceneBank,
-        split: str,
-        robot: str | Path | Robot,
-        observation: str,
-        action: str,
-        reward: str,
-        difficulty: str | Iterable[str],
-        physics: str,
-        threads: int = 0,
-    ):
-        self.robot = get_robot(robot)
-        self.sampler = EpisodeSampler(bank, split, self.robot, difficulty)
-        self.observe = _choose("observation", observation, OBSERVATIONS)(self.robot)
-        self.command_rule = _choose("action", action, ACTIONS)
-        self.reward_terms = _choose("reward", reward, REWARDS)
-        name = self.robot.name if self.robot.name in ROBOTS else str(self.robot.path)
-        self.env_options = {"robot": name, "observation": observation, "action": action}
-        self.worlds = worlds_of(self.robot, physics)
+    def __init__(self, count: int, settings: EnvSettings, threads: int = 0):
+        self.robot = robot = get_robot(settings.robot)
+        self.sampler = EpisodeSampler(settings.bank, settings.split, robot, settings.difficulty)
+        self.observe = make_observation(settings.observation, robot)
+        self.action_rule = _choose("action", settings.action, ACTIONS)(robot)
+        self._limit = CommandLimits(robot, self.action_rule)
+        self.reward_terms = _choose("reward", settings.reward, REWARDS)
+        self.randomization = settings.randomization
+        hidden = 'physics="truth"' if settings.physics == "truth" else ""
+        check_goals_are_known(self.observe, hidden or ("target_position" if self.randomization.target_position else ""))
+        name = robot.name if robot.name in ROBOTS else str(robot.path)
+        self.env_options = {"robot": name, "observation": settings.observation, "action": settings.action}
+        self.worlds = worlds_of(robot, settings.physics, settings.capacity)
         self.count = count
-        self.steps = np.zeros(count, dtype=np.int64)
         self.situation: Situation | None = None
-        self.contact = np.full(count, None, dtype=object)
-        self._scene_name, self._difficulty = np.full(count, "", dtype=object), np.full(count, "", dtype=object)
-        self._tomato = np.zeros(count, dtype=np.int64)
-        self._episodes: dict[int, Episode] = {}
-        self._worlds: dict[int, World] = {}
-        self._batch: Batch | None = None
         self._threads = threads
-        self._command = np.zeros((count, len(self.robot.joints)))
+        self._physics: Physics | None = None
+        self._rig: CameraRig | None = None
+        self._probe_radii = robot.probe_radii.astype(np.float32)
+        self._episodes: list[Episode | None] = [None] * count
+        self._worlds: list[World | None] = [None] * count
+        self._disturbances: list[Disturbance | None] = [None] * count
+        self._names = {key: np.full(count, "", dtype=object) for key in ("scene", "difficulty")}
+        self._contact, self._self_collision = np.full(count, None, dtype=object), np.zeros(count, dtype=np.bool_)
+        self._counts = {
+            key: np.zeros(count, dtype=np.int64) for key in ("steps", "slowed", "limited", "target")
+        }  # of the episode so far; the target's index is kept with them
+        self.command = np.zeros((count, len(robot.joints)))
+        self._joint_offset = np.zeros((count, len(robot.joints)))
         self._field = np.zeros(count, dtype=np.int64)
         self._frame = np.zeros((count, 5))  # base position and cosine, sine of its heading
-        self._target = np.zeros((count, 3))  # in the base frame
-        self._goal = np.zeros((count, 4))  # in the scene, and radius
+        self._target = np.zeros((count, 3))  # as told, in the base frame
+        self._goal = np.zeros((count, 3))  # what counts, in the base frame
+        self._radius = np.zeros((count, 1))
         self._tomatoes = np.zeros((4, count, 1), dtype=np.float32)
-        self._probe_radii = self.robot.probe_radii.astype(np.float32)
 
     # -- reset --------------------------------------------------------------------------------------------------------
 
     def reset(self, ids: Ids, random: Sequence[np.random.Generator], options: dict[str, Any] | None = None) -> None:
-        """Begin new episodes in some simulations, each drawn with its own generator ``random[i]``."""
+        """Begin new episodes in some simulations, each drawn with its own generator ``random[i]``.
+
+        An error leaves all as it was.
+        """
         episodes = [self.sampler.draw(random[i], options) for i in ids]
         worlds = [self.worlds.world(episode.scene) for episode in episodes]
-        batch = self._batch or self._make_batch(worlds[0])
+        physics = self._physics
+        if physics is None:
+            physics = self._physics = Physics(self.count, worlds[0], self._threads, self.action_rule.needs_motion)
+        for world in worlds:
+            world.check_fits(physics.models[0])
         for i, episode, world in zip(ids, episodes, worlds, strict=True):
-            self._begin(int(i), episode, world)
-        batch.set_models(self._models)
-        batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
-        self._qpos[ids] = self._command[ids]
-        self._ctrl[ids] = self._command[ids]
-        batch.forward(ids, stage=_POSITIONS)
-        touched = self._ncon[ids] > 0
-        for i, touches in zip(ids, touched, strict=True):
-            self.contact[i] = self._contact_names(int(i), self._qpos[i]) if touches else _NOTHING
-        fresh = self._look(ids, touched)
+            disturbance = draw_disturbance(self.randomization, self.command.shape[1], random[i])
+            physics.load(int(i), world, episode.target, disturbance)
+            self._begin(int(i), episode, world, disturbance)
+        touches = physics.place(ids, self.command[ids])
+        self._contact[ids], self._self_collision[ids] = None, False
+        for i in ids:
+            self._contact[i] = NOTHING.names
+        self._note(touches)
+        fresh = self._look(ids, touches.any)
         self.situation = fresh if len(ids) == self.count else self._seen().replaced(ids, fresh)
 
-    def _make_batch(self, world: World) -> Batch:
-        compiled = world.compiled
-        self._models = [copy.copy(compiled.model) for _ in range(self.count)]
-        self._data = mujoco.MjData(compiled.model)
-        self._tip, self._probes = compiled.tip_site, compiled.probe_sites
-        batch = self._batch = Batch(compiled.model, self.count, self._threads)
-        self._qpos, self._qvel, self._ctrl = batch.bind("qpos"), batch.bind("qvel"), batch.bind("ctrl")
-        self._site_xpos, self._site_xmat = batch.bind("site_xpos"), batch.bind("site_xmat")
-        self._ncon = batch.bind("ncon")
-        return batch
-
-    def _begin(self, i: int, episode: Episode, world: World) -> None:
-        world.load(self._models[i], episode.target)
-        self._episodes[i], self._worlds[i] = episode, world
-        self._scene_name[i], self._tomato[i] = episode.scene.name, episode.target
-        self._difficulty[i] = episode.difficulty
-        self.steps[i] = 0
-        self._command[i] = episode.start
+    def _begin(self, i: int, episode: Episode, world: World, disturbance: Disturbance) -> None:
+        self._episodes[i], self._worlds[i], self._disturbances[i] = episode, world, disturbance
+        self._names["scene"][i], self._names["difficulty"][i] = episode.scene.name, episode.difficulty
+        for counts in self._counts.values():
+            counts[i] = 0
+        self._counts["target"][i] = episode.target
+        self.command[i] = episode.start
+        self._joint_offset[i] = disturbance.joints
         self._field[i] = world.field
         self._frame[i] = world.frame
-        self._target[i] = world.tomatoes[episode.target, :3]
-        center, radius = world.goal(episode.target)
-        self._goal[i] = [*center, radius]
+        self._target[i] = world.tomatoes[episode.target, :3] + disturbance.target
+        self._goal[i], self._radius[i] = world.goal(episode.target)
         count, room = len(world.tomatoes), self._tomatoes.shape[2]
         if count > room:
             padding = np.broadcast_to(FAR_AWAY[:, None], (4, self.count, count - room))
             self._tomatoes = np.concatenate([self._tomatoes, padding], axis=2)
         self._tomatoes[:, i] = FAR_AWAY
         self._tomatoes[:, i, :count] = world.tomatoes.T
-        self._tomatoes[:, i, episode.target] = FAR_AWAY[:, 0]
+        if not self.observe.target_is_obstacle:
+            self._tomatoes[:, i, episode.target] = FAR_AWAY[:, 0]
+
+    def close(self) -> None:
+        """Free the simulations; the next reset makes new ones."""
+        if self._rig is not None:
+            self._rig.close()
+        self._physics = self._rig = self.situation = None
 
     # -- step ---------------------------------------------------------------------------------------------------------
 
     def step(self, actions: Any) -> StepResult:
-        """Advance all simulations by one action each, (n, joints) in [-1, 1].
+        """Advance all simulations by one action each, (n, size) in [-1, 1].
 
         Raises:
             InvalidValueError: The actions have the wrong shape or are not finite.
         """
-        action = check_actions(actions, self._command.shape)
-        before, batch = self._seen(), self._batch
-        assert batch is not None
-        command = self.command_rule(self._command, action, before.joints, self.robot.lower, self.robot.upper)
-        ramp = self._command[:, None] + (command - self._command)[:, None] * _RAMP
-        # A step's derived values are one substep old: the record tells what was touched at the starts of the
-        # substeps, the last forward what is touched at the end.
-        record = batch.rollout(SUBSTEPS, ramp, int(mujoco.mjtState.mjSTATE_CTRL), record=("ncon", "qpos"))
-        batch.forward(stage=_POSITIONS)
-        self._command = command
-        touching = np.concatenate([record["ncon"].reshape(self.count, SUBSTEPS), self._ncon[:, None]], axis=1) > 0
-        touched = touching.any(axis=1)
-        self.contact.fill(_NOTHING)
-        for i in np.flatnonzero(touched):
-            first = int(touching[i].argmax())
-            configuration = record["qpos"][i, first - 1] if first else before.joints[i]
-            self.contact[i] = self._contact_names(int(i), configuration)
-        self.steps += 1
-        after = self.situation = self._look(slice(None), touched)
-        terms = self.reward_terms(before, after, action)
-        terminated = after.success | touched
-        truncated = (self.steps >= STEP_LIMIT) & ~terminated
-        return StepResult(after, total_reward(terms), terms, terminated, truncated)
+        action = check_actions(actions, (self.count, self.action_rule.size))
+        before, physics = self._seen(), self._physics
+        assert physics is not None
+        motion = physics.motion(self._frame[:, 3:]) if self.action_rule.needs_motion else None
+        command = self._limit(self.command, self.action_rule(action, motion), physics.qpos)
+        touches = physics.advance(self.command, command.position)
+        self.command = command.position
+        self._contact.fill(NOTHING.names)
+        self._self_collision[:] = False
+        self._note(touches)
+        counts = self._counts
+        counts["steps"] += 1
+        counts["slowed"] += command.slowed
+        counts["limited"] += command.limited
+        after = self.situation = self._look(slice(None), touches.any)
+        transition = Transition(before.distance, after.distance, touches.any, squared_norm(action))
+        terms = self.reward_terms(transition)
+        terminated = transition.success | touches.any
+        truncated = (counts["steps"] >= STEP_LIMIT) & ~terminated
+        return StepResult(total_reward(terms), terms, terminated, truncated, transition, before.grasp)
+
+    def _note(self, touches: Touches) -> None:
+        for i, contact in touches.contacts.items():
+            self._contact[i], self._self_collision[i] = contact.names, contact.of_arm_alone
 
     # -- what the environments tell -----------------------------------------------------------------------------------
 
-    def observation(self, ids: Ids | None = None) -> Float32:
+    def observation(self, ids: Ids | None = None) -> Observed:
         """Observations of all simulations, or of some."""
         return self.observe(self._seen() if ids is None else self._seen().select(ids))
 
-    def info(self) -> dict[str, npt.NDArray[Any]]:
-        """What the environments' docstring promises, as new arrays of length n."""
-        seen = self._seen()
-        return {
+    def info(self, step: StepResult | None = None) -> dict[str, npt.NDArray[Any]]:
+        """What the environments' docstring promises, but for the reward's terms, as new arrays of length n."""
+        seen, counts = self._seen(), self._counts
+        result: dict[str, npt.NDArray[Any]] = {
             "is_success": seen.success,
             "collision": seen.touched.copy(),
-            "contact": self.contact.copy(),
+            "contact": self._contact.copy(),
+            "self_collision": self._self_collision.copy(),
             "distance": seen.distance.copy(),
             "clearance": seen.clearance.min(axis=1).astype(np.float64),
-            "scene": self._scene_name.copy(),
-            "target": self._tomato.copy(),
-            "difficulty": self._difficulty.copy(),
+            "scene": self._names["scene"].copy(),
+            "target": counts["target"].copy(),
+            "difficulty": self._names["difficulty"].copy(),
+            "steps": counts["steps"].copy(),
+            "slowed": counts["slowed"].copy(),
+            "limited": counts["limited"].copy(),
         }
+        if step is not None and self.observe.has_goals:
+            result["previous_goal"], result["effort"] = step.previous.copy(), step.transition.effort.copy()
+        return result
 
     def episode(self, i: int) -> Episode:
         """The current episode of a simulation."""
         self._seen()
-        return self._episodes[i]
+        episode = self._episodes[i]
+        assert episode is not None
+        return episode
 
     def tip(self, i: int) -> Array:
         """(3,) the tip in the scene, metres."""
-        return np.array(self._site_xpos[i, self._tip])
+        assert self._physics is not None
+        return np.array(self._physics.sites(np.array([i]))[0][0, 0])
 
     def goal(self, i: int) -> Array:
         """(3,) center in the scene of what has to be reached, metres."""
-        return self._goal[i, :3].copy()
+        world = self._worlds[i]
+        assert world is not None
+        return world.goal_in_scene(self.episode(i).target)
 
     def model_and_data(self, i: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
         """A simulation's model (a copy of the episode's, the cup allowed on the target) and its state."""
         self._seen()
-        model = copy.copy(self._worlds[i].compiled.model)
-        self._worlds[i].load(model, self.episode(i).target)
+        world, disturbance, physics = self._worlds[i], self._disturbances[i], self._physics
+        assert world is not None
+        assert disturbance is not None
+        assert physics is not None
+        model = copy.copy(world.compiled.model)
+        prepare(model, world, self.episode(i).target, disturbance)
         data = mujoco.MjData(model)
-        data.qpos[:], data.qvel[:], data.ctrl[:] = self._qpos[i], self._qvel[i], self._ctrl[i]
-        mujoco.mj_forward(model, data)
+        physics.copy_state(i, model, data)
         return model, data
 
     def _seen(self) -> Situation:
@@ -251,43 +280,62 @@ class ReachSimulation:
 
     def _look(self, ids: Ids | slice, touched: npt.ArrayLike) -> Situation:
         """The situation of some simulations from their current kinematics."""
-        frame = self._frame[ids]
-        positions, tip_frame = self._site_xpos[ids], self._site_xmat[ids][:, self._tip].reshape(-1, 9)
-        goal = self._goal[ids]
-        grasp = positions[:, self._tip] + goal[:, 3:] * tip_frame[:, 2::3]
-        gap = grasp - goal[:, :3]
-        joints = self._qpos[ids].copy()
-        probes = to_base(positions[:, self._probes], frame)
-        distance, direction = nearest_obstacle(self.worlds.fields, self._field[ids], self._tomatoes[:, ids], probes)
+        physics, frame = self._physics, self._frame[ids]
+        assert physics is not None
+        sites, tool = physics.sites(ids)
+        points = to_base(sites, frame)
+        axis = turned_back(tool[:, None, :, 2], frame)[:, 0]
+        grasp = points[:, 0] + self._radius[ids] * axis
+        gap = self._goal[ids] - grasp
+        distance, direction = nearest_obstacle(
+            self.worlds.fields, self._field[ids], self._tomatoes[:, ids], points[:, 1:]
+        )
+        joints = physics.qpos[ids]
+        depth, views = self._photograph(ids, frame, sites[:, 0], tool)
         return Situation(
-            joints=joints,
-            velocities=self._qvel[ids].copy(),
-            command=self._command[ids].copy(),
-            grasp=to_base(grasp[:, None], frame)[:, 0],
+            joints=joints + self._joint_offset[ids],
+            velocities=physics.qvel[ids].copy(),
+            lead=self.command[ids] - joints,
+            tip=points[:, 0],
+            axis=axis,
+            grasp=grasp,
             target=self._target[ids].copy(),
             distance=np.sqrt(gap[:, 0] ** 2 + gap[:, 1] ** 2 + gap[:, 2] ** 2),
             clearance=distance - self._probe_radii,
             obstacle=direction,
             touched=np.asarray(touched, dtype=np.bool_),
+            depth=depth,
+            views=views,
         )
 
-    def _contact_names(self, i: int, configuration: Array) -> Contact:
-        """The deepest contact of a simulation at a configuration."""
-        model, data = self._models[i], self._data
-        data.qpos[:] = configuration
-        mujoco.mj_fwdPosition(model, data)
-        if data.ncon == 0:
-            return _NOTHING
-        contact = data.contact[int(np.argmin(data.contact.dist))]
-        geoms = sorted((int(contact.geom1), int(contact.geom2)), key=lambda g: model.geom_bodyid[g], reverse=True)
-        return tuple(str(self._worlds[i].compiled.model.geom(g).name) for g in geoms)
+    def _photograph(self, ids: Ids | slice, frame: Array, tip: Array, tool: Array) -> tuple[Float32, Array]:
+        """Depth images (m, c, h, w) and camera poses (m, c, 4, 4) base_from_camera of some simulations."""
+        cameras, physics = self.observe.cameras, self._physics
+        assert physics is not None
+        if not cameras:
+            return np.empty((len(tip), 0, 0, 0), dtype=np.float32), np.empty((len(tip), 0, 4, 4))
+        if self._rig is None:
+            threads = 1 if self.count == 1 else self._threads or len(os.sched_getaffinity(0))
+            self._rig = CameraRig(cameras, physics.models[0], threads, self.observe.sees_arm)
+        scene_from_base = np.zeros((len(tip), 1, 4, 4))
+        scene_from_base[:, 0, 0, 0] = scene_from_base[:, 0, 1, 1] = frame[:, 3]
+        scene_from_base[:, 0, 1, 0], scene_from_base[:, 0, 0, 1] = frame[:, 4], -frame[:, 4]
+        scene_from_base[:, 0, 2, 2] = scene_from_base[:, 0, 3, 3] = 1.0
+        scene_from_base[:, 0, :3, 3] = frame[:, :3]
+        scene_from_tip = np.zeros((len(tip), 4, 4))
+        scene_from_tip[:, :3, :3], scene_from_tip[:, :3, 3], scene_from_tip[:, 3, 3] = tool, tip, 1.0
+        views = camera_poses(cameras, invert(scene_from_base[:, 0]) @ scene_from_tip)
+        chosen = np.arange(self.count)[ids]
+        depth = self._rig.look([physics.models[i] for i in chosen], physics.qpos[ids], scene_from_base @ views)
+        for k, i in enumerate(chosen):
+            disturbance = self._disturbances[i]
+            if disturbance is not None and disturbance.noise is not None:
+                for c, camera in enumerate(cameras):
+                    depth[k, c] = with_noise(depth[k, c], camera, disturbance.noise)
+        return depth, views
 
 
-_NOTHING: Contact = ()
-_RAMP = (np.arange(1, SUBSTEPS + 1) / SUBSTEPS)[:, None]
-
-
-def _choose(kind: str, name: str, choices: dict[str, Any]) -> Callable[..., Any]:
+def _choose(kind: str, name: str, choices: Mapping[str, Any]) -> Any:
     if name not in choices:
         raise UnknownNameError(kind, name, choices)
-    return choices[name]  # type: ignore[no-any-return]
+    return choices[name]

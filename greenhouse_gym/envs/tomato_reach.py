@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -12,78 +11,151 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
+from greenhouse_gym.envs.actions import ActionRule
+from greenhouse_gym.envs.episodes import Difficulty
+from greenhouse_gym.envs.goals import goal_functions
+from greenhouse_gym.envs.observations import DepthObservation, Observed, PointsObservation, select
+from greenhouse_gym.envs.randomization import NO_RANDOMIZATION, Randomization
 from greenhouse_gym.envs.reach_task import Float32
-from greenhouse_gym.envs.simulation import ReachSimulation, StepResult
-from greenhouse_gym.errors import refuse_unknown_keywords, require_choice
+from greenhouse_gym.envs.simulation import EnvSettings, ReachSimulation, StepResult
+from greenhouse_gym.envs.viewer import RENDER_MODES, Viewer
+from greenhouse_gym.errors import EpisodeOverError, refuse_unknown_keywords, require_choice
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene, SceneBank
 
-RENDER_MODES = ("rgb_array",)
 _ONLY = np.array([0])
 
 
-class TomatoReachEnv(gymnasium.Env[Float32, npt.NDArray[np.float32]]):
+class TomatoReachEnv(gymnasium.Env[Observed, npt.NDArray[np.float32]]):
     """Reach a tomato with the tool of an arm, and touch nothing else.
 
     An episode takes place in one scene of a bank, with one of its tomatoes as the target. The arm carries a slender
     suction gripper; its *tip* is the middle of the cup, and the *grasp point* lies one target radius ahead of the tip
-    along the tool.
+    along the tool. j is the number of the arm's joints, k that of its probe points (``ur5e``: 6 and 9, ``iiwa14``: 7
+    and 9).
 
-    **Frame.** Positions are in the frame of the arm's base: x forward to the plants, y left along the row, z up.
+    **Frame.** Positions are in the frame of the arm's stand at the height of its base: x forward to the plants, y left
+    along the row, z up. ``info`` and `render` use it, too.
 
-    **Action** ``Box(-1, 1, (joints,), float32)``. Each entry adds up to 0.08 rad to the joint's last command, which
-    stays within the joint limits and within 0.2 rad of the measured joint. 20 actions per second; the servos follow a
-    ramp to the new command. Values beyond [-1, 1] are clipped; anything that is not finite is an error.
+    **Time.** 20 actions per second; each is 5 physics steps of 10 ms, in which the servos follow a ramp to the new
+    commands. After 200 steps an episode is truncated (by the environment itself: there is no `TimeLimit` wrapper).
 
-    **Observation** ``state``, ``Box((60,), float32)`` for ``ur5e`` (j = 6 joints, k = 9 probe points):
+    **Action** ``Box(-1, 1, (size,), float32)``. Values beyond [-1, 1] are clipped; anything that is not finite, or of
+    another shape, is an error and changes nothing.
 
-    | index | meaning | bounds | unit |
+    | ``action`` | size | an entry of 1 means |
+    |---|---|---|
+    | ``joint`` | j | the joint's command moves by 0.08 rad |
+    | ``joint_velocity`` | j | the joint's command moves at its speed limit |
+    | ``tip_velocity`` | 6 | the tip moves at 0.5 m/s along x, y, z, then turns at 1.6 rad/s about them |
+
+    Tip velocities become joint velocities by damped least squares. Whatever the action, commands keep to the
+    joints' limits (``info["limited"]`` counts where they stopped), to their speed limits (the whole motion is
+    slowed then, ``info["slowed"]`` counts it), and within 0.2 rad of the measured joints. Contacts of the arm with
+    itself are collisions (``info["self_collision"]``).
+
+    **Observation** ``state``, ``Box((60,), float32)`` for ``ur5e``, 3 j + 6 + 4 k entries in general:
+
+    | ``ur5e`` | ``iiwa14`` | meaning | bounds | unit |
+    |---|---|---|---|---|
+    | 0 to 5 | 0 to 6 | joint positions | joint limits widened by 0.1 | rad |
+    | 6 to 11 | 7 to 13 | joint velocities | twice the speed limits | rad/s |
+    | 12 to 17 | 14 to 20 | command minus joint position | +-0.4 | rad |
+    | 18 to 20 | 21 to 23 | from the grasp point to the target's center | +-3 | m |
+    | 21 to 23 | 24 to 26 | the target's center | +-3 | m |
+    | 24 to 32 | 27 to 35 | clearance of the arm's surface at the probe points, arm to tip | -0.1 to 0.3 | m |
+    | 33 to 59 | 36 to 62 | unit vectors from there to the nearest obstacle, x y z each; 0 beyond 0.3 m | +-1 | |
+
+    Obstacles here are stems, clutter and all tomatoes but the target, not the floor, the cart or the arm itself.
+    Tomatoes are exact; stems and clutter are read from a distance field with nodes 2 cm apart (mean error 1 mm, at most
+    1 cm). Values beyond a bound are clipped to it. The other kinds are `Dict` spaces:
+
+    | ``observation`` | key | shape, type | meaning |
     |---|---|---|---|
-    | 0 to 5 | joint positions | joint limits widened by 0.1 | rad |
-    | 6 to 11 | joint velocities | twice the speed limits, +-6.28 | rad/s |
-    | 12 to 17 | command minus joint position | +-0.4 | rad |
-    | 18 to 20 | from the grasp point to the target's center | +-3 | m |
-    | 21 to 23 | the target's center | +-3 | m |
-    | 24 to 32 | clearance of the arm's surface at the probe points, arm to tip | -0.1 to 0.3 | m |
-    | 33 to 59 | unit vectors from the probe points to the nearest obstacle, x y z each; 0 beyond 0.3 m | +-1 | |
+    | ``goal`` | ``achieved_goal`` | (3,) float64 | grasp point, m |
+    | | ``desired_goal`` | (3,) float64 | the target's center, m |
+    | | ``observation`` | (3 j + 6 + 4 k,) float32 | as ``state``, but see below |
+    | ``depth`` | ``depth`` | (1, 48, 64) float32 | depth over 2 m, 0 to 1; 0 without a reading |
+    | | ``state`` | (3 j + 6,) float32 | the first entries of ``state``, up to the target's center |
+    | ``points`` | ``points`` | (768, 3) float32 | points in 24 rows of 32, m; 0 0 0 without a reading |
+    | | ``state`` | (3 j + 6,) float32 | as in ``depth`` |
 
-    In general: j + j + j + 3 + 3 + k + 3 k entries. Obstacles here are stems, clutter and all tomatoes but the target,
-    not the floor, the cart or the arm itself. Tomatoes are exact; stems and clutter are read from a distance field with
-    nodes 2 cm apart (mean error 1 mm, at most 1 cm). Values beyond a bound are clipped to it.
+    In ``goal``, tip position (m) and tool axis (unit vector) stand for offset and target, and the clearances count the
+    target as an obstacle, so that nothing in it depends on the target. ``depth`` comes from a camera beside the flange
+    that looks along the tool; ``points`` is what a camera on a mast beside the arm sees of the plants, one per pixel.
+    `DepthObservation` and `PointsObservation` in place of the name choose the camera ("wrist" or "mast"), its size and
+    its opening.
+
+    **Goals.** With ``observation="goal"``, the methods ``compute_reward``, ``compute_terminated`` and
+    ``compute_truncated`` (``achieved_goal``, ``desired_goal``, ``info``) tell what a step would have been with another
+    goal, for one step or for n steps; what else counts they read from the info (hindsight replay of Stable-Baselines3
+    needs ``copy_info_dict=True``).
 
     **Success.** The grasp point is within 2 cm of the target's center and nothing was touched in any physics step of
-    the action. The cup may touch the target. Any other contact is a **collision**. Both terminate the episode; after
-    200 steps it is truncated (by the environment itself, there is no `TimeLimit` wrapper).
+    the action. The cup may touch the target. Any other contact is a **collision**. Both terminate the episode.
 
-    **Reward.** ``dense``: success +10, collision -1, progress 4 * (decrease of the distance, m), time -0.02, effort
-    -0.003 |action|^2. ``sparse``: success +1, collision -1. The terms are in ``info["reward_terms"]`` and sum to the
-    reward.
+    **Reward**, the sum of the terms in ``info["reward_terms"]``:
 
-    **Info**, on reset and step: ``is_success``, ``collision`` (bool), ``contact`` (names of the two geoms, the arm's
-    first, or empty), ``distance`` (grasp point to the target's center, m), ``clearance`` (the smallest of the observed
-    ones before clipping, m), ``scene`` (name), ``target`` (index of the tomato), ``difficulty``; on step also
-    ``reward_terms``.
+    | term | ``dense`` | ``sparse`` |
+    |---|---|---|
+    | ``success`` | +10 | +1 |
+    | ``collision`` | -1 | -1 |
+    | ``progress`` | 4 per metre the grasp point came nearer | |
+    | ``time`` | -0.02 | |
+    | ``effort`` | -0.003 times the sum of the action's squares | |
 
-    **Reset options**: ``scene`` (a name of any split, or a `Scene`), ``target`` (index of any of its tomatoes),
-    ``start`` (joint angles, rad; default the robot's start). A start that touches something is a collision at the
-    first step.
+    **Info**, on reset and step:
+
+    | key | meaning |
+    |---|---|
+    | ``is_success`` | bool |
+    | ``collision`` | bool |
+    | ``contact`` | names of the first two geoms that touched, the arm's first; empty without a collision |
+    | ``self_collision`` | whether both belong to the arm |
+    | ``distance`` | from the grasp point to the target's center, m |
+    | ``clearance`` | the smallest of the observed ones, before clipping, m |
+    | ``scene``, ``target``, ``difficulty`` | name, index of the tomato, rating ("unrated" where this arm has none) |
+    | ``steps`` | steps of this episode |
+    | ``slowed`` | steps of this episode that were slowed to keep speed limits |
+    | ``limited`` | how often in this episode a joint's command stopped at its limit |
+    | ``reward_terms`` | on step only: the terms by name |
+    | ``previous_goal``, ``effort`` | on step of ``goal``: grasp point before it, sum of the action's squares |
+
+    **Reset options**
+
+    | option | meaning |
+    |---|---|
+    | ``scene`` | name of a scene of any split, or a `Scene` |
+    | ``target`` | index of any of its tomatoes, needs ``scene`` |
+    | ``start`` | joint angles, rad; a start that touches something is a collision at the first step |
+    | ``difficulty`` | for this episode, in place of the environment's |
+
+    **Versions.** A ``-v1`` would be due for a change of anything an agent sees or is paid for: spaces, order or meaning
+    of entries, the action's scale or rate, the physics, success, collision, reward, or the episodes that a seed draws.
+    New choices beside the old, new info keys and speed are no reason; neither is another bank, which has its own name.
 
     Args:
         bank: Name of a shipped bank, folder of one, or a `SceneBank`.
         split: "train", "validation" or "test".
-        robot: Name of a shipped arm, or an MJCF file.
-        observation: "state".
-        action: "joint".
+        robot: Name of a shipped arm ("ur5e", "iiwa14"), an MJCF file, or a `Robot` of `load_robot`.
+        observation: "state", "goal", "depth", "points", or settings of the last two.
+        action: "joint", "joint_velocity" or "tip_velocity".
         reward: "dense" or "sparse".
-        difficulty: Difficulties to draw targets from; "unreachable" only if named.
+        difficulty: What targets to draw: one difficulty, several (as frequent as the scenes have them), or a weight for
+            each, such as ``{"easy": 1, "hard": 3}``. "unreachable" only if named. `set_difficulty` changes it. For an
+            arm that a scene was not rated for, the ratings for other arms are used, and told as "unrated".
         physics: "reconstruction"; with "truth" the simulated row behind the scene is what is touched and reached (the
             true tomato nearest to the target), while observations tell only of the reconstruction.
-        render_mode: "rgb_array" or None.
+        render_mode: "rgb_array" (by OpenGL, or by ray casting where there is none), "depth_array" (m) or "human" (a
+            window); or None. The straight line from tip to target is red, the tip's trace pink.
+        randomization: What to get wrong on purpose, see `Randomization`; nothing by default.
+        capacity: Obstacles a scene may have; 300 (600 with "truth") when left out. More cost time and memory.
 
     Raises:
         UnknownNameError: A name is not among the choices; the message lists them.
         UnknownKeywordError: A keyword does not exist; the message lists those that do.
+        InvalidValueError: A goal environment whose goals are not what counts ("truth", wrong targets).
     """
 
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": 20}  # noqa: RUF012
@@ -93,25 +165,30 @@ class TomatoReachEnv(gymnasium.Env[Float32, npt.NDArray[np.float32]]):
         bank: str | Path | SceneBank = "default",
         split: str = "train",
         robot: str | Path | Robot = "ur5e",
-        observation: str = "state",
+        observation: str | DepthObservation | PointsObservation = "state",
         action: str = "joint",
         reward: str = "dense",
-        difficulty: str | Iterable[str] = ("easy", "medium", "hard"),
+        difficulty: Difficulty = ("easy", "medium", "hard"),
         physics: str = "reconstruction",
         render_mode: str | None = None,
+        randomization: Randomization = NO_RANDOMIZATION,
+        capacity: int | None = None,
         **unknown: Any,
     ):
         refuse_unknown_keywords(TomatoReachEnv.__init__, unknown)
-        if render_mode is not None:
-            require_choice("render mode", render_mode, RENDER_MODES)
-        self.render_mode = render_mode
-        self.simulation = ReachSimulation(
-            1, bank=bank, split=split, robot=robot, observation=observation, action=action, reward=reward,
-            difficulty=difficulty, physics=physics, threads=1,
-        )  # fmt: skip
+        self.render_mode = None if render_mode is None else require_choice("render mode", render_mode, RENDER_MODES)
+        self._viewer = None if render_mode is None else Viewer(render_mode)
+        settings = EnvSettings(
+            bank, split, robot, observation, action, reward, difficulty, physics, randomization, capacity
+        )
+        self.simulation = ReachSimulation(1, settings, threads=1)
         self.observation_space = self.simulation.observe.space
-        self.action_space = action_space(self.simulation.robot)
+        self.action_space = action_space(self.simulation.action_rule)
+        if self.simulation.observe.has_goals:  # only then, since libraries take whoever has them for a goal environment
+            functions = goal_functions(self.simulation.reward_terms)
+            self.compute_reward, self.compute_terminated, self.compute_truncated = functions
         self._tip_trace: list[Array] = []
+        self._over = False
 
     @property
     def robot(self) -> Robot:
@@ -133,45 +210,65 @@ class TomatoReachEnv(gymnasium.Env[Float32, npt.NDArray[np.float32]]):
         """(joints,) start configuration of the current episode, radians."""
         return self.simulation.episode(0).start
 
+    def set_difficulty(self, difficulty: Difficulty) -> None:
+        """Draw other targets from the next reset on; the class docstring says what may be given."""
+        self.simulation.sampler.set_difficulty(difficulty)
+
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Float32, dict[str, Any]]:
+    ) -> tuple[Observed, dict[str, Any]]:
         """Begin an episode; the class docstring lists the options."""
         super().reset(seed=seed)
         self.simulation.reset(_ONLY, [self.np_random], options)
-        self._tip_trace = [self._tip()]
+        self._over = False
+        self._tip_trace = [self._tip()] if self._viewer else []
+        self._show()
         return self._observation(), self._info(None)
 
-    def step(self, action: Any) -> tuple[Float32, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Any) -> tuple[Observed, float, bool, bool, dict[str, Any]]:
         """Act once.
 
         Raises:
             InvalidValueError: The action has the wrong shape or is not finite.
+            EpisodeOverError: The episode has ended.
         """
+        if self._over:
+            raise EpisodeOverError("the episode has ended: call reset() before the next step")
         result = self.simulation.step(np.asarray(action)[None])
-        self._tip_trace.append(self._tip())
-        reward, terminated, truncated = result.reward.item(), result.terminated.item(), result.truncated.item()
-        return self._observation(), reward, terminated, truncated, self._info(result)
+        terminated, truncated = result.terminated.item(), result.truncated.item()
+        self._over = terminated or truncated
+        if self._viewer:
+            self._tip_trace.append(self._tip())
+            self._show()
+        return self._observation(), result.reward.item(), terminated, truncated, self._info(result)
 
-    def render(self) -> npt.NDArray[np.uint8] | None:  # type: ignore[override]
-        """The arm in front of the plants, (h, w, 3) uint8; the line to the target in red, the tip's trace in pink."""
-        if self.render_mode is None:
+    def render(self) -> npt.NDArray[Any] | None:  # type: ignore[override]
+        """The arm in front of the plants: (h, w, 3) uint8 or (h, w) float32 metres; None in mode "human"."""
+        if self._viewer is None:
             return None
-        from greenhouse_gym.scene.render import picture
-
         model, data = self.model_and_data()
         goal = self.simulation.goal(0)
-        return picture(model, data, self._tip(), goal, self._tip_trace, samples=1)
+        return self._viewer.draw(model, data, self.scene.stand, self._tip(), goal, self._tip_trace)
+
+    def close(self) -> None:
+        """Free the simulation and the window; a later reset makes them anew."""
+        self.simulation.close()
+        if self._viewer:
+            self._viewer.close()
 
     def model_and_data(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
         """A copy of the episode's MuJoCo model and its current state, to look at or to compute with."""
         return self.simulation.model_and_data(0)
 
-    def _observation(self) -> Float32:
-        return self.simulation.observation()[0]
+    def _show(self) -> None:
+        if self.render_mode == "human":
+            self.render()
+
+    def _observation(self) -> Observed:
+        return select(self.simulation.observation(), 0)
 
     def _info(self, result: StepResult | None) -> dict[str, Any]:
-        info = {key: _item(values) for key, values in self.simulation.info().items()}
+        info = {key: _item(values) for key, values in self.simulation.info(result).items()}
         if result is not None:
             info["reward_terms"] = {name: term.item() for name, term in result.terms.items()}
         return info
@@ -180,10 +277,10 @@ class TomatoReachEnv(gymnasium.Env[Float32, npt.NDArray[np.float32]]):
         return self.simulation.tip(0)
 
 
-def action_space(robot: Robot) -> spaces.Space[Float32]:
-    """One number in [-1, 1] per joint."""
-    return spaces.Box(-1.0, 1.0, (len(robot.joints),), dtype=np.float32)
+def action_space(rule: ActionRule) -> spaces.Space[Float32]:
+    """Numbers in [-1, 1]."""
+    return spaces.Box(-1.0, 1.0, (rule.size,), dtype=np.float32)
 
 
 def _item(values: npt.NDArray[Any]) -> Any:
-    return values[0] if values.dtype == object else values.item()
+    return values[0] if values.dtype == object or values.ndim > 1 else values.item()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +12,22 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from greenhouse_gym.envs.reach_task import Bools, Float32
-from greenhouse_gym.envs.simulation import Ids, ReachSimulation
-from greenhouse_gym.envs.tomato_reach import RENDER_MODES, action_space
-from greenhouse_gym.errors import InvalidValueError, UnknownNameError, refuse_unknown_keywords, require_choice
+from greenhouse_gym.envs.episodes import Difficulty
+from greenhouse_gym.envs.goals import goal_functions
+from greenhouse_gym.envs.observations import DepthObservation, Observed, PointsObservation, select
+from greenhouse_gym.envs.physics import Ids
+from greenhouse_gym.envs.randomization import NO_RANDOMIZATION, Randomization
+from greenhouse_gym.envs.reach_task import Bools
+from greenhouse_gym.envs.simulation import STEP_INFOS, EnvSettings, ReachSimulation
+from greenhouse_gym.envs.tomato_reach import action_space
+from greenhouse_gym.envs.viewer import RENDER_MODES, Viewer
+from greenhouse_gym.errors import (
+    EpisodeOverError,
+    InvalidValueError,
+    UnknownNameError,
+    refuse_unknown_keywords,
+    require_choice,
+)
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import SceneBank
@@ -23,7 +35,7 @@ from greenhouse_gym.scene import SceneBank
 Infos = dict[str, Any]
 
 
-class TomatoReachVectorEnv(VectorEnv[Float32, npt.NDArray[np.float32], npt.NDArray[Any]]):
+class TomatoReachVectorEnv(VectorEnv[Observed, npt.NDArray[np.float32], npt.NDArray[Any]]):
     """``num_envs`` reaching tasks, stepped together; spaces, rewards and infos are those of `TomatoReachEnv`.
 
     With seed s, simulation i gives the numbers of a single environment with seed s + i, bit for bit, over resets.
@@ -31,7 +43,8 @@ class TomatoReachVectorEnv(VectorEnv[Float32, npt.NDArray[np.float32], npt.NDArr
 
     Args:
         num_envs: Number of simulations.
-        bank, split, robot, observation, action, reward, difficulty, physics, render_mode: As in `TomatoReachEnv`.
+        bank, split, robot, observation, action, reward, difficulty, physics, render_mode, randomization, capacity: As
+            in `TomatoReachEnv`.
         autoreset_mode: An `AutoresetMode` or its value: "NextStep" (the step after an episode's end resets and ignores
             the action), "SameStep" (the ending step resets; the last observation and info are in ``final_obs`` and
             ``final_info``) or "Disabled" (reset with ``options={"reset_mask": (num_envs,) bools}``).
@@ -46,39 +59,46 @@ class TomatoReachVectorEnv(VectorEnv[Float32, npt.NDArray[np.float32], npt.NDArr
         bank: str | Path | SceneBank = "default",
         split: str = "train",
         robot: str | Path | Robot = "ur5e",
-        observation: str = "state",
+        observation: str | DepthObservation | PointsObservation = "state",
         action: str = "joint",
         reward: str = "dense",
-        difficulty: str | Iterable[str] = ("easy", "medium", "hard"),
+        difficulty: Difficulty = ("easy", "medium", "hard"),
         physics: str = "reconstruction",
         render_mode: str | None = None,
+        randomization: Randomization = NO_RANDOMIZATION,
+        capacity: int | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         threads: int = 0,
         **unknown: Any,
     ):
         refuse_unknown_keywords(TomatoReachVectorEnv.__init__, unknown)
-        if num_envs < 1:
-            raise InvalidValueError(f"num_envs must be at least 1, got {num_envs!r}")
-        if render_mode is not None:
-            require_choice("render mode", render_mode, RENDER_MODES)
-        self.num_envs, self.render_mode = num_envs, render_mode
+        if isinstance(num_envs, bool) or not isinstance(num_envs, (int, np.integer)) or num_envs < 1:
+            raise InvalidValueError(f"num_envs must be a whole number from 1 up, got {num_envs!r}")
+        self.render_mode = None if render_mode is None else require_choice("render mode", render_mode, RENDER_MODES)
+        if render_mode == "human" and num_envs > 1:
+            raise InvalidValueError('render_mode="human" shows one simulation; choose "rgb_array" or num_envs=1')
+        self._viewer = None if render_mode is None else Viewer(render_mode)
+        self.num_envs = num_envs
         self.autoreset_mode = _mode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
-        self.simulation = ReachSimulation(
-            num_envs, bank=bank, split=split, robot=robot, observation=observation, action=action, reward=reward,
-            difficulty=difficulty, physics=physics, threads=threads,
-        )  # fmt: skip
+        settings = EnvSettings(
+            bank, split, robot, observation, action, reward, difficulty, physics, randomization, capacity
+        )
+        self.simulation = ReachSimulation(num_envs, settings, threads)
         self.single_observation_space = self.simulation.observe.space
-        self.single_action_space = action_space(self.simulation.robot)
+        self.single_action_space = action_space(self.simulation.action_rule)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
+        if self.simulation.observe.has_goals:
+            functions = goal_functions(self.simulation.reward_terms)
+            self.compute_reward, self.compute_terminated, self.compute_truncated = functions
         self._random: list[np.random.Generator] = [seeding.np_random()[0] for _ in range(num_envs)]
         self._all = np.arange(num_envs)
         self._ended = np.zeros(num_envs, dtype=np.bool_)
 
     def reset(  # type: ignore[override]
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Float32, Infos]:
+    ) -> tuple[Observed, Infos]:
         """Begin new episodes in all simulations, or in those of ``options["reset_mask"]``.
 
         Args:
@@ -95,30 +115,31 @@ class TomatoReachVectorEnv(VectorEnv[Float32, npt.NDArray[np.float32], npt.NDArr
         self._seed(chosen, seed)
         self.simulation.reset(chosen, self._random, options)
         self._ended[chosen] = False
-        return self.simulation.observation(), _masked(self.simulation.info(), _mask(self.num_envs, chosen))
+        mask = _mask(self.num_envs, chosen)
+        return self.simulation.observation(), _masked(self.simulation.info(), mask, mask)
 
     def step(  # type: ignore[override]
         self, actions: Any
-    ) -> tuple[Float32, Array, Bools, Bools, Infos]:
+    ) -> tuple[Observed, Array, Bools, Bools, Infos]:
         """Act once in every simulation.
 
         Raises:
-            InvalidValueError: The actions have the wrong shape or are not finite, or an ended episode was not reset
-                although autoreset is disabled.
+            InvalidValueError: The actions have the wrong shape or are not finite.
+            EpisodeOverError: An ended episode was not reset although autoreset is disabled.
         """
         waiting = np.flatnonzero(self._ended)
         if len(waiting) and self.autoreset_mode == AutoresetMode.DISABLED:
-            raise InvalidValueError(f"episodes {waiting.tolist()} have ended: reset them first (autoreset is disabled)")
+            raise EpisodeOverError(f"episodes {waiting.tolist()} have ended: reset them first (autoreset is disabled)")
         simulation, everyone = self.simulation, np.ones(self.num_envs, dtype=np.bool_)
         result = simulation.step(actions)
         reward, terminated, truncated = result.reward, result.terminated, result.truncated
-        terms = {name: values.copy() for name, values in result.terms.items()}
+        terms = result.terms
         if len(waiting):  # only when autoreset happens in the next step
             simulation.reset(waiting, self._random)
             reward[waiting], terminated[waiting], truncated[waiting] = 0.0, False, False
             for values in terms.values():
                 values[waiting] = 0.0
-        info = simulation.info()
+        info = simulation.info(result)
         observations = simulation.observation()
         ended = terminated | truncated
         final: Infos = {}
@@ -126,29 +147,45 @@ class TomatoReachVectorEnv(VectorEnv[Float32, npt.NDArray[np.float32], npt.NDArr
             done = np.flatnonzero(ended)
             final_obs = np.full(self.num_envs, None, dtype=object)
             for i in done:
-                final_obs[i] = observations[i].copy()
-            final_info = _masked(info, ended) | _nested("reward_terms", terms, ended)
+                final_obs[i] = _copied(select(observations, i))
+            final_info = _masked(info, ended, ended) | _nested("reward_terms", terms, ended)
             final = {"final_obs": final_obs, "_final_obs": ended, "final_info": final_info, "_final_info": ended}
             simulation.reset(done, self._random)
-            observations[done] = simulation.observation(done)
-            info = simulation.info()
+            _replace(observations, done, simulation.observation(done))
+            info = simulation.info(result)
             self._ended[:] = False
         else:
             self._ended = ended.copy()
-        infos = _masked(info, everyone) | _nested("reward_terms", terms, everyone) | final
+        # What belongs to a step is not told where an episode has just begun.
+        stepped = ~(ended if final else _mask(self.num_envs, waiting))
+        infos = _masked(info, everyone, stepped) | _nested("reward_terms", terms, stepped) | final
         return observations, reward, terminated, truncated, infos
 
-    def render(self) -> tuple[npt.NDArray[np.uint8], ...] | None:  # type: ignore[override]
-        """A picture of each simulation, (h, w, 3) uint8; the line to the target in red."""
-        if self.render_mode is None:
-            return None
-        from greenhouse_gym.scene.render import picture
+    def set_difficulty(self, difficulty: Difficulty) -> None:
+        """Draw other targets from each simulation's next reset on, as `TomatoReachEnv.set_difficulty`."""
+        self.simulation.sampler.set_difficulty(difficulty)
 
-        simulation = self.simulation
+    def render(self) -> tuple[npt.NDArray[Any] | None, ...] | None:  # type: ignore[override]
+        """What `TomatoReachEnv.render` gives for each simulation, without the tip's trace."""
+        if self._viewer is None:
+            return None
+        simulation, viewer = self.simulation, self._viewer
         return tuple(
-            picture(*simulation.model_and_data(i), simulation.tip(i), simulation.goal(i), samples=1)
+            viewer.draw(
+                *simulation.model_and_data(i),
+                simulation.episode(i).scene.stand,
+                simulation.tip(i),
+                simulation.goal(i),
+                [],
+            )
             for i in range(self.num_envs)
         )
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Free the simulations."""
+        self.simulation.close()
+        if self._viewer:
+            self._viewer.close()
 
     def _seed(self, chosen: Ids, seed: int | Sequence[int | None] | None) -> None:
         if seed is None:
@@ -177,9 +214,24 @@ def _mask(count: int, chosen: Ids) -> Bools:
     return mask
 
 
-def _masked(values: dict[str, npt.NDArray[Any]], mask: Bools) -> Infos:
-    return {**values, **{f"_{key}": mask for key in values}}
+def _masked(values: dict[str, npt.NDArray[Any]], mask: Bools, stepped: Bools) -> Infos:
+    masks = {f"_{key}": stepped if key in STEP_INFOS else mask for key in values}
+    return {**values, **masks}
 
 
 def _nested(name: str, values: dict[str, npt.NDArray[Any]], mask: Bools) -> Infos:
-    return {name: _masked(values, mask), f"_{name}": mask}
+    return {name: _masked(values, mask, mask), f"_{name}": mask}
+
+
+def _copied(observed: Observed) -> Observed:
+    return {key: values.copy() for key, values in observed.items()} if isinstance(observed, dict) else observed.copy()
+
+
+def _replace(observed: Observed, ids: Ids, fresh: Observed) -> None:
+    """Put fresh observations of some simulations among those of all."""
+    if isinstance(observed, dict):
+        assert isinstance(fresh, dict)
+        for key, values in observed.items():
+            values[ids] = fresh[key]
+    else:
+        observed[ids] = fresh

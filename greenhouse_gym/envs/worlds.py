@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import weakref
+from collections import OrderedDict
 from dataclasses import dataclass
 from functools import cache
 
@@ -16,8 +18,11 @@ from greenhouse_gym.scene.field import FieldStore, distance_field
 from greenhouse_gym.scene.mjcf import DEFAULT_CAPACITY, base_position
 
 PHYSICS = ("reconstruction", "truth")
-TRUTH_CAPACITY = 2 * DEFAULT_CAPACITY
-"""Obstacles a model of a true row has room for: truth is finer than what was reconstructed of it."""
+CAPACITY = {"reconstruction": DEFAULT_CAPACITY, "truth": 2 * DEFAULT_CAPACITY}
+"""Obstacles a model has room for: truth is finer than what was reconstructed of it."""
+
+KEPT = 500
+"""Worlds that are kept ready; each takes about 1 MB."""
 
 _SCENE_FIELDS = (
     # The bounding-volume tree goes with the geoms: with a stale tree MuJoCo misses contacts.
@@ -37,6 +42,7 @@ class World:
         frame: (5,) position of the arm's base in the scene, metres, and cosine and sine of its heading.
         tomatoes: (t, 4) center in the base frame and radius of the scene's tomatoes, metres, float32.
         field: Slot of the scene's distance field in the store.
+        goals: (t, 4) center in the base frame and radius of what stands for each of them in the physics.
         bodies: (t,) index, for every tomato of the scene, of the tomato that stands for it in the physics.
     """
 
@@ -45,34 +51,52 @@ class World:
     frame: Array
     tomatoes: np.ndarray[tuple[int, int], np.dtype[np.float32]]
     field: int
+    goals: Array
     bodies: np.ndarray[tuple[int], np.dtype[np.int64]]
 
-    def load(self, model: mujoco.MjModel, target: int) -> None:
-        """Make ``model``, compiled with the same robot and capacity, this world with the cup allowed on the target."""
+    def check_fits(self, model: mujoco.MjModel) -> None:
+        """Raise an error unless ``model`` has room for this world's geoms.
+
+        Raises:
+            InvalidValueError: It was compiled with another kind of stand.
+        """
         source = self.compiled.model
         if (source.ngeom, source.nbvh) != (model.ngeom, model.nbvh):
             raise InvalidValueError(
                 f"scene {self.scene.name!r} compiles to {source.ngeom} geoms, others to {model.ngeom}: "
                 "all scenes need the same kind of stand"
             )
+
+    def load(self, model: mujoco.MjModel, target: int) -> None:
+        """Make ``model``, compiled with the same robot and capacity, this world with the cup allowed on the target."""
+        source = self.compiled.model
         for name in _SCENE_FIELDS:
             getattr(model, name)[:] = getattr(source, name)
         self.compiled.allow_cup_on(model, int(self.bodies[target]))
 
     def goal(self, target: int) -> tuple[Array, float]:
-        """Center (3,) in the scene and radius of what has to be reached, metres."""
-        tomato = self.compiled.scene.tomatoes[int(self.bodies[target])]
-        return tomato.center, tomato.radius
+        """Center (3,) in the base frame and radius of what has to be reached, metres."""
+        return self.goals[target, :3], float(self.goals[target, 3])
+
+    def goal_in_scene(self, target: int) -> Array:
+        """Center (3,) in the scene of what has to be reached, metres."""
+        return self.compiled.scene.tomatoes[int(self.bodies[target])].center
 
 
 class Worlds:
-    """All worlds of one robot and kind of physics in this process: each scene is compiled at most once."""
+    """The worlds of one robot and kind of physics in this process, each scene compiled once while it is in use.
 
-    def __init__(self, robot: Robot, physics: str):
+    The last `KEPT` worlds are kept; older ones live on only as long as a simulation runs in them.
+    """
+
+    def __init__(self, robot: Robot, physics: str, capacity: int | None):
         self.robot = robot
+        self.capacity = capacity or CAPACITY[require_choice("physics", physics, PHYSICS)]
         self.physics = require_choice("physics", physics, PHYSICS)
         self.fields = FieldStore()
-        self._worlds: dict[int, World] = {}  # by the scene's identity; a world keeps its scene alive
+        # By the scene's identity: a world keeps its scene alive, so an identity is not used again before it is gone.
+        self._alive: weakref.WeakValueDictionary[int, World] = weakref.WeakValueDictionary()
+        self._kept: OrderedDict[int, World] = OrderedDict()
 
     def world(self, scene: Scene) -> World:
         """The world of a scene.
@@ -80,34 +104,47 @@ class Worlds:
         Raises:
             InvalidValueError: The scene has more obstacles than fit, or no truth where the physics are to run on it.
         """
-        if id(scene) not in self._worlds:
-            self._worlds[id(scene)] = self._make(scene)
-        return self._worlds[id(scene)]
+        key = id(scene)
+        world = self._kept.get(key) or self._alive.get(key)
+        if world is None:
+            world = self._alive[key] = self._make(scene)
+            weakref.finalize(world, self.fields.remove, world.field)
+        self._kept[key] = world
+        self._kept.move_to_end(key)
+        if len(self._kept) > KEPT:
+            self._kept.popitem(last=False)
+        return world
 
     def _make(self, scene: Scene) -> World:
-        physical, capacity = scene, DEFAULT_CAPACITY
-        bodies = np.arange(len(scene.tomatoes))
-        centers = np.array([tomato.center for tomato in scene.tomatoes]).reshape(-1, 3)
-        if self.physics == "truth":
-            physical, capacity = _true_scene(scene), TRUTH_CAPACITY
-            true = np.array([tomato.center for tomato in physical.tomatoes]).reshape(-1, 3)
-            bodies = np.linalg.norm(centers[:, None] - true[None], axis=-1).argmin(axis=1)
+        physical = _true_scene(scene) if self.physics == "truth" else scene
         scene_from_base = pose(rotation_about([0, 0, 1], scene.stand.yaw), base_position(scene, self.robot))
-        radii = np.array([[tomato.radius] for tomato in scene.tomatoes]).reshape(-1, 1)
+        tomatoes, bodies_there = (_spheres(s, scene_from_base) for s in (scene, physical))
+        gaps = np.linalg.norm(tomatoes[:, None, :3] - bodies_there[None, :, :3], axis=-1)
+        bodies = np.arange(len(tomatoes)) if physical is scene else gaps.argmin(axis=1)
+        told: np.ndarray[tuple[int, int], np.dtype[np.float32]] = tomatoes.astype(np.float32)
         return World(
             scene=scene,
-            compiled=compile_scene(physical, self.robot, capacity),
+            compiled=compile_scene(physical, self.robot, self.capacity),
             frame=np.array([*scene_from_base[:3, 3], *scene_from_base[:2, 0]]),
-            tomatoes=np.hstack([transform(invert(scene_from_base), centers), radii]).astype(np.float32),
+            tomatoes=told,
             field=self.fields.add(distance_field([*scene.stems, *scene.clutter], scene_from_base)),
+            # what is told and what counts are one and the same number where the physics are those of the scene
+            goals=told.astype(np.float64) if physical is scene else bodies_there[bodies],
             bodies=bodies,
         )
 
 
+def _spheres(scene: Scene, scene_from_base: Array) -> Array:
+    """(t, 4) centers in the base frame and radii of the tomatoes, metres."""
+    centers = np.array([tomato.center for tomato in scene.tomatoes]).reshape(-1, 3)
+    radii = np.array([[tomato.radius] for tomato in scene.tomatoes]).reshape(-1, 1)
+    return np.hstack([transform(invert(scene_from_base), centers), radii])
+
+
 @cache
-def worlds_of(robot: Robot, physics: str) -> Worlds:
+def worlds_of(robot: Robot, physics: str, capacity: int | None) -> Worlds:
     """The process-wide worlds of a robot (robots are read once, so identity is enough) and kind of physics."""
-    return Worlds(robot, physics)
+    return Worlds(robot, physics, capacity)
 
 
 def _true_scene(scene: Scene) -> Scene:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.envs import TomatoReachVectorEnv
+from greenhouse_gym.envs import DepthObservation, PointsObservation, Randomization, TomatoReachVectorEnv
+from greenhouse_gym.envs.episodes import Difficulty
+from greenhouse_gym.envs.observations import Observed
+from greenhouse_gym.envs.randomization import NO_RANDOMIZATION
 from greenhouse_gym.errors import MissingDependencyError
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import SceneBank
@@ -24,7 +27,8 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
     """A `TomatoReachVectorEnv` with autoreset in the same step, as Stable-Baselines3 wants it.
 
     Infos are empty except at an episode's end, where they hold ``terminal_observation``, ``TimeLimit.truncated``,
-    ``is_success`` and the environment's other keys.
+    ``is_success`` and the environment's other keys. Goal environments give whole infos at every step, which
+    ``HerReplayBuffer(copy_info_dict=True)`` needs.
     """
 
     def __init__(self, env: TomatoReachVectorEnv):
@@ -32,7 +36,7 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
         self._actions: npt.NDArray[np.float32] | None = None
 
-    def reset(self) -> npt.NDArray[np.float32]:
+    def reset(self) -> Observed:
         """Begin new episodes everywhere and return the observations (n, size)."""
         # Only the first reset, or one after `seed`, has seeds.
         seeds = None if all(seed is None for seed in self._seeds) else self._seeds
@@ -48,11 +52,12 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
 
     def step_wait(
         self,
-    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.bool_], list[dict[str, Any]]]:
+    ) -> tuple[Observed, npt.NDArray[np.float32], npt.NDArray[np.bool_], list[dict[str, Any]]]:
         """Act once everywhere; episodes that end begin anew."""
         observations, rewards, terminated, truncated, infos = self.env.step(self._actions)
         dones = terminated | truncated
-        single: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        telling = self.env.simulation.observe.has_goals
+        single = [_info(infos, i) if telling else {} for i in range(self.num_envs)]
         for i in np.flatnonzero(dones).tolist():
             single[i] = _info(infos["final_info"], i)
             single[i]["terminal_observation"] = infos["final_obs"][i]
@@ -90,12 +95,14 @@ def make_sb3_vec_env(
     bank: str | Path | SceneBank = "default",
     split: str = "train",
     robot: str | Path | Robot = "ur5e",
-    observation: str = "state",
+    observation: str | DepthObservation | PointsObservation = "state",
     action: str = "joint",
     reward: str = "dense",
-    difficulty: str | Iterable[str] = ("easy", "medium", "hard"),
+    difficulty: Difficulty = ("easy", "medium", "hard"),
     physics: str = "reconstruction",
     render_mode: str | None = None,
+    randomization: Randomization = NO_RANDOMIZATION,
+    capacity: int | None = None,
     threads: int = 0,
     seed: int | None = None,
 ) -> VecMonitor:
@@ -112,12 +119,15 @@ def make_sb3_vec_env(
         difficulty: Difficulties to draw targets from.
         physics: What is simulated.
         render_mode: How `render` shows it.
+        randomization: What to get wrong on purpose.
+        capacity: Obstacles a scene may have.
         threads: Threads that simulate.
         seed: Seeds the simulations' generators with seed + i at the first reset.
     """
     env = TomatoReachVectorEnv(
         num_envs, bank=bank, split=split, robot=robot, observation=observation, action=action, reward=reward,
-        difficulty=difficulty, physics=physics, render_mode=render_mode, autoreset_mode="SameStep", threads=threads,
+        difficulty=difficulty, physics=physics, render_mode=render_mode, randomization=randomization, capacity=capacity,
+        autoreset_mode="SameStep", threads=threads,
     )  # fmt: skip
     wrapped = Sb3VecEnv(env)
     if seed is not None:
@@ -129,10 +139,10 @@ def _info(infos: dict[str, Any], i: int) -> dict[str, Any]:
     """One simulation's info out of the vector environment's."""
     result: dict[str, Any] = {}
     for key, values in infos.items():
-        if key.startswith("_"):
+        if key.startswith(("_", "final_")) or not infos[f"_{key}"][i]:
             continue
         if isinstance(values, dict):
             result[key] = _info(values, i)
         else:
-            result[key] = values[i] if values.dtype == object else values[i].item()
+            result[key] = values[i] if values.dtype == object or values.ndim > 1 else values[i].item()
     return result

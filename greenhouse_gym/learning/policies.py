@@ -66,7 +66,7 @@ def save_policy(model: Any, path: str | Path, training: Mapping[str, Any] | None
 
 
 def score(
-    act: Callable[[npt.NDArray[np.float32]], npt.NDArray[np.floating[Any]]],
+    act: Callable[[Any], npt.NDArray[np.floating[Any]]],
     episodes: int = 256,
     seed: int = 0,
     **env_options: Any,

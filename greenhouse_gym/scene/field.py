@@ -130,20 +130,26 @@ class FieldStore:
 
     def __init__(self) -> None:
         self._values = np.empty((16, *SHAPE), dtype=np.float16)
-        self._count = 0
+        self._free = list(range(15, -1, -1))
 
     def __len__(self) -> int:
-        return self._count
+        return len(self._values) - len(self._free)
 
     def add(self, field: npt.NDArray[np.float16]) -> int:
         """Keep a field and return its slot."""
-        if self._count == len(self._values):
-            grown = np.empty((2 * self._count, *SHAPE), dtype=np.float16)
-            grown[: self._count] = self._values
+        if not self._free:
+            count = len(self._values)
+            grown = np.empty((2 * count, *SHAPE), dtype=np.float16)
+            grown[:count] = self._values
             self._values = grown
-        self._values[self._count] = field
-        self._count += 1
-        return self._count - 1
+            self._free = list(range(2 * count - 1, count - 1, -1))
+        slot = self._free.pop()
+        self._values[slot] = field
+        return slot
+
+    def remove(self, slot: int) -> None:
+        """Give a slot free for another field."""
+        self._free.append(slot)
 
     def lookup(self, slots: npt.NDArray[np.int64], points: npt.NDArray[np.float64]) -> tuple[Float32, Float32]:
         """Distances to the nearest obstacle, and which way it lies, by trilinear interpolation.
@@ -160,8 +166,8 @@ class FieldStore:
             where the distance is capped.
         """
         # One contiguous plane per axis from here on.
-        position = np.ascontiguousarray(np.moveaxis((points - ORIGIN) / CELL, -1, 0), dtype=np.float32)
-        inside = np.clip(position, np.float32(0.0), _LAST)
+        position = np.ascontiguousarray(((points - _ORIGIN) / CELL).transpose(2, 0, 1), dtype=np.float32)
+        inside = np.minimum(np.maximum(position, np.float32(0.0)), _LAST)
         node = np.minimum(inside.astype(np.int64), _LAST_CELL)
         x, y, z = inside - node
         flat = ((slots[:, None] * SHAPE[0] + node[0]) * SHAPE[1] + node[1]) * SHAPE[2] + node[2]
@@ -179,9 +185,13 @@ class FieldStore:
         length = _norm(step_x, dy, dz)
         known = (distance < np.float32(MAX_DISTANCE - 1e-3)) & (length > np.float32(1e-6))
         shrink = np.where(known, np.float32(-1.0), np.float32(0.0)) / np.maximum(length, np.float32(1e-6))
-        return distance, np.stack([step_x * shrink, dy * shrink, dz * shrink], axis=-1)
+        direction = np.empty((*distance.shape, 3), dtype=np.float32)
+        for axis, step in enumerate((step_x, dy, dz)):
+            np.multiply(step, shrink, out=direction[..., axis])
+        return distance, direction
 
 
+_ORIGIN = np.array(ORIGIN)
 _LAST = np.array(SHAPE, dtype=np.float32)[:, None, None] - 1
 _LAST_CELL = np.array(SHAPE, dtype=np.int64)[:, None, None] - 2
 _CORNERS = (_OCTANTS @ [SHAPE[1] * SHAPE[2], SHAPE[2], 1])[:, None, None]

@@ -84,7 +84,6 @@ def scene_spec(scene: Scene, robot: str | Robot | None = None, capacity: int | N
     arm = None if robot is None else get_robot(robot)
     spec = mujoco.MjSpec() if arm is None else arm.spec()
     spec.modelname = scene.name
-    spec.compiler.degree = False
     spec.option.timestep = TIMESTEP
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 960

@@ -102,12 +102,8 @@ def render_scene(
         raise InvalidValueError(f"width, height and samples must be at least 1, got {width}, {height}, {samples}")
     camera = camera or default_camera()
     w, h = width * samples, height * samples
-    focal = h / (2 * np.tan(np.radians(camera.field_of_view) / 2))
     axes, eye = camera.axes(), np.array(camera.position, dtype=np.float64)
-    u, v = np.meshgrid((np.arange(w) + 0.5 - w / 2) / focal, (np.arange(h) + 0.5 - h / 2) / focal)
-    directions = np.stack([u, v, np.ones_like(u)], -1) @ axes.T
-    stretch = np.linalg.norm(directions, axis=-1, keepdims=True)
-    directions /= stretch
+    directions, stretch, focal = _rays(camera, w, h)
 
     def shade(rows: slice) -> tuple[Array, Array]:
         # Rays use the data's scratch memory, so each task has its own.
@@ -117,13 +113,30 @@ def render_scene(
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         parts = list(pool.map(shade, tasks))
     colors = np.concatenate([color for color, _ in parts]).reshape(h, w, 3)
-    depth = np.concatenate([distance for _, distance in parts]).reshape(h, w) / stretch[..., 0]
+    depth = np.concatenate([distance for _, distance in parts]).reshape(h, w) / stretch
     for line in lines:
         points = (np.asarray(line.points, dtype=np.float64).reshape(-1, 3) - eye) @ axes
         for start, end in pairwise(points):
             _draw_segment(colors, depth, start, end, focal, line)
     image = colors.reshape(height, samples, width, samples, 3).mean(axis=(1, 3))
     return np.asarray(np.clip(image * 255.0 + 0.5, 0, 255), dtype=np.uint8)
+
+
+def render_depth(
+    model: mujoco.MjModel, data: mujoco.MjData, camera: Camera | None = None, width: int = 640, height: int = 480
+) -> npt.NDArray[np.float32]:
+    """Depth along the view, (height, width) metres, 0 where nothing is seen; the arguments are those of `render_scene`.
+
+    Raises:
+        InvalidValueError: A size is not positive.
+    """
+    if min(width, height) < 1:
+        raise InvalidValueError(f"width and height must be at least 1, got {width}, {height}")
+    camera = camera or default_camera()
+    directions, stretch, _ = _rays(camera, width, height)
+    eye = np.array(camera.position, dtype=np.float64)
+    distance = _cast(model, copy.copy(data), eye, directions.reshape(-1, 3))[0].reshape(height, width)
+    return np.where(distance >= 0, distance / stretch, 0.0).astype(np.float32)
 
 
 def picture(
@@ -150,11 +163,16 @@ def picture(
         height: Pixels.
         samples: Rays per pixel along each side.
     """
+    return render_scene(model, data, camera, width, height, task_lines(tip, target, trace), samples)
+
+
+def task_lines(tip: npt.ArrayLike, target: npt.ArrayLike, trace: npt.ArrayLike = ()) -> list[Line]:
+    """The straight line from ``tip`` to ``target`` (3,) in red, and the ``trace`` (m, 3) in pink, metres."""
     lines = [Line(np.array([tip, target], dtype=np.float64), RED, 0.003)]
     path = np.asarray(trace, dtype=np.float64).reshape(-1, 3)
     if len(path) > 1:
         lines.append(Line(path, PINK, 0.006))
-    return render_scene(model, data, camera, width, height, lines, samples)
+    return lines
 
 
 def picture_of_path(
@@ -198,6 +216,15 @@ def picture_of_path(
     center = scene.tomatoes[target].center
     camera = camera or default_camera(scene.stand)
     return picture(compiled.model, data, trace[0], center, trace, camera, width, height, samples)
+
+
+def _rays(camera: Camera, width: int, height: int) -> tuple[Array, Array, float]:
+    """Unit rays (h, w, 3) in the scene, their lengths per unit of depth (h, w), and the focal length in pixels."""
+    focal = float(height / (2 * np.tan(np.radians(camera.field_of_view) / 2)))
+    u, v = np.meshgrid((np.arange(width) + 0.5 - width / 2) / focal, (np.arange(height) + 0.5 - height / 2) / focal)
+    directions = np.stack([u, v, np.ones_like(u)], -1) @ camera.axes().T
+    stretch = np.linalg.norm(directions, axis=-1)
+    return directions / stretch[..., None], stretch, focal
 
 
 def _cast(

@@ -5,34 +5,22 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from greenhouse_gym.envs.reach_task import (
-    ACTION_STEP,
-    MAX_LEAD,
-    REWARDS,
-    STEP_LIMIT,
-    Situation,
-    check_actions,
-    joint_command,
-    total_reward,
-)
+from greenhouse_gym.envs.actions import ACTIONS, INTERVAL, CommandLimits, check_actions
+from greenhouse_gym.envs.reach_task import ACTION_STEP, MAX_LEAD, REWARDS, STEP_LIMIT, Transition, total_reward
 from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.robots import get_robot
 
 
-def situation(distance: float, touched: bool = False) -> Situation:
-    z = np.zeros((1, 6))
-    return Situation(
-        joints=z, velocities=z, command=z, grasp=np.zeros((1, 3)), target=np.zeros((1, 3)),
-        distance=np.array([distance]), clearance=np.ones((1, 9), dtype=np.float32),
-        obstacle=np.zeros((1, 9, 3), dtype=np.float32), touched=np.array([touched]),
-    )  # fmt: skip
+def transition(before: float, after: float, touched: bool = False, effort: float = 0.0) -> Transition:
+    return Transition(np.array([before]), np.array([after]), np.array([touched]), np.array([effort]))
 
 
 def episode_return(reward: str, distances: np.ndarray, actions: np.ndarray, crash: bool) -> float:
     total = 0.0
     for i, action in enumerate(actions):
         last = i == len(actions) - 1
-        before, after = situation(distances[i]), situation(distances[i + 1], touched=crash and last)
-        total += float(total_reward(REWARDS[reward](before, after, action[None]))[0])
+        step = transition(distances[i], distances[i + 1], crash and last, float(action @ action))
+        total += float(total_reward(REWARDS[reward](step))[0])
     return total
 
 
@@ -42,36 +30,59 @@ def test_the_worst_success_beats_the_best_crash(reward: str) -> None:
     for start in (0.05, 0.6, 1.5):
         slow = np.append(random.uniform(0.1, 2.0, STEP_LIMIT), 0.0199)
         slow[0] = start
-        worst = episode_return(reward, slow, np.ones((STEP_LIMIT, 6)), crash=False)
-        best = episode_return(reward, np.array([start, 0.0]), np.zeros((1, 6)), crash=True)
+        worst = episode_return(reward, slow, np.ones((STEP_LIMIT, 7)), crash=False)
+        best = episode_return(reward, np.array([start, 0.0]), np.zeros((1, 7)), crash=True)
         assert worst > best + 1
 
 
 def test_progress_telescopes() -> None:
     distances = np.random.default_rng(1).uniform(0.1, 1.0, 31)
-    terms = [
-        REWARDS["dense"](situation(a), situation(b), np.zeros((1, 6)))["progress"][0] for a, b in pairwise(distances)
-    ]
+    terms = [REWARDS["dense"](transition(a, b))["progress"][0] for a, b in pairwise(distances)]
     assert sum(terms) == pytest.approx(4.0 * (distances[0] - distances[-1]))
 
 
 def test_success_needs_nearness_and_no_touch() -> None:
-    assert situation(0.0199).success.tolist() == [True]
-    assert situation(0.0201).success.tolist() == [False]
-    assert situation(0.0, touched=True).success.tolist() == [False]
+    assert transition(1, 0.0199).success.tolist() == [True]
+    assert transition(1, 0.0201).success.tolist() == [False]
+    assert transition(1, 0.0, touched=True).success.tolist() == [False]
 
 
-def test_commands_stay_near_the_joints_and_within_limits() -> None:
-    random = np.random.default_rng(2)
-    lower, upper = -np.ones(6), np.ones(6)
+@pytest.mark.parametrize("name", ["ur5e", "iiwa14"])
+@pytest.mark.parametrize("kind", ["joint", "joint_velocity"])
+def test_commands_stay_near_the_joints_and_within_limits(name: str, kind: str) -> None:
+    random, robot = np.random.default_rng(2), get_robot(name)
+    rule = ACTIONS[kind](robot)
+    limit = CommandLimits(robot, rule)
+    stopped = 0
     for _ in range(100):
-        joints = random.uniform(-1, 1, (7, 6))
-        command = np.clip(joints + random.uniform(-0.5, 0.5, (7, 6)), lower, upper)
-        moved = joint_command(command, random.uniform(-1, 1, (7, 6)), joints, lower, upper)
-        assert (np.abs(moved - joints) <= MAX_LEAD + 1e-12).all()
-        assert (np.abs(moved) <= 1).all()
-    still = np.zeros((1, 6))
-    np.testing.assert_allclose(joint_command(still, np.full((1, 6), 0.5), still, lower, upper), 0.5 * ACTION_STEP)
+        joints = random.uniform(robot.lower, robot.upper, (7, rule.size))
+        last = np.clip(joints + random.uniform(-0.15, 0.15, joints.shape), robot.lower, robot.upper)
+        command = limit(last, rule(random.uniform(-1, 1, joints.shape), None), joints)
+        moved = command.position - last
+        assert (np.abs(command.position - joints) <= MAX_LEAD + 1e-12).all()
+        assert ((robot.lower <= command.position) & (command.position <= robot.upper)).all()
+        assert (np.abs(moved) <= robot.velocity_limits * INTERVAL + 1e-9).all()
+        at_limit = (command.position == robot.lower) | (command.position == robot.upper)
+        assert (command.limited <= at_limit.sum(axis=1)).all()
+        stopped += int(command.limited.sum())
+    assert stopped > 0
+    still = np.zeros((1, rule.size))
+    half = limit(still, rule(np.full((1, rule.size), 0.5), None), still).position
+    full = np.minimum(ACTION_STEP, robot.velocity_limits * INTERVAL) if kind == "joint" else rule.peak
+    if name == "ur5e" or kind == "joint_velocity":
+        np.testing.assert_allclose(half[0], 0.5 * full)
+
+
+def test_a_wish_that_is_too_fast_is_slowed_as_a_whole() -> None:
+    robot = get_robot("iiwa14")  # slower than a joint action may ask for
+    rule = ACTIONS["joint"](robot)
+    action = np.array([[1.0, 0.5, 0.0, -1.0, 0.2, 0.1, -0.3], [0.1] * 7])
+    still = np.zeros((2, 7))
+    command = CommandLimits(robot, rule)(still, rule(action, None), still)
+    assert command.slowed.tolist() == [True, False]
+    np.testing.assert_allclose(command.position[1], 0.1 * ACTION_STEP)
+    np.testing.assert_allclose(np.abs(command.position[0]).max(), robot.velocity_limits[3] * INTERVAL)
+    np.testing.assert_allclose(np.cross(command.position[0, :3], action[0, :3]), 0, atol=1e-12)
 
 
 @pytest.mark.parametrize(

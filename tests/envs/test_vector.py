@@ -1,18 +1,19 @@
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.vector import AutoresetMode
+from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 
-from greenhouse_gym.envs import TomatoReachEnv, TomatoReachVectorEnv
-from greenhouse_gym.errors import InvalidValueError, UnknownNameError
+from greenhouse_gym.envs import Randomization, TomatoReachEnv, TomatoReachVectorEnv
+from greenhouse_gym.envs.observations import select
+from greenhouse_gym.errors import EpisodeOverError, InvalidValueError, UnknownNameError
 from greenhouse_gym.scene import SceneBank
 
 COUNT, STEPS = 5, 230
-KEYS = ("is_success", "collision", "contact", "distance", "clearance", "scene", "target", "difficulty")
 
 
 def actions_towards_trouble(seed: int) -> np.ndarray:
@@ -25,53 +26,138 @@ def actions_towards_trouble(seed: int) -> np.ndarray:
     return actions.astype(np.float32)
 
 
-@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
-def test_vector_equals_single_environments_bit_for_bit(bank: SceneBank, mode: str) -> None:
-    venv = gymnasium.make_vec("TomatoReach-v0", num_envs=COUNT, bank=bank, autoreset_mode=mode)
-    singles = [TomatoReachEnv(bank=bank) for _ in range(COUNT)]
+def equal(a: Any, b: Any) -> bool:
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(equal(a[key], b[key]) for key in a)
+    return a.dtype == b.dtype and np.array_equal(a, b) if isinstance(a, np.ndarray) else bool(a == b)
+
+
+def info_of(infos: dict[str, Any], i: int) -> dict[str, Any]:
+    """One simulation's info, through the masks, as its single environment would give it."""
+    result = {}
+    for key, values in infos.items():
+        if not key.startswith(("_", "final")) and infos[f"_{key}"][i]:
+            if isinstance(values, dict):
+                result[key] = info_of(values, i)
+            else:
+                result[key] = values[i] if values.dtype == object or values.ndim > 1 else values[i].item()
+    return result
+
+
+def compare_with_singles(
+    count: int, steps: int, actions: Callable[[int], np.ndarray], mode: str, **keywords: Any
+) -> int:
+    """Step a vector environment beside single ones, compare everything, and return the number of episodes ended."""
+    venv = gymnasium.make_vec("TomatoReach-v0", num_envs=count, autoreset_mode=mode, **keywords)
+    singles = [TomatoReachEnv(**{k: v for k, v in keywords.items() if k != "threads"}) for _ in range(count)]
     observations, infos = venv.reset(seed=7)
-    begun = [env.reset(seed=7 + i) for i, env in enumerate(singles)]
-    np.testing.assert_array_equal(observations, [observation for observation, _ in begun])
-    assert_infos(infos, [info for _, info in begun])
-    ended, ends = [False] * COUNT, 0
-    for actions in actions_towards_trouble(0):
-        observations, rewards, terminated, truncated, infos = venv.step(actions)
+    for i, env in enumerate(singles):
+        observation, info = env.reset(seed=7 + i)
+        assert equal(select(observations, i), observation)
+        assert equal(info_of(infos, i), info)
+    ended, ends = [False] * count, 0
+    for step in range(steps):
+        action = actions(step)
+        observations, rewards, terminated, truncated, infos = venv.step(action)
         for i, env in enumerate(singles):
             if mode == "NextStep" and ended[i]:
                 observation, info = env.reset()
                 expected: tuple[Any, ...] = (observation, 0.0, False, False, info)
             else:
-                expected = env.step(actions[i])
+                expected = env.step(action[i])
             ended[i] = expected[2] or expected[3]
             ends += ended[i]
             observation, info = expected[0], expected[4]
             if mode == "SameStep" and ended[i]:
-                np.testing.assert_array_equal(infos["final_obs"][i], observation)
-                assert_info(infos["final_info"], i, info)
+                assert equal(infos["final_obs"][i], observation)
+                assert equal(info_of(infos["final_info"], i), info)
                 observation, info = env.reset()
-            np.testing.assert_array_equal(observations[i], observation)
+            assert equal(select(observations, i), observation)
             assert (rewards[i], terminated[i], truncated[i]) == expected[1:4]
-            assert_info(infos, i, info)
+            assert equal(info_of(infos, i), info)
         if mode == "SameStep":
             assert ("final_obs" in infos) == any(ended)
             if any(ended):
                 assert infos["_final_obs"].tolist() == infos["_final_info"].tolist() == ended
-    assert ends > 10
+    venv.close()
+    return ends
 
 
-def assert_infos(infos: dict[str, Any], expected: list[dict[str, Any]]) -> None:
-    for i, info in enumerate(expected):
-        assert_info(infos, i, info)
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+def test_vector_equals_single_environments_bit_for_bit(bank: SceneBank, mode: str) -> None:
+    actions = actions_towards_trouble(0)
+    assert compare_with_singles(COUNT, STEPS, lambda step: actions[step], mode, bank=bank) > 10
 
 
-def assert_info(infos: dict[str, Any], i: int, expected: dict[str, Any]) -> None:
-    assert set(expected) - {"reward_terms"} == set(KEYS)
-    for key in KEYS:
-        assert infos[f"_{key}"][i]
-        assert infos[key][i] == expected[key], key
-    if "reward_terms" in expected and "reward_terms" in infos:
-        for name, value in expected["reward_terms"].items():
-            assert infos["reward_terms"][name][i] == value
+ALL_OFF = Randomization(0.03, 0.05, 0.02, 0.01, depth_noise=True)
+
+
+@pytest.mark.parametrize(
+    "keywords",
+    [
+        {"robot": "iiwa14", "observation": "goal", "action": "tip_velocity", "reward": "sparse"},
+        {"observation": "depth", "action": "joint_velocity", "randomization": ALL_OFF},
+        {"robot": "iiwa14", "observation": "points", "difficulty": {"easy": 1, "hard": 0}},
+    ],
+)
+def test_vector_equals_single_environments_whatever_the_kind(bank: SceneBank, keywords: dict[str, Any]) -> None:
+    size = 6 if keywords.get("robot") != "iiwa14" or keywords.get("action") == "tip_velocity" else 7
+    random = np.random.default_rng(1)
+    drift = random.uniform(-1, 1, (3, size))
+
+    def actions(step: int) -> np.ndarray:
+        return drift + random.uniform(-0.3, 0.3, (3, size))
+
+    assert compare_with_singles(3, 70, actions, "NextStep", bank=bank, **keywords) > 0
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("threads", [1, 2])
+def test_64_simulations_equal_single_ones_over_2000_steps(threads: int) -> None:
+    random = np.random.default_rng(threads)
+    ends = compare_with_singles(
+        64, 2000, lambda step: random.uniform(-1, 1, (64, 6)), "NextStep", bank="default", threads=threads
+    )
+    assert ends > 640
+
+
+def test_asynchronous_workers_and_pickled_constructors(bank: SceneBank) -> None:
+    import pickle
+    from functools import partial
+
+    constructor = partial(gymnasium.make, "greenhouse_gym:TomatoReach-v0", bank=str(bank.path), robot="iiwa14")
+    constructor = pickle.loads(pickle.dumps(constructor))
+    actions = np.random.default_rng(3).uniform(-1, 1, (5, 2, 7)).astype(np.float32)
+    seen = []
+    for make in (AsyncVectorEnv, SyncVectorEnv):
+        venv = make([constructor] * 2, **({"context": "spawn"} if make is AsyncVectorEnv else {}))
+        seen.append([venv.reset(seed=4)[0], *(venv.step(action)[0].copy() for action in actions)])
+        venv.call("set_difficulty", "easy") if hasattr(venv, "call") else None
+        venv.close()
+    assert equal(np.array(seen[0]), np.array(seen[1]))
+
+
+def test_difficulty_is_set_for_all_simulations_from_their_next_episode(bank: SceneBank) -> None:
+    venv = TomatoReachVectorEnv(2, bank="default")
+    venv.set_difficulty({"hard": 1.0})
+    for _ in range(5):
+        assert set(venv.reset()[1]["difficulty"]) == {"hard"}
+    assert set(venv.reset(options={"difficulty": "easy"})[1]["difficulty"]) == {"easy"}
+    with pytest.raises(UnknownNameError, match="unreachable"):
+        venv.set_difficulty("impossible")
+    assert set(venv.reset()[1]["difficulty"]) == {"hard"}  # as before the error
+
+
+def test_closing_twice_is_fine_and_a_reset_opens_again(bank: SceneBank) -> None:
+    venv = TomatoReachVectorEnv(2, bank=bank)
+    first, _ = venv.reset(seed=1)
+    venv.close()
+    venv.close()
+    with pytest.raises(RuntimeError, match="reset"):
+        venv.step(np.zeros((2, 6)))
+    np.testing.assert_array_equal(venv.reset(seed=1)[0], first)
+    venv.step(np.zeros((2, 6)))
 
 
 def test_threads_do_not_change_the_numbers(bank: SceneBank) -> None:
@@ -115,10 +201,10 @@ def test_without_autoreset_the_caller_resets_by_mask(bank: SceneBank) -> None:
         *_, terminated, truncated, _ = venv.step(np.zeros((2, 6)))
     assert truncated.all()
     assert not terminated.any()
-    with pytest.raises(InvalidValueError, match=r"\[0, 1\]"):
+    with pytest.raises(EpisodeOverError, match=r"\[0, 1\]"):
         venv.step(np.zeros((2, 6)))
     venv.reset(options={"reset_mask": np.array([True, False])})
-    with pytest.raises(InvalidValueError, match=r"\[1\]"):
+    with pytest.raises(EpisodeOverError, match=r"\[1\]"):
         venv.step(np.zeros((2, 6)))
     _, infos = venv.reset(options={"reset_mask": np.array([False, True])})
     assert infos["_scene"].tolist() == [False, True]

@@ -1,13 +1,17 @@
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
+from conftest import make_scene
 
-from greenhouse_gym.errors import FileFormatError, UnknownNameError
-from greenhouse_gym.robots import ROBOTS, Robot, get_robot
+from greenhouse_gym.envs import TomatoReachEnv
+from greenhouse_gym.errors import FileFormatError, GreenhouseError, UnknownNameError
+from greenhouse_gym.robots import ROBOTS, Robot, get_robot, load_robot
+from greenhouse_gym.scene import compile_scene
 
 # the manufacturer's Denavit-Hartenberg parameters of the UR5e: d, a in metres, alpha in radians
 DH = [
@@ -20,12 +24,24 @@ DH = [
 ]
 
 
-def flange_by_dh(q: np.ndarray) -> np.ndarray:
+# the same of the LBR iiwa 14 R820, from the distances of its data sheet: 360, 420, 400 and 126 mm
+DH_IIWA = [
+    (0.360, 0.0, -np.pi / 2),
+    (0.0, 0.0, np.pi / 2),
+    (0.420, 0.0, np.pi / 2),
+    (0.0, 0.0, -np.pi / 2),
+    (0.400, 0.0, -np.pi / 2),
+    (0.0, 0.0, np.pi / 2),
+    (0.126, 0.0, 0.0),
+]
+
+
+def flange_by_dh(q: np.ndarray, parameters: list[tuple[float, float, float]]) -> np.ndarray:
     pose = np.eye(4)
-    for angle, (d, a, alpha) in zip(q, DH, strict=True):
+    for angle, (d, a, alpha) in zip(q, parameters, strict=True):
         c, s, ca, sa = np.cos(angle), np.sin(angle), np.cos(alpha), np.sin(alpha)
         pose = pose @ [[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [0, sa, ca, d], [0, 0, 0, 1]]
-    return np.diag([-1.0, -1.0, 1.0, 1.0]) @ pose  # our base is turned by half a turn
+    return pose
 
 
 @pytest.fixture(scope="module", params=sorted(ROBOTS))
@@ -33,21 +49,31 @@ def robot(request: pytest.FixtureRequest) -> Robot:
     return get_robot(request.param)
 
 
-def test_ur5e_follows_the_published_kinematics() -> None:
-    robot = get_robot("ur5e")
+@pytest.mark.parametrize(
+    ("name", "parameters", "turn"),
+    [("ur5e", DH, [-1, -1, 1, 1]), ("iiwa14", DH_IIWA, [1, 1, 1, 1])],  # the UR5e's base is turned by half a turn
+)
+def test_arms_follow_the_published_kinematics(
+    name: str, parameters: list[tuple[float, float, float]], turn: list[float]
+) -> None:
+    robot = get_robot(name)
     model = robot.spec().compile()
     data = mujoco.MjData(model)
     flange = model.site("flange").id
     random = np.random.default_rng(0)
     tool_turns = []
-    for q in [np.zeros(6), robot.start, *random.uniform(robot.lower, robot.upper, (300, 6))]:
+    for q in [
+        np.zeros(len(parameters)),
+        robot.start,
+        *random.uniform(robot.lower, robot.upper, (300, len(parameters))),
+    ]:
         data.qpos[:] = q
         mujoco.mj_kinematics(model, data)
-        expected = flange_by_dh(q)
+        expected = np.diag(turn) @ flange_by_dh(q, parameters)
         np.testing.assert_allclose(data.site_xpos[flange], expected[:3, 3], atol=1e-9)
-        turn = expected[:3, :3].T @ data.site_xmat[flange].reshape(3, 3)
-        np.testing.assert_allclose(turn[:, 2], [0, 0, 1], atol=1e-9)  # the tool points out of the flange
-        tool_turns.append(turn)
+        tool_turn = expected[:3, :3].T @ data.site_xmat[flange].reshape(3, 3)
+        np.testing.assert_allclose(tool_turn[:, 2], [0, 0, 1], atol=1e-9)  # the tool points out of the flange
+        tool_turns.append(tool_turn)
     np.testing.assert_allclose(tool_turns, np.broadcast_to(tool_turns[0], (len(tool_turns), 3, 3)), atol=1e-9)
 
 
@@ -109,6 +135,75 @@ def test_an_unknown_robot_lists_the_known_ones() -> None:
         get_robot("ur5")
 
 
+def test_iiwa14_has_the_published_limits() -> None:
+    robot = get_robot("iiwa14")
+    np.testing.assert_allclose(np.degrees(robot.upper), [170, 120, 170, 120, 170, 120, 175], atol=1e-3)
+    np.testing.assert_array_equal(robot.lower, -robot.upper)
+    np.testing.assert_allclose(np.degrees(robot.velocity_limits), [85, 85, 100, 75, 130, 135, 135], atol=0.01)
+    np.testing.assert_array_equal(robot.start, np.zeros(7))
+
+
+# -- arms that know nothing of this package ---------------------------------------------------------------------------
+
+MENAGERIE_STYLE = """<mujoco model="two links"><compiler angle="degree"/>
+<default><default class="arm"><joint axis="0 1 0" range="-100 100"/><geom mass="1"/>
+<general gaintype="fixed" biastype="affine" gainprm="2000" biasprm="0 -2000 -200"/></default></default>
+<worldbody><light pos="0 0 3"/><body name="link0" childclass="arm"><geom size="0.05" pos="0 0 0.05"/>
+<body name="link1" pos="0 0 0.3"><joint name="j1"/><geom type="capsule" size="0.04" fromto="0 0 0.05 0 0 0.35"/>
+<body name="link2" pos="0 0 0.4"><joint name="j2" axis="1 0 0"/>
+<geom type="capsule" size="0.03" fromto="0 0 0.05 0 0 0.25"/>
+<site name="attachment_site" pos="0 0 0.3"/></body></body></body></worldbody>
+<actuator><general class="arm" joint="j1"/>
+<general class="arm" joint="j2" ctrlrange="-0.5 9" ctrllimited="true"/></actuator>
+<keyframe><key name="home" qpos="0.2 0.1"/></keyframe></mujoco>"""
+
+
+def test_an_arm_as_in_mujoco_menagerie_is_understood(tmp_path: Path) -> None:
+    file = tmp_path / "two.xml"
+    file.write_text(MENAGERIE_STYLE)
+    robot = get_robot(file)
+    assert robot.tip == "attachment_site"
+    assert (robot.joints, robot.probes) == (("j1", "j2"), ("probe_0", "probe_1"))
+    assert robot.shoulder_height == pytest.approx(0.3)
+    np.testing.assert_allclose(np.degrees(robot.upper), [100, 100])
+    np.testing.assert_allclose(robot.lower, [np.radians(-100), -0.5])  # what its actuator may be told
+    np.testing.assert_array_equal(robot.start, [0.2, 0.1])
+    np.testing.assert_array_equal(load_robot(file, start=[0.5, 0.0]).start, [0.5, 0.0])
+    np.testing.assert_array_equal(load_robot(file, velocity_limits=[1, 2]).velocity_limits, [1, 2])
+    # its degrees stay degrees in a scene, and gravity does not pull it down
+    model = compile_scene(make_scene(0), robot).model
+    np.testing.assert_allclose(np.degrees(model.jnt_range), [[-100, 100]] * 2)
+    assert (model.body_gravcomp[1:] == 1).all()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    np.testing.assert_allclose(data.site_xpos[model.site("tip").id], [0, 0, 1.1 + 0.7], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("keywords", "problem"),
+    [({"tip": "nose"}, "attachment_site"), ({"start": "bed"}, "'bed'; it has home"), ({"start": [0.1]}, "2 finite")],
+)
+def test_wrong_names_for_an_arm_list_the_right_ones(tmp_path: Path, keywords: dict[str, object], problem: str) -> None:
+    file = tmp_path / "two.xml"
+    file.write_text(MENAGERIE_STYLE)
+    with pytest.raises(GreenhouseError, match=problem):
+        load_robot(file, **keywords)
+
+
+@pytest.mark.parametrize("name", ["universal_robots_ur10e/ur10e.xml", "kuka_iiwa_14/iiwa14.xml"])
+def test_an_arm_of_mujoco_menagerie(name: str) -> None:
+    folder = os.environ.get("MUJOCO_MENAGERIE")
+    if not folder or not (Path(folder) / name).is_file():
+        pytest.skip("needs a checkout of MuJoCo Menagerie in MUJOCO_MENAGERIE")
+    robot = get_robot(Path(folder) / name)
+    env = TomatoReachEnv(bank="mini", robot=robot)
+    env.reset(seed=0)
+    for _ in range(20):
+        *_, info = env.step(np.zeros(len(robot.joints)))
+        assert not info["collision"]
+    np.testing.assert_allclose(env.simulation.situation.joints[0], robot.start, atol=1e-3)
+
+
 # -- files that are no arms -------------------------------------------------------------------------------------------
 
 GOOD = """<mujoco><worldbody><body><joint name="one" axis="0 0 1" range="-90 90"/><geom size="0.05"/>
@@ -125,7 +220,7 @@ def test_an_arm_of_ones_own(tmp_path: Path) -> None:
     assert (robot.name, robot.joints, robot.shoulder_height) == ("mine", ("one",), 0.2)
     np.testing.assert_allclose([robot.lower[0], robot.upper[0]], [-np.pi / 2, np.pi / 2])
     np.testing.assert_array_equal(robot.start, [0.1])
-    assert get_robot(str(file)).probes == ()
+    assert get_robot(str(file)).probes == ("probe_0",)  # the tip itself
 
 
 @pytest.mark.parametrize(
@@ -134,7 +229,11 @@ def test_an_arm_of_ones_own(tmp_path: Path) -> None:
         ('<site name="tip"/>', "", "site named 'tip'"),
         ('<position joint="one" kp="10"/>', "", "1 joints, 0 actuators"),
         ('<key name="start" qpos="0.1"/>', "", "key frame named 'start'"),
-        ('<numeric name="velocity_limits" data="3"/>', "", "numeric named 'velocity_limits'"),
+        ('<joint name="one" axis="0 0 1" range="-90 90"/>', '<joint name="one" axis="0 0 1"/>', "'one' has no limits"),
+        ('<position joint="one" kp="10"/>', '<motor joint="one"/>', "position actuator of joint 'one'"),
+        ('kp="10"/>', 'kp="10"/><position joint="one" kp="10"/>', "1 joints, 2 actuators"),
+        ("<worldbody>", '<worldbody><geom size="1"/>', "the arm alone"),
+        ('qpos="0.1"', 'qpos="9"', "outside the joint limits"),
         (
             'name="acceleration_limits" data="10"',
             'name="acceleration_limits" data="10 10"',

@@ -1,0 +1,162 @@
+"""Depth cameras on the wrist and on a mast beside the arm, by ray casting: no OpenGL."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from greenhouse_gym.errors import InvalidValueError, require_choice
+from greenhouse_gym.geometry import Array, pose, rotation_about
+
+Float32 = npt.NDArray[np.float32]
+
+CAMERAS = ("wrist", "mast")
+"""The cameras: one rides behind the tool and looks along it, one stands beside the arm and looks at the plants."""
+
+MAX_RANGE = 2.0
+"""Surfaces beyond this depth give no reading, metres."""
+
+_TIP_FROM_WRIST = pose(translation=[0.07, 0.0, -0.13])
+"""Beside the flange, looking along the tool."""
+
+_BASE_FROM_MAST = pose(
+    rotation_about([0, 0, 1], -0.5) @ rotation_about([0, 1, 0], 0.2) @ [[0, 0, 1], [-1, 0, 0], [0, -1, 0]],
+    [-0.15, 0.5, 0.45],
+)
+"""Left of the arm and above its shoulder, looking to the middle of its workspace."""
+
+D435_FOCAL = 424.2  # px at 848 px width; noise figures are told for this width
+
+
+@dataclass(frozen=True)
+class DepthCamera:
+    """A pinhole depth camera.
+
+    Attributes:
+        mount: One of `CAMERAS`.
+        width: Pixels.
+        height: Pixels.
+        field_of_view: Horizontal opening, degrees.
+    """
+
+    mount: str = "wrist"
+    width: int = 64
+    height: int = 48
+    field_of_view: float = 87.0
+
+    def __post_init__(self) -> None:
+        require_choice("camera", self.mount, CAMERAS)
+        if min(self.width, self.height) < 1 or not 0 < self.field_of_view < 180:
+            raise InvalidValueError(
+                f"a camera needs a positive size and a field of view below 180 degrees, got {self.width} x "
+                f"{self.height} at {self.field_of_view}"
+            )
+
+    @property
+    def focal(self) -> float:
+        """Focal length, pixels."""
+        return float(self.width / (2 * np.tan(np.radians(self.field_of_view) / 2)))
+
+    @cached_property
+    def rays(self) -> Array:
+        """(height * width, 3) directions through the pixels in the camera's frame, with z = 1."""
+        u = (np.arange(self.width) + 0.5 - self.width / 2) / self.focal
+        v = (np.arange(self.height) + 0.5 - self.height / 2) / self.focal
+        x, y = np.meshgrid(u, v)
+        return np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
+
+
+class CameraRig:
+    """The cameras of n simulations whose models have one layout.
+
+    Args:
+        cameras: The cameras; all of one size.
+        model: Any of the models.
+        threads: Threads that cast rays.
+        sees_arm: Whether the arm is in the pictures; otherwise its pixels give no reading.
+    """
+
+    def __init__(self, cameras: Sequence[DepthCamera], model: mujoco.MjModel, threads: int, sees_arm: bool):
+        self.cameras = tuple(cameras)
+        self._sees_arm = sees_arm
+        self._rays = [camera.rays for camera in self.cameras]
+        self._lengths = [np.linalg.norm(rays, axis=1) for rays in self._rays]
+        self._scratch = [mujoco.MjData(model) for _ in range(max(1, threads))]
+        self._pool = ThreadPoolExecutor(len(self._scratch)) if len(self._scratch) > 1 else None
+
+    def look(self, models: Sequence[mujoco.MjModel], qpos: Array, views: Array) -> Float32:
+        """Depth images (n, c, h, w), metres, 0 without a reading.
+
+        Args:
+            models: Model of each of the n simulations.
+            qpos: (n, j) joint positions, radians.
+            views: (n, c, 4, 4) poses scene_from_camera.
+        """
+        first = self.cameras[0]
+        images = np.empty((len(models), len(self.cameras), first.height, first.width), dtype=np.float32)
+
+        def shoot(part: int) -> None:
+            data, step = self._scratch[part], len(self._scratch)
+            for i in range(part, len(models), step):
+                data.qpos[:] = qpos[i]
+                mujoco.mj_kinematics(models[i], data)
+                for k in range(len(self.cameras)):
+                    images[i, k] = self._shoot(models[i], data, k, views[i, k]).reshape(first.height, first.width)
+
+        if self._pool is None:
+            shoot(0)
+        else:
+            list(self._pool.map(shoot, range(len(self._scratch))))
+        return images
+
+    def _shoot(self, model: mujoco.MjModel, data: mujoco.MjData, camera: int, view: Array) -> Array:
+        rays, lengths = self._rays[camera], self._lengths[camera]
+        count = len(rays)
+        directions = (rays / lengths[:, None]) @ view[:3, :3].T
+        distance, geom = np.empty(count), np.empty(count, dtype=np.int32)
+        mujoco.mj_multiRay(
+            model, data, view[:3, 3].copy(), directions.reshape(-1), None, True, -1, geom, distance, None, count,
+            MAX_RANGE * float(lengths.max()),
+        )  # fmt: skip
+        seen = distance >= 0
+        if not self._sees_arm:
+            seen &= model.geom_bodyid[geom] == 0
+        depth = np.where(seen, distance / lengths, 0.0)
+        depth[depth > MAX_RANGE] = 0.0
+        return depth
+
+    def close(self) -> None:
+        """End the threads."""
+        if self._pool is not None:
+            self._pool.shutdown()
+
+
+def camera_poses(cameras: Sequence[DepthCamera], base_from_tip: Array) -> Array:
+    """(n, c, 4, 4) base_from_camera for tool poses (n, 4, 4)."""
+    result = np.empty((len(base_from_tip), len(cameras), 4, 4))
+    for k, camera in enumerate(cameras):
+        result[:, k] = base_from_tip @ _TIP_FROM_WRIST if camera.mount == "wrist" else _BASE_FROM_MAST
+    return result
+
+
+def with_noise(depth: Float32, camera: DepthCamera, random: np.random.Generator) -> Float32:
+    """What a D435 would report for an image (h, w), its figures scaled to the image's width.
+
+    See `greenhouse_gym.capture.sensor`.
+    """
+    from greenhouse_gym.capture.sensor import StereoNoise, sense_depth
+
+    scale = camera.focal / D435_FOCAL
+    full = StereoNoise()
+    noise = replace(
+        full, disparity_noise=full.disparity_noise * scale, disparity_step=full.disparity_step * scale, fatten=0
+    )
+    sensed = sense_depth(depth, camera.focal, random, noise)
+    sensed[sensed > MAX_RANGE] = 0.0
+    return sensed

@@ -1,0 +1,64 @@
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from greenhouse_gym.envs import Randomization, TomatoReachEnv
+from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.scene import SceneBank
+
+
+def first(bank: SceneBank, seed: int = 0, **settings: Any) -> tuple[TomatoReachEnv, np.ndarray]:
+    env = TomatoReachEnv(bank=bank, randomization=Randomization(**settings))
+    return env, env.reset(seed=seed, options={"scene": "made-up-0", "target": 0})[0]
+
+
+def test_off_is_the_same_as_none(bank: SceneBank) -> None:
+    env = TomatoReachEnv(bank=bank)
+    np.testing.assert_array_equal(first(bank)[1], env.reset(seed=0, options={"scene": "made-up-0", "target": 0})[0])
+
+
+def test_encoders_are_off_while_the_arm_stands_where_it_is_told(bank: SceneBank) -> None:
+    env, told = first(bank, joint_offset=0.05)
+    offset = told[:6] - env.start
+    assert 0.001 < np.abs(offset).max() <= 0.05
+    np.testing.assert_allclose(env.model_and_data()[1].qpos, env.start)
+    np.testing.assert_allclose(told[6:], first(bank)[1][6:], atol=1e-6)
+    np.testing.assert_array_equal(told, first(bank, joint_offset=0.05)[1])
+    assert not np.array_equal(told, first(bank, seed=1, joint_offset=0.05)[1])
+
+
+def test_the_told_target_is_off_and_the_true_one_counts(bank: SceneBank) -> None:
+    env, told = first(bank, target_position=0.03)
+    _, true = first(bank)
+    error = told[21:24] - true[21:24]
+    assert 0.001 < np.abs(error).max() <= 0.03
+    np.testing.assert_allclose(told[18:21] - true[18:21], error, atol=1e-6)
+    assert env.step(np.zeros(6))[4]["distance"] == first(bank)[0].step(np.zeros(6))[4]["distance"]
+
+
+def test_the_base_stands_elsewhere_and_physics_and_positions_follow(bank: SceneBank) -> None:
+    env, told = first(bank, base_position=0.05, base_yaw=0.2)
+    model, data = env.model_and_data()
+    still = first(bank)[0].model_and_data()[0]
+    shift = model.body_pos[1] - still.body_pos[1]
+    yaw = 2 * np.arctan2(model.body_quat[1, 3], model.body_quat[1, 0])
+    assert 0.001 < np.abs(shift[:2]).max() <= 0.05
+    assert 0.001 < abs(yaw) <= 0.2
+    tip = data.site_xpos[model.site("tip").id]
+    tool = data.site_xmat[model.site("tip").id].reshape(3, 3)[:, 2]
+    tomato = env.scene.tomatoes[0]
+    np.testing.assert_allclose(told[18:21], tomato.center - tip - tomato.radius * tool, atol=1e-6)
+    # every episode is displaced anew, from where the stand is
+    env.reset(seed=1, options={"scene": "made-up-0", "target": 0})
+    moved = env.model_and_data()[0].body_pos[1] - still.body_pos[1]
+    assert np.abs(moved[:2]).max() <= 0.05
+    assert not np.array_equal(moved, shift)
+
+
+@pytest.mark.parametrize("settings", [{"base_position": -0.1}, {"joint_offset": np.nan}])
+def test_impossible_sizes_are_refused(settings: dict[str, float]) -> None:
+    with pytest.raises(InvalidValueError, match=next(iter(settings))):
+        Randomization(**settings)

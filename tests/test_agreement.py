@@ -1,0 +1,83 @@
+"""What the planner's checker calls free the simulator calls free, and the other way round."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from greenhouse_gym.envs import TomatoReachEnv
+from greenhouse_gym.planning.collision import CollisionChecker, planning_model
+from greenhouse_gym.scene import SceneBank, compile_scene
+
+
+def disagreements_on_the_way(bank: SceneBank, episodes: int, names: list[str]) -> tuple[int, int, int]:
+    """Configurations checked, collisions among them, and disagreements, over episodes of random actions."""
+    random, env = np.random.default_rng(0), TomatoReachEnv(bank=bank)
+    checked = touched = wrong = 0
+    for episode in range(episodes):
+        env.reset(seed=episode, options={"scene": names[episode % len(names)]})
+        compiled = compile_scene(env.scene, env.robot)
+        checker = CollisionChecker(planning_model(compiled, env.target, margin=0.0))
+        for configurations, collided in substeps(env, random):
+            free = [checker.is_free(q) for q in configurations]
+            checked += len(free)
+            touched += free.count(False)
+            wrong += all(free) == collided
+    return checked, touched, wrong
+
+
+def substeps(env: TomatoReachEnv, random: np.random.Generator) -> Iterator[tuple[np.ndarray, bool]]:
+    """The configurations at the ends of the physics steps of each action, and the simulator's verdict on them."""
+    import mujoco
+
+    model, data = env.model_and_data()
+    drift, last = random.uniform(-1, 1, 6), env.start
+    drift[1] = abs(drift[1])  # towards the plants
+    for _ in range(60):
+        *_, terminated, truncated, info = env.step(drift + random.uniform(-0.4, 0.4, 6))
+        command, configurations = env.simulation.command[0].copy(), []
+        for k in range(5):
+            data.ctrl[:] = last + (command - last) * ((k + 1) / 5)
+            mujoco.mj_step(model, data)
+            configurations.append(data.qpos.copy())
+        last = command
+        np.testing.assert_allclose(configurations[-1], env.simulation.situation.joints[0], atol=1e-9)
+        yield np.array(configurations), info["collision"]
+        if terminated or truncated:
+            return
+
+
+def disagreements_at_random(bank: SceneBank, count: int, names: list[str]) -> tuple[int, int]:
+    """Collisions and disagreements over random configurations, as starts of episodes."""
+    random, env = np.random.default_rng(1), TomatoReachEnv(bank=bank)
+    touched = wrong = 0
+    for name in names:
+        env.reset(seed=0, options={"scene": name, "target": 0})
+        checker = CollisionChecker(planning_model(compile_scene(env.scene, env.robot), 0, margin=0.0))
+        for q in random.uniform(env.robot.lower, env.robot.upper, (count // len(names), 6)):
+            _, info = env.reset(options={"scene": name, "target": 0, "start": q})
+            free = checker.is_free(q)
+            touched += not free
+            wrong += free == info["collision"]
+    return touched, wrong
+
+
+def test_simulator_and_planner_agree() -> None:
+    bank = SceneBank.open("mini")
+    checked, touched, wrong = disagreements_on_the_way(bank, 40, bank.names())
+    assert wrong == 0
+    assert touched > 10
+    assert checked > 2000
+    touched, wrong = disagreements_at_random(bank, 400, bank.names())
+    assert wrong == 0
+    assert touched > 50
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_simulator_and_planner_agree_everywhere() -> None:
+    bank = SceneBank.open("default")
+    assert disagreements_on_the_way(bank, 2000, bank.names())[2] == 0
+    assert disagreements_at_random(bank, 100_000, bank.names())[1] == 0
