@@ -2,7 +2,7 @@
 
 from greenhouse_gym.planning.certify import certify_target, certify_targets
 from greenhouse_gym.planning.collision import COLLISION_PAIRS, CollisionChecker, path_clearance, planning_model
-from greenhouse_gym.planning.goals import Goals, GoalStatistics, goal_configurations
+from greenhouse_gym.planning.goals import Approach, Goals, GoalStatistics, goal_configurations
 from greenhouse_gym.planning.path import follow_path, path_length, resample
 from greenhouse_gym.planning.planner_settings import PlannerSettings
 from greenhouse_gym.planning.planners import PAPER_PLANNERS, PLANNERS, PlannerInfo
@@ -12,6 +12,7 @@ __all__ = [
     "COLLISION_PAIRS",
     "PAPER_PLANNERS",
     "PLANNERS",
+    "Approach",
     "CollisionChecker",
     "GoalStatistics",
     "Goals",
