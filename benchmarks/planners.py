@@ -71,17 +71,21 @@ def main() -> None:
 
 
 def reachable_targets(bank: SceneBank, split: str, count: int) -> list[tuple[Scene, Target]]:
-    """At most ``count`` reachable targets of a split: a third of each difficulty, more where one has too few."""
+    """At most ``count`` reachable targets of a split: a third of each difficulty, more where one has too few.
+
+    They are drawn in an order that is always the same, so fewer targets are a part of more.
+    """
     scenes = [bank.scene(name) for name in bank.names(split)]
     by_difficulty = [
         [(scene, t) for scene in scenes for t in scene.targets if t.difficulty == difficulty]
         for difficulty in DIFFICULTIES
         if difficulty != "unreachable"
     ]
+    rng = np.random.default_rng(0)
     chosen: list[tuple[Scene, Target]] = []
     for rest, group in enumerate(sorted(by_difficulty, key=len)):
         share = min(len(group), (count - len(chosen)) // (len(by_difficulty) - rest))
-        chosen += [group[i] for i in np.unique(np.linspace(0, len(group) - 1, share).round().astype(int))]
+        chosen += [group[i] for i in rng.permutation(len(group))[:share]]
     return chosen
 
 

@@ -7,6 +7,7 @@ from greenhouse_gym.planning.path import follow_path, path_length, resample
 from greenhouse_gym.planning.planner_settings import PlannerSettings
 from greenhouse_gym.planning.planners import PAPER_PLANNERS, PLANNERS, PlannerInfo
 from greenhouse_gym.planning.query import PlanResult, plan
+from greenhouse_gym.planning.trajectory import free_commands
 
 __all__ = [
     "COLLISION_PAIRS",
@@ -22,6 +23,7 @@ __all__ = [
     "certify_target",
     "certify_targets",
     "follow_path",
+    "free_commands",
     "goal_configurations",
     "path_clearance",
     "path_length",

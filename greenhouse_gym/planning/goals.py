@@ -205,7 +205,7 @@ def inverse_kinematics(
         jacobian = state.jacobian
         if approach is not None:
             turn = approach.turn(state.axis)
-            outside = turn.any(axis=-1)
+            outside = np.any(turn != 0, axis=1)
             arrived &= ~outside
             # a little beyond the edge, where it counts as inside
             error = np.concatenate([error, _TURN * 1.05 * turn], axis=-1)

@@ -47,6 +47,7 @@ class Query:
 
     Attributes:
         model: The model to check collisions with, as `planning_model` makes it.
+        reaches: (joints,) its `joint_reaches`.
         lower: (joints,) lower limits.
         upper: (joints,) upper limits.
         start: (joints,) start configuration.
@@ -60,6 +61,7 @@ class Query:
     """
 
     model: mujoco.MjModel
+    reaches: Array
     lower: Array
     upper: Array
     start: Array
@@ -142,7 +144,7 @@ def solve(ompl: Ompl, query: Query) -> Answer:
     of checks and not the time ends the search.
     """
     set_seed(ompl, query.seed)
-    checker = CollisionChecker(query.model)
+    checker = CollisionChecker(query.model, query.reaches)
     search = _Search(checker, math.inf if query.max_checks is None else query.max_checks)
     began = time.perf_counter()
     simplification_time, tree_size = 0.0, 0

@@ -176,6 +176,7 @@ def plan_with(
         return PlanResult("no_goal", None, planner, goal_time=goal_time, goals=statistics)
     query = Query(
         model=checker.model,
+        reaches=checker.reaches,
         lower=arm.lower,
         upper=arm.upper,
         start=origin,
