@@ -61,7 +61,8 @@ def main() -> None:
     rows = summary(runs)
     command = f"benchmarks/planners.py --bank {Path(arguments.bank).name} --targets {len(targets)} --planners "
     command += f"{' '.join(arguments.planners)} --seeds {arguments.seeds} --time-limit {arguments.time_limit:g}"
-    result = {"command": command, "planners": rows}
+    searches = [run["goal_search_time"] for run in runs]
+    result = {"command": command, "goal_search_median_s": float(np.median(searches)), "planners": rows}
     write_results(arguments.out / "planners.json", result, ["mujoco", "ompl"])
     text = table(rows)
     write_atomically(arguments.out / "planners.md", f"`{command}`\n\n{text}\n")
@@ -102,7 +103,7 @@ def run_all(
         for scene, target in targets
         for planner in planners
     ]
-    goals: dict[tuple[str, int], Goals] = {}
+    goals: dict[tuple[str, int], tuple[Goals, float]] = {}
     runs = []
     with file.open("a") as out:
         for planner, scene, target, seed in track(asked, description="planning"):
@@ -112,8 +113,10 @@ def run_all(
             if run is None:
                 where = (scene.name, target.tomato)
                 if where not in goals:
-                    goals = {where: goal_configurations(scene, target.tomato)}
-                run = {**wanted, "difficulty": target.difficulty, **measure(scene, wanted, goals[where])}
+                    began = time.perf_counter()
+                    found = goal_configurations(scene, target.tomato)
+                    goals = {where: (found, round(time.perf_counter() - began, 4))}
+                run = {**wanted, "difficulty": target.difficulty, **measure(scene, wanted, *goals[where])}
                 out.write(json.dumps(run) + "\n")
                 out.flush()
             runs.append(run)
@@ -124,7 +127,7 @@ def _key(run: dict[str, Any]) -> tuple[Any, ...]:
     return tuple(run[key] for key in ("planner", "scene", "target", "seed", "time_limit"))
 
 
-def measure(scene: Scene, wanted: dict[str, Any], goals: Goals) -> dict[str, Any]:
+def measure(scene: Scene, wanted: dict[str, Any], goals: Goals, goal_seconds: float) -> dict[str, Any]:
     """One run."""
     result = plan(
         scene, wanted["target"], planner=wanted["planner"], time_limit=wanted["time_limit"], goals=goals,
@@ -139,6 +142,7 @@ def measure(scene: Scene, wanted: dict[str, Any], goals: Goals) -> dict[str, Any
     return {
         "status": result.status,
         **numbers,
+        "goal_search_time": goal_seconds,
         "bare_rate": round(bare_rate(scene, wanted["target"])),
         "first_solution_time": round(float(result.costs[0, 0]), 6) if result.path is not None else None,
         "raw_smoothness": None if result.raw_path is None else round(smoothness(result.raw_path), 4),
