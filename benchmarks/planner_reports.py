@@ -62,6 +62,10 @@ def summary(runs: Sequence[Run]) -> list[dict[str, Any]]:
                 "first_solution_median_s": _median(solved, "first_solution_time"),
                 "planning_time_median_s": _median(group, "planning_time"),
                 "planning_time_95_s": float(np.quantile([run["planning_time"] for run in group], 0.95)),
+                "planning_time_median_by_difficulty_s": {
+                    difficulty: _median((r for r in group if r["difficulty"] == difficulty), "planning_time")
+                    for difficulty in dict.fromkeys(run["difficulty"] for run in group)
+                },
                 "checks_median": _median(group, "checks"),
                 "checks_per_second_median": _median(group, "rate"),
                 "share_of_bare_rate_median": _median(group, "share"),
@@ -88,7 +92,8 @@ def _state(group: Sequence[Run], solved: int) -> str:
 
 def table(rows: Sequence[dict[str, Any]]) -> str:
     """A Markdown table; planners of the paper have a star."""
-    heads = ["planner", "success [95 %]", "easy / medium / hard", "first s", "planning s", "checks", "raw rad", "rad"]
+    heads = ["planner", "success [95 %]", "easy / medium / hard", "first s", "planning s", "easy / medium / hard"]
+    heads += ["checks", "raw rad", "rad"]
     heads += ["clearance mm", "smoothness", "timeouts", "crashes", "of bare rate", "same seed, same path"]
     lines = ["| " + " | ".join(heads) + " |", "|---" + "|---:" * (len(heads) - 1) + "|"]
 
@@ -97,13 +102,14 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
 
     for r in rows:
         low, high = r["success_95"]
-        by = r["success_by_difficulty"]
+        by, times = r["success_by_difficulty"], r["planning_time_median_by_difficulty_s"]
         cells = [
             r["planner"] + ("\\*" if r["of_the_paper"] else ""),
             f"{r['success']:.0%} [{low:.0%}, {high:.0%}]",
             " / ".join(number(by.get(d), ".0%") or "-" for d in ("easy", "medium", "hard")),
             number(r["first_solution_median_s"], ".3f"),
             number(r["planning_time_median_s"], ".3f"),
+            " / ".join(number(times.get(d), ".3f") or "-" for d in ("easy", "medium", "hard")),
             number(r["checks_median"], ".0f"),
             number(r["raw_length_median_rad"], ".2f"),
             number(r["length_median_rad"], ".2f"),
@@ -120,41 +126,36 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
 
 def plots(runs: Sequence[Run], folder: Path) -> None:
     """Share of runs solved over time, and length over time of the planners that improve their paths."""
+    groups = _by_planner(runs)
+    grid = np.geomspace(0.005, max(run["time_limit"] for run in runs), 80)
+    shares, lengths = {}, {}
+    for name in sorted(groups, key=lambda n: -sum(r["status"] == "solved" for r in groups[n])):
+        solved = [r for r in groups[name] if r["status"] == "solved"]
+        if solved:
+            times = np.sort([r["first_solution_time"] for r in solved])
+            shares[name] = 100 * np.searchsorted(times, grid, side="right") / len(groups[name])
+        if solved and PLANNERS[name].optimizing:
+            # runs without a path yet count as endless ones, so a curve begins where half of them have one
+            median = np.median([_cost_at(r["costs"], grid) for r in solved], axis=0)
+            lengths[name] = np.where(np.isfinite(median), median, np.nan)
+    _plot(grid, shares, "runs solved (%)", folder / "solved-over-time.png")
+    if lengths:
+        label = "length of the best path so far (rad), median of the runs solved in the end"
+        _plot(grid, lengths, label, folder / "length-over-time.png")
+
+
+def _plot(grid: Any, curves: dict[str, Any], label: str, path: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    groups = _by_planner(runs)
-    best = sorted(groups, key=lambda n: -sum(r["status"] == "solved" for r in groups[n]))
     figure = Figure(figsize=(11, 6.5), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
-    for i, name in enumerate(best):
-        times = np.sort([r["first_solution_time"] for r in groups[name] if r["status"] == "solved"])
-        if len(times):
-            share = 100 * np.arange(1, len(times) + 1) / len(groups[name])
-            axes.step(
-                times, share, where="post", label=name, linestyle=("-", "--", ":")[i // 10 % 3], color=f"C{i % 10}"
-            )
-    axes.set(xscale="log", xlabel="seconds to the first path", ylabel="runs solved (%)", ylim=(0, 100))
-    axes.legend(ncol=2, fontsize=7, frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))
-    figure.savefig(folder / "solved-over-time.png", dpi=110)
-    figure = Figure(figsize=(11, 6.5), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
-    limit = max(run["time_limit"] for run in runs)
-    grid = np.geomspace(0.01, limit, 60)
-    for i, name in enumerate(n for n in groups if PLANNERS[n].optimizing):
-        curves = [_cost_at(r["costs"], grid) for r in groups[name] if r["status"] == "solved"]
-        if curves:
-            # runs without a path yet count as endless ones, so a curve begins where half of them have one
-            median = np.median(curves, axis=0)
-            median[~np.isfinite(median)] = np.nan
-            axes.plot(grid, median, label=name, linestyle=("-", "--")[i // 10 % 2], color=f"C{i % 10}")
-    axes.set(
-        xscale="log", xlabel="seconds", ylabel="length of the best path (rad), median where half the runs have one"
-    )
-    axes.legend(fontsize=7, frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))
-    figure.savefig(folder / "length-over-time.png", dpi=110)
+    for i, (name, curve) in enumerate(curves.items()):
+        axes.plot(grid, curve, label=name, linestyle=("-", "--", ":", "-.")[i // 10 % 4], color=f"C{i % 10}")
+    axes.set(xscale="log", xlabel="seconds", ylabel=label)
+    axes.legend(fontsize=7, frameon=False, ncol=1 + len(curves) // 20, loc="center left", bbox_to_anchor=(1, 0.5))
+    figure.savefig(path, dpi=110)
 
 
 def _cost_at(costs: Sequence[tuple[float, float]], grid: Any) -> Any:

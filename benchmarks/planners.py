@@ -61,7 +61,7 @@ def main() -> None:
     rows = summary(runs)
     command = f"benchmarks/planners.py --bank {Path(arguments.bank).name} --targets {len(targets)} --planners "
     command += f"{' '.join(arguments.planners)} --seeds {arguments.seeds} --time-limit {arguments.time_limit:g}"
-    searches = [run["goal_search_time"] for run in runs]
+    searches = [run["goal_search_time"] for run in runs if "goal_search_time" in run]
     result = {"command": command, "goal_search_median_s": float(np.median(searches)), "planners": rows}
     write_results(arguments.out / "planners.json", result, ["mujoco", "ompl"])
     text = table(rows)
