@@ -27,6 +27,8 @@ import numpy as np
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning.ompl_unbound import UNBOUND, UnboundPlanner
 
+_NEVER_SET = ("LBTRRT", "LazyLBTRRT")  # the best cost that these tell is memory nobody wrote to
+
 IsFree = Callable[[Array | list[float]], bool]
 """Tells whether a configuration is free."""
 
@@ -202,7 +204,7 @@ class BoundPlanner:
     """A planner with Python bindings."""
 
     def __init__(self, ompl: Ompl, name: str, problem: Problem, settings: dict[str, Any]):
-        self._ompl = ompl
+        self._ompl, self._name = ompl, name
         self._planner = getattr(ompl.geometric, name)(problem.information)
         self._planner.setProblemDefinition(problem.definition)
         for key, value in settings.items():
@@ -225,7 +227,7 @@ class BoundPlanner:
         if self._ompl.version == 1:
             self._termination = self._ompl.base.timedPlannerTerminationCondition(seconds)
             self._planner.solve(self._termination)
-        elif type(self._planner).__name__ in ("PRM", "PRMstar"):
+        elif self._name in ("PRM", "PRMstar"):
             self._planner.solve(seconds)  # a second thread waits for the limit: it must not ask Python
         else:
             self._planner.solve(self._ompl.base.PlannerTerminationCondition(exhausted))
@@ -237,7 +239,7 @@ class BoundPlanner:
 
     def best_cost(self) -> Callable[[], str] | None:
         """What gives the cost of the best path so far as text; None where the planner does not tell."""
-        if self._ompl.version == 2:
+        if self._ompl.version == 2 or self._name in _NEVER_SET:
             return None
         properties = self._planner.getPlannerProgressProperties()
         for key in ("best cost REAL", "best cost DOUBLE"):

@@ -75,6 +75,10 @@ def test_every_planner_answers(scene: Scene, name: str) -> None:
     assert result.status in ("solved", "approximate", "no_solution", "invalid", "crashed")
     assert result.status != "crashed" or name == "STRRTstar"
     assert (result.path is not None) == (result.status == "solved")
+    if result.path is not None:
+        straight = np.linalg.norm(goals.configurations - result.path[0], axis=-1).min()
+        assert len(result.costs) > 0
+        assert (result.costs[:, 1] >= straight - 1e-4).all()
 
 
 @pytest.mark.parametrize("name", sorted(name for name, info in PLANNERS.items() if info.reproducible))
