@@ -5,13 +5,21 @@ VENV := .venv
 BIN := $(VENV)/bin
 EXTRAS := reconstruct,plan,train,viz,dev
 
-.PHONY: demo test lint bench clean
+.PHONY: demo test test-ompl-2 lint bench clean
 
 demo: $(VENV)/.installed
 	$(BIN)/greenhouse-gym demo --out demo
 
 test: lint
 	$(BIN)/python -m pytest -n 2 --dist loadgroup -m "not slow"
+
+# the planning tests with the other OMPL, which cannot be in the same environment
+test-ompl-2:
+	$(PYTHON) -m venv .venv-ompl-2
+	.venv-ompl-2/bin/python -m pip install --quiet --constraint constraints.txt --editable . \
+		pytest pytest-timeout pytest-xdist hypothesis matplotlib
+	.venv-ompl-2/bin/python -m pip install --quiet ompl==2.0.1
+	.venv-ompl-2/bin/python -m pytest tests/planning
 
 lint: $(VENV)/.installed
 	$(BIN)/ruff check .
@@ -24,7 +32,7 @@ bench: $(VENV)/.installed
 	for file in benchmarks/*.py; do $(BIN)/python $$file || exit 1; done
 
 clean:
-	rm -rf $(VENV) demo runs
+	rm -rf $(VENV) .venv-ompl-2 demo runs
 
 # torch comes first and pinned: whatever depends on it then finds it and does not pull CUDA packages
 $(VENV)/.installed: pyproject.toml constraints.txt

@@ -1,13 +1,19 @@
-"""OMPL's planners over the targets of a bank: success, times, checks per second inside OMPL and in a bare loop.
+"""OMPL's planners over the targets of a bank, run by run, resumable.
 
-    python benchmarks/planners.py --bank scenes/mini --targets 60 --planners RRTConnect BiEST KPIECE1
+    python benchmarks/planners.py --planners all --targets 60 --seeds 5 --time-limit 5
 
-Writes benchmarks/results/planners.json and prints a table. Times are over all runs, failed ones included.
+Each run is added to OUT/runs.jsonl at once; runs that are there already are not repeated, so an interrupted benchmark
+goes on where it stopped and a further seed costs only that seed. From the runs come OUT/planners.json, planners.md,
+two plots and planners.db, an SQLite file in the schema of OMPL's benchmarks, which Planner Arena opens. Times are over
+all runs, failed ones included.
 """
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
+import json
+import math
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,11 +21,21 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from planner_reports import planner_arena_database, plots, summary, table
 from results_file import RESULTS, write_results
 from rich.progress import track
 
-from greenhouse_gym.planning import PLANNERS, CollisionChecker, plan, planning_model
-from greenhouse_gym.scene import Scene, SceneBank
+from greenhouse_gym.geometry import Array
+from greenhouse_gym.paths import write_atomically
+from greenhouse_gym.planning import (
+    PAPER_PLANNERS,
+    PLANNERS,
+    goal_configurations,
+    plan,
+    planning_model,
+)
+from greenhouse_gym.planning.goals import Goals
+from greenhouse_gym.scene import DIFFICULTIES, Scene, SceneBank, Target
 from greenhouse_gym.scene.mjcf import compile_scene
 
 DEFAULT_PLANNERS = ("RRTConnect", "LazyPRM", "LBKPIECE1", "SBL", "BKPIECE1", "PRM", "RRT", "EST", "STRIDE")
@@ -30,92 +46,135 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--bank", default="default")
     parser.add_argument("--split", default="test")
-    parser.add_argument("--targets", type=int, default=60, help="targets, spread evenly over the split")
-    parser.add_argument("--planners", nargs="+", default=DEFAULT_PLANNERS, choices=tuple(PLANNERS), metavar="NAME")
+    parser.add_argument(
+        "--targets", type=int, default=60, help="reachable ones, as many of each difficulty as there are"
+    )
+    parser.add_argument("--planners", nargs="+", default=DEFAULT_PLANNERS, metavar="NAME", help="or: all, paper")
+    parser.add_argument("--seeds", type=int, default=1, help="runs per target")
     parser.add_argument("--time-limit", type=float, default=5.0, help="seconds per plan")
-    parser.add_argument("--out", type=Path, default=RESULTS / "planners.json")
+    parser.add_argument("--out", type=Path, default=RESULTS / "planners", help="folder")
     arguments = parser.parse_args()
+    names = {"all": tuple(PLANNERS), "paper": PAPER_PLANNERS}.get(arguments.planners[0], arguments.planners)
     targets = reachable_targets(SceneBank.open(arguments.bank), arguments.split, arguments.targets)
-    bare = bare_checks_per_second(targets)
-    rows = [measure(name, targets, arguments.time_limit, bare) for name in arguments.planners]
-    result = {
-        "command": f"benchmarks/planners.py --bank {Path(arguments.bank).name} --targets {len(targets)} "
-        f"--time-limit {arguments.time_limit:g}",
-        "bare_checks_per_second": bare,
-        "planners": rows,
-    }
-    write_results(arguments.out, result, ["mujoco", "ompl"])
-    print(table(rows))
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    runs = run_all([PLANNERS[name].name for name in names], targets, arguments)
+    rows = summary(runs)
+    command = f"benchmarks/planners.py --bank {Path(arguments.bank).name} --targets {len(targets)} --planners "
+    command += f"{' '.join(arguments.planners)} --seeds {arguments.seeds} --time-limit {arguments.time_limit:g}"
+    searches = [run["goal_search_time"] for run in runs if "goal_search_time" in run]
+    result = {"command": command, "goal_search_median_s": float(np.median(searches)), "planners": rows}
+    write_results(arguments.out / "planners.json", result, ["mujoco", "ompl"])
+    text = table(rows)
+    write_atomically(arguments.out / "planners.md", f"`{command}`\n\n{text}\n")
+    plots(runs, arguments.out)
+    planner_arena_database(runs, arguments.out / "planners.db", command)
+    print(text)
 
 
-def reachable_targets(bank: SceneBank, split: str, count: int) -> list[tuple[Scene, int]]:
-    """At most ``count`` reachable targets, evenly spread over the scenes of a split."""
+def reachable_targets(bank: SceneBank, split: str, count: int) -> list[tuple[Scene, Target]]:
+    """At most ``count`` reachable targets of a split: a third of each difficulty, more where one has too few.
+
+    They are drawn in an order that is always the same, so fewer targets are a part of more.
+    """
     scenes = [bank.scene(name) for name in bank.names(split)]
-    every = [(scene, t.tomato) for scene in scenes for t in scene.targets if t.difficulty != "unreachable"]
-    chosen = np.unique(np.linspace(0, len(every) - 1, min(count, len(every))).round().astype(int))
-    return [every[i] for i in chosen]
-
-
-def bare_checks_per_second(targets: Sequence[tuple[Scene, int]], configurations: int = 2000) -> float:
-    """Checks per second of MuJoCo alone, over random configurations in the same scenes."""
-    rng, checks, seconds = np.random.default_rng(0), 0, 0.0
-    for scene, target in targets:
-        compiled = compile_scene(scene)
-        model = CollisionChecker(planning_model(compiled, target)).model
-        data = mujoco.MjData(model)
-        qpos = data.qpos
-        batch = rng.uniform(compiled.robot.lower, compiled.robot.upper, (configurations, model.nv))
-        began = time.perf_counter()
-        for configuration in batch:
-            qpos[:] = configuration
-            mujoco.mj_kinematics(model, data)
-            mujoco.mj_collision(model, data)
-        seconds += time.perf_counter() - began
-        checks += configurations
-    return checks / seconds
-
-
-def measure(planner: str, targets: Sequence[tuple[Scene, int]], time_limit: float, bare: float) -> dict[str, Any]:
-    """Plan to every target with one planner."""
-    results = [
-        plan(scene, target, planner=planner, time_limit=time_limit, seed=seed)
-        for seed, (scene, target) in enumerate(track(targets, description=planner))
+    by_difficulty = [
+        [(scene, t) for scene in scenes for t in scene.targets if t.difficulty == difficulty]
+        for difficulty in DIFFICULTIES
+        if difficulty != "unreachable"
     ]
-    times = [r.planning_time for r in results]
-    solved = [r for r in results if r.path is not None]
-    statuses = sorted({r.status for r in results})
-    rate = sum(r.checks for r in results) / sum(times)
+    rng = np.random.default_rng(0)
+    chosen: list[tuple[Scene, Target]] = []
+    for rest, group in enumerate(sorted(by_difficulty, key=len)):
+        share = min(len(group), (count - len(chosen)) // (len(by_difficulty) - rest))
+        chosen += [group[i] for i in rng.permutation(len(group))[:share]]
+    return chosen
+
+
+def run_all(
+    planners: Sequence[str], targets: Sequence[tuple[Scene, Target]], arguments: argparse.Namespace
+) -> list[dict[str, Any]]:
+    """All runs asked for, those on file among them."""
+    file: Path = arguments.out / "runs.jsonl"
+    lines = file.read_text().splitlines() if file.exists() else []
+    done = {_key(run): run for run in map(json.loads, lines)}
+    asked = [
+        (planner, scene, target, seed)
+        for seed in range(arguments.seeds)
+        for scene, target in targets
+        for planner in planners
+    ]
+    goals: dict[tuple[str, int], tuple[Goals, float]] = {}
+    runs = []
+    with file.open("a") as out:
+        for planner, scene, target, seed in track(asked, description="planning"):
+            wanted = {"planner": planner, "scene": scene.name, "target": target.tomato, "seed": seed}
+            wanted["time_limit"] = arguments.time_limit
+            run = done.get(_key(wanted))
+            if run is None:
+                where = (scene.name, target.tomato)
+                if where not in goals:
+                    began = time.perf_counter()
+                    found = goal_configurations(scene, target.tomato)
+                    goals = {where: (found, round(time.perf_counter() - began, 4))}
+                run = {**wanted, "difficulty": target.difficulty, **measure(scene, wanted, *goals[where])}
+                out.write(json.dumps(run) + "\n")
+                out.flush()
+            runs.append(run)
+    return runs
+
+
+def _key(run: dict[str, Any]) -> tuple[Any, ...]:
+    return tuple(run[key] for key in ("planner", "scene", "target", "seed", "time_limit"))
+
+
+def measure(scene: Scene, wanted: dict[str, Any], goals: Goals, goal_seconds: float) -> dict[str, Any]:
+    """One run."""
+    result = plan(
+        scene, wanted["target"], planner=wanted["planner"], time_limit=wanted["time_limit"], goals=goals,
+        seed=wanted["seed"],
+    )  # fmt: skip
+    numbers = {
+        field.name: value if math.isfinite(value) else None
+        for field in dataclasses.fields(result)
+        if isinstance(value := getattr(result, field.name), int | float)
+    }
+    numbers = {name: value if isinstance(value, int | None) else round(value, 6) for name, value in numbers.items()}
     return {
-        "planner": planner,
-        "targets": len(results),
-        "success": len(solved) / len(results),
-        "statuses": {status: sum(r.status == status for r in results) for status in statuses},
-        "planning_time_median_s": float(np.median(times)),
-        "planning_time_95_s": float(np.quantile(times, 0.95)),
-        "simplification_time_median_s": _median([r.simplification_time for r in solved]),
-        "goal_time_median_s": _median([r.goal_time for r in results]),
-        "checks_median": _median([r.checks for r in results]),
-        "checks_per_second": rate,
-        "share_of_bare_rate": rate / bare,
-        "length_median_rad": _median([r.length for r in solved]),
+        "status": result.status,
+        **numbers,
+        "goal_search_time": goal_seconds,
+        "bare_rate": round(bare_rate(scene, wanted["target"])),
+        "first_solution_time": round(float(result.costs[0, 0]), 6) if result.path is not None else None,
+        "raw_smoothness": None if result.raw_path is None else round(smoothness(result.raw_path), 4),
+        "smoothness": None if result.path is None else round(smoothness(result.path), 4),
+        "costs": result.costs[:: math.ceil(len(result.costs) / 20) or 1].round(4).tolist(),
+        "message": result.message[:120],
     }
 
 
-def _median(values: Sequence[float]) -> float | None:
-    return float(np.median(values)) if values else None
+def smoothness(path: Array) -> float:
+    """OMPL's measure of a path (k, n), ``PathGeometric::smoothness``: 0 is straight."""
+    steps = np.diff(path, axis=0)
+    steps = steps[np.linalg.norm(steps, axis=-1) > 0]
+    lengths = np.linalg.norm(steps, axis=-1)
+    cosines = np.einsum("ij,ij->i", steps[:-1], steps[1:]) / (lengths[:-1] * lengths[1:])
+    turns = np.arccos(np.clip(cosines, -1.0, 1.0))
+    return float(((2 * turns / (lengths[:-1] + lengths[1:])) ** 2).sum())
 
 
-def table(rows: Sequence[dict[str, Any]]) -> str:
-    """A Markdown table of the main numbers."""
-    lines = ["| planner | success | median s | 95 % s | checks | checks/s | of bare | length rad |"]
-    lines.append("| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |")
-    for r in rows:
-        length = "" if r["length_median_rad"] is None else f"{r['length_median_rad']:.2f}"
-        lines.append(
-            f"| {r['planner']} | {r['success']:.1%} | {r['planning_time_median_s']:.4f} | {r['planning_time_95_s']:.3f}"
-            f" | {r['checks_median']:.0f} | {r['checks_per_second']:.0f} | {r['share_of_bare_rate']:.2f} | {length} |"
-        )
-    return "\n".join(lines)
+def bare_rate(scene: Scene, target: int, checks: int = 400) -> float:
+    """Checks per second of MuJoCo alone, over random configurations; measured beside every run."""
+    compiled = compile_scene(scene)
+    model = planning_model(compiled, target)
+    data = mujoco.MjData(model)
+    qpos = data.qpos
+    batch = np.random.default_rng(0).uniform(compiled.robot.lower, compiled.robot.upper, (checks, model.nv))
+    began = time.perf_counter()
+    for configuration in batch:
+        qpos[:] = configuration
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_collision(model, data)
+    return checks / (time.perf_counter() - began)
 
 
 if __name__ == "__main__":

@@ -241,11 +241,30 @@ def test_plan_finds_a_path_and_draws_it(bank: SceneBank, tmp_path: Path) -> None
     picture = tmp_path / "path.png"
     result = CliRunner().invoke(
         app,
-        ["plan", "--scene", bank.names()[0], "--target", "4", "--bank", str(bank.path), "--picture", str(picture)],
+        [*plan_to(bank), "--setting", "range=0.5", "--picture", str(picture)],
     )
     assert result.exit_code == 0, result.output
-    assert "RRTConnect: solved" in result.output
+    assert "| RRTConnect | solved |" in result.output
     assert is_a_picture(picture)
+
+
+def plan_to(bank: SceneBank) -> list[str]:
+    return ["plan", "--scene", bank.names()[0], "--target", "4", "--bank", str(bank.path)]
+
+
+def test_plan_with_all_planners_prints_a_table(bank: SceneBank) -> None:
+    from greenhouse_gym.planning import PLANNERS
+
+    result = CliRunner().invoke(app, [*plan_to(bank), "--all", "--time-limit", "0.1"])
+    assert result.exit_code == 0, result.output
+    rows = [line.split("|")[1].strip() for line in result.output.splitlines() if line.startswith("|")]
+    assert rows[2:] == list(PLANNERS)
+
+
+def test_plan_names_settings_that_are_none(bank: SceneBank) -> None:
+    assert "Did you mean 'range'" in str(fails(*plan_to(bank), "--setting", "rang=0.5"))
+    assert "as range=0.5" in str(fails(*plan_to(bank), "--setting", "range=far"))
+    assert "--all" in str(fails(*plan_to(bank), "--setting", "range=0.5", "--all"))
 
 
 def test_plan_to_what_cannot_be_reached_exits_with_2(bank: SceneBank, tmp_path: Path) -> None:

@@ -11,11 +11,11 @@ import numpy.typing as npt
 
 from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.envs.reach_task import ACTION_STEP, SUBSTEPS
-from greenhouse_gym.errors import require_choice
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.planning import PLANNERS, PlanResult, follow_path, plan
+from greenhouse_gym.planning import PLANNERS, PlannerSettings, PlanResult, follow_path, free_commands, plan
 from greenhouse_gym.robots import Robot
-from greenhouse_gym.scene.mjcf import TIMESTEP
+from greenhouse_gym.scene import Scene
+from greenhouse_gym.scene.mjcf import TIMESTEP, compile_scene
 
 INTERVAL = SUBSTEPS * TIMESTEP
 """Seconds from one action to the next."""
@@ -27,14 +27,20 @@ class PathFollower:
     Args:
         path: (k, joints) radians, from where the arm is.
         robot: Whose limits on speed and acceleration hold.
+        scene: The scene the path was planned in, and
+        target: its target tomato: the commands are then proven free, too; see `free_commands`.
 
     Attributes:
         commands: (steps, joints) what is commanded after each action, radians.
     """
 
-    def __init__(self, path: Array, robot: Robot):
+    def __init__(self, path: Array, robot: Robot, scene: Scene | None = None, target: int = 0):
         speed = np.minimum(robot.velocity_limits, ACTION_STEP / INTERVAL)
-        self.commands = follow_path(path, speed, robot.acceleration_limits, INTERVAL)
+        limits = (path, speed, robot.acceleration_limits, INTERVAL)
+        if scene is None:
+            self.commands = follow_path(*limits)
+        else:
+            self.commands = free_commands(compile_scene(scene, robot), target, *limits)
         self._actions = iter(np.diff(self.commands, axis=0, prepend=path[:1]) / ACTION_STEP)
         self._still = np.zeros(len(robot.joints))
 
@@ -52,6 +58,7 @@ class PlannerAgent:
         max_checks: Collision checks after which it stops, or None.
         goals: Number of goal configurations.
         name: Shown in tables; the planner's name when left out.
+        settings: The planner's settings; its usual ones when left out.
 
     Attributes:
         result: The last episode's plan, or None before the first.
@@ -69,8 +76,9 @@ class PlannerAgent:
         max_checks: int | None = None,
         goals: int = 60,
         name: str | None = None,
+        settings: PlannerSettings | None = None,
     ):
-        self.planner = require_choice("planner", planner, PLANNERS)
+        self.planner, self.settings = PLANNERS[planner].name, settings
         self.time_limit, self.max_checks, self.goals = time_limit, max_checks, goals
         self.name = name or planner
         self.result: PlanResult | None = None
@@ -85,10 +93,12 @@ class PlannerAgent:
         """Plan."""
         self.result = plan(
             problem.scene, problem.target, problem.robot, self.planner, self.time_limit, self.max_checks, self.goals,
-            seed=problem.seed, start=problem.start,
+            seed=problem.seed, start=problem.start, settings=self.settings,
         )  # fmt: skip
-        path = problem.start[None] if self.result.path is None else self.result.path
-        self._follower = PathFollower(path, problem.robot)
+        if self.result.path is None:
+            self._follower = PathFollower(problem.start[None], problem.robot)
+        else:
+            self._follower = PathFollower(self.result.path, problem.robot, problem.scene, problem.target)
 
     def act(self, observation: Any) -> npt.NDArray[np.float32]:
         """The next action along the path, whatever is observed."""

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import ast
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.progress import track
 
 from greenhouse_gym.progress import CONSOLE
+
+if TYPE_CHECKING:
+    from greenhouse_gym.planning import PlanResult
 
 Bank = Annotated[str, typer.Option(help="A shipped bank's name or a bank's folder.")]
 
@@ -16,27 +22,88 @@ def plan(
     scene: Annotated[str, typer.Option(help="Name of the scene in the bank.")],
     target: Annotated[int, typer.Option(help="Index of the tomato in the scene.")],
     planner: Annotated[str, typer.Option(help="A planner's name.")] = "RRTConnect",
+    all_planners: Annotated[bool, typer.Option("--all", help="Every planner of the installed OMPL.")] = False,
     bank: Bank = "default",
-    time_limit: Annotated[float, typer.Option(help="Seconds.")] = 5.0,
+    robot: Annotated[str, typer.Option(help="Name or file of the arm.")] = "ur5e",
+    time_limit: Annotated[float, typer.Option(help="Seconds per planner.")] = 5.0,
+    max_checks: Annotated[int | None, typer.Option(help="Collision checks after which a planner stops.")] = None,
+    setting: Annotated[list[str] | None, typer.Option(help="A setting of the planner, as range=0.5.")] = None,
     seed: int = 0,
-    picture: Annotated[Path | None, typer.Option(help="PNG file for a picture of the path.")] = None,
+    picture: Annotated[Path | None, typer.Option(help="PNG file for a picture of the shortest path.")] = None,
 ) -> None:
-    """Plan a path to a tomato."""
+    """Plan a path to a tomato, with one planner or with all on the same goals; a table, and a picture if asked for."""
+    from greenhouse_gym.errors import InvalidValueError
+    from greenhouse_gym.planning import PLANNERS, goal_configurations, resample
     from greenhouse_gym.planning import plan as plan_path
-    from greenhouse_gym.planning import resample
     from greenhouse_gym.scene import SceneBank
     from greenhouse_gym.scene.render import picture_of_path
 
+    if all_planners and setting:
+        raise InvalidValueError("--setting goes with one planner, not with --all")
     chosen = SceneBank.open(bank).scene(scene)
-    result = plan_path(chosen, target, planner=planner, time_limit=time_limit, seed=seed)
-    CONSOLE.print(f"{planner}: {result.status}, {result.planning_time:.3f} s, {result.checks} checks", highlight=False)
-    if result.path is None:
+    settings = None if all_planners else PLANNERS[planner].with_settings(**_settings(setting or []))
+    goals = goal_configurations(chosen, target, robot, seed=seed)
+    results = []
+    for name in track(list(PLANNERS) if all_planners else [planner], "planning", disable=not CONSOLE.is_terminal):
+        results.append(
+            plan_path(chosen, target, robot, name, time_limit, max_checks, goals, seed=seed, settings=settings)
+        )
+    typer.echo(_plan_table(results), nl=False)
+    for result in results:
+        if result.message:
+            typer.echo(f"{result.planner}: {result.message.splitlines()[0]}")
+    solved = [result for result in results if result.path is not None]
+    if not solved:
         raise typer.Exit(2)
     if picture is not None:
         from greenhouse_gym.cli.pictures import save
 
-        save(picture_of_path(chosen, "ur5e", target, resample(result.path, 0.03)), picture)
-        CONSOLE.print(f"picture in {picture}")
+        best = min(solved, key=lambda result: result.length)
+        assert best.path is not None
+        save(picture_of_path(chosen, robot, target, resample(best.path, 0.03)), picture)
+        CONSOLE.print(f"{best.planner}'s path in {picture}")
+
+
+def _settings(texts: Sequence[str]) -> dict[str, bool | int | float]:
+    """Settings from texts such as range=0.5.
+
+    Raises:
+        InvalidValueError: A text is none.
+    """
+    from greenhouse_gym.errors import InvalidValueError
+
+    values: dict[str, bool | int | float] = {}
+    for text in texts:
+        name, _, value = text.partition("=")
+        try:
+            parsed = ast.literal_eval(value)
+        except (ValueError, SyntaxError):
+            parsed = None
+        if not isinstance(parsed, bool | int | float):
+            raise InvalidValueError(f"setting {text!r}: expected a name and a number, True or False, as range=0.5")
+        values[name] = parsed
+    return values
+
+
+def _plan_table(results: Sequence[PlanResult]) -> str:
+    heads = ["planner", "status", "seconds", "first s", "checks", "nodes", "raw rad", "rad", "clearance mm"]
+    rows = [heads, ["---"] * 2 + ["---:"] * 7]
+    for r in results:
+        found = r.path is not None
+        rows.append(
+            [
+                r.planner,
+                r.status,
+                f"{r.planning_time:.3f}",
+                f"{r.costs[0, 0]:.3f}" if found else "",
+                str(r.checks),
+                str(r.tree_size),
+                f"{r.raw_length:.2f}" if found else "",
+                f"{r.length:.2f}" if found else "",
+                f"{1000 * r.clearance:.0f}" if found else "",
+            ]
+        )
+    return "\n".join("| " + " | ".join(row) + " |" for row in rows) + "\n"
 
 
 def train(

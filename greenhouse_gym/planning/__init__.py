@@ -1,23 +1,31 @@
 """Motion planning: goal configurations, OMPL's planners on the simulator's own collision model, commands in time."""
 
 from greenhouse_gym.planning.certify import certify_target, certify_targets
-from greenhouse_gym.planning.collision import CollisionChecker, planning_model
-from greenhouse_gym.planning.goals import Goals, GoalStatistics, goal_configurations
+from greenhouse_gym.planning.collision import COLLISION_PAIRS, CollisionChecker, path_clearance, planning_model
+from greenhouse_gym.planning.goals import Approach, Goals, GoalStatistics, goal_configurations
 from greenhouse_gym.planning.path import follow_path, path_length, resample
-from greenhouse_gym.planning.planners import PLANNERS, PlannerInfo
+from greenhouse_gym.planning.planner_settings import PlannerSettings
+from greenhouse_gym.planning.planners import PAPER_PLANNERS, PLANNERS, PlannerInfo
 from greenhouse_gym.planning.query import PlanResult, plan
+from greenhouse_gym.planning.trajectory import free_commands
 
 __all__ = [
+    "COLLISION_PAIRS",
+    "PAPER_PLANNERS",
     "PLANNERS",
+    "Approach",
     "CollisionChecker",
     "GoalStatistics",
     "Goals",
     "PlanResult",
     "PlannerInfo",
+    "PlannerSettings",
     "certify_target",
     "certify_targets",
     "follow_path",
+    "free_commands",
     "goal_configurations",
+    "path_clearance",
     "path_length",
     "plan",
     "planning_model",

@@ -7,6 +7,7 @@ kinematics (damped least squares; Wampler 1986), without near-duplicates. Everyt
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,7 +29,41 @@ TOLERANCE = 1e-3
 _BATCH = 1000
 _ITERATIONS = 20
 _DAMPING = 0.03  # metres per radian
+_TURN = 0.3  # metres per radian: weight of the tool's direction against its place
 _STEP = 0.2  # metres the grasp point is moved per iteration at most
+
+
+@dataclass(frozen=True, eq=False)
+class Approach:
+    """A cone of directions in which the tool may come.
+
+    Attributes:
+        direction: (3,) the cone's axis, the way the tool points; of any length. (1, 0, 0) is from the aisle into the
+            plants.
+        half_angle: Largest angle of the tool axis from it, radians.
+
+    Raises:
+        InvalidValueError: No direction, or an angle outside 0 to pi.
+    """
+
+    direction: Array
+    half_angle: float
+
+    def __post_init__(self) -> None:
+        direction = np.asarray(self.direction, dtype=np.float64)
+        length = float(np.linalg.norm(direction))
+        if direction.shape != (3,) or not (math.isfinite(length) and length > 0):
+            raise InvalidValueError(f"approach: expected a direction (x, y, z), got {self.direction!r}")
+        if not 0 < self.half_angle <= math.pi:
+            raise InvalidValueError(f"approach: expected a half angle above 0, up to pi, got {self.half_angle!r}")
+        object.__setattr__(self, "direction", direction / length)
+
+    def turn(self, axis: Array) -> Array:
+        """(m, 3) rotation vectors that would bring tool axes (m, 3) to the cone's edge, zero for those inside it."""
+        across = np.cross(axis, self.direction)
+        sine = np.linalg.norm(across, axis=-1)
+        outside = np.maximum(np.arctan2(sine, axis @ self.direction) - self.half_angle, 0.0)
+        return across * (outside / np.maximum(sine, 1e-9))[:, None]
 
 
 @dataclass(frozen=True)
@@ -38,7 +73,8 @@ class GoalStatistics:
     Attributes:
         samples: Random configurations drawn.
         within_threshold: Those with the grasp point within the threshold of the target.
-        converged: Those that inverse kinematics brought onto the target within the joint limits.
+        converged: Those that inverse kinematics brought onto the target within the joint limits, and into the approach
+            cone where there is one.
         duplicate: Converged ones that repeat an accepted one.
         colliding: Converged, new ones that touch something.
     """
@@ -71,6 +107,7 @@ def goal_configurations(
     threshold: float = 0.65,
     min_difference: float = 0.01,
     seed: int = 0,
+    approach: Approach | None = None,
 ) -> Goals:
     """Find configurations that bring the grasp point to a tomato's center without touching anything but by the cup.
 
@@ -85,13 +122,14 @@ def goal_configurations(
         min_difference: A configuration is new if it differs from every accepted one by at least this in some joint,
             radians.
         seed: Same seed, same result.
+        approach: Directions the tool may come from; any when left out.
 
     Raises:
         InvalidValueError: No such tomato, or a number that makes no sense.
     """
     compiled = compile_scene(scene, robot)
     checker = CollisionChecker(planning_model(compiled, target))
-    return search_goals(compiled, checker, target, count, threshold, min_difference, seed)
+    return search_goals(compiled, checker, target, count, threshold, min_difference, seed, approach)
 
 
 def search_goals(
@@ -102,6 +140,7 @@ def search_goals(
     threshold: float = 0.65,
     min_difference: float = 0.01,
     seed: int = 0,
+    approach: Approach | None = None,
 ) -> Goals:
     """As `goal_configurations`, for a scene compiled and a checker made already."""
     if count < 1:
@@ -121,7 +160,7 @@ def search_goals(
         offset = tool_state(chain, batch, tomato.radius).point - tomato.center
         near = batch[(offset * offset).sum(-1) <= threshold**2]
         within += len(near)
-        solutions = inverse_kinematics(chain, near, tomato.center, tomato.radius, arm)
+        solutions = inverse_kinematics(chain, near, tomato.center, tomato.radius, arm, approach)
         converged += len(solutions)
         for solution in solutions:
             if (np.abs(accepted[:found] - solution) < min_difference).all(-1).any():
@@ -136,7 +175,9 @@ def search_goals(
     return Goals(accepted[:found].copy(), GoalStatistics(samples, within, converged, duplicate, colliding))
 
 
-def inverse_kinematics(chain: Chain, guesses: Array, point: Array, ahead: float, arm: Robot) -> Array:
+def inverse_kinematics(
+    chain: Chain, guesses: Array, point: Array, ahead: float, arm: Robot, approach: Approach | None = None
+) -> Array:
     """Bring the grasp point onto a point from many first guesses, by damped least squares within the joint limits.
 
     Args:
@@ -145,6 +186,7 @@ def inverse_kinematics(chain: Chain, guesses: Array, point: Array, ahead: float,
         point: (3,) where the grasp point shall be, metres, world frame.
         ahead: Distance of the grasp point from the tip along the tool axis, metres.
         arm: Whose limits hold.
+        approach: Into which cone the tool axis shall come, too.
 
     Returns:
         (k, n) the k <= m configurations that converged to `TOLERANCE`, in the order of their guesses.
@@ -159,10 +201,18 @@ def inverse_kinematics(chain: Chain, guesses: Array, point: Array, ahead: float,
         error = point - state.point
         distance = np.linalg.norm(error, axis=-1, keepdims=True)
         arrived = distance[:, 0] < TOLERANCE
+        error = error * np.minimum(1.0, _STEP / np.maximum(distance, 1e-12))
+        jacobian = state.jacobian
+        if approach is not None:
+            turn = approach.turn(state.axis)
+            outside = np.any(turn != 0, axis=1)
+            arrived &= ~outside
+            # a little beyond the edge, where it counts as inside
+            error = np.concatenate([error, _TURN * 1.05 * turn], axis=-1)
+            jacobian = np.concatenate([jacobian, _TURN * outside[:, None, None] * state.joint_axes], axis=1)
         done[active[arrived]] = True
-        active, jacobian = active[~arrived], state.jacobian[~arrived]
-        error = (error * np.minimum(1.0, _STEP / np.maximum(distance, 1e-12)))[~arrived]
-        normal = jacobian @ np.swapaxes(jacobian, -1, -2) + _DAMPING**2 * np.eye(3)
+        active, error, jacobian = active[~arrived], error[~arrived], jacobian[~arrived]
+        normal = jacobian @ np.swapaxes(jacobian, -1, -2) + _DAMPING**2 * np.eye(jacobian.shape[1])
         step = np.einsum("mij,mi->mj", jacobian, np.linalg.solve(normal, error[..., None])[..., 0])
         q[active] = np.clip(q[active] + step, arm.lower, arm.upper)
     return q[done]

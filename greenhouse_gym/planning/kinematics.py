@@ -35,11 +35,13 @@ class ToolState(NamedTuple):
         point: (m, 3) grasp points, metres.
         axis: (m, 3) unit tool axes.
         jacobian: (m, 3, n) derivative of the grasp point by the joint angles, metres per radian.
+        joint_axes: (m, 3, n) unit joint axes: by how the tool turns with each joint, radians per radian.
     """
 
     point: Array
     axis: Array
     jacobian: Array
+    joint_axes: Array
 
 
 def tool_chain(model: mujoco.MjModel, tip_site: int) -> Chain:
@@ -86,7 +88,7 @@ def tool_state(chain: Chain, configurations: npt.ArrayLike, ahead: float = 0.0) 
     axis = rotation @ tip[:3, 2]
     point = position + rotation @ tip[:3, 3] + ahead * axis
     jacobian = np.cross(axes, point - anchors)
-    return ToolState(point, axis, np.moveaxis(jacobian, 0, -1))
+    return ToolState(point, axis, np.moveaxis(jacobian, 0, -1), np.moveaxis(axes, 0, -1))
 
 
 def _pose(position: Array, quaternion: Array) -> Array:

@@ -1,21 +1,19 @@
 """The process in which OMPL runs: takes queries from a connection, answers each, one at a time.
 
-This is the one module that imports OMPL, and it is never imported by the caller's process: some planners hang or crash,
-and a separate process can be killed. `greenhouse_gym.planning.worker` starts it and talks to it.
+It is never imported by the caller's process: some planners hang or crash, and a separate process can be killed.
+`greenhouse_gym.planning.worker` starts it and talks to it.
 """
 
 from __future__ import annotations
 
-import ctypes
-import inspect
+import math
+import resource
 import signal
+import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
-from importlib.util import find_spec
+from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
-from pathlib import Path
-from types import ModuleType
 from typing import Any, Literal
 
 import mujoco
@@ -23,10 +21,22 @@ import numpy as np
 
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning.collision import PROOF, CollisionChecker
+from greenhouse_gym.planning.ompl_binding import (
+    Ompl,
+    Planner,
+    Problem,
+    import_ompl,
+    planner_names,
+    planner_parameters,
+    set_seed,
+)
+from greenhouse_gym.planning.ompl_unbound import JOINING, THREADED
 
 SEARCH = 3 * PROOF
 """Resolution at which motions are checked first, metres; `PROOF` follows where that was too coarse."""
 
+LOOK = 0.005
+"""Seconds between two looks at the cost of the best path so far."""
 
 Outcome = Literal["solved", "approximate", "no_solution", "invalid"]
 
@@ -37,27 +47,29 @@ class Query:
 
     Attributes:
         model: The model to check collisions with, as `planning_model` makes it.
+        reaches: (joints,) its `joint_reaches`.
         lower: (joints,) lower limits.
         upper: (joints,) upper limits.
         start: (joints,) start configuration.
         goals: (k, joints) goal configurations, any of which will do.
         planner: Name of an OMPL planner.
+        settings: The planner's settings that are not OMPL's own.
         time_limit: Seconds.
         max_checks: Number of configurations that may be checked, or None.
-        step: Longest motion by which the planner's trees grow, or None for OMPL's own choice.
         optimizing: Whether the planner uses all its time: it then checks motions at `PROOF` from the start.
         seed: Seed of OMPL's random numbers.
     """
 
     model: mujoco.MjModel
+    reaches: Array
     lower: Array
     upper: Array
     start: Array
     goals: Array
     planner: str
+    settings: dict[str, Any]
     time_limit: float
     max_checks: int | None
-    step: float | None
     optimizing: bool
     seed: int
 
@@ -73,6 +85,8 @@ class Answer:
         planning_time: Seconds the planner took.
         simplification_time: Seconds for shortening the path and proving it free.
         checks: Configurations the planner checked.
+        tree_size: Nodes in the planner's trees or roadmap.
+        costs: (m, 2) seconds and length of the best path by then, radians: as it was found and as it got shorter.
     """
 
     status: Outcome
@@ -81,39 +95,16 @@ class Answer:
     planning_time: float
     simplification_time: float
     checks: int
+    tree_size: int
+    costs: Array
 
 
-def import_ompl() -> tuple[ModuleType, ModuleType, ModuleType]:
-    """Import ``ompl.base``, ``ompl.geometric`` and ``ompl.util`` with one copy of the library.
-
-    The 1.7.0 wheel carries libompl twice and loads both, after which the interpreter dies at exit. While it is
-    imported, its request for the one copy is answered with the other.
-    """
-    spec = find_spec("ompl")
-    assert spec is not None
-    assert spec.origin is not None
-    vendored = sorted((Path(spec.origin).parents[1] / "ompl.libs").glob("libompl-*.so*"))
-    original = ctypes.CDLL
-
-    def load(name: Any, *args: Any, **kwargs: Any) -> ctypes.CDLL:
-        if vendored and name is not None and "libompl" in Path(name).name:
-            name = str(vendored[0])
-        return original(name, *args, **kwargs)
-
-    ctypes.CDLL = load  # type: ignore[assignment,misc]
-    try:
-        from ompl import base, geometric, util
-    finally:
-        ctypes.CDLL = original  # type: ignore[misc]
-    util.setLogLevel(util.LOG_NONE)
-    return base, geometric, util
-
-
-def serve(handle: int) -> None:
-    """Answer queries from the connection with this handle until it is closed.
+def serve(handle: int, memory_limit: int) -> None:
+    """Answer queries from the connection with this handle until it is closed, with at most so many bytes of data.
 
     A message is (command, argument, hard limit in seconds); the answer is (True, result) or (False, error text).
     """
+    resource.setrlimit(resource.RLIMIT_DATA, (memory_limit, memory_limit))
     connection = Connection(handle)
     try:
         ompl = import_ompl()
@@ -123,8 +114,10 @@ def serve(handle: int) -> None:
     connection.send((True, "ready"))
     commands: dict[str, Callable[[Any], Any]] = {
         "planners": lambda _: planner_names(ompl),
+        "parameters": lambda name: planner_parameters(ompl, name),
         "solve": lambda query: solve(ompl, query),
         "sleep": time.sleep,  # stands in for a planner that ignores its time limit
+        "fill": lambda size: len(bytearray(size)),  # and for one that takes all memory
     }
     while True:
         try:
@@ -144,139 +137,118 @@ def serve(handle: int) -> None:
             return
 
 
-def planner_names(ompl: tuple[ModuleType, ModuleType, ModuleType]) -> tuple[str, ...]:
-    """Names of the geometric planners of the installed OMPL."""
-    base, geometric, _ = ompl
-    members = inspect.getmembers(geometric, inspect.isclass)
-    return tuple(sorted(name for name, kind in members if issubclass(kind, base.Planner)))
-
-
-def solve(ompl: tuple[ModuleType, ModuleType, ModuleType], query: Query) -> Answer:
+def solve(ompl: Ompl, query: Query) -> Answer:
     """Plan, shorten the path, and prove it free; at the search resolution first, then at the proving one.
 
     Everything of OMPL is built anew after the seed is set, so the same query gives the same path as long as the number
     of checks and not the time ends the search.
     """
-    base, geometric, util = ompl
-    util.RNG.setSeed(query.seed % (2**31) + 1)  # 0 is not allowed
-    checker = CollisionChecker(query.model)
+    set_seed(ompl, query.seed)
+    checker = CollisionChecker(query.model, query.reaches)
+    search = _Search(checker, math.inf if query.max_checks is None else query.max_checks)
     began = time.perf_counter()
-    simplification_time = 0.0
+    simplification_time, tree_size = 0.0, 0
     status: Outcome = "no_solution"
     raw, path = None, None
     for resolution in (PROOF,) if query.optimizing else (SEARCH, PROOF):
-        problem = _Problem(base, query, checker, resolution, began + query.time_limit + simplification_time)
-        planner = getattr(geometric, query.planner)(problem.information)
-        planner.setProblemDefinition(problem.definition)
-        if query.step is not None:
-            planner.params().setParam("range", str(query.step))
-        planner.setup()
-        planner.solve(problem.termination)
-        solved = problem.definition.hasExactSolution()
-        if not solved:
-            if status == "no_solution" and problem.definition.hasApproximateSolution():
+        search.begin(began + simplification_time, query.time_limit, resolution)
+        fineness = JOINING.get(query.planner, resolution / float(np.linalg.norm(checker.reaches)))
+        problem = Problem(
+            ompl, query.lower, query.upper, query.start, query.goals, search.is_free, search.free_share, fineness,
+            threads=query.planner in THREADED,
+        )  # fmt: skip
+        planner = problem.planner(query.planner, query.settings)
+        search.run(planner)
+        tree_size = problem.tree_size(planner)
+        approximate = problem.definition.hasApproximateSolution()
+        raw = problem.take_solution()
+        del planner
+        if raw is None:
+            if status == "no_solution" and approximate:
                 status = "approximate"
             break
         solve_end, solve_checks = time.perf_counter(), checker.checks
-        found = problem.definition.getSolutionPath()
-        raw = _to_array(found, len(query.start))
-        path = _simplified(geometric, problem, checker, found, raw)
+        search.note(solve_end, float(np.linalg.norm(np.diff(raw, axis=0), axis=-1).sum()))
+        path = _simplified(problem, search, raw)
         simplification_time += time.perf_counter() - solve_end
         checker.checks = solve_checks
         status = "invalid" if path is None else "solved"
         if path is not None:
             break
     total = time.perf_counter() - began
-    return Answer(status, path, raw, total - simplification_time, simplification_time, checker.checks)
+    costs = np.array(search.costs).reshape(-1, 2)
+    return Answer(status, path, raw, total - simplification_time, simplification_time, checker.checks, tree_size, costs)
 
 
-def _simplified(
-    geometric: ModuleType, problem: _Problem, checker: CollisionChecker, found: Any, raw: Array
-) -> Array | None:
+def _simplified(problem: Problem, search: _Search, raw: Array) -> Array | None:
     """The path shortened and proven free; the planner's own path if only that can be proven, or None."""
-    proven = checker.path_is_free(raw, PROOF)
-    problem.limits.hold = False
+    proven = search.checker.path_is_free(raw, PROOF)
     if proven:
-        problem.limits.resolution = PROOF
-    simplifier = geometric.PathSimplifier(problem.information)
-    simplifier.reduceVertices(found)
-    simplifier.partialShortcutPath(found)
-    simplifier.reduceVertices(found)
-    simplifier.collapseCloseVertices(found)
-    shortened = _to_array(found, raw.shape[1])
-    if checker.path_is_free(shortened, PROOF):
+        search.resolution = PROOF
+    shortened = problem.shortened(raw)
+    if search.checker.path_is_free(shortened, PROOF):
         return shortened
     return raw if proven else None
 
 
-def _to_array(path: Any, joints: int) -> Array:
-    return np.array([[state[j] for j in range(joints)] for state in path.getStates()])
-
-
 @dataclass
-class _Limits:
-    """At which resolution motions are checked, and whether the limits on time and checks hold."""
+class _Search:
+    """The collision checks of a planner, with its limits on time and checks and its progress."""
 
-    resolution: float
-    hold: bool = True
+    checker: CollisionChecker
+    max_checks: float
+    resolution: float = PROOF
+    began: float = 0.0
+    deadline: float = math.inf
+    limited: bool = True
+    planner: Planner | None = None
+    best_cost: Callable[[], str] | None = None
+    next_look: float = 0.0
+    costs: list[tuple[float, float]] = field(default_factory=list)
+    lock: threading.Lock = field(default_factory=threading.Lock)
 
+    def begin(self, began: float, time_limit: float, resolution: float) -> None:
+        """Set the limits of the next run, and forget the costs of the last one."""
+        self.began, self.deadline, self.resolution, self.limited = began, began + time_limit, resolution, True
+        self.costs.clear()
 
-class _Problem:
-    """A query as OMPL's objects, with limits on time and checks."""
+    def run(self, planner: Planner) -> None:
+        """Have a planner search."""
+        self.planner, self.best_cost = planner, planner.best_cost()
+        try:
+            planner.solve(max(self.deadline - time.perf_counter(), 0.0), self.exhausted)
+        finally:
+            # the planner must not be reachable from the callbacks that it keeps alive
+            self.planner, self.best_cost, self.limited = None, None, False
 
-    def __init__(self, base: ModuleType, query: Query, checker: CollisionChecker, resolution: float, deadline: float):
-        joints = len(query.start)
-        # what the callbacks share; they must not know this object, or C++ and Python would keep each other alive
-        limits = self.limits = _Limits(resolution)
-        max_checks = float("inf") if query.max_checks is None else query.max_checks
+    def exhausted(self) -> bool:
+        """Whether a limit is reached."""
+        if not self.limited:
+            return False
+        now = time.perf_counter()
+        if self.best_cost is not None and now >= self.next_look:
+            self.next_look = now + LOOK
+            self.note(now, float(self.best_cost()))
+        if self.checker.checks < self.max_checks and now < self.deadline:
+            return False
+        if self.planner is not None:
+            self.planner.stop()
+        return True
 
-        def exhausted() -> bool:
-            return limits.hold and (checker.checks >= max_checks or time.perf_counter() >= deadline)
+    def note(self, now: float, cost: float) -> None:
+        """Note the cost of the best path so far; OMPL tells it with six digits."""
+        if math.isfinite(cost) and (not self.costs or cost < (1 - 1e-5) * self.costs[-1][1]):
+            self.costs.append((now - self.began, cost))
 
-        def is_free(state: Any) -> bool:
-            return not exhausted() and checker.is_free([state[j] for j in range(joints)])
+    def is_free(self, configuration: Any) -> bool:
+        """Whether a configuration is free; nothing is once a limit is reached."""
+        with self.lock:
+            return not self.exhausted() and self.checker.is_free(configuration)
 
-        class Motions(base.MotionValidator):  # type: ignore[misc,name-defined]
-            """Whole motions per call from C++, checked exactly as the finished path will be."""
-
-            def checkMotion(self, first: Any, second: Any, last_valid: Any = None) -> bool:  # noqa: N802
-                a = np.array([first[j] for j in range(joints)])
-                b = np.array([second[j] for j in range(joints)])
-                free = not exhausted() and checker.motion_is_free(a, b, limits.resolution)
-                if last_valid is not None and not free:
-                    # the state that receives the last free configuration may be the motion's end itself
-                    share = 0.0 if exhausted() else checker.free_share(a, b, limits.resolution)
-                    last_valid.second = share
-                    if last_valid.first is not None:
-                        for j, angle in enumerate(a + share * (b - a)):
-                            last_valid.first[j] = float(angle)
-                return free
-
-        bounds = base.RealVectorBounds(joints)
-        for j in range(joints):
-            bounds.setLow(j, float(query.lower[j]))
-            bounds.setHigh(j, float(query.upper[j]))
-        self._space = base.RealVectorStateSpace(joints)
-        self._space.setBounds(bounds)
-        self.information = base.SpaceInformation(self._space)
-        self._checker = base.StateValidityCheckerFn(is_free)
-        self.information.setStateValidityChecker(self._checker)
-        self._motions = Motions(self.information)
-        self.information.setMotionValidator(self._motions)
-        # for the planners that check states along a motion on their own
-        finest = resolution / float(np.linalg.norm(checker.reaches))
-        self.information.setStateValidityCheckingResolution(finest / self._space.getMaximumExtent())
-        self.information.setup()
-        self.definition = base.ProblemDefinition(self.information)
-        self.definition.addStartState(self._state(base, query.start))
-        goals = base.GoalStates(self.information)
-        for goal in query.goals:
-            goals.addState(self._state(base, goal))
-        self.definition.setGoal(goals)
-        self.termination = base.PlannerTerminationCondition(base.PlannerTerminationConditionFn(exhausted))
-
-    def _state(self, base: ModuleType, configuration: Array) -> Any:
-        state = base.State(self._space)
-        for j, angle in enumerate(configuration):
-            state[j] = float(angle)
-        return state
+    def free_share(self, first: Array, second: Array, whole: bool) -> float:
+        """The share of a motion up to which it is free; 0 for all that are not free as a whole if that will do."""
+        if self.exhausted():
+            return 0.0
+        if self.checker.motion_is_free(first, second, self.resolution):
+            return 1.0
+        return 0.0 if whole or self.exhausted() else self.checker.free_share(first, second, self.resolution)

@@ -4,18 +4,26 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, replace
+from collections.abc import Collection
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.errors import InvalidValueError, require_choice
+from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.planning.collision import PROOF, CollisionChecker, planning_model
+from greenhouse_gym.planning.collision import (
+    COLLISION_PAIRS,
+    PROOF,
+    CollisionChecker,
+    path_clearance,
+    planning_model,
+)
 from greenhouse_gym.planning.goals import Goals, GoalStatistics, search_goals
 from greenhouse_gym.planning.ompl_worker import Answer, Query
 from greenhouse_gym.planning.path import path_length
+from greenhouse_gym.planning.planner_settings import PlannerSettings
 from greenhouse_gym.planning.planners import PLANNERS
 from greenhouse_gym.planning.worker import WorkerCrashedError, WorkerFailedError, WorkerTimeoutError, shared_worker
 from greenhouse_gym.robots import Robot
@@ -33,6 +41,8 @@ Status = Literal[
     "invalid",  # the planner's path does not lead from the start to a goal, or is not free
 ]
 
+_COARSE = 0.05  # metres; for a guess
+
 GRACE = 5.0
 """Seconds beyond the time limit after which a planner that does not return is killed."""
 
@@ -45,12 +55,18 @@ class PlanResult:
         status: One of `Status`.
         path: (k, joints) free joint path from the start to a goal, radians; None unless solved.
         planner: Name of the planner.
-        raw_length: Length of the planner's own path before it was simplified, radians; nan without one.
+        raw_path: (k, joints) the planner's own path before it was simplified; None without one.
+        raw_length: Length of ``raw_path``, radians; nan without one.
         length: Length of ``path``, radians; nan without one.
+        clearance: Smallest distance of the arm to any obstacle but the target along ``path``, metres; at most
+            `CLEARANCE_RANGE`; nan without a path.
         planning_time: Seconds the planner searched.
         simplification_time: Seconds for shortening the path and proving it free.
         goal_time: Seconds for the goal configurations.
         checks: Configurations the planner checked for collisions.
+        tree_size: Nodes in the planner's trees or roadmap.
+        costs: (m, 2) seconds, and the length of the best path the planner had by then, radians: the first one it told
+            of and every shorter one.
         goals: How the search for goal configurations went; None where they were given.
         message: What happened, where the status does not tell it all.
     """
@@ -58,12 +74,16 @@ class PlanResult:
     status: Status
     path: Array | None
     planner: str
+    raw_path: Array | None = None
     raw_length: float = math.nan
     length: float = math.nan
+    clearance: float = math.nan
     planning_time: float = 0.0
     simplification_time: float = 0.0
     goal_time: float = 0.0
     checks: int = 0
+    tree_size: int = 0
+    costs: Array = field(default_factory=lambda: np.empty((0, 2)))
     goals: GoalStatistics | None = None
     message: str = ""
 
@@ -78,6 +98,8 @@ def plan(
     goals: int | Goals | npt.ArrayLike = 60,
     seed: int = 0,
     start: npt.ArrayLike | None = None,
+    settings: PlannerSettings | None = None,
+    pairs: Collection[str] = COLLISION_PAIRS,
 ) -> PlanResult:
     """Plan a path that brings the tool to a tomato and touches nothing else.
 
@@ -95,15 +117,18 @@ def plan(
         goals: How many goal configurations to find, or the configurations (k, joints) themselves, radians.
         seed: Seed of the goal search and of the planner.
         start: (joints,) start configuration, radians; the arm's own when left out.
+        settings: The planner's settings, as ``PLANNERS[planner].with_settings(...)`` makes them; its usual ones when
+            left out.
+        pairs: What the arm is checked against, of `COLLISION_PAIRS`; all of it unless less is asked for.
 
     Raises:
-        UnknownNameError: No such planner or arm.
+        UnknownNameError: No such planner, arm or collision pair.
         InvalidValueError: No such tomato; a limit that is not positive and finite; a start or goals outside the limits.
         MissingDependencyError: OMPL is not installed.
     """
     compiled = compile_scene(scene, robot)
-    checker = CollisionChecker(planning_model(compiled, target))
-    return plan_with(compiled, checker, target, planner, time_limit, max_checks, goals, seed, start)
+    checker = CollisionChecker(planning_model(compiled, target, pairs=pairs))
+    return plan_with(compiled, checker, target, planner, time_limit, max_checks, goals, seed, start, settings)
 
 
 def plan_with(
@@ -116,9 +141,15 @@ def plan_with(
     goals: int | Goals | npt.ArrayLike = 60,
     seed: int = 0,
     start: npt.ArrayLike | None = None,
+    settings: PlannerSettings | None = None,
 ) -> PlanResult:
     """As `plan`, for a scene compiled and a checker made already."""
-    require_choice("planner", planner, PLANNERS)
+    info = PLANNERS[planner]
+    chosen = info.settings if settings is None else settings
+    if type(chosen) is not type(info.settings):
+        raise InvalidValueError(
+            f"settings: {planner} takes {type(info.settings).__name__}, got {type(chosen).__name__}"
+        )
     if not (math.isfinite(time_limit) and time_limit > 0):
         raise InvalidValueError(f"time_limit must be a positive, finite number of seconds, got {time_limit!r}")
     if max_checks is not None and max_checks < 1:
@@ -137,23 +168,29 @@ def plan_with(
         given = goals.configurations if isinstance(goals, Goals) else np.asarray(goals, dtype=np.float64)
         ends = _configurations("goals", given, arm)
         ends = ends[[checker.is_free(end) for end in ends]]
+    if info.single_goal and len(ends):
+        # the way back to the start is free the longest: cheaper to reach than the nearest, and than a random one
+        ends = ends[np.argmax([checker.free_share(end, origin, _COARSE) for end in ends])][None]
     goal_time = time.perf_counter() - began
     if not len(ends):
         return PlanResult("no_goal", None, planner, goal_time=goal_time, goals=statistics)
     query = Query(
         model=checker.model,
+        reaches=checker.reaches,
         lower=arm.lower,
         upper=arm.upper,
         start=origin,
         goals=ends,
         planner=planner,
+        settings=chosen.changed(),
         time_limit=time_limit,
         max_checks=max_checks,
-        step=PLANNERS[planner].step,
-        optimizing=PLANNERS[planner].optimizing,
+        optimizing=info.optimizing,
         seed=seed,
     )
-    return replace(_ask(checker, query), goal_time=goal_time, goals=statistics)
+    result = _ask(checker, query)
+    clearance = math.nan if result.path is None else path_clearance(compiled, target, result.path)
+    return replace(result, clearance=clearance, goal_time=goal_time, goals=statistics)
 
 
 def _ask(checker: CollisionChecker, query: Query) -> PlanResult:
@@ -172,7 +209,7 @@ def _ask(checker: CollisionChecker, query: Query) -> PlanResult:
     except (WorkerCrashedError, WorkerFailedError) as error:
         return failed("crashed", error)
     status: Status = answer.status
-    path, message = answer.path, ""
+    path, message = answer.path, "the planner's path is not free" if answer.status == "invalid" else ""
     if path is not None:
         message = _flaw(checker, query, path)
         if message:
@@ -181,11 +218,14 @@ def _ask(checker: CollisionChecker, query: Query) -> PlanResult:
         status,
         path,
         query.planner,
+        raw_path=answer.raw_path,
         raw_length=math.nan if answer.raw_path is None else path_length(answer.raw_path),
         length=math.nan if path is None else path_length(path),
         planning_time=answer.planning_time,
         simplification_time=answer.simplification_time,
         checks=answer.checks,
+        tree_size=answer.tree_size,
+        costs=answer.costs,
         message=message,
     )
 

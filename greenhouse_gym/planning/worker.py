@@ -20,9 +20,13 @@ from typing import Any
 from greenhouse_gym.errors import GreenhouseError, MissingDependencyError
 
 _BOOT = (
-    "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
-    "from greenhouse_gym.planning.ompl_worker import serve; serve(int(sys.argv[2]))"
+    "import json, os, sys; sys.path[:] = json.loads(sys.argv[1]); "
+    "from greenhouse_gym.planning.ompl_worker import serve; serve(int(sys.argv[2]), int(sys.argv[3])); "
+    "os._exit(0)"  # OMPL 2 dies when its objects are torn down
 )
+MEMORY_LIMIT = 4 << 30
+"""Bytes of data a planning process may hold."""
+
 _START_LIMIT = 120.0  # seconds an interpreter may take to start and import OMPL on a busy machine
 
 
@@ -39,9 +43,14 @@ class WorkerFailedError(GreenhouseError):
 
 
 class Worker:
-    """One planning process; safe to use from several threads, which then take turns."""
+    """One planning process; safe to use from several threads, which then take turns.
 
-    def __init__(self) -> None:
+    Args:
+        memory_limit: Bytes of data the process may hold; what wants more fails or dies, and the caller lives on.
+    """
+
+    def __init__(self, memory_limit: int = MEMORY_LIMIT) -> None:
+        self._memory_limit = memory_limit
         self._lock = threading.Lock()
         self._process: subprocess.Popen[bytes] | None = None
         self._connection: Connection[Any, Any] | None = None
@@ -99,7 +108,7 @@ class Worker:
         handle = theirs.fileno()
         with theirs:
             self._process = subprocess.Popen(
-                [sys.executable, "-c", _BOOT, json.dumps(sys.path), str(handle)],
+                [sys.executable, "-c", _BOOT, json.dumps(sys.path), str(handle), str(self._memory_limit)],
                 pass_fds=[handle],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,

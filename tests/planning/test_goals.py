@@ -7,7 +7,7 @@ import pytest
 
 from greenhouse_gym.crop import Tomato
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.planning import CollisionChecker, goal_configurations, planning_model
+from greenhouse_gym.planning import Approach, CollisionChecker, goal_configurations, planning_model
 from greenhouse_gym.planning.goals import SAMPLE_BUDGET, TOLERANCE
 from greenhouse_gym.planning.kinematics import tool_chain, tool_state
 from greenhouse_gym.scene import Scene
@@ -79,3 +79,33 @@ def _shell(center: np.ndarray) -> list[Tomato]:
 def test_bad_values_are_named(scene: Scene, wrong: dict[str, float]) -> None:
     with pytest.raises(InvalidValueError, match=str(next(iter(wrong.values())))):
         goal_configurations(scene, **{"target": 0, **wrong})  # type: ignore[arg-type]
+
+
+def test_the_tool_comes_from_within_the_cone(scene: Scene) -> None:
+    """All goals point into the cone, and reach the target all the same; fewer configurations do without it."""
+    compiled = compile_scene(scene)
+    chain, tomato = tool_chain(compiled.model, compiled.tip_site), scene.tomatoes[2]
+    approach = Approach(np.array([2.0, 0.0, 0.0]), np.radians(30))
+    goals = goal_configurations(scene, 2, count=20, approach=approach)
+    state = tool_state(chain, goals.configurations, tomato.radius)
+    assert len(goals.configurations) == 20
+    assert (state.axis[:, 0] >= np.cos(np.radians(30)) - 1e-9).all()
+    assert np.linalg.norm(state.point - tomato.center, axis=-1).max() < 1e-3
+    free = tool_state(chain, goal_configurations(scene, 2, count=20).configurations, tomato.radius)
+    assert (free.axis[:, 0] < np.cos(np.radians(30))).any()
+    checker = CollisionChecker(planning_model(compiled, 2))
+    assert all(map(checker.is_free, goals.configurations))
+
+
+def test_a_cone_of_all_directions_changes_nothing(scene: Scene) -> None:
+    anyhow = goal_configurations(scene, 2, count=5)
+    everywhere = goal_configurations(scene, 2, count=5, approach=Approach(np.array([0.0, 0.0, 1.0]), np.pi))
+    assert np.allclose(anyhow.configurations, everywhere.configurations)
+    assert anyhow.statistics == everywhere.statistics
+
+
+def test_a_cone_that_makes_no_sense_is_named() -> None:
+    with pytest.raises(InvalidValueError, match="direction"):
+        Approach(np.zeros(3), 0.5)
+    with pytest.raises(InvalidValueError, match="half angle"):
+        Approach(np.array([1.0, 0.0, 0.0]), 0.0)

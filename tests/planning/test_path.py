@@ -9,7 +9,19 @@ from hypothesis import strategies as st
 
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import distance_to_capsules
-from greenhouse_gym.planning import follow_path, path_length, resample
+from greenhouse_gym.planning import (
+    CollisionChecker,
+    follow_path,
+    free_commands,
+    path_length,
+    plan,
+    planning_model,
+    resample,
+)
+from greenhouse_gym.planning.path import CORNER_TOLERANCE
+from greenhouse_gym.robots import get_robot
+from greenhouse_gym.scene import Scene
+from greenhouse_gym.scene.mjcf import compile_scene
 
 INTERVAL = 0.05
 SPEED, ACCELERATION = np.array([1.6, 1.6, 0.8]), np.array([14.0, 14.0, 7.0])
@@ -82,3 +94,29 @@ def test_no_way_no_commands() -> None:
 def test_bad_intervals(interval: float) -> None:
     with pytest.raises(InvalidValueError, match="positive"):
         follow_path([[0, 0, 0], [1, 1, 1]], SPEED, ACCELERATION, interval)
+
+
+def test_commands_are_free_between_themselves(scene: Scene) -> None:
+    arm = get_robot("ur5e")
+    limits = (np.full(6, 1.6), arm.acceleration_limits, 0.05)
+    compiled = compile_scene(scene, arm)
+    for target in range(4):
+        path = plan(scene, target).path
+        assert path is not None
+        commands = free_commands(compiled, target, path, *limits)
+        checker = CollisionChecker(planning_model(compiled, target, margin=0.0))
+        assert np.allclose(commands[-1], path[-1], atol=1e-12)
+        assert checker.path_is_free(np.concatenate([path[:1], commands]), 0.002)
+
+
+def test_corners_are_taken_slowly_where_cutting_them_would_touch(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    arm = get_robot("ur5e")
+    limits = (np.full(6, 1.6), arm.acceleration_limits, 0.05)
+    path = arm.start + np.array([np.zeros(6), [0.3, 0, 0, 0, 0, 0], [0.3, 0.3, 0, 0, 0, 0]])
+    usual = free_commands(compile_scene(scene, arm), 0, path, *limits)
+    assert np.array_equal(usual, follow_path(path, *limits))
+    verdicts = iter([False, False, True])
+    monkeypatch.setattr(CollisionChecker, "path_is_free", lambda *_: next(verdicts))
+    careful = free_commands(compile_scene(scene, arm), 0, path, *limits)
+    assert np.array_equal(careful, follow_path(path, *limits, corner_tolerance=CORNER_TOLERANCE / 4))
+    assert len(careful) > len(usual)

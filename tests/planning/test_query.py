@@ -7,7 +7,16 @@ import pytest
 
 from greenhouse_gym.crop import Tomato
 from greenhouse_gym.errors import InvalidValueError, UnknownNameError
-from greenhouse_gym.planning import CollisionChecker, PlanResult, goal_configurations, plan, planning_model, query
+from greenhouse_gym.geometry import Sphere
+from greenhouse_gym.planning import (
+    PLANNERS,
+    CollisionChecker,
+    PlanResult,
+    goal_configurations,
+    plan,
+    planning_model,
+    query,
+)
 from greenhouse_gym.planning.ompl_worker import Answer
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene
@@ -16,8 +25,10 @@ from greenhouse_gym.scene.mjcf import compile_scene
 START = get_robot("ur5e").start
 
 
-@pytest.mark.parametrize("planner", ["RRTConnect", "KPIECE1", "LazyPRM", "RRTstar", "EITstar", "PDST"])
+@pytest.mark.parametrize("planner", ["RRTConnect", "KPIECE1", "BITstar", "RRTstar", "PRM", "AITstar", "BiTRRT", "pSBL"])
 def test_planned_paths_are_free_in_the_simulator(scene: Scene, planner: str) -> None:
+    if planner not in PLANNERS:
+        pytest.skip(f"this OMPL has no {planner}")
     result = plan(scene, 0, planner=planner, time_limit=1.0)
     assert result.status == "solved"
     assert result.path is not None
@@ -30,6 +41,11 @@ def test_planned_paths_are_free_in_the_simulator(scene: Scene, planner: str) -> 
     assert result.length <= result.raw_length + 1e-9
     assert result.checks > 0
     assert result.goals is not None
+    assert result.tree_size > 0 or planner == "AITstar"
+    assert result.raw_path is not None
+    assert np.array_equal(result.raw_path[0], START)
+    assert result.costs[-1, 1] == pytest.approx(result.raw_length, rel=2e-5)
+    assert 0.0 < result.clearance <= 0.1
 
 
 def test_same_seed_and_checks_same_path(scene: Scene) -> None:
@@ -39,6 +55,45 @@ def test_same_seed_and_checks_same_path(scene: Scene) -> None:
     assert np.array_equal(first.path, again.path)
     assert first.checks == again.checks
     assert not np.array_equal(first.path, other.path)
+
+
+def test_optimizing_planners_tell_their_cost_over_time(scene: Scene) -> None:
+    if "RRTsharp" not in PLANNERS:
+        pytest.skip("OMPL 2 does not tell Python")
+    result = plan(scene, 0, planner="BITstar", time_limit=1.0, seed=3)
+    seconds, costs = result.costs.T
+    assert len(costs) > 1
+    assert (np.diff(seconds) > 0).all()
+    assert (np.diff(costs) < 0).all()
+    assert 0 < seconds[0] < seconds[-1] < result.planning_time + 0.1
+
+
+def test_settings_change_what_a_planner_does(scene: Scene) -> None:
+    usual = plan(scene, 7, max_checks=50_000, time_limit=60.0)
+    short = PLANNERS["RRTConnect"].with_settings(range=0.1)
+    other = plan(scene, 7, max_checks=50_000, time_limit=60.0, settings=short)
+    assert usual.status == other.status == "solved"
+    assert other.raw_path is not None
+    assert np.linalg.norm(np.diff(other.raw_path, axis=0), axis=-1).max() < 0.1 + 1e-6
+    with pytest.raises(InvalidValueError, match="RRTConnect takes RRTConnectSettings, got RRTstarSettings"):
+        plan(scene, 7, settings=PLANNERS["RRTstar"].settings)
+
+
+def test_what_the_arm_is_checked_against_can_be_chosen(scene: Scene) -> None:
+    in_the_cart = [0, 1.0, 0, 0, 0, 0]
+    assert plan(scene, 0, start=in_the_cart).status == "start_in_collision"
+    result = plan(scene, 0, start=in_the_cart, pairs=("tomatoes", "stems", "clutter"))
+    assert result.status == "solved"
+    with pytest.raises(UnknownNameError, match=r"collision pair 'leaves'.*stems"):
+        plan(scene, 0, pairs=("leaves",))
+
+
+def test_two_thousand_obstacles(scene: Scene) -> None:
+    rng = np.random.default_rng(0)
+    places = rng.uniform([0.75, -1.5, 0.2], [1.2, 1.5, 2.0], (2000, 3))
+    crowded = scene.model_copy(update={"clutter": tuple(Sphere(place, 0.01) for place in places)})
+    result = plan(crowded, 0, max_checks=20_000, time_limit=60.0)
+    assert result.status == "solved"
 
 
 def test_checks_are_a_budget(scene: Scene) -> None:
@@ -136,7 +191,7 @@ def test_no_path_of_the_worker_is_believed(
         path = np.insert(path, 1, 5.0, axis=0)
     else:
         path = np.insert(path, 1, np.nan, axis=0)
-    answer = Answer("solved", path, path, 0.1, 0.0, 10)
+    answer = Answer("solved", path, path, 0.1, 0.0, 10, 5, np.empty((0, 2)))
     monkeypatch.setattr(query.shared_worker(), "call", lambda *_: answer)
     result: PlanResult = plan(scene, 7)
     assert result.status == "invalid"

@@ -1,0 +1,47 @@
+"""Commands along a path that are themselves proven free: between two commands the arm does not stay on the path."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from greenhouse_gym.geometry import Array
+from greenhouse_gym.planning.collision import MARGIN, CollisionChecker, planning_model
+from greenhouse_gym.planning.path import CORNER_TOLERANCE, follow_path
+from greenhouse_gym.scene.mjcf import CompiledScene
+
+_HALVINGS = 4  # of the corner tolerance
+
+
+def free_commands(
+    compiled: CompiledScene,
+    target: int,
+    path: npt.ArrayLike,
+    velocity_limits: npt.ArrayLike,
+    acceleration_limits: npt.ArrayLike,
+    interval: float,
+) -> Array:
+    """Commands at equal intervals along a path, such that the straight motions between them are free.
+
+    They keep half of the planner's margin. Where a motion that cuts a corner does not, all corners are taken more
+    slowly, and closer to the path.
+
+    Args:
+        compiled: The scene the path was planned in.
+        target: Index of the target tomato.
+        path: (k, n) configurations, radians, proven free.
+        velocity_limits: (n,) rad/s.
+        acceleration_limits: (n,) rad/s^2.
+        interval: Seconds from one command to the next.
+
+    Returns:
+        (m, n) commands, as `follow_path` gives them; the slowest ones where even those are not free.
+    """
+    start = np.asarray(path, dtype=np.float64)[:1]
+    checker = CollisionChecker(planning_model(compiled, target, margin=MARGIN / 2))
+    for halving in range(_HALVINGS + 1):
+        tolerance = CORNER_TOLERANCE / 2**halving
+        commands = follow_path(path, velocity_limits, acceleration_limits, interval, corner_tolerance=tolerance)
+        if checker.path_is_free(np.concatenate([start, commands]), MARGIN):
+            break
+    return commands

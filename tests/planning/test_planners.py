@@ -1,0 +1,96 @@
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from greenhouse_gym.errors import GreenhouseError, InvalidValueError, UnknownNameError
+from greenhouse_gym.planning import PAPER_PLANNERS, PLANNERS, goal_configurations, plan
+from greenhouse_gym.planning.planner_settings import FMTSettings, PlannerSettings, RRTConnectSettings
+from greenhouse_gym.planning.worker import shared_worker
+from greenhouse_gym.scene import Scene
+
+UNBOUND = {"BiTRRT", "CForest", "pRRT", "pSBL"}
+OMPL_1 = len(PLANNERS) > 20
+needs_ompl_1 = pytest.mark.skipif(not OMPL_1, reason="OMPL 2 binds fewer planners")
+
+
+def test_every_planner_is_described() -> None:
+    assert list(PLANNERS) == sorted(PLANNERS)
+    for name, info in PLANNERS.items():
+        assert info.name == name
+        assert info.description not in ("", "not described")
+
+
+@needs_ompl_1
+def test_all_34_of_the_wheel_and_all_25_of_the_paper() -> None:
+    assert len(set(PLANNERS) - UNBOUND) == 34
+    assert len(set(PAPER_PLANNERS)) == 25
+    assert set(PAPER_PLANNERS) < set(PLANNERS)
+
+
+@needs_ompl_1
+@pytest.mark.parametrize("name", sorted(set(PLANNERS) - UNBOUND - {"STRRTstar"}))
+def test_settings_are_those_of_ompl_with_its_values(name: str) -> None:
+    parameters = shared_worker().call("parameters", name, 30.0)
+    fields = {field.name: field for field in dataclasses.fields(PLANNERS[name].settings)}
+    assert set(fields) == set(parameters)
+    for key, text in parameters.items():
+        if key != "estimated_dimension":  # as many as the space has
+            assert float(fields[key].default) == float(text), key  # type: ignore[arg-type]
+
+
+def test_settings_are_checked() -> None:
+    info = PLANNERS["RRTConnect"]
+    assert info.with_settings(range=0.3) == RRTConnectSettings(range=0.3)
+    with pytest.raises(UnknownNameError, match=r"setting of RRTConnect 'rang'.*Did you mean 'range'"):
+        info.with_settings(rang=0.3)
+    for wrong in (-1.0, math.nan, math.inf, "0.3", True):
+        with pytest.raises(InvalidValueError, match=r"RRTConnectSettings\.range"):
+            info.with_settings(range=wrong)
+    with pytest.raises(InvalidValueError, match="share"):
+        PLANNERS["RRT"].with_settings(goal_bias=1.5)
+    with pytest.raises(InvalidValueError, match="True or False"):
+        FMTSettings(heuristics=1)  # type: ignore[arg-type]
+    with pytest.raises(InvalidValueError, match="whole number"):
+        FMTSettings(num_samples=10.5)  # type: ignore[arg-type]
+    assert info.settings.changed() == {"range": 0.8}
+    assert PlannerSettings().changed() == {}
+
+
+def test_unknown_planners_list_the_choices() -> None:
+    with pytest.raises(UnknownNameError, match="Did you mean 'RRTConnect'"):
+        PLANNERS["RRTconnect"]
+    assert "RRTconnect" not in PLANNERS
+    assert issubclass(UnknownNameError, GreenhouseError)
+
+
+@pytest.mark.parametrize("name", sorted(PLANNERS))
+def test_every_planner_answers(scene: Scene, name: str) -> None:
+    """Whatever the planner does, there is a status; what counts as a path was proven free by the caller."""
+    goals = goal_configurations(scene, 0, count=10)
+    result = plan(scene, 0, planner=name, time_limit=0.4, goals=goals, seed=1)
+    assert result.status in ("solved", "approximate", "no_solution", "invalid", "crashed")
+    assert result.status != "crashed" or name == "STRRTstar"
+    assert (result.path is not None) == (result.status == "solved")
+    if result.path is not None:
+        straight = np.linalg.norm(goals.configurations - result.path[0], axis=-1).min()
+        assert len(result.costs) > 0
+        assert (result.costs[:, 1] >= straight - 1e-4).all()
+
+
+@pytest.mark.parametrize("name", sorted(name for name, info in PLANNERS.items() if info.reproducible))
+def test_same_seed_and_number_of_checks_same_path(scene: Scene, name: str) -> None:
+    goals = goal_configurations(scene, 0, count=10)
+    runs = []
+    for seed in (4, 9, 4):  # another problem in between
+        runs.append(plan(scene, 0, planner=name, time_limit=30.0, max_checks=1500, goals=goals, seed=seed))
+    first, _, again = runs
+    assert first.status == again.status
+    assert first.checks == again.checks
+    assert (first.path is None) == (again.path is None)
+    if first.path is not None and again.path is not None:
+        assert np.array_equal(first.path, again.path)
+        assert np.array_equal(first.raw_path, again.raw_path)  # type: ignore[arg-type]
