@@ -247,7 +247,9 @@ def test_two_leaves_that_cross_get_a_thin_box_each() -> None:
     points = np.concatenate([flat, upright]) + random.normal(0, 0.0005, (6000, 3))
     boxes = cover(points, np.repeat([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], 3000, axis=0), 20, SETTINGS)
     assert len(boxes) <= 6
-    assert sum(8 * np.prod(box.half_extents) for box in boxes) < 0.3 * 0.1**3  # one box around both would hold all of it
+    assert (
+        sum(8 * np.prod(box.half_extents) for box in boxes) < 0.3 * 0.1**3
+    )  # one box around both would hold all of it
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 50])
