@@ -97,13 +97,15 @@ class Case:
         return f"{self.length:g}m-{self.seed}" + ("" if self.bias == StereoNoise().bias else f"-bias-{self.bias:g}")
 
 
-def cases(lengths: Sequence[float], seeds: Sequence[int], parts: Sequence[str]) -> Iterator[Case]:
+def cases(
+    lengths: Sequence[float], seeds: Sequence[int], parts: Sequence[str], methods: Sequence[str]
+) -> Iterator[Case]:
     """Everything to measure; cases of one recording follow each other."""
     for length, seed in itertools.product(lengths, seeds):
         if "rows" in parts:
-            yield from (Case(length, seed, method) for method in METHODS)
+            yield from (Case(length, seed, method) for method in methods)
         if "broken" in parts and length in BROKEN_LENGTHS:
-            yield from (Case(length, seed, method, broken=True) for method in BROKEN_METHODS)
+            yield from (Case(length, seed, method, broken=True) for method in BROKEN_METHODS if method in methods)
         if "bias" in parts and length == BIAS_LENGTH:
             yield from (Case(length, seed, bias=bias) for bias in BIASES)
 
@@ -196,13 +198,14 @@ def main() -> None:
     parser.add_argument("--lengths", type=float, nargs="+", default=[2.0, 5.0, 10.0, 20.0], help="metres")
     parser.add_argument("--seeds", type=int, nargs="+", default=[201, 202, 203])
     parser.add_argument("--only", nargs="+", choices=["rows", "broken", "bias"], default=["rows", "broken", "bias"])
+    parser.add_argument("--methods", nargs="+", choices=list(METHODS), default=list(METHODS))
     parser.add_argument("--workdir", type=Path, help="where to keep the rendered recordings; by default none is kept")
     parser.add_argument("--out", type=Path, default=RESULTS / "reconstruction.json")
     arguments = parser.parse_args()
     records = measured(arguments.out)
     todo = [
         case
-        for case in dict.fromkeys(cases(arguments.lengths, arguments.seeds, arguments.only))
+        for case in dict.fromkeys(cases(arguments.lengths, arguments.seeds, arguments.only, arguments.methods))
         if not any(asdict(case).items() <= record.items() for record in records)
     ]
     for name, own in itertools.groupby(todo, key=lambda case: case.recording):

@@ -30,6 +30,14 @@ def worker() -> Iterator[Worker]:
     worker.close()
 
 
+@pytest.fixture
+def ctrl_c() -> Iterator[None]:
+    """Ctrl-C is heard even where the tests run in the background of a shell, which has it ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 def alive(pid: int) -> bool:
     try:
         os.kill(pid, 0)
@@ -110,6 +118,7 @@ def test_too_much_memory_is_refused_and_the_next_call_works() -> None:
         worker.close()
 
 
+@pytest.mark.usefixtures("ctrl_c")
 def test_ctrl_c_while_planning(scene: Scene) -> None:
     assert plan(scene, 0).status == "solved"
     threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()
@@ -118,6 +127,7 @@ def test_ctrl_c_while_planning(scene: Scene) -> None:
     assert plan(scene, 0).status == "solved"
 
 
+@pytest.mark.usefixtures("ctrl_c")
 def test_ctrl_c_reaches_the_caller_and_the_next_call_works(worker: Worker) -> None:
     worker.call("sleep", 0.0, 30.0)
     first = worker.pid
