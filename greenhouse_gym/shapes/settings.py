@@ -40,3 +40,4 @@ class ShapeSettings:
     clutter_gap: float = 0.012  # points farther apart are different things
     min_lump_cells: int = 8  # fewer are noise
     clutter_margin: float = 0.012  # a box's surface farther than this from all of its points is empty
+    explained: float = 0.008  # points this near a shape speak for it
