@@ -4,6 +4,8 @@ PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 EXTRAS := reconstruct,plan,train,viz,dev
+# the last two need real recordings, in the folder that GREENHOUSE_GYM_REAL_DATA names
+BENCHMARKS := reconstruction shapes planners throughput paper_figures $(if $(GREENHOUSE_GYM_REAL_DATA),orbit shapes_real)
 
 .PHONY: demo test test-ompl-2 lint bench clean
 
@@ -29,7 +31,7 @@ lint: $(VENV)/.installed
 
 bench: $(VENV)/.installed
 	$(BIN)/python -m pytest -m slow
-	for file in benchmarks/*.py; do $(BIN)/python $$file || exit 1; done
+	for name in $(BENCHMARKS); do $(BIN)/python benchmarks/$$name.py || exit 1; done
 
 clean:
 	rm -rf $(VENV) .venv-ompl-2 demo runs
