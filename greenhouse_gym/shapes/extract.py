@@ -76,7 +76,7 @@ def extract_shapes(
     cloud = _without(cloud, tomatoes, settings.shell)
     woody = cloud.select(could_be_fruit_or_stem(cloud.colors, settings))
     main = find_main_stems(woody.points, woody.normals, settings)
-    woody = _without(woody, main, settings.shell)
+    woody = _without(woody, main, settings.stem_margin)
     thin = find_peduncles(woody.points, woody.normals, tomatoes, main, settings)
     stems = (*main, *thin)
     cloud = _without(cloud, stems, settings.shell)
