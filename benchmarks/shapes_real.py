@@ -25,10 +25,10 @@ from shapes_real_data import CYLINDERS, KINECT, Seedling, TableScene, read_seedl
 
 from greenhouse_gym.accuracy import compare_stems
 from greenhouse_gym.accuracy.cover import COVERED_WITHIN, distance_to_nearest
-from greenhouse_gym.accuracy.silhouettes import Outlines
 from greenhouse_gym.capture.images import encode_png
-from greenhouse_gym.crop import Stem, Tomato
-from greenhouse_gym.geometry import Array, Capsule, Shape, frame_along
+from greenhouse_gym.cli.overlay import draw_outlines
+from greenhouse_gym.crop import Stem
+from greenhouse_gym.geometry import Array, Capsule, frame_along
 from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.shapes import RowShapes, extract_shapes
 
@@ -50,7 +50,7 @@ def measure_table(scene: TableScene, pictures: Path | None) -> dict[str, Figures
     stems = [scaled(stem, 1 / CAN_SCALE) for stem in shapes.stems]
     if pictures:
         tomatoes = [scaled(tomato, 1 / CAN_SCALE) for tomato in shapes.tomatoes]
-        outlined = draw(scene.photograph, [*tomatoes, *stems], scene.camera_from_world)
+        outlined = draw_outlines(scene.photograph, [*tomatoes, *stems], KINECT, scene.camera_from_world)
         write_atomically(pictures / f"{scene.name}.png", encode_png(outlined))
     return {
         f"{scene.name} {label}": measure_can(scene.points[scene.labels == label], stems) for label in scene.cylinders
@@ -154,19 +154,6 @@ def false_length(stems: Sequence[Stem], points: Array) -> float:
 
 
 # -- pictures ---------------------------------------------------------------------------------------------------------
-
-
-def draw(photograph: np.ndarray[Any, np.dtype[np.uint8]], shapes: Sequence[Shape], camera_from_world: Array) -> Any:
-    """Outlines of shapes over a photograph (h, w, 3), from its camera's own place: tomatoes red, stems blue."""
-    image = photograph.copy()
-    outlines = Outlines.of(shapes).seen_from(camera_from_world)
-    for i in outlines.in_view(KINECT, np.inf, np.ones(len(shapes), dtype=bool)).tolist():
-        mask = np.zeros(image.shape[:2], dtype=np.uint8)
-        alone = outlines.silhouette(i, KINECT)
-        mask[alone.image] = alone.covered
-        contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-        cv2.drawContours(image, contours, -1, (230, 30, 30) if isinstance(shapes[i], Tomato) else (20, 60, 255), 2)
-    return image
 
 
 def draw_seedling(plant: Seedling, shapes: RowShapes, pixels: int = 800) -> Any:

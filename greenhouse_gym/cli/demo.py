@@ -80,7 +80,7 @@ def run_demo(out: Path, seed: int, settings: DemoSettings) -> Report:
     report = Report()
     row, recording = _simulate(out, seed, settings, report)
     cloud = _reconstruct(out, row, recording, report)
-    shapes = _extract(row, recording, cloud, report)
+    shapes = _extract(out, row, recording, cloud, report)
     bank = _build(out, recording, cloud, shapes, settings, report)
     _plan_to_every_tomato(out, bank, report)
     _draw_the_arm(out, recording, cloud, bank, report)
@@ -167,14 +167,19 @@ def true_poses(recording: Recording) -> np.ndarray[Any, np.dtype[np.float64]]:
     return np.array([np.full((4, 4), np.nan) if pose is None else pose for pose in poses])
 
 
-def _extract(row: PlantRow, recording: Recording, cloud: RowCloud, report: Report) -> RowShapes:
+def _extract(out: Path, row: PlantRow, recording: Recording, cloud: RowCloud, report: Report) -> RowShapes:
     from greenhouse_gym.accuracy import match_tomatoes, visible_tomatoes
+    from greenhouse_gym.cli.overlay import shapes_over_photograph
+    from greenhouse_gym.cli.pictures import save, upright
     from greenhouse_gym.geometry import invert, transform
     from greenhouse_gym.shapes import extract_shapes
 
     with report.stage("extract shapes") as results:
         shapes = extract_shapes(cloud.points, cloud.colors, cloud.normals)
         results.append(f"{len(shapes.tomatoes)} tomatoes, {len(shapes.stems)} stems, {len(shapes.clutter)} boxes")
+        registered = np.flatnonzero(cloud.registered)
+        picture = shapes_over_photograph(recording, cloud, shapes, int(registered[len(registered) // 2]))
+        save(upright(picture), out / "12-shapes-over-photograph.png")
     with report.stage("count the visible tomatoes") as results:
         poses = true_poses(recording)
         visible = visible_tomatoes(row, recording.rig, poses)

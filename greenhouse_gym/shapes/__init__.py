@@ -1,6 +1,7 @@
 """From a cloud to tomatoes, stems and clutter."""
 
+from greenhouse_gym.shapes.evidence import Evidence
 from greenhouse_gym.shapes.extract import RowShapes, extract_shapes
 from greenhouse_gym.shapes.settings import ShapeSettings
 
-__all__ = ["RowShapes", "ShapeSettings", "extract_shapes"]
+__all__ = ["Evidence", "RowShapes", "ShapeSettings", "extract_shapes"]

@@ -15,7 +15,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from greenhouse_gym.geometry import Array, Box, distance_to_shapes
+from greenhouse_gym.geometry import Array, Box
+from greenhouse_gym.shapes.evidence import nearest_shapes
 from greenhouse_gym.shapes.settings import ShapeSettings
 
 THINNEST = 0.0025
@@ -43,7 +44,7 @@ def cover(points: Array, normals: Array, budget: int, settings: ShapeSettings) -
         return []
     centers, facing = _cells(points, normals, settings.clutter_cell)
     found = [_boxed(centers, rows, settings) for rows in _patches(centers, facing, settings)]
-    missed = np.flatnonzero(_distance([piece.box for piece in found], centers) > settings.clutter_near)
+    missed = np.flatnonzero(nearest_shapes(centers, [p.box for p in found], settings.clutter_near).owner < 0)
     found += [_boxed(centers, missed[rows], settings) for rows in _lumps(centers[missed], settings)]
     heap = [(-piece.claimed, number, piece) for number, piece in enumerate(found)]
     heap = sorted(heap, key=lambda entry: -len(entry[2].rows))[:budget]
@@ -97,17 +98,6 @@ def _connected(count: int, pairs: npt.NDArray[np.int64], least: int) -> list[npt
     label = connected_components(links, directed=False)[1]
     rows = np.split(np.argsort(label, kind="stable"), np.cumsum(np.bincount(label))[:-1])
     return [part for part in rows if len(part) >= least]
-
-
-def _distance(boxes: list[Box], points: Array) -> Array:
-    """Distance (n,) from each point to the nearest box; inf without boxes."""
-    nearest = np.full(len(points), np.inf)
-    tree = cKDTree(points)
-    for box in boxes:  # most boxes are far from most points
-        rows = tree.query_ball_point(box.center, float(np.linalg.norm(box.half_extents)) + 0.02)
-        distance = distance_to_shapes(points[rows], [box])[:, 0]
-        nearest[rows] = np.minimum(nearest[rows], distance)
-    return nearest
 
 
 def _split(points: Array, piece: _Piece, settings: ShapeSettings) -> tuple[_Piece, _Piece] | None:

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.crop import Stem, Tomato
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.geometry import Array, Box, distance_to_shapes
+from greenhouse_gym.geometry import Array, Box, Shape
 from greenhouse_gym.reconstruction.clouds import Cloud, to_open3d, voxel_means
 from greenhouse_gym.shapes.clutter import cover
 from greenhouse_gym.shapes.colors import could_be_fruit_or_stem
+from greenhouse_gym.shapes.evidence import Evidence, nearest_shapes
 from greenhouse_gym.shapes.peduncles import find_peduncles
 from greenhouse_gym.shapes.settings import ShapeSettings
 from greenhouse_gym.shapes.stems import find_main_stems
 from greenhouse_gym.shapes.tomatoes import find_tomatoes
+
+_FEWEST = 50  # points that hold a shape
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,11 +31,20 @@ class RowShapes:
         tomatoes: Fruits with truss and ripeness.
         stems: Main stems, peduncles and pedicels.
         clutter: Boxes around everything else.
+        confidence: How credible each tomato is, 0 to 1.
+        evidence: The shape nearest to each point of the cloud, counted through tomatoes, stems and clutter.
     """
 
     tomatoes: tuple[Tomato, ...] = ()
     stems: tuple[Stem, ...] = ()
     clutter: tuple[Box, ...] = ()
+    confidence: tuple[float, ...] = ()
+    evidence: Evidence = field(default_factory=lambda: nearest_shapes(np.zeros((0, 3)), (), 0.0))
+
+    @property
+    def shapes(self) -> tuple[Shape, ...]:
+        """All shapes in the order in which ``evidence`` counts them."""
+        return (*self.tomatoes, *self.stems, *self.clutter)
 
 
 def extract_shapes(
@@ -55,19 +68,22 @@ def extract_shapes(
         InvalidValueError: The arrays do not fit together, hold NaN, or the cloud is too large to be in metres.
     """
     settings = settings or ShapeSettings()
-    cloud = _checked(points, colors, normals)
-    if len(cloud) < 50:
-        return RowShapes()
-    cloud, _ = voxel_means(cloud, settings.voxel)
-    tomatoes = find_tomatoes(cloud.points, cloud.normals, cloud.colors, settings).tomatoes
-    cloud = _without(cloud, list(tomatoes), settings.shell)
+    whole = _checked(points, colors, normals)
+    if len(whole) < _FEWEST:
+        return RowShapes(evidence=nearest_shapes(whole.points, (), 0.0))
+    cloud, _ = voxel_means(whole, settings.voxel)
+    tomatoes, confidence = find_tomatoes(cloud.points, cloud.normals, cloud.colors, settings)
+    cloud = _without(cloud, tomatoes, settings.shell)
     woody = cloud.select(could_be_fruit_or_stem(cloud.colors, settings))
     main = find_main_stems(woody.points, woody.normals, settings)
-    woody = _without(woody, main, settings.shell)
+    woody = _without(woody, main, settings.stem_margin)
     thin = find_peduncles(woody.points, woody.normals, tomatoes, main, settings)
-    cloud = _without(cloud, [*main, *thin], settings.shell)
+    stems = (*main, *thin)
+    cloud = _without(cloud, stems, settings.shell)
     budget = round(settings.clutter_per_metre * float(np.ptp(cloud.points[:, 1]))) if len(cloud) else 0
-    return RowShapes(tomatoes, (*main, *thin), tuple(cover(cloud.points, cloud.normals, max(budget, 10), settings)))
+    clutter = tuple(cover(cloud.points, cloud.normals, max(budget, 10), settings))
+    evidence = nearest_shapes(whole.points, (*tomatoes, *stems, *clutter), settings.explained)
+    return RowShapes(tomatoes, stems, clutter, confidence, evidence)
 
 
 def _checked(points: npt.ArrayLike, colors: npt.ArrayLike, normals: npt.ArrayLike | None) -> Cloud:
@@ -102,17 +118,6 @@ def _estimated_normals(points: Array) -> Array:
     return np.array(cloud.normals)
 
 
-def _without(cloud: Cloud, shapes: list[Tomato] | list[Stem], margin: float) -> Cloud:
+def _without(cloud: Cloud, shapes: Sequence[Shape], margin: float) -> Cloud:
     """The points farther than ``margin`` metres outside all of the shapes."""
-    outside = np.ones(len(cloud), dtype=bool)
-    for shape in shapes:  # most shapes are far from most points: look only at a box around each
-        low, high = _bounds(shape, margin)
-        rows = np.flatnonzero(outside & (cloud.points >= low).all(axis=1) & (cloud.points <= high).all(axis=1))
-        outside[rows[distance_to_shapes(cloud.points[rows], [shape])[:, 0] < margin]] = False
-    return cloud.select(outside)
-
-
-def _bounds(shape: Tomato | Stem, margin: float) -> tuple[Array, Array]:
-    ends = np.array([shape.center, shape.center] if isinstance(shape, Tomato) else [shape.start, shape.end])
-    grow = shape.radius + margin
-    return ends.min(axis=0) - grow, ends.max(axis=0) + grow
+    return cloud.select(nearest_shapes(cloud.points, shapes, margin).owner < 0)

@@ -29,7 +29,8 @@ class ShapeSettings:
     truss_reach: float = 0.12  # from the center of a fruit, where what holds it is looked for
     path_step: float = 0.004  # peduncles are traced from point to point this far apart
     path_gap: float = 0.015  # hidden part of a peduncle that is bridged
-    root_reach: float = 0.020  # from a main stem's axis to the first point of a peduncle
+    stem_margin: float = 0.008  # points this near a main stem are its own bumps, no peduncle
+    root_reach: float = 0.025  # from a main stem's axis to the first point of a peduncle
     pedicel_reach: float = 0.008  # from the last point of a pedicel to the skin
     axis_tolerance: float = 0.003  # a chain of capsules may be this far from the traced axis
     clutter_per_metre: int = 85  # boxes
@@ -40,3 +41,4 @@ class ShapeSettings:
     clutter_gap: float = 0.012  # points farther apart are different things
     min_lump_cells: int = 8  # fewer are noise
     clutter_margin: float = 0.012  # a box's surface farther than this from all of its points is empty
+    explained: float = 0.008  # points this near a shape speak for it

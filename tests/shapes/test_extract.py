@@ -14,6 +14,7 @@ from greenhouse_gym.geometry import Sphere, distance_to_shapes, invert, transfor
 from greenhouse_gym.shapes import RowShapes, ShapeSettings, extract_shapes
 from greenhouse_gym.shapes.clutter import bounding_box, cover
 from greenhouse_gym.shapes.colors import could_be_fruit_or_stem
+from greenhouse_gym.shapes.evidence import nearest_shapes
 from greenhouse_gym.shapes.peduncles import find_peduncles
 from greenhouse_gym.shapes.polylines import simplified
 from greenhouse_gym.shapes.tomatoes import group_trusses, ripeness_of
@@ -196,6 +197,38 @@ def test_a_simplified_line_stays_near_the_line(tolerance: float) -> None:
     np.testing.assert_array_equal(few[[0, -1]], line[[0, -1]])
     capsules = [Stem(a, b, 1e-9, "main") for a, b in itertools.pairwise(few)]
     assert distance_to_shapes(line, capsules).min(axis=1).max() <= tolerance
+
+
+# -- evidence ---------------------------------------------------------------------------------------------------------
+
+
+def test_every_point_speaks_for_the_nearest_shape() -> None:
+    parts = half_sphere((0.45, 0.1, 1.1), 0.03, 0), cylinder(0.5, 0.3, 0.7, 1.4, 0.006), plane(count=3000)
+    points, colors, normals = together(*parts, half_sphere((3.0, 3.0, 3.0), 0.001))  # and a speck
+    found = extract_shapes(points, colors, normals)
+    owner, residual = found.evidence
+    assert owner.shape == residual.shape == (len(points),)
+    distance = distance_to_shapes(points, found.shapes)
+    explained = owner >= 0
+    np.testing.assert_array_equal(explained, distance.min(axis=1) <= SETTINGS.explained)
+    np.testing.assert_allclose(residual[explained], distance.min(axis=1)[explained])
+    assert np.isnan(residual[~explained]).all()
+    assert (owner[: len(parts[0][0])] == 0).mean() > 0.99  # the tomato comes first
+    assert len(found.confidence) == len(found.tomatoes) == 1
+    assert 0.9 < found.confidence[0] <= 1.0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_nearest_shape_is_the_one_that_distances_name(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    points = random.uniform(-0.3, 0.3, (500, 3))
+    boxes = [bounding_box(random.uniform(-0.1, 0.1, (9, 3)) + random.uniform(-0.2, 0.2, 3)) for _ in range(5)]
+    balls = [Sphere(random.uniform(-0.2, 0.2, 3), 0.05) for _ in range(5)]
+    owner, residual = nearest_shapes(points, [*boxes, *balls], 0.05)
+    distance = distance_to_shapes(points, [*boxes, *balls])
+    np.testing.assert_array_equal(owner, np.where(distance.min(axis=1) <= 0.05, distance.argmin(axis=1), -1))
+    assert 0 < np.count_nonzero(owner >= 0) < len(owner)
+    np.testing.assert_allclose(residual[owner >= 0], distance.min(axis=1)[owner >= 0])
 
 
 # -- colors -----------------------------------------------------------------------------------------------------------

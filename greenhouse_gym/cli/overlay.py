@@ -1,0 +1,55 @@
+"""Shapes drawn over the photograph they were found in, from the camera's own place."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from greenhouse_gym.accuracy.silhouettes import Outlines
+from greenhouse_gym.capture import Recording
+from greenhouse_gym.capture.rig import Intrinsics
+from greenhouse_gym.crop import Stem, Tomato
+from greenhouse_gym.geometry import Array, Shape, invert
+from greenhouse_gym.reconstruction import RowCloud
+from greenhouse_gym.shapes import RowShapes
+
+Image = npt.NDArray[np.uint8]
+
+_TOMATO, _STEM, _CLUTTER = (230, 30, 30), (20, 60, 255), (250, 200, 40)  # RGB
+
+
+def draw_outlines(
+    photograph: Image, shapes: Sequence[Shape], intrinsics: Intrinsics, camera_from_shapes: Array
+) -> Image:
+    """The outlines of shapes over a photograph (h, w, 3): tomatoes red, stems blue, the rest yellow.
+
+    Args:
+        photograph: What the camera saw.
+        shapes: In any frame.
+        intrinsics: The camera's.
+        camera_from_shapes: (4, 4).
+    """
+    import cv2
+
+    image = photograph.copy()
+    outlines = Outlines.of(shapes).seen_from(camera_from_shapes)
+    for i in outlines.in_view(intrinsics, np.inf, np.ones(len(shapes), dtype=bool)).tolist():
+        mask = np.zeros(image.shape[:2], dtype=np.uint8)
+        alone = outlines.silhouette(i, intrinsics)
+        mask[alone.image] = alone.covered
+        contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        is_fruit, is_stem = isinstance(shapes[i], Tomato), isinstance(shapes[i], Stem)
+        color = _TOMATO if is_fruit else _STEM if is_stem else _CLUTTER
+        cv2.drawContours(image, contours, -1, color, 2 if is_fruit else 1)
+    return image
+
+
+def shapes_over_photograph(recording: Recording, row: RowCloud, found: RowShapes, station: int) -> Image:
+    """What was found in a row over what the reference camera saw at a registered station, clutter below the rest."""
+    camera = recording.rig.cameras[recording.rig.reference]
+    photograph = recording[station].frames[recording.rig.reference].color
+    camera_from_row = invert(row.world_from_station[station] @ camera.rig_from_camera)
+    ordered: list[Shape] = [*found.clutter, *found.stems, *found.tomatoes]
+    return draw_outlines(photograph, ordered, camera.intrinsics, camera_from_row)

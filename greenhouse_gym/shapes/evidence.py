@@ -1,0 +1,47 @@
+"""Which points speak for which shape."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from greenhouse_gym.geometry import Array, Box, Capsule, Shape, distance_to_shapes
+
+
+class Evidence(NamedTuple):
+    """The shape nearest to each point of a cloud.
+
+    Attributes:
+        owner: (n,) index of the shape, or -1 where none is within reach.
+        residual: (n,) signed distance from its surface in metres, negative inside; NaN where there is none.
+    """
+
+    owner: npt.NDArray[np.int32]
+    residual: Array
+
+
+def nearest_shapes(points: Array, shapes: Sequence[Shape], reach: float) -> Evidence:
+    """Assign each point (n, 3) to the nearest shape whose surface is within ``reach`` metres, or that holds it."""
+    owner, residual = np.full(len(points), -1, dtype=np.int32), np.full(len(points), np.nan)
+    order = np.argsort(points[:, 1], kind="stable")
+    along = points[order, 1]
+    for index, shape in enumerate(shapes):  # most shapes are far from most points: look only at a box around each
+        low, high = _bounds(shape, reach)
+        rows = order[np.searchsorted(along, low[1]) : np.searchsorted(along, high[1], "right")]
+        rows = rows[((points[rows] >= low) & (points[rows] <= high)).all(axis=1)]
+        distance = distance_to_shapes(points[rows], [shape])[:, 0]
+        nearer = (distance <= reach) & ~(distance >= residual[rows])
+        owner[rows[nearer]], residual[rows[nearer]] = index, distance[nearer]
+    return Evidence(owner, residual)
+
+
+def _bounds(shape: Shape, margin: float) -> tuple[Array, Array]:
+    """Corners (3,) and (3,) of a box along the axes that holds a shape and ``margin`` metres around it."""
+    if isinstance(shape, Box):
+        half = np.abs(shape.rotation) @ shape.half_extents + margin
+        return shape.center - half, shape.center + half
+    ends = np.array([shape.start, shape.end] if isinstance(shape, Capsule) else [shape.center])
+    return ends.min(axis=0) - shape.radius - margin, ends.max(axis=0) + shape.radius + margin
