@@ -35,6 +35,7 @@ PICTURES = {
     "9-arm-at-start.png",
     "10-arm-at-target.png",
     "11-training-curve.png",
+    "12-shapes-over-photograph.png",
 }
 
 
