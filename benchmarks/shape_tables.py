@@ -26,6 +26,7 @@ def pooled(records: Sequence[Record]) -> Figures:
     """All figures of some rows taken together; lengths in metres."""
     tomatoes = pool_tomatoes([_tomatoes(record["tomatoes"]) for record in records])
     whole = pool_tomatoes([_tomatoes(record["whole_tomatoes"]) for record in records])
+    colored = pool_tomatoes([_tomatoes(record["colored_tomatoes"]) for record in records])
     kinds = {kind: pool_stems([_stems(record["stems"][kind]) for record in records]) for kind in STEM_KINDS}
     thin = pool_stems([kinds["peduncle"], kinds["pedicel"]])
     counts = [count for record in records for count in record["primitives"]]
@@ -34,6 +35,7 @@ def pooled(records: Sequence[Record]) -> Figures:
             "all": _tomato_figures(tomatoes),
             "whole": _tomato_figures(whole),
             "whole green": _tomato_figures(whole.of_ripeness(*RIPENESS_BANDS["green"])),
+            "colored": _tomato_figures(colored),
             "ripeness": {name: _tomato_figures(tomatoes.of_ripeness(*band)) for name, band in RIPENESS_BANDS.items()},
             "occlusion": {name: _tomato_figures(tomatoes.of_share(*band)) for name, band in OCCLUSION_BANDS.items()},
             "center_error_median_unaligned": _quantile([e for r in records for e in r["unaligned_center_error"]], 0.5),
@@ -117,6 +119,7 @@ _GOALS = (
     ("green tomatoes: F1", ">= 0.92", lambda f: f"{f['tomatoes']['ripeness']['green']['f1']:.3f}"),
     ("tomatoes seen at 30 % of their silhouette: F1", "", lambda f: f"{f['tomatoes']['whole']['f1']:.3f}"),
     ("green ones of these: F1", "", lambda f: f"{f['tomatoes']['whole green']['f1']:.3f}"),
+    ("tomatoes that color shows, with depth or without: F1", "", lambda f: f"{f['tomatoes']['colored']['f1']:.3f}"),
     ("tomato center, median", "<= 2.5 mm", lambda f: _mm(f["tomatoes"]["all"]["center_error_median"])),
     ("tomato center, median, unaligned", "", lambda f: _mm(f["tomatoes"]["center_error_median_unaligned"])),
     ("tomato center, 95 %", "<= 10 mm", lambda f: _mm(f["tomatoes"]["all"]["center_error_95"])),

@@ -11,7 +11,8 @@ out (the tomatoes' centers are given without it as well).
 Tomatoes match within one true radius, one to one. A place on a stem's axis counts as found, or as true, where an axis
 of the other side lies within 10 mm and runs within 30 degrees of it; stems count by length. Only what was visible must
 be found, and what was hidden may be: tomatoes as a whole, stems and leaves in pieces of 2 cm, visible if some frame
-shows at least 30 % of the pixels that they alone would cover in it, after the cut at 60 cm.
+shows at least 30 % of the pixels that they alone would cover in it, after the cut at 60 cm and with a depth: the band
+along the image's side in which a stereo camera measures none shows nothing. Tomatoes are also counted with this band.
 
 Recordings, clouds and measurements are kept under --workdir, by a fingerprint of the sources that made them; started
 again, the benchmark goes on with what is missing.
@@ -40,7 +41,6 @@ from shape_tables import pooled, tables
 from greenhouse_gym.accuracy import (
     StemComparison,
     TomatoComparison,
-    Visibility,
     align,
     compare_stems,
     compare_tomatoes,
@@ -79,7 +79,8 @@ def measure(row: Row, cause: str, workdir: Path) -> dict[str, Any]:
     everything: list[Shape] = [*placed.tomatoes, *placed.stems, *placed.clutter]
     points = transform(world_from_row, cloud.points)
     stands = stand_positions(row.simulate(), BuildSettings())
-    whole = Visibility(visible.tomatoes.whole, visible.tomatoes.whole)  # beyond the image's edge counts as hidden
+    whole = visible.tomatoes._replace(in_image=visible.tomatoes.whole)  # beyond the image's edge counts as hidden
+    colored = visible.tomatoes._replace(in_image=visible.tomatoes.in_color)  # the band without depth hides nothing
     petioles = [shape for shape in truth.clutter if isinstance(shape, Capsule)]
     unaligned = in_frame(shapes, poses[np.flatnonzero(cloud.registered)[0]])
     return asdict(row) | {
@@ -88,6 +89,7 @@ def measure(row: Row, cause: str, workdir: Path) -> dict[str, Any]:
         "shapes": {"tomatoes": len(shapes.tomatoes), "stems": len(shapes.stems), "clutter": len(shapes.clutter)},
         "tomatoes": plain(compare_tomatoes(truth.tomatoes, visible.tomatoes, placed.tomatoes)),
         "whole_tomatoes": plain(compare_tomatoes(truth.tomatoes, whole, placed.tomatoes)),
+        "colored_tomatoes": plain(compare_tomatoes(truth.tomatoes, colored, placed.tomatoes)),
         "unaligned_center_error": match_tomatoes(truth.tomatoes, unaligned.tomatoes).center_errors.tolist(),
         "stems": {
             kind: plain(compare_stems(truth.stems, visible.stems, petioles, placed.stems, kind)) for kind in STEM_KINDS

@@ -30,6 +30,7 @@ from greenhouse_gym.accuracy.cover import outer_samples
 from greenhouse_gym.accuracy.silhouettes import Outlines
 from greenhouse_gym.capture import Intrinsics, WalkSettings
 from greenhouse_gym.capture.rig import Camera, Rig
+from greenhouse_gym.capture.sensor import StereoNoise
 from greenhouse_gym.capture.simulated import walk
 from greenhouse_gym.crop import Stem, StemKind, Tomato
 from greenhouse_gym.geometry import Array, Box, Capsule, Shape, Sphere, distance_to_shapes, pose, rotation_about
@@ -114,15 +115,24 @@ def test_beyond_the_cut_nothing_is_seen() -> None:
 
 def test_the_edge_of_the_image_counts_for_the_whole_alone() -> None:
     edge = 0.5 * (K.width / 2) / K.fx
-    half = seen(tomato(edge))
+    half = seen(tomato(-edge))
     assert half.in_image[0] > 0.95
     assert half.whole[0] == pytest.approx(0.5, abs=0.06)
-    assert seen(tomato(edge + 0.1)).in_image[0] == 0.0
+    assert seen(tomato(-edge - 0.1)).in_image[0] == 0.0
+
+
+def test_where_a_stereo_camera_measures_no_depth_only_color_shows_anything() -> None:
+    first_measured = 0.5 * (K.width / 2) / K.fx - StereoNoise().baseline
+    half = seen(tomato(first_measured))
+    assert half.in_image[0] == pytest.approx(0.45, abs=0.08)  # the front of the ball is hidden farther than its middle
+    assert half.in_color[0] > 0.97
+    hidden = seen(tomato(first_measured), wall(first_measured, 0.1))
+    assert hidden.in_color[0] == 0.0
 
 
 def test_the_best_frame_counts() -> None:
-    row = row_of(tomato(0.0), wall(0.2, 0.2))
-    there = np.stack([np.eye(4), pose(translation=[0.0, -0.2, 0.0])])
+    row = row_of(tomato(0.0), wall(-0.2, 0.2))
+    there = np.stack([np.eye(4), pose(translation=[0.0, 0.2, 0.0])])
     both = visibility(row, row.tomatoes, np.array([0]), ONE_CAMERA, there)
     assert both.in_image[0] > 0.97
 
@@ -163,7 +173,7 @@ def fruits() -> list[Tomato]:
 
 def known(shares: Array | None = None) -> Visibility:
     values = np.ones(8) if shares is None else shares
-    return Visibility(values, values)
+    return Visibility(values, values, values)
 
 
 def compared(found: list[Tomato], shares: Array | None = None) -> TomatoComparison:
@@ -237,7 +247,7 @@ def test_nothing_found_or_nothing_there() -> None:
     assert (nothing.recall, nothing.f1) == (0.0, 0.0)
     assert np.isnan(nothing.precision)
     assert nothing.truss_right.tolist() == [False, False, False]
-    empty = compare_tomatoes([], Visibility(np.zeros(0), np.zeros(0)), fruits())
+    empty = compare_tomatoes([], Visibility(*np.zeros((3, 0))), fruits())
     assert (empty.precision, len(empty.false), len(empty.truss_right)) == (0.0, 8, 0)
     both = pool_tomatoes([nothing, compared(fruits())])
     assert both.recall == 0.5

@@ -27,7 +27,7 @@ def compare(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
 
     def run(shapes: list[Shape], hidden: tuple[int, ...] = ()) -> Any:
         shares = np.array([0.0 if i in hidden else 1.0 for i in range(3)])
-        visible = VisibleRow(Visibility(shares, shares), (STEM,), (LEAF,))
+        visible = VisibleRow(Visibility(shares, shares, shares), (STEM,), (LEAF,))
         return compare_collisions(shapes, TRUTH, visible, POINTS, [0.0], 300)
 
     return run

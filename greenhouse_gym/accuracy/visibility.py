@@ -13,6 +13,7 @@ import numpy.typing as npt
 from greenhouse_gym.accuracy.silhouettes import Outlines
 from greenhouse_gym.capture.raycast import RowRaycaster
 from greenhouse_gym.capture.rig import Camera, Rig
+from greenhouse_gym.capture.sensor import StereoNoise
 from greenhouse_gym.crop import Stem
 from greenhouse_gym.geometry import Array, Box, Capsule, Shape, invert
 from greenhouse_gym.plants import PlantRow
@@ -34,13 +35,16 @@ class Visibility(NamedTuple):
 
     Attributes:
         in_image: (n,) share of the pixels that the object alone would cover in the image: what hides it are other
-            objects and the foreground cut. This decides whether an object counts as visible.
+            objects, the foreground cut, and the band along one side of the image in which a stereo camera measures no
+            depth, because its second imager does not see so far. This decides whether an object counts as visible.
         whole: (n,) the same as a share of the object's whole silhouette: what the edge of the image cuts off counts as
             hidden too. This says how much there is to see.
+        in_color: (n,) like ``in_image``, but the band without depth hides nothing: the color image shows it.
     """
 
     in_image: Array
     whole: Array
+    in_color: Array
 
     @property
     def visible(self) -> npt.NDArray[np.bool_]:
@@ -85,7 +89,7 @@ def visible_row(row: PlantRow, rig: Rig, world_from_station: Array) -> VisibleRo
     ends = np.cumsum([first_stem, len(stems.pieces)])
     of_stems, of_clutter = np.split(seen.visible, ends)[1:]
     return VisibleRow(
-        Visibility(seen.in_image[:first_stem], seen.whole[:first_stem]),
+        Visibility(*(shares[:first_stem] for shares in seen)),
         tuple(stems.pieces[i] for i in np.flatnonzero(of_stems).tolist()),
         tuple(clutter.pieces[i] for i in np.flatnonzero(of_clutter).tolist()),
     )
@@ -146,21 +150,24 @@ def visibility(
     """
     caster, outlines = RowRaycaster.of(row), Outlines.of(objects)
     front = rig.cameras[rig.reference].rig_from_camera[0, 3] + foreground
-    best = Visibility(np.zeros(len(objects)), np.zeros(len(objects)))
+    best = Visibility(*np.zeros((3, len(objects))))
     for pose in world_from_station:
         for camera in rig.cameras.values():
             world_from_camera = pose @ camera.rig_from_camera
             depth, seen = caster.measure(world_from_camera, camera.intrinsics)
             seen[_beyond(depth, camera, front)] = -1
+            measured = _in_second_imager(depth, camera)
             here = outlines.seen_from(invert(world_from_camera))
             shows = np.isin(shape, np.unique(seen)) & (best.whole < enough)  # the others have no pixel in this frame
             for i in here.in_view(camera.intrinsics, 2 * foreground, shows).tolist():
                 alone = here.silhouette(i, camera.intrinsics)
                 count = np.count_nonzero(alone.covered)
                 if count:
-                    shown = np.count_nonzero(alone.covered & (seen[alone.image] == shape[i]))
+                    colored = alone.covered & (seen[alone.image] == shape[i])
+                    shown = np.count_nonzero(colored & measured[alone.image])
                     best.in_image[i] = max(best.in_image[i], shown / count)
                     best.whole[i] = max(best.whole[i], shown / alone.whole)
+                    best.in_color[i] = max(best.in_color[i], np.count_nonzero(colored) / count)
     return best
 
 
@@ -172,3 +179,10 @@ def _beyond(depth: npt.NDArray[np.float32], camera: Camera, front: float) -> npt
     forward = turn[0, 0] * x + turn[0, 1] * y + turn[0, 2]
     with np.errstate(invalid="ignore"):
         return ~(depth * forward + turn[0, 3] < front)
+
+
+def _in_second_imager(depth: npt.NDArray[np.float32], camera: Camera) -> npt.NDArray[np.bool_]:
+    """Pixels (h, w) whose points a D435's second imager has within its image too, so that their depth is measured."""
+    k = camera.intrinsics
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(np.arange(k.width) >= k.fx * StereoNoise().baseline / depth)

@@ -75,14 +75,52 @@ def _cells(points: Array, normals: Array, cell: float) -> tuple[Array, Array]:
 
 
 def _patches(centers: Array, facing: Array, settings: ShapeSettings) -> list[npt.NDArray[np.int64]]:
-    """Rows of the cells of each smooth patch: neighbors that face alike and lie in each other's plane."""
+    """Rows of the cells of each flat patch: neighbors that face alike and lie near one plane.
+
+    From every smooth surface, the flat part with most cells is taken off until only crumbs are left.
+    """
     pairs = cKDTree(centers).query_pairs(1.8 * settings.clutter_cell, output_type="ndarray")
     one, two = pairs.T
     apart = centers[two] - centers[one]
     off_plane = np.abs((apart * (facing[one] + facing[two])).sum(axis=1)) / 2
     smooth = (facing[one] * facing[two]).sum(axis=1) > settings.clutter_facing
     smooth &= off_plane < 0.5 * np.linalg.norm(apart, axis=1) + settings.clutter_cell / 5
-    return _connected(len(centers), pairs[smooth], settings.min_patch_cells)
+    links = _graph(pairs[smooth], len(centers))
+    surfaces = _parts(links, np.arange(len(centers)), settings.min_patch_cells)
+    found = []
+    while surfaces:
+        rows = surfaces.pop()
+        flat = _flattest(centers, facing, rows, settings)
+        taken = _parts(links, rows[flat], 1)[0]
+        if len(taken) >= settings.min_patch_cells:
+            found.append(taken)
+        surfaces += _parts(links, np.setdiff1d(rows, taken), settings.min_patch_cells)
+    return found
+
+
+def _flattest(centers, facing, rows, settings):
+    """Which of some cells (n,) lie near the plane of one of them that holds most of the others, fitted to these."""
+    p, n = centers[rows], facing[rows]
+    seeds = np.linspace(0, len(p) - 1, min(len(p), 40)).astype(int)
+    height = np.einsum("sk,snk->sn", n[seeds], p[None] - p[seeds, None])
+    near = (np.abs(height) < settings.clutter_flat) & (n[seeds] @ n.T > settings.clutter_alike)
+    inside = near[np.argmax(near.sum(axis=1))]
+    center = p[inside].mean(axis=0)
+    normal = np.linalg.eigh(np.cov((p[inside] - center).T))[1][:, 0]
+    fitted = (np.abs((p - center) @ normal) < settings.clutter_flat) & (np.abs(n @ normal) > settings.clutter_alike)
+    return fitted if np.count_nonzero(fitted) > np.count_nonzero(inside) else inside
+
+
+def _graph(pairs, count):
+    return coo_array((np.ones(len(pairs), dtype=bool), (pairs[:, 0], pairs[:, 1])), shape=(count, count)).tocsr()
+
+
+def _parts(links, rows, least):
+    """Connected parts of some rows of a graph, largest first."""
+    part = links[rows][:, rows]
+    label = connected_components(part, directed=False)[1]
+    parts = np.split(np.argsort(label, kind="stable"), np.cumsum(np.bincount(label))[:-1])
+    return [rows[q] for q in sorted(parts, key=len, reverse=True) if len(q) >= least]
 
 
 def _lumps(centers: Array, settings: ShapeSettings) -> list[npt.NDArray[np.int64]]:

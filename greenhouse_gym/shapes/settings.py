@@ -40,5 +40,7 @@ class ShapeSettings:
     clutter_near: float = 0.007  # points this near a box are covered by it
     clutter_gap: float = 0.012  # points farther apart are different things
     min_lump_cells: int = 8  # fewer are noise
+    clutter_flat: float = 0.006  # a leaf's points lie this near its plane
+    clutter_alike: float = 0.8
     clutter_margin: float = 0.012  # a box's surface farther than this from all of its points is empty
     explained: float = 0.008  # points this near a shape speak for it
