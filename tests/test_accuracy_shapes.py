@@ -126,7 +126,7 @@ def test_where_a_stereo_camera_measures_no_depth_only_color_shows_anything() -> 
     half = seen(tomato(first_measured))
     assert half.in_image[0] == pytest.approx(0.45, abs=0.08)  # the front of the ball is hidden farther than its middle
     assert half.in_color[0] > 0.97
-    hidden = seen(tomato(first_measured), wall(first_measured, 0.1))
+    hidden = seen(tomato(first_measured), wall(first_measured, 0.3))
     assert hidden.in_color[0] == 0.0
 
 
