@@ -1,12 +1,14 @@
 """Clutter: what no tomato and no stem explains, covered by few oriented boxes.
 
-Leaves are flat, so smooth patches get boxes first; what these do not cover gets boxes by nearness. Then, again and
-again, the box that claims most empty space is split in two where that leaves the least.
+Leaves are flat, so flat patches of smooth surfaces get boxes first; what these do not cover gets boxes by nearness.
+Boxes that claim empty space are split until they claim hardly any. Then neighbors are joined, those first whose common
+box claims least, until no more boxes are left than wanted.
 """
 
 from __future__ import annotations
 
 import heapq
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +25,7 @@ THINNEST = 0.0025
 """Smallest half extent of a box, metres: about the noise of the cloud."""
 
 _TOLERATED = 0.15  # share of a box's surface that may be empty
+_NEIGHBORS = 9  # of which a box may be joined with one, itself counted
 _CUTS = (0.3, 0.4, 0.5, 0.6, 0.7)  # where along its axes a box may be split
 
 
@@ -46,21 +49,48 @@ def cover(points: Array, normals: Array, budget: int, settings: ShapeSettings) -
     found = [_boxed(centers, rows, settings) for rows in _patches(centers, facing, settings)]
     missed = np.flatnonzero(nearest_shapes(centers, [p.box for p in found], settings.clutter_near).owner < 0)
     found += [_boxed(centers, missed[rows], settings) for rows in _lumps(centers[missed], settings)]
-    heap = [(-piece.claimed, number, piece) for number, piece in enumerate(found)]
-    heap = sorted(heap, key=lambda entry: -len(entry[2].rows))[:budget]
+    pieces = [part for piece in found for part in _exact(centers, piece, settings)]
+    return [piece.box for piece in _fewer(centers, pieces, budget, settings)]
+
+
+def _exact(points: Array, piece: _Piece, settings: ShapeSettings) -> Iterator[_Piece]:
+    """A piece, split again and again where that leaves less empty space, until its parts claim hardly any."""
+    parts = _split(points, piece, settings) if piece.share > _TOLERATED else None
+    for part in parts or ():
+        yield from _exact(points, part, settings)
+    if parts is None:
+        yield piece
+
+
+def _fewer(points: Array, pieces: Sequence[_Piece], budget: int, settings: ShapeSettings) -> Iterable[_Piece]:
+    """Join neighbors until the budget is kept: always the two whose common box claims least beyond their own."""
+    alive = dict(enumerate(pieces))
+    if len(alive) <= budget:
+        return pieces
+    centers = np.array([piece.box.center for piece in pieces])
+    nearest = cKDTree(centers).query(centers, k=min(_NEIGHBORS, len(pieces)))[1]
+    near: dict[int, set[int]] = {i: set() for i in alive}
+    for i, j in [(i, j) for i, row in enumerate(nearest.tolist()) for j in row if i != j]:
+        near[i].add(j)
+        near[j].add(i)
+
+    def joined(i: int, j: int) -> tuple[float, int, int, _Piece]:
+        union = _boxed(points, np.concatenate([alive[i].rows, alive[j].rows]), settings)
+        return union.claimed - alive[i].claimed - alive[j].claimed, i, j, union
+
+    heap = [joined(i, j) for i in near for j in near[i] if i < j]
     heapq.heapify(heap)
-    number = len(found)
-    done: list[Box] = []
-    while heap and len(heap) + len(done) < budget:
-        _, _, piece = heapq.heappop(heap)
-        parts = _split(centers, piece, settings) if piece.share > _TOLERATED else None
-        if parts is None:
-            done.append(piece.box)
+    while len(alive) > budget and heap:
+        _, i, j, union = heapq.heappop(heap)
+        if i not in alive or j not in alive:
             continue
-        for part in parts:
-            number += 1
-            heapq.heappush(heap, (-part.claimed, number, part))
-    return done + [piece.box for _, _, piece in heap]
+        del alive[i], alive[j]
+        new = len(near)
+        alive[new], near[new] = union, (near[i] | near[j]) & alive.keys()
+        for other in near[new]:
+            near[other].add(new)
+            heapq.heappush(heap, joined(other, new))
+    return alive.values()
 
 
 def _cells(points: Array, normals: Array, cell: float) -> tuple[Array, Array]:
