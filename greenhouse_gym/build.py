@@ -81,7 +81,7 @@ def build_bank(
     folder = Path(out)
     scenes: list[tuple[Scene, str]] = []
     for recording, split, week in zip(recordings, splits, weeks, strict=True):
-        made = finished_scenes(folder, recording, settings)
+        made = finished_scenes(folder, recording, week, settings)
         if made:
             report(f"{recording.name}: {len(made)} scenes already built")
         else:
@@ -106,7 +106,7 @@ def default_splits(rows: int) -> list[str]:
     return ["train"] * train + ["validation" if k % 2 == 0 else "test" for k in range(rows - train)]
 
 
-def finished_scenes(folder: Path, recording: Recording, settings: BuildSettings) -> list[Scene]:
+def finished_scenes(folder: Path, recording: Recording, week: int | None, settings: BuildSettings) -> list[Scene]:
     """Scenes of a recording that an earlier build left in the folder, if they were made the same way; else none."""
     try:
         found = [
@@ -116,9 +116,9 @@ def finished_scenes(folder: Path, recording: Recording, settings: BuildSettings)
     except FileFormatError:
         return []
     same = all(
-        (scene.provenance.settings, scene.provenance.package_version, scene.provenance.recording_sha256)
-        == (_plain(settings), version("greenhouse-gym"), _fingerprint(recording))
-        for scene in found
+        (made.settings, made.package_version, made.recording_sha256, made.week)
+        == (_plain(settings), version("greenhouse-gym"), _fingerprint(recording), week)
+        for made in (scene.provenance for scene in found)
     )
     return found if same else []
 
@@ -219,12 +219,16 @@ def _within_reach(shapes: list[Shape], settings: BuildSettings) -> list[Shape]:
 
 
 def _at_most(parts: list[list[Shape]], most: int) -> list[list[Shape]]:
-    """All shapes if they are few enough, else those nearest to the shoulder (the arm meets the others last)."""
+    """All shapes if they are few enough; else the pedicels, which matter least, go first, those far away before others.
+
+    What is still too much goes by its distance from the shoulder: the arm meets the farthest last.
+    """
     everything = [shape for part in parts for shape in part]
     if len(everything) <= most:
         return parts
     distance = distance_to_shapes(np.array([[0.0, 0.0, Stand().shoulder_height]]), everything)[0]
-    keep = {id(everything[i]) for i in np.argsort(distance, kind="stable")[:most]}
+    pedicel = [isinstance(shape, Stem) and shape.kind == "pedicel" for shape in everything]
+    keep = {id(everything[i]) for i in np.lexsort([distance, pedicel])[:most]}
     return [[shape for shape in part if id(shape) in keep] for part in parts]
 
 

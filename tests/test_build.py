@@ -119,6 +119,17 @@ def test_scenes_keep_to_the_number_of_primitives_and_the_arms_reach(primitives: 
         np.testing.assert_allclose(np.sort(distance), everything[: len(distance)])  # the nearest are kept
 
 
+def test_of_too_many_shapes_pedicels_go_first() -> None:
+    shapes = made_up_shapes(boxes=100)
+    pedicels = tuple(Stem([0.4, y, 1.0], [0.42, y, 1.02], 0.001, kind="pedicel") for y in np.linspace(0.9, 1.1, 50))
+    held = replace(shapes, stems=(*shapes.stems, *pedicels))
+    plain = scenes_of(shapes)[1]
+    for most, left in ((10**6, 50), (len(plain.obstacles) + 7, 7), (len(plain.obstacles), 0)):
+        scene = scenes_of(held, BuildSettings(primitives=most))[1]
+        assert sum(stem.kind == "pedicel" for stem in scene.stems) == left
+        assert len(scene.clutter) == len(plain.clutter)
+
+
 def rounded(numbers: np.ndarray | float) -> bool:
     return bool(np.allclose(np.asarray(numbers), np.round(numbers, 5), rtol=0, atol=1e-12))
 
@@ -247,6 +258,13 @@ def test_another_version_rebuilds(calls: Calls, tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr(build, "version", lambda name: "99.0")
     built(tmp_path)
     assert calls.reconstructed == ["a", "b", "a-1"] * 2
+
+
+def test_another_week_rebuilds(calls: Calls, tmp_path: Path) -> None:
+    for week in (1, 1, None, 2):
+        build_bank([recording("a")], tmp_path, "b", weeks=[week])
+    assert calls.reconstructed == ["a"] * 3
+    assert {scene.provenance.week for scene in SceneBank.open(tmp_path)} == {2}
 
 
 def test_another_recording_of_the_same_name_rebuilds(calls: Calls, tmp_path: Path) -> None:

@@ -8,24 +8,25 @@ box claims least, until no more boxes are left than wanted.
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterable, Iterator, Sequence
+import itertools
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from greenhouse_gym.geometry import Array, Box
 from greenhouse_gym.shapes.evidence import nearest_shapes
+from greenhouse_gym.shapes.patches import flat_patches, lumps
 from greenhouse_gym.shapes.settings import ShapeSettings
 
 THINNEST = 0.0025
 """Smallest half extent of a box, metres: about the noise of the cloud."""
 
 _TOLERATED = 0.15  # share of a box's surface that may be empty
-_NEIGHBORS = 9  # of which a box may be joined with one, itself counted
+_MOST_SPLIT = 3  # times the wanted number of boxes are made before they are joined
+_NEIGHBORS = 6  # of which a box may be joined with one, itself counted
 _CUTS = (0.3, 0.4, 0.5, 0.6, 0.7)  # where along its axes a box may be split
 
 
@@ -46,20 +47,28 @@ def cover(points: Array, normals: Array, budget: int, settings: ShapeSettings) -
     if not len(points) or budget < 1:
         return []
     centers, facing = _cells(points, normals, settings.clutter_cell)
-    found = [_boxed(centers, rows, settings) for rows in _patches(centers, facing, settings)]
+    found = [_boxed(centers, rows, settings) for rows in flat_patches(centers, facing, settings)]
     missed = np.flatnonzero(nearest_shapes(centers, [p.box for p in found], settings.clutter_near).owner < 0)
-    found += [_boxed(centers, missed[rows], settings) for rows in _lumps(centers[missed], settings)]
-    pieces = [part for piece in found for part in _exact(centers, piece, settings)]
+    found += [_boxed(centers, missed[rows], settings) for rows in lumps(centers[missed], settings)]
+    pieces = _exact(centers, found, _MOST_SPLIT * budget, settings)
     return [piece.box for piece in _fewer(centers, pieces, budget, settings)]
 
 
-def _exact(points: Array, piece: _Piece, settings: ShapeSettings) -> Iterator[_Piece]:
-    """A piece, split again and again where that leaves less empty space, until its parts claim hardly any."""
-    parts = _split(points, piece, settings) if piece.share > _TOLERATED else None
-    for part in parts or ():
-        yield from _exact(points, part, settings)
-    if parts is None:
-        yield piece
+def _exact(points: Array, pieces: Sequence[_Piece], most: int, settings: ShapeSettings) -> list[_Piece]:
+    """Split, again and again, the piece that claims most empty space, until they claim hardly any or are too many."""
+    number = itertools.count()  # settles ties
+    heap = [(-piece.claimed, next(number), piece) for piece in pieces]
+    heapq.heapify(heap)
+    done: list[_Piece] = []
+    while heap and len(heap) + len(done) < most:
+        piece = heapq.heappop(heap)[-1]
+        parts = _split(points, piece, settings) if piece.share > _TOLERATED else None
+        if parts is None:
+            done.append(piece)
+            continue
+        for part in parts:
+            heapq.heappush(heap, (-part.claimed, next(number), part))
+    return done + [piece for _, _, piece in heap]
 
 
 def _fewer(points: Array, pieces: Sequence[_Piece], budget: int, settings: ShapeSettings) -> Iterable[_Piece]:
@@ -102,70 +111,6 @@ def _cells(points: Array, normals: Array, cell: float) -> tuple[Array, Array]:
         for values in (points, normals)
     )
     return means, facing / np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-9)
-
-
-def _patches(centers: Array, facing: Array, settings: ShapeSettings) -> list[npt.NDArray[np.int64]]:
-    """Rows of the cells of each flat patch: neighbors that face alike and lie near one plane.
-
-    From every smooth surface, the flat part with most cells is taken off until only crumbs are left.
-    """
-    pairs = cKDTree(centers).query_pairs(1.8 * settings.clutter_cell, output_type="ndarray")
-    one, two = pairs.T
-    apart = centers[two] - centers[one]
-    off_plane = np.abs((apart * (facing[one] + facing[two])).sum(axis=1)) / 2
-    smooth = (facing[one] * facing[two]).sum(axis=1) > settings.clutter_facing
-    smooth &= off_plane < 0.5 * np.linalg.norm(apart, axis=1) + settings.clutter_cell / 5
-    links = _graph(pairs[smooth], len(centers))
-    surfaces = _parts(links, np.arange(len(centers)), settings.min_patch_cells)
-    found = []
-    while surfaces:
-        rows = surfaces.pop()
-        flat = _flattest(centers, facing, rows, settings)
-        taken = _parts(links, rows[flat], 1)[0]
-        if len(taken) >= settings.min_patch_cells:
-            found.append(taken)
-        surfaces += _parts(links, np.setdiff1d(rows, taken), settings.min_patch_cells)
-    return found
-
-
-def _flattest(centers, facing, rows, settings):
-    """Which of some cells (n,) lie near the plane of one of them that holds most of the others, fitted to these."""
-    p, n = centers[rows], facing[rows]
-    seeds = np.linspace(0, len(p) - 1, min(len(p), 40)).astype(int)
-    height = np.einsum("sk,snk->sn", n[seeds], p[None] - p[seeds, None])
-    near = (np.abs(height) < settings.clutter_flat) & (n[seeds] @ n.T > settings.clutter_alike)
-    inside = near[np.argmax(near.sum(axis=1))]
-    center = p[inside].mean(axis=0)
-    normal = np.linalg.eigh(np.cov((p[inside] - center).T))[1][:, 0]
-    fitted = (np.abs((p - center) @ normal) < settings.clutter_flat) & (np.abs(n @ normal) > settings.clutter_alike)
-    return fitted if np.count_nonzero(fitted) > np.count_nonzero(inside) else inside
-
-
-def _graph(pairs, count):
-    return coo_array((np.ones(len(pairs), dtype=bool), (pairs[:, 0], pairs[:, 1])), shape=(count, count)).tocsr()
-
-
-def _parts(links, rows, least):
-    """Connected parts of some rows of a graph, largest first."""
-    part = links[rows][:, rows]
-    label = connected_components(part, directed=False)[1]
-    parts = np.split(np.argsort(label, kind="stable"), np.cumsum(np.bincount(label))[:-1])
-    return [rows[q] for q in sorted(parts, key=len, reverse=True) if len(q) >= least]
-
-
-def _lumps(centers: Array, settings: ShapeSettings) -> list[npt.NDArray[np.int64]]:
-    """Rows of the cells of each lump: what lies nearer together than the gap between different things."""
-    if not len(centers):
-        return []
-    pairs = cKDTree(centers).query_pairs(settings.clutter_gap, output_type="ndarray")
-    return _connected(len(centers), pairs, settings.min_lump_cells)
-
-
-def _connected(count: int, pairs: npt.NDArray[np.int64], least: int) -> list[npt.NDArray[np.int64]]:
-    links = coo_array((np.ones(len(pairs), dtype=bool), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
-    label = connected_components(links, directed=False)[1]
-    rows = np.split(np.argsort(label, kind="stable"), np.cumsum(np.bincount(label))[:-1])
-    return [part for part in rows if len(part) >= least]
 
 
 def _split(points: Array, piece: _Piece, settings: ShapeSettings) -> tuple[_Piece, _Piece] | None:

@@ -17,7 +17,7 @@ class ShapeSettings:
     vote_cell: float = 0.005
     min_score: float = 0.12  # share of a half sphere's points that vote for its center
     shell: float = 0.004  # points this near a sphere belong to it
-    min_confidence: float = 0.27  # of a tomato
+    min_confidence: float = 0.2  # of a tomato
     truss_gap: float = 0.035  # between the skins of neighbours on one truss
     stem_radii: tuple[float, float] = (0.003, 0.010)  # of main stems
     stem_slab: float = 0.03  # slice of height in which a main stem shows as a small disc
@@ -36,11 +36,11 @@ class ShapeSettings:
     clutter_per_metre: int = 55  # boxes
     clutter_cell: float = 0.005  # boxes are looked for among the cells of this size that hold points
     clutter_facing: float = 0.9  # cosine between the normals of neighbors on one smooth patch
+    clutter_flat: float = 0.006  # cells of one flat patch lie this near its plane
+    clutter_aligned: float = 0.8  # cosine between their normals and the plane's
     min_patch_cells: int = 30  # smaller patches are no leaves
     clutter_near: float = 0.007  # points this near a box are covered by it
     clutter_gap: float = 0.012  # points farther apart are different things
     min_lump_cells: int = 8  # fewer are noise
-    clutter_flat: float = 0.006  # a leaf's points lie this near its plane
-    clutter_alike: float = 0.8
     clutter_margin: float = 0.012  # a box's surface farther than this from all of its points is empty
     explained: float = 0.008  # points this near a shape speak for it

@@ -20,6 +20,7 @@ from greenhouse_gym.shapes.settings import ShapeSettings
 _ABOVE_PLANE = 1.2  # times the votes a plane gathers in one place a sphere must have
 _MOST_POINTS = 300  # a fit looks at
 _SCALES = (3.0, 3.0, 2.0, 2.0, 1.5, 1.5, 1.0, 1.0)  # of the shell within which points count, iteration by iteration
+_ALIGNED = (0.7, 0.7, 0.7, 0.7, 0.7, 0.7, 0.85, 0.85)  # least cosine between their normals and the sphere's, likewise
 _DIRECTIONS = 100  # a sphere's coverage is counted in
 
 
@@ -121,13 +122,13 @@ def _refine(cloud: Array, normals: Array, candidate: Array, settings: ShapeSetti
     stride = max(1, len(cloud) // _MOST_POINTS)
     cloud, normals = cloud[::stride], normals[::stride]
     center, radius = candidate[:3], float(candidate[3])
-    for scale in _SCALES:
+    for scale, aligned in zip(_SCALES, _ALIGNED, strict=True):
         away = cloud - center
         distance = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
         unit = away / distance[:, None]
         residual = distance - radius
         weight = np.clip(1 - (residual / (scale * settings.shell)) ** 2, 0, None) ** 2
-        weight *= (unit * normals).sum(axis=1) > 0.7
+        weight *= (unit * normals).sum(axis=1) > aligned
         if np.count_nonzero(weight) < 15:
             return None
         jacobian = np.column_stack([-unit, -np.ones(len(unit))])
