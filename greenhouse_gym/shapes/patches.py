@@ -1,4 +1,4 @@
-"""Cells of a cloud that belong together: flat patches of smooth surfaces, and lumps of whatever lies near each other."""
+"""Cells of a cloud that belong together: flat patches of smooth surfaces, and lumps of what lies near each other."""
 
 from __future__ import annotations
 
