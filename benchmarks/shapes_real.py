@@ -32,7 +32,7 @@ from greenhouse_gym.geometry import Array, Capsule, frame_along
 from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.shapes import RowShapes, extract_shapes
 
-CAN_SCALE = 1 / 6
+CAN_SCALE = 1.0
 """By which the table is made smaller: cans of 36 mm radius come to the 6 mm of a main stem."""
 
 SEEDLING_HEIGHT = 0.4
@@ -104,9 +104,7 @@ def fit_cylinder(points: Array) -> Capsule:
             apart = thinned - center - frame[:, :2] @ x[:2]
             return np.asarray(np.linalg.norm(np.cross(apart, axis / np.linalg.norm(axis)), axis=1) - x[4])
 
-        fit = least_squares(
-            away, [*(frame[:, :2].T @ [0.0, 0.0, 0.03]), 0.0, 0.0, 0.035], loss="soft_l1", f_scale=0.002
-        )
+        fit = least_squares(away, [*(frame[:, :2].T @ [0.0, 0.0, 0.03]), 0.0, 0.0, 0.035], loss="cauchy", f_scale=0.001)
         fits.append((fit.cost, frame, fit.x))
     _, frame, x = min((f for f in fits if 0.01 < f[2][4] < 0.15), key=lambda f: f[0])
     axis = frame @ [x[2], x[3], 1.0]

@@ -1,4 +1,4 @@
-"""One way from a cloud to shapes: tomatoes first, then stems, and boxes for what is left."""
+"""One way from a cloud to shapes: pipes first, then tomatoes, stems, and boxes for what is left."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, Box, Shape
 from greenhouse_gym.reconstruction.clouds import Cloud, to_open3d, voxel_means
 from greenhouse_gym.shapes.clutter import cover
-from greenhouse_gym.shapes.colors import could_be_fruit_or_stem
+from greenhouse_gym.shapes.colors import could_be_fruit_or_stem, could_be_pipe
 from greenhouse_gym.shapes.evidence import Evidence, nearest_shapes
 from greenhouse_gym.shapes.peduncles import find_peduncles
+from greenhouse_gym.shapes.pipes import find_pipes
 from greenhouse_gym.shapes.settings import ShapeSettings
 from greenhouse_gym.shapes.stems import find_main_stems
 from greenhouse_gym.shapes.tomatoes import find_tomatoes
@@ -29,7 +30,7 @@ class RowShapes:
 
     Attributes:
         tomatoes: Fruits with truss and ripeness.
-        stems: Main stems, peduncles and pedicels.
+        stems: Main stems, peduncles, pedicels and pipes.
         clutter: Boxes around everything else.
         confidence: How credible each tomato is, 0 to 1.
         evidence: The shape nearest to each point of the cloud, counted through tomatoes, stems and clutter.
@@ -72,13 +73,15 @@ def extract_shapes(
     if len(whole) < _FEWEST:
         return RowShapes(evidence=nearest_shapes(whole.points, (), 0.0))
     cloud, _ = voxel_means(whole, settings.voxel)
+    pipes = find_pipes(cloud.select(could_be_pipe(cloud.colors, settings)), settings)
+    cloud = _without(cloud, pipes, settings.shell)
     tomatoes, confidence = find_tomatoes(cloud.points, cloud.normals, cloud.colors, settings)
     cloud = _without(cloud, tomatoes, settings.shell)
     woody = cloud.select(could_be_fruit_or_stem(cloud.colors, settings))
     main = find_main_stems(woody.points, woody.normals, settings)
     woody = _without(woody, main, settings.stem_margin)
     thin = find_peduncles(woody.points, woody.normals, tomatoes, main, settings)
-    stems = (*main, *thin)
+    stems = (*main, *thin, *pipes)
     cloud = _without(cloud, stems, settings.shell)
     budget = round(settings.clutter_per_metre * float(np.ptp(cloud.points[:, 1]))) if len(cloud) else 0
     clutter = tuple(cover(cloud.points, cloud.normals, max(budget, 10), settings))
