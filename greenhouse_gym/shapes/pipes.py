@@ -13,12 +13,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_array
 from scipy.spatial import cKDTree
 
 from greenhouse_gym.crop import Stem
 from greenhouse_gym.geometry import Array, frame_along
 from greenhouse_gym.reconstruction.clouds import Cloud, voxel_means
+from greenhouse_gym.shapes.neighborhoods import Neighborhoods
 from greenhouse_gym.shapes.settings import ShapeSettings
 
 _CELL = 0.010  # metres: pieces of surface are told apart at this size
@@ -98,34 +98,25 @@ def _seeds(cloud: Cloud, settings: ShapeSettings) -> tuple[list[Cylinder], Array
     p, n = cells.points, cells.normals
     if len(p) < 2:
         return [], np.zeros((0, 3))
-    pairs = cKDTree(p).query_pairs(_REACH, output_type="ndarray")
-    near = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(p), len(p))).tocsr()
-    count = near.sum(axis=0) + near.sum(axis=1) + 1.0
-
-    def mean(values: Array) -> Array:
-        return np.asarray((near @ values + near.T @ values + values) / count[:, None])
-
-    def moments(a: Array, b: Array) -> Array:
-        return mean((a[:, :, None] * b[:, None, :]).reshape(-1, 9)).reshape(-1, 3, 3)
-
-    mean_p, mean_n = mean(p), mean(n)
-    tilts, axes = np.linalg.eigh(moments(n, n))
+    near = Neighborhoods(p, _REACH)
+    tilts, axes = np.linalg.eigh(near.moments(n, n))
     axis = axes[:, :, 0]
 
-    def across(a: Array, b: Array, mean_a: Array, mean_b: Array) -> Array:
-        """Covariance (k,) perpendicular to the axes."""
-        scatter = moments(a, b) - mean_a[:, :, None] * mean_b[:, None, :]
-        return np.asarray(np.trace(scatter, axis1=1, axis2=2) - np.einsum("ki,kij,kj->k", axis, scatter, axis))
+    def across(covariances: Array) -> Array:
+        """Of covariances (k, 3, 3), what is perpendicular to the axes (k,)."""
+        along = np.einsum("ki,kij,kj->k", axis, covariances, axis)
+        return np.asarray(np.trace(covariances, axis1=1, axis2=2) - along)
 
-    spread = np.maximum(across(n, n, mean_n, mean_n), 1e-9)
-    common = across(p, n, mean_p, mean_n)
+    spread = np.maximum(across(near.covariances(n, n)), 1e-9)
+    common = across(near.covariances(p, n))
     radius = common / spread
-    scatter = np.sqrt(np.maximum(across(p, p, mean_p, mean_p) - common**2 / spread, 0.0))
+    scatter = np.sqrt(np.maximum(across(near.covariances(p, p)) - common**2 / spread, 0.0))
     low, high = settings.pipe_radii
     good = (radius > 0.8 * low) & (radius < 1.25 * high) & (scatter < _MOST_SCATTER)
     good &= (spread > _LEAST_SPREAD) & (tilts[:, 0] < _MOST_TILT * spread)
     rows = np.flatnonzero(good)
     rows = rows[np.argsort(scatter[rows], kind="stable")]
+    mean_p, mean_n = near.mean(p), near.mean(n)
     return [Cylinder(mean_p[k] - radius[k] * mean_n[k], axis[k], float(radius[k])) for k in rows], p[rows]
 
 

@@ -28,6 +28,7 @@ class ShapeSettings:
     pipe_outside: float = 0.5  # points just outside of it per point on it; a box's faces go on beyond their edge
     stem_radii: tuple[float, float] = (0.003, 0.010)  # of main stems
     stem_slab: float = 0.03  # slice of height in which a main stem shows as a small disc
+    stem_lean: float = 1.0  # metres sideways per metre up of the most slanted stem
     stem_gap: float = 0.30  # hidden part of a main stem that is bridged
     min_stem: float = 0.25  # shortest main stem
     peduncle_radius: float = 0.0019  # too thin to measure at arm's length: the crop's usual 3 to 4.5 mm across
