@@ -205,7 +205,8 @@ def _seen(cylinder: Cylinder, near: Cloud, settings: ShapeSettings) -> _Piece | 
         cylinder,
         float(max(low, along[on].min())),
         float(min(high, along[on].max())),
-        arc=float((shows[run].mean(axis=0) > 0.3).mean() * 2 * np.pi),
+        # an arc as wide as k columns touches k + 1 of them
+        arc=max(np.count_nonzero(shows[run].mean(axis=0) > 0.3) - 1, 0) * 2 * np.pi / columns,
         filled=len(run) / (run[-1] - run[0] + 1),
         alignment=float(alignment[on].mean()),
         tilt=float(np.sqrt(np.mean((near.normals[on] @ cylinder.axis) ** 2))),

@@ -21,7 +21,7 @@ class ShapeSettings:
     truss_gap: float = 0.035  # between the skins of neighbours on one truss
     pipe_radii: tuple[float, float] = (0.014, 0.057)  # from 28 mm grow pipes to mains 114 mm across
     pipe_gap: float = 0.05  # hidden part of a pipe that is bridged
-    pipe_arc: float = 1.9  # radians of its round that must show; the near side alone shows about 2.2
+    pipe_arc: float = 1.75  # radians of its round that must show; the near side alone shows about 2.2
     pipe_filled: float = 0.7  # share of its length that must show
     pipe_alignment: float = 0.95  # mean cosine between its points' normals and its own
     pipe_tilt: float = 0.22  # root mean square of its points' normals along its axis; 0.25 and more on a tomato
