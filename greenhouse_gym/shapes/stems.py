@@ -154,11 +154,13 @@ def _along(vectors: Array, lean: Array) -> Array:
 
 def _axis(chain: list[Disc], sections: list[tuple[Array, Array]], radius: float, settings: ShapeSettings) -> Array:
     """Axis points (k, 3): the discs' points moved inwards by the radius, smoothed along the chain."""
-    axis = np.array([d.center for d in chain])
-    axis[:, :2] = [(points - radius * normals).mean(axis=0) for points, normals in sections]
-    smooth = ndimage.median_filter(axis[:, :2], size=(5, 1), mode="nearest")
-    axis[:, :2] = ndimage.uniform_filter1d(smooth, 3, axis=0, mode="nearest")
-    return simplified(axis, settings.axis_tolerance)
+    height = np.array([d.center[2] for d in chain])
+    middles = np.array([(points - radius * normals).mean(axis=0) for points, normals in sections])
+    line = np.polynomial.polynomial.polyfit(height, middles, 1)  # smoothing would bend the ends of a leaning stem
+    straight = line[0] + height[:, None] * line[1]
+    smooth = ndimage.median_filter(middles - straight, size=(5, 1), mode="nearest")
+    smooth = ndimage.uniform_filter1d(smooth, 3, axis=0, mode="nearest")
+    return simplified(np.column_stack([straight + smooth, height]), settings.axis_tolerance)
 
 
 def _beside(point: Array, axis: Array) -> float:
