@@ -2,9 +2,11 @@
 
 GREENHOUSE_GYM_REAL_DATA=folder python benchmarks/shapes_real.py --pictures pictures
 
-No setting is changed for them. Only their size is: a can is brought down to the thickness of a main stem, a seedling up
-to the height of a piece of a grown plant; figures are in the data's own metres. The data come from others and stay
-where they are: without the folder nothing is measured, and pictures are drawn only where they are asked for.
+No setting is changed for them. Tables are as large as they were; seedlings, some centimetres high, are brought to the
+height of a piece of a grown plant, and their figures are metres at that height. A seedling's main stem is what its
+skeleton shows from the lowest node to the first fork, or the line through the points labelled so. The data come from
+others and stay where they are: without the folder nothing is measured, and pictures are drawn only where they are asked
+for.
 """
 
 from __future__ import annotations
@@ -21,9 +23,9 @@ import numpy as np
 from results_file import RESULTS, write_results
 from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
-from shapes_real_data import CYLINDERS, KINECT, Seedling, TableScene, read_seedlings, read_table
+from shapes_real_data import CYLINDERS, JUNCTION, KINECT, MAIN, STALK, Seedling, TableScene, read_seedlings, read_table
 
-from greenhouse_gym.accuracy import compare_stems
+from greenhouse_gym.accuracy import StemComparison, compare_stems, pool_stems
 from greenhouse_gym.accuracy.cover import COVERED_WITHIN, distance_to_nearest
 from greenhouse_gym.capture.images import encode_png
 from greenhouse_gym.cli.overlay import draw_outlines
@@ -31,9 +33,6 @@ from greenhouse_gym.crop import Stem
 from greenhouse_gym.geometry import Array, Capsule, frame_along
 from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.shapes import RowShapes, extract_shapes
-
-CAN_SCALE = 1 / 6
-"""By which the table is made smaller: cans of 36 mm radius come to the 6 mm of a main stem."""
 
 SEEDLING_HEIGHT = 0.4
 """Metres to which every seedling is scaled."""
@@ -44,16 +43,22 @@ Figures = dict[str, Any]
 # -- cans and mugs ----------------------------------------------------------------------------------------------------
 
 
-def measure_table(scene: TableScene, pictures: Path | None) -> dict[str, Figures]:
-    """Radius and axis of each can and mug against its labelled points, lengths in the scene's metres."""
-    shapes = extract_shapes(scene.points * CAN_SCALE, scene.colors, scene.normals)
-    stems = [scaled(stem, 1 / CAN_SCALE) for stem in shapes.stems]
+def measure_table(scene: TableScene, pictures: Path | None) -> tuple[dict[str, Figures], Figures]:
+    """Radius and axis of each can and mug against its labelled points, and what else was found on the table."""
+    shapes = extract_shapes(scene.points, scene.colors, scene.normals)
     if pictures:
-        tomatoes = [scaled(tomato, 1 / CAN_SCALE) for tomato in shapes.tomatoes]
-        outlined = draw_outlines(scene.photograph, [*tomatoes, *stems], KINECT, scene.camera_from_world)
+        outlined = draw_outlines(scene.photograph, [*shapes.tomatoes, *shapes.stems], KINECT, scene.camera_from_world)
         write_atomically(pictures / f"{scene.name}.png", encode_png(outlined))
-    return {
-        f"{scene.name} {label}": measure_can(scene.points[scene.labels == label], stems) for label in scene.cylinders
+    cans = {
+        f"{scene.name} {label}": measure_can(scene.points[scene.labels == label], shapes.stems)
+        for label in scene.cylinders
+    }
+    pipes = sum(stem.kind == "pipe" for stem in shapes.stems)
+    found = sum(can["found"] for can in cans.values())
+    return cans, {
+        "other_pipes": pipes - found,
+        "other_stems": len(shapes.stems) - pipes,
+        "tomatoes": len(shapes.tomatoes),  # there are none
     }
 
 
@@ -104,9 +109,7 @@ def fit_cylinder(points: Array) -> Capsule:
             apart = thinned - center - frame[:, :2] @ x[:2]
             return np.asarray(np.linalg.norm(np.cross(apart, axis / np.linalg.norm(axis)), axis=1) - x[4])
 
-        fit = least_squares(
-            away, [*(frame[:, :2].T @ [0.0, 0.0, 0.03]), 0.0, 0.0, 0.035], loss="soft_l1", f_scale=0.002
-        )
+        fit = least_squares(away, [*(frame[:, :2].T @ [0.0, 0.0, 0.03]), 0.0, 0.0, 0.035], loss="cauchy", f_scale=0.001)
         fits.append((fit.cost, frame, fit.x))
     _, frame, x = min((f for f in fits if 0.01 < f[2][4] < 0.15), key=lambda f: f[0])
     axis = frame @ [x[2], x[3], 1.0]
@@ -119,25 +122,60 @@ def fit_cylinder(points: Array) -> Capsule:
 # -- seedlings --------------------------------------------------------------------------------------------------------
 
 
-def measure_seedling(plant: Seedling, pictures: Path | None) -> Figures:
-    """Recall of a seedling's stems against its skeleton or its labels; lengths after scaling."""
+def measure_seedling(plant: Seedling, pictures: Path | None) -> tuple[StemComparison, Figures]:
+    """A seedling's main stem against what was found; how much of what was found is no stem; lengths after scaling."""
     shapes = extract_shapes(plant.points, plant.colors)
-    figures: Figures = {"points": len(plant.points), "scale": plant.scale, "stems": len(shapes.stems)}
-    figures["tomatoes"] = len(shapes.tomatoes)  # there are none
-    if plant.skeleton is not None:
-        true = [Stem(a, b, 0.002, "main") for a, b in plant.skeleton if np.linalg.norm(b - a) > 1e-6]
-        found = [replace(stem, kind="main") for stem in shapes.stems]
-        compared = compare_stems(true, true, [], found, "main")
-        figures |= {"skeleton": compared.visible, "recall": compared.recall, "false": compared.false_share}
-    if plant.labels is not None:
-        stems = list(shapes.stems)
-        for name, classes in {"main stem": (7,), "stalk": (9,)}.items():
-            near = distance_to_nearest(plant.points[np.isin(plant.labels, classes)], stems)
-            figures[f"recall of {name}"] = float((near <= COVERED_WITHIN).mean()) if len(near) else float("nan")
-        figures["false"] = false_length(stems, plant.points[np.isin(plant.labels, (2, 7, 9))])
+    found = [replace(stem, kind="main") for stem in shapes.stems]
+    edges = chain(slice_means(plant.points[plant.labels == MAIN])) if plant.skeleton is None else plant.skeleton
+    true = [Stem(a, b, 0.002, "main") for a, b in edges if np.linalg.norm(b - a) > 1e-6]
+    main = true if plant.skeleton is None else [Stem(a, b, 0.002, "main") for a, b in to_first_fork(plant.skeleton)]
+    compared = compare_stems(true, main, [], found, "main")
+    figures: Figures = {
+        "points": len(plant.points),
+        "scale": plant.scale,
+        "main_stem": compared.visible,
+        "recall": compared.recall,
+        "axis_error": float(np.median(compared.axis_error)),
+        "stems": len(shapes.stems),
+        "tomatoes": len(shapes.tomatoes),  # there are none
+    }
+    if plant.labels is None:
+        figures |= {"whole_skeleton_recall": compare_stems(true, true, [], found, "main").recall}
+        figures |= {"false": compared.false_share}
+    else:
+        stem = plant.points[plant.labels == MAIN]
+        near = np.abs(distance_to_nearest(stem, found))
+        stalk = distance_to_nearest(plant.points[plant.labels == STALK], found)
+        figures |= {"radius_residual": float(np.median(near[near <= COVERED_WITHIN]))}
+        figures |= {"stalk_points_covered": float((stalk <= COVERED_WITHIN).mean())}
+        figures |= {"false": false_length(found, plant.points[np.isin(plant.labels, (JUNCTION, MAIN, STALK))])}
     if pictures:
         write_atomically(pictures / f"{plant.name}.png", encode_png(draw_seedling(plant, shapes)))
-    return figures
+    return compared, figures
+
+
+def slice_means(points: Array, height: float = 0.01) -> Array:
+    """The means (k, 3) of the points (n, 3) in slices of height, from the lowest up."""
+    slices = np.floor(points[:, 2] / height)
+    return np.array([points[slices == number].mean(axis=0) for number in np.unique(slices)])
+
+
+def chain(nodes: Array) -> Array:
+    """The edges (k - 1, 2, 3) from each of the nodes (k, 3) to the next."""
+    return np.stack([nodes[:-1], nodes[1:]], axis=1)
+
+
+def to_first_fork(edges: Array) -> Array:
+    """Of a tree's edges (k, 2, 3), those (m, 2, 3) from the lowest node to the first that more than two meet in."""
+    nodes, ends = np.unique(edges.reshape(-1, 3), axis=0, return_inverse=True)
+    left = ends.reshape(-1, 2).tolist()
+    degrees = np.bincount(ends.ravel())
+    way = [int(np.argmin(nodes[:, 2]))]
+    while len(way) == 1 or degrees[way[-1]] == 2:
+        edge = next(edge for edge in left if way[-1] in edge)
+        left.remove(edge)
+        way.append(edge[0] + edge[1] - way[-1])
+    return chain(nodes[way])
 
 
 def false_length(stems: Sequence[Stem], points: Array) -> float:
@@ -180,13 +218,6 @@ def draw_seedling(plant: Seedling, shapes: RowShapes, pixels: int = 800) -> Any:
     return np.concatenate(halves, axis=1)
 
 
-def scaled(shape: Any, factor: float) -> Any:
-    """A sphere or capsule with all lengths multiplied."""
-    if isinstance(shape, Capsule):
-        return replace(shape, start=shape.start * factor, end=shape.end * factor, radius=shape.radius * factor)
-    return replace(shape, center=shape.center * factor, radius=shape.radius * factor)
-
-
 def main() -> None:
     """Measure, write the results, print them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -198,21 +229,34 @@ def main() -> None:
         print("no real data: set GREENHOUSE_GYM_REAL_DATA or give --data")
         return
     cans: dict[str, Figures] = {}
+    tables: dict[str, Figures] = {}
     for name in CYLINDERS:
-        cans |= measure_table(read_table(arguments.data, name), arguments.pictures)
-    plants = read_seedlings(arguments.data, SEEDLING_HEIGHT)
-    seedlings = {plant.name: measure_seedling(plant, arguments.pictures) for plant in plants}
-    found = [can["radius_residual"] for can in cans.values() if can["found"]]
+        on_table, tables[name] = measure_table(read_table(arguments.data, name), arguments.pictures)
+        cans |= on_table
+    compared: list[StemComparison] = []
+    seedlings: dict[str, Figures] = {}
+    for plant in read_seedlings(arguments.data, SEEDLING_HEIGHT):
+        comparison, seedlings[plant.name] = measure_seedling(plant, arguments.pictures)
+        compared.append(comparison)
+    found = [can for can in cans.values() if can["found"]]
+    stems = pool_stems(compared)
     summary = {
         "cans_found": len(found),
         "cans": len(cans),
-        "radius_residual_median": float(np.median(found)) if found else None,
+        "radius_residual_median": median(found, "radius_residual"),
+        "axis_angle_median": median(found, "axis_angle"),
+        "seedling_stem_recall": stems.recall,
+        "seedling_axis_error_median": float(np.median(stems.axis_error)),
     }
-    write_results(
-        arguments.out, {"summary": summary, "cans and mugs": cans, "seedlings": seedlings}, ["open3d", "scipy"]
-    )
-    for name, figures in {"summary": summary, **cans, **seedlings}.items():
+    results = {"summary": summary, "cans and mugs": cans, "tables": tables, "seedlings": seedlings}
+    write_results(arguments.out, results, ["open3d", "scipy"])
+    for name, figures in {"summary": summary, **cans, **tables, **seedlings}.items():
         print(name, {key: round(v, 4) if isinstance(v, float) else v for key, v in figures.items()})
+
+
+def median(figures: Sequence[Figures], name: str) -> float | None:
+    """The median of one figure; None of nothing."""
+    return float(np.median([one[name] for one in figures])) if figures else None
 
 
 if __name__ == "__main__":

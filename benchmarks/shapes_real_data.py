@@ -24,6 +24,9 @@ CYLINDERS = {
 }
 """Labels of the cans and of the outsides of the mugs; the tins, wider than high, and the bowls are none."""
 
+JUNCTION, MAIN, STALK = 2, 7, 9
+"""Classes of the labelled seedlings' points: where leaves leave the stem, the main stem, the leaves' stalks."""
+
 _GREEN = np.array([0.35, 0.5, 0.2])
 
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,9 @@ import pytest
 
 from greenhouse_gym.crop import Stem
 from greenhouse_gym.geometry import Array, rotation_about
+
+FOLDER = Path(os.environ.get("GREENHOUSE_GYM_REAL_DATA", "/nonexistent"))
+needs_data = pytest.mark.skipif(not FOLDER.is_dir(), reason="GREENHOUSE_GYM_REAL_DATA names no folder with real clouds")
 
 
 @pytest.fixture
@@ -58,3 +62,43 @@ def test_false_length_is_what_lies_away_from_labelled_points(real: Any) -> None:
     assert real.false_length([upright()], points) == 0.0
     assert real.false_length([Stem([0, 0, 0], [0, 0, 0.12], 0.01, "main"), upright()], points) == pytest.approx(0.5)
     assert np.isnan(real.false_length([], points))
+
+
+def test_a_main_stem_is_the_skeleton_up_to_the_first_fork(real: Any) -> None:
+    nodes = np.array([[0, 0, 1], [0, 0, 0], [0, 0, 2], [1, 0, 3], [-1, 0, 3], [0, 1, 2.5]], dtype=float)
+    edges = nodes[[(3, 2), (0, 1), (2, 4), (2, 0), (2, 5)]]
+    np.testing.assert_array_equal(real.to_first_fork(edges), nodes[[(1, 0), (0, 2)]])
+    np.testing.assert_array_equal(
+        real.to_first_fork(nodes[[(0, 2), (1, 0)]]), nodes[[(1, 0), (0, 2)]]
+    )  # no fork at all
+
+
+def test_slices_follow_a_stem(real: Any) -> None:
+    stem = np.column_stack([np.linspace(0, 0.1, 1000), np.zeros(1000), np.linspace(0, 0.2, 1000)])
+    line = real.chain(real.slice_means(stem))
+    assert len(line) == 20
+    np.testing.assert_allclose(line[:, 0, 0], line[:, 0, 2] / 2)
+
+
+@needs_data
+@pytest.mark.parametrize("name", ["learn33", "test50"])
+def test_real_cans_and_mugs_become_pipes(real: Any, name: str, tmp_path: Path) -> None:
+    cans, others = real.measure_table(real.read_table(FOLDER, name), tmp_path)
+    assert len(cans) == 2
+    for can in cans.values():
+        assert can["found"]
+        assert can["radius_residual"] < 0.002
+        assert can["axis_angle"] < 0.05
+    assert others["other_pipes"] == 0
+    assert (tmp_path / f"{name}.png").stat().st_size > 10_000
+
+
+@needs_data
+def test_the_main_stem_of_a_scanned_seedling_is_found(real: Any, tmp_path: Path) -> None:
+    plants = {plant.name[:3]: plant for plant in real.read_seedlings(FOLDER, real.SEEDLING_HEIGHT)}
+    assert sorted(plants) == ["03-", "BFS"]
+    for plant in plants.values():  # the last of either kind: one with a skeleton, one with labels
+        compared, figures = real.measure_seedling(plant, tmp_path)
+        assert compared.visible > 0.2
+        assert figures["recall"] == compared.recall > 0.5
+        assert (tmp_path / f"{plant.name}.png").exists()

@@ -11,14 +11,22 @@ from greenhouse_gym.shapes.settings import ShapeSettings
 
 def could_be_fruit_or_stem(colors: Array, settings: ShapeSettings) -> npt.NDArray[np.bool_]:
     """Which colors (n, 3) a tomato, ripe or not, or a stem may have; all of them in a cloud without colors."""
-    saturation = 1.0 - colors.min(axis=1, initial=1.0) / np.maximum(colors.max(axis=1, initial=0.0), 1e-6)
-    colorful = saturation > settings.least_saturation
+    colorful = _saturation(colors) > settings.least_saturation
     if not colorful.any():
         return np.ones(len(colors), dtype=bool)
     return colorful & (redness(colors) > settings.least_redness)
+
+
+def could_be_pipe(colors: Array, settings: ShapeSettings) -> npt.NDArray[np.bool_]:
+    """Which colors (n, 3) a pipe may have: all but those of leaves."""
+    return (_saturation(colors) <= settings.least_saturation) | (redness(colors) > settings.least_redness)
 
 
 def redness(colors: Array) -> Array:
     """(R - G) / (R + G) of colors (n, 3), which ignores shading."""
     red, green = colors[:, 0], colors[:, 1]
     return np.asarray((red - green) / np.maximum(red + green, 1e-6))
+
+
+def _saturation(colors: Array) -> Array:
+    return np.asarray(1.0 - colors.min(axis=1, initial=1.0) / np.maximum(colors.max(axis=1, initial=0.0), 1e-6))

@@ -1,21 +1,23 @@
-"""One way from a cloud to shapes: tomatoes first, then stems, and boxes for what is left."""
+"""One way from a cloud to shapes: pipes first, then tomatoes, stems, and boxes for what is left."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.crop import Stem, Tomato
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.geometry import Array, Box, Shape
-from greenhouse_gym.reconstruction.clouds import Cloud, to_open3d, voxel_means
+from greenhouse_gym.geometry import Box, Shape
+from greenhouse_gym.reconstruction.clouds import Cloud, voxel_means
 from greenhouse_gym.shapes.clutter import cover
-from greenhouse_gym.shapes.colors import could_be_fruit_or_stem
+from greenhouse_gym.shapes.colors import could_be_fruit_or_stem, could_be_pipe
 from greenhouse_gym.shapes.evidence import Evidence, nearest_shapes
+from greenhouse_gym.shapes.normals import estimate_normals
 from greenhouse_gym.shapes.peduncles import find_peduncles
+from greenhouse_gym.shapes.pipes import find_pipes
 from greenhouse_gym.shapes.settings import ShapeSettings
 from greenhouse_gym.shapes.stems import find_main_stems
 from greenhouse_gym.shapes.tomatoes import find_tomatoes
@@ -29,7 +31,7 @@ class RowShapes:
 
     Attributes:
         tomatoes: Fruits with truss and ripeness.
-        stems: Main stems, peduncles and pedicels.
+        stems: Main stems, peduncles, pedicels and pipes.
         clutter: Boxes around everything else.
         confidence: How credible each tomato is, 0 to 1.
         evidence: The shape nearest to each point of the cloud, counted through tomatoes, stems and clutter.
@@ -58,7 +60,8 @@ def extract_shapes(
     Args:
         points: (n, 3) metres; z up.
         colors: (n, 3) RGB in [0, 1].
-        normals: (n, 3) unit vectors out of the surfaces; estimated, and turned against x, when left out.
+        normals: (n, 3) unit vectors out of the surfaces. Left out, they are estimated: out of what is long and thin,
+            and against x elsewhere.
         settings: All settings.
 
     Returns:
@@ -72,13 +75,17 @@ def extract_shapes(
     if len(whole) < _FEWEST:
         return RowShapes(evidence=nearest_shapes(whole.points, (), 0.0))
     cloud, _ = voxel_means(whole, settings.voxel)
+    if normals is None:
+        cloud = replace(cloud, normals=estimate_normals(cloud.points, settings))
+    pipes = find_pipes(cloud.select(could_be_pipe(cloud.colors, settings)), settings)
+    cloud = _without(cloud, pipes, settings.shell)
     tomatoes, confidence = find_tomatoes(cloud.points, cloud.normals, cloud.colors, settings)
     cloud = _without(cloud, tomatoes, settings.shell)
     woody = cloud.select(could_be_fruit_or_stem(cloud.colors, settings))
     main = find_main_stems(woody.points, woody.normals, settings)
     woody = _without(woody, main, settings.stem_margin)
     thin = find_peduncles(woody.points, woody.normals, tomatoes, main, settings)
-    stems = (*main, *thin)
+    stems = (*main, *thin, *pipes)
     cloud = _without(cloud, stems, settings.shell)
     budget = round(settings.clutter_per_metre * float(np.ptp(cloud.points[:, 1]))) if len(cloud) else 0
     clutter = tuple(cover(cloud.points, cloud.normals, max(budget, 10), settings))
@@ -102,20 +109,7 @@ def _checked(points: npt.ArrayLike, colors: npt.ArrayLike, normals: npt.ArrayLik
             f"the cloud is {length:.0f} by {height:.0f} by {depth:.0f} m, no row of plants; "
             "expected metres, not millimetres, and no stray points"
         )
-    if n is None:
-        n = _estimated_normals(p)
-    return Cloud(p, c, n)
-
-
-def _estimated_normals(points: Array) -> Array:
-    if len(points) < 3:
-        return np.tile([-1.0, 0.0, 0.0], (len(points), 1))
-    from greenhouse_gym.open3d_loader import open3d
-
-    cloud = to_open3d(Cloud(points, np.zeros_like(points), np.zeros_like(points)))
-    cloud.estimate_normals(open3d().geometry.KDTreeSearchParamKNN(16))
-    cloud.orient_normals_to_align_with_direction([-1.0, 0.0, 0.0])
-    return np.array(cloud.normals)
+    return Cloud(p, c, np.zeros_like(p) if n is None else n)
 
 
 def _without(cloud: Cloud, shapes: Sequence[Shape], margin: float) -> Cloud:

@@ -19,8 +19,16 @@ class ShapeSettings:
     shell: float = 0.004  # points this near a sphere belong to it
     min_confidence: float = 0.2  # of a tomato
     truss_gap: float = 0.035  # between the skins of neighbours on one truss
+    pipe_radii: tuple[float, float] = (0.014, 0.057)  # from 28 mm grow pipes to mains 114 mm across
+    pipe_gap: float = 0.05  # hidden part of a pipe that is bridged
+    pipe_arc: float = 1.75  # radians of its round that must show; the near side alone shows about 2.2
+    pipe_filled: float = 0.7  # share of its length that must show
+    pipe_alignment: float = 0.95  # mean cosine between its points' normals and its own
+    pipe_tilt: float = 0.22  # root mean square of its points' normals along its axis; 0.25 and more on a tomato
+    pipe_outside: float = 0.5  # points just outside of it per point on it; a box's faces go on beyond their edge
     stem_radii: tuple[float, float] = (0.003, 0.010)  # of main stems
     stem_slab: float = 0.03  # slice of height in which a main stem shows as a small disc
+    stem_lean: float = 1.0  # metres sideways per metre up of the most slanted stem
     stem_gap: float = 0.30  # hidden part of a main stem that is bridged
     min_stem: float = 0.25  # shortest main stem
     peduncle_radius: float = 0.0019  # too thin to measure at arm's length: the crop's usual 3 to 4.5 mm across

@@ -16,18 +16,26 @@ from greenhouse_gym.shapes.settings import ShapeSettings
 
 
 class Disc(NamedTuple):
-    """Where a main stem may pass a slice: slab number, (3,) center on the axis, rows of its points."""
+    """Where a main stem may pass a slice.
+
+    Attributes:
+        slab: Number of the slice.
+        center: (3,) metres, in the middle of the slice.
+        lean: (2,) metres that it moves sideways per metre up.
+        rows: Of its points.
+    """
 
     slab: int
     center: Array
+    lean: Array
     rows: npt.NDArray[np.int64]
 
 
 def find_main_stems(points: Array, normals: Array, settings: ShapeSettings) -> list[Stem]:
-    """Find near-vertical stems in what is not tomato.
+    """Find upright and leaning stems in what is not tomato.
 
-    A slice of 3 cm of height shows a stem as a disc a centimetre wide. Discs are linked upwards into the longest
-    chains; a chain may jump over slices in which fruit or leaves hide the stem.
+    A slice of 3 cm of height, moved along the lean of what is in it, shows a stem as a disc a centimetre wide. Discs
+    are linked upwards into the longest chains; a chain may jump over slices in which fruit or leaves hide the stem.
 
     Args:
         points: (n, 3) metres.
@@ -46,8 +54,9 @@ def find_main_stems(points: Array, normals: Array, settings: ShapeSettings) -> l
         height = chain[-1].center[2] - chain[0].center[2]
         if height < settings.min_stem or len(chain) * settings.stem_slab < 0.5 * height:
             break
-        radius = _chain_radius(chain, points, normals, settings)
-        axis = _axis(chain, points, normals, radius, settings)
+        sections = _sections(chain, points, normals)
+        radius = _chain_radius(sections, settings)
+        axis = _axis(chain, sections, radius, settings)
         stems += [Stem(a, b, radius, kind="main") for a, b in itertools.pairwise(axis)]
         discs = [d for d in discs if _beside(d.center, axis) > 0.02]
     return stems
@@ -70,27 +79,41 @@ def _discs(points: Array, normals: Array, settings: ShapeSettings) -> list[Disc]
         for part in np.split(
             rows[np.argsort(own, kind="stable")], np.cumsum(np.bincount(own, minlength=count + 1))[:-1]
         ):
-            if len(part) < 8:
+            if len(part) < 8 or np.ptp(points[part, 2]) < 0.6 * settings.stem_slab:
                 continue
-            cloud = points[part]
-            if np.ptp(cloud[:, :2], axis=0).max() > widest or np.ptp(cloud[:, 2]) < 0.6 * settings.stem_slab:
-                continue
-            center = cloud.mean(axis=0)
-            center[2] = (k + 0.5) * settings.stem_slab
-            discs.append(Disc(int(k), center, part))
+            disc = _disc(int(k), part, points, settings)
+            section = _along(points[part] - disc.center, disc.lean)
+            if np.ptp(np.quantile(section, (0.05, 0.95), axis=0), axis=0).max() <= widest:  # but for a few stray points
+                discs.append(disc)
     return discs
 
 
+def _disc(slab: int, rows: npt.NDArray[np.int64], points: Array, settings: ShapeSettings) -> Disc:
+    """The disc that some points of a slice make, and how it leans by linear least squares."""
+    center = points[rows].mean(axis=0)
+    away = points[rows] - center
+    lean = away[:, :2].T @ away[:, 2] / max(float(away[:, 2] @ away[:, 2]), 1e-12)
+    lean *= min(1.0, settings.stem_lean / max(float(np.linalg.norm(lean)), 1e-12))
+    middle = (slab + 0.5) * settings.stem_slab
+    return Disc(slab, np.append(center[:2] + lean * (middle - center[2]), middle), lean, rows)
+
+
 def _longest_chain(discs: list[Disc], settings: ShapeSettings) -> list[Disc]:
-    """The chain with the most discs, by dynamic programming upwards; hidden slices cost a little."""
+    """The chain with the most discs, by dynamic programming upwards.
+
+    Hidden slices cost a little, and so does leaving both the vertical and the line along which the disc below leans.
+    """
     centers = np.array([d.center for d in discs])
+    leans = np.array([d.lean for d in discs])
     slabs = np.array([d.slab for d in discs])
     order = np.argsort(slabs, kind="stable")
     score, before = np.ones(len(discs)), np.full(len(discs), -1)
     furthest = int(settings.stem_gap / settings.stem_slab)
     for i in order:
         rise = slabs[i] - slabs
-        sideways = np.linalg.norm(centers[:, :2] - centers[i, :2], axis=1)
+        moved = centers[i, :2] - centers[:, :2]
+        leaning = moved - leans * (settings.stem_slab * rise)[:, None]
+        sideways = np.minimum(np.linalg.norm(moved, axis=1), np.linalg.norm(leaning, axis=1))
         able = (rise >= 1) & (rise <= furthest) & (sideways < 0.004 + 0.3 * settings.stem_slab * rise)
         if able.any():
             value = score - 0.1 * (rise - 1) - 20.0 * sideways
@@ -104,24 +127,40 @@ def _longest_chain(discs: list[Disc], settings: ShapeSettings) -> list[Disc]:
     return [discs[i] for i in reversed(chain)]
 
 
-def _chain_radius(chain: list[Disc], points: Array, normals: Array, settings: ShapeSettings) -> float:
-    """The radius r for which ``point - r * normal`` scatters least within the discs (linear least squares)."""
+def _chain_radius(sections: list[tuple[Array, Array]], settings: ShapeSettings) -> float:
+    """The radius r for which ``point - r * normal`` scatters least within the sections (linear least squares)."""
     spread = square = 0.0
-    for disc in chain:
-        p = points[disc.rows, :2] - points[disc.rows, :2].mean(axis=0)
-        n = normals[disc.rows, :2] - normals[disc.rows, :2].mean(axis=0)
+    for points, normals in sections:
+        p, n = points - points.mean(axis=0), normals - normals.mean(axis=0)
         spread += float((p * n).sum())
         square += float((n * n).sum())
     return float(np.clip(spread / max(square, 1e-9), *settings.stem_radii))
 
 
-def _axis(chain: list[Disc], points: Array, normals: Array, radius: float, settings: ShapeSettings) -> Array:
+def _sections(chain: list[Disc], points: Array, normals: Array) -> list[tuple[Array, Array]]:
+    """For each disc its points (n, 2) and normals (n, 2), moved along the chain onto the middle of the slice."""
+    centers = np.array([d.center for d in chain])
+    leans = np.gradient(centers[:, :2], centers[:, 2], axis=0)
+    return [
+        (_along(points[d.rows] - [0.0, 0.0, d.center[2]], lean), _along(normals[d.rows], lean))
+        for d, lean in zip(chain, leans, strict=True)
+    ]
+
+
+def _along(vectors: Array, lean: Array) -> Array:
+    """Vectors (n, 3) moved along a lean (2,) to height zero, (n, 2)."""
+    return np.asarray(vectors[:, :2] - vectors[:, 2:] * lean)
+
+
+def _axis(chain: list[Disc], sections: list[tuple[Array, Array]], radius: float, settings: ShapeSettings) -> Array:
     """Axis points (k, 3): the discs' points moved inwards by the radius, smoothed along the chain."""
-    axis = np.array([d.center for d in chain])
-    axis[:, :2] = [(points[d.rows, :2] - radius * normals[d.rows, :2]).mean(axis=0) for d in chain]
-    smooth = ndimage.median_filter(axis[:, :2], size=(5, 1), mode="nearest")
-    axis[:, :2] = ndimage.uniform_filter1d(smooth, 3, axis=0, mode="nearest")
-    return simplified(axis, settings.axis_tolerance)
+    height = np.array([d.center[2] for d in chain])
+    middles = np.array([(points - radius * normals).mean(axis=0) for points, normals in sections])
+    line = np.polynomial.polynomial.polyfit(height, middles, 1)  # smoothing would bend the ends of a leaning stem
+    straight = line[0] + height[:, None] * line[1]
+    smooth = ndimage.median_filter(middles - straight, size=(5, 1), mode="nearest")
+    smooth = ndimage.uniform_filter1d(smooth, 3, axis=0, mode="nearest")
+    return simplified(np.column_stack([straight + smooth, height]), settings.axis_tolerance)
 
 
 def _beside(point: Array, axis: Array) -> float:
