@@ -30,11 +30,19 @@ _NEIGHBORS = 6  # of which a box may be joined with one, itself counted
 _CUTS = (0.3, 0.4, 0.5, 0.6, 0.7)  # where along its axes a box may be split
 
 
+class _Bounds(NamedTuple):
+    """Center (3,), half extents (3,) and rotation (3, 3) of a box; thousands are tried, so none is checked yet."""
+
+    center: Array
+    half_extents: Array
+    rotation: Array
+
+
 class _Piece(NamedTuple):
     """Points, their box, how much of its surface (square metres) is far from all of them, and as a share."""
 
     rows: npt.NDArray[np.int64]
-    box: Box
+    bounds: _Bounds
     claimed: float
     share: float
 
@@ -48,10 +56,12 @@ def cover(points: Array, normals: Array, budget: int, settings: ShapeSettings) -
         return []
     centers, facing = _cells(points, normals, settings.clutter_cell)
     found = [_boxed(centers, rows, settings) for rows in flat_patches(centers, facing, settings)]
-    missed = np.flatnonzero(nearest_shapes(centers, [p.box for p in found], settings.clutter_near).owner < 0)
+    missed = np.flatnonzero(
+        nearest_shapes(centers, [Box(*piece.bounds) for piece in found], settings.clutter_near).owner < 0
+    )
     found += [_boxed(centers, missed[rows], settings) for rows in lumps(centers[missed], settings)]
     pieces = _exact(centers, found, _MOST_SPLIT * budget, settings)
-    return [piece.box for piece in _fewer(centers, pieces, budget, settings)]
+    return [Box(*piece.bounds) for piece in _fewer(centers, pieces, budget, settings)]
 
 
 def _exact(points: Array, pieces: Sequence[_Piece], most: int, settings: ShapeSettings) -> list[_Piece]:
@@ -76,7 +86,7 @@ def _fewer(points: Array, pieces: Sequence[_Piece], budget: int, settings: Shape
     alive = dict(enumerate(pieces))
     if len(alive) <= budget:
         return pieces
-    centers = np.array([piece.box.center for piece in pieces])
+    centers = np.array([piece.bounds.center for piece in pieces])
     nearest = cKDTree(centers).query(centers, k=min(_NEIGHBORS, len(pieces)))[1]
     near: dict[int, set[int]] = {i: set() for i in alive}
     for i, j in [(i, j) for i, row in enumerate(nearest.tolist()) for j in row if i != j]:
@@ -116,9 +126,10 @@ def _cells(points: Array, normals: Array, cell: float) -> tuple[Array, Array]:
 def _split(points: Array, piece: _Piece, settings: ShapeSettings) -> tuple[_Piece, _Piece] | None:
     """The two parts of a piece that together claim least, cut across one of its box's axes."""
     best: tuple[_Piece, _Piece] | None = None
-    local = (points[piece.rows] - piece.box.center) @ piece.box.rotation / piece.box.half_extents
+    box = piece.bounds
+    local = (points[piece.rows] - box.center) @ box.rotation / box.half_extents
     for axis in range(3):
-        if piece.box.half_extents[axis] < 2 * settings.clutter_margin:
+        if box.half_extents[axis] < 2 * settings.clutter_margin:
             continue
         for cut in _CUTS:
             beyond = local[:, axis] > 2 * cut - 1
@@ -134,14 +145,14 @@ def _split(points: Array, piece: _Piece, settings: ShapeSettings) -> tuple[_Piec
 
 
 def _boxed(points: Array, rows: npt.NDArray[np.int64], settings: ShapeSettings) -> _Piece:
-    box = bounding_box(points[rows])
+    box = _bounds(points[rows])
     surface, areas = _surface(box, settings.clutter_margin)
     far = cKDTree(points[rows]).query(surface, distance_upper_bound=settings.clutter_margin)[0] == np.inf
     claimed = float(areas[far].sum())
     return _Piece(rows, box, claimed, claimed / float(areas.sum()))
 
 
-def _surface(box: Box, spacing: float) -> tuple[Array, Array]:
+def _surface(box: _Bounds, spacing: float) -> tuple[Array, Array]:
     """Points (n, 3) evenly over a box's faces, about ``spacing`` apart, and the area (n,) each stands for."""
     points, areas = [], []
     counts = np.clip(np.ceil(2 * box.half_extents / spacing), 1, 12).astype(int)
@@ -158,10 +169,15 @@ def _surface(box: Box, spacing: float) -> tuple[Array, Array]:
 
 def bounding_box(points: Array) -> Box:
     """A box (oriented along the principal axes) that holds all points (n, 3)."""
-    center = points.mean(axis=0)
-    _, axes = np.linalg.eigh(np.cov((points - center).T) if len(points) > 1 else np.eye(3))
-    if np.linalg.det(axes) < 0:
+    return Box(*_bounds(points))
+
+
+def _bounds(points: Array) -> _Bounds:
+    middle = points.mean(axis=0)
+    away = points - middle
+    axes = np.linalg.eigh(away.T @ away)[1]
+    if axes[:, 0] @ np.cross(axes[:, 1], axes[:, 2]) < 0:
         axes[:, 0] *= -1
-    local = (points - center) @ axes
+    local = away @ axes
     low, high = local.min(axis=0), local.max(axis=0)
-    return Box(center + axes @ ((low + high) / 2), np.maximum((high - low) / 2, THINNEST), axes)
+    return _Bounds(middle + axes @ ((low + high) / 2), np.maximum((high - low) / 2, THINNEST), axes)

@@ -17,6 +17,12 @@ def could_be_fruit_or_stem(colors: Array, settings: ShapeSettings) -> npt.NDArra
     return colorful & (redness(colors) > settings.least_redness)
 
 
+def is_colorless(colors: Array, settings: ShapeSettings) -> npt.NDArray[np.bool_]:
+    """Which colors (n, 3) are white, gray or black: those of strings and gutters; none in a cloud without colors."""
+    pale = _saturation(colors) <= settings.least_saturation
+    return pale & (not pale.all())
+
+
 def could_be_pipe(colors: Array, settings: ShapeSettings) -> npt.NDArray[np.bool_]:
     """Which colors (n, 3) a pipe may have: all but those of leaves."""
     return (_saturation(colors) <= settings.least_saturation) | (redness(colors) > settings.least_redness)

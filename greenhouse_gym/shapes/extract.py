@@ -13,13 +13,13 @@ from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Box, Shape
 from greenhouse_gym.reconstruction.clouds import Cloud, voxel_means
 from greenhouse_gym.shapes.clutter import cover
-from greenhouse_gym.shapes.colors import could_be_fruit_or_stem, could_be_pipe
+from greenhouse_gym.shapes.colors import could_be_fruit_or_stem, could_be_pipe, is_colorless
 from greenhouse_gym.shapes.evidence import Evidence, nearest_shapes
 from greenhouse_gym.shapes.normals import estimate_normals
 from greenhouse_gym.shapes.peduncles import find_peduncles
 from greenhouse_gym.shapes.pipes import find_pipes
 from greenhouse_gym.shapes.settings import ShapeSettings
-from greenhouse_gym.shapes.stems import find_main_stems
+from greenhouse_gym.shapes.stems import find_main_stems, find_strings
 from greenhouse_gym.shapes.tomatoes import find_tomatoes
 
 _FEWEST = 50  # points that hold a shape
@@ -31,7 +31,7 @@ class RowShapes:
 
     Attributes:
         tomatoes: Fruits with truss and ripeness.
-        stems: Main stems, peduncles, pedicels and pipes.
+        stems: Main stems, peduncles, pedicels, strings and pipes.
         clutter: Boxes around everything else.
         confidence: How credible each tomato is, 0 to 1.
         evidence: The shape nearest to each point of the cloud, counted through tomatoes, stems and clutter.
@@ -85,7 +85,8 @@ def extract_shapes(
     main = find_main_stems(woody.points, woody.normals, settings)
     woody = _without(woody, main, settings.stem_margin)
     thin = find_peduncles(woody.points, woody.normals, tomatoes, main, settings)
-    stems = (*main, *thin, *pipes)
+    pale = cloud.select(is_colorless(cloud.colors, settings))
+    stems = (*main, *thin, *find_strings(pale.points, pale.normals, settings), *pipes)
     cloud = _without(cloud, stems, settings.shell)
     budget = round(settings.clutter_per_metre * float(np.ptp(cloud.points[:, 1]))) if len(cloud) else 0
     clutter = tuple(cover(cloud.points, cloud.normals, max(budget, 10), settings))

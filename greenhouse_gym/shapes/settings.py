@@ -31,6 +31,7 @@ class ShapeSettings:
     stem_lean: float = 1.0  # metres sideways per metre up of the most slanted stem
     stem_gap: float = 0.30  # hidden part of a main stem that is bridged
     min_stem: float = 0.25  # shortest main stem
+    string_radius: float = 0.001  # likewise too thin to measure
     peduncle_radius: float = 0.0019  # too thin to measure at arm's length: the crop's usual 3 to 4.5 mm across
     pedicel_radius: float = 0.0013
     longest_pedicel: float = 0.030
@@ -41,7 +42,7 @@ class ShapeSettings:
     root_reach: float = 0.025  # from a main stem's axis to the first point of a peduncle
     pedicel_reach: float = 0.008  # from the last point of a pedicel to the skin
     axis_tolerance: float = 0.003  # a chain of capsules may be this far from the traced axis
-    clutter_per_metre: int = 55  # boxes
+    clutter_per_metre: int = 50  # boxes
     clutter_cell: float = 0.005  # boxes are looked for among the cells of this size that hold points
     clutter_facing: float = 0.9  # cosine between the normals of neighbors on one smooth patch
     clutter_flat: float = 0.006  # cells of one flat patch lie this near its plane

@@ -9,10 +9,13 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from greenhouse_gym.crop import Stem
+from greenhouse_gym.crop import Stem, StemKind
 from greenhouse_gym.geometry import Array, distance_to_capsules
 from greenhouse_gym.shapes.polylines import simplified
 from greenhouse_gym.shapes.settings import ShapeSettings
+
+_BESIDE_STEM = 0.014  # metres by which a disc may be wider: a string beside the stem, and noise
+_BESIDE_STRING = 0.006
 
 
 class Disc(NamedTuple):
@@ -32,7 +35,7 @@ class Disc(NamedTuple):
 
 
 def find_main_stems(points: Array, normals: Array, settings: ShapeSettings) -> list[Stem]:
-    """Find upright and leaning stems in what is not tomato.
+    """Find upright and leaning stems in what is neither tomato nor pipe.
 
     A slice of 3 cm of height, moved along the lean of what is in it, shows a stem as a disc a centimetre wide. Discs
     are linked upwards into the longest chains; a chain may jump over slices in which fruit or leaves hide the stem.
@@ -45,9 +48,29 @@ def find_main_stems(points: Array, normals: Array, settings: ShapeSettings) -> l
     Returns:
         Chains of capsules of kind ``main``.
     """
+    return _upright(points, normals, "main", settings.stem_radii, _BESIDE_STEM, settings)
+
+
+def find_strings(points: Array, normals: Array, settings: ShapeSettings) -> list[Stem]:
+    """Find the strings that hold the stems, in what has no color: likewise, but too thin to measure.
+
+    Args:
+        points: (n, 3) metres.
+        normals: (n, 3) unit vectors.
+        settings: All settings.
+
+    Returns:
+        Chains of capsules of kind ``string``.
+    """
+    return _upright(points, normals, "string", (settings.string_radius,) * 2, _BESIDE_STRING, settings)
+
+
+def _upright(
+    points: Array, normals: Array, kind: StemKind, radii: tuple[float, float], slack: float, settings: ShapeSettings
+) -> list[Stem]:
     if len(points) < 20:
         return []
-    discs = _discs(points, normals, settings)
+    discs = _discs(points, normals, 2 * radii[1] + slack, settings)
     stems: list[Stem] = []
     while len(discs) > 1:
         chain = _longest_chain(discs, settings)
@@ -55,19 +78,18 @@ def find_main_stems(points: Array, normals: Array, settings: ShapeSettings) -> l
         if height < settings.min_stem or len(chain) * settings.stem_slab < 0.5 * height:
             break
         sections = _sections(chain, points, normals)
-        radius = _chain_radius(sections, settings)
+        radius = _chain_radius(sections, radii)
         axis = _axis(chain, sections, radius, settings)
-        stems += [Stem(a, b, radius, kind="main") for a, b in itertools.pairwise(axis)]
+        stems += [Stem(a, b, radius, kind=kind) for a, b in itertools.pairwise(axis)]
         discs = [d for d in discs if _beside(d.center, axis) > 0.02]
     return stems
 
 
-def _discs(points: Array, normals: Array, settings: ShapeSettings) -> list[Disc]:
+def _discs(points: Array, normals: Array, widest: float, settings: ShapeSettings) -> list[Disc]:
     slab = np.floor(points[:, 2] / settings.stem_slab).astype(np.int64)
     upright = np.abs(normals[:, 2]) < 0.5
     low = points[:, :2].min(axis=0)
     cell = 0.004
-    widest = 2 * settings.stem_radii[1] + 0.014  # a string beside the stem, and noise
     discs = []
     for k in np.unique(slab):
         rows = np.flatnonzero((slab == k) & upright)
@@ -127,14 +149,14 @@ def _longest_chain(discs: list[Disc], settings: ShapeSettings) -> list[Disc]:
     return [discs[i] for i in reversed(chain)]
 
 
-def _chain_radius(sections: list[tuple[Array, Array]], settings: ShapeSettings) -> float:
+def _chain_radius(sections: list[tuple[Array, Array]], radii: tuple[float, float]) -> float:
     """The radius r for which ``point - r * normal`` scatters least within the sections (linear least squares)."""
     spread = square = 0.0
     for points, normals in sections:
         p, n = points - points.mean(axis=0), normals - normals.mean(axis=0)
         spread += float((p * n).sum())
         square += float((n * n).sum())
-    return float(np.clip(spread / max(square, 1e-9), *settings.stem_radii))
+    return float(np.clip(spread / max(square, 1e-9), *radii))
 
 
 def _sections(chain: list[Disc], points: Array, normals: Array) -> list[tuple[Array, Array]]:
