@@ -180,7 +180,7 @@ def _axis(chain: list[Disc], sections: list[tuple[Array, Array]], radius: float,
     middles = np.array([(points - radius * normals).mean(axis=0) for points, normals in sections])
     line = np.polynomial.polynomial.polyfit(height, middles, 1)  # smoothing would bend the ends of a leaning stem
     straight = line[0] + height[:, None] * line[1]
-    smooth = ndimage.median_filter(middles - straight, size=(5, 1), mode="nearest")
+    smooth = ndimage.median_filter(middles - straight, size=(3, 1), mode="nearest")
     smooth = ndimage.uniform_filter1d(smooth, 3, axis=0, mode="nearest")
     return simplified(np.column_stack([straight + smooth, height]), settings.axis_tolerance)
 
