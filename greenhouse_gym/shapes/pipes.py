@@ -196,7 +196,7 @@ def _seen(cylinder: Cylinder, near: Cloud, settings: ShapeSettings) -> _Piece | 
     if not len(seen):
         return None
     runs = np.split(seen, np.flatnonzero(np.diff(seen) > settings.pipe_gap / _CELL) + 1)
-    run = min(runs, key=lambda r: max(r[0] + first, -(r[-1] + first), 0))  # the one at the origin
+    run = min(runs, key=lambda r: max(int(r[0] + first), -int(r[-1] + first), 0))  # the one at the origin
     low, high = (run[0] + first) * _CELL, (run[-1] + 1 + first) * _CELL
     within = (along >= low) & (along <= high)
     on &= within

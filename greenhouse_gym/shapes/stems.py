@@ -182,7 +182,7 @@ def _axis(chain: list[Disc], sections: list[tuple[Array, Array]], radius: float,
     straight = line[0] + height[:, None] * line[1]
     smooth = ndimage.median_filter(middles - straight, size=(3, 1), mode="nearest")
     smooth = ndimage.uniform_filter1d(smooth, 3, axis=0, mode="nearest")
-    return simplified(np.column_stack([straight + smooth, height]), settings.axis_tolerance)
+    return simplified(np.column_stack([straight + smooth, height]), settings.upright_tolerance)
 
 
 def _beside(point: Array, axis: Array) -> float:
