@@ -196,7 +196,7 @@ def _seen(cylinder: Cylinder, near: Cloud, settings: ShapeSettings) -> _Piece | 
     if not len(seen):
         return None
     runs = np.split(seen, np.flatnonzero(np.diff(seen) > settings.pipe_gap / _CELL) + 1)
-    run = min(runs, key=lambda r: max(int(r[0] + first), -int(r[-1] + first), 0))  # the one at the origin
+    run = min(runs, key=lambda r: max(r[0] + first, -(r[-1] + first), 0))  # the one at the origin
     low, high = (run[0] + first) * _CELL, (run[-1] + 1 + first) * _CELL
     within = (along >= low) & (along <= high)
     on &= within
@@ -206,7 +206,7 @@ def _seen(cylinder: Cylinder, near: Cloud, settings: ShapeSettings) -> _Piece | 
         float(max(low, along[on].min())),
         float(min(high, along[on].max())),
         # an arc as wide as k columns touches k + 1 of them
-        arc=max(np.count_nonzero(shows[run].mean(axis=0) > 0.3) - 1, 0) * 2 * np.pi / columns,
+        arc=max(int(np.count_nonzero(shows[run].mean(axis=0) > 0.3)) - 1, 0) * 2 * np.pi / columns,
         filled=len(run) / (run[-1] - run[0] + 1),
         alignment=float(alignment[on].mean()),
         tilt=float(np.sqrt(np.mean((near.normals[on] @ cylinder.axis) ** 2))),
