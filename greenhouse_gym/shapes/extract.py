@@ -81,13 +81,16 @@ def extract_shapes(
     cloud = _without(cloud, pipes, settings.shell)
     tomatoes, confidence = find_tomatoes(cloud.points, cloud.normals, cloud.colors, settings)
     cloud = _without(cloud, tomatoes, settings.shell)
-    woody = cloud.select(could_be_fruit_or_stem(cloud.colors, settings))
-    main = find_main_stems(woody.points, woody.normals, settings)
+    woody, pale = (cloud.select(looks(cloud.colors, settings)) for looks in (could_be_fruit_or_stem, is_colorless))
+    upright = (
+        *find_main_stems(woody.points, woody.normals, settings),
+        *find_strings(pale.points, pale.normals, settings),
+    )
+    main = [stem for stem in upright if stem.kind == "main"]
     woody = _without(woody, main, settings.stem_margin)
     thin = find_peduncles(woody.points, woody.normals, tomatoes, main, settings)
-    pale = cloud.select(is_colorless(cloud.colors, settings))
-    stems = (*main, *thin, *find_strings(pale.points, pale.normals, settings), *pipes)
-    cloud = _without(cloud, stems, settings.shell)
+    stems = (*upright, *thin, *pipes)
+    cloud = _without(_without(cloud, upright, settings.stem_margin), thin, settings.shell)
     budget = round(settings.clutter_per_metre * float(np.ptp(cloud.points[:, 1]))) if len(cloud) else 0
     clutter = tuple(cover(cloud.points, cloud.normals, max(budget, 10), settings))
     evidence = nearest_shapes(whole.points, (*tomatoes, *stems, *clutter), settings.explained)

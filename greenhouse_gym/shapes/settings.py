@@ -43,7 +43,7 @@ class ShapeSettings:
     pedicel_reach: float = 0.008  # from the last point of a pedicel to the skin
     axis_tolerance: float = 0.003  # a chain of capsules may be this far from the traced axis
     upright_tolerance: float = 0.005  # likewise for main stems and strings
-    clutter_per_metre: int = 55  # boxes
+    clutter_per_metre: int = 50  # boxes
     clutter_cell: float = 0.005  # boxes are looked for among the cells of this size that hold points
     clutter_facing: float = 0.9  # cosine between the normals of neighbors on one smooth patch
     clutter_flat: float = 0.006  # cells of one flat patch lie this near its plane
