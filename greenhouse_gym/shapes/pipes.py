@@ -201,12 +201,12 @@ def _seen(cylinder: Cylinder, near: Cloud, settings: ShapeSettings) -> _Piece | 
     within = (along >= low) & (along <= high)
     on &= within
     outside = within & (residual > settings.shell) & (residual < 3.5 * settings.shell)
+    touched = int(np.count_nonzero(shows[run].mean(axis=0) > 0.3))
     return _Piece(
         cylinder,
         float(max(low, along[on].min())),
         float(min(high, along[on].max())),
-        # an arc as wide as k columns touches k + 1 of them
-        arc=max(int(np.count_nonzero(shows[run].mean(axis=0) > 0.3)) - 1, 0) * 2 * np.pi / columns,
+        arc=max(touched - 1, 0) * 2 * np.pi / columns,  # an arc as wide as k columns touches k + 1 of them
         filled=len(run) / (run[-1] - run[0] + 1),
         alignment=float(alignment[on].mean()),
         tilt=float(np.sqrt(np.mean((near.normals[on] @ cylinder.axis) ** 2))),
