@@ -2,6 +2,6 @@
 
 from greenhouse_gym.shapes.evidence import Evidence
 from greenhouse_gym.shapes.extract import RowShapes, extract_shapes
-from greenhouse_gym.shapes.settings import ShapeSettings
+from greenhouse_gym.shapes.settings import FINE_SHAPES, ShapeSettings
 
-__all__ = ["Evidence", "RowShapes", "ShapeSettings", "extract_shapes"]
+__all__ = ["FINE_SHAPES", "Evidence", "RowShapes", "ShapeSettings", "extract_shapes"]

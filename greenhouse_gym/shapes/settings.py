@@ -54,3 +54,9 @@ class ShapeSettings:
     min_lump_cells: int = 8  # fewer are noise
     clutter_margin: float = 0.012  # a box's surface farther than this from all of its points is empty
     explained: float = 0.008  # points this near a shape speak for it
+
+
+FINE_SHAPES = ShapeSettings(
+    clutter_per_metre=250, clutter_flat=0.002, clutter_margin=0.008, axis_tolerance=0.0015, upright_tolerance=0.002
+)
+"""Finer shapes than the default: bent leaves in small flat pieces, more and shorter capsules; for larger scenes."""

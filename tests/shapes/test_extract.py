@@ -11,7 +11,7 @@ from greenhouse_gym.capture.raycast import RIPENESS_COLORS
 from greenhouse_gym.crop import Stem, Tomato
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Sphere, distance_to_shapes, invert, transform
-from greenhouse_gym.shapes import RowShapes, ShapeSettings, extract_shapes
+from greenhouse_gym.shapes import FINE_SHAPES, RowShapes, ShapeSettings, extract_shapes
 from greenhouse_gym.shapes.clutter import bounding_box, cover
 from greenhouse_gym.shapes.colors import could_be_fruit_or_stem
 from greenhouse_gym.shapes.evidence import nearest_shapes
@@ -271,6 +271,19 @@ def test_more_boxes_claim_less() -> None:
     bent += np.random.default_rng(0).normal(0, 0.002, bent.shape)
     volumes = [sum(8 * np.prod(b.half_extents) for b in cover(bent, normals, n, SETTINGS)) for n in (1, 4, 16)]
     assert volumes[2] < volumes[1] < 0.25 * volumes[0]
+
+
+def test_fine_shapes_claim_less_of_a_bent_leaf() -> None:
+    angle, along = (g.ravel() for g in np.meshgrid(np.linspace(0, 2.5, 150), np.linspace(0, 0.12, 60)))
+    normals = -np.column_stack([np.cos(angle), 0 * angle, np.sin(angle)])
+    points = [0.5, 0.0, 1.0] + 0.06 * normals + along[:, None] * [0.0, 1.0, 0.0]
+    points += np.random.default_rng(0).normal(0, 0.0005, points.shape)
+    colors = np.tile([0.15, 0.35, 0.2], (len(points), 1))
+    coarse, fine = (extract_shapes(points, colors, normals, settings) for settings in (SETTINGS, FINE_SHAPES))
+    assert coarse.tomatoes == fine.tomatoes == ()
+    assert len(fine.clutter) > len(coarse.clutter)
+    volumes = [sum(8 * np.prod(box.half_extents) for box in shapes.clutter) for shapes in (coarse, fine)]
+    assert volumes[1] < 0.8 * volumes[0]
 
 
 def test_two_leaves_that_cross_get_a_thin_box_each() -> None:
