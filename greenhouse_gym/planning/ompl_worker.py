@@ -32,10 +32,10 @@ from greenhouse_gym.planning.ompl_binding import (
 )
 from greenhouse_gym.planning.ompl_unbound import JOINING, THREADED
 
-SEARCH = 3 * PROOF
+SEARCH = 6 * PROOF
 """Resolution at which motions are checked first, metres; `PROOF` follows where that was too coarse."""
 
-LOOK = 0.005
+LOOK = 0.001
 """Seconds between two looks at the cost of the best path so far."""
 
 Outcome = Literal["solved", "approximate", "no_solution", "invalid"]
@@ -56,7 +56,8 @@ class Query:
         settings: The planner's settings that are not OMPL's own.
         time_limit: Seconds.
         max_checks: Number of configurations that may be checked, or None.
-        optimizing: Whether the planner uses all its time: it then checks motions at `PROOF` from the start.
+        optimizing: Whether the planner is to use all its time: it then checks motions at `PROOF` from the start. Else
+            it stops at its first path, as far as it tells that it has one.
         seed: Seed of OMPL's random numbers.
     """
 
@@ -145,13 +146,13 @@ def solve(ompl: Ompl, query: Query) -> Answer:
     """
     set_seed(ompl, query.seed)
     checker = CollisionChecker(query.model, query.reaches)
-    search = _Search(checker, math.inf if query.max_checks is None else query.max_checks)
-    began = time.perf_counter()
-    simplification_time, tree_size = 0.0, 0
+    search = _Search(checker, math.inf if query.max_checks is None else query.max_checks, query.optimizing)
+    planning_time, simplification_time, tree_size = 0.0, 0.0, 0
     status: Outcome = "no_solution"
     raw, path = None, None
     for resolution in (PROOF,) if query.optimizing else (SEARCH, PROOF):
-        search.begin(began + simplification_time, query.time_limit, resolution)
+        began = time.perf_counter()
+        search.begin(began - planning_time, query.time_limit, resolution)
         fineness = JOINING.get(query.planner, resolution / float(np.linalg.norm(checker.reaches)))
         problem = Problem(
             ompl, query.lower, query.upper, query.start, query.goals, search.is_free, search.free_share, fineness,
@@ -159,6 +160,8 @@ def solve(ompl: Ompl, query: Query) -> Answer:
         )  # fmt: skip
         planner = problem.planner(query.planner, query.settings)
         search.run(planner)
+        solve_end, solve_checks = time.perf_counter(), checker.checks
+        planning_time += solve_end - began
         tree_size = problem.tree_size(planner)
         approximate = problem.definition.hasApproximateSolution()
         raw = problem.take_solution()
@@ -167,17 +170,16 @@ def solve(ompl: Ompl, query: Query) -> Answer:
             if status == "no_solution" and approximate:
                 status = "approximate"
             break
-        solve_end, solve_checks = time.perf_counter(), checker.checks
         search.note(solve_end, float(np.linalg.norm(np.diff(raw, axis=0), axis=-1).sum()))
+        began = time.perf_counter()
         path = _simplified(problem, search, raw)
-        simplification_time += time.perf_counter() - solve_end
+        simplification_time += time.perf_counter() - began
         checker.checks = solve_checks
         status = "invalid" if path is None else "solved"
         if path is not None:
             break
-    total = time.perf_counter() - began
     costs = np.array(search.costs).reshape(-1, 2)
-    return Answer(status, path, raw, total - simplification_time, simplification_time, checker.checks, tree_size, costs)
+    return Answer(status, path, raw, planning_time, simplification_time, checker.checks, tree_size, costs)
 
 
 def _simplified(problem: Problem, search: _Search, raw: Array) -> Array | None:
@@ -197,6 +199,7 @@ class _Search:
 
     checker: CollisionChecker
     max_checks: float
+    optimizing: bool
     resolution: float = PROOF
     began: float = 0.0
     deadline: float = math.inf
@@ -222,14 +225,15 @@ class _Search:
             self.planner, self.best_cost, self.limited = None, None, False
 
     def exhausted(self) -> bool:
-        """Whether a limit is reached."""
+        """Whether a limit is reached, or the path that was asked for."""
         if not self.limited:
             return False
         now = time.perf_counter()
         if self.best_cost is not None and now >= self.next_look:
             self.next_look = now + LOOK
             self.note(now, float(self.best_cost()))
-        if self.checker.checks < self.max_checks and now < self.deadline:
+        enough = bool(self.costs) and not self.optimizing
+        if self.checker.checks < self.max_checks and now < self.deadline and not enough:
             return False
         if self.planner is not None:
             self.planner.stop()
