@@ -86,7 +86,7 @@ class Answer:
         planning_time: Seconds the planner took.
         simplification_time: Seconds for shortening the path and proving it free.
         checks: Configurations the planner checked.
-        tree_size: Nodes in the planner's trees or roadmap.
+        tree_size: Nodes in the planner's trees or roadmap; 0 for EITstar, whose are slow to count.
         costs: (m, 2) seconds and length of the best path by then, radians: as it was found and as it got shorter.
     """
 

@@ -64,7 +64,7 @@ class PlanResult:
         simplification_time: Seconds for shortening the path and proving it free.
         goal_time: Seconds for the goal configurations.
         checks: Configurations the planner checked for collisions.
-        tree_size: Nodes in the planner's trees or roadmap.
+        tree_size: Nodes in the planner's trees or roadmap; 0 for EITstar, whose are slow to count.
         costs: (m, 2) seconds, and the length of the best path the planner had by then, radians: the first one it told
             of and every shorter one.
         goals: How the search for goal configurations went; None where they were given.
