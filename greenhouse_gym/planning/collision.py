@@ -9,6 +9,7 @@ the arm is at all times within a margin of a checked place that keeps this margi
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Collection, Iterable
 from functools import cached_property, lru_cache
 from itertools import pairwise
@@ -152,9 +153,14 @@ class CollisionChecker:
         so on: where there is a collision, it is found soon.
         """
         a, b = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
-        if tuple(a) > tuple(b):  # one direction for both, to the last bit
-            a, b = b, a
-        return self._all_free((b, a)) and self._all_free(a + halving_order(self._steps(a, b, resolution)) * (b - a))
+        return self._all_free((b, a)) and self.inside_is_free(a, b, resolution)
+
+    def inside_is_free(self, start: Array, end: Array, resolution: float) -> bool:
+        """As `motion_is_free`, for a motion whose ends are known to be free."""
+        if tuple(start) > tuple(end):  # one direction for both, to the last bit
+            start, end = end, start
+        way = end - start
+        return self._all_free(start + halving_order(self._steps(way, resolution)) * way)
 
     def _all_free(self, configurations: Iterable[npt.ArrayLike]) -> bool:
         """Whether all configurations are free; none after the first that is not is checked."""
@@ -172,7 +178,7 @@ class CollisionChecker:
     def free_share(self, start: npt.ArrayLike, end: npt.ArrayLike, resolution: float) -> float:
         """The share of the straight motion from a free configuration up to which it is free, 0 to 1."""
         a, b = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
-        steps = max(1, self._steps(a, b, resolution))
+        steps = max(1, self._steps(b - a, resolution))
         for step in range(1, steps + 1):
             if not self.is_free(a + step / steps * (b - a)):
                 return (step - 1) / steps
@@ -185,8 +191,8 @@ class CollisionChecker:
             return self.is_free(points[0])
         return all(self.motion_is_free(a, b, resolution) for a, b in pairwise(points))
 
-    def _steps(self, a: Array, b: Array, resolution: float) -> int:
-        return int(np.ceil(self.reaches @ np.abs(b - a) / resolution))
+    def _steps(self, way: Array, resolution: float) -> int:
+        return math.ceil(self.reaches @ np.abs(way) / resolution)
 
     def clearance(self, configuration: npt.ArrayLike) -> float:
         """Distance from the arm to what it may not touch, metres, negative inside; inf beyond the model's margin."""

@@ -38,6 +38,8 @@ SEARCH = 6 * PROOF
 LOOK = 0.001
 """Seconds between two looks at the cost of the best path so far."""
 
+_REMEMBERED = 100_000  # configurations, some 30 MB
+
 Outcome = Literal["solved", "approximate", "no_solution", "invalid"]
 
 
@@ -208,6 +210,7 @@ class _Search:
     best_cost: Callable[[], str] | None = None
     next_look: float = 0.0
     costs: list[tuple[float, float]] = field(default_factory=list)
+    known_free: set[tuple[float, ...]] = field(default_factory=set)
     lock: threading.Lock = field(default_factory=threading.Lock)
 
     def begin(self, began: float, time_limit: float, resolution: float) -> None:
@@ -247,12 +250,23 @@ class _Search:
     def is_free(self, configuration: Any) -> bool:
         """Whether a configuration is free; nothing is once a limit is reached."""
         with self.lock:
-            return not self.exhausted() and self.checker.is_free(configuration)
+            return not self.exhausted() and self._known_free(tuple(configuration))
 
     def free_share(self, first: Array, second: Array, whole: bool) -> float:
         """The share of a motion up to which it is free; 0 for all that are not free as a whole if that will do."""
         if self.exhausted():
             return 0.0
-        if self.checker.motion_is_free(first, second, self.resolution):
+        ends_free = self._known_free(tuple(second.tolist())) and self._known_free(tuple(first.tolist()))
+        if ends_free and self.checker.inside_is_free(first, second, self.resolution):
             return 1.0
         return 0.0 if whole or self.exhausted() else self.checker.free_share(first, second, self.resolution)
+
+    def _known_free(self, configuration: tuple[float, ...]) -> bool:
+        """Whether a configuration is free; most have been checked before, as an end of another motion."""
+        if configuration not in self.known_free:
+            if not self.checker.is_free(configuration):
+                return False
+            if len(self.known_free) >= _REMEMBERED:
+                self.known_free.clear()
+            self.known_free.add(configuration)
+        return True
