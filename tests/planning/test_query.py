@@ -68,6 +68,17 @@ def test_optimizing_planners_tell_their_cost_over_time(scene: Scene) -> None:
     assert 0 < seconds[0] < seconds[-1] < result.planning_time + 0.1
 
 
+@pytest.mark.parametrize("planner", ["RRTstar", "BITstar", "SPARStwo"])
+def test_the_first_solution_ends_an_optimizing_search(scene: Scene, planner: str) -> None:
+    if "RRTsharp" not in PLANNERS:
+        pytest.skip("OMPL 2 does not tell Python")
+    assert PLANNERS[planner].optimizing
+    result = plan(scene, 0, planner=planner, time_limit=20.0, max_checks=100_000, first_solution=True)
+    assert result.status == "solved"
+    assert len(result.costs) == 1
+    assert result.checks < 100_000
+
+
 def test_settings_change_what_a_planner_does(scene: Scene) -> None:
     usual = plan(scene, 7, max_checks=50_000, time_limit=60.0)
     short = PLANNERS["RRTConnect"].with_settings(range=0.1)
