@@ -66,6 +66,9 @@ def summary(runs: Sequence[Run]) -> list[dict[str, Any]]:
                     difficulty: _median((r for r in group if r["difficulty"] == difficulty), "planning_time")
                     for difficulty in dict.fromkeys(run["difficulty"] for run in group)
                 },
+                "planning_time_median_easy_and_medium_s": _median(
+                    (r for r in group if r["difficulty"] != "hard"), "planning_time"
+                ),
                 "checks_median": _median(group, "checks"),
                 "checks_per_second_median": _median(group, "rate"),
                 "share_of_bare_rate_median": _median(group, "share"),

@@ -134,7 +134,7 @@ def run_all(
                     if where not in goals:
                         began = time.perf_counter()
                         found = goal_configurations(scene, target.tomato)
-                        goals = {where: (found, round(time.perf_counter() - began, 4))}
+                        goals[where] = found, round(time.perf_counter() - began, 4)
                     run = {**wanted, "difficulty": target.difficulty, **measure(scene, wanted, *goals[where])}
                     out.write(json.dumps(run) + "\n")
                     out.flush()
