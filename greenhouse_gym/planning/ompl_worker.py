@@ -31,6 +31,7 @@ from greenhouse_gym.planning.ompl_binding import (
     set_seed,
 )
 from greenhouse_gym.planning.ompl_unbound import JOINING, THREADED
+from greenhouse_gym.planning.proof import ProvingChecker
 
 RESOLUTIONS = (6 * PROOF, 3 * PROOF, PROOF)
 """Resolutions at which motions are checked, metres: each follows where a path of the one before cannot be proven free.
@@ -150,7 +151,7 @@ def solve(ompl: Ompl, query: Query) -> Answer:
     of checks and not the time ends the search.
     """
     set_seed(ompl, query.seed)
-    checker = CollisionChecker(query.model, query.reaches)
+    checker = ProvingChecker(query.model, query.reaches)
     search = _Search(checker, math.inf if query.max_checks is None else query.max_checks, query.optimizing)
     planning_time, simplification_time, tree_size = 0.0, 0.0, 0
     status: Outcome = "no_solution"
