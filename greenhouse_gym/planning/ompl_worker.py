@@ -40,7 +40,7 @@ The first misses something in one search of thirty, and needs half the checks of
 """
 
 LOOK = 0.001
-"""Seconds between two looks at the cost of the best path so far."""
+"""Seconds between two looks at the cost of the best path so far, while it is improved."""
 
 _REMEMBERED = 100_000  # configurations, some 30 MB
 
@@ -236,7 +236,8 @@ class _Search:
         if not self.limited:
             return False
         now = time.perf_counter()
-        if self.best_cost is not None and now >= self.next_look:
+        # always before a search that ends at its first path, or the clock would decide on the path
+        if self.best_cost is not None and (now >= self.next_look or not self.optimizing):
             self.next_look = now + LOOK
             self.note(now, float(self.best_cost()))
         enough = bool(self.costs) and not self.optimizing
