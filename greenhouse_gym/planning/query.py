@@ -122,7 +122,8 @@ def plan(
             left out.
         first_solution: Have planners that go on improving their path stop at the first one. They are then as fast as
             they can be: only paths that are to be improved are searched at the fine resolution of the proof. CForest,
-            LBTRRT, LazyLBTRRT and PRMstar, which do not tell when they have one, use their time up all the same.
+            LBTRRT, LazyLBTRRT and PRMstar, which do not tell when they have one, use their time up all the same, and
+            so does LazyPRMstar in most cases, which is asked only when it checks something.
         pairs: What the arm is checked against, of `COLLISION_PAIRS`; all of it unless less is asked for.
 
     Raises:
