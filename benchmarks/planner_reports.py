@@ -66,6 +66,9 @@ def summary(runs: Sequence[Run]) -> list[dict[str, Any]]:
                     difficulty: _median((r for r in group if r["difficulty"] == difficulty), "planning_time")
                     for difficulty in dict.fromkeys(run["difficulty"] for run in group)
                 },
+                "planning_time_median_easy_and_medium_s": _median(
+                    (r for r in group if r["difficulty"] != "hard"), "planning_time"
+                ),
                 "checks_median": _median(group, "checks"),
                 "checks_per_second_median": _median(group, "rate"),
                 "share_of_bare_rate_median": _median(group, "share"),
@@ -92,7 +95,15 @@ def _state(group: Sequence[Run], solved: int) -> str:
 
 def table(rows: Sequence[dict[str, Any]]) -> str:
     """A Markdown table; planners of the paper have a star."""
-    heads = ["planner", "success [95 %]", "easy / medium / hard", "first s", "planning s", "easy / medium / hard"]
+    heads = [
+        "planner",
+        "runs",
+        "success [95 %]",
+        "easy / medium / hard",
+        "first s",
+        "planning s",
+        "easy / medium / hard",
+    ]
     heads += ["checks", "raw rad", "rad"]
     heads += ["clearance mm", "smoothness", "timeouts", "crashes", "of bare rate", "same seed, same path"]
     lines = ["| " + " | ".join(heads) + " |", "|---" + "|---:" * (len(heads) - 1) + "|"]
@@ -105,6 +116,7 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
         by, times = r["success_by_difficulty"], r["planning_time_median_by_difficulty_s"]
         cells = [
             r["planner"] + ("\\*" if r["of_the_paper"] else ""),
+            str(r["runs"]),
             f"{r['success']:.0%} [{low:.0%}, {high:.0%}]",
             " / ".join(number(by.get(d), ".0%") or "-" for d in ("easy", "medium", "hard")),
             number(r["first_solution_median_s"], ".3f"),

@@ -1,11 +1,13 @@
 """OMPL's planners over the targets of a bank, run by run, resumable.
 
-    python benchmarks/planners.py --planners all --targets 60 --seeds 5 --time-limit 5
+    python benchmarks/planners.py --planners all --seeds 5 --first-solution --budget 60   # all planners
+    python benchmarks/planners.py --planners RRTConnect --seeds 5 --out benchmarks/results/rrtconnect
 
 Each run is added to OUT/runs.jsonl at once; runs that are there already are not repeated, so an interrupted benchmark
 goes on where it stopped and a further seed costs only that seed. From the runs come OUT/planners.json, planners.md,
 two plots and planners.db, an SQLite file in the schema of OMPL's benchmarks, which Planner Arena opens. Times are over
-all runs, failed ones included.
+all runs, failed ones included. Planners that go on improving their paths use all of the time limit, unless
+``--first-solution`` has them stop at the first; a run with it tells how soon, one without how good.
 """
 
 from __future__ import annotations
@@ -15,7 +17,10 @@ import dataclasses
 import json
 import math
 import time
+from collections import Counter
 from collections.abc import Sequence
+from hashlib import sha256
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +57,11 @@ def main() -> None:
     parser.add_argument("--planners", nargs="+", default=DEFAULT_PLANNERS, metavar="NAME", help="or: all, paper")
     parser.add_argument("--seeds", type=int, default=1, help="runs per target")
     parser.add_argument("--time-limit", type=float, default=5.0, help="seconds per plan")
+    parser.add_argument("--first-solution", action="store_true", help="let no planner improve its first path")
+    parser.add_argument(
+        "--budget", type=float, default=math.inf,
+        help="seconds; a planner that has used as many gets no further seed, and fewer runs than the others",
+    )  # fmt: skip
     parser.add_argument("--out", type=Path, default=RESULTS / "planners", help="folder")
     arguments = parser.parse_args()
     names = {"all": tuple(PLANNERS), "paper": PAPER_PLANNERS}.get(arguments.planners[0], arguments.planners)
@@ -61,6 +71,8 @@ def main() -> None:
     rows = summary(runs)
     command = f"benchmarks/planners.py --bank {Path(arguments.bank).name} --targets {len(targets)} --planners "
     command += f"{' '.join(arguments.planners)} --seeds {arguments.seeds} --time-limit {arguments.time_limit:g}"
+    command += " --first-solution" * arguments.first_solution
+    command += f" --budget {arguments.budget:g}" * math.isfinite(arguments.budget)
     searches = [run["goal_search_time"] for run in runs if "goal_search_time" in run]
     result = {"command": command, "goal_search_median_s": float(np.median(searches)), "planners": rows}
     write_results(arguments.out / "planners.json", result, ["mujoco", "ompl"])
@@ -74,7 +86,8 @@ def main() -> None:
 def reachable_targets(bank: SceneBank, split: str, count: int) -> list[tuple[Scene, Target]]:
     """At most ``count`` reachable targets of a split: a third of each difficulty, more where one has too few.
 
-    They are drawn in an order that is always the same, so fewer targets are a part of more.
+    They are drawn in an order that is always the same, so fewer targets are a part of more, and the difficulties take
+    turns, so that an interrupted benchmark has seen some of each.
     """
     scenes = [bank.scene(name) for name in bank.names(split)]
     by_difficulty = [
@@ -83,11 +96,11 @@ def reachable_targets(bank: SceneBank, split: str, count: int) -> list[tuple[Sce
         if difficulty != "unreachable"
     ]
     rng = np.random.default_rng(0)
-    chosen: list[tuple[Scene, Target]] = []
+    chosen: list[list[tuple[Scene, Target]]] = []
     for rest, group in enumerate(sorted(by_difficulty, key=len)):
-        share = min(len(group), (count - len(chosen)) // (len(by_difficulty) - rest))
-        chosen += [group[i] for i in rng.permutation(len(group))[:share]]
-    return chosen
+        share = min(len(group), (count - sum(map(len, chosen))) // (len(by_difficulty) - rest))
+        chosen.append([group[i] for i in rng.permutation(len(group))[:share]])
+    return [item for turn in zip_longest(*chosen) for item in turn if item is not None]
 
 
 def run_all(
@@ -97,41 +110,48 @@ def run_all(
     file: Path = arguments.out / "runs.jsonl"
     lines = file.read_text().splitlines() if file.exists() else []
     done = {_key(run): run for run in map(json.loads, lines)}
-    asked = [
-        (planner, scene, target, seed)
-        for seed in range(arguments.seeds)
-        for scene, target in targets
-        for planner in planners
-    ]
+    # a bank built anew has new scenes under old names
+    scenes = {scene.name: scene for scene, _ in targets}
+    hashes = {name: sha256(scene.model_dump_json().encode()).hexdigest()[:8] for name, scene in scenes.items()}
     goals: dict[tuple[str, int], tuple[Goals, float]] = {}
-    runs = []
+    runs: list[dict[str, Any]] = []
     with file.open("a") as out:
-        for planner, scene, target, seed in track(asked, description="planning"):
-            wanted = {"planner": planner, "scene": scene.name, "target": target.tomato, "seed": seed}
-            wanted["time_limit"] = arguments.time_limit
-            run = done.get(_key(wanted))
-            if run is None:
-                where = (scene.name, target.tomato)
-                if where not in goals:
-                    began = time.perf_counter()
-                    found = goal_configurations(scene, target.tomato)
-                    goals = {where: (found, round(time.perf_counter() - began, 4))}
-                run = {**wanted, "difficulty": target.difficulty, **measure(scene, wanted, *goals[where])}
-                out.write(json.dumps(run) + "\n")
-                out.flush()
-            runs.append(run)
+        for seed in range(arguments.seeds):
+            used = Counter[str]()
+            for run in runs:
+                used[run["planner"]] += run["planning_time"] + run["simplification_time"]
+            asked = [(p, *target) for target in targets for p in planners if used[p] < arguments.budget]
+            for planner, scene, target in track(asked, description=f"planning, seed {seed}"):
+                wanted = {"planner": planner, "scene": scene.name, "target": target.tomato, "seed": seed}
+                wanted |= {
+                    "scene_hash": hashes[scene.name],
+                    "time_limit": arguments.time_limit,
+                    "first_solution": arguments.first_solution,
+                }
+                run = done.get(_key(wanted))
+                if run is None:
+                    where = (scene.name, target.tomato)
+                    if where not in goals:
+                        began = time.perf_counter()
+                        found = goal_configurations(scene, target.tomato)
+                        goals[where] = found, round(time.perf_counter() - began, 4)
+                    run = {**wanted, "difficulty": target.difficulty, **measure(scene, wanted, *goals[where])}
+                    out.write(json.dumps(run) + "\n")
+                    out.flush()
+                runs.append(run)
     return runs
 
 
 def _key(run: dict[str, Any]) -> tuple[Any, ...]:
-    return tuple(run[key] for key in ("planner", "scene", "target", "seed", "time_limit"))
+    keys = ("planner", "scene", "scene_hash", "target", "seed", "time_limit", "first_solution")
+    return tuple(run[key] for key in keys)
 
 
 def measure(scene: Scene, wanted: dict[str, Any], goals: Goals, goal_seconds: float) -> dict[str, Any]:
     """One run."""
     result = plan(
         scene, wanted["target"], planner=wanted["planner"], time_limit=wanted["time_limit"], goals=goals,
-        seed=wanted["seed"],
+        seed=wanted["seed"], first_solution=wanted["first_solution"],
     )  # fmt: skip
     numbers = {
         field.name: value if math.isfinite(value) else None

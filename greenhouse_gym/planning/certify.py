@@ -16,10 +16,10 @@ from greenhouse_gym.scene import DIFFICULTIES, Scene, Target
 from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
 from greenhouse_gym.scene.scene import Difficulty
 
-EASY, MEDIUM = 1_000, 10_000
+EASY, MEDIUM = 500, 5_000
 """Collision checks RRTConnect needs, in the median over `SEEDS` runs, for a target that is easy or medium at most."""
 
-MAX_CHECKS = 100_000
+MAX_CHECKS = 50_000
 """Collision checks after which a run counts as failed."""
 
 SEEDS = 3

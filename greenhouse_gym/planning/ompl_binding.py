@@ -28,6 +28,7 @@ from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning.ompl_unbound import UNBOUND, UnboundPlanner
 
 _NEVER_SET = ("LBTRRT", "LazyLBTRRT")  # the best cost that these tell is memory nobody wrote to
+_NEVER_COUNTED = ("EITstar",)  # collecting its graph takes several times as long as a search of some seconds
 
 IsFree = Callable[[Array | list[float]], bool]
 """Tells whether a configuration is free."""
@@ -145,15 +146,15 @@ class Problem:
         if len(goals) == 1:
             self.definition.setGoalState(self._state(goals[0]))
         else:
-            several = base.GoalStates(self.information)
+            several, state = base.GoalStates(self.information), self._state(goals[0])
             for goal in goals:
-                several.addState(self._state(goal))
+                _set(state, goal)
+                several.addState(state)  # a copy
             self.definition.setGoal(several)
 
     def _state(self, configuration: Array) -> Any:
         state = self._ompl.base.State(self.space) if self._ompl.version == 1 else self.information.allocState()
-        for j, angle in enumerate(configuration):
-            state[j] = float(angle)
+        _set(state, configuration)
         return state
 
     def planner(self, name: str, settings: dict[str, Any]) -> Planner:
@@ -180,7 +181,9 @@ class Problem:
         return path
 
     def tree_size(self, planner: Planner) -> int:
-        """Number of nodes in a planner's trees or roadmap."""
+        """Number of nodes in a planner's trees or roadmap; 0 where counting them takes longer than searching."""
+        if isinstance(planner, BoundPlanner) and planner.name in _NEVER_COUNTED:
+            return 0
         data = self._ompl.base.PlannerData(self.information)
         planner.read_data(data)
         return int(data.numVertices())
@@ -204,7 +207,7 @@ class BoundPlanner:
     """A planner with Python bindings."""
 
     def __init__(self, ompl: Ompl, name: str, problem: Problem, settings: dict[str, Any]):
-        self._ompl, self._name = ompl, name
+        self._ompl, self.name = ompl, name
         self._planner = getattr(ompl.geometric, name)(problem.information)
         self._planner.setProblemDefinition(problem.definition)
         for key, value in settings.items():
@@ -227,7 +230,7 @@ class BoundPlanner:
         if self._ompl.version == 1:
             self._termination = self._ompl.base.timedPlannerTerminationCondition(seconds)
             self._planner.solve(self._termination)
-        elif self._name in ("PRM", "PRMstar"):
+        elif self.name in ("PRM", "PRMstar"):
             self._planner.solve(seconds)  # a second thread waits for the limit: it must not ask Python
         else:
             self._planner.solve(self._ompl.base.PlannerTerminationCondition(exhausted))
@@ -239,7 +242,7 @@ class BoundPlanner:
 
     def best_cost(self) -> Callable[[], str] | None:
         """What gives the cost of the best path so far as text; None where the planner does not tell."""
-        if self._ompl.version == 2 or self._name in _NEVER_SET:
+        if self._ompl.version == 2 or self.name in _NEVER_SET:
             return None
         properties = self._planner.getPlannerProgressProperties()
         for key in ("best cost REAL", "best cost DOUBLE"):
@@ -251,6 +254,11 @@ class BoundPlanner:
     def read_data(self, data: Any) -> None:
         """Fill OMPL's planner data."""
         self._planner.getPlannerData(data)
+
+
+def _set(state: Any, configuration: Array) -> None:
+    for j, angle in enumerate(configuration.tolist()):
+        state[j] = angle
 
 
 def _configurations(path: Any, joints: int) -> Array:
@@ -300,8 +308,7 @@ def _set_checks(
                 # the state that receives the last free configuration may be the motion's end itself
                 last_valid.second = share
                 if last_valid.first is not None:
-                    for j, angle in enumerate(a + share * (b - a)):
-                        last_valid.first[j] = float(angle)
+                    _set(last_valid.first, a + share * (b - a))
             return share == 1.0
 
     motions = Motions(information)

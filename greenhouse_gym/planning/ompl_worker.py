@@ -31,12 +31,18 @@ from greenhouse_gym.planning.ompl_binding import (
     set_seed,
 )
 from greenhouse_gym.planning.ompl_unbound import JOINING, THREADED
+from greenhouse_gym.planning.proof import ProvingChecker
 
-SEARCH = 3 * PROOF
-"""Resolution at which motions are checked first, metres; `PROOF` follows where that was too coarse."""
+RESOLUTIONS = (6 * PROOF, 3 * PROOF, PROOF)
+"""Resolutions at which motions are checked, metres: each follows where a path of the one before cannot be proven free.
 
-LOOK = 0.005
-"""Seconds between two looks at the cost of the best path so far."""
+The first misses something in one search of thirty, and needs half the checks of one that would miss nothing.
+"""
+
+LOOK = 0.001
+"""Seconds between two looks at the cost of the best path so far, while it is improved."""
+
+_REMEMBERED = 100_000  # configurations, some 30 MB
 
 Outcome = Literal["solved", "approximate", "no_solution", "invalid"]
 
@@ -56,7 +62,8 @@ class Query:
         settings: The planner's settings that are not OMPL's own.
         time_limit: Seconds.
         max_checks: Number of configurations that may be checked, or None.
-        optimizing: Whether the planner uses all its time: it then checks motions at `PROOF` from the start.
+        optimizing: Whether the planner is to use all its time: it then checks motions at `PROOF` from the start. Else
+            it stops at its first path, as far as it tells that it has one.
         seed: Seed of OMPL's random numbers.
     """
 
@@ -85,7 +92,7 @@ class Answer:
         planning_time: Seconds the planner took.
         simplification_time: Seconds for shortening the path and proving it free.
         checks: Configurations the planner checked.
-        tree_size: Nodes in the planner's trees or roadmap.
+        tree_size: Nodes in the planner's trees or roadmap; 0 for EITstar, whose are slow to count.
         costs: (m, 2) seconds and length of the best path by then, radians: as it was found and as it got shorter.
     """
 
@@ -138,20 +145,20 @@ def serve(handle: int, memory_limit: int) -> None:
 
 
 def solve(ompl: Ompl, query: Query) -> Answer:
-    """Plan, shorten the path, and prove it free; at the search resolution first, then at the proving one.
+    """Plan, shorten the path, and prove it free; at a coarse resolution first, then at finer ones.
 
     Everything of OMPL is built anew after the seed is set, so the same query gives the same path as long as the number
     of checks and not the time ends the search.
     """
     set_seed(ompl, query.seed)
-    checker = CollisionChecker(query.model, query.reaches)
-    search = _Search(checker, math.inf if query.max_checks is None else query.max_checks)
-    began = time.perf_counter()
-    simplification_time, tree_size = 0.0, 0
+    checker = ProvingChecker(query.model, query.reaches)
+    search = _Search(checker, math.inf if query.max_checks is None else query.max_checks, query.optimizing)
+    planning_time, simplification_time, tree_size = 0.0, 0.0, 0
     status: Outcome = "no_solution"
     raw, path = None, None
-    for resolution in (PROOF,) if query.optimizing else (SEARCH, PROOF):
-        search.begin(began + simplification_time, query.time_limit, resolution)
+    for resolution in (PROOF,) if query.optimizing else RESOLUTIONS:
+        began = time.perf_counter()
+        search.begin(began - planning_time, query.time_limit, resolution)
         fineness = JOINING.get(query.planner, resolution / float(np.linalg.norm(checker.reaches)))
         problem = Problem(
             ompl, query.lower, query.upper, query.start, query.goals, search.is_free, search.free_share, fineness,
@@ -159,6 +166,8 @@ def solve(ompl: Ompl, query: Query) -> Answer:
         )  # fmt: skip
         planner = problem.planner(query.planner, query.settings)
         search.run(planner)
+        solve_end, solve_checks = time.perf_counter(), checker.checks
+        planning_time += solve_end - began
         tree_size = problem.tree_size(planner)
         approximate = problem.definition.hasApproximateSolution()
         raw = problem.take_solution()
@@ -167,17 +176,16 @@ def solve(ompl: Ompl, query: Query) -> Answer:
             if status == "no_solution" and approximate:
                 status = "approximate"
             break
-        solve_end, solve_checks = time.perf_counter(), checker.checks
         search.note(solve_end, float(np.linalg.norm(np.diff(raw, axis=0), axis=-1).sum()))
+        began = time.perf_counter()
         path = _simplified(problem, search, raw)
-        simplification_time += time.perf_counter() - solve_end
+        simplification_time += time.perf_counter() - began
         checker.checks = solve_checks
         status = "invalid" if path is None else "solved"
         if path is not None:
             break
-    total = time.perf_counter() - began
     costs = np.array(search.costs).reshape(-1, 2)
-    return Answer(status, path, raw, total - simplification_time, simplification_time, checker.checks, tree_size, costs)
+    return Answer(status, path, raw, planning_time, simplification_time, checker.checks, tree_size, costs)
 
 
 def _simplified(problem: Problem, search: _Search, raw: Array) -> Array | None:
@@ -197,6 +205,7 @@ class _Search:
 
     checker: CollisionChecker
     max_checks: float
+    optimizing: bool
     resolution: float = PROOF
     began: float = 0.0
     deadline: float = math.inf
@@ -205,6 +214,7 @@ class _Search:
     best_cost: Callable[[], str] | None = None
     next_look: float = 0.0
     costs: list[tuple[float, float]] = field(default_factory=list)
+    known_free: set[tuple[float, ...]] = field(default_factory=set)
     lock: threading.Lock = field(default_factory=threading.Lock)
 
     def begin(self, began: float, time_limit: float, resolution: float) -> None:
@@ -222,14 +232,16 @@ class _Search:
             self.planner, self.best_cost, self.limited = None, None, False
 
     def exhausted(self) -> bool:
-        """Whether a limit is reached."""
+        """Whether a limit is reached, or the path that was asked for."""
         if not self.limited:
             return False
         now = time.perf_counter()
-        if self.best_cost is not None and now >= self.next_look:
+        # always before a search that ends at its first path, or the clock would decide on the path
+        if self.best_cost is not None and (now >= self.next_look or not self.optimizing):
             self.next_look = now + LOOK
             self.note(now, float(self.best_cost()))
-        if self.checker.checks < self.max_checks and now < self.deadline:
+        enough = bool(self.costs) and not self.optimizing
+        if self.checker.checks < self.max_checks and now < self.deadline and not enough:
             return False
         if self.planner is not None:
             self.planner.stop()
@@ -243,12 +255,23 @@ class _Search:
     def is_free(self, configuration: Any) -> bool:
         """Whether a configuration is free; nothing is once a limit is reached."""
         with self.lock:
-            return not self.exhausted() and self.checker.is_free(configuration)
+            return not self.exhausted() and self._known_free(tuple(configuration))
 
     def free_share(self, first: Array, second: Array, whole: bool) -> float:
         """The share of a motion up to which it is free; 0 for all that are not free as a whole if that will do."""
         if self.exhausted():
             return 0.0
-        if self.checker.motion_is_free(first, second, self.resolution):
+        ends_free = self._known_free(tuple(second.tolist())) and self._known_free(tuple(first.tolist()))
+        if ends_free and self.checker.inside_is_free(first, second, self.resolution):
             return 1.0
         return 0.0 if whole or self.exhausted() else self.checker.free_share(first, second, self.resolution)
+
+    def _known_free(self, configuration: tuple[float, ...]) -> bool:
+        """Whether a configuration is free; most have been checked before, as an end of another motion."""
+        if configuration not in self.known_free:
+            if not self.checker.is_free(configuration):
+                return False
+            if len(self.known_free) >= _REMEMBERED:
+                self.known_free.clear()
+            self.known_free.add(configuration)
+        return True

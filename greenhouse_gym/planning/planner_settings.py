@@ -248,7 +248,7 @@ class BFMTSettings(PlannerSettings):
 
     balanced: bool = False  # the smaller tree grows
     cache_cc: bool = True  # remember collision checks
-    extended_fmt: bool = True  # more samples where the first do not do
+    extended_fmt: bool = True  # more samples where the first do not do; OMPL 1.7.0 dies of that in a run out of ten
     heuristics: bool = True  # prefer what is near the other tree
     nearest_k: bool = True  # a number of neighbors instead of a radius
     num_samples: int = 1000  # in the first batch

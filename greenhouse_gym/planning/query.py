@@ -64,7 +64,7 @@ class PlanResult:
         simplification_time: Seconds for shortening the path and proving it free.
         goal_time: Seconds for the goal configurations.
         checks: Configurations the planner checked for collisions.
-        tree_size: Nodes in the planner's trees or roadmap.
+        tree_size: Nodes in the planner's trees or roadmap; 0 for EITstar, whose are slow to count.
         costs: (m, 2) seconds, and the length of the best path the planner had by then, radians: the first one it told
             of and every shorter one.
         goals: How the search for goal configurations went; None where they were given.
@@ -99,6 +99,7 @@ def plan(
     seed: int = 0,
     start: npt.ArrayLike | None = None,
     settings: PlannerSettings | None = None,
+    first_solution: bool = False,
     pairs: Collection[str] = COLLISION_PAIRS,
 ) -> PlanResult:
     """Plan a path that brings the tool to a tomato and touches nothing else.
@@ -119,6 +120,10 @@ def plan(
         start: (joints,) start configuration, radians; the arm's own when left out.
         settings: The planner's settings, as ``PLANNERS[planner].with_settings(...)`` makes them; its usual ones when
             left out.
+        first_solution: Have planners that go on improving their path stop at the first one. They are then as fast as
+            they can be: only paths that are to be improved are searched at the fine resolution of the proof. CForest,
+            LBTRRT, LazyLBTRRT and PRMstar, which do not tell when they have one, use their time up all the same, and
+            so does LazyPRMstar in most cases, which is asked only when it checks something.
         pairs: What the arm is checked against, of `COLLISION_PAIRS`; all of it unless less is asked for.
 
     Raises:
@@ -128,7 +133,9 @@ def plan(
     """
     compiled = compile_scene(scene, robot)
     checker = CollisionChecker(planning_model(compiled, target, pairs=pairs))
-    return plan_with(compiled, checker, target, planner, time_limit, max_checks, goals, seed, start, settings)
+    return plan_with(
+        compiled, checker, target, planner, time_limit, max_checks, goals, seed, start, settings, first_solution
+    )
 
 
 def plan_with(
@@ -142,6 +149,7 @@ def plan_with(
     seed: int = 0,
     start: npt.ArrayLike | None = None,
     settings: PlannerSettings | None = None,
+    first_solution: bool = False,
 ) -> PlanResult:
     """As `plan`, for a scene compiled and a checker made already."""
     info = PLANNERS[planner]
@@ -185,7 +193,7 @@ def plan_with(
         settings=chosen.changed(),
         time_limit=time_limit,
         max_checks=max_checks,
-        optimizing=info.optimizing,
+        optimizing=info.optimizing and not first_solution,
         seed=seed,
     )
     result = _ask(checker, query)

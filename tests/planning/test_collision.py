@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import copy
+
 import mujoco
 import numpy as np
 import pytest
@@ -44,6 +46,26 @@ def test_verdicts_are_the_simulators(compiled: CompiledScene, configurations: np
         free += data.ncon == 0
     assert 0.2 < free / len(configurations) < 0.8
     assert checker.checks == len(configurations)
+
+
+@pytest.mark.parametrize("robot", ["ur5e", "iiwa14"])
+def test_a_world_at_rest_has_the_same_contacts(scene: Scene, robot: str) -> None:
+    compiled = compile_scene(scene, robot)
+    still = planning_model(compiled, TARGET)
+    placed = copy.copy(still)
+    placed.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
+    assert placed.opt.enableflags != still.opt.enableflags
+    data, again = mujoco.MjData(still), mujoco.MjData(placed)
+    touching = 0
+    for q in np.random.default_rng(4).uniform(compiled.robot.lower, compiled.robot.upper, (1500, still.nq)):
+        for model, one in ((still, data), (placed, again)):
+            one.qpos[:] = q
+            mujoco.mj_kinematics(model, one)
+            mujoco.mj_collision(model, one)
+        assert np.array_equal(data.contact.geom, again.contact.geom)
+        assert np.array_equal(data.contact.dist, again.contact.dist)
+        touching += data.ncon > 0
+    assert 200 < touching < 1300
 
 
 def test_free_means_the_margin_is_kept(compiled: CompiledScene, configurations: np.ndarray) -> None:

@@ -56,7 +56,7 @@ def test_the_summary_counts_what_failed_and_how(reports: ModuleType, runs: list[
     assert star["statuses"] == {"crashed": 1, "timeout": 1}
     assert star["success"] == 0
     lines = reports.table([connect, star]).splitlines()
-    assert lines[2].startswith("| RRTConnect\\* | 67% [")
+    assert lines[2].startswith("| RRTConnect\\* | 3 | 67% [")
     assert "| 1 | 1 |" in lines[3]
 
 

@@ -29,7 +29,7 @@ START = get_robot("ur5e").start
 def test_planned_paths_are_free_in_the_simulator(scene: Scene, planner: str) -> None:
     if planner not in PLANNERS:
         pytest.skip(f"this OMPL has no {planner}")
-    result = plan(scene, 0, planner=planner, time_limit=1.0)
+    result = plan(scene, 0, planner=planner, time_limit=20.0, max_checks=30_000)
     assert result.status == "solved"
     assert result.path is not None
     assert np.array_equal(result.path[0], START)
@@ -66,6 +66,22 @@ def test_optimizing_planners_tell_their_cost_over_time(scene: Scene) -> None:
     assert (np.diff(seconds) > 0).all()
     assert (np.diff(costs) < 0).all()
     assert 0 < seconds[0] < seconds[-1] < result.planning_time + 0.1
+
+
+@pytest.mark.parametrize("planner", ["RRTstar", "BITstar", "SPARStwo"])
+def test_the_first_solution_ends_an_optimizing_search(scene: Scene, planner: str) -> None:
+    if "RRTsharp" not in PLANNERS:
+        pytest.skip("OMPL 2 does not tell Python")
+    assert PLANNERS[planner].optimizing
+    result, again = (
+        plan(scene, 0, planner=planner, time_limit=20.0, max_checks=100_000, first_solution=True) for _ in range(2)
+    )
+    assert result.status == "solved"
+    assert len(result.costs) == 1
+    assert result.checks < 100_000
+    if PLANNERS[planner].reproducible:
+        assert result.checks == again.checks
+        assert np.array_equal(result.path, again.path)
 
 
 def test_settings_change_what_a_planner_does(scene: Scene) -> None:
