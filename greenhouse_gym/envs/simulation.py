@@ -24,9 +24,10 @@ from greenhouse_gym.envs.observations import (
     check_goals_are_known,
     make_observation,
 )
-from greenhouse_gym.envs.physics import NOTHING, Ids, Physics, Touches, prepare
+from greenhouse_gym.envs.physics import NOTHING, Physics, Touches, prepare
 from greenhouse_gym.envs.randomization import NO_RANDOMIZATION, Disturbance, Randomization, draw_disturbance
 from greenhouse_gym.envs.reach_task import REWARDS, STEP_LIMIT, Bools, Float32, Situation, Transition, total_reward
+from greenhouse_gym.envs.stepping import Ids
 from greenhouse_gym.envs.worlds import World, worlds_of
 from greenhouse_gym.errors import UnknownNameError
 from greenhouse_gym.geometry import Array, invert
@@ -138,7 +139,7 @@ class ReachSimulation:
         worlds = [self.worlds.world(episode.scene) for episode in episodes]
         physics = self._physics
         if physics is None:
-            physics = self._physics = Physics(self.count, worlds[0], self._threads, self.action_rule.needs_motion)
+            physics = self._physics = Physics(self.count, worlds[0], self._threads)
         for world in worlds:
             world.check_fits(physics.models[0])
         for i, episode, world in zip(ids, episodes, worlds, strict=True):

@@ -15,10 +15,10 @@ from gymnasium.vector.utils import batch_space
 from greenhouse_gym.envs.episodes import Difficulty
 from greenhouse_gym.envs.goals import goal_functions
 from greenhouse_gym.envs.observations import DepthObservation, Observed, PointsObservation, select
-from greenhouse_gym.envs.physics import Ids
 from greenhouse_gym.envs.randomization import NO_RANDOMIZATION, Randomization
 from greenhouse_gym.envs.reach_task import Bools
 from greenhouse_gym.envs.simulation import STEP_INFOS, EnvSettings, ReachSimulation
+from greenhouse_gym.envs.stepping import Ids
 from greenhouse_gym.envs.tomato_reach import action_space
 from greenhouse_gym.envs.viewer import RENDER_MODES, Viewer
 from greenhouse_gym.errors import (
