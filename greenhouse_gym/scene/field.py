@@ -165,37 +165,44 @@ class FieldStore:
             Distances (n, k), metres, at most `MAX_DISTANCE`; unit directions (n, k, 3) towards the obstacle, zero
             where the distance is capped.
         """
-        # One contiguous plane per axis from here on.
-        position = np.ascontiguousarray(((points - _ORIGIN) / CELL).transpose(2, 0, 1), dtype=np.float32)
+        n, k, _ = points.shape
+        # One plane per axis from here on, and few array operations: their number is what a single simulation pays for.
+        position = np.empty((3, n, k), dtype=np.float32)
+        np.multiply(points.transpose(2, 0, 1) - _ORIGIN, 1 / CELL, out=position, casting="same_kind")
         inside = np.minimum(np.maximum(position, np.float32(0.0)), _LAST)
-        node = np.minimum(inside.astype(np.int64), _LAST_CELL)
-        x, y, z = inside - node
-        flat = ((slots[:, None] * SHAPE[0] + node[0]) * SHAPE[1] + node[1]) * SHAPE[2] + node[2]
-        c = self._values.reshape(-1)[flat + _CORNERS].astype(np.float32)  # (8, n, k), z fastest
-        low_z, step_z = c[0::2], c[1::2] - c[0::2]
-        cz = low_z + z * step_z  # (4, n, k): x then y
-        step_y = cz[1::2] - cz[0::2]
-        cy = cz[0::2] + y * step_y  # (2, n, k): x
-        step_x = cy[1] - cy[0]
-        distance = cy[0] + x * step_x
-        dy = step_y[0] + x * (step_y[1] - step_y[0])
-        dz_low, dz_high = step_z[0] + y * (step_z[1] - step_z[0]), step_z[2] + y * (step_z[3] - step_z[2])
-        dz = dz_low + x * (dz_high - dz_low)
-        distance = np.minimum(distance + np.float32(CELL) * _norm(*(position - inside)), np.float32(MAX_DISTANCE))
-        length = _norm(step_x, dy, dz)
+        node = inside.astype(np.int64)
+        x, y, z = inside - node.astype(np.float32)
+        flat = (_STRIDES @ node.reshape(3, -1)).reshape(n, k) + slots[:, None] * _SIZE
+        c = self._values.reshape(-1)[flat + _CORNERS].astype(np.float32)  # (2, 2, 2, n, k): x, y, z
+        # Interpolated along z, then y, then x: the value together with its slopes along the axes that are done.
+        along_z = np.empty((2, 2, 2, n, k), dtype=np.float32)  # value and slope; x, y
+        np.subtract(c[:, :, 1], c[:, :, 0], out=along_z[1])
+        np.add(c[:, :, 0], z * along_z[1], out=along_z[0])
+        step = along_z[:, :, 1] - along_z[:, :, 0]
+        along_y = np.empty((3, 2, n, k), dtype=np.float32)  # value, slopes along z and y; x
+        np.add(along_z[:, :, 0], y * step, out=along_y[:2])
+        along_y[2] = step[0]
+        step = along_y[:, 1] - along_y[:, 0]
+        slopes = along_y[:, 0] + x * step
+        distance = slopes[0] + np.float32(CELL) * _norm(position - inside)
+        slopes[0] = step[0]  # now along x, z, y
+        length = _norm(slopes)
+        capped = np.minimum(distance, np.float32(MAX_DISTANCE))
         known = (distance < np.float32(MAX_DISTANCE - 1e-3)) & (length > np.float32(1e-6))
-        shrink = np.where(known, np.float32(-1.0), np.float32(0.0)) / np.maximum(length, np.float32(1e-6))
-        direction = np.empty((*distance.shape, 3), dtype=np.float32)
-        for axis, step in enumerate((step_x, dy, dz)):
-            np.multiply(step, shrink, out=direction[..., axis])
-        return distance, direction
+        slopes *= np.where(known, np.float32(-1.0), np.float32(0.0)) / np.maximum(length, np.float32(1e-6))
+        return capped, slopes[_XYZ].transpose(1, 2, 0)
 
 
-_ORIGIN = np.array(ORIGIN)
-_LAST = np.array(SHAPE, dtype=np.float32)[:, None, None] - 1
-_LAST_CELL = np.array(SHAPE, dtype=np.int64)[:, None, None] - 2
-_CORNERS = (_OCTANTS @ [SHAPE[1] * SHAPE[2], SHAPE[2], 1])[:, None, None]
+_ORIGIN = np.array(ORIGIN)[:, None, None]
+# A hair below the last node, so that the cell is one that has a node behind it.
+_LAST = np.nextafter(np.array(SHAPE, dtype=np.float32) - 1, np.float32(0.0))[:, None, None]
+_STRIDES = np.array([SHAPE[1] * SHAPE[2], SHAPE[2], 1])
+_SIZE = SHAPE[0] * SHAPE[1] * SHAPE[2]
+_CORNERS = (_OCTANTS @ _STRIDES).reshape(2, 2, 2, 1, 1)
+_XYZ = np.array([0, 2, 1])
 
 
-def _norm(x: Float32, y: Float32, z: Float32) -> Float32:
-    return np.asarray(np.sqrt(x * x + y * y + z * z), dtype=np.float32)
+def _norm(vectors: Float32) -> Float32:
+    """Lengths (n, k) of vectors (3, n, k)."""
+    squares = vectors * vectors
+    return np.asarray(np.sqrt(squares[0] + squares[1] + squares[2]), dtype=np.float32)
