@@ -183,14 +183,15 @@ class FieldStore:
         np.add(along_z[:, :, 0], y * step, out=along_y[:2])
         along_y[2] = step[0]
         step = along_y[:, 1] - along_y[:, 0]
-        slopes = along_y[:, 0] + x * step
-        distance = slopes[0] + np.float32(CELL) * _norm(position - inside)
-        slopes[0] = step[0]  # now along x, z, y
+        value, slope_z, slope_y = along_y[:, 0] + x * step
+        distance = value + np.float32(CELL) * _norm(position - inside)
+        slopes = np.stack([step[0], slope_y, slope_z])
         length = _norm(slopes)
         capped = np.minimum(distance, np.float32(MAX_DISTANCE))
         known = (distance < np.float32(MAX_DISTANCE - 1e-3)) & (length > np.float32(1e-6))
-        slopes *= np.where(known, np.float32(-1.0), np.float32(0.0)) / np.maximum(length, np.float32(1e-6))
-        return capped, slopes[_XYZ].transpose(1, 2, 0)
+        direction = np.zeros((3, n, k), dtype=np.float32)
+        np.divide(slopes, -length, out=direction, where=known)
+        return capped, direction.transpose(1, 2, 0)
 
 
 _ORIGIN = np.array(ORIGIN)[:, None, None]
@@ -199,7 +200,6 @@ _LAST = np.nextafter(np.array(SHAPE, dtype=np.float32) - 1, np.float32(0.0))[:, 
 _STRIDES = np.array([SHAPE[1] * SHAPE[2], SHAPE[2], 1])
 _SIZE = SHAPE[0] * SHAPE[1] * SHAPE[2]
 _CORNERS = (_OCTANTS @ _STRIDES).reshape(2, 2, 2, 1, 1)
-_XYZ = np.array([0, 2, 1])
 
 
 def _norm(vectors: Float32) -> Float32:
