@@ -110,7 +110,7 @@ class Transition:
 
 def sparse_terms(step: Transition) -> dict[str, Array]:
     """+1 for success, -1 for a collision."""
-    return {"success": np.where(step.success, 1.0, 0.0), "collision": np.where(step.touched, -1.0, 0.0)}
+    return {"success": 1.0 * step.success, "collision": 0.0 - step.touched}
 
 
 def dense_terms(step: Transition) -> dict[str, Array]:
@@ -120,8 +120,8 @@ def dense_terms(step: Transition) -> dict[str, Array]:
     and effort cost at most 8.2 (with 7 joints) of the 11 between them.
     """
     return {
-        "success": np.where(step.success, 10.0, 0.0),
-        "collision": np.where(step.touched, -1.0, 0.0),
+        "success": 10.0 * step.success,
+        "collision": 0.0 - step.touched,
         "progress": 4.0 * (step.before - step.after),
         "time": np.full(len(step.after), -0.02),
         "effort": -0.003 * step.effort,

@@ -166,43 +166,43 @@ class FieldStore:
             where the distance is capped.
         """
         n, k, _ = points.shape
-        # One plane per axis from here on, and few array operations: their number is what a single simulation pays for.
-        position = np.empty((3, n, k), dtype=np.float32)
-        np.multiply(points.transpose(2, 0, 1) - _ORIGIN, 1 / CELL, out=position, casting="same_kind")
-        inside = np.minimum(np.maximum(position, np.float32(0.0)), _LAST)
+        # One row per axis from here on, and few array operations: their number is what a single simulation pays for.
+        position = np.array(((points.reshape(-1, 3) - _ORIGIN) / CELL).T, dtype=np.float32, order="C")
+        inside = np.minimum(np.maximum(position, _ZERO), _LAST)
         node = inside.astype(np.int64)
         x, y, z = inside - node.astype(np.float32)
-        flat = (_STRIDES @ node.reshape(3, -1)).reshape(n, k) + slots[:, None] * _SIZE
-        c = self._values.reshape(-1)[flat + _CORNERS].astype(np.float32)  # (2, 2, 2, n, k): x, y, z
+        flat = _STRIDES @ node
+        flat += (slots * _SIZE).repeat(k)
+        c = self._values.reshape(-1)[flat + _CORNERS].astype(np.float32)  # (2, 2, 2, n * k): z, y, x
         # Interpolated along z, then y, then x: the value together with its slopes along the axes that are done.
-        along_z = np.empty((2, 2, 2, n, k), dtype=np.float32)  # value and slope; x, y
-        np.subtract(c[:, :, 1], c[:, :, 0], out=along_z[1])
-        np.add(c[:, :, 0], z * along_z[1], out=along_z[0])
-        step = along_z[:, :, 1] - along_z[:, :, 0]
-        along_y = np.empty((3, 2, n, k), dtype=np.float32)  # value, slopes along z and y; x
-        np.add(along_z[:, :, 0], y * step, out=along_y[:2])
-        along_y[2] = step[0]
-        step = along_y[:, 1] - along_y[:, 0]
-        value, slope_z, slope_y = along_y[:, 0] + x * step
-        distance = value + np.float32(CELL) * _norm(position - inside)
-        slopes = np.stack([step[0], slope_y, slope_z])
+        slope = c[1] - c[0]
+        along_z = np.concatenate([(c[0] + z * slope)[:, :, None], slope[:, :, None]], axis=2)  # y; x; value, slope z
+        slope = along_z[1] - along_z[0]
+        along_y = np.concatenate([along_z[0] + y * slope, slope[:, :1]], axis=1)  # x; value, slopes z and y
+        slope = along_y[1] - along_y[0]
+        value, slope_z, slope_y = along_y[0] + x * slope
+        slopes = np.concatenate([slope[0], slope_y, slope_z]).reshape(3, -1)
+        distance = value + _CELL * _norm(position - inside)
         length = _norm(slopes)
-        capped = np.minimum(distance, np.float32(MAX_DISTANCE))
-        known = (distance < np.float32(MAX_DISTANCE - 1e-3)) & (length > np.float32(1e-6))
-        direction = np.zeros((3, n, k), dtype=np.float32)
+        known = (distance < _NEARLY_MAX) & (length > _TINY)
+        direction = np.zeros((3, n * k), dtype=np.float32)
         np.divide(slopes, -length, out=direction, where=known)
-        return capped, direction.transpose(1, 2, 0)
+        return np.minimum(distance, _MAX).reshape(n, k), direction.reshape(3, n, k).transpose(1, 2, 0)
 
 
-_ORIGIN = np.array(ORIGIN)[:, None, None]
+_ORIGIN = np.array(ORIGIN)
 # A hair below the last node, so that the cell is one that has a node behind it.
-_LAST = np.nextafter(np.array(SHAPE, dtype=np.float32) - 1, np.float32(0.0))[:, None, None]
+_LAST = np.nextafter(np.array(SHAPE, dtype=np.float32) - 1, np.float32(0.0))[:, None]
 _STRIDES = np.array([SHAPE[1] * SHAPE[2], SHAPE[2], 1])
 _SIZE = SHAPE[0] * SHAPE[1] * SHAPE[2]
-_CORNERS = (_OCTANTS @ _STRIDES).reshape(2, 2, 2, 1, 1)
+_CORNERS = (_OCTANTS @ _STRIDES[::-1]).reshape(2, 2, 2, 1)
+_ZERO, _TINY, _CELL, _MAX, _NEARLY_MAX = np.array([0.0, 1e-6, CELL, MAX_DISTANCE, MAX_DISTANCE - 1e-3], np.float32)
 
 
 def _norm(vectors: Float32) -> Float32:
-    """Lengths (n, k) of vectors (3, n, k)."""
+    """Lengths (m,) of vectors (3, m)."""
     squares = vectors * vectors
-    return np.asarray(np.sqrt(squares[0] + squares[1] + squares[2]), dtype=np.float32)
+    x, y, z = squares
+    x += y
+    x += z
+    return np.asarray(np.sqrt(x, out=x))
