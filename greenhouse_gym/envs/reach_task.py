@@ -110,7 +110,7 @@ class Transition:
 
 def sparse_terms(step: Transition) -> dict[str, Array]:
     """+1 for success, -1 for a collision."""
-    return {"success": 1.0 * step.success, "collision": 0.0 - step.touched}
+    return {"success": np.where(step.success, 1.0, 0.0), "collision": np.where(step.touched, -1.0, 0.0)}
 
 
 def dense_terms(step: Transition) -> dict[str, Array]:

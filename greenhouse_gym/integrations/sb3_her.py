@@ -20,6 +20,13 @@ except ImportError as error:  # pragma: no cover - depends on the installation
 _JUDGED_BY = ("collision", "steps", "previous_goal", "effort", "TimeLimit.truncated")
 
 
+class _Kept(dict[str, Any]):
+    """What is kept of an info. Nobody changes it, so nobody gets a copy: copies took a third of the training time."""
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> _Kept:
+        return self
+
+
 class GoalReplayBuffer(HerReplayBuffer):  # type: ignore[misc]
     """Hindsight replay (Andrychowicz et al., 2017) in which a transition that reaches its new goal ends the episode.
 
@@ -40,7 +47,7 @@ class GoalReplayBuffer(HerReplayBuffer):  # type: ignore[misc]
         infos: list[dict[str, Any]],
     ) -> None:
         """Keep one step of all simulations."""
-        kept = [{key: info[key] for key in _JUDGED_BY if key in info} for info in infos]
+        kept: list[dict[str, Any]] = [_Kept((key, info[key]) for key in _JUDGED_BY if key in info) for info in infos]
         super().add(obs, next_obs, action, reward, done, kept)
 
     def _get_virtual_samples(
