@@ -74,9 +74,8 @@ def fetch_reach(python: str | None) -> Iterator[dict[str, Callable[[], float]]]:
 
 def bare_physics(vector: TomatoReachVectorEnv, actions: np.ndarray) -> Callable[[], None]:
     """Steps the models of a vector environment and does nothing else."""
-    physics = vector.simulation._physics
-    assert physics is not None
-    batch = physics._batch
+    stepper = vector.simulation._physics._stepper
+    batch = stepper._batch
     controls, joints = batch.bind("ctrl"), batch.bind("qpos")
 
     def step() -> None:

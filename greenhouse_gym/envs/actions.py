@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.envs.reach_task import ACTION_STEP, MAX_LEAD, SUBSTEPS, sum_last
+from greenhouse_gym.envs.reach_task import ACTION_STEP, MAX_LEAD, SUBSTEPS
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
@@ -161,7 +161,7 @@ class CommandLimits:
             slowed = self._never.setdefault(len(command), np.zeros(len(command), dtype=np.bool_))
         moved = np.minimum(np.maximum(command + change, joints - MAX_LEAD), joints + MAX_LEAD)
         position = np.minimum(np.maximum(moved, self._lower), self._upper)
-        return Command(position, slowed, np.count_nonzero(position != moved, axis=-1))
+        return Command(position, slowed, (position != moved).sum(axis=-1))
 
 
 def check_actions(actions: Any, shape: tuple[int, ...]) -> Array:
@@ -184,4 +184,4 @@ def check_actions(actions: Any, shape: tuple[int, ...]) -> Array:
 
 def squared_norm(action: Array) -> Array:
     """(n,) sum of the squares of an action's entries: the effort."""
-    return sum_last(action * action)
+    return np.asarray((action * action).sum(axis=-1))

@@ -104,6 +104,7 @@ class CameraRig:
         def shoot(part: int) -> None:
             data, step = self._scratch[part], len(self._scratch)
             for i in range(part, len(models), step):
+                mujoco.mj_resetData(models[i], data)  # for the poses of what never moves in this model
                 data.qpos[:] = qpos[i]
                 mujoco.mj_kinematics(models[i], data)
                 for k in range(len(self.cameras)):

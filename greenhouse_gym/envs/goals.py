@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.envs.reach_task import STEP_LIMIT, Bools, RewardTerms, Transition, total_reward
+from greenhouse_gym.envs.reach_task import STEP_LIMIT, Bools, RewardTerms, Transition, lengths, total_reward
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 
@@ -55,8 +55,8 @@ def judge(achieved: npt.ArrayLike, desired: npt.ArrayLike, info: Info, reward_te
 
     touched, steps = told("collision").astype(np.bool_), told("steps")
     transition = Transition(
-        before=_distance(told("previous_goal").astype(np.float64).reshape(-1, 3), goals),
-        after=_distance(np.atleast_2d(np.asarray(achieved, dtype=np.float64)), goals),
+        before=lengths(goals - told("previous_goal").astype(np.float64).reshape(-1, 3)),
+        after=lengths(goals - np.atleast_2d(np.asarray(achieved, dtype=np.float64))),
         touched=touched,
         effort=told("effort").astype(np.float64),
     )
@@ -82,9 +82,3 @@ def goal_functions(reward_terms: RewardTerms) -> tuple[GoalFunction, GoalFunctio
         return compute
 
     return function("reward"), function("terminated"), function("truncated")
-
-
-def _distance(points: Array, goals: Array) -> Array:
-    # The very arithmetic of the simulation, so that both agree to the last bit.
-    gap = goals - points
-    return np.sqrt(gap[:, 0] ** 2 + gap[:, 1] ** 2 + gap[:, 2] ** 2)

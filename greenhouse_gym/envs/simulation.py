@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from greenhouse_gym.envs.actions import ACTIONS, CommandLimits, check_actions, squared_norm
 from greenhouse_gym.envs.cameras import CameraRig, camera_poses, with_noise
-from greenhouse_gym.envs.clearance import FAR_AWAY, nearest_obstacle, to_base, turned_back
+from greenhouse_gym.envs.clearance import FAR_AWAY, nearest_obstacle
 from greenhouse_gym.envs.episodes import Difficulty, Episode, EpisodeSampler
 from greenhouse_gym.envs.observations import (
     DepthObservation,
@@ -24,9 +24,19 @@ from greenhouse_gym.envs.observations import (
     check_goals_are_known,
     make_observation,
 )
-from greenhouse_gym.envs.physics import NOTHING, Ids, Physics, Touches, prepare
+from greenhouse_gym.envs.physics import NOTHING, Physics, Touches, prepare
 from greenhouse_gym.envs.randomization import NO_RANDOMIZATION, Disturbance, Randomization, draw_disturbance
-from greenhouse_gym.envs.reach_task import REWARDS, STEP_LIMIT, Bools, Float32, Situation, Transition, total_reward
+from greenhouse_gym.envs.reach_task import (
+    REWARDS,
+    STEP_LIMIT,
+    Bools,
+    Float32,
+    Situation,
+    Transition,
+    lengths,
+    total_reward,
+)
+from greenhouse_gym.envs.stepping import Ids
 from greenhouse_gym.envs.worlds import World, worlds_of
 from greenhouse_gym.errors import UnknownNameError
 from greenhouse_gym.geometry import Array, invert
@@ -122,6 +132,7 @@ class ReachSimulation:
         self._joint_offset = np.zeros((count, len(robot.joints)))
         self._field = np.zeros(count, dtype=np.int64)
         self._frame = np.zeros((count, 5))  # base position and cosine, sine of its heading
+        self._axes = np.zeros((count, 3, 3))  # columns: the axes of the base frame in the scene
         self._target = np.zeros((count, 3))  # as told, in the base frame
         self._goal = np.zeros((count, 3))  # what counts, in the base frame
         self._radius = np.zeros((count, 1))
@@ -138,7 +149,7 @@ class ReachSimulation:
         worlds = [self.worlds.world(episode.scene) for episode in episodes]
         physics = self._physics
         if physics is None:
-            physics = self._physics = Physics(self.count, worlds[0], self._threads, self.action_rule.needs_motion)
+            physics = self._physics = Physics(self.count, worlds[0], self._threads)
         for world in worlds:
             world.check_fits(physics.models[0])
         for i, episode, world in zip(ids, episodes, worlds, strict=True):
@@ -163,6 +174,8 @@ class ReachSimulation:
         self._joint_offset[i] = disturbance.joints
         self._field[i] = world.field
         self._frame[i] = world.frame
+        cosine, sine = world.frame[3:]
+        self._axes[i] = [[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]]
         self._target[i] = world.tomatoes[episode.target, :3] + disturbance.target
         self._goal[i], self._radius[i] = world.goal(episode.target)
         count, room = len(world.tomatoes), self._tomatoes.shape[2]
@@ -220,24 +233,24 @@ class ReachSimulation:
         return self.observe(self._seen() if ids is None else self._seen().select(ids))
 
     def info(self, step: StepResult | None = None) -> dict[str, npt.NDArray[Any]]:
-        """What the environments' docstring promises, but for the reward's terms, as new arrays of length n."""
+        """What the environments' docstring promises, but for the reward's terms, as live arrays of length n."""
         seen, counts = self._seen(), self._counts
         result: dict[str, npt.NDArray[Any]] = {
             "is_success": seen.success,
-            "collision": seen.touched.copy(),
-            "contact": self._contact.copy(),
-            "self_collision": self._self_collision.copy(),
-            "distance": seen.distance.copy(),
+            "collision": seen.touched,
+            "contact": self._contact,
+            "self_collision": self._self_collision,
+            "distance": seen.distance,
             "clearance": seen.clearance.min(axis=1).astype(np.float64),
-            "scene": self._names["scene"].copy(),
-            "target": counts["target"].copy(),
-            "difficulty": self._names["difficulty"].copy(),
-            "steps": counts["steps"].copy(),
-            "slowed": counts["slowed"].copy(),
-            "limited": counts["limited"].copy(),
+            "scene": self._names["scene"],
+            "target": counts["target"],
+            "difficulty": self._names["difficulty"],
+            "steps": counts["steps"],
+            "slowed": counts["slowed"],
+            "limited": counts["limited"],
         }
         if step is not None and self.observe.has_goals:
-            result["previous_goal"], result["effort"] = step.previous.copy(), step.transition.effort.copy()
+            result["previous_goal"], result["effort"] = step.previous, step.transition.effort
         return result
 
     def episode(self, i: int) -> Episode:
@@ -283,8 +296,8 @@ class ReachSimulation:
         physics, frame = self._physics, self._frame[ids]
         assert physics is not None
         sites, tool = physics.sites(ids)
-        points = to_base(sites, frame)
-        axis = turned_back(tool[:, None, :, 2], frame)[:, 0]
+        vectors = np.concatenate([sites - frame[:, None, :3], tool[:, None, :, 2]], axis=1) @ self._axes[ids]
+        points, axis = vectors[:, :-1], vectors[:, -1]
         grasp = points[:, 0] + self._radius[ids] * axis
         gap = self._goal[ids] - grasp
         distance, direction = nearest_obstacle(
@@ -300,7 +313,7 @@ class ReachSimulation:
             axis=axis,
             grasp=grasp,
             target=self._target[ids].copy(),
-            distance=np.sqrt(gap[:, 0] ** 2 + gap[:, 1] ** 2 + gap[:, 2] ** 2),
+            distance=lengths(gap),
             clearance=distance - self._probe_radii,
             obstacle=direction,
             touched=np.asarray(touched, dtype=np.bool_),

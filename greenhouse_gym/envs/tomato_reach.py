@@ -283,4 +283,4 @@ def action_space(rule: ActionRule) -> spaces.Space[Float32]:
 
 
 def _item(values: npt.NDArray[Any]) -> Any:
-    return values[0] if values.dtype == object or values.ndim > 1 else values.item()
+    return values[0].copy() if values.ndim > 1 else values.item()

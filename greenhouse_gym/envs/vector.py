@@ -15,10 +15,10 @@ from gymnasium.vector.utils import batch_space
 from greenhouse_gym.envs.episodes import Difficulty
 from greenhouse_gym.envs.goals import goal_functions
 from greenhouse_gym.envs.observations import DepthObservation, Observed, PointsObservation, select
-from greenhouse_gym.envs.physics import Ids
 from greenhouse_gym.envs.randomization import NO_RANDOMIZATION, Randomization
 from greenhouse_gym.envs.reach_task import Bools
-from greenhouse_gym.envs.simulation import STEP_INFOS, EnvSettings, ReachSimulation
+from greenhouse_gym.envs.simulation import STEP_INFOS, EnvSettings, ReachSimulation, StepResult
+from greenhouse_gym.envs.stepping import Ids
 from greenhouse_gym.envs.tomato_reach import action_space
 from greenhouse_gym.envs.viewer import RENDER_MODES, Viewer
 from greenhouse_gym.errors import (
@@ -116,7 +116,7 @@ class TomatoReachVectorEnv(VectorEnv[Observed, npt.NDArray[np.float32], npt.NDAr
         self.simulation.reset(chosen, self._random, options)
         self._ended[chosen] = False
         mask = _mask(self.num_envs, chosen)
-        return self.simulation.observation(), _masked(self.simulation.info(), mask, mask)
+        return self.simulation.observation(), _masked(self._info(None), mask, mask)
 
     def step(  # type: ignore[override]
         self, actions: Any
@@ -139,7 +139,7 @@ class TomatoReachVectorEnv(VectorEnv[Observed, npt.NDArray[np.float32], npt.NDAr
             reward[waiting], terminated[waiting], truncated[waiting] = 0.0, False, False
             for values in terms.values():
                 values[waiting] = 0.0
-        info = simulation.info(result)
+        info = self._info(result)
         observations = simulation.observation()
         ended = terminated | truncated
         final: Infos = {}
@@ -152,7 +152,7 @@ class TomatoReachVectorEnv(VectorEnv[Observed, npt.NDArray[np.float32], npt.NDAr
             final = {"final_obs": final_obs, "_final_obs": ended, "final_info": final_info, "_final_info": ended}
             simulation.reset(done, self._random)
             _replace(observations, done, simulation.observation(done))
-            info = simulation.info(result)
+            info = self._info(result)
             self._ended[:] = False
         else:
             self._ended = ended.copy()
@@ -186,6 +186,9 @@ class TomatoReachVectorEnv(VectorEnv[Observed, npt.NDArray[np.float32], npt.NDAr
         self.simulation.close()
         if self._viewer:
             self._viewer.close()
+
+    def _info(self, result: StepResult | None) -> dict[str, npt.NDArray[Any]]:
+        return {key: values.copy() for key, values in self.simulation.info(result).items()}
 
     def _seed(self, chosen: Ids, seed: int | Sequence[int | None] | None) -> None:
         if seed is None:

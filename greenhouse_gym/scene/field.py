@@ -165,37 +165,44 @@ class FieldStore:
             Distances (n, k), metres, at most `MAX_DISTANCE`; unit directions (n, k, 3) towards the obstacle, zero
             where the distance is capped.
         """
-        # One contiguous plane per axis from here on.
-        position = np.ascontiguousarray(((points - _ORIGIN) / CELL).transpose(2, 0, 1), dtype=np.float32)
-        inside = np.minimum(np.maximum(position, np.float32(0.0)), _LAST)
-        node = np.minimum(inside.astype(np.int64), _LAST_CELL)
-        x, y, z = inside - node
-        flat = ((slots[:, None] * SHAPE[0] + node[0]) * SHAPE[1] + node[1]) * SHAPE[2] + node[2]
-        c = self._values.reshape(-1)[flat + _CORNERS].astype(np.float32)  # (8, n, k), z fastest
-        low_z, step_z = c[0::2], c[1::2] - c[0::2]
-        cz = low_z + z * step_z  # (4, n, k): x then y
-        step_y = cz[1::2] - cz[0::2]
-        cy = cz[0::2] + y * step_y  # (2, n, k): x
-        step_x = cy[1] - cy[0]
-        distance = cy[0] + x * step_x
-        dy = step_y[0] + x * (step_y[1] - step_y[0])
-        dz_low, dz_high = step_z[0] + y * (step_z[1] - step_z[0]), step_z[2] + y * (step_z[3] - step_z[2])
-        dz = dz_low + x * (dz_high - dz_low)
-        distance = np.minimum(distance + np.float32(CELL) * _norm(*(position - inside)), np.float32(MAX_DISTANCE))
-        length = _norm(step_x, dy, dz)
-        known = (distance < np.float32(MAX_DISTANCE - 1e-3)) & (length > np.float32(1e-6))
-        shrink = np.where(known, np.float32(-1.0), np.float32(0.0)) / np.maximum(length, np.float32(1e-6))
-        direction = np.empty((*distance.shape, 3), dtype=np.float32)
-        for axis, step in enumerate((step_x, dy, dz)):
-            np.multiply(step, shrink, out=direction[..., axis])
-        return distance, direction
+        n, k, _ = points.shape
+        # One row per axis from here on, and few array operations: their number is what a single simulation pays for.
+        position = np.array(((points.reshape(-1, 3) - _ORIGIN) / CELL).T, dtype=np.float32, order="C")
+        inside = np.minimum(np.maximum(position, _ZERO), _LAST)
+        node = inside.astype(np.int64)
+        x, y, z = inside - node.astype(np.float32)
+        flat = _STRIDES @ node
+        flat += (slots * _SIZE).repeat(k)
+        c = self._values.reshape(-1)[flat + _CORNERS].astype(np.float32)  # (2, 2, 2, n * k): z, y, x
+        # Interpolated along z, then y, then x: the value together with its slopes along the axes that are done.
+        slope = c[1] - c[0]
+        along_z = np.concatenate([(c[0] + z * slope)[:, :, None], slope[:, :, None]], axis=2)  # y; x; value, slope z
+        slope = along_z[1] - along_z[0]
+        along_y = np.concatenate([along_z[0] + y * slope, slope[:, :1]], axis=1)  # x; value, slopes z and y
+        slope = along_y[1] - along_y[0]
+        value, slope_z, slope_y = along_y[0] + x * slope
+        slopes = np.concatenate([slope[0], slope_y, slope_z]).reshape(3, -1)
+        distance = value + _CELL * _norm(position - inside)
+        length = _norm(slopes)
+        known = (distance < _NEARLY_MAX) & (length > _TINY)
+        direction = np.zeros((3, n * k), dtype=np.float32)
+        np.divide(slopes, -length, out=direction, where=known)
+        return np.minimum(distance, _MAX).reshape(n, k), direction.reshape(3, n, k).transpose(1, 2, 0)
 
 
 _ORIGIN = np.array(ORIGIN)
-_LAST = np.array(SHAPE, dtype=np.float32)[:, None, None] - 1
-_LAST_CELL = np.array(SHAPE, dtype=np.int64)[:, None, None] - 2
-_CORNERS = (_OCTANTS @ [SHAPE[1] * SHAPE[2], SHAPE[2], 1])[:, None, None]
+# A hair below the last node, so that the cell is one that has a node behind it.
+_LAST = np.nextafter(np.array(SHAPE, dtype=np.float32) - 1, np.float32(0.0))[:, None]
+_STRIDES = np.array([SHAPE[1] * SHAPE[2], SHAPE[2], 1])
+_SIZE = SHAPE[0] * SHAPE[1] * SHAPE[2]
+_CORNERS = (_OCTANTS @ _STRIDES[::-1]).reshape(2, 2, 2, 1)
+_ZERO, _TINY, _CELL, _MAX, _NEARLY_MAX = np.array([0.0, 1e-6, CELL, MAX_DISTANCE, MAX_DISTANCE - 1e-3], np.float32)
 
 
-def _norm(x: Float32, y: Float32, z: Float32) -> Float32:
-    return np.asarray(np.sqrt(x * x + y * y + z * z), dtype=np.float32)
+def _norm(vectors: Float32) -> Float32:
+    """Lengths (m,) of vectors (3, m)."""
+    squares = vectors * vectors
+    x, y, z = squares
+    x += y
+    x += z
+    return np.asarray(np.sqrt(x, out=x))
