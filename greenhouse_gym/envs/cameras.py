@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.errors import InvalidValueError, require_choice
-from greenhouse_gym.geometry import Array, pose, rotation_about
+from greenhouse_gym.geometry import Array, invert, pose, rotation_about
 
 Float32 = npt.NDArray[np.float32]
 
@@ -90,14 +90,41 @@ class CameraRig:
         self._scratch = [mujoco.MjData(model) for _ in range(max(1, threads))]
         self._pool = ThreadPoolExecutor(len(self._scratch)) if len(self._scratch) > 1 else None
 
-    def look(self, models: Sequence[mujoco.MjModel], qpos: Array, views: Array) -> Float32:
-        """Depth images (n, c, h, w), metres, 0 without a reading.
+    def photograph(
+        self,
+        models: Sequence[mujoco.MjModel],
+        qpos: Array,
+        frame: Array,
+        tip: Array,
+        tool: Array,
+        noises: Sequence[np.random.Generator | None],
+    ) -> tuple[Float32, Array]:
+        """Depth images (n, c, h, w), metres, 0 without a reading, and camera poses (n, c, 4, 4) base_from_camera.
 
         Args:
             models: Model of each of the n simulations.
             qpos: (n, j) joint positions, radians.
-            views: (n, c, 4, 4) poses scene_from_camera.
+            frame: (n, 5) of the base in the scene: position in metres, cosine and sine of its heading.
+            tip: (n, 3) tool tips in the scene, metres.
+            tool: (n, 3, 3) their rotations scene_from_tool.
+            noises: Generator of each simulation's noise; None: its images are perfect.
         """
+        scene_from_base, scene_from_tip = np.zeros((2, len(tip), 4, 4))
+        scene_from_base[:, 0, 0] = scene_from_base[:, 1, 1] = frame[:, 3]
+        scene_from_base[:, 1, 0], scene_from_base[:, 0, 1] = frame[:, 4], -frame[:, 4]
+        scene_from_base[:, 2, 2] = scene_from_base[:, 3, 3] = 1.0
+        scene_from_base[:, :3, 3] = frame[:, :3]
+        scene_from_tip[:, :3, :3], scene_from_tip[:, :3, 3], scene_from_tip[:, 3, 3] = tool, tip, 1.0
+        views = _camera_poses(self.cameras, invert(scene_from_base) @ scene_from_tip)
+        images = self._look(models, qpos, scene_from_base[:, None] @ views)
+        for own, noise in zip(images, noises, strict=True):
+            if noise is not None:
+                for c, camera in enumerate(self.cameras):
+                    own[c] = _with_noise(own[c], camera, noise)
+        return images, views
+
+    def _look(self, models: Sequence[mujoco.MjModel], qpos: Array, views: Array) -> Float32:
+        """Perfect images from poses scene_from_camera (n, c, 4, 4)."""
         first = self.cameras[0]
         images = np.empty((len(models), len(self.cameras), first.height, first.width), dtype=np.float32)
 
@@ -138,7 +165,7 @@ class CameraRig:
             self._pool.shutdown()
 
 
-def camera_poses(cameras: Sequence[DepthCamera], base_from_tip: Array) -> Array:
+def _camera_poses(cameras: Sequence[DepthCamera], base_from_tip: Array) -> Array:
     """(n, c, 4, 4) base_from_camera for tool poses (n, 4, 4)."""
     result = np.empty((len(base_from_tip), len(cameras), 4, 4))
     for k, camera in enumerate(cameras):
@@ -146,7 +173,7 @@ def camera_poses(cameras: Sequence[DepthCamera], base_from_tip: Array) -> Array:
     return result
 
 
-def with_noise(depth: Float32, camera: DepthCamera, random: np.random.Generator) -> Float32:
+def _with_noise(depth: Float32, camera: DepthCamera, random: np.random.Generator) -> Float32:
     """What a D435 would report for an image (h, w), its figures scaled to the image's width.
 
     See `greenhouse_gym.capture.sensor`.

@@ -6,7 +6,6 @@ import copy
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -14,18 +13,16 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.envs.actions import ACTIONS, CommandLimits, check_actions, squared_norm
-from greenhouse_gym.envs.cameras import CameraRig, camera_poses, with_noise
+from greenhouse_gym.envs.cameras import CameraRig
 from greenhouse_gym.envs.clearance import FAR_AWAY, nearest_obstacle
-from greenhouse_gym.envs.episodes import Difficulty, Episode, EpisodeSampler
+from greenhouse_gym.envs.episodes import Episode, EpisodeSampler
 from greenhouse_gym.envs.observations import (
-    DepthObservation,
     Observed,
-    PointsObservation,
     check_goals_are_known,
     make_observation,
 )
 from greenhouse_gym.envs.physics import NOTHING, Physics, Touches, prepare
-from greenhouse_gym.envs.randomization import NO_RANDOMIZATION, Disturbance, Randomization, draw_disturbance
+from greenhouse_gym.envs.randomization import Disturbance, draw_disturbance
 from greenhouse_gym.envs.reach_task import (
     REWARDS,
     STEP_LIMIT,
@@ -36,32 +33,16 @@ from greenhouse_gym.envs.reach_task import (
     lengths,
     total_reward,
 )
+from greenhouse_gym.envs.settings import EnvSettings
 from greenhouse_gym.envs.stepping import Ids
 from greenhouse_gym.envs.worlds import World, worlds_of
 from greenhouse_gym.errors import UnknownNameError
-from greenhouse_gym.geometry import Array, invert
-from greenhouse_gym.robots import Robot, get_robot
+from greenhouse_gym.geometry import Array
+from greenhouse_gym.robots import get_robot
 from greenhouse_gym.robots.robot import ROBOTS
-from greenhouse_gym.scene import SceneBank
 
 STEP_INFOS = ("previous_goal", "effort")
 """Keys of the info that a step has and a reset has not, beside the reward's terms."""
-
-
-@dataclass(frozen=True)
-class EnvSettings:
-    """What an environment is made of; `TomatoReachEnv` says what each means."""
-
-    bank: str | Path | SceneBank = "default"
-    split: str = "train"
-    robot: str | Path | Robot = "ur5e"
-    observation: str | DepthObservation | PointsObservation = "state"
-    action: str = "joint"
-    reward: str = "dense"
-    difficulty: Difficulty = ("easy", "medium", "hard")
-    physics: str = "reconstruction"
-    randomization: Randomization = NO_RANDOMIZATION
-    capacity: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -330,22 +311,10 @@ class ReachSimulation:
         if self._rig is None:
             threads = 1 if self.count == 1 else self._threads or len(os.sched_getaffinity(0))
             self._rig = CameraRig(cameras, physics.models[0], threads, self.observe.sees_arm)
-        scene_from_base = np.zeros((len(tip), 1, 4, 4))
-        scene_from_base[:, 0, 0, 0] = scene_from_base[:, 0, 1, 1] = frame[:, 3]
-        scene_from_base[:, 0, 1, 0], scene_from_base[:, 0, 0, 1] = frame[:, 4], -frame[:, 4]
-        scene_from_base[:, 0, 2, 2] = scene_from_base[:, 0, 3, 3] = 1.0
-        scene_from_base[:, 0, :3, 3] = frame[:, :3]
-        scene_from_tip = np.zeros((len(tip), 4, 4))
-        scene_from_tip[:, :3, :3], scene_from_tip[:, :3, 3], scene_from_tip[:, 3, 3] = tool, tip, 1.0
-        views = camera_poses(cameras, invert(scene_from_base[:, 0]) @ scene_from_tip)
         chosen = np.arange(self.count)[ids]
-        depth = self._rig.look([physics.models[i] for i in chosen], physics.qpos[ids], scene_from_base @ views)
-        for k, i in enumerate(chosen):
-            disturbance = self._disturbances[i]
-            if disturbance is not None and disturbance.noise is not None:
-                for c, camera in enumerate(cameras):
-                    depth[k, c] = with_noise(depth[k, c], camera, disturbance.noise)
-        return depth, views
+        noises = [None if drawn is None else drawn.noise for drawn in (self._disturbances[i] for i in chosen)]
+        models = [physics.models[i] for i in chosen]
+        return self._rig.photograph(models, physics.qpos[ids], frame, tip, tool, noises)
 
 
 def _choose(kind: str, name: str, choices: Mapping[str, Any]) -> Any:

@@ -17,7 +17,8 @@ from greenhouse_gym.envs.goals import goal_functions
 from greenhouse_gym.envs.observations import DepthObservation, Observed, PointsObservation, select
 from greenhouse_gym.envs.randomization import NO_RANDOMIZATION, Randomization
 from greenhouse_gym.envs.reach_task import Float32
-from greenhouse_gym.envs.simulation import EnvSettings, ReachSimulation, StepResult
+from greenhouse_gym.envs.settings import EnvSettings
+from greenhouse_gym.envs.simulation import ReachSimulation, StepResult
 from greenhouse_gym.envs.viewer import RENDER_MODES, Viewer
 from greenhouse_gym.errors import EpisodeOverError, refuse_unknown_keywords, require_choice
 from greenhouse_gym.geometry import Array

@@ -17,7 +17,8 @@ from greenhouse_gym.envs.goals import goal_functions
 from greenhouse_gym.envs.observations import DepthObservation, Observed, PointsObservation, select
 from greenhouse_gym.envs.randomization import NO_RANDOMIZATION, Randomization
 from greenhouse_gym.envs.reach_task import Bools
-from greenhouse_gym.envs.simulation import STEP_INFOS, EnvSettings, ReachSimulation, StepResult
+from greenhouse_gym.envs.settings import EnvSettings
+from greenhouse_gym.envs.simulation import STEP_INFOS, ReachSimulation, StepResult
 from greenhouse_gym.envs.stepping import Ids
 from greenhouse_gym.envs.tomato_reach import action_space
 from greenhouse_gym.envs.viewer import RENDER_MODES, Viewer

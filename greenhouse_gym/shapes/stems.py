@@ -68,6 +68,7 @@ def find_strings(points: Array, normals: Array, settings: ShapeSettings) -> list
 def _upright(
     points: Array, normals: Array, kind: StemKind, radii: tuple[float, float], slack: float, settings: ShapeSettings
 ) -> list[Stem]:
+    """Stems of one kind with radii between two bounds, whose discs may be wider than that by ``slack`` metres."""
     if len(points) < 20:
         return []
     discs = _discs(points, normals, 2 * radii[1] + slack, settings)

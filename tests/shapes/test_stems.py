@@ -30,6 +30,21 @@ def rod(
     return points + (radius + random.normal(0, noise, (count, 1))) * normals, normals
 
 
+def test_a_pale_string_beside_a_stem_is_a_string_and_the_stem_stays_a_stem() -> None:
+    stem, string = ([0.5, 0.2, 0.6], [0.5, 0.2, 1.4]), ([0.5, 0.212, 0.6], [0.5, 0.212, 1.4])
+    (green, out), (pale, away) = rod(*stem, 0.006, np.pi / 2), rod(*string, 0.0015, np.pi / 2)
+    points, normals = np.concatenate([green, pale]), np.concatenate([out, away])
+    colors = np.repeat([GREEN, [0.6, 0.6, 0.56]], [len(green), len(pale)], axis=0)
+    found = extract_shapes(points, colors, normals).stems
+    for kind, ends in (("main", stem), ("string", string)):
+        own = [s for s in found if s.kind == kind]
+        assert off_axis(own, *ends).max() < 0.003
+        assert max(distance_to_shapes(np.array([s.start, s.end]), [Stem(*ends, 0.004, "main")]).max() for s in own) < 0
+    assert {s.radius for s in found if s.kind == "string"} == {SETTINGS.string_radius}
+    one_color = extract_shapes(points, np.tile(GREEN, (len(points), 1)), normals).stems
+    assert not any(s.kind == "string" for s in one_color)
+
+
 def off_axis(stems: list[Stem], start: list[float], end: list[float]) -> Array:
     """Distances of places along a line, but for 5 cm at its ends, from the axes of stems."""
     length = float(np.linalg.norm(np.subtract(end, start)))
