@@ -1,4 +1,4 @@
-"""The physics of n simulations: private models, servo ramps, and what is touched."""
+"""The physics of n simulations: private models, and what is touched."""
 
 from __future__ import annotations
 
@@ -9,14 +9,13 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from greenhouse_gym.envs.actions import ToolMotion
+from greenhouse_gym.envs.actions import INTERVAL, ToolMotion
 from greenhouse_gym.envs.randomization import Disturbance, displace_base
 from greenhouse_gym.envs.reach_task import SUBSTEPS, Bools
 from greenhouse_gym.envs.stepping import Ids, ManyStepper, OneStepper, Stepper
 from greenhouse_gym.envs.worlds import World
 from greenhouse_gym.geometry import Array
 
-_RAMP = (np.arange(1, SUBSTEPS + 1) / SUBSTEPS)[:, None]
 _SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 
 
@@ -48,6 +47,15 @@ class Touches:
     contacts: dict[int, Contact]
 
 
+class _State(NamedTuple):
+    """What a simulation goes on from: positions, velocities, the solver's first guess and commands, each (j,)."""
+
+    joints: Array
+    velocities: Array
+    warmstart: Array
+    command: Array
+
+
 class Physics:
     """n simulations, each on a private padded model into which a reset copies the episode's scene.
 
@@ -61,6 +69,7 @@ class Physics:
             reset (MuJoCo's sleep flag), which saves a third of the time; the arm itself never sleeps.
         qpos: (n, j) joint positions, radians.
         qvel: (n, j) joint velocities, rad/s.
+        command: (n, j) commanded joint positions, radians.
     """
 
     def __init__(self, count: int, world: World, threads: int):
@@ -70,7 +79,7 @@ class Physics:
             model.opt.enableflags |= _SLEEP
         self._worlds: list[World | None] = [None] * count
         self._stepper: Stepper = OneStepper(self.models[0]) if count == 1 else ManyStepper(self.models, threads)
-        self.qpos, self.qvel = self._stepper.qpos, self._stepper.qvel
+        self.qpos, self.qvel, self.command = self._stepper.qpos, self._stepper.qvel, self._stepper.command
         self._data = mujoco.MjData(compiled.model)
         self._tip = compiled.tip_site
         self._points = np.array([compiled.tip_site, *compiled.probe_sites])
@@ -83,15 +92,24 @@ class Physics:
     def place(self, ids: Ids, configurations: Array) -> Touches:
         """Put some arms, at rest, at configurations (len(ids), j)."""
         touched = self._stepper.place(ids, configurations)
-        at = np.flatnonzero(touched)
-        return Touches(touched, {int(ids[k]): self._contact(int(ids[k]), configurations[k]) for k in at})
+        still = np.zeros(configurations.shape[1])
+        contacts = {
+            int(ids[k]): self._first_contact(int(ids[k]), _State(configurations[k], still, still, configurations[k]))
+            for k in np.flatnonzero(touched)
+        }
+        return Touches(touched, contacts)
 
-    def advance(self, last: Array, command: Array) -> Touches:
-        """One action: all servos follow a ramp from the last commands (n, j) to the new ones."""
-        first = self._stepper.run(last[:, None] + (command - last)[:, None] * _RAMP)
-        touched = np.zeros(len(last), dtype=np.bool_)
-        touched[list(first)] = True
-        return Touches(touched, {i: self._contact(i, configuration) for i, configuration in first.items()})
+    def advance(self, command: Array) -> Touches:
+        """One action: the servos' commands move evenly to the new ones (n, j)."""
+        stepper = self._stepper
+        before = [array.copy() for array in (stepper.qpos, stepper.qvel, stepper.warmstart, stepper.command)]
+        stepper.speed[:] = (command - stepper.command) / INTERVAL
+        touched = stepper.run()
+        contacts = {
+            i: self._first_contact(i, _State(*(array[i] for array in before)))
+            for i in np.flatnonzero(touched).tolist()
+        }
+        return Touches(touched, contacts)
 
     def sites(self, ids: Ids | slice) -> tuple[Array, Array]:
         """Tip and probe points (m, 1 + k, 3) and tool frames (m, 3, 3) of some simulations in their scenes."""
@@ -105,18 +123,23 @@ class Physics:
 
     def copy_state(self, i: int, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """Copy a simulation's state into the ``data`` of its ``model`` and compute what follows from it."""
-        data.qpos[:], data.qvel[:], data.ctrl[:] = self.qpos[i], self.qvel[i], self._stepper.ctrl[i]
+        stepper = self._stepper
+        data.qpos[:], data.qvel[:], data.act[:] = stepper.qpos[i], stepper.qvel[i], stepper.command[i]
         mujoco.mj_forward(model, data)
 
-    def _contact(self, i: int, configuration: Array) -> Contact:
-        """The deepest contact of a simulation at a configuration."""
+    def _first_contact(self, i: int, start: _State) -> Contact:
+        """The deepest contact where a simulation first touches anything in an action, found by doing it once more."""
         model, data, world = self.models[i], self._data, self._worlds[i]
         assert world is not None
         mujoco.mj_resetData(model, data)
-        data.qpos[:] = configuration
-        mujoco.mj_fwdPosition(model, data)
-        if data.ncon == 0:
-            return NOTHING
+        data.qpos[:], data.qvel[:], data.qacc_warmstart[:], data.act[:] = start
+        data.ctrl[:] = self._stepper.speed[i]
+        mujoco.mj_step1(model, data)
+        for _ in range(SUBSTEPS):
+            if data.ncon:
+                break
+            mujoco.mj_step2(model, data)
+            mujoco.mj_step1(model, data)
         contact = data.contact[int(np.argmin(data.contact.dist))]
         geoms = sorted((int(contact.geom1), int(contact.geom2)), key=lambda g: model.geom_bodyid[g], reverse=True)
         names = tuple(str(world.compiled.model.geom(g).name) for g in geoms)

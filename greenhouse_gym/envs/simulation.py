@@ -14,7 +14,6 @@ import numpy.typing as npt
 
 from greenhouse_gym.envs.actions import ACTIONS, CommandLimits, check_actions, squared_norm
 from greenhouse_gym.envs.cameras import CameraRig
-from greenhouse_gym.envs.clearance import FAR_AWAY, nearest_obstacle
 from greenhouse_gym.envs.episodes import Episode, EpisodeSampler
 from greenhouse_gym.envs.observations import (
     Observed,
@@ -40,6 +39,7 @@ from greenhouse_gym.errors import UnknownNameError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.robots.robot import ROBOTS
+from greenhouse_gym.scene.field import NO_TOMATO
 
 STEP_INFOS = ("previous_goal", "effort")
 """Keys of the info that a step has and a reset has not, beside the reward's terms."""
@@ -79,7 +79,6 @@ class ReachSimulation:
         sampler: Draws the episodes.
         observe: Makes the observations.
         situation: What the simulations look like now; None before the first reset.
-        command: (n, j) last commanded joint positions, radians.
     """
 
     def __init__(self, count: int, settings: EnvSettings, threads: int = 0):
@@ -109,15 +108,13 @@ class ReachSimulation:
         self._counts = {
             key: np.zeros(count, dtype=np.int64) for key in ("steps", "slowed", "limited", "target")
         }  # of the episode so far; the target's index is kept with them
-        self.command = np.zeros((count, len(robot.joints)))
         self._joint_offset = np.zeros((count, len(robot.joints)))
-        self._field = np.zeros(count, dtype=np.int64)
+        self._field, self._ignored = np.zeros((2, count), dtype=np.int64)
         self._frame = np.zeros((count, 5))  # base position and cosine, sine of its heading
         self._axes = np.zeros((count, 3, 3))  # columns: the axes of the base frame in the scene
         self._target = np.zeros((count, 3))  # as told, in the base frame
         self._goal = np.zeros((count, 3))  # what counts, in the base frame
         self._radius = np.zeros((count, 1))
-        self._tomatoes = np.zeros((4, count, 1), dtype=np.float32)
 
     # -- reset --------------------------------------------------------------------------------------------------------
 
@@ -134,10 +131,10 @@ class ReachSimulation:
         for world in worlds:
             world.check_fits(physics.models[0])
         for i, episode, world in zip(ids, episodes, worlds, strict=True):
-            disturbance = draw_disturbance(self.randomization, self.command.shape[1], random[i])
+            disturbance = draw_disturbance(self.randomization, len(self.robot.joints), random[i])
             physics.load(int(i), world, episode.target, disturbance)
             self._begin(int(i), episode, world, disturbance)
-        touches = physics.place(ids, self.command[ids])
+        touches = physics.place(ids, np.array([episode.start for episode in episodes]))
         self._contact[ids], self._self_collision[ids] = None, False
         for i in ids:
             self._contact[i] = NOTHING.names
@@ -151,7 +148,6 @@ class ReachSimulation:
         for counts in self._counts.values():
             counts[i] = 0
         self._counts["target"][i] = episode.target
-        self.command[i] = episode.start
         self._joint_offset[i] = disturbance.joints
         self._field[i] = world.field
         self._frame[i] = world.frame
@@ -159,14 +155,7 @@ class ReachSimulation:
         self._axes[i] = [[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]]
         self._target[i] = world.tomatoes[episode.target, :3] + disturbance.target
         self._goal[i], self._radius[i] = world.goal(episode.target)
-        count, room = len(world.tomatoes), self._tomatoes.shape[2]
-        if count > room:
-            padding = np.broadcast_to(FAR_AWAY[:, None], (4, self.count, count - room))
-            self._tomatoes = np.concatenate([self._tomatoes, padding], axis=2)
-        self._tomatoes[:, i] = FAR_AWAY
-        self._tomatoes[:, i, :count] = world.tomatoes.T
-        if not self.observe.target_is_obstacle:
-            self._tomatoes[:, i, episode.target] = FAR_AWAY[:, 0]
+        self._ignored[i] = NO_TOMATO if self.observe.target_is_obstacle else episode.target
 
     def close(self) -> None:
         """Free the simulations; the next reset makes new ones."""
@@ -186,9 +175,8 @@ class ReachSimulation:
         before, physics = self._seen(), self._physics
         assert physics is not None
         motion = physics.motion(self._frame[:, 3:]) if self.action_rule.needs_motion else None
-        command = self._limit(self.command, self.action_rule(action, motion), physics.qpos)
-        touches = physics.advance(self.command, command.position)
-        self.command = command.position
+        command = self._limit(physics.command, self.action_rule(action, motion), physics.qpos)
+        touches = physics.advance(command.position)
         self._contact.fill(NOTHING.names)
         self._self_collision[:] = False
         self._note(touches)
@@ -281,15 +269,13 @@ class ReachSimulation:
         points, axis = vectors[:, :-1], vectors[:, -1]
         grasp = points[:, 0] + self._radius[ids] * axis
         gap = self._goal[ids] - grasp
-        distance, direction = nearest_obstacle(
-            self.worlds.fields, self._field[ids], self._tomatoes[:, ids], points[:, 1:]
-        )
+        distance, direction = self.worlds.fields.lookup(self._field[ids], self._ignored[ids], points[:, 1:])
         joints = physics.qpos[ids]
         depth, views = self._photograph(ids, frame, sites[:, 0], tool)
         return Situation(
             joints=joints + self._joint_offset[ids],
             velocities=physics.qvel[ids].copy(),
-            lead=self.command[ids] - joints,
+            lead=physics.command[ids] - joints,
             tip=points[:, 0],
             axis=axis,
             grasp=grasp,

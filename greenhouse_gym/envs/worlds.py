@@ -10,19 +10,20 @@ from functools import cache
 import mujoco
 import numpy as np
 
+from greenhouse_gym.envs.stepping import drive_and_record
 from greenhouse_gym.errors import InvalidValueError, require_choice
 from greenhouse_gym.geometry import Array, invert, pose, rotation_about, transform
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import CompiledScene, Scene, compile_scene
-from greenhouse_gym.scene.field import FieldStore, distance_field
+from greenhouse_gym.scene.field import FieldStore, obstacle_field
 from greenhouse_gym.scene.mjcf import DEFAULT_CAPACITY, base_position
 
 PHYSICS = ("reconstruction", "truth")
 CAPACITY = {"reconstruction": DEFAULT_CAPACITY, "truth": 2 * DEFAULT_CAPACITY}
 """Obstacles a model has room for: truth is finer than what was reconstructed of it."""
 
-KEPT = 500
-"""Worlds that are kept ready; each takes about 1 MB."""
+KEPT = 300
+"""Worlds that are kept ready; each takes about 3 MB."""
 
 _SCENE_FIELDS = (
     # The bounding-volume tree goes with the geoms: with a stale tree MuJoCo misses contacts.
@@ -124,10 +125,10 @@ class Worlds:
         told: np.ndarray[tuple[int, int], np.dtype[np.float32]] = tomatoes.astype(np.float32)
         return World(
             scene=scene,
-            compiled=compile_scene(physical, self.robot, self.capacity),
+            compiled=compile_scene(physical, self.robot, self.capacity, drive_and_record),
             frame=np.array([*scene_from_base[:3, 3], *scene_from_base[:2, 0]]),
             tomatoes=told,
-            field=self.fields.add(distance_field([*scene.stems, *scene.clutter], scene_from_base)),
+            field=self.fields.add(obstacle_field(tomatoes, [*scene.stems, *scene.clutter], scene_from_base)),
             # what is told and what counts are one and the same number where the physics are those of the scene
             goals=told.astype(np.float64) if physical is scene else bodies_there[bodies],
             bodies=bodies,

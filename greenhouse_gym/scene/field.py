@@ -1,8 +1,9 @@
-"""Distance fields: how far it is to the nearest stem or piece of clutter, and which way, looked up instead of computed.
+"""Distance fields: how far it is to the nearest obstacle, and which way, looked up instead of computed.
 
 A field covers a box in front of the arm, in the frame of the arm's base (x forward, z up). It is sampled at nodes
-2 cm apart, kept as float16 and capped at `MAX_DISTANCE`, beyond which nobody asks. Fields of many scenes lie in one
-stacked array, so that one lookup serves many simulations.
+2 cm apart, kept as float16 and capped at `MAX_DISTANCE`, beyond which nobody asks. A node whose nearest obstacle is a
+tomato also knows how far it would be without it, so that one field serves every target of a scene. Fields of many
+scenes lie in one stacked array, so that one lookup serves many simulations.
 """
 
 from __future__ import annotations
@@ -28,7 +29,51 @@ ORIGIN = (0.10, -0.87, -0.80)
 MAX_DISTANCE = 0.3
 """Distances are capped here, metres."""
 
+NODE = np.dtype([("distance", np.float16), ("otherwise", np.float16), ("tomato", np.int16), ("", np.int16)])
+"""A node: the distance to the nearest obstacle, the index of the tomato that this is, or -1, and the distance without
+that tomato. Eight bytes, so that a lookup fetches all of it at once."""
+
+NO_TOMATO = -2
+"""In a lookup: every tomato is an obstacle."""
+
 _BLOCK = 8
+
+
+def obstacle_field(
+    tomatoes: npt.NDArray[np.floating], others: Sequence[Shape], scene_from_base: npt.ArrayLike | None = None
+) -> npt.NDArray[np.void]:
+    """The field of a scene.
+
+    Args:
+        tomatoes: (t, 4) centers in the frame of the arm's base and radii, metres.
+        others: All other obstacles, in the scene frame.
+        scene_from_base: (4, 4) pose of the arm's base in the scene; the identity when left out.
+
+    Returns:
+        Array of shape `SHAPE` of `NODE`, metres.
+    """
+    field = np.empty(SHAPE, dtype=NODE)
+    nearest = distance_field(others, scene_from_base).astype(np.float32)
+    otherwise, tomato = nearest.copy(), np.full(SHAPE, -1, dtype=np.int16)
+    for k, (*center, radius) in enumerate(np.asarray(tomatoes, dtype=np.float64)):
+        reach = radius + MAX_DISTANCE
+        low = np.maximum(np.ceil((np.array(center) - reach - ORIGIN) / CELL), 0).astype(int)
+        high = np.minimum(np.floor((np.array(center) + reach - ORIGIN) / CELL) + 1, SHAPE).astype(int)
+        if (low >= high).any():
+            continue
+        part = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
+        x, y, z = (
+            (np.arange(a, b) * CELL + o - c).astype(np.float32) ** 2
+            for a, b, o, c in zip(low, high, ORIGIN, center, strict=True)
+        )
+        own = np.sqrt(x[:, None, None] + y[:, None] + z) - np.float32(radius)
+        first, second = nearest[part], otherwise[part]
+        closer = own < first
+        second[...] = np.where(closer, first, np.minimum(second, own))
+        first[closer] = own[closer]
+        tomato[part][closer] = k
+    field["distance"], field["otherwise"], field["tomato"] = nearest, otherwise, tomato
+    return field
 
 
 def distance_field(shapes: Sequence[Shape], scene_from_base: npt.ArrayLike | None = None) -> npt.NDArray[np.float16]:
@@ -129,29 +174,31 @@ class FieldStore:
     """Fields of many scenes in one array, addressed by slot."""
 
     def __init__(self) -> None:
-        self._values = np.empty((16, *SHAPE), dtype=np.float16)
+        self._nodes = np.empty((16, _SIZE), dtype=np.uint64)
         self._free = list(range(15, -1, -1))
 
     def __len__(self) -> int:
-        return len(self._values) - len(self._free)
+        return len(self._nodes) - len(self._free)
 
-    def add(self, field: npt.NDArray[np.float16]) -> int:
-        """Keep a field and return its slot."""
+    def add(self, field: npt.NDArray[np.void]) -> int:
+        """Keep a field of `obstacle_field` and return its slot."""
         if not self._free:
-            count = len(self._values)
-            grown = np.empty((2 * count, *SHAPE), dtype=np.float16)
-            grown[:count] = self._values
-            self._values = grown
+            count = len(self._nodes)
+            grown = np.empty((2 * count, _SIZE), dtype=np.uint64)
+            grown[:count] = self._nodes
+            self._nodes = grown
             self._free = list(range(2 * count - 1, count - 1, -1))
         slot = self._free.pop()
-        self._values[slot] = field
+        self._nodes[slot] = field.reshape(-1).view(np.uint64)
         return slot
 
     def remove(self, slot: int) -> None:
         """Give a slot free for another field."""
         self._free.append(slot)
 
-    def lookup(self, slots: npt.NDArray[np.int64], points: npt.NDArray[np.float64]) -> tuple[Float32, Float32]:
+    def lookup(
+        self, slots: npt.NDArray[np.int64], ignored: npt.NDArray[np.int64], points: npt.NDArray[np.float64]
+    ) -> tuple[Float32, Float32]:
         """Distances to the nearest obstacle, and which way it lies, by trilinear interpolation.
 
         Outside the grid, the nearest point of the grid is asked and the way to it added. Elementwise, so a
@@ -159,6 +206,7 @@ class FieldStore:
 
         Args:
             slots: (n,) slots, one per simulation.
+            ignored: (n,) index of the tomato that is no obstacle, or `NO_TOMATO`.
             points: (n, k, 3) points in the frame of the arm's base, metres.
 
         Returns:
@@ -173,7 +221,9 @@ class FieldStore:
         x, y, z = inside - node.astype(np.float32)
         flat = _STRIDES @ node
         flat += (slots * _SIZE).repeat(k)
-        c = self._values.reshape(-1)[flat + _CORNERS].astype(np.float32)  # (2, 2, 2, n * k): z, y, x
+        corners = self._nodes.reshape(-1).take(flat + _CORNERS).view(NODE)  # (2, 2, 2, n * k): z, y, x
+        is_ignored = corners["tomato"] == ignored.repeat(k)
+        c = np.where(is_ignored, corners["otherwise"], corners["distance"]).astype(np.float32)
         # Interpolated along z, then y, then x: the value together with its slopes along the axes that are done.
         slope = c[1] - c[0]
         along_z = np.concatenate([(c[0] + z * slope)[:, :, None], slope[:, :, None]], axis=2)  # y; x; value, slope z

@@ -7,6 +7,7 @@ and nothing else of the arm, touch it.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import mujoco
@@ -115,10 +116,28 @@ def scene_spec(scene: Scene, robot: str | Robot | None = None, capacity: int | N
     return spec
 
 
-def compile_scene(scene: Scene, robot: str | Robot = "ur5e", capacity: int | None = None) -> CompiledScene:
-    """Compile a scene with an arm (about 5 ms); `scene_spec` says what the arguments mean."""
+def compile_scene(
+    scene: Scene,
+    robot: str | Robot = "ur5e",
+    capacity: int | None = None,
+    edit: Callable[[mujoco.MjSpec], None] | None = None,
+) -> CompiledScene:
+    """Compile a scene with an arm (about 5 ms).
+
+    Args:
+        scene: The scene.
+        robot: As `scene_spec`.
+        capacity: As `scene_spec`.
+        edit: Changes the specification before it is compiled.
+
+    Raises:
+        InvalidValueError: The scene has more obstacles than ``capacity``.
+    """
     arm = get_robot(robot)
-    model = scene_spec(scene, arm, capacity).compile()
+    spec = scene_spec(scene, arm, capacity)
+    if edit is not None:
+        edit(spec)
+    model = spec.compile()
     first = model.geom("floor").id + (2 if _has_column(scene, arm) else 1)
     count = capacity if capacity is not None else len(scene.obstacles)
     return CompiledScene(
