@@ -4,9 +4,9 @@ python benchmarks/throughput.py --fetch-python /path/to/python
 
 Everything acts at random, resets included, in turns, so that whatever else the machine does falls on all alike; the
 figures are medians over the rounds, and ratios are taken within each round. The bare physics are `Batch.step` over the
-same scenes with the same commands: no contacts read, nothing observed, no new episodes. ``--fetch-python`` names the interpreter of an
-environment with gymnasium-robotics in it (benchmarks/fetch_reach.py says how to make one); without it that comparison
-is left out.
+same scenes with the same commands: no contacts read, nothing observed, no new episodes. ``--fetch-python`` names the
+interpreter of an environment with gymnasium-robotics in it (benchmarks/fetch_reach.py says how to make one); without it
+that comparison is left out.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from greenhouse_gym.geometry import Box
 from greenhouse_gym.scene import Provenance, Scene, Target, compile_scene
 from greenhouse_gym.scene.bank import write_bank
 
-ROUNDS, STEPS, SINGLE_STEPS, FETCH_STEPS = 7, 30, 300, 25
+ROUNDS, STEPS, SINGLE_STEPS, FETCH_STEPS = 15, 30, 600, 25
 OBSTACLES = (20, 100, 300, 1000)
 
 
@@ -140,14 +140,16 @@ def measure(arguments: argparse.Namespace) -> dict[str, list[float]]:
 
     rates: dict[str, list[float]] = {}
     with fetch_reach(arguments.fetch_python) as fetch:
+        # What is compared comes one after the other.
         tasks: dict[str, Callable[[], float]] = {
             "bare Batch.step": lambda: rate(count * STEPS, step_bare),
             "vector environment": lambda: rate(count * STEPS, step_vector),
+            **{name: task for name, task in fetch.items() if "Async" in name},
             "single environment": lambda: rate(SINGLE_STEPS, step_single),
+            **{name: task for name, task in fetch.items() if "single" in name},
             "single environment, resets": lambda: rate(SINGLE_STEPS, reset_single),
             "depth images 64x48, 64 simulations": lambda: rate(64 * 3, look),
             "depth environment, 64 simulations": lambda: rate(64 * 5, step_depth),
-            **fetch,
         }
         for _ in range(ROUNDS):
             for name, task in tasks.items():

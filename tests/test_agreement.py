@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.envs import TomatoReachEnv
+from greenhouse_gym.envs.actions import INTERVAL
+from greenhouse_gym.envs.reach_task import SUBSTEPS
 from greenhouse_gym.planning.collision import CollisionChecker, planning_model
 from greenhouse_gym.scene import SceneBank, compile_scene
 
@@ -38,8 +40,8 @@ def substeps(env: TomatoReachEnv, random: np.random.Generator) -> Iterator[tuple
     for _ in range(60):
         *_, terminated, truncated, info = env.step(drift + random.uniform(-0.4, 0.4, 6))
         command, configurations = env.simulation.command[0].copy(), []
-        for k in range(5):
-            data.ctrl[:] = last + (command - last) * ((k + 1) / 5)
+        data.ctrl[:] = (command - last) / INTERVAL
+        for _ in range(SUBSTEPS):
             mujoco.mj_step(model, data)
             configurations.append(data.qpos.copy())
         last = command

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -118,8 +117,7 @@ ACTIONS: dict[str, type[JointIncrements] | type[JointVelocities] | type[TipVeloc
 """Kinds of actions by name."""
 
 
-@dataclass(frozen=True, eq=False)
-class Command:
+class Command(NamedTuple):
     """Commands of n simulations, and what was cut off to get there.
 
     Attributes:

@@ -11,8 +11,10 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from greenhouse_gym.envs.raycaster import RayCaster
 from greenhouse_gym.errors import InvalidValueError, require_choice
 from greenhouse_gym.geometry import Array, invert, pose, rotation_about
+from greenhouse_gym.scene import CompiledScene
 
 Float32 = npt.NDArray[np.float32]
 
@@ -77,18 +79,18 @@ class CameraRig:
 
     Args:
         cameras: The cameras; all of one size.
-        model: Any of the models.
+        compiled: Any of the scenes.
         threads: Threads that cast rays.
         sees_arm: Whether the arm is in the pictures; otherwise its pixels give no reading.
     """
 
-    def __init__(self, cameras: Sequence[DepthCamera], model: mujoco.MjModel, threads: int, sees_arm: bool):
+    def __init__(self, cameras: Sequence[DepthCamera], compiled: CompiledScene, threads: int, sees_arm: bool):
         self.cameras = tuple(cameras)
         self._sees_arm = sees_arm
         self._rays = [camera.rays for camera in self.cameras]
         self._lengths = [np.linalg.norm(rays, axis=1) for rays in self._rays]
-        self._scratch = [mujoco.MjData(model) for _ in range(max(1, threads))]
-        self._pool = ThreadPoolExecutor(len(self._scratch)) if len(self._scratch) > 1 else None
+        self._casters = [RayCaster(compiled) for _ in range(max(1, threads))]
+        self._pool = ThreadPoolExecutor(len(self._casters)) if len(self._casters) > 1 else None
 
     def photograph(
         self,
@@ -129,32 +131,23 @@ class CameraRig:
         images = np.empty((len(models), len(self.cameras), first.height, first.width), dtype=np.float32)
 
         def shoot(part: int) -> None:
-            data, step = self._scratch[part], len(self._scratch)
-            for i in range(part, len(models), step):
-                mujoco.mj_resetData(models[i], data)  # for the poses of what never moves in this model
-                data.qpos[:] = qpos[i]
-                mujoco.mj_kinematics(models[i], data)
+            for i in range(part, len(models), len(self._casters)):
                 for k in range(len(self.cameras)):
-                    images[i, k] = self._shoot(models[i], data, k, views[i, k]).reshape(first.height, first.width)
+                    depth = self._depth(self._casters[part], models[i], qpos[i], k, views[i, k])
+                    images[i, k] = depth.reshape(first.height, first.width)
 
         if self._pool is None:
             shoot(0)
         else:
-            list(self._pool.map(shoot, range(len(self._scratch))))
+            list(self._pool.map(shoot, range(len(self._casters))))
         return images
 
-    def _shoot(self, model: mujoco.MjModel, data: mujoco.MjData, camera: int, view: Array) -> Array:
+    def _depth(self, caster: RayCaster, model: mujoco.MjModel, joints: Array, camera: int, view: Array) -> Array:
         rays, lengths = self._rays[camera], self._lengths[camera]
-        count = len(rays)
         directions = (rays / lengths[:, None]) @ view[:3, :3].T
-        distance, geom = np.empty(count), np.empty(count, dtype=np.int32)
-        mujoco.mj_multiRay(
-            model, data, view[:3, 3].copy(), directions.reshape(-1), None, True, -1, geom, distance, None, count,
-            MAX_RANGE * float(lengths.max()),
-        )  # fmt: skip
-        seen = distance >= 0
-        if not self._sees_arm:
-            seen &= model.geom_bodyid[geom] == 0
+        reach = MAX_RANGE * float(lengths.max())
+        distance, on_arm = caster.cast(model, joints, view[:3, 3].copy(), directions, reach)
+        seen = distance >= 0 if self._sees_arm else (distance >= 0) & ~on_arm
         depth = np.where(seen, distance / lengths, 0.0)
         depth[depth > MAX_RANGE] = 0.0
         return depth

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import mujoco
@@ -34,8 +33,7 @@ class Contact(NamedTuple):
 NOTHING = Contact()
 
 
-@dataclass(frozen=True, eq=False)
-class Touches:
+class Touches(NamedTuple):
     """What n simulations touched in an action.
 
     Attributes:
@@ -106,8 +104,7 @@ class Physics:
         stepper.speed[:] = (command - stepper.command) / INTERVAL
         touched = stepper.run()
         contacts = {
-            i: self._first_contact(i, _State(*(array[i] for array in before)))
-            for i in np.flatnonzero(touched).tolist()
+            i: self._first_contact(i, _State(*(array[i] for array in before))) for i in np.flatnonzero(touched).tolist()
         }
         return Touches(touched, contacts)
 

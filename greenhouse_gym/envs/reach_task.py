@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
-from typing import TypeAlias
+from functools import cached_property, reduce
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -35,8 +35,7 @@ MAX_LEAD = 0.2
 """How far a command may lie from the measured joint, radians; at full speed the arm follows 0.1 rad behind."""
 
 
-@dataclass(frozen=True, eq=False)
-class Situation:
+class Situation(NamedTuple):
     """What n simulations look like at one moment.
 
     Attributes:
@@ -76,14 +75,14 @@ class Situation:
 
     def select(self, ids: npt.NDArray[np.int64]) -> Situation:
         """The situation of some of the simulations."""
-        return Situation(**{name: values[ids] for name, values in vars(self).items()})
+        return Situation._make(values[ids] for values in self)
 
     def replaced(self, ids: npt.NDArray[np.int64], fresh: Situation) -> Situation:
         """A copy with the ``fresh`` situation of some of the simulations."""
-        values = {name: old.copy() for name, old in vars(self).items()}
-        for name, array in values.items():
-            array[ids] = getattr(fresh, name)
-        return Situation(**values)
+        result = Situation._make(old.copy() for old in self)
+        for values, new in zip(result, fresh, strict=True):
+            values[ids] = new
+        return result
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,11 +135,7 @@ REWARDS: dict[str, RewardTerms] = {"sparse": sparse_terms, "dense": dense_terms}
 
 def total_reward(terms: dict[str, Array]) -> Array:
     """(n,) sum of the terms, in their order."""
-    first, *others = terms.values()
-    total = first.copy()
-    for term in others:
-        total += term
-    return total
+    return np.asarray(reduce(np.add, terms.values()))
 
 
 def lengths(vectors: Array) -> Array:

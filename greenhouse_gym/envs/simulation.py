@@ -5,8 +5,7 @@ from __future__ import annotations
 import copy
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -45,8 +44,7 @@ STEP_INFOS = ("previous_goal", "effort")
 """Keys of the info that a step has and a reset has not, beside the reward's terms."""
 
 
-@dataclass(frozen=True, eq=False)
-class StepResult:
+class StepResult(NamedTuple):
     """What one step of n simulations gave.
 
     Attributes:
@@ -177,8 +175,6 @@ class ReachSimulation:
         motion = physics.motion(self._frame[:, 3:]) if self.action_rule.needs_motion else None
         command = self._limit(physics.command, self.action_rule(action, motion), physics.qpos)
         touches = physics.advance(command.position)
-        self._contact.fill(NOTHING.names)
-        self._self_collision[:] = False
         self._note(touches)
         counts = self._counts
         counts["steps"] += 1
@@ -228,6 +224,12 @@ class ReachSimulation:
         episode = self._episodes[i]
         assert episode is not None
         return episode
+
+    @property
+    def command(self) -> Array:
+        """(n, j) commanded joint positions, radians, live."""
+        assert self._physics is not None
+        return self._physics.command
 
     def tip(self, i: int) -> Array:
         """(3,) the tip in the scene, metres."""
@@ -296,7 +298,9 @@ class ReachSimulation:
             return np.empty((len(tip), 0, 0, 0), dtype=np.float32), np.empty((len(tip), 0, 4, 4))
         if self._rig is None:
             threads = 1 if self.count == 1 else self._threads or len(os.sched_getaffinity(0))
-            self._rig = CameraRig(cameras, physics.models[0], threads, self.observe.sees_arm)
+            world = self._worlds[0]
+            assert world is not None
+            self._rig = CameraRig(cameras, world.compiled, threads, self.observe.sees_arm)
         chosen = np.arange(self.count)[ids]
         noises = [None if drawn is None else drawn.noise for drawn in (self._disturbances[i] for i in chosen)]
         models = [physics.models[i] for i in chosen]

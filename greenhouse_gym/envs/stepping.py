@@ -29,7 +29,7 @@ def drive_and_record(spec: mujoco.MjSpec) -> None:
     """Make an arm ready for the steppers.
 
     Its position servos follow the integral of their controls: ``act`` is the commanded position, radians, ``ctrl`` the
-    speed with which it moves, rad/s. A sensor counts the contacts, and its history remembers the last `SUBSTEPS` counts.
+    speed with which it moves, rad/s. A sensor counts the contacts, and its history keeps the last `SUBSTEPS` counts.
     """
     for servo in spec.actuators:
         servo.dyntype, servo.actearly, servo.ctrllimited = mujoco.mjtDyn.mjDYN_INTEGRATOR, True, False
@@ -94,7 +94,7 @@ class OneStepper:
         mujoco.mj_step2(model, data)
         mujoco.mj_step(model, data, SUBSTEPS - 1)
         mujoco.mj_step1(model, data)
-        return self._counts.any(axis=1) | (data.ncon > 0)
+        return np.array([data.ncon > 0 or self._counts.any()])
 
 
 class ManyStepper:

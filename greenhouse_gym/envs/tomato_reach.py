@@ -258,7 +258,10 @@ class TomatoReachEnv(gymnasium.Env[Observed, npt.NDArray[np.float32]]):
             self._viewer.close()
 
     def model_and_data(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
-        """A copy of the episode's MuJoCo model and its current state, to look at or to compute with."""
+        """A copy of the episode's MuJoCo model and its current state, to look at or to compute with.
+
+        Its servos follow ``data.act``, the commanded positions (rad), which move with the speeds ``data.ctrl`` (rad/s).
+        """
         return self.simulation.model_and_data(0)
 
     def _show(self) -> None:

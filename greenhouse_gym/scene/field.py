@@ -231,12 +231,12 @@ class FieldStore:
         along_y = np.concatenate([along_z[0] + y * slope, slope[:, :1]], axis=1)  # x; value, slopes z and y
         slope = along_y[1] - along_y[0]
         value, slope_z, slope_y = along_y[0] + x * slope
-        slopes = np.concatenate([slope[0], slope_y, slope_z]).reshape(3, -1)
-        distance = value + _CELL * _norm(position - inside)
-        length = _norm(slopes)
-        known = (distance < _NEARLY_MAX) & (length > _TINY)
-        direction = np.zeros((3, n * k), dtype=np.float32)
-        np.divide(slopes, -length, out=direction, where=known)
+        # The lengths of both at once: of the slopes, and of the way from outside the grid to it.
+        ways = np.concatenate([slope[0], slope_y, slope_z, (position - inside).reshape(-1)]).reshape(2, 3, -1)
+        length, beyond = _norm(ways.swapaxes(0, 1))
+        slopes, distance = ways[0], value + _CELL * beyond
+        length[(distance >= _NEARLY_MAX) | (length <= _TINY)] = np.inf
+        direction = slopes / -length
         return np.minimum(distance, _MAX).reshape(n, k), direction.reshape(3, n, k).transpose(1, 2, 0)
 
 
@@ -250,7 +250,7 @@ _ZERO, _TINY, _CELL, _MAX, _NEARLY_MAX = np.array([0.0, 1e-6, CELL, MAX_DISTANCE
 
 
 def _norm(vectors: Float32) -> Float32:
-    """Lengths (m,) of vectors (3, m)."""
+    """Lengths (...) of vectors (3, ...)."""
     squares = vectors * vectors
     x, y, z = squares
     x += y

@@ -150,7 +150,7 @@ def test_observation_says_what_it_promises(bank: SceneBank) -> None:
     assert env.observation_space.contains(observation)
     np.testing.assert_allclose(observation[:6], data.qpos, atol=1e-6)
     np.testing.assert_allclose(observation[6:12], data.qvel, atol=1e-5)
-    np.testing.assert_allclose(observation[12:18], data.ctrl - data.qpos, atol=1e-6)
+    np.testing.assert_allclose(observation[12:18], data.act - data.qpos, atol=1e-6)
     np.testing.assert_allclose(observation[18:21], tomato.center - grasp, atol=1e-6)
     np.testing.assert_allclose(observation[21:24], tomato.center - base, atol=1e-6)
     others = [s for s in env.scene.obstacles if s is not tomato]

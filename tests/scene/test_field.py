@@ -4,7 +4,16 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.geometry import Box, Capsule, Shape, Sphere, distance_to_shapes, pose, rotation_about, transform
-from greenhouse_gym.scene.field import CELL, MAX_DISTANCE, ORIGIN, SHAPE, FieldStore, distance_field
+from greenhouse_gym.scene.field import (
+    CELL,
+    MAX_DISTANCE,
+    NO_TOMATO,
+    ORIGIN,
+    SHAPE,
+    FieldStore,
+    distance_field,
+    obstacle_field,
+)
 
 
 def some_shapes(seed: int, count: int = 40) -> list[Shape]:
@@ -47,13 +56,56 @@ def test_without_shapes_everything_is_far() -> None:
     assert (behind == np.float16(MAX_DISTANCE)).all()
 
 
+def test_nodes_know_the_distance_without_the_tomato_that_is_nearest() -> None:
+    random = np.random.default_rng(0)
+    scene_from_base = pose(rotation_about([0, 0, 1], 0.4), [0.1, -0.05, 0.9])
+    centers = random.uniform([0.0, -1.0, -0.9], [1.1, 1.0, 1.0], (25, 3))
+    centers[1] = centers[0] + [0.03, 0.0, 0.0]  # two that overlap
+    tomatoes = np.column_stack([centers, random.uniform(0.01, 0.04, 25)])
+    others = some_shapes(1, 15)
+    field = obstacle_field(tomatoes, others, scene_from_base)
+    nodes = tuple(random.integers(0, SHAPE, (4000, 3)).T)
+    points = np.stack(nodes, axis=1) * CELL + ORIGIN
+    to_others = distance_to_shapes(transform(scene_from_base, points), others).min(axis=1, keepdims=True)
+    every = np.hstack([np.linalg.norm(points[:, None] - centers, axis=-1) - tomatoes[:, 3], to_others])
+    nearest = every.argmin(axis=1)
+    first, second = np.sort(every, axis=1)[:, :2].T
+    found = field[nodes]
+    np.testing.assert_allclose(found["distance"], np.minimum(first, MAX_DISTANCE), atol=3e-4)
+    known = (nearest < 25) & (first < MAX_DISTANCE - 1e-3) & (second - first > 1e-6)
+    assert known.sum() > 300
+    np.testing.assert_array_equal(found["tomato"][known], nearest[known])
+    np.testing.assert_allclose(found["otherwise"][known], np.minimum(second, MAX_DISTANCE)[known], atol=3e-4)
+    assert (found["tomato"][nearest == 25] == -1).all()
+
+
+def test_a_tomato_that_is_ignored_is_not_there() -> None:
+    random = np.random.default_rng(2)
+    tomatoes = np.column_stack([random.uniform([0.4, -0.3, -0.3], [0.8, 0.3, 0.3], (9, 3)), np.full(9, 0.03)])
+    store = FieldStore()
+    whole = store.add(obstacle_field(tomatoes, some_shapes(3, 5)))
+    points = random.uniform([0.3, -0.4, -0.4], [0.9, 0.4, 0.4], (1, 500, 3))
+    changed = 0
+    for k in range(9):
+        without = store.add(obstacle_field(np.delete(tomatoes, k, axis=0), some_shapes(3, 5)))
+        expected = store.lookup(np.array([without]), np.array([NO_TOMATO]), points)
+        for one, other in zip(store.lookup(np.array([whole]), np.array([k]), points), expected, strict=True):
+            np.testing.assert_array_equal(one, other)
+        changed += (store.lookup(np.array([whole]), np.array([NO_TOMATO]), points)[0] != expected[0]).sum()
+    assert changed > 300
+
+
+def keep(store: FieldStore, shapes: list[Shape]) -> int:
+    return store.add(obstacle_field(np.zeros((0, 4)), shapes))
+
+
 def test_lookup_interpolates_distance_and_direction() -> None:
     ball = Sphere([0.6, 0.0, 0.0], 0.05)
     store = FieldStore()
-    slot = store.add(distance_field([ball]))
+    slot = keep(store, [ball])
     points = inside_points(0, 4000)
     points = points[np.linalg.norm(points - ball.center, axis=1) > 0.08]
-    distance, direction = store.lookup(np.array([slot]), points[None])
+    distance, direction = store.lookup(np.array([slot]), np.array([NO_TOMATO]), points[None])
     expected = np.linalg.norm(points - ball.center, axis=1) - 0.05
     np.testing.assert_allclose(distance[0], np.minimum(expected, MAX_DISTANCE), atol=5e-3)
     near = expected < MAX_DISTANCE - 0.03
@@ -64,18 +116,21 @@ def test_lookup_interpolates_distance_and_direction() -> None:
 
 def test_outside_the_grid_the_way_to_it_is_added() -> None:
     store = FieldStore()
-    slot = store.add(distance_field([Sphere([0.12, 0.0, 0.0], 0.03)]))
-    distance, _ = store.lookup(np.array([slot]), np.array([[[0.0, 0.0, 0.0], [-5.0, 0.0, 0.0], [0.5, 30.0, 1.0]]]))
+    slot = keep(store, [Sphere([0.12, 0.0, 0.0], 0.03)])
+    distance, _ = store.lookup(
+        np.array([slot]), np.array([NO_TOMATO]), np.array([[[0.0, 0.0, 0.0], [-5.0, 0.0, 0.0], [0.5, 30.0, 1.0]]])
+    )
     np.testing.assert_allclose(distance[0], [0.09, MAX_DISTANCE, MAX_DISTANCE], atol=5e-3)
 
 
 def test_many_scenes_at_once_give_what_each_gives_alone() -> None:
     store = FieldStore()
-    slots = np.array([store.add(distance_field(some_shapes(seed, 6))) for seed in range(18)])  # grows once
+    slots = np.array([keep(store, some_shapes(seed, 6)) for seed in range(18)])  # grows once
+    everything = np.full(18, NO_TOMATO)
     points = inside_points(1, 18 * 9).reshape(18, 9, 3)
-    distance, direction = store.lookup(slots, points)
+    distance, direction = store.lookup(slots, everything, points)
     for i in range(18):
-        alone = store.lookup(slots[i : i + 1], points[i : i + 1])
+        alone = store.lookup(slots[i : i + 1], everything[i : i + 1], points[i : i + 1])
         np.testing.assert_array_equal(alone[0][0], distance[i])
         np.testing.assert_array_equal(alone[1][0], direction[i])
     assert len(np.unique(distance[:, 0])) > 3

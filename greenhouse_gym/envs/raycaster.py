@@ -1,0 +1,79 @@
+"""Rays of a depth camera against models of one layout.
+
+MuJoCo asks every geom of a model for every ray, and of the hundreds in a padded model a camera may see a few. So the
+rays are cast in a smaller model of the same arm, into which the obstacles within their cone are copied.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from greenhouse_gym.geometry import Array
+from greenhouse_gym.scene import CompiledScene, Scene, compile_scene
+
+_ROOMS = (16, 32, 64, 128, 256)
+"""Obstacles that the smaller models have room for; the smallest that suffices is used."""
+
+_BODY_FIELDS = ("body_pos", "body_quat", "body_sameframe")
+_GEOM_FIELDS = (
+    "geom_type", "geom_size", "geom_pos", "geom_quat", "geom_sameframe", "geom_aabb", "geom_rbound", "geom_rgba",
+)  # fmt: skip
+
+
+class RayCaster:
+    """Casts rays against models of one layout, one at a time.
+
+    Args:
+        compiled: Any of the scenes.
+    """
+
+    def __init__(self, compiled: CompiledScene):
+        self._obstacles = compiled.obstacle_geoms
+        scene, capacity = compiled.scene, self._obstacles.stop - self._obstacles.start
+        empty = Scene(name="view", stand=scene.stand, provenance=scene.provenance)
+        rooms = [*(room for room in _ROOMS if room < capacity), capacity]
+        models = [compile_scene(empty, compiled.robot, room).model for room in rooms]
+        self._views = [(room, model, mujoco.MjData(model)) for room, model in zip(rooms, models, strict=True)]
+
+    def cast(
+        self, model: mujoco.MjModel, joints: Array, origin: Array, directions: Array, reach: float
+    ) -> tuple[Array, npt.NDArray[np.bool_]]:
+        """How far m rays go, metres, -1 for those that hit nothing, and which of them hit the arm.
+
+        Args:
+            model: A model of the layout.
+            joints: (j,) joint positions, radians.
+            origin: (3,) where the rays start in the scene, metres.
+            directions: (m, 3) unit vectors, less than 90 degrees from their mean.
+            reach: Hits farther away do not count, metres.
+        """
+        seen = self._in_cone(model, origin, directions, reach)
+        room, view, data = next(own for own in self._views if own[0] >= len(seen))
+        first = self._obstacles.start
+        rows = np.concatenate([np.arange(first), first + seen])
+        for name in _GEOM_FIELDS:
+            getattr(view, name)[: len(rows)] = getattr(model, name)[rows]
+        view.geom_rgba[len(rows) : first + room, 3] = 0.0  # rays pass through what cannot be seen
+        for name in _BODY_FIELDS:
+            getattr(view, name)[:] = getattr(model, name)
+        data.qpos[:] = joints
+        mujoco.mj_kinematics(view, data)
+        count = len(directions)
+        distance, geom = np.empty(count), np.empty(count, dtype=np.int32)
+        flat = directions.reshape(-1)
+        mujoco.mj_multiRay(view, data, origin, flat, None, True, -1, geom, distance, None, count, reach)
+        return distance, geom >= first + room
+
+    def _in_cone(self, model: mujoco.MjModel, origin: Array, directions: Array, reach: float) -> npt.NDArray[np.int64]:
+        """Indices of the obstacles whose bounding spheres reach into the cone around the rays."""
+        axis = directions.mean(axis=0)
+        axis /= np.linalg.norm(axis)
+        half = np.arccos((directions @ axis).min()) + 1e-6
+        towards, radius = model.geom_pos[self._obstacles] - origin, model.geom_rbound[self._obstacles]
+        distance = np.maximum(np.linalg.norm(towards, axis=1), 1e-9)
+        angle = np.arccos(np.clip(towards @ axis / distance, -1.0, 1.0))
+        beside = np.arcsin(np.minimum(radius / distance, 1.0))
+        inside = (angle - beside <= half) | (distance <= radius)
+        return np.flatnonzero(inside & (distance - radius <= reach))
