@@ -69,8 +69,8 @@ class TomatoReachEnv(gymnasium.Env[Observed, npt.NDArray[np.float32]]):
     | 33 to 59 | 36 to 62 | unit vectors from there to the nearest obstacle, x y z each; 0 beyond 0.3 m | +-1 | |
 
     Obstacles here are stems, clutter and all tomatoes but the target, not the floor, the cart or the arm itself.
-    Tomatoes are exact; stems and clutter are read from a distance field with nodes 2 cm apart (mean error 1 mm, at most
-    1 cm). Values beyond a bound are clipped to it. The other kinds are `Dict` spaces:
+    They are read from a distance field with nodes 2 cm apart (error within 5 cm of an obstacle: mean 1 mm, 95 % within
+    4 mm, at most 12 mm). Values beyond a bound are clipped to it. The other kinds are `Dict` spaces:
 
     | ``observation`` | key | shape, type | meaning |
     |---|---|---|---|
