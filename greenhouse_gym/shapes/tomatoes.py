@@ -12,6 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from greenhouse_gym.crop import Tomato
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.shapes.colors import could_be_fruit_or_stem, redness
+from greenhouse_gym.shapes.second_look import look_again
 from greenhouse_gym.shapes.settings import ShapeSettings
 from greenhouse_gym.shapes.spheres import SphereFit, fit_spheres, vote
 
@@ -20,6 +21,11 @@ _REDNESS = np.array([-0.12, 0.07, 0.34, 0.77])
 
 _CREDIBLE = np.array([14.4, -7.0e3, 36.7, -26.3])
 """Logistic regression of "is a tomato" on coverage, rmse (m) and alignment, and its offset; on six simulated rows."""
+
+_CREDIBLE_BESIDE = np.array([1.107, 2.464, -5.433e3, 2.078, -113.0, -8.0, 8.926])
+"""Logistic regression of "is a tomato", for spheres of the size of their truss, on the logarithms of the number of
+points and of coverage, on rmse (m), alignment, gap (m) and difference in color to the nearest tomato, and its offset;
+on the same rows."""
 
 
 class FoundTomatoes(NamedTuple):
@@ -43,16 +49,18 @@ def find_tomatoes(points: Array, normals: Array, colors: Array, settings: ShapeS
     """
     skin = np.flatnonzero(could_be_fruit_or_stem(colors, settings))
     points, normals, colors = points[skin], normals[skin], colors[skin]
-    fits = choose(fit_spheres(points, normals, vote(points, normals, settings), settings), points, settings)
-    trusses = group_trusses(
-        np.array([f.center for f in fits]).reshape(-1, 3), np.array([f.radius for f in fits]), settings.truss_gap
-    )
+    fits = fit_spheres(points, normals, vote(points, normals, settings), settings)
+    found = choose(fits, [credibility(fit) for fit in fits], len(points), settings)
+    first, tones = [fit for fit, _ in found], redness(colors)
+    more = look_again(points, normals, tones, first, _trusses(found, settings), settings)
+    found += choose(more, [credibility_beside(fit, first, tones) for fit in more], len(points), settings)
+    found.sort(key=lambda each: tuple(np.round(each[0].center[[1, 2, 0]], 3)))
     return FoundTomatoes(
         tuple(
-            Tomato(f.center, f.radius, truss=int(truss), ripeness=ripeness_of(colors[f.points]))
-            for f, truss in zip(fits, trusses, strict=True)
+            Tomato(fit.center, fit.radius, truss=int(truss), ripeness=ripeness_of(colors[fit.points]))
+            for (fit, _), truss in zip(found, _trusses(found, settings), strict=True)
         ),
-        tuple(credibility(f) for f in fits),
+        tuple(confidence for _, confidence in found),
     )
 
 
@@ -61,19 +69,46 @@ def credibility(fit: SphereFit) -> float:
     return float(1 / (1 + np.exp(-_CREDIBLE @ [fit.coverage, fit.rmse, fit.alignment, 1.0])))
 
 
-def choose(fits: list[SphereFit], points: Array, settings: ShapeSettings) -> list[SphereFit]:
-    """Keep credible fits that no better one explains: best first, each must own most of its points."""
-    owned = np.zeros(len(points), dtype=bool)
-    chosen: list[SphereFit] = []
-    for fit in sorted(fits, key=lambda f: -credibility(f)):
-        if credibility(fit) < settings.min_confidence:
+def credibility_beside(fit: SphereFit, others: list[SphereFit], tones: Array) -> float:
+    """The same for one of the size of others.
+
+    Args:
+        fit: The sphere, fitted to points that the others do not explain.
+        others: The tomatoes found before.
+        tones: (n,) redness of all points.
+    """
+    gaps = [np.linalg.norm(fit.center - other.center) - fit.radius - other.radius for other in others]
+    nearest = others[int(np.argmin(gaps))]
+    unlike = abs(np.median(tones[fit.points]) - np.median(tones[nearest.points]))
+    features = [np.log(len(fit.points)), np.log(fit.coverage), fit.rmse, fit.alignment, max(min(gaps), 0.0), unlike, 1.0]
+    return float(1 / (1 + np.exp(-_CREDIBLE_BESIDE @ features)))
+
+
+def choose(
+    fits: list[SphereFit], credible: list[float], count: int, settings: ShapeSettings
+) -> list[tuple[SphereFit, float]]:
+    """Keep credible fits that no better one explains: best first, each must own most of its points.
+
+    Args:
+        fits: Spheres found among the same points.
+        credible: How credible each is, 0 to 1.
+        count: Number of the points.
+        settings: All settings.
+
+    Returns:
+        Those kept, each with how credible it is.
+    """
+    owned = np.zeros(count, dtype=bool)
+    chosen: list[tuple[SphereFit, float]] = []
+    for fit, confidence in sorted(zip(fits, credible, strict=True), key=lambda each: -each[1]):
+        if confidence < settings.min_confidence:
             break
         own = np.count_nonzero(~owned[fit.points])
-        apart = all(np.linalg.norm(fit.center - other.center) > 0.75 * (fit.radius + other.radius) for other in chosen)
+        apart = all(np.linalg.norm(fit.center - one.center) > 0.75 * (fit.radius + one.radius) for one, _ in chosen)
         if apart and own > 0.6 * len(fit.points):
             owned[fit.points] = True
-            chosen.append(fit)
-    return sorted(chosen, key=lambda f: tuple(np.round(f.center[[1, 2, 0]], 3)))
+            chosen.append((fit, confidence))
+    return chosen
 
 
 def group_trusses(centers: Array, radii: Array, gap: float) -> npt.NDArray[np.int32]:
@@ -85,3 +120,9 @@ def group_trusses(centers: Array, radii: Array, gap: float) -> npt.NDArray[np.in
 def ripeness_of(colors: Array) -> float:
     """Ripeness, 0 to 1, from the skin's colors (n, 3): by the median of (R - G) / (R + G), which ignores shading."""
     return float(np.round(np.interp(np.median(redness(colors)), _REDNESS, np.linspace(0, 1, len(_REDNESS))), 3))
+
+
+def _trusses(found: list[tuple[SphereFit, float]], settings: ShapeSettings) -> npt.NDArray[np.int32]:
+    """Truss number of each."""
+    centers = np.array([fit.center for fit, _ in found]).reshape(-1, 3)
+    return group_trusses(centers, np.array([fit.radius for fit, _ in found]), settings.truss_gap)
