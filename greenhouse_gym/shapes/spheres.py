@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from greenhouse_gym.geometry import Array
+from greenhouse_gym.geometry import Array, Sphere
 from greenhouse_gym.shapes.settings import ShapeSettings
 
 _ABOVE_PLANE = 1.2  # times the votes a plane gathers in one place a sphere must have
@@ -48,20 +48,16 @@ IN_SIZE = Trust((-0.2,) * len(_SCALES), on=-1.0, radius=1e3, fewest=8)
 
 
 @dataclass(frozen=True, eq=False)
-class SphereFit:
+class SphereFit(Sphere):
     """A sphere found in a cloud.
 
     Attributes:
-        center: (3,) metres.
-        radius: Metres.
         points: Rows of the cloud that lie on it.
         coverage: Share of its directions in which it was seen.
         rmse: Root mean square distance of its points from it, metres.
         alignment: Mean cosine between their normals and its own.
     """
 
-    center: Array
-    radius: float
     points: npt.NDArray[np.int64]
     coverage: float
     rmse: float

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +11,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from greenhouse_gym.crop import Tomato
-from greenhouse_gym.geometry import Array
+from greenhouse_gym.geometry import Array, Sphere
 from greenhouse_gym.shapes.colors import could_be_fruit_or_stem, redness
 from greenhouse_gym.shapes.second_look import look_again
 from greenhouse_gym.shapes.settings import ShapeSettings
@@ -22,10 +23,12 @@ _REDNESS = np.array([-0.12, 0.07, 0.34, 0.77])
 _CREDIBLE = np.array([14.4, -7.0e3, 36.7, -26.3])
 """Logistic regression of "is a tomato" on coverage, rmse (m) and alignment, and its offset; on six simulated rows."""
 
-_CREDIBLE_BESIDE = np.array([1.107, 2.464, -5.433e3, 2.078, -113.0, -8.0, 8.926])
-"""Logistic regression of "is a tomato", for spheres of the size of their truss, on the logarithms of the number of
-points and of coverage, on rmse (m), alignment, gap (m) and difference in color to the nearest tomato, and its offset;
-on the same rows."""
+_CREDIBLE_BESIDE = np.array([1.18, 2.49, -5.35e3, 2.27, -115.4, -8.7, 8.52])
+"""The same for spheres of the size of their truss: on the logarithms of the number of points and of coverage, on rmse
+(m), alignment, gap (m) and difference in redness to the nearest tomato, and its offset; on the same rows."""
+
+_SURE = 0.5
+"""How credible a tomato must be for others to be looked for beside it, and these others."""
 
 
 class FoundTomatoes(NamedTuple):
@@ -50,17 +53,21 @@ def find_tomatoes(points: Array, normals: Array, colors: Array, settings: ShapeS
     skin = np.flatnonzero(could_be_fruit_or_stem(colors, settings))
     points, normals, colors = points[skin], normals[skin], colors[skin]
     fits = fit_spheres(points, normals, vote(points, normals, settings), settings)
-    found = choose(fits, [credibility(fit) for fit in fits], len(points), settings)
-    first, tones = [fit for fit, _ in found], redness(colors)
-    more = look_again(points, normals, tones, first, _trusses(found, settings), settings)
-    found += choose(more, [credibility_beside(fit, first, tones) for fit in more], len(points), settings)
-    found.sort(key=lambda each: tuple(np.round(each[0].center[[1, 2, 0]], 3)))
+    credible = [credibility(fit) for fit in fits]
+    sure = choose(fits, credible, len(points), _SURE)
+    tones = redness(colors)
+    for fit in look_again(points, normals, tones, sure, group_trusses(sure, settings.truss_gap), settings):
+        if (likely := credibility_beside(fit, sure, tones)) > _SURE:
+            fits.append(fit)
+            credible.append(likely)
+    found = choose(fits, credible, len(points), settings.min_confidence)
+    confidence = dict(zip(fits, credible, strict=True))
     return FoundTomatoes(
         tuple(
             Tomato(fit.center, fit.radius, truss=int(truss), ripeness=ripeness_of(colors[fit.points]))
-            for (fit, _), truss in zip(found, _trusses(found, settings), strict=True)
+            for fit, truss in zip(found, group_trusses(found, settings.truss_gap), strict=True)
         ),
-        tuple(confidence for _, confidence in found),
+        tuple(confidence[fit] for fit in found),
     )
 
 
@@ -70,49 +77,46 @@ def credibility(fit: SphereFit) -> float:
 
 
 def credibility_beside(fit: SphereFit, others: list[SphereFit], tones: Array) -> float:
-    """The same for one of the size of others.
+    """The same for one of the size of its truss.
 
     Args:
-        fit: The sphere, fitted to points that the others do not explain.
-        others: The tomatoes found before.
+        fit: The sphere, fitted to what the others leave unexplained.
+        others: Tomatoes, at least one.
         tones: (n,) redness of all points.
     """
     gaps = [np.linalg.norm(fit.center - other.center) - fit.radius - other.radius for other in others]
     nearest = others[int(np.argmin(gaps))]
     unlike = abs(np.median(tones[fit.points]) - np.median(tones[nearest.points]))
-    features = [np.log(len(fit.points)), np.log(fit.coverage), fit.rmse, fit.alignment, max(min(gaps), 0.0), unlike, 1.0]
-    return float(1 / (1 + np.exp(-_CREDIBLE_BESIDE @ features)))
+    seen = [np.log(len(fit.points)), np.log(fit.coverage), fit.rmse, fit.alignment]
+    return float(1 / (1 + np.exp(-_CREDIBLE_BESIDE @ [*seen, max(min(gaps), 0.0), unlike, 1.0])))
 
 
-def choose(
-    fits: list[SphereFit], credible: list[float], count: int, settings: ShapeSettings
-) -> list[tuple[SphereFit, float]]:
+def choose(fits: list[SphereFit], credible: list[float], count: int, least: float) -> list[SphereFit]:
     """Keep credible fits that no better one explains: best first, each must own most of its points.
 
     Args:
-        fits: Spheres found among the same points.
+        fits: Spheres among the same points.
         credible: How credible each is, 0 to 1.
         count: Number of the points.
-        settings: All settings.
-
-    Returns:
-        Those kept, each with how credible it is.
+        least: How credible a fit must be.
     """
     owned = np.zeros(count, dtype=bool)
-    chosen: list[tuple[SphereFit, float]] = []
-    for fit, confidence in sorted(zip(fits, credible, strict=True), key=lambda each: -each[1]):
-        if confidence < settings.min_confidence:
+    chosen: list[SphereFit] = []
+    for k in np.argsort(-np.array(credible), kind="stable"):
+        if credible[k] < least:
             break
+        fit = fits[k]
         own = np.count_nonzero(~owned[fit.points])
-        apart = all(np.linalg.norm(fit.center - one.center) > 0.75 * (fit.radius + one.radius) for one, _ in chosen)
+        apart = all(np.linalg.norm(fit.center - other.center) > 0.75 * (fit.radius + other.radius) for other in chosen)
         if apart and own > 0.6 * len(fit.points):
             owned[fit.points] = True
-            chosen.append((fit, confidence))
-    return chosen
+            chosen.append(fit)
+    return sorted(chosen, key=lambda f: tuple(np.round(f.center[[1, 2, 0]], 3)))
 
 
-def group_trusses(centers: Array, radii: Array, gap: float) -> npt.NDArray[np.int32]:
+def group_trusses(fruits: Sequence[Sphere], gap: float) -> npt.NDArray[np.int32]:
     """Truss number (n,) of each fruit: fruits whose skins are less than ``gap`` metres apart hang together."""
+    centers, radii = np.array([f.center for f in fruits]).reshape(-1, 3), np.array([f.radius for f in fruits])
     distance = np.linalg.norm(centers[:, None] - centers[None], axis=-1) - radii[:, None] - radii[None]
     return np.asarray(connected_components(coo_array(distance < gap), directed=False)[1], dtype=np.int32)
 
@@ -120,9 +124,3 @@ def group_trusses(centers: Array, radii: Array, gap: float) -> npt.NDArray[np.in
 def ripeness_of(colors: Array) -> float:
     """Ripeness, 0 to 1, from the skin's colors (n, 3): by the median of (R - G) / (R + G), which ignores shading."""
     return float(np.round(np.interp(np.median(redness(colors)), _REDNESS, np.linspace(0, 1, len(_REDNESS))), 3))
-
-
-def _trusses(found: list[tuple[SphereFit, float]], settings: ShapeSettings) -> npt.NDArray[np.int32]:
-    """Truss number of each."""
-    centers = np.array([fit.center for fit, _ in found]).reshape(-1, 3)
-    return group_trusses(centers, np.array([fit.radius for fit, _ in found]), settings.truss_gap)

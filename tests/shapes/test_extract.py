@@ -108,7 +108,7 @@ def test_touching_balls_are_told_apart(apart: tuple[float, float, float]) -> Non
 def test_balls_far_apart_hang_on_trusses_of_their_own() -> None:
     shapes = extract_shapes(*together(half_sphere((0.45, 0.1, 1.1), 0.03, 0), half_sphere((0.45, 0.3, 1.1), 0.03, 1)))
     assert sorted(tomato.truss for tomato in shapes.tomatoes) == [0, 1]
-    np.testing.assert_array_equal(group_trusses(np.zeros((1, 3)), np.array([0.03]), 0.015), [0])
+    np.testing.assert_array_equal(group_trusses([Sphere([0, 0, 0], 0.03)], 0.015), [0])
 
 
 @pytest.mark.parametrize(("ripeness", "color"), list(zip(np.linspace(0, 1, 4), RIPENESS_COLORS, strict=True)))
