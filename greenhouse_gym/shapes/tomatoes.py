@@ -23,12 +23,15 @@ _REDNESS = np.array([-0.12, 0.07, 0.34, 0.77])
 _CREDIBLE = np.array([14.4, -7.0e3, 36.7, -26.3])
 """Logistic regression of "is a tomato" on coverage, rmse (m) and alignment, and its offset; on six simulated rows."""
 
-_CREDIBLE_BESIDE = np.array([1.18, 2.49, -5.35e3, 2.27, -115.4, -8.7, 8.52])
+_CREDIBLE_BESIDE = np.array([1.43, 2.5, -5.64e3, 2.98, -76.9, -9.67, 7.71])
 """The same for spheres of the size of their truss: on the logarithms of the number of points and of coverage, on rmse
 (m), alignment, gap (m) and difference in redness to the nearest tomato, and its offset; on the same rows."""
 
-_SURE = 0.5
-"""How credible a tomato must be for others to be looked for beside it, and these others."""
+_SURE = 0.8
+"""How credible a tomato must be for others to be looked for beside it."""
+
+_LIKELY = 0.5
+"""How credible these others must be: near a truss much is round."""
 
 
 class FoundTomatoes(NamedTuple):
@@ -57,7 +60,7 @@ def find_tomatoes(points: Array, normals: Array, colors: Array, settings: ShapeS
     sure = choose(fits, credible, len(points), _SURE)
     tones = redness(colors)
     for fit in look_again(points, normals, tones, sure, group_trusses(sure, settings.truss_gap), settings):
-        if (likely := credibility_beside(fit, sure, tones)) > _SURE:
+        if (likely := credibility_beside(fit, sure, tones)) > _LIKELY:
             fits.append(fit)
             credible.append(likely)
     found = choose(fits, credible, len(points), settings.min_confidence)
@@ -84,11 +87,12 @@ def credibility_beside(fit: SphereFit, others: list[SphereFit], tones: Array) ->
         others: Tomatoes, at least one.
         tones: (n,) redness of all points.
     """
-    gaps = [np.linalg.norm(fit.center - other.center) - fit.radius - other.radius for other in others]
-    nearest = others[int(np.argmin(gaps))]
+    centers, radii = _centers_and_radii(others)
+    gaps = np.linalg.norm(centers - fit.center, axis=1) - radii - fit.radius
+    nearest = others[int(gaps.argmin())]
     unlike = abs(np.median(tones[fit.points]) - np.median(tones[nearest.points]))
     seen = [np.log(len(fit.points)), np.log(fit.coverage), fit.rmse, fit.alignment]
-    return float(1 / (1 + np.exp(-_CREDIBLE_BESIDE @ [*seen, max(min(gaps), 0.0), unlike, 1.0])))
+    return float(1 / (1 + np.exp(-_CREDIBLE_BESIDE @ [*seen, max(gaps.min(), 0.0), unlike, 1.0])))
 
 
 def choose(fits: list[SphereFit], credible: list[float], count: int, least: float) -> list[SphereFit]:
@@ -101,22 +105,22 @@ def choose(fits: list[SphereFit], credible: list[float], count: int, least: floa
         least: How credible a fit must be.
     """
     owned = np.zeros(count, dtype=bool)
-    chosen: list[SphereFit] = []
-    for k in np.argsort(-np.array(credible), kind="stable"):
+    centers, radii = _centers_and_radii(fits)
+    chosen: list[int] = []
+    for k in np.argsort(-np.array(credible), kind="stable").tolist():
         if credible[k] < least:
             break
-        fit = fits[k]
-        own = np.count_nonzero(~owned[fit.points])
-        apart = all(np.linalg.norm(fit.center - other.center) > 0.75 * (fit.radius + other.radius) for other in chosen)
-        if apart and own > 0.6 * len(fit.points):
-            owned[fit.points] = True
-            chosen.append(fit)
-    return sorted(chosen, key=lambda f: tuple(np.round(f.center[[1, 2, 0]], 3)))
+        distance = np.linalg.norm(centers[chosen] - centers[k], axis=1)
+        apart = (distance > 0.75 * (radii[chosen] + radii[k])).all()
+        if apart and np.count_nonzero(~owned[fits[k].points]) > 0.6 * len(fits[k].points):
+            owned[fits[k].points] = True
+            chosen.append(k)
+    return sorted([fits[k] for k in chosen], key=lambda f: tuple(np.round(f.center[[1, 2, 0]], 3)))
 
 
 def group_trusses(fruits: Sequence[Sphere], gap: float) -> npt.NDArray[np.int32]:
     """Truss number (n,) of each fruit: fruits whose skins are less than ``gap`` metres apart hang together."""
-    centers, radii = np.array([f.center for f in fruits]).reshape(-1, 3), np.array([f.radius for f in fruits])
+    centers, radii = _centers_and_radii(fruits)
     distance = np.linalg.norm(centers[:, None] - centers[None], axis=-1) - radii[:, None] - radii[None]
     return np.asarray(connected_components(coo_array(distance < gap), directed=False)[1], dtype=np.int32)
 
@@ -124,3 +128,8 @@ def group_trusses(fruits: Sequence[Sphere], gap: float) -> npt.NDArray[np.int32]
 def ripeness_of(colors: Array) -> float:
     """Ripeness, 0 to 1, from the skin's colors (n, 3): by the median of (R - G) / (R + G), which ignores shading."""
     return float(np.round(np.interp(np.median(redness(colors)), _REDNESS, np.linspace(0, 1, len(_REDNESS))), 3))
+
+
+def _centers_and_radii(spheres: Sequence[Sphere]) -> tuple[Array, Array]:
+    """(n, 3) and (n,)."""
+    return np.array([s.center for s in spheres]).reshape(-1, 3), np.array([s.radius for s in spheres])
