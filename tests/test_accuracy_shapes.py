@@ -19,6 +19,7 @@ from greenhouse_gym.accuracy import (
     coverage,
     cut,
     excess,
+    match_tomatoes,
     moved,
     pool_stems,
     pool_tomatoes,
@@ -224,6 +225,12 @@ def test_a_moved_tomato_is_off_within_a_radius_and_lost_beyond() -> None:
     far = compared([replace(first, center=first.center - [0, 0, 0.031]), *others])
     assert (far.precision, far.recall) == (7 / 8, 7 / 8)
     assert far.truss_right.tolist() == [False, True, True]
+
+
+def test_a_false_tomato_takes_no_other_ones_partner() -> None:
+    true = [tomato(0.0, truss=0), tomato(0.1, truss=0)]
+    matches = match_tomatoes(true, [tomato(0.005, truss=0), tomato(-0.1, truss=0)])  # by distance, 0.1 to 0.005 as well
+    assert (matches.true.tolist(), matches.found.tolist()) == ([0], [0])
 
 
 def test_split_and_joined_trusses_are_wrong() -> None:

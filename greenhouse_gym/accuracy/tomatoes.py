@@ -32,14 +32,17 @@ class Matches(NamedTuple):
 
 
 def match_tomatoes(true: Sequence[Tomato], found: Sequence[Tomato]) -> Matches:
-    """Match tomatoes one to one with the least total distance; pairs farther apart than a true radius do not count."""
+    """Match tomatoes one to one with the least total distance; one without a partner counts as its radius away.
+
+    So no pair farther apart than a true radius is made, nor does any come at the cost of a nearer one.
+    """
     if not true or not found:
         empty = np.zeros(0, dtype=np.int64)
         return Matches(empty, empty, np.zeros(0), np.zeros(0))
     a, b = np.array([t.center for t in true]), np.array([t.center for t in found])
     radii, sizes = np.array([t.radius for t in true]), np.array([t.radius for t in found])
     distance = np.linalg.norm(a[:, None] - b[None], axis=-1)
-    i, j = linear_sum_assignment(np.minimum(distance, 1.0))
+    i, j = linear_sum_assignment(np.minimum(distance - radii[:, None], 0.0))
     close = distance[i, j] < radii[i]
     i, j = i[close], j[close]
     return Matches(i, j, distance[i, j], np.abs(sizes[j] / radii[i] - 1.0))

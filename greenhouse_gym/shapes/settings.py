@@ -17,7 +17,7 @@ class ShapeSettings:
     vote_cell: float = 0.005
     min_score: float = 0.12  # share of a half sphere's points that vote for its center
     shell: float = 0.004  # points this near a sphere belong to it
-    min_confidence: float = 0.2  # of a tomato
+    min_confidence: float = 0.35  # of a tomato
     truss_gap: float = 0.035  # between the skins of neighbours on one truss
     pipe_radii: tuple[float, float] = (0.014, 0.057)  # from 28 mm grow pipes to mains 114 mm across
     pipe_gap: float = 0.05  # hidden part of a pipe that is bridged

@@ -9,44 +9,59 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from greenhouse_gym.geometry import Array
+from greenhouse_gym.geometry import Array, Sphere
 from greenhouse_gym.shapes.settings import ShapeSettings
 
 _ABOVE_PLANE = 1.2  # times the votes a plane gathers in one place a sphere must have
 _MOST_POINTS = 300  # a fit looks at
 _SCALES = (3.0, 3.0, 2.0, 2.0, 1.5, 1.5, 1.0, 1.0)  # of the shell within which points count, iteration by iteration
-_ALIGNED = (0.7, 0.7, 0.7, 0.7, 0.7, 0.7, 0.85, 0.85)  # least cosine between their normals and the sphere's, likewise
 _DIRECTIONS = 100  # a sphere's coverage is counted in
 
 
+class Trust(NamedTuple):
+    """What a fit may rely on.
+
+    Attributes:
+        aligned: Least cosine between the normals of the points that count and the sphere's, iteration by iteration.
+        on: The same for points of the final sphere.
+        radius: Share of the points' weight with which the candidate's radius holds.
+        fewest: Points that make a sphere.
+    """
+
+    aligned: tuple[float, ...]
+    on: float
+    radius: float
+    fewest: int
+
+
+IN_NORMALS = Trust((0.7, 0.7, 0.7, 0.7, 0.7, 0.7, 0.85, 0.85), on=0.7, radius=1e-5, fewest=15)
+"""The normals are right, the size is unknown."""
+
+IN_SIZE = Trust((-0.2,) * len(_SCALES), on=-1.0, radius=1e3, fewest=8)
+"""The size is known, the normals may be wrong."""
+
+
 @dataclass(frozen=True, eq=False)
-class SphereFit:
+class SphereFit(Sphere):
     """A sphere found in a cloud.
 
     Attributes:
-        center: (3,) metres.
-        radius: Metres.
         points: Rows of the cloud that lie on it.
         coverage: Share of its directions in which it was seen.
         rmse: Root mean square distance of its points from it, metres.
         alignment: Mean cosine between their normals and its own.
-        outside: Points just outside it per point on it.
-        share: Points on it, as a share of those that half of it would have.
     """
 
-    center: Array
-    radius: float
     points: npt.NDArray[np.int64]
     coverage: float
     rmse: float
     alignment: float
-    outside: float
-    share: float
 
 
 def vote(points: Array, normals: Array, settings: ShapeSettings) -> Array:
@@ -57,11 +72,11 @@ def vote(points: Array, normals: Array, settings: ShapeSettings) -> Array:
     octaves = max(1, round(np.log2(settings.radii[1] / settings.radii[0])))
     edges = np.geomspace(settings.radii[0], settings.radii[1] + settings.radius_step, octaves + 1)
     return np.concatenate(
-        [_peaks(points, normals, radii[(radii >= a) & (radii < b)], settings) for a, b in pairwise(edges)]
+        [_of_octave(points, normals, radii[(radii >= a) & (radii < b)], settings) for a, b in pairwise(edges)]
     )
 
 
-def _peaks(points: Array, normals: Array, radii: Array, settings: ShapeSettings) -> Array:
+def _of_octave(points: Array, normals: Array, radii: Array, settings: ShapeSettings) -> Array:
     """Candidates (k, 4) of one octave: what nothing near has more votes than."""
     cell = settings.vote_cell
     candidates, shares = [np.zeros((0, 4))], [np.zeros(0)]
@@ -69,17 +84,22 @@ def _peaks(points: Array, normals: Array, radii: Array, settings: ShapeSettings)
         half = 2 * np.pi * radius**2  # square metres
         # a plane's votes fall into one layer of cells
         least = max(settings.min_score, _ABOVE_PLANE * (3 * cell) ** 2 / half)
-        centers, votes = _crowded((points - radius * normals) / cell, least * half / settings.voxel**2)
+        centers, votes = crowded((points - radius * normals) / cell, least * half / settings.voxel**2)
         candidates.append(np.column_stack([centers * cell, np.full(len(centers), radius)]))
         shares.append(votes * settings.voxel**2 / half)
     found, share = np.concatenate(candidates), np.concatenate(shares)
-    pairs = cKDTree(found[:, :3]).query_pairs(max(1.8 * cell, 0.6 * radii[0]), output_type="ndarray")
-    beaten = np.zeros(len(found), dtype=bool)
-    beaten[np.where(share[pairs[:, 0]] < share[pairs[:, 1]], pairs[:, 0], pairs[:, 1])] = True
-    return found[~beaten]
+    return found[peaks(found[:, :3], share, max(1.8 * cell, 0.6 * radii[0]))]
 
 
-def _crowded(positions: Array, least: float) -> tuple[Array, Array]:
+def peaks(positions: Array, votes: Array, reach: float) -> npt.NDArray[np.bool_]:
+    """Which of the positions (n, 3) nothing within reach has more votes (n,) than."""
+    pairs = cKDTree(positions).query_pairs(reach, output_type="ndarray")
+    beaten = np.zeros(len(positions), dtype=bool)
+    beaten[np.where(votes[pairs[:, 0]] < votes[pairs[:, 1]], pairs[:, 0], pairs[:, 1])] = True
+    return ~beaten
+
+
+def crowded(positions: Array, least: float) -> tuple[Array, Array]:
     """Centers (k, 3) of the unit cells in whose neighborhood of 27 at least so many positions (n, 3) lie, and how many.
 
     Only cells that hold their share of the neighborhood themselves are looked at.
@@ -100,39 +120,42 @@ def _crowded(positions: Array, least: float) -> tuple[Array, Array]:
     return centers, votes[crowded].astype(np.float64)
 
 
-def fit_spheres(points: Array, normals: Array, candidates: Array, settings: ShapeSettings) -> list[SphereFit]:
+def fit_spheres(
+    points: Array, normals: Array, candidates: Array, settings: ShapeSettings, trust: Trust = IN_NORMALS
+) -> list[SphereFit]:
     """Refine candidates (k, 4); those that fit nothing are left out."""
     tree = cKDTree(points)
     directions = even_directions(_DIRECTIONS)
     fits = []
     for candidate in candidates:
         near = np.array(tree.query_ball_point(candidate[:3], 1.4 * candidate[3]), dtype=np.int64)
-        refined = _refine(points[near], normals[near], candidate, settings)
+        refined = _refine(points[near], normals[near], candidate, settings, trust)
         if refined is None:
             continue
         near = np.array(tree.query_ball_point(refined[:3], 1.3 * refined[3]), dtype=np.int64)
-        fit = _assess(points, normals, near, refined[:3], float(refined[3]), directions, settings)
+        fit = _assess(points, normals, near, refined[:3], float(refined[3]), directions, settings, trust)
         if fit is not None:
             fits.append(fit)
     return fits
 
 
-def _refine(cloud: Array, normals: Array, candidate: Array, settings: ShapeSettings) -> Array | None:
+def _refine(cloud: Array, normals: Array, candidate: Array, settings: ShapeSettings, trust: Trust) -> Array | None:
     """Gauss-Newton with Tukey weights on ``distance - radius``; points whose normals look away do not count."""
     stride = max(1, len(cloud) // _MOST_POINTS)
     cloud, normals = cloud[::stride], normals[::stride]
     center, radius = candidate[:3], float(candidate[3])
-    for scale, aligned in zip(_SCALES, _ALIGNED, strict=True):
+    for scale, aligned in zip(_SCALES, trust.aligned, strict=True):
         away = cloud - center
         distance = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
         unit = away / distance[:, None]
         residual = distance - radius
         weight = np.clip(1 - (residual / (scale * settings.shell)) ** 2, 0, None) ** 2
         weight *= (unit * normals).sum(axis=1) > aligned
-        if np.count_nonzero(weight) < 15:
+        if np.count_nonzero(weight) < trust.fewest:
             return None
         jacobian = np.column_stack([-unit, -np.ones(len(unit))])
-        normal_matrix = jacobian.T @ (weight[:, None] * jacobian) + 1e-3 * weight.sum() * np.diag([1, 1, 1, 1e-2])
+        damping = weight.sum() * np.diag([1e-3, 1e-3, 1e-3, trust.radius])
+        normal_matrix = jacobian.T @ (weight[:, None] * jacobian) + damping
         step = np.linalg.solve(normal_matrix, -jacobian.T @ (weight * residual))
         center, radius = center + step[:3], radius + float(step[3])
         if not settings.radii[0] * 0.9 <= radius <= settings.radii[1] * 1.1:
@@ -148,16 +171,15 @@ def _assess(
     radius: float,
     directions: Array,
     settings: ShapeSettings,
+    trust: Trust,
 ) -> SphereFit | None:
     away = points[near] - center
     distance = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
     unit, residual = away / distance[:, None], distance - radius
     alignment = (unit * normals[near]).sum(axis=1)
-    on = (np.abs(residual) < settings.shell) & (alignment > 0.7)
-    count = np.count_nonzero(on)
-    if count < 15:
+    on = (np.abs(residual) < settings.shell) & (alignment > trust.on)
+    if np.count_nonzero(on) < trust.fewest:
         return None
-    outside = np.count_nonzero((residual > settings.shell) & (residual < 0.3 * radius))
     return SphereFit(
         center,
         radius,
@@ -165,8 +187,6 @@ def _assess(
         coverage=len(np.unique((unit[on] @ directions.T).argmax(axis=1))) / len(directions),
         rmse=float(np.sqrt(np.mean(residual[on] ** 2))),
         alignment=float(alignment[on].mean()),
-        outside=outside / count,
-        share=count * settings.voxel**2 / (2 * np.pi * radius**2),
     )
 
 
