@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree
 from greenhouse_gym.crop import Stem, StemKind, Tomato
 from greenhouse_gym.geometry import Array, closest_on_segments, distance_to_spheres
 from greenhouse_gym.shapes.evidence import nearest_shapes
-from greenhouse_gym.shapes.polylines import simplified
+from greenhouse_gym.shapes.polylines import fitted
 from greenhouse_gym.shapes.settings import ShapeSettings
 
 Mask = npt.NDArray[np.bool_]
@@ -105,11 +105,10 @@ def _trace(nodes: Array, fruits: list[Tomato], main: list[Stem], settings: Shape
             here = parent[here]
     _cut_weak_bridges(parent, nodes, settings)
     feet[~rooted] = np.nan
-    return [
-        piece
-        for way in _branches(parent, count)
-        for piece in _capsules(way, _places(way, nodes, fruits, feet), count, settings)
-    ]
+    pieces: list[Stem] = []
+    for way in _ways(parent, nodes):
+        pieces += _capsules(_places(way, nodes, fruits, feet, pieces), settings)
+    return pieces
 
 
 def _feet(nodes: Array, main: list[Stem]) -> Array:
@@ -130,15 +129,11 @@ def _edges(
     nodes rooted in it, and to the nearest of each part.
     """
     count = len(nodes)
-    pairs = cKDTree(nodes).query_pairs(settings.path_bridge, output_type="ndarray")
+    pairs = cKDTree(nodes).query_pairs(settings.path_gap, output_type="ndarray")
+    links = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(count, count))
+    part = connected_components(links, directed=False)[1]
+    pairs = np.concatenate([pairs, _bridges(nodes, part, settings)])
     lengths = np.linalg.norm(nodes[pairs[:, 0]] - nodes[pairs[:, 1]], axis=1)
-    near = lengths < settings.path_gap
-    part = connected_components(coo_array((near[near], tuple(pairs[near].T)), shape=(count, count)), directed=False)[1]
-    order = np.argsort(lengths, kind="stable")
-    between = np.sort(part[pairs[order]], axis=1)
-    shortest = order[np.unique(between, axis=0, return_index=True)[1]]
-    near[shortest] |= part[pairs[shortest, 0]] != part[pairs[shortest, 1]]
-    pairs, lengths = pairs[near], lengths[near]
     skin = distance_to_spheres(nodes, np.array([f.center for f in fruits]), [f.radius for f in fruits])
     at, of = np.nonzero(skin < settings.pedicel_reach)
     hop = np.nan_to_num(np.linalg.norm(nodes - feet, axis=1), nan=1.0)
@@ -155,6 +150,17 @@ def _edges(
     return np.concatenate(edges), np.concatenate([lengths * (1 + (lengths / settings.path_step) ** 2), root_costs])
 
 
+def _bridges(nodes: Array, part: Rows, settings: ShapeSettings) -> Rows:
+    """Where parts are nearest to each other (k, 2), for every two that may be one with something in front of it."""
+    small = np.flatnonzero(part != np.bincount(part).argmax())  # one of two parts is not the largest
+    hops = cKDTree(nodes[small]).sparse_distance_matrix(cKDTree(nodes), settings.path_bridge, output_type="coo_matrix")
+    ends, lengths = np.column_stack([small[hops.row], hops.col]), hops.data
+    apart = part[ends[:, 0]] != part[ends[:, 1]]
+    ends = ends[apart][np.argsort(lengths[apart], kind="stable")]
+    between = np.sort(part[ends], axis=1).astype(np.int64) @ [len(nodes), 1]
+    return np.asarray(ends[np.unique(between, return_index=True)[1]])
+
+
 def _cut_weak_bridges(parent: dict[int, int], nodes: Array, settings: ShapeSettings) -> None:
     """Set what lies beyond a wide gap adrift, unless several fruits speak for the bridge."""
     root = len(nodes)
@@ -165,53 +171,56 @@ def _cut_weak_bridges(parent: dict[int, int], nodes: Array, settings: ShapeSetti
             here = parent[here]
     for child, above in parent.items():
         weak = max(child, above) < root and ahead[child] < settings.bridge_fruits
-        if weak and np.linalg.norm(nodes[child] - nodes[above]) >= settings.path_gap:
+        if weak and np.linalg.norm(nodes[child] - nodes[above]) > settings.path_gap:
             parent[child] = root
 
 
-def _branches(parent: dict[int, int], root: int) -> list[list[int]]:
-    """The tree cut at its forks: ways from a fork, or the root, to the next fork or an end."""
-    children: dict[int, list[int]] = {}
-    for child, above in parent.items():
-        children.setdefault(above, []).append(child)
+def _ways(parent: dict[int, int], nodes: Array) -> list[list[int]]:
+    """The tree as ways to its fruits: the longest from the root, each other from where it leaves one before."""
+    root = len(nodes)
     ways = []
-    for fork, below in children.items():
-        if fork != root and len(below) == 1:
-            continue
-        for child in below:
-            way = [fork, child]
-            while len(children.get(way[-1], [])) == 1:
-                way.append(children[way[-1]][0])
-            ways.append(way)
+    for end in [k for k in parent if k > root]:
+        way = [end]
+        while way[-1] != root:
+            way.append(parent[way[-1]])
+        ways.append(way[::-1])
+    ways.sort(key=lambda way: -float(np.linalg.norm(np.diff(nodes[way[1:-1]], axis=0), axis=1).sum()))
+    seen: set[int] = set()
+    for k, way in enumerate(ways):
+        known = sum(place in seen for place in way[1:])
+        seen.update(way)
+        ways[k] = way[known:]
     return ways
 
 
-def _places(way: list[int], nodes: Array, fruits: list[Tomato], feet: Array) -> Array:
-    """Where a way runs (k, 3): smooth, from the main stem's axis if it is rooted there, and to the skin of a fruit."""
-    root = len(nodes)
-    inner = np.array([nodes[k] for k in way if k < root])
-    ends = []
-    if way[0] == root and np.isfinite(feet[way[1]]).all():
+def _places(way: list[int], nodes: Array, fruits: list[Tomato], feet: Array, before: list[Stem]) -> Array:
+    """Where a way runs (k, 3): smooth, to the skin of a fruit, and from what it leaves.
+
+    That is the axis of the main stem if it is rooted there, or of one of the pieces ``before``.
+    """
+    root, fruit = len(nodes), fruits[way[-1] - len(nodes) - 1]
+    inner = nodes[way[1:-1]]
+    if way[0] != root:
+        from_axes = closest_on_segments(
+            nodes[way[:1]], np.array([s.start for s in before]), np.array([s.end for s in before])
+        )[0]
+        inner = np.vstack([from_axes[np.linalg.norm(from_axes - nodes[way[0]], axis=1).argmin()], inner])
+    elif np.isfinite(feet[way[1]]).all():
         inner = np.vstack([feet[way[1]], inner])
-    if way[-1] > root:
-        fruit = fruits[way[-1] - root - 1]
-        away = (inner[-1] if len(inner) else fruit.center + [0.0, 0.0, 1.0]) - fruit.center
-        ends = [fruit.center + fruit.radius * away / np.linalg.norm(away)]
-    smooth = inner.copy()
-    if len(inner) > 2:
-        smooth[1:-1] = ndimage.uniform_filter1d(inner, 7, axis=0, mode="nearest")[1:-1]
-    return np.vstack([smooth, *ends])
+    away = inner[-1] - fruit.center
+    skin = fruit.center + fruit.radius * away / np.linalg.norm(away)
+    inner[1:-1] = ndimage.uniform_filter1d(inner, 7, axis=0, mode="nearest")[1:-1]
+    return np.vstack([inner, skin])
 
 
-def _capsules(way: list[int], places: Array, root: int, settings: ShapeSettings) -> list[Stem]:
-    """A way as few straight pieces; what is left of it before a fruit is its pedicel."""
-    if len(places) < 2:
-        return []
-    knots = simplified(places, settings.axis_tolerance)
+def _capsules(places: Array, settings: ShapeSettings) -> list[Stem]:
+    """A way as few straight pieces; what is left of it before the fruit is its pedicel."""
+    knots = fitted(places, settings.axis_tolerance)
+    knots[[0, -1]] = places[[0, -1]]
     to_end = np.linalg.norm(np.diff(knots[::-1], axis=0), axis=1).cumsum()[::-1]  # from the start of each piece
     pieces = []
     for (a, b), left in zip(pairwise(knots), to_end, strict=True):
-        is_pedicel = way[-1] > root and left < settings.longest_pedicel
+        is_pedicel = left < settings.longest_pedicel
         kind: StemKind = "pedicel" if is_pedicel else "peduncle"
         pieces.append(Stem(a, b, settings.pedicel_radius if is_pedicel else settings.peduncle_radius, kind=kind))
     return pieces

@@ -44,12 +44,12 @@ class ShapeSettings:
     min_path_crowd: int = 4  # itself counted; fewer are noise
     path_gap: float = 0.015  # hidden part of a peduncle that is bridged
     path_bridge: float = 0.060  # likewise where several fruits hang on it
-    bridge_fruits: int = 3
+    bridge_fruits: int = 2
     stem_margin: float = 0.008  # points this near a main stem are its own bumps, no peduncle
     root_reach: float = 0.025  # from a main stem's axis to the first point of a peduncle
     pedicel_reach: float = 0.008  # from the last point of a pedicel to the skin
-    axis_tolerance: float = 0.004  # a chain of capsules may be this far from the traced axis
-    upright_tolerance: float = 0.005  # likewise for main stems and strings
+    axis_tolerance: float = 0.007  # a chain of capsules may be this far from the traced axis
+    upright_tolerance: float = 0.008  # likewise for main stems and strings
     clutter_per_metre: int = 50  # boxes
     clutter_cell: float = 0.005  # boxes are looked for among the cells of this size that hold points
     clutter_facing: float = 0.9  # cosine between the normals of neighbors on one smooth patch
