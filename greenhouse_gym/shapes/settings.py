@@ -50,7 +50,7 @@ class ShapeSettings:
     pedicel_reach: float = 0.008  # from the last point of a pedicel to the skin
     axis_tolerance: float = 0.007  # a chain of capsules may be this far from the traced axis
     upright_tolerance: float = 0.008  # likewise for main stems and strings
-    clutter_per_metre: int = 40  # boxes
+    clutter_per_metre: int = 38  # boxes
     clutter_cell: float = 0.005  # boxes are looked for among the cells of this size that hold points
     clutter_facing: float = 0.9  # cosine between the normals of neighbors on one smooth patch
     clutter_flat: float = 0.006  # cells of one flat patch lie this near its plane
@@ -58,7 +58,7 @@ class ShapeSettings:
     min_patch_cells: int = 30  # smaller patches are no leaves
     clutter_near: float = 0.007  # points this near a box are covered by it
     clutter_gap: float = 0.012  # points farther apart are different things
-    min_lump_cells: int = 30  # fewer are specks, not worth a box
+    min_lump_cells: int = 40  # fewer are specks, not worth a box
     clutter_margin: float = 0.012  # a box's surface farther than this from all of its points is empty
     explained: float = 0.008  # points this near a shape speak for it
 
