@@ -17,6 +17,11 @@ def could_be_fruit_or_stem(colors: Array, settings: ShapeSettings) -> npt.NDArra
     return colorful & (redness(colors) > settings.least_redness)
 
 
+def could_be_peduncle(colors: Array, settings: ShapeSettings) -> npt.NDArray[np.bool_]:
+    """Which colors (n, 3) a peduncle may have: those of stems, but not of ripe fruit; all in a cloud without colors."""
+    return could_be_fruit_or_stem(colors, settings) & (redness(colors) < settings.most_redness)
+
+
 def is_colorless(colors: Array, settings: ShapeSettings) -> npt.NDArray[np.bool_]:
     """Which colors (n, 3) are white, gray or black: those of strings and gutters; none in a cloud without colors."""
     pale = _saturation(colors) <= settings.least_saturation

@@ -13,10 +13,10 @@ from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Box, Shape
 from greenhouse_gym.reconstruction.clouds import Cloud, voxel_means
 from greenhouse_gym.shapes.clutter import cover
-from greenhouse_gym.shapes.colors import could_be_fruit_or_stem, could_be_pipe, is_colorless
+from greenhouse_gym.shapes.colors import could_be_fruit_or_stem, could_be_peduncle, could_be_pipe, is_colorless
 from greenhouse_gym.shapes.evidence import Evidence, nearest_shapes
 from greenhouse_gym.shapes.normals import estimate_normals
-from greenhouse_gym.shapes.peduncles import find_peduncles
+from greenhouse_gym.shapes.peduncles import find_peduncles, stands_out
 from greenhouse_gym.shapes.pipes import find_pipes
 from greenhouse_gym.shapes.settings import ShapeSettings
 from greenhouse_gym.shapes.stems import find_main_stems, find_strings
@@ -80,6 +80,8 @@ def extract_shapes(
     pipes = find_pipes(cloud.select(could_be_pipe(cloud.colors, settings)), settings)
     cloud = _without(cloud, pipes, settings.shell)
     tomatoes, confidence = find_tomatoes(cloud.points, cloud.normals, cloud.colors, settings)
+    green = cloud.select(could_be_peduncle(cloud.colors, settings))
+    green = green.select(stands_out(green.points, green.normals, tomatoes, settings))
     cloud = _without(cloud, tomatoes, settings.shell)
     woody, pale = (cloud.select(looks(cloud.colors, settings)) for looks in (could_be_fruit_or_stem, is_colorless))
     upright = (
@@ -87,8 +89,8 @@ def extract_shapes(
         *find_strings(pale.points, pale.normals, settings),
     )
     main = [stem for stem in upright if stem.kind == "main"]
-    woody = _without(woody, main, settings.stem_margin)
-    thin = find_peduncles(woody.points, woody.normals, tomatoes, main, settings)
+    green = _without(green, main, settings.stem_margin)
+    thin = find_peduncles(green.points, green.normals, tomatoes, main, settings)
     stems = (*upright, *thin, *pipes)
     cloud = _without(_without(cloud, upright, settings.stem_margin), thin, settings.shell)
     budget = round(settings.clutter_per_metre * float(np.ptp(cloud.points[:, 1]))) if len(cloud) else 0

@@ -1,9 +1,10 @@
 """Peduncles and pedicels: the shortest ways through thin green points from the main stem to each fruit of a truss.
 
-What holds a fruit is known before it is seen: a peduncle leaves the main stem and branches into one pedicel per fruit.
-So each truss is a tree that spans its fruits and the stem, and gaps where something hides it are bridged by the tree
-itself: fruits are joined one after the other to what is there already by the shortest path, long hops costing
-more than their length (the shortest-path heuristic for Steiner trees, Takahashi and Matsuyama 1980).
+What holds a fruit is known before it is seen: a peduncle leaves the main stem, above the middle of the fruits that hang
+on it, and branches into one pedicel per fruit. So each truss is a tree that spans its fruits and the stem, and gaps
+where something hides it are bridged by the tree itself: fruits are joined one after the other to what is there already
+by the shortest path, long hops costing more than their length (the shortest-path heuristic for Steiner trees, Takahashi
+and Matsuyama 1980).
 """
 
 from __future__ import annotations
@@ -19,11 +20,26 @@ from scipy.spatial import cKDTree
 
 from greenhouse_gym.crop import Stem, StemKind, Tomato
 from greenhouse_gym.geometry import Array, closest_on_segments, distance_to_spheres
-from greenhouse_gym.shapes.polylines import simplified
+from greenhouse_gym.shapes.evidence import nearest_shapes
+from greenhouse_gym.shapes.polylines import fitted
 from greenhouse_gym.shapes.settings import ShapeSettings
 
-_FREE = 1e-3  # of its cost is left of an edge that belongs to the tree
-_ADRIFT = 10.0  # times its length a hop costs that is no stem: from the main stem to what hangs on nothing
+Mask = npt.NDArray[np.bool_]
+Rows = npt.NDArray[np.int64]
+
+_KEPT = 0.5  # of its cost is left of an edge that belongs to the tree
+_ADRIFT = 100.0  # times its length a hop costs that is no stem: from the main stem to what hangs on nothing
+
+
+def stands_out(points: Array, normals: Array, tomatoes: tuple[Tomato, ...], settings: ShapeSettings) -> Mask:
+    """Which points (n, 3) with normals (n, 3) are no skin of a tomato; a stem on it is off the sphere and turned."""
+    skin = nearest_shapes(points, tomatoes, settings.shell)
+    on = np.flatnonzero(skin.owner >= 0)
+    outwards = points[on] - np.array([t.center for t in tomatoes]).reshape(-1, 3)[skin.owner[on]]
+    aligned = (outwards * normals[on]).sum(axis=1) > settings.skin_alignment * np.linalg.norm(outwards, axis=1)
+    free = skin.owner < 0
+    free[on] = ~aligned & (skin.residual[on] > settings.skin_noise)
+    return free
 
 
 def find_peduncles(
@@ -32,7 +48,7 @@ def find_peduncles(
     """Trace what holds the fruits.
 
     Args:
-        points: (n, 3) what is neither tomato nor main stem nor leaf, metres.
+        points: (n, 3) what is green and neither tomato nor main stem nor leaf, metres.
         normals: (n, 3) unit vectors.
         tomatoes: The fruits, with the trusses they hang on.
         main: The main stems.
@@ -45,6 +61,8 @@ def find_peduncles(
         return []
     # only the near side is seen; the axis lies behind it
     nodes = _thinned(points - settings.peduncle_radius * normals, settings.path_step)
+    crowd = cKDTree(nodes).query_ball_point(nodes, settings.path_crowd, return_length=True)
+    nodes = nodes[crowd >= settings.min_path_crowd]
     tree = cKDTree(nodes)
     stems: list[Stem] = []
     for truss in sorted({t.truss for t in tomatoes}):
@@ -66,11 +84,10 @@ def _thinned(points: Array, step: float) -> Array:
 def _trace(nodes: Array, fruits: list[Tomato], main: list[Stem], settings: ShapeSettings) -> list[Stem]:
     """The tree of one truss: node n is the main stem, node n + 1 + k the k-th fruit."""
     count = len(nodes)
-    edges, costs = _edges(nodes, fruits, settings)
     feet = _feet(nodes, main)
-    roots, root_costs = _root_edges(nodes, feet, edges[(edges < count).all(axis=1)], settings)
-    edges = np.concatenate([edges, np.column_stack([np.full(len(roots), count), roots])])
-    costs = np.concatenate([costs, root_costs])
+    rooted = np.linalg.norm(nodes - feet, axis=1) < settings.root_reach
+    rooted &= feet[:, 2] > np.mean([f.center[2] for f in fruits])
+    edges, costs = _edges(nodes, fruits, feet, rooted, settings)
     edge_of = {(int(a), int(b)): k for k, (a, b) in enumerate(edges)}
     size = count + 1 + len(fruits)
     parent: dict[int, int] = {}
@@ -84,24 +101,14 @@ def _trace(nodes: Array, fruits: list[Tomato], main: list[Stem], settings: Shape
         waiting.remove(here)
         while here != count and here not in parent:
             parent[here] = int(before[here])
-            costs[edge_of[parent[here], here]] *= _FREE
+            costs[edge_of[parent[here], here]] *= _KEPT
             here = parent[here]
-    return [
-        piece
-        for way in _branches(parent, count)
-        for piece in _capsules(way, _places(way, nodes, fruits, feet, settings), count, settings)
-    ]
-
-
-def _edges(nodes: Array, fruits: list[Tomato], settings: ShapeSettings) -> tuple[npt.NDArray[np.int64], Array]:
-    """Edges (m, 2) between near nodes both ways and from nodes to fruits, and their costs (m,)."""
-    pairs = cKDTree(nodes).query_pairs(settings.path_gap, output_type="ndarray")
-    lengths = np.linalg.norm(nodes[pairs[:, 0]] - nodes[pairs[:, 1]], axis=1)
-    skin = distance_to_spheres(nodes, np.array([f.center for f in fruits]), [f.radius for f in fruits])
-    at, of = np.nonzero(skin < settings.pedicel_reach)
-    edges = np.concatenate([pairs, pairs[:, ::-1], np.column_stack([at, len(nodes) + 1 + of])])
-    lengths = np.concatenate([lengths, lengths, np.maximum(skin[at, of], 1e-3)])
-    return edges, lengths * (1 + (lengths / settings.path_step) ** 2)
+    _cut_weak_bridges(parent, nodes, settings)
+    feet[~rooted] = np.nan
+    pieces: list[Stem] = []
+    for way in _ways(parent, nodes):
+        pieces += _capsules(_places(way, nodes, fruits, feet, pieces), settings)
+    return pieces
 
 
 def _feet(nodes: Array, main: list[Stem]) -> Array:
@@ -113,62 +120,107 @@ def _feet(nodes: Array, main: list[Stem]) -> Array:
     return np.asarray(on_axes[np.arange(len(nodes)), nearest])
 
 
-def _root_edges(
-    nodes: Array, feet: Array, edges: npt.NDArray[np.int64], settings: ShapeSettings
-) -> tuple[npt.NDArray[np.int64], Array]:
-    """Nodes (k,) that the main stem leads to, and what that costs (k,): those near it, and one of every loose part."""
+def _edges(
+    nodes: Array, fruits: list[Tomato], feet: Array, rooted: Mask, settings: ShapeSettings
+) -> tuple[Rows, Array]:
+    """Edges (m, 2) and their costs (m,): between nodes both ways, from nodes to fruits and from the main stem to nodes.
+
+    Near nodes are joined, and parts of what they make by the shortest hop between each two. The main stem leads to all
+    nodes rooted in it, and to the nearest of each part.
+    """
+    count = len(nodes)
+    pairs = cKDTree(nodes).query_pairs(settings.path_gap, output_type="ndarray")
+    links = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(count, count))
+    part = connected_components(links, directed=False)[1]
+    pairs = np.concatenate([pairs, _bridges(nodes, part, settings)])
+    lengths = np.linalg.norm(nodes[pairs[:, 0]] - nodes[pairs[:, 1]], axis=1)
+    skin = distance_to_spheres(nodes, np.array([f.center for f in fruits]), [f.radius for f in fruits])
+    at, of = np.nonzero(skin < settings.pedicel_reach)
     hop = np.nan_to_num(np.linalg.norm(nodes - feet, axis=1), nan=1.0)
-    part = connected_components(coo_array((np.ones(len(edges)), tuple(edges.T)), shape=(len(nodes),) * 2))[1]
     order = np.argsort(hop, kind="stable")
-    first = order[np.unique(part[order], return_index=True)[1]]
-    rooted = np.union1d(np.flatnonzero(hop < settings.root_reach), first)
-    costs = np.where(hop < settings.root_reach, hop * (1 + hop / settings.path_step), _ADRIFT * (1 + hop))
-    return rooted, costs[rooted]
+    roots = np.union1d(np.flatnonzero(rooted), order[np.unique(part[order], return_index=True)[1]])
+    root_costs = np.where(rooted, hop * (1 + hop / settings.path_step), _ADRIFT * (1 + hop))[roots]
+    lengths = np.concatenate([lengths, lengths, np.maximum(skin[at, of], 1e-3)])
+    edges = [
+        pairs,
+        pairs[:, ::-1],
+        np.column_stack([at, count + 1 + of]),
+        np.column_stack([np.full_like(roots, count), roots]),
+    ]
+    return np.concatenate(edges), np.concatenate([lengths * (1 + (lengths / settings.path_step) ** 2), root_costs])
 
 
-def _branches(parent: dict[int, int], root: int) -> list[list[int]]:
-    """The tree cut at its forks: ways from a fork, or the root, to the next fork or an end."""
-    children: dict[int, list[int]] = {}
+def _bridges(nodes: Array, part: Rows, settings: ShapeSettings) -> Rows:
+    """Where parts are nearest to each other (k, 2), for every two that may be one with something in front of it."""
+    small = np.flatnonzero(part != np.bincount(part).argmax())  # one of two parts is not the largest
+    hops = cKDTree(nodes[small]).sparse_distance_matrix(cKDTree(nodes), settings.path_bridge, output_type="coo_matrix")
+    ends, lengths = np.column_stack([small[hops.row], hops.col]), hops.data
+    apart = part[ends[:, 0]] != part[ends[:, 1]]
+    ends = ends[apart][np.argsort(lengths[apart], kind="stable")]
+    between = np.sort(part[ends], axis=1).astype(np.int64) @ [len(nodes), 1]
+    return np.asarray(ends[np.unique(between, return_index=True)[1]])
+
+
+def _cut_weak_bridges(parent: dict[int, int], nodes: Array, settings: ShapeSettings) -> None:
+    """Set what lies beyond a wide gap adrift, unless several fruits speak for the bridge."""
+    root = len(nodes)
+    ahead = dict.fromkeys(parent, 0)
+    for here in [k for k in parent if k > root]:
+        while here != root:
+            ahead[here] += 1
+            here = parent[here]
     for child, above in parent.items():
-        children.setdefault(above, []).append(child)
+        weak = max(child, above) < root and ahead[child] < settings.bridge_fruits
+        if weak and np.linalg.norm(nodes[child] - nodes[above]) > settings.path_gap:
+            parent[child] = root
+
+
+def _ways(parent: dict[int, int], nodes: Array) -> list[list[int]]:
+    """The tree as ways to its fruits: the longest from the root, each other from where it leaves one before."""
+    root = len(nodes)
     ways = []
-    for fork, below in children.items():
-        if fork != root and len(below) == 1:
-            continue
-        for child in below:
-            way = [fork, child]
-            while len(children.get(way[-1], [])) == 1:
-                way.append(children[way[-1]][0])
-            ways.append(way)
+    for end in [k for k in parent if k > root]:
+        way = [end]
+        while way[-1] != root:
+            way.append(parent[way[-1]])
+        ways.append(way[::-1])
+    ways.sort(key=lambda way: -float(np.linalg.norm(np.diff(nodes[way[1:-1]], axis=0), axis=1).sum()))
+    seen: set[int] = set()
+    for k, way in enumerate(ways):
+        known = sum(place in seen for place in way[1:])
+        seen.update(way)
+        ways[k] = way[known:]
     return ways
 
 
-def _places(way: list[int], nodes: Array, fruits: list[Tomato], feet: Array, settings: ShapeSettings) -> Array:
-    """Where a way runs (k, 3): smooth, from the main stem's axis if it is near, and to the skin of a fruit."""
-    root = len(nodes)
-    inner = np.array([nodes[k] for k in way if k < root])
-    ends = []
-    if way[0] == root and np.linalg.norm(feet[way[1]] - nodes[way[1]]) < settings.root_reach:
+def _places(way: list[int], nodes: Array, fruits: list[Tomato], feet: Array, before: list[Stem]) -> Array:
+    """Where a way runs (k, 3): smooth, to the skin of a fruit, and from what it leaves.
+
+    That is the axis of the main stem if it is rooted there, or of one of the pieces ``before``.
+    """
+    root, fruit = len(nodes), fruits[way[-1] - len(nodes) - 1]
+    inner = nodes[way[1:-1]]
+    if way[0] != root:
+        from_axes = closest_on_segments(
+            nodes[way[:1]], np.array([s.start for s in before]), np.array([s.end for s in before])
+        )[0]
+        inner = np.vstack([from_axes[np.linalg.norm(from_axes - nodes[way[0]], axis=1).argmin()], inner])
+    elif np.isfinite(feet[way[1]]).all():
         inner = np.vstack([feet[way[1]], inner])
-    if way[-1] > root:
-        fruit = fruits[way[-1] - root - 1]
-        away = (inner[-1] if len(inner) else fruit.center + [0.0, 0.0, 1.0]) - fruit.center
-        ends = [fruit.center + fruit.radius * away / np.linalg.norm(away)]
-    smooth = inner.copy()
-    if len(inner) > 2:
-        smooth[1:-1] = ndimage.uniform_filter1d(inner, 5, axis=0, mode="nearest")[1:-1]
-    return np.vstack([smooth, *ends])
+    away = inner[-1] - fruit.center
+    skin = fruit.center + fruit.radius * away / np.linalg.norm(away)
+    inner[1:-1] = ndimage.uniform_filter1d(inner, 7, axis=0, mode="nearest")[1:-1]
+    return np.vstack([inner, skin])
 
 
-def _capsules(way: list[int], places: Array, root: int, settings: ShapeSettings) -> list[Stem]:
-    """A way as few straight pieces; what is left of it before a fruit is its pedicel."""
-    if len(places) < 2:
-        return []
-    knots = simplified(places, settings.axis_tolerance)
+def _capsules(places: Array, settings: ShapeSettings) -> list[Stem]:
+    """A way as few straight pieces; what is left of it before the fruit is its pedicel."""
+    knots = fitted(places, settings.axis_tolerance)
+    knots[[0, -1]] = places[[0, -1]]
     to_end = np.linalg.norm(np.diff(knots[::-1], axis=0), axis=1).cumsum()[::-1]  # from the start of each piece
     pieces = []
     for (a, b), left in zip(pairwise(knots), to_end, strict=True):
-        is_pedicel = way[-1] > root and left < settings.longest_pedicel
+        is_pedicel = left < settings.longest_pedicel
         kind: StemKind = "pedicel" if is_pedicel else "peduncle"
         pieces.append(Stem(a, b, settings.pedicel_radius if is_pedicel else settings.peduncle_radius, kind=kind))
     return pieces

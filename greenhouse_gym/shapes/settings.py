@@ -11,12 +11,15 @@ class ShapeSettings:
 
     voxel: float = 0.003  # the cloud is thinned out to this first
     least_redness: float = -0.24  # (R - G) / (R + G) of fruit and stems; leaves are bluer, about -0.35
+    most_redness: float = 0.1  # of peduncles, which stay green
     least_saturation: float = 0.15  # of fruit and stems; gutters and strings are white
     radii: tuple[float, float] = (0.012, 0.050)  # of tomatoes
     radius_step: float = 0.003
     vote_cell: float = 0.005
     min_score: float = 0.12  # share of a half sphere's points that vote for its center
     shell: float = 0.004  # points this near a sphere belong to it
+    skin_noise: float = 0.0015  # but a stem's may stand out this far
+    skin_alignment: float = 0.8  # and the cosine between their normals and the sphere's is smaller
     min_confidence: float = 0.35  # of a tomato
     truss_gap: float = 0.035  # between the skins of neighbours on one truss
     pipe_radii: tuple[float, float] = (0.014, 0.057)  # from 28 mm grow pipes to mains 114 mm across
@@ -36,14 +39,18 @@ class ShapeSettings:
     pedicel_radius: float = 0.0013
     longest_pedicel: float = 0.030
     truss_reach: float = 0.12  # from the center of a fruit, where what holds it is looked for
-    path_step: float = 0.004  # peduncles are traced from point to point this far apart
+    path_step: float = 0.003  # peduncles are traced from point to point this far apart
+    path_crowd: float = 0.010  # within this distance of a point of a peduncle there are others
+    min_path_crowd: int = 4  # itself counted; fewer are noise
     path_gap: float = 0.015  # hidden part of a peduncle that is bridged
+    path_bridge: float = 0.060  # likewise where several fruits hang on it
+    bridge_fruits: int = 2
     stem_margin: float = 0.008  # points this near a main stem are its own bumps, no peduncle
     root_reach: float = 0.025  # from a main stem's axis to the first point of a peduncle
     pedicel_reach: float = 0.008  # from the last point of a pedicel to the skin
-    axis_tolerance: float = 0.003  # a chain of capsules may be this far from the traced axis
-    upright_tolerance: float = 0.005  # likewise for main stems and strings
-    clutter_per_metre: int = 50  # boxes
+    axis_tolerance: float = 0.007  # a chain of capsules may be this far from the traced axis
+    upright_tolerance: float = 0.008  # likewise for main stems and strings
+    clutter_per_metre: int = 38  # boxes
     clutter_cell: float = 0.005  # boxes are looked for among the cells of this size that hold points
     clutter_facing: float = 0.9  # cosine between the normals of neighbors on one smooth patch
     clutter_flat: float = 0.006  # cells of one flat patch lie this near its plane
@@ -51,12 +58,17 @@ class ShapeSettings:
     min_patch_cells: int = 30  # smaller patches are no leaves
     clutter_near: float = 0.007  # points this near a box are covered by it
     clutter_gap: float = 0.012  # points farther apart are different things
-    min_lump_cells: int = 8  # fewer are noise
+    min_lump_cells: int = 40  # fewer are specks, not worth a box
     clutter_margin: float = 0.012  # a box's surface farther than this from all of its points is empty
     explained: float = 0.008  # points this near a shape speak for it
 
 
 FINE_SHAPES = ShapeSettings(
-    clutter_per_metre=250, clutter_flat=0.002, clutter_margin=0.008, axis_tolerance=0.0015, upright_tolerance=0.002
+    clutter_per_metre=250,
+    min_lump_cells=8,
+    clutter_flat=0.002,
+    clutter_margin=0.008,
+    axis_tolerance=0.0015,
+    upright_tolerance=0.002,
 )
 """Finer shapes than the default: bent leaves in small flat pieces, more and shorter capsules; for larger scenes."""

@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from greenhouse_gym.crop import Stem, StemKind
 from greenhouse_gym.geometry import Array, distance_to_capsules
-from greenhouse_gym.shapes.polylines import simplified
+from greenhouse_gym.shapes.polylines import fitted
 from greenhouse_gym.shapes.settings import ShapeSettings
 
 _BESIDE_STEM = 0.014  # metres by which a disc may be wider: a string beside the stem, and noise
@@ -183,7 +183,7 @@ def _axis(chain: list[Disc], sections: list[tuple[Array, Array]], radius: float,
     straight = line[0] + height[:, None] * line[1]
     smooth = ndimage.median_filter(middles - straight, size=(3, 1), mode="nearest")
     smooth = ndimage.uniform_filter1d(smooth, 3, axis=0, mode="nearest")
-    return simplified(np.column_stack([straight + smooth, height]), settings.upright_tolerance)
+    return fitted(np.column_stack([straight + smooth, height]), settings.upright_tolerance)
 
 
 def _beside(point: Array, axis: Array) -> float:

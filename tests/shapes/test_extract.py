@@ -13,10 +13,10 @@ from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Sphere, distance_to_shapes, invert, transform
 from greenhouse_gym.shapes import FINE_SHAPES, RowShapes, ShapeSettings, extract_shapes
 from greenhouse_gym.shapes.clutter import bounding_box, cover
-from greenhouse_gym.shapes.colors import could_be_fruit_or_stem
+from greenhouse_gym.shapes.colors import could_be_fruit_or_stem, could_be_peduncle
 from greenhouse_gym.shapes.evidence import nearest_shapes
-from greenhouse_gym.shapes.peduncles import find_peduncles
-from greenhouse_gym.shapes.polylines import simplified
+from greenhouse_gym.shapes.peduncles import find_peduncles, stands_out
+from greenhouse_gym.shapes.polylines import fitted, kept_rows
 from greenhouse_gym.shapes.tomatoes import group_trusses, ripeness_of
 
 SETTINGS = ShapeSettings()
@@ -210,15 +210,73 @@ def test_a_truss_without_a_main_stem_is_traced_all_the_same() -> None:
     assert sum(stem.length for stem in stems) > 0.04  # from fruit to fruit, for nothing tells where the rest leads
 
 
+@pytest.mark.parametrize("count", [1, 2])
+def test_only_several_fruits_make_a_bridge_over_a_wide_gap(count: int) -> None:
+    fruits, main, points = truss_of_two()
+    seen = points[np.abs(points[:, 0] - 0.46) > 0.015]  # three centimetres of the peduncle are hidden
+    stems = find_peduncles(seen, np.zeros_like(points[: len(seen)]), fruits[:count], main, SETTINGS)
+    hidden = points[np.abs(points[:, 0] - 0.46) < 0.01]
+    assert (distance_to_shapes(hidden, stems).min(axis=1).max() < 0.004) == (count == 2)
+
+
+def test_a_truss_hangs_from_above_its_middle() -> None:
+    fruits, main, points = truss_of_two()
+    below = np.linspace([0.492, 0.2, 0.94], [0.42, 0.2, 0.98], 60)  # a leaf's stalk, nearer to the stem's axis
+    near = np.linspace([0.42, 0.2, 0.98], [0.42, 0.2, 1.03], 40)
+    stems = find_peduncles(np.concatenate([points, below, near]), np.zeros((280, 3)), fruits, main, SETTINGS)
+    at_stem = [s for s in stems if distance_to_shapes(s.start[None], main).min() < 0.0]
+    assert len(at_stem) == 1
+    assert at_stem[0].start[2] > 1.04
+
+
+def test_lone_points_are_no_pedicels() -> None:
+    fruits, main, _ = truss_of_two()
+    lone = np.array([[0.42, 0.2, 1.0], [0.42, 0.201, 1.03], [0.45, 0.2, 1.03], [0.47, 0.2, 1.04]])
+    assert find_peduncles(lone, np.zeros_like(lone), fruits, main, SETTINGS) == []
+
+
+def test_a_stem_on_the_skin_stands_out() -> None:
+    ball = Tomato([0.5, 0.0, 1.0], 0.03, 0)
+    skin, _, outwards = half_sphere((0.5, 0.0, 1.0), 0.03)
+    assert not stands_out(skin, outwards, (ball,), SETTINGS).any()
+    t = np.linspace(-0.02, 0.02, 30)
+    stem = np.column_stack([np.full(30, 0.5 - 0.033), t, np.full(30, 1.0)])  # its upper edge
+    assert stands_out(stem, np.tile([0.0, 0.0, 1.0], (30, 1)), (ball,), SETTINGS).all()
+    assert stands_out(stem, np.tile([0.0, 0.0, 1.0], (30, 1)), (), SETTINGS).all()
+
+
+def test_ripe_skin_is_no_peduncle_and_gray_may_be() -> None:
+    colors = np.array([RIPENESS_COLORS[-1], [0.45, 0.6, 0.3]])
+    np.testing.assert_array_equal(could_be_peduncle(colors, SETTINGS), [False, True])
+    assert could_be_peduncle(np.full((4, 3), 0.5), SETTINGS).all()
+
+
 @pytest.mark.parametrize("tolerance", [0.001, 0.01])
-def test_a_simplified_line_stays_near_the_line(tolerance: float) -> None:
+def test_few_points_of_a_line_stay_near_the_line(tolerance: float) -> None:
+    line = wave()
+    rows = kept_rows(line, tolerance)
+    assert 2 < len(rows) < 60
+    assert (rows[0], rows[-1]) == (0, len(line) - 1)
+    assert off(line, line[rows]).max() <= tolerance
+
+
+@pytest.mark.parametrize("tolerance", [0.001, 0.01])
+def test_fitted_points_are_nearer_in_the_mean(tolerance: float) -> None:
+    line = wave()
+    few, own = fitted(line, tolerance), line[kept_rows(line, tolerance)]
+    assert len(few) == len(own)
+    assert np.mean(off(line, few) ** 2) < 0.7 * np.mean(off(line, own) ** 2)
+    np.testing.assert_allclose(fitted(line[[0, 70]], tolerance), line[[0, 70]], atol=1e-12)
+
+
+def wave() -> np.ndarray:
     t = np.linspace(0, 3, 200)
-    line = np.column_stack([0.1 * t, 0.02 * np.sin(3 * t), np.zeros(200)])
-    few = simplified(line, tolerance)
-    assert 2 < len(few) < 60
-    np.testing.assert_array_equal(few[[0, -1]], line[[0, -1]])
-    capsules = [Stem(a, b, 1e-9, "main") for a, b in itertools.pairwise(few)]
-    assert distance_to_shapes(line, capsules).min(axis=1).max() <= tolerance
+    return np.column_stack([0.1 * t, 0.02 * np.sin(3 * t), np.zeros(200)])
+
+
+def off(line: np.ndarray, few: np.ndarray) -> np.ndarray:
+    """Distance of a line's points from a chain of straight pieces."""
+    return distance_to_shapes(line, [Stem(a, b, 1e-9, "main") for a, b in itertools.pairwise(few)]).min(axis=1)
 
 
 # -- evidence ---------------------------------------------------------------------------------------------------------
