@@ -20,7 +20,7 @@ class ShapeSettings:
     shell: float = 0.004  # points this near a sphere belong to it
     skin_noise: float = 0.0015  # but a stem's may stand out this far
     skin_alignment: float = 0.8  # and the cosine between their normals and the sphere's is smaller
-    min_confidence: float = 0.35  # of a tomato
+    min_confidence: float = 0.25  # of a tomato
     truss_gap: float = 0.035  # between the skins of neighbours on one truss
     pipe_radii: tuple[float, float] = (0.014, 0.057)  # from 28 mm grow pipes to mains 114 mm across
     pipe_gap: float = 0.05  # hidden part of a pipe that is bridged
