@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 from greenhouse_gym.errors import MissingDependencyError
@@ -29,8 +29,8 @@ class SacSettings:
         bank: Name or folder of the scene bank; its training split is trained on.
         robot: The arm.
         difficulty: Difficulties of the targets.
-        reward: "dense" or "sparse". With the sparse one a crash costs what a success pays, and as long as exploring
-            crashes often, standing still is best.
+        reward: "dense" or "sparse". With the sparse one a crash costs what a success pays, so that arms which still
+            crash often had better keep away from the plants; it learned little.
         num_envs: Simulations.
         updates_per_step: Gradient steps per step of all simulations.
         batch_size: Transitions per gradient step.
@@ -58,7 +58,7 @@ class SacSettings:
     discount: float = 0.97
     target_rate: float = 0.02
     entropy_coefficient: float = 0.05
-    hindsight_goals: int = 1
+    hindsight_goals: int = 2
     memory: int = 400_000
     random_steps: int = 6_600
     hidden: tuple[int, ...] = (256, 256)
@@ -131,7 +131,7 @@ def train_sac(
         minutes: Of processor time, after which it stops earlier.
         every: Steps from one judgement to the next.
         episodes: Per judgement and split; the same ones each time.
-        tell: Gets each judgement as it is made.
+        tell: Gets each judgement at once.
 
     Returns:
         The Stable-Baselines3 model and the judgements.
@@ -146,11 +146,8 @@ def train_sac(
 
 
 def _env_options(settings: SacSettings) -> dict[str, Any]:
-    chosen = {name: value for name, value in asdict(settings).items() if name in _OF_ENV}
-    return {"observation": "goal", **chosen}
-
-
-_OF_ENV = ("bank", "robot", "difficulty", "reward", "threads")
+    shared = ("bank", "robot", "difficulty", "reward", "threads")
+    return {"observation": "goal", **{name: getattr(settings, name) for name in shared}}
 
 
 class _Report(BaseCallback):  # type: ignore[misc]
