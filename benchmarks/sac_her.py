@@ -23,7 +23,7 @@ from greenhouse_gym.learning.sac import SacProgress, SacSettings, train_sac
 def main() -> None:
     """Train, play at random, write the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--minutes", type=float, default=15.0)
+    parser.add_argument("--minutes", type=float, default=16.0)
     parser.add_argument("--every", type=int, default=20_000)
     parser.add_argument("--episodes", type=int, default=256)
     parser.add_argument("--seed", type=int, default=0)

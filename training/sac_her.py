@@ -1,6 +1,6 @@
 """Train SAC with hindsight experience replay on the goal environment and tell how it gets on.
 
-python training/sac_her.py --bank mini --minutes 15
+python training/sac_her.py --bank mini --minutes 16
 
 Prints, every so many steps, the shares of success and collision over episodes of the training and the test split, with
 the processor time spent so far; at last those of random actions. It stops after so many minutes of processor time.
@@ -23,7 +23,7 @@ def main() -> None:
     parser.add_argument("--difficulty", nargs="+", default=SacSettings.difficulty)
     parser.add_argument("--reward", default=SacSettings.reward)
     parser.add_argument("--steps", type=int, default=1_000_000)
-    parser.add_argument("--minutes", type=float, default=15.0)
+    parser.add_argument("--minutes", type=float, default=16.0)
     parser.add_argument("--every", type=int, default=20_000)
     parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--seed", type=int, default=SacSettings.seed)
