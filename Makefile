@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 EXTRAS := reconstruct,plan,train,viz,dev
 # the last two need real recordings, in the folder that GREENHOUSE_GYM_REAL_DATA names
-BENCHMARKS := reconstruction shapes planners throughput paper_figures $(if $(GREENHOUSE_GYM_REAL_DATA),orbit shapes_real)
+BENCHMARKS := reconstruction shapes planners throughput sac_her paper_figures $(if $(GREENHOUSE_GYM_REAL_DATA),orbit shapes_real)
 
 .PHONY: demo test test-ompl-2 lint bench clean
 

@@ -8,16 +8,22 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
+from greenhouse_gym.envs.observations import Layout
+from greenhouse_gym.envs.reach_task import SUCCESS_RADIUS, lengths
 from greenhouse_gym.errors import MissingDependencyError
 
 try:
     import torch
     from stable_baselines3 import HerReplayBuffer
     from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+
+    from greenhouse_gym.integrations.sb3_features import ScaledObservation
 except ImportError as error:  # pragma: no cover - depends on the installation
     raise MissingDependencyError("stable-baselines3", "train") from error
 
 _JUDGED_BY = ("collision", "steps", "previous_goal", "effort", "TimeLimit.truncated")
+_GOAL_FEATURES = 18
+_DRAWS = 4
 
 
 class _Kept(dict[str, Any]):
@@ -31,7 +37,9 @@ class GoalReplayBuffer(HerReplayBuffer):  # type: ignore[misc]
     """Hindsight replay (Andrychowicz et al., 2017) in which a transition that reaches its new goal ends the episode.
 
     Stable-Baselines3 keeps the old ends when it puts in new goals, so that reaching a goal pays again and again in
-    hindsight, and once in reality. Of the infos, only what rewards and ends are judged by is kept.
+    hindsight, and once in reality. Goals at which a transition would begin are drawn anew a few times, since in reality
+    the episode is over there; an arm that hardly moves would learn from little else. Of the infos, only what rewards
+    and ends are judged by is kept.
     """
 
     def __init__(self, *arguments: Any, **keywords: Any):
@@ -50,6 +58,18 @@ class GoalReplayBuffer(HerReplayBuffer):  # type: ignore[misc]
         kept: list[dict[str, Any]] = [_Kept((key, info[key]) for key in _JUDGED_BY if key in info) for info in infos]
         super().add(obs, next_obs, action, reward, done, kept)
 
+    def _sample_goals(
+        self, batch_indices: npt.NDArray[np.int64], env_indices: npt.NDArray[np.int64]
+    ) -> npt.NDArray[np.float64]:
+        goals = super()._sample_goals(batch_indices, env_indices)
+        here = self.observations["achieved_goal"][batch_indices, env_indices]
+        for _ in range(_DRAWS - 1):
+            again = np.flatnonzero(lengths(goals - here) < SUCCESS_RADIUS)
+            if not len(again):
+                break
+            goals[again] = super()._sample_goals(batch_indices[again], env_indices[again])
+        return goals
+
     def _get_virtual_samples(
         self, batch_indices: npt.NDArray[np.int64], env_indices: npt.NDArray[np.int64], env: Any = None
     ) -> Any:
@@ -65,17 +85,46 @@ class GoalReplayBuffer(HerReplayBuffer):  # type: ignore[misc]
 
 
 class GoalFeatures(BaseFeaturesExtractor):  # type: ignore[misc]
-    """Scaled observation, both goals, and the way from one to the other in decimetres, which decides at the end."""
+    """Scaled observation, both goals, and how the tool lies to its goal.
 
-    def __init__(self, space: spaces.Dict):
-        box = space["observation"]
-        assert isinstance(box, spaces.Box)
-        super().__init__(space, box.shape[0] + 9)
-        bound = np.minimum(np.maximum(np.abs(box.low), np.abs(box.high)), 3.0)
-        self.register_buffer("scale", torch.as_tensor(bound))
+    Goals in hindsight are in free air, where the nearest obstacle is always to be avoided. Real ones are inside a fruit
+    that the clearances count. So the features tell how far the cup is from the skin of a fruit around the goal, and
+    what the clearance at the tip is beyond that: zero says that the nearest obstacle is the target.
+
+    Args:
+        space: The goal environment's observation space.
+        layout: Layout of its vector.
+    """
+
+    def __init__(self, space: spaces.Dict, layout: Layout):
+        super().__init__(space, sum(size for _, size in layout) + _GOAL_FEATURES)
+        self.scaled = ScaledObservation(space["observation"], layout)
+        ends = np.cumsum([size for _, size in layout])
+        self._at = {name: slice(int(end) - size, int(end)) for (name, size), end in zip(layout, ends, strict=True)}
 
     def forward(self, observations: dict[str, Any]) -> Any:
-        """Features (n, size + 9)."""
+        """Features (n, size + 18)."""
+        seen = observations["observation"]
         achieved, desired = observations["achieved_goal"].float(), observations["desired_goal"].float()
-        way = (10.0 * (desired - achieved)).clamp(-3.0, 3.0)
-        return torch.cat([observations["observation"] / self.scale, achieved, desired, way], dim=1)
+        tip, axis = seen[:, self._at["tip_position"]], seen[:, self._at["tool_axis"]]
+        clearance = seen[:, self._at["clearance"]][:, -1:]
+        way, ahead = desired - achieved, desired - tip
+        radius, distance, from_tip = (v.norm(dim=1, keepdim=True) for v in (achieved - tip, way, ahead))
+        gap = from_tip - radius
+        aligned = (ahead * axis).sum(dim=1, keepdim=True) / (from_tip + 1e-3)
+        return torch.cat(
+            [
+                self.scaled(seen),
+                2.0 * achieved,
+                2.0 * desired,
+                4.0 * way,
+                (20.0 * way).clamp(-2.0, 2.0),  # fine near the goal, where centimetres decide
+                2.0 * distance,
+                (20.0 * distance).clamp(max=3.0),
+                10.0 * radius,
+                (10.0 * gap).clamp(-3.0, 3.0),
+                (10.0 * (clearance - gap)).clamp(-3.0, 3.0),
+                aligned,
+            ],
+            dim=1,
+        )

@@ -23,24 +23,13 @@ try:
     import torch
     from stable_baselines3 import PPO
     from stable_baselines3.common.callbacks import BaseCallback
-    from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
+    from greenhouse_gym.integrations.sb3_features import ScaledObservation
     from greenhouse_gym.learning.checkpoints import NAME as CHECKPOINT
     from greenhouse_gym.learning.checkpoints import load_checkpoint, read_notes, save_checkpoint
     from greenhouse_gym.learning.policies import save_policy
 except ImportError as error:  # pragma: no cover - depends on the installation
     raise MissingDependencyError("stable-baselines3", "train") from error
-
-CENTERS_AND_SCALES: dict[str, tuple[float, float]] = {
-    "joint_position": (0.0, 1.5),
-    "joint_velocity": (0.0, 1.0),
-    "command_error": (0.0, 0.1),
-    "grasp_offset": (0.0, 0.25),
-    "target_position": (0.0, 0.5),
-    "clearance": (0.1, 0.1),
-    "obstacle_direction": (0.0, 1.0),
-}
-"""Typical center and size of each group of the observation, which bring it to about one: fixed, so nothing drifts."""
 
 WINDOW = 10
 """Rollouts that a point of the learning curve averages over."""
@@ -170,20 +159,6 @@ def _model(settings: PpoSettings, env: Any) -> Any:
         seed=settings.seed,
         device="cpu",
     )
-
-
-class ScaledObservation(BaseFeaturesExtractor):  # type: ignore[misc]
-    """Brings every group of the observation to about one, by `CENTERS_AND_SCALES`."""
-
-    def __init__(self, observation_space: Any, layout: tuple[tuple[str, int], ...]):
-        super().__init__(observation_space, features_dim=int(np.prod(observation_space.shape)))
-        pairs = np.concatenate([np.tile(CENTERS_AND_SCALES[name], (size, 1)) for name, size in layout])
-        self.register_buffer("center", torch.tensor(pairs[:, 0], dtype=torch.float32))
-        self.register_buffer("scale", torch.tensor(pairs[:, 1], dtype=torch.float32))
-
-    def forward(self, observations: torch.Tensor) -> torch.Tensor:
-        """Scaled observations."""
-        return (observations - self.center) / self.scale
 
 
 class _Report(BaseCallback):  # type: ignore[misc]

@@ -107,30 +107,6 @@ def test_hindsight_replay_relabels_with_collisions_kept(bank: SceneBank) -> None
     assert single.observation_space == model.observation_space
 
 
-def test_what_reaches_its_goal_in_hindsight_ends_there(bank: SceneBank) -> None:
-    pytest.importorskip("stable_baselines3")
-    from stable_baselines3 import SAC
-
-    from greenhouse_gym.integrations.sb3 import make_sb3_vec_env
-    from greenhouse_gym.integrations.sb3_her import GoalFeatures, GoalReplayBuffer
-
-    env = make_sb3_vec_env(2, bank=bank, observation="goal", reward="sparse", seed=0)
-    model = SAC(
-        "MultiInputPolicy", env, replay_buffer_class=GoalReplayBuffer, replay_buffer_kwargs={"n_sampled_goal": 4},
-        learning_starts=400, train_freq=50, batch_size=64, seed=0, device="cpu",
-        policy_kwargs={"net_arch": [16], "features_extractor_class": GoalFeatures},
-    )  # fmt: skip
-    model.learn(600)
-    batch = model.replay_buffer.sample(2000)
-    rewards, dones = batch.rewards.numpy().ravel(), batch.dones.numpy().ravel()
-    assert set(np.unique(rewards)) == {-1.0, 0.0, 1.0}
-    np.testing.assert_array_equal(dones, rewards != 0)
-    features = GoalFeatures(env.observation_space)(batch.observations)
-    assert features.shape == (2000, features.shape[1])
-    way = batch.observations["desired_goal"] - batch.observations["achieved_goal"]
-    np.testing.assert_allclose(features[:, -3:], (10 * way).clip(-3, 3), atol=1e-5)
-
-
 def _bank_of(scene: Any) -> SceneBank:
     import tempfile
 

@@ -1,0 +1,61 @@
+"""How SAC with hindsight replay learns on the goal environment, against random actions.
+
+python benchmarks/sac_her.py
+
+Trains with the default settings for some minutes of processor time and writes the curve to results/sac_her.json. What
+counts are episodes of the test split, whose rows were not trained on, judged without the policy's noise.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from results_file import RESULTS, write_results
+
+from greenhouse_gym.learning.policies import Score, score
+from greenhouse_gym.learning.sac import SacProgress, SacSettings, train_sac
+
+
+def main() -> None:
+    """Train, play at random, write the figures."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--minutes", type=float, default=16.0)
+    parser.add_argument("--every", type=int, default=20_000)
+    parser.add_argument("--episodes", type=int, default=256)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", type=Path, default=RESULTS / "sac_her.json")
+    arguments = parser.parse_args()
+    settings = SacSettings(seed=arguments.seed, threads=1)
+    curve: list[dict[str, Any]] = []
+    figures: dict[str, Any] = {"settings": asdict(settings), "random": {}, "curve": curve}
+
+    def note(progress: SacProgress) -> None:
+        row = {name: getattr(progress, name) for name in ("steps", "updates", "seconds")}
+        curve.append({**row, "train": shares(progress.train), "test": shares(progress.test)})
+        print(curve[-1], flush=True)
+        write_results(arguments.out, figures, ("stable-baselines3", "torch", "mujoco"))
+
+    random = np.random.default_rng(arguments.seed)
+    for split in ("train", "test"):
+        result = score(
+            lambda seen: random.uniform(-1, 1, (len(seen), 6)), arguments.episodes, seed=10_000, split=split,
+            bank=settings.bank, difficulty=settings.difficulty, threads=1,
+        )  # fmt: skip
+        figures["random"][split] = shares(result)
+    print("random actions", figures["random"], flush=True)
+    train_sac(
+        settings, 10_000_000, minutes=arguments.minutes, every=arguments.every, episodes=arguments.episodes, tell=note
+    )
+
+
+def shares(result: Score) -> dict[str, float]:
+    """The shares of episodes that ended so, and their mean number of steps."""
+    return {name: round(value, 3) for name, value in result._asdict().items() if name != "episodes"}
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,43 @@
+"""What Stable-Baselines3's networks are fed: observations brought to about one, group by group."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from greenhouse_gym.envs.observations import Layout
+from greenhouse_gym.errors import MissingDependencyError
+
+try:
+    import torch
+    from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+except ImportError as error:  # pragma: no cover - depends on the installation
+    raise MissingDependencyError("stable-baselines3", "train") from error
+
+CENTERS_AND_SCALES: dict[str, tuple[float, float]] = {
+    "joint_position": (0.0, 1.5),
+    "joint_velocity": (0.0, 1.0),
+    "command_error": (0.0, 0.1),
+    "grasp_offset": (0.0, 0.25),
+    "target_position": (0.0, 0.5),
+    "tip_position": (0.0, 0.5),
+    "tool_axis": (0.0, 1.0),
+    "clearance": (0.1, 0.1),
+    "obstacle_direction": (0.0, 1.0),
+}
+"""Typical center and size of each group of the observation, which bring it to about one: fixed, so nothing drifts."""
+
+
+class ScaledObservation(BaseFeaturesExtractor):  # type: ignore[misc]
+    """Brings every group of the observation to about one, by `CENTERS_AND_SCALES`."""
+
+    def __init__(self, observation_space: Any, layout: Layout):
+        super().__init__(observation_space, features_dim=int(np.prod(observation_space.shape)))
+        pairs = np.concatenate([np.tile(CENTERS_AND_SCALES[name], (size, 1)) for name, size in layout])
+        self.register_buffer("center", torch.tensor(pairs[:, 0], dtype=torch.float32))
+        self.register_buffer("scale", torch.tensor(pairs[:, 1], dtype=torch.float32))
+
+    def forward(self, observations: torch.Tensor) -> torch.Tensor:
+        """Scaled observations."""
+        return (observations - self.center) / self.scale
