@@ -48,7 +48,7 @@ class ShapeSettings:
     stem_margin: float = 0.008  # points this near a main stem are its own bumps, no peduncle
     root_reach: float = 0.025  # from a main stem's axis to the first point of a peduncle
     pedicel_reach: float = 0.008  # from the last point of a pedicel to the skin
-    axis_tolerance: float = 0.007  # a chain of capsules may be this far from the traced axis
+    axis_tolerance: float = 0.009  # a chain of capsules may be this far from the traced axis
     upright_tolerance: float = 0.008  # likewise for main stems and strings
     clutter_per_metre: int = 38  # boxes
     clutter_cell: float = 0.005  # boxes are looked for among the cells of this size that hold points
