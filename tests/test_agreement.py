@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator
 
 import numpy as np
 import pytest
 
 from greenhouse_gym.envs import TomatoReachEnv
-from greenhouse_gym.envs.actions import INTERVAL
-from greenhouse_gym.envs.reach_task import SUBSTEPS
 from greenhouse_gym.planning.collision import CollisionChecker, planning_model
 from greenhouse_gym.scene import SceneBank, compile_scene
 
@@ -34,14 +33,18 @@ def substeps(env: TomatoReachEnv, random: np.random.Generator) -> Iterator[tuple
     """The configurations at the ends of the physics steps of each action, and the simulator's verdict on them."""
     import mujoco
 
-    model, data = env.model_and_data()
+    compiled = compile_scene(env.scene, env.robot)  # position servos, told where to be in every physics step
+    model = copy.copy(compiled.model)
+    compiled.allow_cup_on(model, env.target)
+    data = mujoco.MjData(model)
+    data.qpos[:] = data.ctrl[:] = env.start
     drift, last = random.uniform(-1, 1, 6), env.start
     drift[1] = abs(drift[1])  # towards the plants
     for _ in range(60):
         *_, terminated, truncated, info = env.step(drift + random.uniform(-0.4, 0.4, 6))
         command, configurations = env.simulation.command[0].copy(), []
-        data.ctrl[:] = (command - last) / INTERVAL
-        for _ in range(SUBSTEPS):
+        for k in range(5):
+            data.ctrl[:] = last + (command - last) * ((k + 1) / 5)
             mujoco.mj_step(model, data)
             configurations.append(data.qpos.copy())
         last = command
