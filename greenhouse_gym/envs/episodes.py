@@ -153,9 +153,8 @@ class EpisodeSampler:
         return int(tomato), next(rated, UNRATED)
 
     def _start(self, start: Any) -> Array:
-        if start is None:
-            return self.robot.start
         robot = self.robot
+        start = robot.configuration(start)
         try:
             q = np.array(start, dtype=np.float64)
         except (TypeError, ValueError) as error:

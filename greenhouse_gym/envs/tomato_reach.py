@@ -129,7 +129,7 @@ class TomatoReachEnv(gymnasium.Env[Observed, npt.NDArray[np.float32]]):
     |---|---|
     | ``scene`` | name of a scene of any split, or a `Scene` |
     | ``target`` | index of any of its tomatoes, needs ``scene`` |
-    | ``start`` | joint angles, rad; a start that touches something is a collision at the first step |
+    | ``start`` | joint angles, rad, or a name such as ``folded``; one that touches something collides at once |
     | ``difficulty`` | for this episode, in place of the environment's |
 
     **Versions.** A ``-v1`` would be due for a change of anything an agent sees or is paid for: spaces, order or meaning

@@ -97,7 +97,7 @@ def plan(
     max_checks: int | None = None,
     goals: int | Goals | npt.ArrayLike = 60,
     seed: int = 0,
-    start: npt.ArrayLike | None = None,
+    start: str | npt.ArrayLike | None = None,
     settings: PlannerSettings | None = None,
     first_solution: bool = False,
     pairs: Collection[str] = COLLISION_PAIRS,
@@ -117,7 +117,7 @@ def plan(
             the same seed gives the same path (for planners that are themselves reproducible, such as RRTConnect).
         goals: How many goal configurations to find, or the configurations (k, joints) themselves, radians.
         seed: Seed of the goal search and of the planner.
-        start: (joints,) start configuration, radians; the arm's own when left out.
+        start: (joints,) start configuration, radians, or its name in `Robot.starts`; the arm's own when left out.
         settings: The planner's settings, as ``PLANNERS[planner].with_settings(...)`` makes them; its usual ones when
             left out.
         first_solution: Have planners that go on improving their path stop at the first one. They are then as fast as
@@ -147,7 +147,7 @@ def plan_with(
     max_checks: int | None = None,
     goals: int | Goals | npt.ArrayLike = 60,
     seed: int = 0,
-    start: npt.ArrayLike | None = None,
+    start: str | npt.ArrayLike | None = None,
     settings: PlannerSettings | None = None,
     first_solution: bool = False,
 ) -> PlanResult:
@@ -163,7 +163,7 @@ def plan_with(
     if max_checks is not None and max_checks < 1:
         raise InvalidValueError(f"max_checks must be at least 1 or None, got {max_checks!r}")
     arm = compiled.robot
-    origin = _configurations("start", np.asarray(arm.start if start is None else start)[None], arm)[0]
+    origin = _configurations("start", np.asarray(arm.configuration(start))[None], arm)[0]
     if not checker.is_free(origin):
         touching = ", ".join(f"{a} with {b}" for a, b in checker.contacts(origin))
         return PlanResult("start_in_collision", None, planner, message=f"at the start: {touching}")

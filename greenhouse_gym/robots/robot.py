@@ -11,16 +11,17 @@ at which the clearance of the arm is observed, with the radius of the arm there 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from types import MappingProxyType
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError
+from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError, require_choice
 from greenhouse_gym.geometry import Array
 
 _HERE = Path(__file__).parent
@@ -51,6 +52,8 @@ class Robot:
         path: The MJCF file.
         joints: Names of the n joints, in order.
         start: (n,) configuration an episode starts from, radians.
+        starts: All key frames of the file by name, (n,) radians each: what else an episode may start from. The shipped
+            arms have ``start``, upright, and ``folded``, tucked away over the aisle.
         lower: (n,) lower joint limits, radians.
         upper: (n,) upper joint limits, radians.
         velocity_limits: (n,) rad/s.
@@ -65,6 +68,7 @@ class Robot:
     path: Path
     joints: tuple[str, ...]
     start: Array
+    starts: Mapping[str, Array]
     lower: Array
     upper: Array
     velocity_limits: Array
@@ -73,6 +77,16 @@ class Robot:
     probes: tuple[str, ...]
     probe_radii: Array
     tip: str = TIP_SITE
+
+    def configuration(self, start: str | npt.ArrayLike | None) -> npt.ArrayLike:
+        """A start by its name in ``starts``; None is the arm's own, and anything else is given back as it is.
+
+        Raises:
+            UnknownNameError: No key frame of that name.
+        """
+        if start is None:
+            return self.start
+        return self.starts[require_choice("start", start, self.starts)] if isinstance(start, str) else start
 
     def spec(self) -> mujoco.MjSpec:
         """A fresh, editable MuJoCo specification of the arm alone."""
@@ -144,6 +158,7 @@ def load_robot(
         path=path,
         joints=tuple(model.joint(i).name for i in range(n)),
         start=begin,
+        starts=MappingProxyType({model.key(i).name: model.key_qpos[i].copy() for i in range(model.nkey)}),
         lower=lower,
         upper=upper,
         velocity_limits=_motion_limits(path, model, "velocity_limits", velocity_limits, DEFAULT_SPEED),

@@ -257,6 +257,8 @@ def test_options_fix_scene_target_and_start(bank: SceneBank) -> None:
     observation, info = env.reset(seed=0, options={"scene": name, "target": 5, "start": start})
     assert (info["scene"], info["target"], info["difficulty"]) == (name, 5, "easy")
     np.testing.assert_allclose(observation[:6], start, atol=1e-6)
+    observation, _ = env.reset(seed=0, options={"scene": name, "target": 5, "start": "folded"})
+    np.testing.assert_allclose(observation[:6], env.robot.starts["folded"], atol=1e-6)
     drawn = {env.reset()[1]["scene"] for _ in range(20)}
     assert drawn <= set(bank.names("train"))
     assert len(drawn) > 1
@@ -271,6 +273,7 @@ def test_options_fix_scene_target_and_start(bank: SceneBank) -> None:
         ({"scene": "made-up-0", "target": 99}, InvalidValueError),
         ({"scene": "made-up-0", "target": -1}, InvalidValueError),
         ({"scene": "made-up-0", "target": "first"}, InvalidValueError),
+        ({"start": "asleep"}, UnknownNameError),
         ({"start": [0, 0]}, InvalidValueError),
         ({"start": [0, np.nan, 0, 0, 0, 0]}, InvalidValueError),
         ({"start": [9, 0, 0, 0, 0, 0]}, InvalidValueError),

@@ -136,6 +136,9 @@ def test_start_elsewhere(scene: Scene) -> None:
     result = plan(scene, 3, start=start)
     assert result.path is not None
     assert np.array_equal(result.path[0], start)
+    folded = plan(scene, 3, start="folded")
+    assert folded.path is not None
+    assert np.array_equal(folded.path[0], get_robot("ur5e").starts["folded"])
     touching = goal_configurations(scene, 2, count=1).configurations[0]  # the cup may touch the target, no other
     assert plan(scene, 3, start=touching).message == "at the start: tomato_2 with cup"
 

@@ -255,3 +255,28 @@ def test_a_file_that_is_no_arm_says_what_is_missing(tmp_path: Path, old: str, ne
 def test_a_missing_file(tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match=r"none\.xml"):
         get_robot(tmp_path / "none.xml")
+
+
+def test_folded_away_the_arm_stays_over_the_aisle(robot: Robot) -> None:
+    """Leaves hang up to 0.4 m out of the row, whose stems are 0.6 m away, and the row across begins 1 m behind."""
+    compiled = compile_scene(make_scene(0), robot)
+    model, data = compiled.model, mujoco.MjData(compiled.model)
+    data.qpos[:] = robot.starts["folded"]
+    mujoco.mj_forward(model, data)
+    assert data.ncon == 0
+    arm = np.flatnonzero(model.geom_bodyid > 0)
+    along = data.geom_xmat[arm].reshape(-1, 3, 3)[:, :, 2] * model.geom_size[arm, 1:2]
+    ends = np.stack([data.geom_xpos[arm] - along, data.geom_xpos[arm] + along])  # an arm is made of capsules
+    radius = model.geom_size[arm, 0, None]
+    low, high = (ends - radius).min(axis=(0, 1)), (ends + radius).max(axis=(0, 1))
+    assert -0.6 < low[0] < high[0] < 0.1
+    assert high[2] < 1.4
+
+
+def test_a_start_is_named_or_given(robot: Robot) -> None:
+    assert robot.configuration(None) is robot.start
+    np.testing.assert_array_equal(robot.configuration("start"), robot.start)
+    given = robot.start + 0.1
+    assert robot.configuration(given) is given
+    with pytest.raises(UnknownNameError, match="folded"):
+        robot.configuration("asleep")
