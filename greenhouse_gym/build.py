@@ -247,7 +247,11 @@ def _moved(shape: Shape, target_from_source: Array) -> Shape:
         return Box(point(shape.center), np.round(shape.half_extents, DECIMALS), np.round(turned, 7))
     radius = round(shape.radius, DECIMALS)
     if isinstance(shape, Tomato):
-        return Tomato(point(shape.center), radius, shape.truss, shape.ripeness)
+        turned_axes = None
+        if shape.rotation is not None:
+            turned_axes = np.round(Rotation.from_matrix(target_from_source[:3, :3] @ shape.rotation).as_matrix(), 7)
+        axes = None if shape.semi_axes is None else np.round(shape.semi_axes, DECIMALS)
+        return Tomato(point(shape.center), radius, shape.truss, shape.ripeness, axes, turned_axes)
     if isinstance(shape, Stem):
         return Stem(point(shape.start), point(shape.end), radius, shape.kind)
     if isinstance(shape, Capsule):

@@ -1,12 +1,13 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from greenhouse_gym.crop import Stem, Tomato
-from greenhouse_gym.geometry import Box, Sphere
+from greenhouse_gym.geometry import Box, Sphere, rotation_about
 from greenhouse_gym.scene import Provenance, Scene, SceneBank, Target
 from greenhouse_gym.scene.bank import write_bank
 
@@ -36,6 +37,17 @@ def make_scene(seed: int, stems: int = 4, row: str | None = None) -> Scene:
         targets=tuple(Target(tomato=i, difficulty="easy") for i in range(len(tomatoes))),
         provenance=Provenance(row=row or f"made-up-row-{seed}", week=0),
     )
+
+
+def with_ellipsoids(scene: Scene, seed: int) -> Scene:
+    """The scene with every other tomato stretched and turned."""
+    rng = np.random.default_rng(seed)
+    tomatoes = list(scene.tomatoes)
+    for k in range(0, len(tomatoes), 2):
+        axes = tomatoes[k].radius * np.array([0.8, 1.0, 1.25])
+        turn = rotation_about(rng.normal(size=3), rng.uniform(0, 3))
+        tomatoes[k] = replace(tomatoes[k], radius=float(np.cbrt(axes.prod())), semi_axes=axes, rotation=turn)
+    return scene.model_copy(update={"tomatoes": tuple(tomatoes), "name": f"{scene.name}-ellipsoids"})
 
 
 @pytest.fixture(scope="session")

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import make_scene, with_ellipsoids
 
 from greenhouse_gym.envs import TomatoReachEnv
 from greenhouse_gym.planning.collision import CollisionChecker, planning_model
 from greenhouse_gym.scene import SceneBank, compile_scene
+from greenhouse_gym.scene.bank import write_bank
 
 
 def disagreements_on_the_way(bank: SceneBank, episodes: int, names: list[str]) -> tuple[int, int, int]:
@@ -76,6 +79,18 @@ def test_simulator_and_planner_agree() -> None:
     assert touched > 10
     assert checked > 2000
     touched, wrong = disagreements_at_random(bank, 400, bank.names())
+    assert wrong == 0
+    assert touched > 50
+
+
+def test_simulator_and_planner_agree_on_ellipsoids(tmp_path: Path) -> None:
+    """Scenes take turns in one padded model, so geoms change their types from reset to reset."""
+    scenes = [scene for k in range(3) for scene in (make_scene(k), with_ellipsoids(make_scene(k), k))]
+    bank = write_bank(tmp_path, [(scene, "train") for scene in scenes], name="ellipsoids")
+    _, touched, wrong = disagreements_on_the_way(bank, 18, bank.names())
+    assert wrong == 0
+    assert touched > 5
+    touched, wrong = disagreements_at_random(bank, 300, bank.names())
     assert wrong == 0
     assert touched > 50
 

@@ -5,6 +5,31 @@ import pytest
 
 from greenhouse_gym.crop import STEM_KINDS, Stem, Tomato
 from greenhouse_gym.errors import InvalidValueError, UnknownNameError
+from greenhouse_gym.geometry import distance_to_shapes, rotation_about
+
+AXES = np.array([0.02, 0.025, 0.03])
+TURN = rotation_about([1.0, 2.0, 3.0], 0.7)
+
+
+def oblate(center: list[float]) -> Tomato:
+    return Tomato(center, float(np.cbrt(AXES.prod())), truss=0, semi_axes=AXES, rotation=TURN)
+
+
+def test_a_tomato_may_be_an_ellipsoid_and_distances_say_so() -> None:
+    tomato, ball = oblate([0.1, 0.2, 0.3]), Tomato([0.1, 0.2, 0.3], 0.025, truss=1)
+    capsule = Stem([0, 0, 0], [0, 0, 2], 0.01, kind="main")
+    points = tomato.center + np.array([0.1 * TURN[:, 0], 0.1 * TURN[:, 2]])
+    found = distance_to_shapes(points, [capsule, tomato, ball])
+    np.testing.assert_allclose(found[:, 1], [0.08, 0.07], atol=1e-7)
+    np.testing.assert_allclose(found[:, 2], 0.075, atol=1e-7)
+    assert Tomato([0, 0, 0], 0.03, truss=0).ellipsoid is None
+
+
+def test_semi_axes_come_with_a_rotation_and_a_radius_that_fits() -> None:
+    with pytest.raises(InvalidValueError, match="rotation"):
+        Tomato([0, 0, 0], 0.0247, truss=0, semi_axes=AXES)
+    with pytest.raises(InvalidValueError, match=r"radius.*0\.0246"):
+        Tomato([0, 0, 0], 0.03, truss=0, semi_axes=AXES, rotation=TURN)
 
 
 def test_a_tomato_is_a_sphere_with_a_truss() -> None:

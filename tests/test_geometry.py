@@ -10,11 +10,13 @@ from greenhouse_gym.errors import GreenhouseError, InvalidValueError
 from greenhouse_gym.geometry import (
     Box,
     Capsule,
+    Ellipsoid,
     Shape,
     Sphere,
     closest_on_segments,
     distance_to_boxes,
     distance_to_capsules,
+    distance_to_ellipsoids,
     distance_to_shapes,
     distance_to_spheres,
     frame_along,
@@ -269,3 +271,52 @@ def test_shapes_cannot_be_changed_from_outside() -> None:
     np.testing.assert_array_equal(ball.center, 0.0)
     with pytest.raises(ValueError, match="read-only"):
         ball.center[0] = 1.0
+
+
+axes = arrays(np.float64, 3, elements=st.floats(0.01, 0.3))
+
+
+@given(vectors, axes, rotations, st.integers(0, 100))
+def test_points_off_an_ellipsoid_along_its_normals_are_as_far_as_they_were_moved(
+    center: np.ndarray, semi_axes: np.ndarray, rotation: np.ndarray, seed: int
+) -> None:
+    random = np.random.default_rng(seed)
+    unit = random.normal(size=(50, 3))
+    unit /= np.linalg.norm(unit, axis=1, keepdims=True)
+    normal = unit / semi_axes
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    # inwards only as far as the least radius of curvature, where the surface point is still the nearest
+    moved = random.uniform(-0.99 * semi_axes.min() ** 2 / semi_axes.max(), 1.0, 50)
+    points = center + (unit * semi_axes + moved[:, None] * normal) @ rotation.T
+    np.testing.assert_allclose(
+        distance_to_ellipsoids(points, center, semi_axes, rotation)[:, 0], moved, atol=2e-6 * semi_axes.max()
+    )
+
+
+@given(clouds, vectors, size, rotations)
+def test_an_ellipsoid_of_equal_axes_is_a_sphere(
+    points: np.ndarray, center: np.ndarray, radius: float, rotation: np.ndarray
+) -> None:
+    ball = distance_to_spheres(points, center[None], [radius])
+    np.testing.assert_allclose(
+        distance_to_ellipsoids(points, center, np.full(3, radius), rotation), ball, atol=1e-6 * radius
+    )
+
+
+def test_the_middle_of_an_ellipsoid_is_its_least_semi_axis_deep() -> None:
+    found = distance_to_ellipsoids([[0.0, 0.0, 0.0], [0.0, 0.0, 0.01]], np.zeros(3), [0.03, 0.02, 0.05], np.eye(3))
+    np.testing.assert_allclose(found[0, 0], -0.02, atol=1e-7)
+    assert -0.02 < found[1, 0] < -0.019
+
+
+@pytest.mark.parametrize(
+    ("axes", "turn", "message"),
+    [
+        ([0.1, 0.1, 0.0], np.eye(3), "semi_axes"),
+        ([0.1, 0.1], np.eye(3), "shape"),
+        ([0.1] * 3, 2 * np.eye(3), "rotation"),
+    ],
+)
+def test_impossible_ellipsoids_are_refused(axes: list[float], turn: np.ndarray, message: str) -> None:
+    with pytest.raises(InvalidValueError, match=message):
+        Ellipsoid([0, 0, 0], axes, turn)

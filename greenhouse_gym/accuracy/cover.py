@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from greenhouse_gym.accuracy.clouds import distance_to_surface
-from greenhouse_gym.geometry import Array, Box, Capsule, Shape, distance_to_shapes, frame_along
+from greenhouse_gym.geometry import Array, Box, Capsule, Shape, Sphere, distance_to_shapes, frame_along
 from greenhouse_gym.plants import PlantRow
 
 COVERED_WITHIN = 0.008
@@ -88,8 +88,12 @@ def _on_surface(shape: Shape, count: int, rng: np.random.Generator) -> Array:
         return np.asarray(shape.center + (local * half) @ shape.rotation.T)
     directions = rng.normal(size=(count, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    if not isinstance(shape, Capsule):
-        return np.asarray(shape.center + shape.radius * directions)
+    if isinstance(shape, Sphere):
+        ellipsoid = shape.ellipsoid
+        if ellipsoid is None:
+            return np.asarray(shape.center + shape.radius * directions)
+        # even by angle, which for fruit is even by area to a few percent
+        return np.asarray(shape.center + (directions * ellipsoid.semi_axes) @ ellipsoid.rotation.T)
     length, radius = shape.length, shape.radius
     on_side = rng.random(count) < length / (length + 2 * radius)
     angle, height = rng.uniform(0, 2 * np.pi, count), rng.uniform(-0.5, 0.5, count)

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.capture.rig import Intrinsics
-from greenhouse_gym.geometry import Array, Box, Capsule, Shape, frame_along, invert
+from greenhouse_gym.geometry import Array, Box, Capsule, Shape, Sphere, frame_along, invert
 from greenhouse_gym.open3d_loader import open3d
 from greenhouse_gym.plants.row import PlantRow
 
@@ -76,7 +76,7 @@ class RowRaycaster:
             [[s.start, s.end] if isinstance(s, Capsule) else [s.center, s.center] for s in shapes], dtype=np.float64
         )
         jitter = rng.normal(1.0, 0.05, (len(shapes), 1))
-        rounds = np.array([not isinstance(s, Box) for s in shapes])
+        rounds = np.array([not isinstance(s, Box) and not _is_stretched(s) for s in shapes])
         return cls(scene, owner, axes, rounds, np.clip(np.array(colors) * jitter, 0, 1))
 
     def look(self, world_from_camera: Array, intrinsics: Intrinsics) -> View:
@@ -146,6 +146,8 @@ def tessellate(shapes: Sequence[Shape]) -> tuple[Array, npt.NDArray[np.int64], n
         else:
             local, _, faces = fine
             own = shape.center + shape.radius * local
+            if (ellipsoid := shape.ellipsoid) is not None:
+                own = shape.center + (local * ellipsoid.semi_axes) @ ellipsoid.rotation.T
         vertices.append(own)
         triangles.append(faces + count)
         owner.append(np.full(len(faces), index, dtype=np.int32))
@@ -179,6 +181,10 @@ def _unit_box() -> tuple[Array, npt.NDArray[np.int64]]:
 def _ripeness_color(ripeness: float) -> Array:
     stops = np.linspace(0, 1, len(RIPENESS_COLORS))
     return np.array([np.interp(ripeness, stops, RIPENESS_COLORS[:, k]) for k in range(3)])
+
+
+def _is_stretched(shape: Shape) -> bool:
+    return isinstance(shape, Sphere) and shape.ellipsoid is not None
 
 
 def _is_gutter(shape: Shape) -> bool:

@@ -122,13 +122,15 @@ class Worlds:
         tomatoes, bodies_there = (_spheres(s, scene_from_base) for s in (scene, physical))
         gaps = np.linalg.norm(tomatoes[:, None, :3] - bodies_there[None, :, :3], axis=-1)
         bodies = np.arange(len(tomatoes)) if physical is scene else gaps.argmin(axis=1)
+        ellipsoids = {k: t.ellipsoid for k, t in enumerate(scene.tomatoes) if t.ellipsoid is not None}
+        others = [*scene.stems, *scene.clutter]
         told: np.ndarray[tuple[int, int], np.dtype[np.float32]] = tomatoes.astype(np.float32)
         return World(
             scene=scene,
             compiled=compile_scene(physical, self.robot, self.capacity, drive_and_record),
             frame=np.array([*scene_from_base[:3, 3], *scene_from_base[:2, 0]]),
             tomatoes=told,
-            field=self.fields.add(obstacle_field(tomatoes, [*scene.stems, *scene.clutter], scene_from_base)),
+            field=self.fields.add(obstacle_field(tomatoes, others, scene_from_base, ellipsoids)),
             # what is told and what counts are one and the same number where the physics are those of the scene
             goals=told.astype(np.float64) if physical is scene else bodies_there[bodies],
             bodies=bodies,

@@ -8,12 +8,13 @@ scenes lie in one stacked array, so that one lookup serves many simulations.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.geometry import Box, Capsule, Shape
+from greenhouse_gym.geometry import Box, Capsule, Ellipsoid, Shape, distance_to_ellipsoids, transform
 
 Float32 = npt.NDArray[np.float32]
 
@@ -37,10 +38,14 @@ NO_TOMATO = -2
 """In a lookup: every tomato is an obstacle."""
 
 _BLOCK = 8
+_ALL_ROUND: Mapping[int, Ellipsoid] = MappingProxyType({})
 
 
 def obstacle_field(
-    tomatoes: npt.NDArray[np.floating], others: Sequence[Shape], scene_from_base: npt.ArrayLike | None = None
+    tomatoes: npt.NDArray[np.floating],
+    others: Sequence[Shape],
+    scene_from_base: npt.ArrayLike | None = None,
+    ellipsoids: Mapping[int, Ellipsoid] = _ALL_ROUND,
 ) -> npt.NDArray[np.void]:
     """The field of a scene.
 
@@ -48,6 +53,7 @@ def obstacle_field(
         tomatoes: (t, 4) centers in the frame of the arm's base and radii, metres.
         others: All other obstacles, in the scene frame.
         scene_from_base: (4, 4) pose of the arm's base in the scene; the identity when left out.
+        ellipsoids: The tomatoes that are no spheres, in the scene frame, by their index.
 
     Returns:
         Array of shape `SHAPE` of `NODE`, metres.
@@ -56,17 +62,21 @@ def obstacle_field(
     nearest = distance_field(others, scene_from_base).astype(np.float32)
     otherwise, tomato = nearest.copy(), np.full(SHAPE, -1, dtype=np.int16)
     for k, (*center, radius) in enumerate(np.asarray(tomatoes, dtype=np.float64)):
-        reach = radius + MAX_DISTANCE
+        ellipsoid = ellipsoids.get(k)
+        reach = (radius if ellipsoid is None else ellipsoid.semi_axes.max()) + MAX_DISTANCE
         low = np.maximum(np.ceil((np.array(center) - reach - ORIGIN) / CELL), 0).astype(int)
         high = np.minimum(np.floor((np.array(center) + reach - ORIGIN) / CELL) + 1, SHAPE).astype(int)
         if (low >= high).any():
             continue
         part = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
-        x, y, z = (
-            (np.arange(a, b) * CELL + o - c).astype(np.float32) ** 2
-            for a, b, o, c in zip(low, high, ORIGIN, center, strict=True)
-        )
-        own = np.sqrt(x[:, None, None] + y[:, None] + z) - np.float32(radius)
+        if ellipsoid is None:
+            x, y, z = (
+                (np.arange(a, b) * CELL + o - c).astype(np.float32) ** 2
+                for a, b, o, c in zip(low, high, ORIGIN, center, strict=True)
+            )
+            own = np.sqrt(x[:, None, None] + y[:, None] + z) - np.float32(radius)
+        else:
+            own = _to_ellipsoid(ellipsoid, low, high, scene_from_base)
         first, second = nearest[part], otherwise[part]
         closer = own < first
         second[...] = np.where(closer, first, np.minimum(second, own))
@@ -74,6 +84,19 @@ def obstacle_field(
         tomato[part][closer] = k
     field["distance"], field["otherwise"], field["tomato"] = nearest, otherwise, tomato
     return field
+
+
+def _to_ellipsoid(
+    ellipsoid: Ellipsoid,
+    low: npt.NDArray[np.int64],
+    high: npt.NDArray[np.int64],
+    scene_from_base: npt.ArrayLike | None,
+) -> Float32:
+    """Distances (x, y, z) of the nodes from ``low`` to below ``high`` (3,) to an ellipsoid in the scene frame."""
+    nodes = np.stack(np.meshgrid(*map(np.arange, low, high), indexing="ij"), axis=-1).reshape(-1, 3) * CELL + ORIGIN
+    points = nodes if scene_from_base is None else transform(scene_from_base, nodes)
+    distance = distance_to_ellipsoids(points, ellipsoid.center, ellipsoid.semi_axes, ellipsoid.rotation)
+    return distance.reshape(high - low).astype(np.float32)
 
 
 def distance_field(shapes: Sequence[Shape], scene_from_base: npt.ArrayLike | None = None) -> npt.NDArray[np.float16]:

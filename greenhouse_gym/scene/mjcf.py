@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.geometry import Box, Capsule, Shape
+from greenhouse_gym.geometry import Box, Capsule, Shape, Sphere
 from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.robots.robot import CUP_GEOM, TIP_SITE
 from greenhouse_gym.scene.scene import Scene
@@ -193,6 +193,12 @@ def _add_obstacle(world: mujoco.MjsBody, name: str, shape: Shape, color: tuple[f
             type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[shape.radius, shape.length / 2, 0],
             pos=(shape.start + shape.end) / 2, quat=quat, **common,
         )  # fmt: skip
+    elif isinstance(shape, Sphere) and (ellipsoid := shape.ellipsoid) is not None:
+        quat = np.empty(4)
+        mujoco.mju_mat2Quat(quat, ellipsoid.rotation.flatten())
+        world.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_ELLIPSOID, size=ellipsoid.semi_axes, pos=ellipsoid.center, quat=quat, **common
+        )
     else:
         center = (shape.start + shape.end) / 2 if isinstance(shape, Capsule) else shape.center
         world.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[shape.radius, 0, 0], pos=center, **common)

@@ -16,6 +16,16 @@ SHAPES: list[tuple[Shape, float, float]] = [
     (Capsule([0, 0, 0], L * TURN[:, 0], R), np.pi * R**2 * (L + 4 / 3 * R), 2 * np.pi * R * (L + 2 * R)),
     (Capsule([0, 0, L], [0, 0, 0], 0.005), np.pi * 0.005**2 * (L + 0.02 / 3), 2 * np.pi * 0.005 * (L + 0.01)),
     (Capsule([1, 1, 1], [1, 1, 1], R), 4 / 3 * np.pi * R**3, 4 * np.pi * R**2),
+    (
+        Tomato([0, 0, 1], R, truss=0, semi_axes=[R, R, R], rotation=TURN),
+        4 / 3 * np.pi * R**3,
+        4 * np.pi * R**2,
+    ),
+    (
+        Tomato([0, 0, 1], R, truss=0, semi_axes=[0.8 * R, R, R / 0.8], rotation=TURN),
+        4 / 3 * np.pi * R**3,
+        4 * np.pi * 1.0175 * R**2,
+    ),
     (Box([0.1, 0, 0], [0.1, 0.2, 0.3], TURN), 8 * 0.006, 8 * (0.02 + 0.03 + 0.06)),
 ]
 

@@ -5,6 +5,7 @@ import copy
 import mujoco
 import numpy as np
 import pytest
+from conftest import with_ellipsoids
 
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.planning.collision import (
@@ -84,6 +85,31 @@ def test_free_means_the_margin_is_kept(compiled: CompiledScene, configurations: 
             assert distance >= MARGIN - 1e-6
         near += 0 < distance < MARGIN
     assert near > 0
+
+
+def test_the_margin_is_kept_from_ellipsoids_too(scene: Scene) -> None:
+    compiled = compile_scene(with_ellipsoids(scene, 0))
+    model, data = compiled.model, mujoco.MjData(compiled.model)
+    ellipsoids = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_ELLIPSOID)
+    assert len(ellipsoids) == 6
+    alone = planning_model(compiled, TARGET, pairs=("tomatoes",))
+    balls = np.flatnonzero((model.geom_type == mujoco.mjtGeom.mjGEOM_SPHERE) & (model.geom_bodyid == 0))
+    alone.geom_contype[balls] = alone.geom_conaffinity[balls] = 0
+    checker, fromto, near = CollisionChecker(alone), np.empty(6), 0
+    arm = [g for g in np.flatnonzero(model.geom_bodyid > 0) if model.geom_contype[g] | model.geom_conaffinity[g]]
+    for q in np.random.default_rng(3).uniform(compiled.robot.lower, compiled.robot.upper, (1500, 6)):
+        data.qpos[:] = q
+        mujoco.mj_kinematics(model, data)
+        gap = min(
+            mujoco.mj_geomDistance(model, data, int(e), int(g), 0.05, fromto)
+            for e in ellipsoids
+            for g in arm
+            if not (e == compiled.tomato_geom(TARGET) and g == compiled.cup_geom)
+        )
+        if abs(gap - MARGIN) > 1e-4:
+            assert checker.is_free(q) == (gap > MARGIN), gap
+        near += gap < 0.02
+    assert near > 15
 
 
 def test_clearance_is_the_distance_of_all_pairs(compiled: CompiledScene) -> None:

@@ -3,7 +3,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from greenhouse_gym.geometry import Box, Capsule, Shape, Sphere, distance_to_shapes, pose, rotation_about, transform
+from greenhouse_gym.geometry import (
+    Box,
+    Capsule,
+    Ellipsoid,
+    Shape,
+    Sphere,
+    distance_to_ellipsoids,
+    distance_to_shapes,
+    pose,
+    rotation_about,
+    transform,
+)
 from greenhouse_gym.scene.field import (
     CELL,
     MAX_DISTANCE,
@@ -29,6 +40,22 @@ def some_shapes(seed: int, count: int = 40) -> list[Shape]:
             turn = rotation_about(random.normal(size=3), random.uniform(0, 3))
             shapes.append(Box(center, random.uniform(0.005, 0.1, 3), turn))
     return shapes
+
+
+def test_tomatoes_that_are_ellipsoids_keep_their_shape() -> None:
+    scene_from_base = pose(rotation_about([0, 0, 1], 0.4), [0.1, -0.05, 0.9])
+    turn = rotation_about([1.0, 0.5, 0.2], 1.0)
+    ellipsoid = Ellipsoid(transform(scene_from_base, [[0.5, 0.1, 0.1]])[0], [0.02, 0.04, 0.05], turn)
+    tomatoes = np.array([[0.2, 0.0, 0.0, 0.03], [0.5, 0.1, 0.1, ellipsoid.radius]])
+    field = obstacle_field(tomatoes, [], scene_from_base, {1: ellipsoid})
+    nodes = tuple(np.random.default_rng(0).integers(0, SHAPE, (4000, 3)).T)
+    points = np.stack(nodes, axis=1) * CELL + ORIGIN
+    to_ball = np.linalg.norm(points - tomatoes[0, :3], axis=1) - 0.03
+    stretched = distance_to_ellipsoids(transform(scene_from_base, points), ellipsoid.center, ellipsoid.semi_axes, turn)[
+        :, 0
+    ]
+    expected = np.minimum(np.minimum(to_ball, stretched), MAX_DISTANCE)
+    np.testing.assert_allclose(field[nodes]["distance"], expected, atol=3e-4)
 
 
 def inside_points(seed: int, count: int) -> np.ndarray:

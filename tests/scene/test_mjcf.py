@@ -134,3 +134,15 @@ def test_only_the_cup_may_touch_the_target() -> None:
 def test_an_unknown_robot_is_named(mixed: Scene) -> None:
     with pytest.raises(UnknownNameError, match="ur10"):
         mixed.to_mjcf("ur10")
+
+
+def test_an_ellipsoid_stands_as_the_scene_says() -> None:
+    turn = rotation_about([1.0, 2.0, 3.0], 0.8)
+    tomato = Tomato([0.5, 0.1, 1.0], 0.03, truss=0, semi_axes=[0.025, 0.03, 0.036], rotation=turn)
+    model = scene_spec(Scene(name="one", tomatoes=(tomato,), provenance=Provenance(row="r"))).compile()
+    geom = model.geom("tomato_0")
+    assert geom.type == mujoco.mjtGeom.mjGEOM_ELLIPSOID
+    np.testing.assert_allclose(geom.size, tomato.semi_axes)
+    found = np.empty(9)
+    mujoco.mju_quat2Mat(found, geom.quat)
+    np.testing.assert_allclose(found.reshape(3, 3), turn, atol=1e-9)

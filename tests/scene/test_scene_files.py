@@ -10,7 +10,7 @@ import pytest
 
 from greenhouse_gym.crop import Stem, Tomato
 from greenhouse_gym.errors import FileFormatError
-from greenhouse_gym.geometry import Box, Capsule, Sphere
+from greenhouse_gym.geometry import Box, Capsule, Sphere, rotation_about
 from greenhouse_gym.scene import Provenance, Scene, Shapes, Stand, Target
 
 
@@ -148,3 +148,13 @@ def test_a_truncated_scene(full: Scene, tmp_path: Path) -> None:
     path.write_bytes(content[: len(content) // 2])
     with pytest.raises(FileFormatError, match="not a valid scene"):
         Scene.load(path)
+
+
+def test_only_tomatoes_that_are_ellipsoids_write_their_axes(full: Scene, tmp_path: Path) -> None:
+    turn = rotation_about([0.0, 1.0, 0.0], 0.5)
+    oblate = Tomato([0.2, 0.1, 1.0], 0.03, truss=1, semi_axes=[0.03, 0.03, 0.03], rotation=turn)
+    path, data = saved(full.model_copy(update={"tomatoes": (*full.tomatoes, oblate)}), tmp_path)
+    assert [set(tomato) for tomato in data["tomatoes"][:2]] == [{"center", "radius", "truss", "ripeness"}] * 2
+    again = Scene.load(path).tomatoes[2]
+    np.testing.assert_array_equal(again.semi_axes, oblate.semi_axes)
+    np.testing.assert_array_equal(again.rotation, turn)
