@@ -80,8 +80,8 @@ class Situation(NamedTuple):
     def replaced(self, ids: npt.NDArray[np.int64], fresh: Situation) -> Situation:
         """A copy with the ``fresh`` situation of some of the simulations."""
         result = Situation._make(old.copy() for old in self)
-        for values, new in zip(result, fresh, strict=True):
-            values[ids] = new
+        for name in self._fields:
+            getattr(result, name)[ids] = getattr(fresh, name)
         return result
 
 
