@@ -51,7 +51,7 @@ def test_the_xml_opens_in_plain_mujoco_with_the_same_geoms(mixed: Scene, robot: 
         poses.append((each.geom_size, data.geom_xpos, data.geom_xmat))
     for a, b in zip(*poses, strict=True):
         np.testing.assert_allclose(a, b, atol=1e-4)  # MuJoCo writes six digits
-    assert (model.nu, model.nkey) == ((0, 0) if robot is None else (6, 1))
+    assert (model.nu, model.nkey) == ((0, 0) if robot is None else (6, direct.nkey))
     assert model.opt.timestep == direct.opt.timestep == 0.01
     assert model.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
 
