@@ -11,7 +11,7 @@ from greenhouse_gym.capture.raycast import RIPENESS_COLORS
 from greenhouse_gym.crop import Stem, Tomato
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Sphere, distance_to_shapes, invert, transform
-from greenhouse_gym.shapes import FINE_SHAPES, RowShapes, ShapeSettings, extract_shapes
+from greenhouse_gym.shapes import FINE_SHAPES, RowShapes, ShapeSettings, ShapeWarning, extract_shapes
 from greenhouse_gym.shapes.clutter import bounding_box, cover
 from greenhouse_gym.shapes.colors import could_be_fruit_or_stem, could_be_peduncle
 from greenhouse_gym.shapes.evidence import nearest_shapes
@@ -391,8 +391,10 @@ def test_a_bounding_box_holds_its_points(count: int) -> None:
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 10, 49])
 def test_few_points_hold_nothing(count: int) -> None:
     points = np.random.default_rng(0).uniform(0, 1, (count, 3))
-    shapes = extract_shapes(points, np.full((count, 3), 0.5))
+    with pytest.warns(ShapeWarning, match=f"{count} points, too few"):
+        shapes = extract_shapes(points, np.full((count, 3), 0.5))
     assert (shapes.tomatoes, shapes.stems, shapes.clutter) == ((), (), ())
+    assert len(shapes.warnings) == 1
 
 
 def test_equal_points_hold_nothing() -> None:
@@ -466,10 +468,54 @@ def test_stray_points_far_away() -> None:
     def stray(place: list[float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return np.array([place]), np.full((1, 3), 0.5), np.array([[-1.0, 0.0, 0.0]])
 
-    shapes = extract_shapes(*together(*parts, stray([10.0, 15.0, 9.0])))
-    assert len(shapes.tomatoes) == 1
-    with pytest.raises(InvalidValueError, match="stray"):
-        extract_shapes(*together(*parts, stray([60.0, 60.0, 60.0])))
+    alone = extract_shapes(*together(*parts))
+    assert alone.warnings == ()
+    for place in ([10.0, 15.0, 9.0], [0.4, 90.0, 1.0], [1e6, -1e6, 1e6]):
+        with pytest.warns(ShapeWarning, match="1 stray points"):
+            shapes = extract_shapes(*together(*parts, stray(place)))
+        assert len(shapes.tomatoes) == 1
+        assert len(shapes.clutter) == len(alone.clutter)
+        assert len(shapes.evidence.owner) == len(alone.evidence.owner) + 1
+
+
+def sides(radius: float = 0.03) -> tuple[np.ndarray, np.ndarray]:
+    """Four balls and a stem, points and colors, seen from the camera's side."""
+    parts = [half_sphere((0.45, 0.1 + 0.08 * k, 1.1 + 0.02 * k), radius, k) for k in range(4)]
+    behind = plane(count=5000)
+    behind[0][:, 0] += 0.06
+    points, colors, _ = together(*parts, cylinder(0.5, 0.2, 0.6, 1.5, 0.006), behind)
+    return points, colors
+
+
+@pytest.mark.parametrize("turn", [[1, 1, 1], [-1, 1, 1], [-1, -1, 1]])
+def test_without_normals_it_does_not_matter_from_where_a_cloud_was_seen(turn: list[int]) -> None:
+    points, colors = sides()
+    shapes = extract_shapes(points * turn, colors)
+    assert len(shapes.tomatoes) == 4
+    centers = np.array([t.center for t in shapes.tomatoes]) * turn
+    near = np.linalg.norm(centers[:, None] - [[0.45, 0.1 + 0.08 * k, 1.1 + 0.02 * k] for k in range(4)], axis=-1)
+    assert near.min(axis=1).max() < 0.003
+
+
+@pytest.mark.parametrize("share", [0.3, 1.0])
+def test_zero_normals_are_estimated_and_said(share: float) -> None:
+    points, colors, normals = together(*[half_sphere((0.45, 0.1 + 0.08 * k, 1.1), 0.03, k) for k in range(3)])
+    normals[np.random.default_rng(0).random(len(normals)) < share] = 0.0
+    with pytest.warns(ShapeWarning, match="are zero"):
+        assert len(extract_shapes(points, colors, normals).tomatoes) == 3
+
+
+def test_a_cloud_that_lies_on_its_side_is_said_to() -> None:
+    points, colors, normals = cylinder(0.5, 0.2, 0.6, 1.5, 0.006)
+    with pytest.warns(ShapeWarning, match="z must be up"):
+        shapes = extract_shapes(points[:, [0, 2, 1]], colors, normals[:, [0, 2, 1]])
+    assert shapes.warnings
+
+
+def test_colors_of_bytes_are_refused() -> None:
+    points, colors, normals = half_sphere((0.45, 0.2, 1.1), 0.03)
+    with pytest.raises(InvalidValueError, match="colors must be between 0 and 1"):
+        extract_shapes(points, 255 * colors, normals)
 
 
 # -- a simulated row --------------------------------------------------------------------------------------------------
