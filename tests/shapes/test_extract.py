@@ -479,11 +479,11 @@ def test_stray_points_far_away() -> None:
 
 
 def sides(radius: float = 0.03) -> tuple[np.ndarray, np.ndarray]:
-    """Four balls and a stem, points and colors, seen from the camera's side."""
+    """Four balls before a wall, points and colors, seen from the camera's side."""
     parts = [half_sphere((0.45, 0.1 + 0.08 * k, 1.1 + 0.02 * k), radius, k) for k in range(4)]
     behind = plane(count=5000)
     behind[0][:, 0] += 0.06
-    points, colors, _ = together(*parts, cylinder(0.5, 0.2, 0.6, 1.5, 0.006), behind)
+    points, colors, _ = together(*parts, behind)
     return points, colors
 
 
