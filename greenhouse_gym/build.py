@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from greenhouse_gym.errors import FileFormatError, InvalidValueError
 from greenhouse_gym.geometry import Array, Box, Capsule, Shape, distance_to_shapes, pose, transform
 from greenhouse_gym.planning import certify_targets
 from greenhouse_gym.progress import CONSOLE
-from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, reconstruct_row
+from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, reconstruct_row, settings_for
 from greenhouse_gym.scene import Provenance, Scene, SceneBank, Stand
 from greenhouse_gym.scene.bank import write_bank
 from greenhouse_gym.shapes import RowShapes, ShapeSettings, extract_shapes
@@ -36,7 +36,7 @@ class BuildSettings:
     reach: float = 1.35  # from the shoulder; what lies farther is left out
     primitives: int = 300  # most in a scene
     robot: str = "ur5e"
-    reconstruction: ReconstructionSettings = field(default_factory=ReconstructionSettings)
+    reconstruction: ReconstructionSettings | None = None  # by default what each recording's protocol needs
     shapes: ShapeSettings = field(default_factory=ShapeSettings)
 
 
@@ -81,15 +81,16 @@ def build_bank(
     folder = Path(out)
     scenes: list[tuple[Scene, str]] = []
     for recording, split, week in zip(recordings, splits, weeks, strict=True):
-        made = finished_scenes(folder, recording, week, settings)
+        fitted = replace(settings, reconstruction=settings.reconstruction or settings_for(recording))
+        made = finished_scenes(folder, recording, week, fitted)
         if made:
             report(f"{recording.name}: {len(made)} scenes already built")
         else:
             report(f"{recording.name}: reconstructing {len(recording)} stations")
-            row = reconstruct_row(recording, settings.reconstruction)
+            row = reconstruct_row(recording, fitted.reconstruction)
             report(f"{recording.name}: extracting shapes from {len(row)} points")
             shapes = extract_shapes(row.points, row.colors, row.normals, settings.shapes)
-            made = cut_scenes(row, shapes, recording, week, settings)
+            made = cut_scenes(row, shapes, recording, week, fitted)
             report(f"{recording.name}: certifying the targets of {len(made)} scenes")
             made = [
                 scene.model_copy(update={"targets": certify_targets(scene, settings.robot, seed=0)}) for scene in made
@@ -130,7 +131,8 @@ def scene_name(recording: Recording, stand: int) -> str:
 
 def stand_positions(recording: Recording, settings: BuildSettings) -> list[float]:
     """Where along the nominal walk, metres from its start, the arm is put up: evenly, half a spacing from the ends."""
-    length = 0.1 * len(recording)
+    later = recording.passes[1:]
+    length = 0.1 * (later[0].first if later else len(recording))
     count = max(1, int(length / settings.spacing + 1e-9) - 1)
     return [float(y) for y in length / 2 + settings.spacing * (np.arange(count) - (count - 1) / 2)]
 
@@ -167,7 +169,9 @@ def cut_scenes(
     stem_line = _stem_line(stems, recording)
     heads = transform(leveled, row.world_from_station[row.registered][:, :3, 3])
     numbers = np.flatnonzero(row.registered)
-    direction = -1.0 if heads[-1, 1] < 0 else 1.0  # the tripod may have gone either way along the row
+    direction = (
+        -1.0 if heads[np.argmax(np.abs(heads[:, 1])), 1] < 0 else 1.0
+    )  # the tripod may have gone either way along the row
     scenes = []
     for k, walked in enumerate(stand_positions(recording, settings)):
         along = direction * walked

@@ -71,7 +71,9 @@ def test_simulate_writes_a_recording_once(tmp_path: Path) -> None:
     assert len(recording) == 1
     assert recording[0].world_from_station is not None
     assert isinstance(fails("simulate", folder, "--length", "0.1"), FileFormatError)
+    assert recording.protocol == "paper"
     assert isinstance(fails("simulate", tmp_path / "x", "--style", "plum"), UnknownNameError)
+    assert isinstance(fails("simulate", tmp_path / "x", "--protocol", "sideways"), UnknownNameError)
     assert "seed" in str(fails("simulate", tmp_path / "x", "--seed", "-1"))
     assert not (tmp_path / "x").exists()
 

@@ -1,6 +1,8 @@
 """Recordings of a row: frames, rigs, readers and writer, the simulated rig."""
 
 from greenhouse_gym.capture.frames import RgbdFrame, Station
+from greenhouse_gym.capture.passes import join_passes
+from greenhouse_gym.capture.protocols import PROTOCOLS, Protocol, get_protocol, simulate_protocol
 from greenhouse_gym.capture.readers import open_recording
 from greenhouse_gym.capture.recordings import Recording, write_recording
 from greenhouse_gym.capture.rig import D435_DEPTH, SEED_RIG, Camera, Intrinsics, Rig, three_camera_rig
@@ -9,17 +11,22 @@ from greenhouse_gym.capture.simulated import WalkSettings, simulate_recording
 
 __all__ = [
     "D435_DEPTH",
+    "PROTOCOLS",
     "SEED_RIG",
     "Camera",
     "Intrinsics",
+    "Protocol",
     "Recording",
     "RgbdFrame",
     "Rig",
     "Station",
     "StereoNoise",
     "WalkSettings",
+    "get_protocol",
+    "join_passes",
     "open_recording",
     "sense_depth",
+    "simulate_protocol",
     "simulate_recording",
     "three_camera_rig",
     "write_recording",

@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, model_validator
 
 from greenhouse_gym.capture.frames import RgbdFrame, Station
 from greenhouse_gym.capture.images import encode_png, read_color, read_depth
@@ -23,6 +23,13 @@ from greenhouse_gym.geometry import Array, is_rotation
 from greenhouse_gym.paths import write_atomically
 
 INDEX = "recording.json"
+
+
+class Pass(NamedTuple):
+    """One walk along the row: number of its first station, and how much higher than in the first walk the rig is, m."""
+
+    first: int
+    lift: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +42,8 @@ class Recording:
         size: Number of stations.
         load: Gives station i; called anew at each access, nothing is kept.
         folder: Where it lies on disk, or None for one that is simulated.
+        protocol: Name of the `greenhouse_gym.capture.PROTOCOLS` it follows; None for the paper's, or where not known.
+        passes: The walks along the row where there are several, each from about the same place; see `join_passes`.
     """
 
     name: str
@@ -42,6 +51,8 @@ class Recording:
     size: int
     load: Callable[[int], Station]
     folder: Path | None = None
+    protocol: str | None = None
+    passes: tuple[Pass, ...] = (Pass(0, 0.0),)
 
     def __len__(self) -> int:
         return self.size
@@ -85,6 +96,13 @@ class StationRecord(_Model):
     world_from_station: list[list[float]] | None = None
 
 
+class PassRecord(_Model):
+    """A walk along the row in ``recording.json``; see `Pass`."""
+
+    first: Annotated[int, Field(ge=0)]
+    lift: FiniteFloat
+
+
 class RecordingIndex(_Model):
     """What ``recording.json`` holds."""
 
@@ -93,6 +111,15 @@ class RecordingIndex(_Model):
     reference: str
     cameras: dict[str, CameraRecord]
     stations: list[StationRecord]
+    protocol: str | None = None
+    passes: list[PassRecord] = [PassRecord(first=0, lift=0.0)]
+
+    @model_validator(mode="after")
+    def _passes_in_order(self) -> RecordingIndex:
+        firsts = [one.first for one in self.passes]
+        if firsts[:1] != [0] or firsts != sorted(set(firsts)) or firsts[-1] >= max(1, len(self.stations)):
+            raise ValueError(f"passes must begin at station 0 and then at ever later stations, got {firsts}")
+        return self
 
 
 def open_folder(path: str | Path) -> Recording:
@@ -133,7 +160,8 @@ def open_folder(path: str | Path) -> Recording:
             frames[name] = read_frame(folder / record.color[name], folder / record.depth[name], camera)
         return Station(frames, poses[i])
 
-    return Recording(index.name, rig, len(index.stations), load, folder)
+    passes = tuple(Pass(one.first, one.lift) for one in index.passes)
+    return Recording(index.name, rig, len(index.stations), load, folder, index.protocol, passes)
 
 
 def _camera(file: Path, name: str, record: CameraRecord) -> Camera:
@@ -206,7 +234,10 @@ def write_recording(recording: Recording, path: str | Path, on_station: Callable
         )
         for name, camera in recording.rig.cameras.items()
     }
-    index = RecordingIndex(name=recording.name, reference=recording.rig.reference, cameras=cameras, stations=stations)
+    index = RecordingIndex(
+        name=recording.name, reference=recording.rig.reference, cameras=cameras, stations=stations,
+        protocol=recording.protocol, passes=[PassRecord(**one._asdict()) for one in recording.passes],
+    )  # fmt: skip
     write_atomically(folder / INDEX, index.model_dump_json(indent=1) + "\n")
     return folder
 

@@ -24,6 +24,7 @@ class WalkSettings:
     step: float = 0.10  # m between stations
     step_error: float = 0.015  # m, each step, accumulating
     offset_error: float = 0.01  # m, sideways and in height, around the nominal line
+    back: float = 0.0  # m by which the nominal line lies behind the row's x = 0
     angle_error: float = float(np.deg2rad(2.0))  # rad about each axis, around the nominal attitude
     camera_offset: float = 0.0  # m, along each axis, by which the cameras stand off the places the rig gives
     camera_angle: float = 0.0  # rad about each axis, likewise; the reference camera stands right
@@ -32,7 +33,12 @@ class WalkSettings:
 
 
 def simulate_recording(
-    row: PlantRow, seed: int, rig: Rig = SEED_RIG, stations: int | None = None, settings: WalkSettings | None = None
+    row: PlantRow,
+    seed: int,
+    rig: Rig = SEED_RIG,
+    stations: int | None = None,
+    settings: WalkSettings | None = None,
+    walk_number: int = 0,
 ) -> Recording:
     """Photograph a grown row with a simulated rig.
 
@@ -44,6 +50,7 @@ def simulate_recording(
         rig: The cameras.
         stations: Number of stops; by default one every step over the row's length.
         settings: Tripod and sensor errors.
+        walk_number: Tells walks of the same cameras along the same row apart: other steps and noise, the same biases.
 
     Returns:
         A recording whose stations carry their true poses, in the row's frame.
@@ -57,7 +64,8 @@ def simulate_recording(
         raise InvalidValueError(f"stations must be at least 1, got {count}")
     if seed < 0:
         raise InvalidValueError(f"seed must be 0 or more, got {seed!r}")
-    poses = walk(count, seed, rig, settings)
+    poses = walk(count, seed, rig, settings, walk_number)
+    again = (walk_number,) if walk_number else ()
     biases = draw_biases(len(rig.cameras), np.random.default_rng([seed, 1]), settings.noise)
     actual = misplaced(rig, seed, settings)
     caster = RowRaycaster.of(row)
@@ -65,7 +73,7 @@ def simulate_recording(
     def load(i: int) -> Station:
         frames = {}
         for k, (name, camera) in enumerate(actual.cameras.items()):
-            rng = np.random.default_rng([seed, 2, i, k])
+            rng = np.random.default_rng([seed, 2, i, k, *again])
             view = caster.look(poses[i] @ camera.rig_from_camera, camera.intrinsics)
             depth = sense_depth(view.depth, camera.intrinsics.fx, rng, settings.noise, float(biases[k]))
             noise = settings.color_noise * rng.standard_normal(view.color.shape, dtype=np.float32)
@@ -91,12 +99,12 @@ def misplaced(rig: Rig, seed: int, settings: WalkSettings) -> Rig:
     return Rig(cameras, rig.reference)
 
 
-def walk(count: int, seed: int, rig: Rig, settings: WalkSettings) -> Array:
+def walk(count: int, seed: int, rig: Rig, settings: WalkSettings, number: int = 0) -> Array:
     """Poses of the rig at each station, (count, 4, 4) world_from_station.
 
     Angles turn about the reference camera, where a tripod's head is, so they do not add to the offsets.
     """
-    rng = np.random.default_rng([seed, 0])
+    rng = np.random.default_rng([seed, 0, number] if number else [seed, 0])
     steps = settings.step + rng.uniform(-settings.step_error, settings.step_error, count)
     along = np.concatenate([[0.0], np.cumsum(steps[1:])])
     offsets = rng.uniform(-settings.offset_error, settings.offset_error, (count, 2))
@@ -107,6 +115,6 @@ def walk(count: int, seed: int, rig: Rig, settings: WalkSettings) -> Array:
         turn = np.eye(3)
         for axis, angle in zip(np.eye(3), angles[i], strict=True):
             turn = turn @ rotation_about(axis, float(angle))
-        shift = np.array([offsets[i, 0], along[i], offsets[i, 1]])
+        shift = np.array([offsets[i, 0] - settings.back, along[i], offsets[i, 1]])
         poses[i] = pose(turn, head + shift - turn @ head)
     return poses

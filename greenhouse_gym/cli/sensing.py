@@ -19,12 +19,15 @@ def simulate(
     length: Annotated[float, typer.Option(help="Length of the row in metres.")] = 2.0,
     week: Annotated[int, typer.Option(help="Growth week, 0 = first harvest.")] = 0,
     style: Annotated[str, typer.Option(help="Fruit style: cluster, beefsteak or cherry.")] = "cluster",
+    protocol: Annotated[
+        str, typer.Option(help="How the row is photographed: paper, upright-back and others.")
+    ] = "paper",
 ) -> None:
     """Grow a row and photograph it with a simulated rig."""
-    from greenhouse_gym.capture import simulate_recording, write_recording
+    from greenhouse_gym.capture import simulate_protocol, write_recording
     from greenhouse_gym.plants import grow_row
 
-    recording = simulate_recording(grow_row(seed, length, week, style), seed)
+    recording = simulate_protocol(grow_row(seed, length, week, style), seed, protocol)
     with progress("stations", len(recording)) as done:
         write_recording(recording, out, lambda i: done(i + 1))
     CONSOLE.print(f"{len(recording)} stations in {out}")
@@ -44,12 +47,13 @@ def reconstruct(
     from greenhouse_gym.capture import open_recording
     from greenhouse_gym.cli.results import write_results
     from greenhouse_gym.errors import FileFormatError, ReconstructionError, require_choice
-    from greenhouse_gym.reconstruction import METHODS, ReconstructionSettings, simplify_points, triangulate
+    from greenhouse_gym.reconstruction import METHODS, settings_for, simplify_points, triangulate
     from greenhouse_gym.reconstruction.diary import Diary
     from greenhouse_gym.reconstruction.walk import walk_through
 
     require_choice("meshing method", method, METHODS)
-    opened, settings, notes = open_recording(recording), ReconstructionSettings(), out / "walk"
+    opened, notes = open_recording(recording), out / "walk"
+    settings = settings_for(opened)
     if notes.exists() and not (notes / "walk.jsonl").exists():
         raise FileFormatError(notes, "holds no notes of a reconstruction; choose another folder or remove it")
     noted = len(Diary.open(notes, opened, settings).entries)

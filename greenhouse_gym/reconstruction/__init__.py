@@ -3,7 +3,7 @@
 from greenhouse_gym.reconstruction.files import load_row, report_as_json, save_row
 from greenhouse_gym.reconstruction.report import RowReport, StationReport
 from greenhouse_gym.reconstruction.row import RowCloud, reconstruct_row, reconstruct_segments
-from greenhouse_gym.reconstruction.settings import ReconstructionSettings
+from greenhouse_gym.reconstruction.settings import ReconstructionSettings, settings_for
 from greenhouse_gym.reconstruction.surface import METHODS, TriangleMesh, simplify_points, triangulate
 
 __all__ = [
@@ -18,6 +18,7 @@ __all__ = [
     "reconstruct_segments",
     "report_as_json",
     "save_row",
+    "settings_for",
     "simplify_points",
     "triangulate",
 ]

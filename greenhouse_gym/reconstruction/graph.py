@@ -27,16 +27,13 @@ def optimize(stations: Sequence[int], edges: Edges, distance: float) -> Array:
     """Poses (k, 4, 4) of ``stations`` in the first one's frame.
 
     Args:
-        stations: Their numbers; an edge must join each to the next.
+        stations: Their numbers; edges must join them all.
         edges: Registrations; those between other stations are left out.
         distance: Within which partners were looked for, metres.
     """
     pipelines = open3d().pipelines.registration
     graph = pipelines.PoseGraph()
-    poses = [np.eye(4)]
-    for earlier, later in pairwise(stations):
-        poses.append(poses[-1] @ edges[earlier, later].first_from_second)
-    for first_from_station in poses:
+    for first_from_station in _along_edges(stations, edges):
         graph.nodes.append(pipelines.PoseGraphNode(first_from_station))
     number = {station: k for k, station in enumerate(stations)}
     own = {(a, b): edge for (a, b), edge in edges.items() if a in number and b in number}
@@ -55,3 +52,35 @@ def optimize(stations: Sequence[int], edges: Edges, distance: float) -> Array:
         )
     optimized = np.array([node.pose for node in graph.nodes])
     return np.round(invert(optimized[0]) @ optimized, 9)
+
+
+def _along_edges(stations: Sequence[int], edges: Edges) -> list[Array]:
+    """Poses of ``stations`` in the first one's frame, from edge to edge: where there is one, from the station before.
+
+    Raises:
+        ValueError: The edges do not join them all.
+    """
+    poses = {stations[0]: np.eye(4)}
+    waiting = list(pairwise(stations))
+    while waiting:
+        left = []
+        for before, station in waiting:
+            pose_by_edge = _by_edge(station, [before, *poses], poses, edges)
+            if pose_by_edge is None:
+                left.append((before, station))
+            else:
+                poses[station] = pose_by_edge
+        if len(left) == len(waiting):
+            raise ValueError(f"no edges join stations {[station for _, station in left]} to the others")
+        waiting = left
+    return [poses[station] for station in stations]
+
+
+def _by_edge(station: int, others: Sequence[int], poses: Mapping[int, Array], edges: Edges) -> Array | None:
+    """The pose of a station by its edge to the first of the others that has a pose and shares one."""
+    for other in others:
+        if other in poses and (other, station) in edges:
+            return poses[other] @ edges[other, station].first_from_second
+        if other in poses and (station, other) in edges:
+            return poses[other] @ invert(edges[station, other].first_from_second)
+    return None

@@ -16,7 +16,7 @@ from greenhouse_gym.reconstruction.clouds import Cloud
 from greenhouse_gym.reconstruction.graph import optimize
 from greenhouse_gym.reconstruction.merging import merge_stations, outliers
 from greenhouse_gym.reconstruction.report import RowReport
-from greenhouse_gym.reconstruction.settings import ReconstructionSettings
+from greenhouse_gym.reconstruction.settings import ReconstructionSettings, settings_for
 from greenhouse_gym.reconstruction.walk import Walk, walk_through
 
 
@@ -55,7 +55,7 @@ def reconstruct_row(
 
     Args:
         recording: The recording; its stations are read one at a time.
-        settings: All settings; the paper's values by default.
+        settings: All settings; by default what the recording's protocol needs, the paper's values where it names none.
         on_station: Called with the number of each station when it is done (for progress bars).
         folder: Where to note what was registered, so that an interrupted reconstruction goes on from there.
 
@@ -81,7 +81,7 @@ def reconstruct_segments(
         folder: Where to note what was registered.
         most: Segments wanted; None for all.
     """
-    settings = settings or ReconstructionSettings()
+    settings = settings or settings_for(recording)
     walk = walk_through(recording, settings, on_station, None if folder is None else Path(folder))
     return tuple(
         remove_outliers(*merge_segment(walk, segment, settings)) for segment in range(len(walk.segments))[:most]

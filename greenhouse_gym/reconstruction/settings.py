@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from greenhouse_gym.capture.protocols import PROTOCOLS, Protocol
+from greenhouse_gym.capture.recordings import Recording
+from greenhouse_gym.errors import require_choice
+
 
 @dataclass(frozen=True)
 class ReconstructionSettings:
@@ -45,3 +49,30 @@ class ReconstructionSettings:
     outlier_neighbours: int = 2  # fewest points within that radius
     outlier_stations: int = 2  # fewest stations that must have seen something there,
     outlier_views: int = 2  # if at least so many see through the place
+
+    @classmethod
+    def of(cls, protocol: Protocol) -> ReconstructionSettings:
+        """What a protocol needs: the cut behind its plants, and room for the noise of its distance.
+
+        A stereo camera's noise grows with the square of the distance; neighbouring pixels share it, so partners are
+        looked for and believed in proportion to the distance.
+        """
+        usual = cls()
+        farther = protocol.distance / PROTOCOLS["paper"].distance
+        return cls(
+            foreground=protocol.foreground,
+            fine_distance=usual.fine_distance * farther,
+            max_rmse=usual.max_rmse * farther,
+        )
+
+
+def settings_for(recording: Recording) -> ReconstructionSettings:
+    """The settings that fit the protocol a recording says it follows; the paper's where it names none.
+
+    Raises:
+        UnknownNameError: The recording names a protocol that does not exist.
+    """
+    if recording.protocol is None:
+        return ReconstructionSettings()
+    kind = f"protocol of recording {recording.name!r}:"
+    return ReconstructionSettings.of(PROTOCOLS[require_choice(kind, recording.protocol, PROTOCOLS)])

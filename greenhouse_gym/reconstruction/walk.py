@@ -6,7 +6,7 @@ out of place remains alone and is skipped.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -16,7 +16,7 @@ from time import perf_counter
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from greenhouse_gym.capture.recordings import Recording
+from greenhouse_gym.capture.recordings import Pass, Recording
 from greenhouse_gym.errors import FileFormatError, ReconstructionError
 from greenhouse_gym.geometry import Array, transform
 from greenhouse_gym.reconstruction.calibration import CalibrationReport, calibrate
@@ -24,6 +24,7 @@ from greenhouse_gym.reconstruction.clouds import PackedCloud
 from greenhouse_gym.reconstruction.diary import Diary, Entry
 from greenhouse_gym.reconstruction.foreground import foreground_problem
 from greenhouse_gym.reconstruction.graph import Edge
+from greenhouse_gym.reconstruction.joining import join_segments, pass_of
 from greenhouse_gym.reconstruction.registration import Registration, refine, register
 from greenhouse_gym.reconstruction.report import StationReport
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings
@@ -101,7 +102,7 @@ def walk_through(
             if isinstance(view, str):
                 entry = Entry(StationReport(i, False, reason=view))
             else:
-                near = _near(segments, i, settings)
+                near = _near(segments, i, recording.passes, settings)
                 kept = [station for segment in near for station in segment[-max(settings.links, default=1) :]]
                 views = {  # memory grows with the clouds, not with the images; read again after an interruption
                     k: views[k] if k in views else view_station(recording[k], calibration, settings) for k in kept
@@ -110,7 +111,15 @@ def walk_through(
                 views[i] = view
             diary.write(entry)
             note(entry)
-    reports, kept_segments = _conclude(diary.entries, segments, recording.name, settings)
+    kept_segments = _conclude(diary.entries, segments, recording.name, settings)
+    if len(recording.passes) > 1:
+        kept_segments, between = join_segments(recording, calibration, kept_segments, edges, settings)
+        edges.update(between)
+    number = {station: k for k, segment in enumerate(kept_segments) for station in segment}
+    reports = tuple(
+        replace(report, registered=report.station in number, segment=number.get(report.station))
+        for report in (entry.report for entry in diary.entries)
+    )
     return Walk(
         calibration,
         calibrated,
@@ -149,9 +158,10 @@ def _views(
             yield i, view
 
 
-def _near(segments: Segments, i: int, settings: ReconstructionSettings) -> list[list[int]]:
+def _near(segments: Segments, i: int, passes: Sequence[Pass], settings: ReconstructionSettings) -> list[list[int]]:
     """The segments station ``i`` may belong to, the longest first: those whose end may lie within the longest gap."""
-    open_ones = [s for s in segments.values() if (i - s[-1]) * settings.step_range[0] <= settings.longest_gap]
+    own = [s for s in segments.values() if pass_of(passes, s[0]) == pass_of(passes, i)]
+    open_ones = [s for s in own if (i - s[-1]) * settings.step_range[0] <= settings.longest_gap]
     return sorted(open_ones, key=lambda s: (-len(s), -s[-1]))[:_TRIED]
 
 
@@ -223,23 +233,20 @@ def _links(
 
 def _conclude(
     entries: list[Entry], segments: Segments, name: str, settings: ReconstructionSettings
-) -> tuple[tuple[StationReport, ...], tuple[tuple[int, ...], ...]]:
-    """The reports, and the segments worth the name, the longest first.
+) -> tuple[tuple[int, ...], ...]:
+    """The segments worth the name, the longest first.
 
     Raises:
         ReconstructionError: Too few stations belong to any.
     """
     ordered = sorted(segments.values(), key=lambda s: (-len(s), s[0]))
     kept = [s for k, s in enumerate(ordered) if len(s) >= (_SHORTEST if k else 2)]
-    number = {station: k for k, segment in enumerate(kept) for station in segment}
-    reports = tuple(
-        replace(e.report, registered=e.report.station in number, segment=number.get(e.report.station)) for e in entries
-    )
+    registered = sum(map(len, kept))
     least = max(2, int(np.ceil(settings.min_registered * len(entries))))
-    if len(number) < least and not len(entries) == len(segments) == 1:
-        reasons = "; ".join(f"station {r.station}: {r.reason}" for r in reports if r.reason)
+    if registered < least and not len(entries) == len(segments) == 1:
+        reasons = "; ".join(f"station {e.report.station}: {e.report.reason}" for e in entries if e.report.reason)
         raise ReconstructionError(
-            f"recording {name!r}: {len(number)} of {len(entries)} stations registered, at least {least} needed. "
+            f"recording {name!r}: {registered} of {len(entries)} stations registered, at least {least} needed. "
             f"{reasons}"
         )
-    return reports, tuple(tuple(segment) for segment in kept or ordered)
+    return tuple(tuple(segment) for segment in kept or ordered)
