@@ -10,15 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.agents.agent import Problem
-from greenhouse_gym.envs.reach_task import ACTION_STEP, SUBSTEPS
+from greenhouse_gym.envs.actions import INTERVAL, joint_steps
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning import PLANNERS, PlannerSettings, PlanResult, follow_path, free_commands, plan
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene
-from greenhouse_gym.scene.mjcf import TIMESTEP, compile_scene
-
-INTERVAL = SUBSTEPS * TIMESTEP
-"""Seconds from one action to the next."""
+from greenhouse_gym.scene.mjcf import compile_scene
 
 
 class PathFollower:
@@ -35,13 +32,14 @@ class PathFollower:
     """
 
     def __init__(self, path: Array, robot: Robot, scene: Scene | None = None, target: int = 0):
-        speed = np.minimum(robot.velocity_limits, ACTION_STEP / INTERVAL)
+        steps = joint_steps(robot)
+        speed = np.minimum(robot.velocity_limits, steps / INTERVAL)
         limits = (path, speed, robot.acceleration_limits, INTERVAL)
         if scene is None:
-            self.commands = follow_path(*limits)
+            self.commands = follow_path(*limits, lag=robot.lag)
         else:
             self.commands = free_commands(compile_scene(scene, robot), target, *limits)
-        self._actions = iter(np.diff(self.commands, axis=0, prepend=path[:1]) / ACTION_STEP)
+        self._actions = iter(np.diff(self.commands, axis=0, prepend=path[:1]) / steps)
         self._still = np.zeros(len(robot.joints))
 
     def action(self) -> npt.NDArray[np.float32]:

@@ -56,18 +56,24 @@ class ActionRule(Protocol):
         """Wished changes (n, j) of the commands, radians, for actions (n, size)."""
 
 
+def joint_steps(robot: Robot) -> Array:
+    """(j,) what an entry of 1 of a "joint" action adds to the joints' commands: `ACTION_STEP`, less for slow slides."""
+    slides = np.minimum(ACTION_STEP, robot.velocity_limits * INTERVAL)
+    return np.where(robot.sliding, slides, ACTION_STEP)
+
+
 class JointIncrements:
-    """Each entry moves a joint's command by up to `ACTION_STEP`."""
+    """Each entry moves a joint's command by up to its step, see `joint_steps`."""
 
     needs_motion = False
 
     def __init__(self, robot: Robot):
         self.size = len(robot.joints)
-        self.peak = np.full(self.size, ACTION_STEP)
+        self.peak = joint_steps(robot)
 
     def __call__(self, action: Array, motion: ToolMotion | None) -> Array:
         """The action times the step."""
-        return ACTION_STEP * action
+        return self.peak * action
 
 
 class JointVelocities:
@@ -92,6 +98,7 @@ class TipVelocity:
 
     def __init__(self, robot: Robot):
         self.peak = np.full(len(robot.joints), np.inf)
+        self._sliding = robot.sliding[:, None]
         self._scale = INTERVAL * np.array([TIP_SPEED] * 3 + [TIP_TURN] * 3)
 
     def __call__(self, action: Array, motion: ToolMotion | None) -> Array:
@@ -102,8 +109,11 @@ class TipVelocity:
         x = cosine * wished[..., 0] - sine * wished[..., 1]
         y = sine * wished[..., 0] + cosine * wished[..., 1]
         twist = np.stack([x, y, wished[..., 2]], axis=-1).reshape(-1, 6, 1)
-        linear = np.cross(motion.axes, motion.tip[:, None] - motion.anchors)
-        jacobian = np.concatenate([linear, motion.axes], axis=-1).transpose(0, 2, 1)  # (n, 6, j)
+        linear = np.where(
+            self._sliding, motion.axes, np.cross(motion.axes, motion.tip[:, None] - motion.anchors)
+        )
+        turning = np.where(self._sliding, 0.0, motion.axes)
+        jacobian = np.concatenate([linear, turning], axis=-1).transpose(0, 2, 1)  # (n, 6, j)
         turned = np.ascontiguousarray(jacobian.transpose(0, 2, 1))
         square = np.ascontiguousarray(jacobian) @ turned + DAMPING**2 * np.eye(6)
         return np.asarray((turned @ np.linalg.solve(square, twist))[..., 0])

@@ -36,8 +36,7 @@ from greenhouse_gym.envs.stepping import Ids
 from greenhouse_gym.envs.worlds import World, worlds_of
 from greenhouse_gym.errors import UnknownNameError
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.robots import get_robot
-from greenhouse_gym.robots.robot import ROBOTS
+from greenhouse_gym.robots import ROBOTS, get_robot
 from greenhouse_gym.scene.field import NO_TOMATO
 
 STEP_INFOS = ("previous_goal", "effort")

@@ -226,10 +226,11 @@ def halving_order(steps: int) -> Array:
 
 
 def joint_reaches(model: mujoco.MjModel) -> Array:
-    """(joints,) for each hinge of a chain, how far from its axis the points it moves can get at most, metres.
+    """(joints,) how far the points that a joint of a chain moves can get at most per radian or metre of it, metres.
 
-    From the tool inwards: the parts that turn with a joint and no later one are measured in place; all beyond the next
-    joint lies within the distance between the two anchors plus what the next anchor reaches.
+    For a slide that is 1. For a hinge it is their largest distance from its axis, from the tool inwards: the parts that
+    turn with a joint and no later one are measured in place; all beyond the next joint lies within the distance between
+    the two anchors plus what the next anchor reaches, and what a slide adds at its limits.
     """
     n = int(model.njnt)
     data = mujoco.MjData(model)
@@ -245,6 +246,8 @@ def joint_reaches(model: mujoco.MjModel) -> Array:
     for moving in np.flatnonzero(model.geom_bodyid > 0).tolist():
         if (joint := last_joint(int(model.geom_bodyid[moving]))) >= 0:
             parts[joint].append(moving)
+    sliding = model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE
+    travel = np.where(sliding, np.abs(model.jnt_range - model.qpos0[:, None]).max(axis=1), 0.0)
     from_axis, from_anchor = np.zeros(n), np.zeros(n)
     beyond = 0.0
     for j in reversed(range(n)):
@@ -258,8 +261,9 @@ def joint_reaches(model: mujoco.MjModel) -> Array:
             gap = data.xanchor[j + 1] - anchor
             from_axis[j] = max(from_axis[j], float(np.linalg.norm(np.cross(axis, gap))) + beyond)
             from_anchor[j] = max(from_anchor[j], float(np.linalg.norm(gap)) + beyond)
-        beyond = from_anchor[j]
-    return from_axis
+        # seen from the joint before, a slide's anchor stays where it is at rest and its parts travel
+        beyond = from_anchor[j] + travel[j]
+    return np.where(sliding, 1.0, from_axis)
 
 
 def _geom_points(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> list[tuple[Array, float]]:

@@ -17,15 +17,17 @@ from greenhouse_gym.geometry import Array, pose
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """A chain of n hinge joints from the world to the tip: fixed pose, joint, fixed pose, joint, ..., fixed pose.
+    """A chain of n joints from the world to the tip: fixed pose, joint, fixed pose, joint, ..., fixed pose.
 
     Attributes:
         offsets: (n + 1, 4, 4) fixed poses: before each joint (its anchor at the origin), and from the last to the tip.
         axes: (n, 3) unit joint axes in the frame after the joint's offset.
+        sliding: (n,) which joints slide along their axis instead of turning about it.
     """
 
     offsets: Array
     axes: Array
+    sliding: npt.NDArray[np.bool_]
 
 
 class ToolState(NamedTuple):
@@ -34,8 +36,8 @@ class ToolState(NamedTuple):
     Attributes:
         point: (m, 3) grasp points, metres.
         axis: (m, 3) unit tool axes.
-        jacobian: (m, 3, n) derivative of the grasp point by the joint angles, metres per radian.
-        joint_axes: (m, 3, n) unit joint axes: by how the tool turns with each joint, radians per radian.
+        jacobian: (m, 3, n) derivative of the grasp point by the joint positions, metres per radian (or metre).
+        joint_axes: (m, 3, n) by how the tool turns with each joint, radians per radian: unit axes, zero for slides.
     """
 
     point: Array
@@ -45,13 +47,13 @@ class ToolState(NamedTuple):
 
 
 def tool_chain(model: mujoco.MjModel, tip_site: int) -> Chain:
-    """Read the chain of hinge joints that leads to a site; joints come in the order of ``qpos``."""
+    """Read the chain of joints that leads to a site; joints come in the order of ``qpos``."""
     bodies = []
     body = int(model.site_bodyid[tip_site])
     while body:
         bodies.append(body)
         body = int(model.body_parentid[body])
-    offsets, axes = [], []
+    offsets, axes, sliding = [], [], []
     rest = np.eye(4)
     for body in reversed(bodies):
         rest = rest @ _pose(model.body_pos[body], model.body_quat[body])
@@ -60,9 +62,10 @@ def tool_chain(model: mujoco.MjModel, tip_site: int) -> Chain:
             anchor = model.jnt_pos[joint]
             offsets.append(rest @ pose(translation=anchor))
             axes.append(model.jnt_axis[joint])
+            sliding.append(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE)
             rest = pose(translation=-anchor)
     offsets.append(rest @ _pose(model.site_pos[tip_site], model.site_quat[tip_site]))
-    return Chain(np.array(offsets), np.array(axes))
+    return Chain(np.array(offsets), np.array(axes), np.array(sliding))
 
 
 def tool_state(chain: Chain, configurations: npt.ArrayLike, ahead: float = 0.0) -> ToolState:
@@ -70,7 +73,7 @@ def tool_state(chain: Chain, configurations: npt.ArrayLike, ahead: float = 0.0) 
 
     Args:
         chain: The chain.
-        configurations: (m, n) joint angles, radians.
+        configurations: (m, n) joint positions, radians or metres.
         ahead: Distance of the grasp point from the tip along the tool axis, metres.
     """
     q = np.asarray(configurations, dtype=np.float64)
@@ -83,11 +86,16 @@ def tool_state(chain: Chain, configurations: npt.ArrayLike, ahead: float = 0.0) 
         rotation = rotation @ chain.offsets[j, :3, :3]
         anchors[j] = position
         axes[j] = rotation @ chain.axes[j]
-        rotation = rotation @ _rotations(chain.axes[j], q[:, j])
+        if chain.sliding[j]:
+            position = position + q[:, j, None] * axes[j]
+        else:
+            rotation = rotation @ _rotations(chain.axes[j], q[:, j])
     tip = chain.offsets[n]
     axis = rotation @ tip[:3, 2]
     point = position + rotation @ tip[:3, 3] + ahead * axis
-    jacobian = np.cross(axes, point - anchors)
+    sliding = chain.sliding[:, None, None]
+    jacobian = np.where(sliding, axes, np.cross(axes, point - anchors))
+    axes = np.where(sliding, 0.0, axes)
     return ToolState(point, axis, np.moveaxis(jacobian, 0, -1), np.moveaxis(axes, 0, -1))
 
 

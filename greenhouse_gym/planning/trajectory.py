@@ -37,11 +37,11 @@ def free_commands(
     Returns:
         (m, n) commands, as `follow_path` gives them; the slowest ones where even those are not free.
     """
-    start = np.asarray(path, dtype=np.float64)[:1]
+    start, lag = np.asarray(path, dtype=np.float64)[:1], compiled.robot.lag
     checker = CollisionChecker(planning_model(compiled, target, margin=MARGIN / 2))
     for halving in range(_HALVINGS + 1):
         tolerance = CORNER_TOLERANCE / 2**halving
-        commands = follow_path(path, velocity_limits, acceleration_limits, interval, corner_tolerance=tolerance)
+        commands = follow_path(path, velocity_limits, acceleration_limits, interval, tolerance, lag)
         if checker.path_is_free(np.concatenate([start, commands]), MARGIN):
             break
     return commands

@@ -1,5 +1,7 @@
-"""Robot arms as MJCF files made of primitives, and the `Robot` that describes one."""
+"""Robot arms as MJCF files, those of this package made of primitives, and the `Robot` that describes one."""
 
-from greenhouse_gym.robots.robot import ROBOTS, Robot, get_robot, load_robot
+from greenhouse_gym.robots.load import ROBOTS, get_robot, load_robot
+from greenhouse_gym.robots.robot import Robot
+from greenhouse_gym.robots.tool import mount_tool
 
-__all__ = ["ROBOTS", "Robot", "get_robot", "load_robot"]
+__all__ = ["ROBOTS", "Robot", "get_robot", "load_robot", "mount_tool"]

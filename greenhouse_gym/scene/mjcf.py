@@ -17,6 +17,7 @@ from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Box, Capsule, Shape, Sphere
 from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.robots.robot import CUP_GEOM, TIP_SITE
+from greenhouse_gym.robots.start import CART_HALF_WIDTH, cart_drop
 from greenhouse_gym.scene.scene import Scene
 
 DEFAULT_CAPACITY = 300
@@ -163,14 +164,16 @@ def _has_column(scene: Scene, robot: Robot) -> bool:
 def _place_arm(spec: mujoco.MjSpec, scene: Scene, robot: Robot) -> None:
     position = base_position(scene, robot)
     base = spec.worldbody.first_body()
-    base.pos = position
-    base.quat = [np.cos(scene.stand.yaw / 2), 0.0, 0.0, np.sin(scene.stand.yaw / 2)]
+    heading = np.array([np.cos(scene.stand.yaw / 2), 0.0, 0.0, np.sin(scene.stand.yaw / 2)])
+    turned = np.empty(4)
+    mujoco.mju_mulQuat(turned, heading, np.array(base.quat))  # files may turn the base to have it look ahead
+    base.pos, base.quat = position, turned
     if _has_column(scene, robot):
         floor = scene.stand.position[2]
-        half = (position[2] - floor - 0.03) / 2
+        half = (position[2] - floor - cart_drop(robot.foot)) / 2
         spec.worldbody.add_geom(
-            name="cart", type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.12, 0.12, half],
-            pos=[position[0], position[1], floor + half], quat=base.quat, rgba=[0.45, 0.45, 0.48, 1],
+            name="cart", type=mujoco.mjtGeom.mjGEOM_BOX, size=[CART_HALF_WIDTH, CART_HALF_WIDTH, half],
+            pos=[position[0], position[1], floor + half], quat=heading, rgba=[0.45, 0.45, 0.48, 1],
             contype=ARM_AND_CUP, conaffinity=ARM_AND_CUP,
         )  # fmt: skip
 

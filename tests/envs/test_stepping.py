@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.envs import TomatoReachEnv
-from greenhouse_gym.robots.robot import ROBOTS
+from greenhouse_gym.robots import ROBOTS
 from greenhouse_gym.scene import SceneBank, compile_scene
 
 

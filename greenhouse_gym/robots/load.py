@@ -1,0 +1,292 @@
+"""Arms from MJCF files, those of this package and others.
+
+What the file must hold: one chain of hinge and slide joints and nothing else that moves, one position actuator per
+joint in the joints' order, a site at the tip (z along the tool) and a key frame with the start. `load_robot` takes the
+names of the last two; MuJoCo Menagerie's are found by themselves. A slide joint needs limits; a hinge without them gets
+one turn, half to either side of the start.
+
+What it may hold: the custom numerics ``velocity_limits`` (rad/s, m/s), ``acceleration_limits`` (rad/s^2, m/s^2) and
+``shoulder_height`` (m above the base); a geom ``cup``, the only part that may touch the target (without one, the parts
+of the tip's own body may); and sites ``probe_*`` at which the clearance of the arm is observed, with the radius of the
+arm there as their size. Collision masks need not be set: all that collides at all collides with everything.
+"""
+
+from __future__ import annotations
+
+import warnings
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Sequence
+from functools import lru_cache
+from hashlib import sha256
+from pathlib import Path
+from types import MappingProxyType
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError
+from greenhouse_gym.geometry import Array
+from greenhouse_gym.robots.prepare import (
+    PROBE_PREFIX,
+    TIP_SITE,
+    colliding_geoms,
+    prepare,
+    touching_bodies,
+)
+from greenhouse_gym.robots.robot import Robot
+from greenhouse_gym.robots.start import ahead_of_base, foot_of, upright_start
+
+_HERE = Path(__file__).parent
+ROBOTS: dict[str, Path] = {path.stem: path for path in sorted(_HERE.glob("*.xml"))}
+"""The shipped arms by name, each with its MJCF file."""
+
+FLANGE_SITES = ("flange", "attachment_site", "pinch_site")
+"""Names of the flange's site that are tried in turn; the last two are MuJoCo Menagerie's."""
+
+TIP_SITES = (TIP_SITE, *FLANGE_SITES[1:])
+"""Names of the tip's site that are tried in turn."""
+
+START_KEYS = ("start", "home")
+"""Names of the start's key frame that are tried in turn; the last is MuJoCo Menagerie's."""
+
+UPRIGHT = "upright"
+"""The start that is searched for instead of read: see `upright_start`."""
+
+DEFAULT_SPEED, DEFAULT_SLIDE_SPEED = 1.6, 0.4
+"""Speed limits of joints whose file names none, rad/s and m/s: what a joint action of 1 asks for."""
+
+DEFAULT_ACCELERATION, DEFAULT_SLIDE_ACCELERATION = 10.0, 2.0
+"""Acceleration limits of joints whose file names none, rad/s^2 and m/s^2."""
+
+PLANTS_AHEAD = 0.45
+"""Distance ahead of an arm's base at which a row's leaves and fruit begin, metres."""
+
+
+def get_robot(robot: str | Path | Robot) -> Robot:
+    """Find an arm by its shipped name or by the path of an MJCF file (as `load_robot` does, read once until it changes).
+
+    Raises:
+        UnknownNameError: Neither a shipped name nor an existing file.
+        FileFormatError: The file lacks something an arm needs; the message says what.
+    """
+    if isinstance(robot, Robot):
+        return robot
+    if str(robot) in ROBOTS:
+        path = ROBOTS[str(robot)]
+    elif str(robot).endswith(".xml"):
+        path = Path(robot).resolve()
+    else:
+        raise UnknownNameError("robot", str(robot), [*ROBOTS, "(or the path of an MJCF file, ending in .xml)"])
+    return _read_once(path, _fingerprint(path))
+
+
+@lru_cache(maxsize=32)
+def _read_once(path: Path, fingerprint: str) -> Robot:
+    return load_robot(path)
+
+
+def _fingerprint(path: Path) -> str:
+    """Checksum of an MJCF file and of those that it includes; of one that cannot be read, whatever."""
+    try:
+        text = path.read_bytes()
+        included = [node.get("file", "") for node in ElementTree.fromstring(text).iter("include")]
+    except (OSError, ElementTree.ParseError):
+        return ""
+    parts = [sha256(text).hexdigest(), *(_fingerprint(path.parent / name) for name in included)]
+    return sha256(" ".join(parts).encode()).hexdigest()
+
+
+def load_robot(
+    path: str | Path,
+    tip: str | None = None,
+    start: str | npt.ArrayLike | None = None,
+    velocity_limits: npt.ArrayLike | None = None,
+    acceleration_limits: npt.ArrayLike | None = None,
+) -> Robot:
+    """Read an arm from an MJCF file that may know nothing of this package.
+
+    Without probe sites, clearance is observed at the joints' anchors (from the second on) and at the tip, with radius
+    0. Without a geom ``cup``, the parts of the tip's own body may touch the target.
+
+    Args:
+        path: The file: the arm alone, without floor or lights in its world.
+        tip: Name of the site at the tip, z along the tool; one of `TIP_SITES` when left out.
+        start: Name of a key frame, or the joint positions (n,) in radians and metres, or "upright" for a configuration
+            drawn in from the plants, found by a search; one of `START_KEYS` when left out. A warning says when
+            the arm then stands among the plants.
+        velocity_limits: (n,) rad/s; when left out, the file's, or `DEFAULT_SPEED` and `DEFAULT_SLIDE_SPEED`.
+        acceleration_limits: (n,) rad/s^2; when left out, the file's, or `DEFAULT_ACCELERATION` and
+            `DEFAULT_SLIDE_ACCELERATION`.
+
+    Raises:
+        FileFormatError: The file lacks something an arm needs; the message says what.
+    """
+    path = Path(path).resolve()
+    bare_spec = read_spec(path)
+    bare = bare_spec.compile()
+    n = _check_joints(path, bare)
+    if not colliding_geoms(bare_spec):
+        raise FileFormatError(path, "none of its geoms collides: give the links geoms with contype and conaffinity")
+    tip = choose(path, "site", tip, TIP_SITES, [bare.site(i).name for i in range(bare.nsite)])
+    own_probes = any(bare.site(i).name.startswith(PROBE_PREFIX) for i in range(bare.nsite))
+    searched = isinstance(start, str) and start == UPRIGHT and UPRIGHT not in _keys(bare)
+    begin = np.zeros(n) if searched else _start(path, bare, start)
+    lower, upper = _limits(bare, begin)
+    spec = prepare(bare_spec, tip)
+    if searched:
+        begin = upright_start(spec, lower, upper, foot_of(spec.compile()))
+    model = spec.compile()
+    _check_start(path, model, begin, lower, upper)
+    if not searched and (ahead := ahead_of_base(model, begin)) > PLANTS_AHEAD:
+        warnings.warn(
+            f"{path}: at its start the arm reaches {ahead:.2f} m ahead of its base, where plants stand from about "
+            f'{PLANTS_AHEAD} m on; load_robot(..., start="upright") finds a start that is free',
+            stacklevel=2,
+        )
+    height = _numeric(path, model, "shoulder_height", 1)
+    probes = [i for i in range(model.nsite) if model.site(i).name.startswith(PROBE_PREFIX)]
+    radii = model.site_size[probes, 0].copy()
+    sliding = np.asarray(model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE)
+    speeds = np.where(sliding, DEFAULT_SLIDE_SPEED, DEFAULT_SPEED)
+    accelerations = np.where(sliding, DEFAULT_SLIDE_ACCELERATION, DEFAULT_ACCELERATION)
+    return Robot(
+        name=path.stem,
+        path=path,
+        joints=tuple(model.joint(i).name for i in range(n)),
+        start=begin,
+        starts=MappingProxyType({model.key(i).name: model.key_qpos[i].copy() for i in range(model.nkey)}),
+        lower=lower,
+        upper=upper,
+        velocity_limits=_motion_limits(path, model, "velocity_limits", velocity_limits, speeds),
+        acceleration_limits=_motion_limits(path, model, "acceleration_limits", acceleration_limits, accelerations),
+        shoulder_height=_shoulder_height(model, begin) if height is None else float(height[0]),
+        probes=tuple(model.site(i).name for i in probes),
+        probe_radii=radii if own_probes else np.zeros_like(radii),
+        specification=spec,
+        tip=tip,
+        sliding=sliding,
+        lag=_lag(model),
+        foot=foot_of(model),
+    )
+
+
+def read_spec(path: Path) -> mujoco.MjSpec:
+    """The specification in an MJCF file that compiles.
+
+    Raises:
+        FileFormatError: MuJoCo cannot load or compile it.
+    """
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        spec.compile()
+    except (ValueError, OSError) as error:
+        raise FileFormatError(path, f"MuJoCo cannot load it: {error}") from error
+    return spec
+
+
+def choose(path: Path, kind: str, wanted: str | None, usual: Sequence[str], present: Sequence[str]) -> str:
+    """The name that is wanted, or the first of the usual ones, among those present in a file.
+
+    Raises:
+        FileFormatError: None of them is; the message lists those present.
+    """
+    for name in usual if wanted is None else (wanted,):
+        if name in present:
+            return name
+    looked_for = " or ".join(map(repr, usual if wanted is None else (wanted,)))
+    raise FileFormatError(path, f"the arm has no {kind} named {looked_for}; it has {', '.join(present) or 'none'}")
+
+
+def _check_joints(path: Path, model: mujoco.MjModel) -> int:
+    n = int(model.njnt)
+    if n == 0 or not np.isin(model.jnt_type, (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)).all():
+        raise FileFormatError(path, "an arm needs hinge or slide joints and no other kind")
+    for i in range(n):
+        if not model.jnt_limited[i] and model.jnt_type[i] == mujoco.mjtJoint.mjJNT_SLIDE:
+            raise FileFormatError(path, f"slide joint {model.joint(i).name!r} has no limits: give it a range")
+    if model.nu != n:
+        raise FileFormatError(path, f"{n} joints, {model.nu} actuators; expected one position actuator each")
+    for i in range(n):
+        drives = model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT and model.actuator_trnid[i, 0] == i
+        servo = model.actuator_gainprm[i, 0] > 0 and model.actuator_biasprm[i, 1] == -model.actuator_gainprm[i, 0]
+        if not (drives and servo):
+            raise FileFormatError(
+                path, f"actuator {i} must be a position actuator of joint {model.joint(i).name!r}, in the joints' order"
+            )
+    if (model.geom_bodyid == 0).any():
+        raise FileFormatError(path, "the world holds geoms of its own (a floor?); expected the arm alone")
+    return n
+
+
+def _check_start(path: Path, model: mujoco.MjModel, start: Array, lower: Array, upper: Array) -> None:
+    if ((start < lower) | (start > upper)).any():
+        raise FileFormatError(path, f"its start {start.tolist()} is outside the joint limits")
+    touching = touching_bodies(model, start.tolist())
+    if touching:
+        names = ", ".join(f"{model.body(a).name!r} and {model.body(b).name!r}" for a, b in touching)
+        raise FileFormatError(
+            path, f"at its start it touches itself, or nearly: {names}; exclude the pair or give another start"
+        )
+
+
+def _limits(model: mujoco.MjModel, start: Array) -> tuple[Array, Array]:
+    """What both joints and actuators allow; one turn around the start where neither says anything."""
+    commanded = np.where(model.actuator_ctrllimited[:, None], model.actuator_ctrlrange, [-np.inf, np.inf])
+    allowed = np.where(model.jnt_limited[:, None], model.jnt_range, [-np.inf, np.inf])
+    lower: Array = np.maximum(allowed[:, 0], commanded[:, 0])
+    upper: Array = np.minimum(allowed[:, 1], commanded[:, 1])
+    return (
+        np.where(np.isfinite(lower), lower, np.minimum(start, upper) - np.pi),
+        np.where(np.isfinite(upper), upper, np.maximum(start, lower) + np.pi),
+    )
+
+
+def _keys(model: mujoco.MjModel) -> list[str]:
+    return [model.key(i).name for i in range(model.nkey)]
+
+
+def _start(path: Path, model: mujoco.MjModel, start: str | npt.ArrayLike | None) -> Array:
+    if start is None or isinstance(start, str):
+        return np.array(model.key_qpos[model.key(choose(path, "key frame", start, START_KEYS, _keys(model))).id])
+    q = np.array(start, dtype=np.float64)
+    if q.shape != (model.njnt,) or not np.isfinite(q).all():
+        raise InvalidValueError(f"start must be {model.njnt} finite joint positions, got {start!r}")
+    return q
+
+
+def _motion_limits(path: Path, model: mujoco.MjModel, name: str, given: npt.ArrayLike | None, default: Array) -> Array:
+    if given is not None:
+        limits = np.array(given, dtype=np.float64)
+        if limits.shape != (model.njnt,) or not (limits > 0).all():
+            raise InvalidValueError(f"{name} must be {model.njnt} positive numbers, got {given!r}")
+        return limits
+    in_file = _numeric(path, model, name, model.njnt)
+    return default if in_file is None else in_file
+
+
+def _numeric(path: Path, model: mujoco.MjModel, name: str, size: int) -> Array | None:
+    index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)
+    if index < 0:
+        return None
+    first, count = model.numeric_adr[index], model.numeric_size[index]
+    if count != size:
+        raise FileFormatError(path, f"custom numeric {name!r} has {count} numbers, expected {size}")
+    return np.array(model.numeric_data[first : first + count])
+
+
+def _lag(model: mujoco.MjModel) -> float:
+    """Time by which the slowest joint lags behind its command, seconds: its damping over its servo's stiffness."""
+    damping = np.maximum(-model.actuator_biasprm[:, 2], model.dof_damping)
+    return float((damping / model.actuator_gainprm[:, 0]).max())
+
+
+def _shoulder_height(model: mujoco.MjModel, start: Array) -> float:
+    """Height above the base of the first joint that lifts rather than turns the arm (of the first, if none does)."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = start
+    mujoco.mj_kinematics(model, data)
+    hinge = model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE
+    lifting = np.flatnonzero(hinge & (np.abs(data.xaxis[:, 2]) < 0.5))
+    joint = lifting[0] if len(lifting) else 0
+    return float(data.xanchor[joint, 2] - data.xpos[1, 2])

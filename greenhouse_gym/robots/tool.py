@@ -1,0 +1,81 @@
+"""The package's slender suction gripper, mounted at the flange of any arm."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from greenhouse_gym.errors import FileFormatError
+from greenhouse_gym.paths import write_atomically
+from greenhouse_gym.robots.load import FLANGE_SITES, choose, load_robot, read_spec
+from greenhouse_gym.robots.prepare import CUP_GEOM, PROBE_PREFIX, TIP_SITE
+
+LENGTH, RADIUS = 0.16, 0.012
+"""Of the gripper from the flange to the tip, and of its rod and cup, metres."""
+
+_ROD, _CUP = (0.005, 0.123), (0.132, 0.148)  # metres from the flange: ends of the capsules' axes
+
+
+def mount_tool(
+    arm: str | Path, out: str | Path, flange: str | None = None, start: str | npt.ArrayLike | None = "upright"
+) -> Path:
+    """Write an arm's file anew with the gripper of the shipped arms at its flange, and a start that is free.
+
+    The written file is one to use wherever an arm is asked for. It refers to the arm's meshes where they lie.
+
+    Args:
+        arm: The MJCF file of an arm without a tool, such as one of MuJoCo Menagerie.
+        out: The file to write.
+        flange: Name of the site at the flange, z out of it; one of `FLANGE_SITES` when left out.
+        start: As for `load_robot`.
+
+    Returns:
+        The written file.
+
+    Raises:
+        FileFormatError: The file is no arm, has no such site, or carries a site ``tip`` or a geom ``cup`` already.
+    """
+    arm = Path(arm).resolve()
+    spec = read_spec(arm)
+    model = spec.compile()
+    sites = [model.site(i).name for i in range(model.nsite)]
+    flange = choose(arm, "site", flange, FLANGE_SITES, sites)
+    if TIP_SITE in sites or CUP_GEOM in [geom.name for geom in spec.geoms]:
+        raise FileFormatError(arm, f"it has a site {TIP_SITE!r} or a geom {CUP_GEOM!r}: it carries a tool already")
+    site = model.site(flange)
+    tool = spec.site(flange).parent.add_body(name="suction_tool", pos=site.pos, quat=site.quat)
+    _add_tool(tool)
+    names = [model.joint(i).name for i in range(model.njnt)]
+    for i, name in enumerate(names):
+        anchor = spec.joint(name)
+        if i:
+            anchor.parent.add_site(name=f"{PROBE_PREFIX}{i - 1}", pos=anchor.pos, size=[0.05, 0, 0], group=4)
+    for k, along in enumerate((0.02, 0.085, _CUP[1])):
+        tool.add_site(
+            name=f"{PROBE_PREFIX}{model.njnt - 1 + k}", pos=[0, 0, along], size=[RADIUS, 0, 0], group=4
+        )
+    spec.compile()
+    spec.meshdir = str((arm.parent / spec.meshdir).resolve())
+    spec.texturedir = str((arm.parent / spec.texturedir).resolve())
+    out = Path(out).resolve()
+    write_atomically(out, spec.to_xml())
+    begin = load_robot(out, start=start).start
+    for key in spec.keys:
+        if key.name == "start":
+            spec.delete(key)
+    spec.add_key(name="start", qpos=begin)
+    spec.compile()
+    return write_atomically(out, spec.to_xml())
+
+
+def _add_tool(tool: mujoco.MjsBody) -> None:
+    parts = (("rod", _ROD, 0.15, 0.3), (CUP_GEOM, _CUP, 0.02, 0.1))
+    for name, (low, high), mass, gray in parts:
+        tool.add_geom(
+            name=name, type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[RADIUS, (high - low) / 2, 0],
+            pos=[0, 0, (low + high) / 2], mass=mass, rgba=[gray, gray, gray, 1], contype=1, conaffinity=1, group=0,
+        )  # fmt: skip
+    tool.add_site(name=TIP_SITE, pos=np.array([0, 0, LENGTH]), size=[0.006, 0, 0], rgba=[1, 0, 0, 1])
