@@ -62,6 +62,14 @@ def joint_steps(robot: Robot) -> Array:
     return np.where(robot.sliding, slides, ACTION_STEP)
 
 
+def max_lead(robot: Robot) -> float:
+    """How far a command may lie from the measured joint: `MAX_LEAD`, more for arms that lag farther behind.
+
+    What a command is cut by is lost to actions that add to the last one, so joint actions at full speed never are.
+    """
+    return max(MAX_LEAD, ACTION_STEP + 1.1 * robot.lag * ACTION_STEP / INTERVAL)
+
+
 class JointIncrements:
     """Each entry moves a joint's command by up to its step, see `joint_steps`."""
 
@@ -109,9 +117,7 @@ class TipVelocity:
         x = cosine * wished[..., 0] - sine * wished[..., 1]
         y = sine * wished[..., 0] + cosine * wished[..., 1]
         twist = np.stack([x, y, wished[..., 2]], axis=-1).reshape(-1, 6, 1)
-        linear = np.where(
-            self._sliding, motion.axes, np.cross(motion.axes, motion.tip[:, None] - motion.anchors)
-        )
+        linear = np.where(self._sliding, motion.axes, np.cross(motion.axes, motion.tip[:, None] - motion.anchors))
         turning = np.where(self._sliding, 0.0, motion.axes)
         jacobian = np.concatenate([linear, turning], axis=-1).transpose(0, 2, 1)  # (n, 6, j)
         turned = np.ascontiguousarray(jacobian.transpose(0, 2, 1))
@@ -148,6 +154,7 @@ class CommandLimits:
     """
 
     def __init__(self, robot: Robot, rule: ActionRule):
+        self._lead = max_lead(robot)
         self._way = robot.velocity_limits * INTERVAL
         self._lower, self._upper = robot.lower, robot.upper
         self._may_be_fast = bool((rule.peak > self._way * (1 + 1e-9)).any())
@@ -167,7 +174,7 @@ class CommandLimits:
             change = change / np.maximum(excess, 1.0)[:, None]
         else:
             slowed = self._never.setdefault(len(command), np.zeros(len(command), dtype=np.bool_))
-        moved = np.minimum(np.maximum(command + change, joints - MAX_LEAD), joints + MAX_LEAD)
+        moved = np.minimum(np.maximum(command + change, joints - self._lead), joints + self._lead)
         position = np.minimum(np.maximum(moved, self._lower), self._upper)
         return Command(position, slowed, (position != moved).sum(axis=-1))
 

@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
+from greenhouse_gym.envs.actions import max_lead
 from greenhouse_gym.envs.cameras import MAX_RANGE, DepthCamera
-from greenhouse_gym.envs.reach_task import MAX_LEAD, Float32, Situation
+from greenhouse_gym.envs.reach_task import Float32, Situation
 from greenhouse_gym.errors import InvalidValueError, UnknownNameError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
@@ -56,7 +57,7 @@ class Observation(Protocol):
 _GROUPS: dict[str, tuple[Callable[[Situation], npt.NDArray[Any]], Callable[[Robot], tuple[Any, Any]]]] = {
     "joint_position": (lambda s: s.joints, lambda r: (r.lower - JOINT_MARGIN, r.upper + JOINT_MARGIN)),
     "joint_velocity": (lambda s: s.velocities, lambda r: (-2.0 * r.velocity_limits, 2.0 * r.velocity_limits)),
-    "command_error": (lambda s: s.lead, lambda r: _around(2 * MAX_LEAD, len(r.joints))),
+    "command_error": (lambda s: s.lead, lambda r: _around(2 * max_lead(r), len(r.joints))),
     "grasp_offset": (lambda s: s.target - s.grasp, lambda r: _around(MAX_OFFSET, 3)),
     "target_position": (lambda s: s.target, lambda r: _around(MAX_OFFSET, 3)),
     "tip_position": (lambda s: s.tip, lambda r: _around(MAX_OFFSET, 3)),

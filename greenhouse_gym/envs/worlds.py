@@ -5,7 +5,7 @@ from __future__ import annotations
 import weakref
 from collections import OrderedDict
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
 
 import mujoco
 import numpy as np
@@ -144,9 +144,9 @@ def _spheres(scene: Scene, scene_from_base: Array) -> Array:
     return np.hstack([transform(invert(scene_from_base), centers), radii])
 
 
-@cache
+@lru_cache(maxsize=8)
 def worlds_of(robot: Robot, physics: str, capacity: int | None) -> Worlds:
-    """The process-wide worlds of a robot (robots are read once, so identity is enough) and kind of physics."""
+    """The worlds of a robot, by its identity, and kind of physics that environments share; those used last are kept."""
     return Worlds(robot, physics, capacity)
 
 

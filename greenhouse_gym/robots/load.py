@@ -64,7 +64,7 @@ PLANTS_AHEAD = 0.45
 
 
 def get_robot(robot: str | Path | Robot) -> Robot:
-    """Find an arm by its shipped name or by the path of an MJCF file (as `load_robot` does, read once until it changes).
+    """Find an arm by its shipped name or by the path of an MJCF file (read once until it changes).
 
     Raises:
         UnknownNameError: Neither a shipped name nor an existing file.

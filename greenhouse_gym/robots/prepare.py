@@ -1,8 +1,8 @@
 """What scenes ask of every arm's MuJoCo specification, whatever its file says.
 
 Collision masks: bit 1 is "the arm", bit 2 is "the cup". Obstacles carry both bits, and the target may let the cup pass
-by clearing its bit 2 (`greenhouse_gym.scene.mjcf`). A file's own masks only tell what collides at all from what is there
-to be looked at.
+by clearing its bit 2 (`greenhouse_gym.scene.mjcf`). A file's own masks only tell what collides at all from what is only
+there to be looked at.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def cup_geoms(spec: mujoco.MjSpec, tip: mujoco.MjsSite) -> set[str]:
 
 
 def _let_base_touch_first_link(spec: mujoco.MjSpec) -> None:
-    """Leave out contacts between the fixed base and the first link; MuJoCo does so for all other neighbors by itself."""
+    """Leave out contacts between the fixed base and the first link; MuJoCo does so for other neighbors by itself."""
     excluded = {frozenset((pair.bodyname1, pair.bodyname2)) for pair in spec.excludes}
     model = spec.compile()
     bodies = {link: [b for b in range(1, model.nbody) if _link_of(model, b) == link] for link in (-1, 0)}

@@ -54,9 +54,7 @@ def mount_tool(
         if i:
             anchor.parent.add_site(name=f"{PROBE_PREFIX}{i - 1}", pos=anchor.pos, size=[0.05, 0, 0], group=4)
     for k, along in enumerate((0.02, 0.085, _CUP[1])):
-        tool.add_site(
-            name=f"{PROBE_PREFIX}{model.njnt - 1 + k}", pos=[0, 0, along], size=[RADIUS, 0, 0], group=4
-        )
+        tool.add_site(name=f"{PROBE_PREFIX}{model.njnt - 1 + k}", pos=[0, 0, along], size=[RADIUS, 0, 0], group=4)
     spec.compile()
     spec.meshdir = str((arm.parent / spec.meshdir).resolve())
     spec.texturedir = str((arm.parent / spec.texturedir).resolve())
