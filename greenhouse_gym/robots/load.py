@@ -59,6 +59,9 @@ DEFAULT_SPEED, DEFAULT_SLIDE_SPEED = 1.6, 0.4
 DEFAULT_ACCELERATION, DEFAULT_SLIDE_ACCELERATION = 10.0, 2.0
 """Acceleration limits of joints whose file names none, rad/s^2 and m/s^2."""
 
+SHARE = 0.8
+"""Share of a servo's force that damping may take at the default speed limit; the rest is for speeding up."""
+
 PLANTS_AHEAD = 0.45
 """Distance ahead of an arm's base at which a row's leaves and fruit begin, metres."""
 
@@ -115,7 +118,8 @@ def load_robot(
         start: Name of a key frame, or the joint positions (n,) in radians and metres, or "upright" for a configuration
             drawn in from the plants, found by a search; one of `START_KEYS` when left out. A warning says when
             the arm then stands among the plants.
-        velocity_limits: (n,) rad/s; when left out, the file's, or `DEFAULT_SPEED` and `DEFAULT_SLIDE_SPEED`.
+        velocity_limits: (n,) rad/s; when left out, the file's, or `DEFAULT_SPEED` and `DEFAULT_SLIDE_SPEED`, or what
+            the servos' force attains against the joints' damping where that is less.
         acceleration_limits: (n,) rad/s^2; when left out, the file's, or `DEFAULT_ACCELERATION` and
             `DEFAULT_SLIDE_ACCELERATION`.
 
@@ -148,7 +152,7 @@ def load_robot(
     probes = [i for i in range(model.nsite) if model.site(i).name.startswith(PROBE_PREFIX)]
     radii = model.site_size[probes, 0].copy()
     sliding = np.asarray(model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE)
-    speeds = np.where(sliding, DEFAULT_SLIDE_SPEED, DEFAULT_SPEED)
+    speeds = np.minimum(np.where(sliding, DEFAULT_SLIDE_SPEED, DEFAULT_SPEED), _attainable_speeds(model))
     accelerations = np.where(sliding, DEFAULT_SLIDE_ACCELERATION, DEFAULT_ACCELERATION)
     return Robot(
         name=path.stem,
@@ -273,6 +277,13 @@ def _numeric(path: Path, model: mujoco.MjModel, name: str, size: int) -> Array |
     if count != size:
         raise FileFormatError(path, f"custom numeric {name!r} has {count} numbers, expected {size}")
     return np.array(model.numeric_data[first : first + count])
+
+
+def _attainable_speeds(model: mujoco.MjModel) -> Array:
+    """Speeds at which a joint's damping takes `SHARE` of the force that its servo has; inf without either."""
+    force = np.where(model.actuator_forcelimited, model.actuator_forcerange[:, 1], np.inf)
+    at_joint = np.where(model.jnt_actfrclimited, model.jnt_actfrcrange[:, 1], np.inf)
+    return SHARE * np.minimum(force, at_joint) / np.maximum(model.dof_damping, 1e-9)
 
 
 def _lag(model: mujoco.MjModel) -> float:
