@@ -15,11 +15,12 @@ from scipy.spatial.transform import Rotation
 from greenhouse_gym.capture.recordings import INDEX, Recording
 from greenhouse_gym.crop import Stem, Tomato
 from greenhouse_gym.errors import FileFormatError, InvalidValueError
-from greenhouse_gym.geometry import Array, Box, Capsule, Shape, distance_to_shapes, pose, transform
+from greenhouse_gym.geometry import Array, Box, Capsule, Shape, Sphere, distance_to_shapes, invert, pose, transform
 from greenhouse_gym.planning import certify_targets
+from greenhouse_gym.plants.truth import truth_of
 from greenhouse_gym.progress import CONSOLE
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, reconstruct_row, settings_for
-from greenhouse_gym.scene import Provenance, Scene, SceneBank, Stand
+from greenhouse_gym.scene import Provenance, Scene, SceneBank, Shapes, Stand
 from greenhouse_gym.scene.bank import write_bank
 from greenhouse_gym.shapes import RowShapes, ShapeSettings, extract_shapes
 
@@ -120,7 +121,7 @@ def finished_scenes(folder: Path, recording: Recording, week: int | None, settin
         (made.settings, made.package_version, made.recording_sha256, made.week)
         == (_plain(settings), version("greenhouse-gym"), _fingerprint(recording), week)
         for made in (scene.provenance for scene in found)
-    )
+    ) and all((scene.truth is None) == (recording.truth is None) for scene in found)
     return found if same else []
 
 
@@ -172,13 +173,15 @@ def cut_scenes(
     direction = (
         -1.0 if heads[np.argmax(np.abs(heads[:, 1])), 1] < 0 else 1.0
     )  # the tripod may have gone either way along the row
+    truth = None if recording.truth is None else _registered_truth(recording, row, leveled)
     scenes = []
     for k, walked in enumerate(stand_positions(recording, settings)):
         along = direction * walked
         origin = np.array([stem_line - settings.stem_distance, along, 0.0])
         shift = pose(translation=-origin)
         near = [
-            _within_reach([_moved(shape, shift) for shape in part], settings) for part in (tomatoes, stems, clutter)
+            _within_reach([_moved(shape, shift) for shape in part], settings.reach, settings.width)
+            for part in (tomatoes, stems, clutter)
         ]
         near = _at_most(near, settings.primitives)
         scenes.append(
@@ -188,6 +191,7 @@ def cut_scenes(
                 stems=tuple(s for s in near[1] if isinstance(s, Stem)),
                 clutter=tuple(near[2]),
                 stand=Stand(),
+                truth=None if truth is None else _around(truth, shift, settings),
                 provenance=Provenance(
                     row=recording.name,
                     station=int(numbers[np.argmin(np.abs(heads[:, 1] - along))]),
@@ -202,6 +206,43 @@ def cut_scenes(
     return scenes
 
 
+def _registered_truth(recording: Recording, row: RowCloud, leveled: Array) -> Shapes:
+    """The true row in the leveled frame of the cloud, by the true pose of the first registered station; never fitted.
+
+    Raises:
+        InvalidValueError: The recording does not say where that station stood.
+    """
+    assert recording.truth is not None
+    first = int(np.flatnonzero(row.registered)[0])
+    true_from_station = recording[first].world_from_station
+    if true_from_station is None:
+        raise InvalidValueError(
+            f"recording {recording.name!r} carries the truth of its row but not where station {first} stood: give its "
+            "stations their world_from_station, or leave the truth out (remove truth.npz)"
+        )
+    frame = leveled @ row.world_from_station[first] @ invert(true_from_station)
+    true = truth_of(recording.truth)
+    parts = ([_moved(shape, frame) for shape in part] for part in (true.tomatoes, true.stems, true.clutter))
+    return _shapes(*parts)
+
+
+def _around(truth: Shapes, shift: Array, settings: BuildSettings) -> Shapes:
+    """All of the truth within the arm's reach, in the scene's frame."""
+    near = (
+        _within_reach([_moved(shape, shift) for shape in part], settings.reach)
+        for part in (truth.tomatoes, truth.stems, truth.clutter)
+    )
+    return _shapes(*near).compact()
+
+
+def _shapes(tomatoes: Sequence[Shape], stems: Sequence[Shape], clutter: Sequence[Shape]) -> Shapes:
+    return Shapes(
+        tomatoes=tuple(s for s in tomatoes if isinstance(s, Tomato)),
+        stems=tuple(s for s in stems if isinstance(s, Stem)),
+        clutter=tuple(s for s in clutter if isinstance(s, Sphere | Capsule | Box)),
+    )
+
+
 def _stem_line(stems: list[Shape], recording: Recording) -> float:
     """Distance of the stem line from the tripod's line: the median of the main stems, else the nominal half metre."""
     main = [(s.start[0] + s.end[0]) / 2 for s in stems if isinstance(s, Stem) and s.kind == "main"]
@@ -209,16 +250,14 @@ def _stem_line(stems: list[Shape], recording: Recording) -> float:
     return float(np.median(main)) if main else float(camera) + 0.5
 
 
-def _within_reach(shapes: list[Shape], settings: BuildSettings) -> list[Shape]:
-    """The shapes within the scene's width and the arm's reach."""
+def _within_reach(shapes: list[Shape], reach: float, width: float = np.inf) -> list[Shape]:
+    """The shapes within the arm's reach whose middles lie within a width along the row."""
     if not shapes:
         return []
     shoulder = np.array([0.0, 0.0, Stand().shoulder_height])
     distance = distance_to_shapes(shoulder[None], shapes)[0]
     return [
-        shape
-        for shape, far in zip(shapes, distance, strict=True)
-        if far < settings.reach and abs(_middle(shape)[1]) < settings.width / 2
+        shape for shape, far in zip(shapes, distance, strict=True) if far < reach and abs(_middle(shape)[1]) < width / 2
     ]
 
 

@@ -198,6 +198,43 @@ def rotation_angle(rotation: npt.ArrayLike) -> float:
     return float(np.arctan2(sine, 0.5 * (np.trace(r) - 1.0)))
 
 
+def quaternions_from(rotations: npt.ArrayLike) -> Array:
+    """Unit quaternions (k, 4), w x y z with the largest entry positive, of rotations (k, 3, 3).
+
+    The eigenvector to the largest eigenvalue of a symmetric matrix (Bar-Itzhack, New Method for Extracting the
+    Quaternion from a Rotation Matrix, 2000), which is stable for every rotation.
+    """
+    r = np.asarray(rotations, dtype=np.float64).reshape(-1, 3, 3)
+    k = np.empty((len(r), 4, 4))
+    trace = np.trace(r, axis1=1, axis2=2)
+    k[:, 0, 0] = trace
+    k[:, 0, 1:] = np.stack([r[:, 2, 1] - r[:, 1, 2], r[:, 0, 2] - r[:, 2, 0], r[:, 1, 0] - r[:, 0, 1]], axis=1)
+    k[:, 1:, 0] = k[:, 0, 1:]
+    k[:, 1:, 1:] = r + np.swapaxes(r, 1, 2) - trace[:, None, None] * np.eye(3)
+    q = np.linalg.eigh(k)[1][..., -1]
+    largest = np.take_along_axis(q, np.abs(q).argmax(axis=1)[:, None], axis=1)
+    return np.asarray(q * np.sign(largest))
+
+
+def rotations_from(quaternions: npt.ArrayLike) -> Array:
+    """Rotations (k, 3, 3) of quaternions (k, 4), w x y z, of any length but 0.
+
+    Raises:
+        InvalidValueError: One has no length.
+    """
+    q = np.asarray(quaternions, dtype=np.float64).reshape(-1, 4)
+    length = np.linalg.norm(q, axis=1)
+    if (length < 1e-6).any():
+        raise InvalidValueError("a quaternion of zeros is no rotation")
+    w, x, y, z = (q / length[:, None]).T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), -1, 0)
+
+
 def frame_along(direction: npt.ArrayLike) -> Array:
     """A (3, 3) rotation whose third column is the unit vector along ``direction`` (3,)."""
     z = np.asarray(direction, dtype=np.float64)

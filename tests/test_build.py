@@ -10,10 +10,11 @@ from row_helpers import HALF, half_cloud, half_recording
 
 from greenhouse_gym import build
 from greenhouse_gym.build import BuildSettings, build_bank, cut_scenes, default_splits, level, stand_positions
-from greenhouse_gym.capture import Recording, write_recording
+from greenhouse_gym.capture import Recording, Station, write_recording
 from greenhouse_gym.crop import Stem, Tomato
 from greenhouse_gym.errors import InvalidValueError, ReconstructionError
 from greenhouse_gym.geometry import Box, distance_to_shapes, pose, rotation_about, rotation_angle
+from greenhouse_gym.plants import PlantRow
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, RowReport
 from greenhouse_gym.scene import Scene, SceneBank, Target
 from greenhouse_gym.scene.bank import MANIFEST
@@ -159,6 +160,42 @@ def test_an_empty_row_gives_empty_scenes() -> None:
     assert [scene.obstacles for scene in scenes_of(RowShapes())] == [(), (), ()]
 
 
+def true_row() -> PlantRow:
+    """The made-up shapes as they truly are, in a world of their own."""
+    shapes = made_up_shapes()
+    return PlantRow(shapes.tomatoes, shapes.stems, shapes.clutter, 2.0, 0)
+
+
+def known_recording(pose_of_first: np.ndarray | None) -> Recording:
+    """A recording that knows its row and where its first station stood."""
+    return replace(recording(), load=lambda i: Station({}, pose_of_first), truth=true_row())
+
+
+def test_truth_comes_by_the_pose_of_the_first_registered_station() -> None:
+    there = pose(rotation_about([0.2, 0.1, 1.0], 0.7), [3.0, -2.0, 0.1])
+    seen = made_up_shapes()
+    moved_row = PlantRow(
+        *(tuple(build._moved(s, there) for s in part) for part in (seen.tomatoes, seen.stems, seen.clutter)), 2.0, 0
+    )
+    known = replace(known_recording(there), truth=moved_row)
+    for scene, plain in zip(cut_scenes(made_up_row(20), seen, known, 2, BuildSettings()), scenes_of(seen), strict=True):
+        assert scene.tomatoes[0].center.tolist() == plain.tomatoes[0].center.tolist()
+        assert scene.truth is not None
+        # what was found is exactly what is there, in this row; truth is not cut to the scene's width or number
+        for found in scene.obstacles:
+            gap = distance_to_shapes(build._middle(found)[None], scene.truth.obstacles).min()
+            assert gap == pytest.approx(distance_to_shapes(build._middle(found)[None], [found])[0, 0], abs=3e-4)
+        assert len(scene.truth.obstacles) >= len(scene.obstacles)
+        shoulder = np.array([[0.0, 0.0, 1.1]])
+        assert distance_to_shapes(shoulder, scene.truth.obstacles).max() < BuildSettings().reach + 1e-3
+
+
+def test_truth_without_a_pose_is_named() -> None:
+    with pytest.raises(InvalidValueError, match=r"row.*station 0.*truth\.npz"):
+        cut_scenes(made_up_row(20), made_up_shapes(), known_recording(None), None, BuildSettings())
+    assert all(scene.truth is None for scene in scenes_of(made_up_shapes()))
+
+
 # -- whole builds -----------------------------------------------------------------------------------------------------
 
 
@@ -253,6 +290,15 @@ def test_changed_settings_rebuild_every_row(calls: Calls, tmp_path: Path, settin
     assert calls.reconstructed == ["a", "b", "a-1"]
 
 
+def test_scenes_without_the_truth_that_a_recording_knows_are_built_anew(calls: Calls, tmp_path: Path) -> None:
+    for row in (recording(), known_recording(pose()), known_recording(pose())):
+        bank = built(tmp_path, [row])
+    assert calls.reconstructed == ["row"] * 2
+    sizes = [len(scene.truth.obstacles) for scene in bank if scene.truth is not None]
+    assert len(sizes) == 3
+    assert bank.largest_truth() == SceneBank.open(tmp_path).largest_truth() == max(sizes)
+
+
 def test_another_version_rebuilds(calls: Calls, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     built(tmp_path)
     monkeypatch.setattr(build, "version", lambda name: "99.0")
@@ -322,3 +368,6 @@ def test_a_bank_from_a_recording_on_disk(tmp_path: Path, monkeypatch: pytest.Mon
     expected = extract_shapes(half_cloud().points, half_cloud().colors, half_cloud().normals)
     assert abs(len(scene.tomatoes) - len(expected.tomatoes)) <= 0.5 * len(expected.tomatoes)
     scene.to_mjcf("ur5e")
+    assert scene.truth is not None
+    off = [np.linalg.norm([t.center - f.center for t in scene.truth.tomatoes], axis=1).min() for f in scene.tomatoes]
+    assert np.median(off) < 0.008

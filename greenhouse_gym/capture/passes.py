@@ -42,8 +42,9 @@ def join_passes(passes: Sequence[Recording]) -> Recording:
         return Station(station.frames, None if known is None else known @ pose(translation=[0.0, 0.0, lifts[k]]))
 
     return Recording(
-        first.name, first.rig, ends[-1], load, protocol=first.protocol, passes=tuple(map(Pass, starts, lifts))
-    )
+        first.name, first.rig, ends[-1], load, protocol=first.protocol, passes=tuple(map(Pass, starts, lifts)),
+        truth=first.truth,
+    )  # fmt: skip
 
 
 def _lift(first: Recording, later: Recording) -> float:

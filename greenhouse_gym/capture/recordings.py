@@ -1,7 +1,8 @@
 """Recordings: the `Recording` type, and the package's own folder format, read and written.
 
 The folder holds ``recording.json`` and ``color/<camera>/000000.png``, ``depth/<camera>/000000.png`` (uint16). The
-images of a station are read when it is asked for, so a recording of any length needs the memory of one station.
+images of a station are read when it is asked for, so a recording of any length needs the memory of one station. What a
+simulated recording knows of its row lies beside in ``truth.npz``.
 """
 
 from __future__ import annotations
@@ -18,9 +19,11 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError,
 from greenhouse_gym.capture.frames import RgbdFrame, Station
 from greenhouse_gym.capture.images import encode_png, read_color, read_depth
 from greenhouse_gym.capture.rig import Camera, Intrinsics, Rig
+from greenhouse_gym.capture.truth_file import TRUTH, load_truth, save_truth
 from greenhouse_gym.errors import FileFormatError, GreenhouseError, InvalidValueError
 from greenhouse_gym.geometry import Array, is_rotation
 from greenhouse_gym.paths import write_atomically
+from greenhouse_gym.plants.row import PlantRow
 
 INDEX = "recording.json"
 
@@ -44,6 +47,8 @@ class Recording:
         folder: Where it lies on disk, or None for one that is simulated.
         protocol: Name of the `greenhouse_gym.capture.PROTOCOLS` it follows; None for the paper's, or where not known.
         passes: The walks along the row where there are several, each from about the same place; see `join_passes`.
+        truth: The row that was photographed, in the frame of the stations' poses, where it is simulated: its shapes to
+            collide with. A real row has none.
     """
 
     name: str
@@ -53,6 +58,7 @@ class Recording:
     folder: Path | None = None
     protocol: str | None = None
     passes: tuple[Pass, ...] = (Pass(0, 0.0),)
+    truth: PlantRow | None = None
 
     def __len__(self) -> int:
         return self.size
@@ -161,7 +167,8 @@ def open_folder(path: str | Path) -> Recording:
         return Station(frames, poses[i])
 
     passes = tuple(Pass(one.first, one.lift) for one in index.passes)
-    return Recording(index.name, rig, len(index.stations), load, folder, index.protocol, passes)
+    truth = load_truth(folder / TRUTH)
+    return Recording(index.name, rig, len(index.stations), load, folder, index.protocol, passes, truth)
 
 
 def _camera(file: Path, name: str, record: CameraRecord) -> Camera:
@@ -238,6 +245,8 @@ def write_recording(recording: Recording, path: str | Path, on_station: Callable
         name=recording.name, reference=recording.rig.reference, cameras=cameras, stations=stations,
         protocol=recording.protocol, passes=[PassRecord(**one._asdict()) for one in recording.passes],
     )  # fmt: skip
+    if recording.truth is not None:
+        save_truth(recording.truth, folder / TRUTH)
     write_atomically(folder / INDEX, index.model_dump_json(indent=1) + "\n")
     return folder
 

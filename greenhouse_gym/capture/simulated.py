@@ -53,7 +53,7 @@ def simulate_recording(
         walk_number: Tells walks of the same cameras along the same row apart: other steps and noise, the same biases.
 
     Returns:
-        A recording whose stations carry their true poses, in the row's frame.
+        A recording whose stations carry their true poses, in the row's frame, and which knows the row as its truth.
 
     Raises:
         InvalidValueError: ``stations`` is not positive, or ``seed`` is negative.
@@ -81,7 +81,7 @@ def simulate_recording(
             frames[name] = RgbdFrame(color, depth, camera.intrinsics)
         return Station(frames, poses[i])
 
-    return Recording(f"simulated-{seed}", rig, count, load)
+    return Recording(f"simulated-{seed}", rig, count, load, truth=row)
 
 
 def misplaced(rig: Rig, seed: int, settings: WalkSettings) -> Rig:

@@ -33,7 +33,7 @@ from greenhouse_gym.envs.reach_task import (
 )
 from greenhouse_gym.envs.settings import EnvSettings
 from greenhouse_gym.envs.stepping import Ids
-from greenhouse_gym.envs.worlds import World, worlds_of
+from greenhouse_gym.envs.worlds import World, room_for, worlds_of
 from greenhouse_gym.errors import UnknownNameError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import ROBOTS, get_robot
@@ -90,7 +90,8 @@ class ReachSimulation:
         check_goals_are_known(self.observe, hidden or ("target_position" if self.randomization.target_position else ""))
         name = robot.name if robot.name in ROBOTS else str(robot.path)
         self.env_options = {"robot": name, "observation": settings.observation, "action": settings.action}
-        self.worlds = worlds_of(robot, settings.physics, settings.capacity)
+        capacity = settings.capacity or room_for(self.sampler.bank, settings.physics)
+        self.worlds = worlds_of(robot, settings.physics, capacity)
         self.count = count
         self.situation: Situation | None = None
         self._threads = threads

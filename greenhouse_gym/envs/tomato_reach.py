@@ -151,7 +151,7 @@ class TomatoReachEnv(gymnasium.Env[Observed, npt.NDArray[np.float32]]):
         render_mode: "rgb_array" (by OpenGL, or by ray casting where there is none), "depth_array" (m) or "human" (a
             window); or None. The straight line from tip to target is red, the tip's trace pink.
         randomization: What to get wrong on purpose, see `Randomization`; nothing by default.
-        capacity: Obstacles a scene may have; 300 (600 with "truth") when left out. More cost time and memory.
+        capacity: Obstacles a scene may have; 300, or as many as a truth of the bank needs, when left out.
 
     Raises:
         UnknownNameError: A name is not among the choices; the message lists them.

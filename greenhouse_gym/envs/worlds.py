@@ -14,13 +14,12 @@ from greenhouse_gym.envs.stepping import drive_and_record
 from greenhouse_gym.errors import InvalidValueError, require_choice
 from greenhouse_gym.geometry import Array, invert, pose, rotation_about, transform
 from greenhouse_gym.robots import Robot
-from greenhouse_gym.scene import CompiledScene, Scene, compile_scene
+from greenhouse_gym.scene import CompiledScene, Scene, SceneBank, compile_scene
 from greenhouse_gym.scene.field import FieldStore, obstacle_field
 from greenhouse_gym.scene.mjcf import DEFAULT_CAPACITY, base_position
 
 PHYSICS = ("reconstruction", "truth")
-CAPACITY = {"reconstruction": DEFAULT_CAPACITY, "truth": 2 * DEFAULT_CAPACITY}
-"""Obstacles a model has room for: truth is finer than what was reconstructed of it."""
+_ROUND = 100
 
 KEPT = 300
 """Worlds that are kept ready; each takes about 3 MB."""
@@ -31,6 +30,16 @@ _SCENE_FIELDS = (
     "geom_sameframe", "geom_rgba", "body_pos", "body_quat", "body_sameframe", "bvh_depth", "bvh_child", "bvh_nodeid",
     "bvh_aabb",
 )  # fmt: skip
+
+
+def room_for(bank: SceneBank, physics: str) -> int:
+    """Obstacles that a model needs room for to be any scene of a bank: truth is finer than what was made of it.
+
+    Banks whose truths are about alike get the same number, and so share their models. A bank without truth gets the
+    usual number; its scenes say what they lack when they are loaded.
+    """
+    largest = bank.largest_truth() if require_choice("physics", physics, PHYSICS) == "truth" else None
+    return DEFAULT_CAPACITY if largest is None else max(DEFAULT_CAPACITY, -_ROUND * (-largest // _ROUND))
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,9 +99,9 @@ class Worlds:
     The last `KEPT` worlds are kept; older ones live on only as long as a simulation runs in them.
     """
 
-    def __init__(self, robot: Robot, physics: str, capacity: int | None):
+    def __init__(self, robot: Robot, physics: str, capacity: int):
         self.robot = robot
-        self.capacity = capacity or CAPACITY[require_choice("physics", physics, PHYSICS)]
+        self.capacity = capacity
         self.physics = require_choice("physics", physics, PHYSICS)
         self.fields = FieldStore()
         # By the scene's identity: a world keeps its scene alive, so an identity is not used again before it is gone.
@@ -145,14 +154,17 @@ def _spheres(scene: Scene, scene_from_base: Array) -> Array:
 
 
 @lru_cache(maxsize=8)
-def worlds_of(robot: Robot, physics: str, capacity: int | None) -> Worlds:
+def worlds_of(robot: Robot, physics: str, capacity: int) -> Worlds:
     """The worlds of a robot, by its identity, and kind of physics that environments share; those used last are kept."""
     return Worlds(robot, physics, capacity)
 
 
 def _true_scene(scene: Scene) -> Scene:
     if scene.truth is None or not scene.truth.tomatoes:
-        raise InvalidValueError(f'scene {scene.name!r} carries no truth: physics="truth" needs a simulated row')
+        raise InvalidValueError(
+            f'scene {scene.name!r} carries no truth, which physics="truth" needs: scenes built from simulated '
+            "recordings carry it, those of a real row cannot"
+        )
     return Scene(
         name=scene.name,
         tomatoes=scene.truth.tomatoes,

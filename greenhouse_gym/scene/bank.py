@@ -8,7 +8,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Literal, get_args, overload
 
-from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError, require_choice
 from greenhouse_gym.paths import data_path, write_atomically
@@ -20,7 +20,7 @@ MANIFEST = "manifest.json"
 
 
 class Entry(BaseModel):
-    """One scene of a bank: its file (relative to the manifest), checksum, row, growth week and split."""
+    """One scene of a bank: file (relative to the manifest), checksum, row, growth week, split and size of its truth."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -30,6 +30,7 @@ class Entry(BaseModel):
     row: str
     week: int | None
     split: Split
+    truth: int | None = Field(default=None, ge=0, exclude_if=lambda value: value is None)
 
 
 class Manifest(BaseModel):
@@ -95,6 +96,10 @@ class SceneBank(Sequence[Scene]):
     def split_of(self, name: str) -> str:
         """The split a scene belongs to."""
         return self._entry(name).split
+
+    def largest_truth(self) -> int | None:
+        """Most shapes in the truth of a scene; None where no scene carries its truth."""
+        return max((entry.truth for entry in self.manifest.scenes if entry.truth is not None), default=None)
 
     def scene(self, name: str) -> Scene:
         """A scene by its name.
@@ -169,6 +174,7 @@ def write_bank(folder: str | Path, scenes: Iterable[tuple[Scene, str]], name: st
                 row=scene.provenance.row,
                 week=scene.provenance.week,
                 split=split,  # type: ignore[arg-type]
+                truth=None if scene.truth is None else len(scene.truth.obstacles),
             )
         )
         contents.append((folder / entries[-1].file, content))

@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    ValidationError,
+    model_validator,
+)
 
 from greenhouse_gym.crop import Stem, Tomato
 from greenhouse_gym.errors import FileFormatError, InvalidValueError
 from greenhouse_gym.geometry import Box, Capsule, Shape, Sphere, Vector
 from greenhouse_gym.paths import write_atomically
+from greenhouse_gym.scene.packed import pack, unpack
 
 if TYPE_CHECKING:
     from greenhouse_gym.robots import Robot
@@ -78,12 +87,38 @@ class Shapes(_Part):
         """All shapes in one order: tomatoes, stems, clutter."""
         return (*self.tomatoes, *self.stems, *self.clutter)
 
+    def compact(self) -> Shapes:
+        """The shapes as a scene file keeps those of its truth: to 0.1 mm, the clutter sorted by kind."""
+        return _unpacked(_packed(self))
+
+
+def _packed(shapes: Shapes) -> dict[str, Any]:
+    return pack(shapes.tomatoes, shapes.stems, shapes.clutter)
+
+
+def _unpacked(value: Any) -> Any:
+    if isinstance(value, dict) and "rows" in value:
+        parts = unpack(value)
+        return Shapes(tomatoes=parts.tomatoes, stems=parts.stems, clutter=parts.clutter)
+    return value
+
+
+PackedShapes = Annotated[
+    Shapes,
+    BeforeValidator(_unpacked),
+    PlainSerializer(_packed, return_type=dict[str, Any], when_used="json"),
+]
+"""Shapes that a file keeps in tables (see `greenhouse_gym.scene.packed`), to 0.1 mm."""
+
 
 class Scene(Shapes):
     """One place in a row with an arm in front of it.
 
     The frame is the world frame of the package: z up, y along the row, x from the aisle into the plants, origin on
     the floor below the arm. Lengths are metres, angles radians.
+
+    Attributes:
+        truth: What really stands there, where that is known: all of a simulated row within the arm's reach.
     """
 
     schema_version: Literal[1] = 1
@@ -91,7 +126,7 @@ class Scene(Shapes):
     stand: Stand = Field(default_factory=Stand)
     targets: tuple[Target, ...] = ()
     provenance: Provenance
-    truth: Shapes | None = None
+    truth: PackedShapes | None = None
 
     @model_validator(mode="after")
     def _targets_exist(self) -> Scene:

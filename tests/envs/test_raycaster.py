@@ -15,7 +15,7 @@ from greenhouse_gym.scene import SceneBank
 def test_what_is_left_out_is_not_seen(bank: SceneBank, robot: str) -> None:
     """The same hits as with all geoms, from cameras anywhere, one after the other with the same caster."""
     arm = get_robot(robot)
-    worlds = worlds_of(arm, "reconstruction", None)
+    worlds = worlds_of(arm, "reconstruction", 300)
     scenes = [bank.scene(name) for split in ("train", "test") for name in bank.names(split)]
     caster = RayCaster(worlds.world(scenes[0]).compiled)
     random = np.random.default_rng(0)

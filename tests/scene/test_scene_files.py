@@ -104,7 +104,12 @@ DAMAGE: list[tuple[str, Callable[[dict[str, Any]], None], str]] = [
     ("NaN shoulder", at("stand", "shoulder_height", value=float("nan")), r"stand\.shoulder_height"),
     ("NaN yaw", at("stand", "yaw", value=float("nan")), r"stand\.yaw"),
     ("NaN witness", at("targets", 0, "witness", value=[[0.0, float("nan")]]), r"targets\.0\.witness"),
-    ("NaN in the truth", at("truth", "tomatoes", 0, "radius", value=float("nan")), r"truth\.tomatoes\.0.*radius"),
+    ("damaged truth", at("truth", "data", value="%%"), r"truth.*damaged"),
+    (
+        "NaN in listed truth",
+        at("truth", value={"tomatoes": [{"center": [0, 0, 0], "radius": float("nan"), "truss": 0}]}),
+        r"truth\.tomatoes\.0.*radius",
+    ),
     ("no name", lambda data: data.pop("name"), r"name.*[Rr]equired"),
     ("no provenance", lambda data: data.pop("provenance"), r"provenance.*[Rr]equired"),
     ("not a list", at("tomatoes", value={"0": 1}), r"tomatoes"),

@@ -1,0 +1,76 @@
+"""What a simulated recording knows of its row, as one ``.npz`` file of tables without pickles."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+import zlib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from greenhouse_gym.errors import FileFormatError, InvalidValueError
+from greenhouse_gym.geometry import Array
+from greenhouse_gym.packing import ShapeTables, as_tables, from_tables
+from greenhouse_gym.paths import write_atomically
+from greenhouse_gym.plants.row import PlantRow
+from greenhouse_gym.plants.truth import truth_of
+
+TRUTH = "truth.npz"
+LARGEST = 50_000_000
+"""Bytes that such a file may unpack to; a row of 5 m takes about one million."""
+
+_BEHIND = "behind_"
+_DAMAGED = (KeyError, TypeError, ValueError, EOFError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error)
+
+
+def save_truth(row: PlantRow, path: str | Path) -> Path:
+    """Write the shapes to collide with of a row and of the one behind it."""
+    truth = truth_of(row)
+    arrays: dict[str, Array] = {"size": np.array([truth.length, float(truth.week)])}
+    for prefix, part in (("", truth), (_BEHIND, truth.behind)):
+        if part is not None:
+            tables = as_tables(part.tomatoes, part.stems, part.clutter)
+            arrays |= {prefix + name: table for name, table in zip(ShapeTables._fields, tables, strict=True)}
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, allow_pickle=False, **arrays)
+    return write_atomically(path, buffer.getvalue())
+
+
+def load_truth(path: str | Path) -> PlantRow | None:
+    """Read what `save_truth` wrote; None where there is no such file.
+
+    Raises:
+        FileFormatError: The file is damaged.
+    """
+    path = Path(path)
+    if not path.is_file():
+        return None
+    try:
+        with zipfile.ZipFile(path) as file:
+            if sum(member.file_size for member in file.infolist()) > LARGEST:
+                raise InvalidValueError(f"unpacks to more than {LARGEST} bytes")
+        with np.load(path, allow_pickle=False) as arrays:
+            length, week = _floats(arrays["size"], 1)
+            row = PlantRow(*_parts(arrays, ""), length=float(length), week=int(week))
+            if _BEHIND + ShapeTables._fields[0] in arrays:
+                row = replace(row, behind=PlantRow(*_parts(arrays, _BEHIND), length=row.length, week=row.week))
+    except OSError as error:
+        raise FileFormatError(path, f"cannot be read ({error.strerror or error})") from error
+    except _DAMAGED as error:
+        raise FileFormatError(path, f"not the truth of a recording: {error}") from error
+    if not (row.length > 0 and row.week >= 0):
+        raise FileFormatError(path, f"expected a positive length and a week from 0 up, got {row.length}, {row.week}")
+    return row
+
+
+def _parts(arrays: np.lib.npyio.NpzFile, prefix: str) -> tuple[tuple, tuple, tuple]:  # type: ignore[type-arg]
+    parts = from_tables(ShapeTables(*(_floats(arrays[prefix + name], 2) for name in ShapeTables._fields)))
+    return parts.tomatoes, parts.stems, parts.clutter
+
+
+def _floats(array: Array, dimensions: int) -> Array:
+    if array.dtype != np.float64 or array.ndim != dimensions or not np.isfinite(array).all():
+        raise InvalidValueError(f"expected finite float64 numbers, got {array.dtype} of shape {array.shape}")
+    return array

@@ -1,0 +1,114 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import make_scene, with_ellipsoids
+from hypothesis import given
+from hypothesis import strategies as st
+
+from greenhouse_gym.errors import FileFormatError, InvalidValueError
+from greenhouse_gym.geometry import Box, Capsule, quaternions_from, rotation_about, rotations_from
+from greenhouse_gym.packing import ShapeTables, as_tables, from_tables
+from greenhouse_gym.plants import grow_row
+from greenhouse_gym.scene import Scene, Shapes
+
+
+@given(st.lists(st.floats(-1, 1), min_size=3, max_size=3).filter(lambda v: np.linalg.norm(v) > 0.01), st.floats(-4, 4))
+def test_quaternions_are_the_rotations(axis: list[float], angle: float) -> None:
+    rotation = rotation_about(axis, angle)
+    quaternion = quaternions_from(rotation)
+    assert np.linalg.norm(quaternion) == pytest.approx(1.0)
+    np.testing.assert_allclose(rotations_from(quaternion)[0], rotation, atol=1e-12)
+
+
+def a_bit_of_everything() -> Shapes:
+    scene = with_ellipsoids(make_scene(0), 0)
+    turn = rotation_about([1.0, 2.0, 3.0], 2.9)
+    clutter = (*scene.clutter, Capsule([0, 0, 1], [0.1, 0, 1], 0.01), Box([0, 1, 2], [0.1, 3.2, 0.001], turn))
+    return Shapes(tomatoes=scene.tomatoes, stems=scene.stems, clutter=clutter)
+
+
+def values(shapes: Any) -> list[Any]:
+    return [
+        (type(s).__name__, *(np.asarray(v, dtype=object).tolist() for v in vars(s).values()))
+        for s in (*shapes.tomatoes, *shapes.stems, *sorted(shapes.clutter, key=lambda s: type(s).__name__))
+    ]
+
+
+def test_tables_keep_everything() -> None:
+    shapes = a_bit_of_everything()
+    again = from_tables(as_tables(shapes.tomatoes, shapes.stems, shapes.clutter))
+    for one, other in zip(values(shapes), values(again), strict=True):
+        assert one[0] == other[0]
+        for a, b in zip(one[1:], other[1:], strict=True):
+            assert a == b or np.abs(np.array(a) - np.array(b)).max() < 1e-9
+    assert from_tables(as_tables((), (), ())) == ((), (), ())
+
+
+def test_a_file_keeps_truth_to_a_tenth_of_a_millimetre_and_then_for_good(tmp_path: Path) -> None:
+    scene = make_scene(0).model_copy(update={"truth": a_bit_of_everything()})
+    loaded = Scene.load(scene.save(tmp_path / "scene.json"))
+    assert loaded.truth is not None
+    assert scene.truth is not None
+    for one, other in zip(values(scene.truth), values(loaded.truth), strict=True):
+        for a, b in zip(one[1:], other[1:], strict=True):
+            assert a == b or np.abs(np.array(a) - np.array(b)).max() < 6e-4
+    assert values(scene.truth.compact()) == values(loaded.truth)
+    again = loaded.save(tmp_path / "again.json")
+    assert again.read_bytes() == loaded.save(tmp_path / "third.json").read_bytes()
+    assert values(Scene.load(again).truth) == values(loaded.truth)
+
+
+def test_truth_written_as_lists_still_loads(tmp_path: Path) -> None:
+    scene = make_scene(0)
+    data = scene.model_dump(mode="json")
+    data["truth"] = {"tomatoes": data["tomatoes"], "stems": [], "clutter": []}
+    path = tmp_path / "old.json"
+    path.write_text(json.dumps(data))
+    truth = Scene.load(path).truth
+    assert truth is not None
+    assert len(truth.tomatoes) == len(scene.tomatoes)
+
+
+def test_a_grown_rows_truth_is_small() -> None:
+    row = grow_row(1, 2.0)
+    shapes = Shapes(tomatoes=row.tomatoes, stems=row.stems, clutter=row.clutter)  # type: ignore[arg-type]
+    size = len(json.dumps(make_scene(0).model_copy(update={"truth": shapes}).model_dump(mode="json")["truth"]))
+    assert len(shapes.obstacles) > 1000
+    assert size < 30 * len(shapes.obstacles)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"data": "%%%"}, "damaged"),
+        ({"data": "AAAA"}, "damaged"),
+        ({"data": 3}, "damaged"),
+        ({"rows": {}}, "rows"),
+        ({"rows": dict.fromkeys(ShapeTables._fields, 10**9)}, "in all"),
+        ({"rows": dict.fromkeys(ShapeTables._fields, -1)}, "in all"),
+        ({"rows": dict.fromkeys(ShapeTables._fields, 7)}, "damaged"),
+    ],
+)
+def test_damaged_truth_is_named(change: dict[str, Any], message: str, tmp_path: Path) -> None:
+    data = make_scene(0).model_copy(update={"truth": a_bit_of_everything()}).model_dump(mode="json")
+    data["truth"].update(change)
+    path = tmp_path / "damaged.json"
+    path.write_text(json.dumps(data))
+    with pytest.raises(FileFormatError, match=f"truth.*{message}"):
+        Scene.load(path)
+
+
+@pytest.mark.parametrize(("table", "column", "value"), [("boxes", 3, -1.0), ("boxes", 0, np.nan), ("stems", 7, 9.0)])
+def test_impossible_tables_are_refused(table: str, column: int, value: float) -> None:
+    shapes = a_bit_of_everything()
+    tables = as_tables(shapes.tomatoes, shapes.stems, shapes.clutter)
+    getattr(tables, table)[0, column] = value
+    with pytest.raises(InvalidValueError):
+        from_tables(tables)
+    with pytest.raises(InvalidValueError, match="columns"):
+        from_tables(tables._replace(spheres=np.zeros((2, 5))))
