@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable
 from difflib import get_close_matches
-from inspect import signature
 
 
 class GreenhouseError(Exception):
@@ -38,6 +37,10 @@ class EpisodeOverError(GreenhouseError, RuntimeError):
     """An environment was stepped after its episode's end."""
 
 
+class NoEpisodeError(GreenhouseError, RuntimeError):
+    """An environment was asked about an episode before its first reset."""
+
+
 class FileFormatError(GreenhouseError, ValueError):
     """A file is missing, damaged, or does not hold what its format promises."""
 
@@ -63,19 +66,6 @@ class MissingDependencyError(GreenhouseError, ImportError):
 
 class ReconstructionError(GreenhouseError):
     """A recording could not be turned into a row; the message gives the reasons."""
-
-
-def refuse_unknown_keywords(function: Callable[..., object], unknown: Mapping[str, object]) -> None:
-    """Raise `UnknownKeywordError` for the first of the keywords that ``function`` collected without knowing them.
-
-    Args:
-        function: What was called; its named parameters are the choices.
-        unknown: What its ``**unknown`` holds.
-    """
-    if unknown:
-        parameters = signature(function).parameters.values()
-        choices = [p.name for p in parameters if p.kind is not p.VAR_KEYWORD and p.name != "self"]
-        raise UnknownKeywordError(UnknownNameError("keyword", next(iter(unknown)), choices).message)
 
 
 def require_choice(kind: str, name: str, choices: Iterable[str]) -> str:

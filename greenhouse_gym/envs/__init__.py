@@ -1,16 +1,30 @@
 """The Gymnasium environments: one simulation, or many in one batch."""
 
+from greenhouse_gym.envs.actions import ActionRule, ToolMotion
 from greenhouse_gym.envs.cameras import DepthCamera
-from greenhouse_gym.envs.observations import DepthObservation, PointsObservation
+from greenhouse_gym.envs.images import DepthObservation, PointsObservation, RgbObservation
+from greenhouse_gym.envs.observations import Observation
 from greenhouse_gym.envs.randomization import Randomization
+from greenhouse_gym.envs.reach_task import Situation
+from greenhouse_gym.envs.rewards import DenseReward, SparseReward, Transition
+from greenhouse_gym.envs.settings import EnvSettings
 from greenhouse_gym.envs.tomato_reach import TomatoReachEnv
 from greenhouse_gym.envs.vector import TomatoReachVectorEnv
 
 __all__ = [
+    "ActionRule",
+    "DenseReward",
     "DepthCamera",
     "DepthObservation",
+    "EnvSettings",
+    "Observation",
     "PointsObservation",
     "Randomization",
+    "RgbObservation",
+    "Situation",
+    "SparseReward",
     "TomatoReachEnv",
     "TomatoReachVectorEnv",
+    "ToolMotion",
+    "Transition",
 ]

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+from gymnasium import spaces
 
-from greenhouse_gym.envs.reach_task import ACTION_STEP, MAX_LEAD, SUBSTEPS
+from greenhouse_gym.envs.reach_task import ACTION_STEP, MAX_LEAD, USUAL_PACE, Pace, Situation, pace_of
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
-from greenhouse_gym.scene.mjcf import TIMESTEP
 
-INTERVAL = SUBSTEPS * TIMESTEP
-"""Seconds from one action to the next."""
+INTERVAL = USUAL_PACE.interval
+"""Seconds from one action to the next at the usual rate."""
 
 TIP_SPEED, TIP_TURN = 0.5, 1.6
 """What a tip action of 1 asks for: metres per second, radians per second."""
@@ -40,46 +41,59 @@ class ToolMotion(NamedTuple):
 
 
 class ActionRule(Protocol):
-    """A kind of action.
+    """A kind of action: its space, and what an action does.
+
+    ``action=`` takes an object like this, or a class or function that makes one from the arm and the seconds between
+    two actions. Compute elementwise (no 2-D matrix products), so that a simulation's numbers do not depend on how many
+    there are.
 
     Attributes:
-        size: Entries of an action, each in [-1, 1].
-        needs_motion: Whether it reads the `ToolMotion`.
-        peak: (j,) the most it may ask of each joint, radians per action; inf where unbounded.
+        space: The space of one simulation's action: a `Box` of one axis. Actions are clipped to it.
     """
 
-    size: int
-    needs_motion: bool
-    peak: Array
+    @property
+    def space(self) -> spaces.Box:
+        """The space of one simulation's action."""
 
-    def __call__(self, action: Array, motion: ToolMotion | None) -> Array:
-        """Wished changes (n, j) of the commands, radians, for actions (n, size)."""
+    def __call__(self, action: Array, situation: Situation, motion: ToolMotion) -> Array:
+        """Wished changes (n, j) of the joints' commands, radians (metres for slides).
+
+        The environment keeps them to the arm's limits of position and speed, and near the measured joints.
+
+        Args:
+            action: (n, size) actions within the space, float64.
+            situation: What the simulations look like; read only.
+            motion: How their tools move with the joints; read only.
+        """
 
 
-def joint_steps(robot: Robot) -> Array:
-    """(j,) what an entry of 1 of a "joint" action adds to the joints' commands: `ACTION_STEP`, less for slow slides."""
-    slides = np.minimum(ACTION_STEP, robot.velocity_limits * INTERVAL)
-    return np.where(robot.sliding, slides, ACTION_STEP)
+ActionFactory: TypeAlias = Callable[[Robot, float], ActionRule]
+ActionChoice: TypeAlias = str | ActionRule | ActionFactory
 
 
-def max_lead(robot: Robot) -> float:
+def joint_steps(robot: Robot, pace: Pace = USUAL_PACE) -> Array:
+    """(j,) what an entry of 1 of a "joint" action adds to the joints' commands: the step, less for slow slides."""
+    slides = np.minimum(pace.action_step, robot.velocity_limits * pace.interval)
+    return np.where(robot.sliding, slides, pace.action_step)
+
+
+def max_lead(robot: Robot, pace: Pace = USUAL_PACE) -> float:
     """How far a command may lie from the measured joint: `MAX_LEAD`, more for arms that lag farther behind.
 
     What a command is cut by is lost to actions that add to the last one, so joint actions at full speed never are.
     """
-    return max(MAX_LEAD, ACTION_STEP + 1.1 * robot.lag * ACTION_STEP / INTERVAL)
+    step = pace.action_step
+    return max(MAX_LEAD + (step - ACTION_STEP), step + 1.1 * robot.lag * step / pace.interval)
 
 
 class JointIncrements:
     """Each entry moves a joint's command by up to its step, see `joint_steps`."""
 
-    needs_motion = False
+    def __init__(self, robot: Robot, interval: float):
+        self.space = _unit_box(len(robot.joints))
+        self.peak = joint_steps(robot, pace_of(1 / interval))
 
-    def __init__(self, robot: Robot):
-        self.size = len(robot.joints)
-        self.peak = joint_steps(robot)
-
-    def __call__(self, action: Array, motion: ToolMotion | None) -> Array:
+    def __call__(self, action: Array, situation: Situation, motion: ToolMotion) -> Array:
         """The action times the step."""
         return self.peak * action
 
@@ -87,13 +101,11 @@ class JointIncrements:
 class JointVelocities:
     """Each entry is a joint's speed as a share of its speed limit."""
 
-    needs_motion = False
+    def __init__(self, robot: Robot, interval: float):
+        self.space = _unit_box(len(robot.joints))
+        self.peak = robot.velocity_limits * interval
 
-    def __init__(self, robot: Robot):
-        self.size = len(robot.joints)
-        self.peak = robot.velocity_limits * INTERVAL
-
-    def __call__(self, action: Array, motion: ToolMotion | None) -> Array:
+    def __call__(self, action: Array, situation: Situation, motion: ToolMotion) -> Array:
         """The action times the way at full speed."""
         return self.peak * action
 
@@ -101,17 +113,13 @@ class JointVelocities:
 class TipVelocity:
     """Velocity and turning velocity of the tip in the base frame, by damped least squares (Wampler, 1986)."""
 
-    size = 6
-    needs_motion = True
-
-    def __init__(self, robot: Robot):
-        self.peak = np.full(len(robot.joints), np.inf)
+    def __init__(self, robot: Robot, interval: float):
+        self.space = _unit_box(6)
         self._sliding = robot.sliding[:, None]
-        self._scale = INTERVAL * np.array([TIP_SPEED] * 3 + [TIP_TURN] * 3)
+        self._scale = interval * np.array([TIP_SPEED] * 3 + [TIP_TURN] * 3)
 
-    def __call__(self, action: Array, motion: ToolMotion | None) -> Array:
+    def __call__(self, action: Array, situation: Situation, motion: ToolMotion) -> Array:
         """Joint steps that move the tip as wished, as far as the arm can."""
-        assert motion is not None
         wished = (self._scale * action).reshape(-1, 2, 3)
         cosine, sine = motion.heading[:, :1], motion.heading[:, 1:]
         x = cosine * wished[..., 0] - sine * wished[..., 1]
@@ -125,7 +133,7 @@ class TipVelocity:
         return np.asarray((turned @ np.linalg.solve(square, twist))[..., 0])
 
 
-ACTIONS: dict[str, type[JointIncrements] | type[JointVelocities] | type[TipVelocity]] = {
+ACTIONS: dict[str, ActionFactory] = {
     "joint": JointIncrements,
     "joint_velocity": JointVelocities,
     "tip_velocity": TipVelocity,
@@ -151,13 +159,18 @@ class CommandLimits:
     """Keeps commands within the arm's limits of speed and position, and near the measured joints.
 
     A wish that would make a joint too fast is slowed as a whole, which keeps the direction of the motion.
+
+    Args:
+        robot: The arm.
+        rule: What wishes; its ``peak`` (j,), where it has one, is the most it may ask of each joint, radians.
+        pace: How the time goes.
     """
 
-    def __init__(self, robot: Robot, rule: ActionRule):
-        self._lead = max_lead(robot)
-        self._way = robot.velocity_limits * INTERVAL
+    def __init__(self, robot: Robot, rule: ActionRule, pace: Pace = USUAL_PACE):
+        self._lead = max_lead(robot, pace)
+        self._way = robot.velocity_limits * pace.interval
         self._lower, self._upper = robot.lower, robot.upper
-        self._may_be_fast = bool((rule.peak > self._way * (1 + 1e-9)).any())
+        self._may_be_fast = bool((getattr(rule, "peak", np.inf) > self._way * (1 + 1e-9)).any())
         self._never: dict[int, npt.NDArray[np.bool_]] = {}
 
     def __call__(self, command: Array, change: Array, joints: Array) -> Command:
@@ -179,12 +192,13 @@ class CommandLimits:
         return Command(position, slowed, (position != moved).sum(axis=-1))
 
 
-def check_actions(actions: Any, shape: tuple[int, ...]) -> Array:
-    """The actions as float64 within [-1, 1].
+def check_actions(actions: Any, count: int, space: spaces.Box) -> Array:
+    """The actions of ``count`` simulations as float64 within the space.
 
     Raises:
         InvalidValueError: Wrong shape, or not finite.
     """
+    shape = (count, *space.shape)
     try:
         array = np.asarray(actions, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -194,9 +208,14 @@ def check_actions(actions: Any, shape: tuple[int, ...]) -> Array:
     if not np.isfinite(array).all():
         where = np.argwhere(~np.isfinite(array))[0].tolist()
         raise InvalidValueError(f"an action must be finite, got {array[tuple(where)]} at index {where}")
-    return np.minimum(np.maximum(array, -1.0), 1.0)
+    return np.minimum(np.maximum(array, space.low), space.high)
 
 
 def squared_norm(action: Array) -> Array:
     """(n,) sum of the squares of an action's entries: the effort."""
     return np.asarray((action * action).sum(axis=-1))
+
+
+def _unit_box(size: int) -> spaces.Box:
+    """Numbers in [-1, 1]."""
+    return spaces.Box(-1.0, 1.0, (size,), dtype=np.float32)

@@ -6,23 +6,29 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.envs.raycaster import RayCaster
+from greenhouse_gym.envs.raycaster import Hits, RayCaster
 from greenhouse_gym.errors import InvalidValueError, require_choice
 from greenhouse_gym.geometry import Array, invert, pose, rotation_about
 from greenhouse_gym.scene import CompiledScene
+from greenhouse_gym.scene.render import surface_colors
 
 Float32 = npt.NDArray[np.float32]
+Bytes = npt.NDArray[np.uint8]
 
 CAMERAS = ("wrist", "mast")
 """The cameras: one rides behind the tool and looks along it, one stands beside the arm and looks at the plants."""
 
 MAX_RANGE = 2.0
 """Surfaces beyond this depth give no reading, metres."""
+
+COLOR_RANGE = 10.0
+"""Surfaces beyond this distance are not in the color images, metres."""
 
 _TIP_FROM_WRIST = pose(translation=[0.07, 0.0, -0.13])
 """Beside the flange, looking along the tool."""
@@ -74,6 +80,31 @@ class DepthCamera:
         return np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
 
 
+class Pictures(NamedTuple):
+    """What c cameras of n simulations see.
+
+    Attributes:
+        depth: (n, c, h, w) along the view, metres, 0 without a reading.
+        color: (n, c, h, w, 3) 0 to 255; c is 0 where no colors are asked for.
+        views: (n, c, 4, 4) poses of the cameras, base_from_camera.
+    """
+
+    depth: Float32
+    color: Bytes
+    views: Array
+
+    def first(self, count: int) -> Pictures:
+        """Those of the first so many simulations."""
+        return self if count == len(self.depth) else Pictures._make(values[:count] for values in self)
+
+
+def no_pictures(count: int) -> Pictures:
+    """What no camera sees."""
+    return Pictures(
+        np.empty((count, 0, 0, 0), np.float32), np.empty((count, 0, 0, 0, 3), np.uint8), np.empty((count, 0, 4, 4))
+    )
+
+
 class CameraRig:
     """The cameras of n simulations whose models have one layout.
 
@@ -81,12 +112,20 @@ class CameraRig:
         cameras: The cameras; all of one size.
         compiled: Any of the scenes.
         threads: Threads that cast rays.
-        sees_arm: Whether the arm is in the pictures; otherwise its pixels give no reading.
+        sees_arm: Whether the arm is in the depth images; otherwise its pixels give no reading.
+        sees_color: Whether there are color images, too, in which the arm always is.
     """
 
-    def __init__(self, cameras: Sequence[DepthCamera], compiled: CompiledScene, threads: int, sees_arm: bool):
+    def __init__(
+        self,
+        cameras: Sequence[DepthCamera],
+        compiled: CompiledScene,
+        threads: int,
+        sees_arm: bool,
+        sees_color: bool = False,
+    ):
         self.cameras = tuple(cameras)
-        self._sees_arm = sees_arm
+        self._sees_arm, self._sees_color = sees_arm, sees_color
         self._rays = [camera.rays for camera in self.cameras]
         self._lengths = [np.linalg.norm(rays, axis=1) for rays in self._rays]
         self._casters = [RayCaster(compiled) for _ in range(max(1, threads))]
@@ -100,8 +139,8 @@ class CameraRig:
         tip: Array,
         tool: Array,
         noises: Sequence[np.random.Generator | None],
-    ) -> tuple[Float32, Array]:
-        """Depth images (n, c, h, w), metres, 0 without a reading, and camera poses (n, c, 4, 4) base_from_camera.
+    ) -> Pictures:
+        """What the cameras see.
 
         Args:
             models: Model of each of the n simulations.
@@ -118,37 +157,47 @@ class CameraRig:
         scene_from_base[:, :3, 3] = frame[:, :3]
         scene_from_tip[:, :3, :3], scene_from_tip[:, :3, 3], scene_from_tip[:, 3, 3] = tool, tip, 1.0
         views = _camera_poses(self.cameras, invert(scene_from_base) @ scene_from_tip)
-        images = self._look(models, qpos, scene_from_base[:, None] @ views)
-        for own, noise in zip(images, noises, strict=True):
+        depth, color = self._look(models, qpos, scene_from_base[:, None] @ views)
+        for own, noise in zip(depth, noises, strict=True):
             if noise is not None:
                 for c, camera in enumerate(self.cameras):
                     own[c] = _with_noise(own[c], camera, noise)
-        return images, views
+        return Pictures(depth, color, views)
 
-    def _look(self, models: Sequence[mujoco.MjModel], qpos: Array, views: Array) -> Float32:
-        """Perfect images from poses scene_from_camera (n, c, 4, 4)."""
+    def _look(self, models: Sequence[mujoco.MjModel], qpos: Array, views: Array) -> tuple[Float32, Bytes]:
+        """Perfect depth and color from poses scene_from_camera (n, c, 4, 4)."""
         first = self.cameras[0]
-        images = np.empty((len(models), len(self.cameras), first.height, first.width), dtype=np.float32)
+        shape = (len(models), len(self.cameras), first.height, first.width)
+        depths = np.empty(shape, dtype=np.float32)
+        colors = np.empty((*shape, 3) if self._sees_color else (len(models), 0, 0, 0, 3), dtype=np.uint8)
 
         def shoot(part: int) -> None:
             for i in range(part, len(models), len(self._casters)):
                 for k in range(len(self.cameras)):
-                    depth = self._depth(self._casters[part], models[i], qpos[i], k, views[i, k])
-                    images[i, k] = depth.reshape(first.height, first.width)
+                    hits, directions = self._cast(self._casters[part], models[i], qpos[i], k, views[i, k])
+                    depths[i, k] = self._depth(hits, k).reshape(shape[2:])
+                    if self._sees_color:
+                        shown = surface_colors(hits.rgba, hits.normal, directions, hits.distance)
+                        colors[i, k] = (shown * 255.0 + 0.5).astype(np.uint8).reshape(*shape[2:], 3)
 
         if self._pool is None:
             shoot(0)
         else:
             list(self._pool.map(shoot, range(len(self._casters))))
-        return images
+        return depths, colors
 
-    def _depth(self, caster: RayCaster, model: mujoco.MjModel, joints: Array, camera: int, view: Array) -> Array:
+    def _cast(
+        self, caster: RayCaster, model: mujoco.MjModel, joints: Array, camera: int, view: Array
+    ) -> tuple[Hits, Array]:
+        """What a camera's rays hit, and their directions (m, 3)."""
         rays, lengths = self._rays[camera], self._lengths[camera]
         directions = (rays / lengths[:, None]) @ view[:3, :3].T
-        reach = MAX_RANGE * float(lengths.max())
-        distance, on_arm = caster.cast(model, joints, view[:3, 3].copy(), directions, reach)
-        seen = distance >= 0 if self._sees_arm else (distance >= 0) & ~on_arm
-        depth = np.where(seen, distance / lengths, 0.0)
+        reach = COLOR_RANGE if self._sees_color else MAX_RANGE * float(lengths.max())
+        return caster.cast(model, joints, view[:3, 3].copy(), directions, reach, self._sees_color), directions
+
+    def _depth(self, hits: Hits, camera: int) -> Array:
+        seen = hits.distance >= 0 if self._sees_arm else (hits.distance >= 0) & ~hits.on_arm
+        depth = np.where(seen, hits.distance / self._lengths[camera], 0.0)
         depth[depth > MAX_RANGE] = 0.0
         return depth
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +21,7 @@ UNRATED = "unrated"
 
 OPTIONS = ("scene", "target", "start", "difficulty")
 
-Difficulty: TypeAlias = str | Iterable[str] | Mapping[str, float]
+DifficultyChoice: TypeAlias = str | Iterable[str] | Mapping[str, float]
 """One difficulty, several, or a weight for each."""
 
 _DRAWS = 64
@@ -56,7 +57,7 @@ class EpisodeSampler:
         difficulty: One difficulty, several, or weights: the difficulty is drawn by weight then, before the scene.
     """
 
-    def __init__(self, bank: str | Path | SceneBank, split: str, robot: Robot, difficulty: Difficulty):
+    def __init__(self, bank: str | Path | SceneBank, split: str, robot: Robot, difficulty: DifficultyChoice):
         self.bank = SceneBank.open(bank)
         self.split = require_choice("split", split, SPLITS)
         self.robot = robot
@@ -70,7 +71,13 @@ class EpisodeSampler:
                 f"bank {self.bank.path} has no scene in split {split!r}; choices: {', '.join(filled) or '(none)'}"
             )
 
-    def set_difficulty(self, difficulty: Difficulty) -> None:
+    def __deepcopy__(self, memo: dict[int, Any]) -> EpisodeSampler:
+        """A sampler whose difficulties are its own; the bank is shared."""
+        twin = copy.copy(self)
+        twin._kept = {}
+        return twin
+
+    def set_difficulty(self, difficulty: DifficultyChoice) -> None:
         """Draw targets of these difficulties from the next episode on.
 
         Raises:
@@ -91,6 +98,8 @@ class EpisodeSampler:
             UnknownNameError: An option, scene or difficulty of that name does not exist.
             InvalidValueError: A target or start is outside what is allowed, or no target fits the difficulties.
         """
+        if options is not None and not isinstance(options, Mapping):
+            raise InvalidValueError(f"reset options must be a dict, got {options!r}")
         options = options or {}
         for key in options:
             require_choice("reset option", key, OPTIONS)
@@ -100,7 +109,9 @@ class EpisodeSampler:
         if scene is None and tomato is not None:
             raise InvalidValueError("the reset option 'target' needs the option 'scene'")
         if scene is not None:
-            scene = scene if isinstance(scene, Scene) else self.bank.scene(str(scene))
+            if not isinstance(scene, (Scene, str)):
+                raise InvalidValueError(f"the reset option 'scene' must be a scene's name or a Scene, got {scene!r}")
+            scene = self.bank.scene(scene) if isinstance(scene, str) else scene
         if tomato is not None:
             assert scene is not None
             return Episode(scene, *self._rate(scene, tomato), start)
@@ -168,15 +179,19 @@ class EpisodeSampler:
         return q
 
 
-def parse_difficulty(difficulty: Difficulty) -> dict[str, float]:
+def parse_difficulty(difficulty: DifficultyChoice) -> dict[str, float]:
     """Names of difficulties with their weights, which are all 0 where none were given.
 
     Raises:
         UnknownNameError: There is no such difficulty.
         InvalidValueError: None is given, or the weights are negative or all zero.
     """
+    if not isinstance(difficulty, (str, Iterable)):
+        raise InvalidValueError(
+            f"difficulty must be one of {', '.join(DIFFICULTIES)}, several, or a weight for each, got {difficulty!r}"
+        )
     if isinstance(difficulty, Mapping):
-        weights = {require_choice("difficulty", name, DIFFICULTIES): float(w) for name, w in difficulty.items()}
+        weights = {require_choice("difficulty", name, DIFFICULTIES): _weight(w) for name, w in difficulty.items()}
         if not all(np.isfinite(w) and w >= 0 for w in weights.values()) or not any(weights.values()):
             raise InvalidValueError(f"difficulty weights must be from 0 up and not all 0, got {dict(difficulty)}")
         return {name: weight for name, weight in weights.items() if weight > 0}
@@ -184,6 +199,13 @@ def parse_difficulty(difficulty: Difficulty) -> dict[str, float]:
     if not names:
         raise InvalidValueError(f"difficulty is empty; choices: {', '.join(DIFFICULTIES)}")
     return {require_choice("difficulty", name, DIFFICULTIES): 0.0 for name in names}
+
+
+def _weight(weight: Any) -> float:
+    try:
+        return float(weight)
+    except (TypeError, ValueError) as error:
+        raise InvalidValueError(f"a difficulty's weight must be a number, got {weight!r}") from error
 
 
 def _draw_difficulty(wanted: Mapping[str, float], random: np.random.Generator) -> tuple[str, ...]:

@@ -8,7 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.envs.reach_task import STEP_LIMIT, Bools, RewardTerms, Transition, lengths, total_reward
+from greenhouse_gym.envs.reach_task import Bools, lengths
+from greenhouse_gym.envs.rewards import Reward, Transition, total_reward
+from greenhouse_gym.envs.settings import EnvSettings
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 
@@ -29,14 +31,17 @@ class Verdict(NamedTuple):
     truncated: Bools
 
 
-def judge(achieved: npt.ArrayLike, desired: npt.ArrayLike, info: Info, reward_terms: RewardTerms) -> Verdict:
+def judge(
+    achieved: npt.ArrayLike, desired: npt.ArrayLike, info: Info, reward: Reward, settings: EnvSettings
+) -> Verdict:
     """Judge steps by their goals; everything else that counts is read from their infos.
 
     Args:
         achieved: (3,) or (n, 3) grasp points after the step, metres.
         desired: (3,) or (n, 3) centers to reach, metres.
         info: The step's info, or one per step.
-        reward_terms: The reward.
+        reward: The reward.
+        settings: What counts as a success, and when a step is the last.
 
     Raises:
         InvalidValueError: An info lacks what a goal environment's steps tell.
@@ -54,20 +59,23 @@ def judge(achieved: npt.ArrayLike, desired: npt.ArrayLike, info: Info, reward_te
             ) from None
 
     touched, steps = told("collision").astype(np.bool_), told("steps")
+    after = lengths(goals - np.atleast_2d(np.asarray(achieved, dtype=np.float64)))
     transition = Transition(
         before=lengths(goals - told("previous_goal").astype(np.float64).reshape(-1, 3)),
-        after=lengths(goals - np.atleast_2d(np.asarray(achieved, dtype=np.float64))),
+        after=after,
         touched=touched,
+        success=(after < settings.success_radius) & ~touched,
         effort=told("effort").astype(np.float64),
+        steps=steps,
     )
     terminated = transition.success | touched
-    return Verdict(total_reward(reward_terms(transition)), terminated, (steps >= STEP_LIMIT) & ~terminated)
+    return Verdict(total_reward(reward(transition)), terminated, (steps >= settings.step_limit) & ~terminated)
 
 
 GoalFunction = Callable[[npt.ArrayLike, npt.ArrayLike, Info], Any]
 
 
-def goal_functions(reward_terms: RewardTerms) -> tuple[GoalFunction, GoalFunction, GoalFunction]:
+def goal_functions(reward: Reward, settings: EnvSettings) -> tuple[GoalFunction, GoalFunction, GoalFunction]:
     """The methods ``compute_reward``, ``compute_terminated`` and ``compute_truncated`` of a goal environment.
 
     Each takes achieved and desired goals and the info as `judge` does, and gives a number for one goal and an array
@@ -76,7 +84,7 @@ def goal_functions(reward_terms: RewardTerms) -> tuple[GoalFunction, GoalFunctio
 
     def function(part: str) -> GoalFunction:
         def compute(achieved_goal: npt.ArrayLike, desired_goal: npt.ArrayLike, info: Info) -> Any:
-            values = getattr(judge(achieved_goal, desired_goal, info, reward_terms), part)
+            values = getattr(judge(achieved_goal, desired_goal, info, reward, settings), part)
             return values.item() if np.ndim(achieved_goal) == 1 else values
 
         return compute

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import Any, Protocol, TypeAlias
 
 import numpy as np
@@ -11,9 +11,9 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from greenhouse_gym.envs.actions import max_lead
-from greenhouse_gym.envs.cameras import MAX_RANGE, DepthCamera
+from greenhouse_gym.envs.cameras import DepthCamera
 from greenhouse_gym.envs.reach_task import Float32, Situation
-from greenhouse_gym.errors import InvalidValueError, UnknownNameError
+from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene.field import MAX_DISTANCE
@@ -32,26 +32,53 @@ Observed: TypeAlias = npt.NDArray[Any] | dict[str, npt.NDArray[Any]]
 
 
 class Observation(Protocol):
-    """A kind of observation.
+    """A kind of observation: its space, and what is seen.
+
+    ``observation=`` takes an object like this, or a class or function that makes one from the arm. Compute elementwise
+    (no 2-D matrix products), so that a simulation's numbers do not depend on how many there are.
+
+    An object may have the attributes of `Sight`, too; left out, they are what that class says.
+
+    Attributes:
+        space: The space of one simulation's observation: a `Box`, or a `Dict` of boxes.
+    """
+
+    @property
+    def space(self) -> spaces.Space[Any]:
+        """The space of one simulation's observation."""
+
+    def __call__(self, situation: Situation) -> Observed:
+        """Observations of n simulations within the space, (n, *shape) or a dict of such arrays."""
+
+
+class Sight(ABC):
+    """An `Observation` that says what it needs to be computed, and what is in it.
 
     Attributes:
         space: The space of one simulation's observation.
         layout: Name of each group of entries of its vector with its number of entries, in order.
-        cameras: What takes depth images for it.
-        sees_arm: Whether the arm is in them.
+        cameras: What takes images for it; all of one size.
+        sees_arm: Whether the arm is in the depth images.
+        sees_color: Whether there are color images, too.
         target_is_obstacle: Whether the clearances count the target too.
         has_goals: Whether it is a goal environment's.
     """
 
     space: spaces.Space[Any]
-    layout: Layout
-    cameras: tuple[DepthCamera, ...]
-    sees_arm: bool
-    target_is_obstacle: bool
-    has_goals: bool
+    layout: Layout = ()
+    cameras: tuple[DepthCamera, ...] = ()
+    sees_arm: bool = False
+    sees_color: bool = False
+    target_is_obstacle: bool = False
+    has_goals: bool = False
 
+    @abstractmethod
     def __call__(self, situation: Situation) -> Observed:
         """Observations of n simulations, new arrays within the space."""
+
+
+ObservationFactory: TypeAlias = Callable[[Robot], Observation]
+ObservationChoice: TypeAlias = str | Observation | ObservationFactory
 
 
 _GROUPS: dict[str, tuple[Callable[[Situation], npt.NDArray[Any]], Callable[[Robot], tuple[Any, Any]]]] = {
@@ -77,8 +104,17 @@ def _around(limit: float, size: int) -> tuple[Array, Array]:
     return np.full(size, -limit), np.full(size, limit)
 
 
-class _Vector:
-    """Groups of numbers side by side, clipped to their bounds."""
+class Vector:
+    """Groups of numbers side by side, clipped to their bounds.
+
+    Args:
+        robot: The arm.
+        names: Of the groups, in order.
+
+    Attributes:
+        layout: Name of each group with its number of entries.
+        space: The space of one simulation's vector.
+    """
 
     def __init__(self, robot: Robot, names: tuple[str, ...]):
         self._parts = [_GROUPS[name][0] for name in names]
@@ -88,6 +124,7 @@ class _Vector:
         self.space = spaces.Box(self.low, self.high, dtype=np.float32)
 
     def __call__(self, situation: Situation) -> Float32:
+        """Vectors (n, size)."""
         result = np.empty((len(situation.joints), len(self.low)), dtype=np.float32)
         np.concatenate([part(situation) for part in self._parts], axis=1, out=result, casting="same_kind")
         np.maximum(result, self.low, out=result)
@@ -95,21 +132,18 @@ class _Vector:
         return result
 
 
-class StateObservation:
+class StateObservation(Sight):
     """Joints, target and clearances as one vector; `TomatoReachEnv` documents every index."""
 
-    cameras: tuple[DepthCamera, ...] = ()
-    sees_arm = target_is_obstacle = has_goals = False
-
     def __init__(self, robot: Robot):
-        self._vector = _Vector(
+        self._vector = Vector(
             robot,
             (
                 "joint_position", "joint_velocity", "command_error", "grasp_offset", "target_position", "clearance",
                 "obstacle_direction",
             ),
         )  # fmt: skip
-        self.space: spaces.Space[Any] = self._vector.space
+        self.space = self._vector.space
         self.layout = self._vector.layout
 
     def __call__(self, situation: Situation) -> Observed:
@@ -117,15 +151,13 @@ class StateObservation:
         return self._vector(situation)
 
 
-class GoalObservation:
+class GoalObservation(Sight):
     """The three parts of a goal environment; ``observation`` holds nothing that depends on the target."""
 
-    cameras: tuple[DepthCamera, ...] = ()
-    sees_arm = False
     target_is_obstacle = has_goals = True
 
     def __init__(self, robot: Robot):
-        self._vector = _Vector(
+        self._vector = Vector(
             robot,
             (
                 "joint_position", "joint_velocity", "command_error", "tip_position", "tool_axis", "clearance",
@@ -134,9 +166,7 @@ class GoalObservation:
         )  # fmt: skip
         self.layout = self._vector.layout
         goal = spaces.Box(-MAX_OFFSET, MAX_OFFSET, (3,), dtype=np.float64)
-        self.space: spaces.Space[Any] = spaces.Dict(
-            {"observation": self._vector.space, "achieved_goal": goal, "desired_goal": goal}
-        )
+        self.space = spaces.Dict({"observation": self._vector.space, "achieved_goal": goal, "desired_goal": goal})
 
     def __call__(self, situation: Situation) -> Observed:
         """Observations (n, size), grasp points (n, 3) and centers (n, 3); the goals are exact, float64."""
@@ -147,96 +177,6 @@ class GoalObservation:
         }
 
 
-_BODY = ("joint_position", "joint_velocity", "command_error", "grasp_offset", "target_position")
-
-
-@dataclass(frozen=True)
-class DepthObservation:
-    """Settings of the observation ``depth``: a depth image beside the arm's own state.
-
-    Attributes:
-        camera: Which camera, its size and opening.
-    """
-
-    camera: DepthCamera = field(default_factory=DepthCamera)
-
-    def __call__(self, robot: Robot) -> Observation:
-        """The observation for an arm."""
-        return _Depth(robot, self.camera)
-
-
-@dataclass(frozen=True)
-class PointsObservation:
-    """Settings of the observation ``points``: a cloud without the arm beside the arm's own state.
-
-    Attributes:
-        camera: Which camera, and its grid of rays: one point per pixel.
-    """
-
-    camera: DepthCamera = field(default_factory=lambda: DepthCamera("mast", 32, 24))
-
-    def __call__(self, robot: Robot) -> Observation:
-        """The observation for an arm."""
-        return _Points(robot, self.camera)
-
-
-class _Depth:
-    sees_arm = True
-    target_is_obstacle = has_goals = False
-
-    def __init__(self, robot: Robot, camera: DepthCamera):
-        self._vector = _Vector(robot, _BODY)
-        self.layout = self._vector.layout
-        self.cameras: tuple[DepthCamera, ...] = (camera,)
-        image = spaces.Box(0.0, 1.0, (1, camera.height, camera.width), dtype=np.float32)
-        self.space: spaces.Space[Any] = spaces.Dict({"depth": image, "state": self._vector.space})
-
-    def __call__(self, situation: Situation) -> Observed:
-        return {"depth": situation.depth / np.float32(MAX_RANGE), "state": self._vector(situation)}
-
-
-class _Points:
-    sees_arm = target_is_obstacle = has_goals = False
-
-    def __init__(self, robot: Robot, camera: DepthCamera):
-        self._vector = _Vector(robot, _BODY)
-        self.layout = self._vector.layout
-        self.cameras: tuple[DepthCamera, ...] = (camera,)
-        self._rays = camera.rays
-        cloud = spaces.Box(-MAX_OFFSET, MAX_OFFSET, (len(self._rays), 3), dtype=np.float32)
-        self.space: spaces.Space[Any] = spaces.Dict({"points": cloud, "state": self._vector.space})
-
-    def __call__(self, situation: Situation) -> Observed:
-        depth = situation.depth.reshape(len(situation.depth), -1, 1)
-        view = situation.views[:, 0]
-        inside = depth * self._rays  # camera frame
-        points = inside @ view[:, :3, :3].transpose(0, 2, 1) + view[:, None, :3, 3]
-        cloud = np.where(depth > 0, np.clip(points, -MAX_OFFSET, MAX_OFFSET), 0.0).astype(np.float32)
-        return {"points": cloud, "state": self._vector(situation)}
-
-
-OBSERVATIONS: Mapping[str, Callable[[Robot], Observation]] = {
-    "state": StateObservation,
-    "goal": GoalObservation,
-    "depth": DepthObservation(),
-    "points": PointsObservation(),
-}
-"""Kinds of observations by name."""
-
-
-def make_observation(kind: str | DepthObservation | PointsObservation, robot: Robot) -> Observation:
-    """The observation of that name or with those settings.
-
-    Raises:
-        UnknownNameError: There is no such kind.
-    """
-    if isinstance(kind, (DepthObservation, PointsObservation)):
-        return kind(robot)
-    if not isinstance(kind, str) or kind not in OBSERVATIONS:
-        raise UnknownNameError("observation", kind, OBSERVATIONS)
-    return OBSERVATIONS[kind](robot)
-
-
 def select(observed: Observed, ids: Any) -> Any:
     """The observations of some simulations, or of one, out of those of all."""
     if isinstance(observed, dict):
@@ -244,7 +184,7 @@ def select(observed: Observed, ids: Any) -> Any:
     return observed[ids]
 
 
-def check_goals_are_known(observation: Observation, hidden: str) -> None:
+def check_goals_are_known(observation: Sight, hidden: str) -> None:
     """Refuse goal environments in which the goal that counts differs from the one that is told.
 
     Raises:

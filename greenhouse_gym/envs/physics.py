@@ -8,9 +8,9 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from greenhouse_gym.envs.actions import INTERVAL, ToolMotion
+from greenhouse_gym.envs.actions import ToolMotion
 from greenhouse_gym.envs.randomization import Disturbance, displace_base
-from greenhouse_gym.envs.reach_task import SUBSTEPS, Bools
+from greenhouse_gym.envs.reach_task import Bools, Pace
 from greenhouse_gym.envs.stepping import Ids, ManyStepper, OneStepper, Stepper
 from greenhouse_gym.envs.worlds import World
 from greenhouse_gym.geometry import Array
@@ -61,26 +61,43 @@ class Physics:
         count: Number of simulations n.
         world: Any world; all that are loaded must compile to the same sizes.
         threads: Threads that simulate; 0 uses all cores.
+        pace: How the time goes.
 
     Attributes:
         models: Each simulation's model. They are set to compute the poses of what never moves only when their data are
             reset (MuJoCo's sleep flag), which saves a third of the time; the arm itself never sleeps.
-        qpos: (n, j) joint positions, radians.
-        qvel: (n, j) joint velocities, rad/s.
-        command: (n, j) commanded joint positions, radians.
     """
 
-    def __init__(self, count: int, world: World, threads: int):
+    def __init__(self, count: int, world: World, threads: int, pace: Pace):
         compiled = world.compiled
         self.models = [copy.copy(compiled.model) for _ in range(count)]
         for model in self.models:
             model.opt.enableflags |= _SLEEP
+        self._pace = pace
         self._worlds: list[World | None] = [None] * count
-        self._stepper: Stepper = OneStepper(self.models[0]) if count == 1 else ManyStepper(self.models, threads)
-        self.qpos, self.qvel, self.command = self._stepper.qpos, self._stepper.qvel, self._stepper.command
+        self._stepper: Stepper = (
+            OneStepper(self.models[0], pace.substeps)
+            if count == 1
+            else ManyStepper(self.models, threads, pace.substeps)
+        )
         self._data = mujoco.MjData(compiled.model)
         self._tip = compiled.tip_site
         self._points = np.array([compiled.tip_site, *compiled.probe_sites])
+
+    @property
+    def qpos(self) -> Array:
+        """(n, j) joint positions, radians, live."""
+        return self._stepper.qpos
+
+    @property
+    def qvel(self) -> Array:
+        """(n, j) joint velocities, rad/s, live."""
+        return self._stepper.qvel
+
+    @property
+    def command(self) -> Array:
+        """(n, j) commanded joint positions, radians, live."""
+        return self._stepper.command
 
     def load(self, i: int, world: World, target: int, disturbance: Disturbance) -> None:
         """Make a simulation's model that of a world; takes effect with the next `place`."""
@@ -101,7 +118,7 @@ class Physics:
         """One action: the servos' commands move evenly to the new ones (n, j)."""
         stepper = self._stepper
         before = [array.copy() for array in (stepper.qpos, stepper.qvel, stepper.warmstart, stepper.command)]
-        stepper.speed[:] = (command - stepper.command) / INTERVAL
+        stepper.speed[:] = (command - stepper.command) / self._pace.interval
         touched = stepper.run()
         contacts = {
             i: self._first_contact(i, _State(*(array[i] for array in before))) for i in np.flatnonzero(touched).tolist()
@@ -126,21 +143,25 @@ class Physics:
 
     def _first_contact(self, i: int, start: _State) -> Contact:
         """The deepest contact where a simulation first touches anything in an action, found by doing it once more."""
-        model, data, world = self.models[i], self._data, self._worlds[i]
-        assert world is not None
+        model, data = self.models[i], self._data
         mujoco.mj_resetData(model, data)
         data.qpos[:], data.qvel[:], data.qacc_warmstart[:], data.act[:] = start
         data.ctrl[:] = self._stepper.speed[i]
         mujoco.mj_step1(model, data)
-        for _ in range(SUBSTEPS):
+        for _ in range(self._pace.substeps):
             if data.ncon:
                 break
             mujoco.mj_step2(model, data)
             mujoco.mj_step1(model, data)
         contact = data.contact[int(np.argmin(data.contact.dist))]
         geoms = sorted((int(contact.geom1), int(contact.geom2)), key=lambda g: model.geom_bodyid[g], reverse=True)
-        names = tuple(str(world.compiled.model.geom(g).name) for g in geoms)
+        names = tuple(_name(model, g) for g in geoms)
         return Contact(names, of_arm_alone=bool(model.geom_bodyid[geoms[1]] > 0))
+
+
+def _name(model: mujoco.MjModel, geom: int) -> str:
+    """A geom's name; for one without a name that of the body it belongs to, as arms of other makers have them."""
+    return str(model.geom(geom).name or model.body(model.geom_bodyid[geom]).name or f"geom {geom}")
 
 
 def prepare(model: mujoco.MjModel, world: World, target: int, disturbance: Disturbance) -> None:

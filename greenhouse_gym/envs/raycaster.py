@@ -6,6 +6,8 @@ rays are cast in a smaller model of the same arm, into which the obstacles withi
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import mujoco
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +22,22 @@ _BODY_FIELDS = ("body_pos", "body_quat", "body_sameframe")
 _GEOM_FIELDS = (
     "geom_type", "geom_size", "geom_pos", "geom_quat", "geom_sameframe", "geom_aabb", "geom_rbound", "geom_rgba",
 )  # fmt: skip
+
+
+class Hits(NamedTuple):
+    """What m rays hit.
+
+    Attributes:
+        distance: (m,) along the ray, metres; -1 where nothing is hit.
+        on_arm: (m,) whether it is the arm.
+        rgba: (m, 4) color of what is hit, 0 to 1; m is 0 unless asked for.
+        normal: (m, 3) unit normals of the surfaces; m is 0 unless asked for.
+    """
+
+    distance: Array
+    on_arm: npt.NDArray[np.bool_]
+    rgba: npt.NDArray[np.float32]
+    normal: Array
 
 
 class RayCaster:
@@ -38,9 +56,15 @@ class RayCaster:
         self._views = [(room, model, mujoco.MjData(model)) for room, model in zip(rooms, models, strict=True)]
 
     def cast(
-        self, model: mujoco.MjModel, joints: Array, origin: Array, directions: Array, reach: float
-    ) -> tuple[Array, npt.NDArray[np.bool_]]:
-        """How far m rays go, metres, -1 for those that hit nothing, and which of them hit the arm.
+        self,
+        model: mujoco.MjModel,
+        joints: Array,
+        origin: Array,
+        directions: Array,
+        reach: float,
+        surfaces: bool = False,
+    ) -> Hits:
+        """What m rays hit.
 
         Args:
             model: A model of the layout.
@@ -48,6 +72,7 @@ class RayCaster:
             origin: (3,) where the rays start in the scene, metres.
             directions: (m, 3) unit vectors, less than 90 degrees from their mean.
             reach: Hits farther away do not count, metres.
+            surfaces: Whether to tell colors and normals.
         """
         seen = self._in_cone(model, origin, directions, reach)
         room, view, data = next(own for own in self._views if own[0] >= len(seen))
@@ -63,8 +88,12 @@ class RayCaster:
         count = len(directions)
         distance, geom = np.empty(count), np.empty(count, dtype=np.int32)
         flat = directions.reshape(-1)
-        mujoco.mj_multiRay(view, data, origin, flat, None, True, -1, geom, distance, None, count, reach)
-        return distance, geom >= first + room
+        normal = np.zeros((count if surfaces else 0, 3))
+        mujoco.mj_multiRay(
+            view, data, origin, flat, None, True, -1, geom, distance,
+            normal.reshape(-1) if surfaces else None, count, reach,
+        )  # fmt: skip
+        return Hits(distance, geom >= first + room, view.geom_rgba[geom[: len(normal)]], normal)
 
     def _in_cone(self, model: mujoco.MjModel, origin: Array, directions: Array, reach: float) -> npt.NDArray[np.int64]:
         """Indices of the obstacles whose bounding spheres reach into the cone around the rays."""

@@ -1,4 +1,4 @@
-"""The task, as functions over arrays of n simulations: what they look like, success and reward.
+"""The task in arrays of n simulations: its figures, and what the simulations look like at one moment.
 
 Everything is elementwise, so a simulation's numbers do not depend on how many are computed at once. Points and
 directions are in the frame of the arm's base: x forward to the plants, z up, origin at the base.
@@ -6,33 +6,59 @@ directions are in the frame of the arm's base: x forward to the plants, z up, or
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property, reduce
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.scene.mjcf import TIMESTEP
 
 Float32: TypeAlias = npt.NDArray[np.float32]
 Bools: TypeAlias = npt.NDArray[np.bool_]
+Bytes: TypeAlias = npt.NDArray[np.uint8]
 
 SUCCESS_RADIUS = 0.02
-"""The grasp point this near to the target's center is a success, metres."""
+"""The grasp point this near to the target's center is a success, metres, unless the settings say otherwise."""
 
 STEP_LIMIT = 200
-"""Steps after which an episode is truncated."""
+"""Steps after which an episode is truncated, unless the settings say otherwise."""
+
+RATE = 20
+"""Actions per second, unless the settings say otherwise."""
 
 SUBSTEPS = 5
-"""Physics steps of 10 ms per action: 20 actions per second."""
+"""Physics steps of 10 ms per action at that rate."""
 
 ACTION_STEP = 0.08
-"""What an action of 1 adds to a joint's command, radians."""
+"""What an action of 1 adds to a joint's command at that rate, radians."""
 
 MAX_LEAD = 0.2
-"""How far a command may lie from the measured joint, radians; at full speed the arm follows 0.1 rad behind."""
+"""How far a command may lie from the measured joint at that rate, radians; at full speed the arm follows 0.1 rad
+behind."""
+
+
+class Pace(NamedTuple):
+    """How the time goes.
+
+    Attributes:
+        substeps: Physics steps per action.
+        interval: Seconds from one action to the next.
+        action_step: What an action of 1 adds to a joint's command, radians.
+    """
+
+    substeps: int = SUBSTEPS
+    interval: float = SUBSTEPS * TIMESTEP
+    action_step: float = ACTION_STEP
+
+
+USUAL_PACE = Pace()
+
+
+def pace_of(rate: float) -> Pace:
+    """The pace at a number of actions per second; a joint's command moves at most as fast as at any other rate."""
+    substeps = round(1 / (rate * TIMESTEP))
+    return Pace(substeps, substeps * TIMESTEP, ACTION_STEP * (substeps / SUBSTEPS))
 
 
 class Situation(NamedTuple):
@@ -50,7 +76,9 @@ class Situation(NamedTuple):
         clearance: (n, k) from the arm's surface at its probe points to the nearest obstacle, metres.
         obstacle: (n, k, 3) unit vectors from the probe points towards that obstacle, zero where it is far.
         touched: (n,) whether anything was touched in any substep since the last situation.
+        success: (n,) whether the grasp point is at the target and nothing was touched.
         depth: (n, c, h, w) depth along the view, metres, of c cameras; 0 where there is no reading; c is 0 without any.
+        color: (n, c, h, w, 3) what the cameras see, 0 to 255; c is 0 unless the observation asks for it.
         views: (n, c, 4, 4) poses of the cameras, base_from_camera.
     """
 
@@ -65,13 +93,10 @@ class Situation(NamedTuple):
     clearance: Float32
     obstacle: Float32
     touched: Bools
+    success: Bools
     depth: Float32
+    color: Bytes
     views: Array
-
-    @property
-    def success(self) -> Bools:
-        """(n,) whether the grasp point is at the target and nothing was touched."""
-        return np.asarray((self.distance < SUCCESS_RADIUS) & ~self.touched)
 
     def select(self, ids: npt.NDArray[np.int64]) -> Situation:
         """The situation of some of the simulations."""
@@ -83,59 +108,6 @@ class Situation(NamedTuple):
         for name in self._fields:
             getattr(result, name)[ids] = getattr(fresh, name)
         return result
-
-
-@dataclass(frozen=True, eq=False)
-class Transition:
-    """What the reward of n steps depends on.
-
-    Attributes:
-        before: (n,) distance from the grasp point to its goal before the step, metres.
-        after: (n,) the same after it.
-        touched: (n,) whether anything was touched in the step.
-        effort: (n,) sum of the squares of the action's entries.
-    """
-
-    before: Array
-    after: Array
-    touched: Bools
-    effort: Array
-
-    @cached_property
-    def success(self) -> Bools:
-        """(n,) whether the grasp point arrived and nothing was touched."""
-        return np.asarray((self.after < SUCCESS_RADIUS) & ~self.touched)
-
-
-def sparse_terms(step: Transition) -> dict[str, Array]:
-    """+1 for success, -1 for a collision."""
-    return {"success": np.where(step.success, 1.0, 0.0), "collision": np.where(step.touched, -1.0, 0.0)}
-
-
-def dense_terms(step: Transition) -> dict[str, Array]:
-    """Success +10, collision -1, progress 4 per metre, time -0.02 per step, effort -0.003 |action|^2.
-
-    From one start, every success returns more than any crash: progress telescopes to the same 4 d in both, and time
-    and effort cost at most 8.2 (with 7 joints) of the 11 between them.
-    """
-    return {
-        "success": 10.0 * step.success,
-        "collision": 0.0 - step.touched,
-        "progress": 4.0 * (step.before - step.after),
-        "time": np.full(len(step.after), -0.02),
-        "effort": -0.003 * step.effort,
-    }
-
-
-RewardTerms: TypeAlias = Callable[[Transition], dict[str, Array]]
-
-REWARDS: dict[str, RewardTerms] = {"sparse": sparse_terms, "dense": dense_terms}
-"""Reward terms, each (n,), by the reward's name; the reward is their sum, in their order."""
-
-
-def total_reward(terms: dict[str, Array]) -> Array:
-    """(n,) sum of the terms, in their order."""
-    return np.asarray(reduce(np.add, terms.values()))
 
 
 def lengths(vectors: Array) -> Array:

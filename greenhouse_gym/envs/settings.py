@@ -1,28 +1,139 @@
-"""What an environment is made of."""
+"""What an environment is made of, written once: the single and the vector environment take the same."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from difflib import get_close_matches
 from pathlib import Path
+from typing import Any
 
-from greenhouse_gym.envs.episodes import Difficulty
-from greenhouse_gym.envs.observations import DepthObservation, PointsObservation
+import numpy as np
+
+from greenhouse_gym.envs.actions import ActionChoice
+from greenhouse_gym.envs.episodes import DifficultyChoice, parse_difficulty
+from greenhouse_gym.envs.observations import ObservationChoice
 from greenhouse_gym.envs.randomization import NO_RANDOMIZATION, Randomization
+from greenhouse_gym.envs.reach_task import RATE, STEP_LIMIT, SUCCESS_RADIUS, pace_of
+from greenhouse_gym.envs.rewards import Reward
+from greenhouse_gym.errors import InvalidValueError, UnknownKeywordError, require_choice
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import SceneBank
+from greenhouse_gym.scene.bank import SPLITS
+from greenhouse_gym.scene.mjcf import TIMESTEP
+
+PHYSICS = ("reconstruction", "truth")
+"""What may be simulated."""
+
+MAX_CAPACITY = 20_000
+"""No model has room for more obstacles than this."""
 
 
 @dataclass(frozen=True)
 class EnvSettings:
-    """What an environment is made of; `TomatoReachEnv` says what each means."""
+    """What an environment is made of; every field is also a keyword of ``gymnasium.make`` and ``make_vec``.
+
+    Attributes:
+        bank: Name of a shipped bank, folder of one, or a `SceneBank`.
+        split: "train", "validation" or "test".
+        robot: Name of a shipped arm ("ur5e", "iiwa14"), an MJCF file, or a `Robot` of `load_robot`.
+        observation: "state", "goal", "depth", "points", "rgb", "rgbd", settings of the last four, or your own
+            `Observation`.
+        action: "joint", "joint_velocity", "tip_velocity", or your own `ActionRule`.
+        reward: "dense", "sparse", a `DenseReward` or `SparseReward` with other figures, or your own function from a
+            `Transition` to terms.
+        difficulty: What targets to draw: one difficulty, several (as frequent as the scenes have them), or a weight for
+            each, such as ``{"easy": 1, "hard": 3}``. "unreachable" only if named. `set_difficulty` changes it. For an
+            arm that a scene was not rated for, the ratings for other arms are used, and told as "unrated".
+        physics: "reconstruction"; with "truth" the simulated row behind the scene is what is touched and reached (the
+            true tomato nearest to the target), while observations tell only of the reconstruction.
+        randomization: What to get wrong on purpose; nothing by default.
+        capacity: Obstacles a scene may have; 300, or as many as a truth of the bank needs, when left out.
+        success_radius: How near the grasp point must come to the target's center, metres.
+        step_limit: Steps after which an episode is truncated.
+        rate: Actions per second, such that 10 ms are a whole part of the time from one to the next: 100, 50, 25, 20,
+            10 and so on. Joint actions ask for the same speed at every rate.
+    """
 
     bank: str | Path | SceneBank = "default"
     split: str = "train"
     robot: str | Path | Robot = "ur5e"
-    observation: str | DepthObservation | PointsObservation = "state"
-    action: str = "joint"
-    reward: str = "dense"
-    difficulty: Difficulty = ("easy", "medium", "hard")
+    observation: ObservationChoice = "state"
+    action: ActionChoice = "joint"
+    reward: str | Reward = "dense"
+    difficulty: DifficultyChoice = ("easy", "medium", "hard")
     physics: str = "reconstruction"
-    randomization: Randomization = NO_RANDOMIZATION
+    randomization: Randomization = field(default=NO_RANDOMIZATION)
     capacity: int | None = None
+    success_radius: float = SUCCESS_RADIUS
+    step_limit: int = STEP_LIMIT
+    rate: float = RATE
+
+    def __post_init__(self) -> None:
+        _check_kind("bank", self.bank, (str, Path, SceneBank), "a bank's name, folder or SceneBank")
+        _check_kind("robot", self.robot, (str, Path, Robot), "an arm's name, MJCF file or Robot")
+        _check_kind("randomization", self.randomization, Randomization, "a Randomization")
+        require_choice("split", self.split, SPLITS)
+        require_choice("physics", self.physics, PHYSICS)
+        parse_difficulty(self.difficulty)
+        if self.capacity is not None:
+            check_whole("capacity", self.capacity, 1, MAX_CAPACITY)
+        check_whole("step_limit", self.step_limit, 1)
+        if not _is_number(self.success_radius) or not 0 < self.success_radius <= 1:
+            raise InvalidValueError(f"success_radius must be metres above 0 up to 1, got {self.success_radius!r}")
+        if not _is_number(self.rate) or not 0.1 <= self.rate <= 1 / TIMESTEP or not _divides(self.rate):
+            raise InvalidValueError(
+                f"rate must be {1 / TIMESTEP:g} actions per second over a whole number (100, 50, 25, 20, 10, ...), got "
+                f"{self.rate!r}"
+            )
+
+
+def settings_with(callee: str, settings: EnvSettings | None, keywords: Mapping[str, Any]) -> EnvSettings:
+    """The settings (the usual ones where None are given) with the fields that keywords name put in their place.
+
+    Args:
+        callee: What was called, for messages.
+        settings: Settings to begin with.
+        keywords: Other values by the name of the field.
+
+    Raises:
+        UnknownKeywordError: A keyword is no field; the message lists them.
+        InvalidValueError: ``settings`` is something else, or a value is not allowed.
+    """
+    names = [f.name for f in fields(EnvSettings)]
+    for name in keywords:
+        if name not in names:
+            near = get_close_matches(name, names, n=1)
+            hint = f" Did you mean {near[0]!r}?" if near else ""
+            raise UnknownKeywordError(
+                f"{callee}() got an unexpected keyword argument {name!r}.{hint} Choices: {', '.join(names)}"
+            )
+    if settings is not None:
+        _check_kind("settings", settings, EnvSettings, "an EnvSettings")
+    return replace(settings or EnvSettings(), **keywords)
+
+
+def check_whole(name: str, value: Any, lowest: int, highest: int | None = None) -> int:
+    """The value, if it is a whole number in the range.
+
+    Raises:
+        InvalidValueError: It is not.
+    """
+    whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    if not whole or value < lowest or (highest is not None and value > highest):
+        limit = "up" if highest is None else f"to {highest}"
+        raise InvalidValueError(f"{name} must be a whole number from {lowest} {limit}, got {value!r}")
+    return int(value)
+
+
+def _check_kind(name: str, value: Any, kinds: type | tuple[type, ...], expected: str) -> None:
+    if not isinstance(value, kinds):
+        raise InvalidValueError(f"{name} must be {expected}, got {value!r}")
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float, np.number)) and not isinstance(value, bool) and bool(np.isfinite(value))
+
+
+def _divides(rate: float) -> bool:
+    return abs(pace_of(rate).interval * rate - 1.0) < 1e-9

@@ -4,37 +4,26 @@ from __future__ import annotations
 
 import copy
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.envs.actions import ACTIONS, CommandLimits, check_actions, squared_norm
-from greenhouse_gym.envs.cameras import CameraRig
+from greenhouse_gym.envs.actions import CommandLimits, check_actions, squared_norm
+from greenhouse_gym.envs.cameras import CameraRig, Pictures, no_pictures
+from greenhouse_gym.envs.choices import make_action, make_observation, make_reward
 from greenhouse_gym.envs.episodes import Episode, EpisodeSampler
-from greenhouse_gym.envs.observations import (
-    Observed,
-    check_goals_are_known,
-    make_observation,
-)
+from greenhouse_gym.envs.observations import Observed, check_goals_are_known
 from greenhouse_gym.envs.physics import NOTHING, Physics, Touches, prepare
 from greenhouse_gym.envs.randomization import Disturbance, draw_disturbance
-from greenhouse_gym.envs.reach_task import (
-    REWARDS,
-    STEP_LIMIT,
-    Bools,
-    Float32,
-    Situation,
-    Transition,
-    lengths,
-    total_reward,
-)
+from greenhouse_gym.envs.reach_task import RATE, Bools, Situation, lengths, pace_of
+from greenhouse_gym.envs.rewards import Terms, Transition, total_reward
 from greenhouse_gym.envs.settings import EnvSettings
 from greenhouse_gym.envs.stepping import Ids
 from greenhouse_gym.envs.worlds import World, room_for, worlds_of
-from greenhouse_gym.errors import UnknownNameError
+from greenhouse_gym.errors import NoEpisodeError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import ROBOTS, get_robot
 from greenhouse_gym.scene.field import NO_TOMATO
@@ -56,7 +45,7 @@ class StepResult(NamedTuple):
     """
 
     reward: Array
-    terms: dict[str, Array]
+    terms: Terms
     terminated: Bools
     truncated: Bools
     transition: Transition
@@ -72,6 +61,7 @@ class ReachSimulation:
         threads: Threads of the batch; 0 uses all cores.
 
     Attributes:
+        settings: What they are made of.
         robot: The arm.
         sampler: Draws the episodes.
         observe: Makes the observations.
@@ -79,24 +69,33 @@ class ReachSimulation:
     """
 
     def __init__(self, count: int, settings: EnvSettings, threads: int = 0):
+        self.settings = settings
         self.robot = robot = get_robot(settings.robot)
         self.sampler = EpisodeSampler(settings.bank, settings.split, robot, settings.difficulty)
         self.observe = make_observation(settings.observation, robot)
-        self.action_rule = _choose("action", settings.action, ACTIONS)(robot)
-        self._limit = CommandLimits(robot, self.action_rule)
-        self.reward_terms = _choose("reward", settings.reward, REWARDS)
+        self._pace = pace_of(settings.rate)
+        self.action_rule = make_action(settings.action, robot, self._pace.interval)
+        self._limit = CommandLimits(robot, self.action_rule, self._pace)
+        self.reward_terms = make_reward(settings.reward)
         self.randomization = settings.randomization
         hidden = 'physics="truth"' if settings.physics == "truth" else ""
         check_goals_are_known(self.observe, hidden or ("target_position" if self.randomization.target_position else ""))
         name = robot.name if robot.name in ROBOTS else str(robot.path)
-        self.env_options = {"robot": name, "observation": settings.observation, "action": settings.action}
+        self.env_options: dict[str, Any] = {
+            "robot": name,
+            "observation": settings.observation,
+            "action": settings.action,
+        }
+        if settings.rate != RATE:
+            self.env_options["rate"] = settings.rate
         capacity = settings.capacity or room_for(self.sampler.bank, settings.physics)
-        self.worlds = worlds_of(robot, settings.physics, capacity)
+        self.worlds = worlds_of(robot, settings.physics, capacity, self._pace.substeps)
         self.count = count
         self.situation: Situation | None = None
         self._threads = threads
         self._physics: Physics | None = None
         self._rig: CameraRig | None = None
+        self._no_pictures = no_pictures(count)
         self._probe_radii = robot.probe_radii.astype(np.float32)
         self._episodes: list[Episode | None] = [None] * count
         self._worlds: list[World | None] = [None] * count
@@ -114,18 +113,36 @@ class ReachSimulation:
         self._goal = np.zeros((count, 3))  # what counts, in the base frame
         self._radius = np.zeros((count, 1))
 
+    def __deepcopy__(self, memo: dict[int, Any]) -> ReachSimulation:
+        """The same state, to go on from independently; what is never changed is shared."""
+        for shared in (self.robot, self.settings, self.worlds, self.sampler.bank, *self._worlds, *self._episodes):
+            memo[id(shared)] = shared
+        twin = memo[id(self)] = object.__new__(ReachSimulation)
+        twin.__dict__ = copy.deepcopy({**self.__dict__, "_rig": None}, memo)
+        return twin
+
     # -- reset --------------------------------------------------------------------------------------------------------
 
-    def reset(self, ids: Ids, random: Sequence[np.random.Generator], options: dict[str, Any] | None = None) -> None:
+    def reset(
+        self,
+        ids: Ids,
+        random: Sequence[np.random.Generator],
+        options: Sequence[dict[str, Any] | None],
+    ) -> None:
         """Begin new episodes in some simulations, each drawn with its own generator ``random[i]``.
 
         An error leaves all as it was.
+
+        Args:
+            ids: Which.
+            random: A generator for each of the n simulations.
+            options: Options of the reset for each of the n simulations.
         """
-        episodes = [self.sampler.draw(random[i], options) for i in ids]
+        episodes = [self.sampler.draw(random[i], options[i]) for i in ids]
         worlds = [self.worlds.world(episode.scene) for episode in episodes]
         physics = self._physics
         if physics is None:
-            physics = self._physics = Physics(self.count, worlds[0], self._threads)
+            physics = self._physics = Physics(self.count, worlds[0], self._threads, self._pace)
         for world in worlds:
             world.check_fits(physics.models[0])
         for i, episode, world in zip(ids, episodes, worlds, strict=True):
@@ -169,11 +186,11 @@ class ReachSimulation:
         Raises:
             InvalidValueError: The actions have the wrong shape or are not finite.
         """
-        action = check_actions(actions, (self.count, self.action_rule.size))
         before, physics = self._seen(), self._physics
+        action = check_actions(actions, self.count, self.action_rule.space)
         assert physics is not None
-        motion = physics.motion(self._frame[:, 3:]) if self.action_rule.needs_motion else None
-        command = self._limit(physics.command, self.action_rule(action, motion), physics.qpos)
+        change = self.action_rule(action, before, physics.motion(self._frame[:, 3:]))
+        command = self._limit(physics.command, change, physics.qpos)
         touches = physics.advance(command.position)
         self._note(touches)
         counts = self._counts
@@ -181,10 +198,13 @@ class ReachSimulation:
         counts["slowed"] += command.slowed
         counts["limited"] += command.limited
         after = self.situation = self._look(slice(None), touches.any)
-        transition = Transition(before.distance, after.distance, touches.any, squared_norm(action))
+        transition = Transition(
+            before.distance, after.distance, after.touched, after.success, squared_norm(action), counts["steps"],
+            (before, after),
+        )  # fmt: skip
         terms = self.reward_terms(transition)
-        terminated = transition.success | touches.any
-        truncated = (counts["steps"] >= STEP_LIMIT) & ~terminated
+        terminated = after.success | after.touched
+        truncated = (counts["steps"] >= self.settings.step_limit) & ~terminated
         return StepResult(total_reward(terms), terms, terminated, truncated, transition, before.grasp)
 
     def _note(self, touches: Touches) -> None:
@@ -257,7 +277,7 @@ class ReachSimulation:
 
     def _seen(self) -> Situation:
         if self.situation is None:
-            raise RuntimeError("reset the whole environment first")
+            raise NoEpisodeError("there is no episode yet: reset the whole environment first")
         return self.situation
 
     # -- looking ------------------------------------------------------------------------------------------------------
@@ -273,7 +293,9 @@ class ReachSimulation:
         gap = self._goal[ids] - grasp
         distance, direction = self.worlds.fields.lookup(self._field[ids], self._ignored[ids], points[:, 1:])
         joints = physics.qpos[ids]
-        depth, views = self._photograph(ids, frame, sites[:, 0], tool)
+        pictures = self._photograph(ids, frame, sites[:, 0], tool)
+        away = lengths(gap)
+        touched = np.asarray(touched, dtype=np.bool_)
         return Situation(
             joints=joints + self._joint_offset[ids],
             velocities=physics.qvel[ids].copy(),
@@ -282,32 +304,28 @@ class ReachSimulation:
             axis=axis,
             grasp=grasp,
             target=self._target[ids].copy(),
-            distance=lengths(gap),
+            distance=away,
             clearance=distance - self._probe_radii,
             obstacle=direction,
-            touched=np.asarray(touched, dtype=np.bool_),
-            depth=depth,
-            views=views,
+            touched=touched,
+            success=(away < self.settings.success_radius) & ~touched,
+            depth=pictures.depth,
+            color=pictures.color,
+            views=pictures.views,
         )
 
-    def _photograph(self, ids: Ids | slice, frame: Array, tip: Array, tool: Array) -> tuple[Float32, Array]:
-        """Depth images (m, c, h, w) and camera poses (m, c, 4, 4) base_from_camera of some simulations."""
+    def _photograph(self, ids: Ids | slice, frame: Array, tip: Array, tool: Array) -> Pictures:
+        """What the cameras of some simulations see."""
         cameras, physics = self.observe.cameras, self._physics
         assert physics is not None
         if not cameras:
-            return np.empty((len(tip), 0, 0, 0), dtype=np.float32), np.empty((len(tip), 0, 4, 4))
+            return self._no_pictures.first(len(tip))
         if self._rig is None:
             threads = 1 if self.count == 1 else self._threads or len(os.sched_getaffinity(0))
             world = self._worlds[0]
             assert world is not None
-            self._rig = CameraRig(cameras, world.compiled, threads, self.observe.sees_arm)
+            self._rig = CameraRig(cameras, world.compiled, threads, self.observe.sees_arm, self.observe.sees_color)
         chosen = np.arange(self.count)[ids]
         noises = [None if drawn is None else drawn.noise for drawn in (self._disturbances[i] for i in chosen)]
         models = [physics.models[i] for i in chosen]
         return self._rig.photograph(models, physics.qpos[ids], frame, tip, tool, noises)
-
-
-def _choose(kind: str, name: str, choices: Mapping[str, Any]) -> Any:
-    if name not in choices:
-        raise UnknownNameError(kind, name, choices)
-    return choices[name]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -10,20 +9,18 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 
-from greenhouse_gym.envs.actions import ActionRule
-from greenhouse_gym.envs.episodes import Difficulty
+from greenhouse_gym.envs.episodes import DifficultyChoice
 from greenhouse_gym.envs.goals import goal_functions
-from greenhouse_gym.envs.observations import DepthObservation, Observed, PointsObservation, select
-from greenhouse_gym.envs.randomization import NO_RANDOMIZATION, Randomization
-from greenhouse_gym.envs.reach_task import Float32
-from greenhouse_gym.envs.settings import EnvSettings
+from greenhouse_gym.envs.observations import Observed, select
+from greenhouse_gym.envs.settings import EnvSettings, settings_with
 from greenhouse_gym.envs.simulation import ReachSimulation, StepResult
 from greenhouse_gym.envs.viewer import RENDER_MODES, Viewer
-from greenhouse_gym.errors import EpisodeOverError, refuse_unknown_keywords, require_choice
+from greenhouse_gym.errors import EpisodeOverError, require_choice
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
-from greenhouse_gym.scene import Scene, SceneBank
+from greenhouse_gym.scene import Scene
 
 _ONLY = np.array([0])
 
@@ -39,8 +36,9 @@ class TomatoReachEnv(gymnasium.Env[Observed, npt.NDArray[np.float32]]):
     **Frame.** Positions are in the frame of the arm's stand at the height of its base: x forward to the plants, y left
     along the row, z up. ``info`` and `render` use it, too.
 
-    **Time.** 20 actions per second; each is 5 physics steps of 10 ms, in which the servos follow a ramp to the new
-    commands. After 200 steps an episode is truncated (by the environment itself: there is no `TimeLimit` wrapper).
+    **Time.** 20 actions per second (``rate``); each is 5 physics steps of 10 ms, in which the servos follow a ramp to
+    the new commands. After 200 steps (``step_limit``) an episode is truncated by the environment itself: there is no
+    `TimeLimit` wrapper. ``max_episode_steps`` of ``gymnasium.make`` puts one around it, which can only cut shorter.
 
     **Action** ``Box(-1, 1, (size,), float32)``. Values beyond [-1, 1] are clipped; anything that is not finite, or of
     another shape, is an error and changes nothing.
@@ -81,20 +79,28 @@ class TomatoReachEnv(gymnasium.Env[Observed, npt.NDArray[np.float32]]):
     | | ``state`` | (3 j + 6,) float32 | the first entries of ``state``, up to the target's center |
     | ``points`` | ``points`` | (768, 3) float32 | points in 24 rows of 32, m; 0 0 0 without a reading |
     | | ``state`` | (3 j + 6,) float32 | as in ``depth`` |
+    | ``rgb`` | ``rgb`` | (3, 48, 64) uint8 | what the camera of ``depth`` sees, without shadows |
+    | | ``state`` | (3 j + 6,) float32 | as in ``depth`` |
+    | ``rgbd`` | ``depth``, ``rgb``, ``state`` | | as above |
 
     In ``goal``, tip position (m) and tool axis (unit vector) stand for offset and target, and the clearances count the
     target as an obstacle, so that nothing in it depends on the target. ``depth`` comes from a camera beside the flange
     that looks along the tool; ``points`` is what a camera on a mast beside the arm sees of the plants, one per pixel.
-    `DepthObservation` and `PointsObservation` in place of the name choose the camera ("wrist" or "mast"), its size and
-    its opening.
+    `DepthObservation`, `PointsObservation` and `RgbObservation` in place of the name choose the camera ("wrist" or
+    "mast"), its size and its opening.
+
+    **Your own.** ``observation``, ``action`` and ``reward`` also take objects from outside: see `Observation`,
+    `ActionRule` and `Transition`, and the folder ``examples``. They get arrays of n simulations, of which the single
+    environment has one. What they give is checked at every step.
 
     **Goals.** With ``observation="goal"``, the methods ``compute_reward``, ``compute_terminated`` and
     ``compute_truncated`` (``achieved_goal``, ``desired_goal``, ``info``) tell what a step would have been with another
     goal, for one step or for n steps; what else counts they read from the info (hindsight replay of Stable-Baselines3
     needs ``copy_info_dict=True``).
 
-    **Success.** The grasp point is within 2 cm of the target's center and nothing was touched in any physics step of
-    the action. The cup may touch the target. Any other contact is a **collision**. Both terminate the episode.
+    **Success.** The grasp point is within 2 cm (``success_radius``) of the target's center and nothing was touched in
+    any physics step of the action. The cup may touch the target. Any other contact is a **collision**. Both terminate
+    the episode.
 
     **Reward**, the sum of the terms in ``info["reward_terms"]``:
 
@@ -137,59 +143,47 @@ class TomatoReachEnv(gymnasium.Env[Observed, npt.NDArray[np.float32]]):
     New choices beside the old, new info keys and speed are no reason; neither is another bank, which has its own name.
 
     Args:
-        bank: Name of a shipped bank, folder of one, or a `SceneBank`.
-        split: "train", "validation" or "test".
-        robot: Name of a shipped arm ("ur5e", "iiwa14"), an MJCF file, or a `Robot` of `load_robot`.
-        observation: "state", "goal", "depth", "points", or settings of the last two.
-        action: "joint", "joint_velocity" or "tip_velocity".
-        reward: "dense" or "sparse".
-        difficulty: What targets to draw: one difficulty, several (as frequent as the scenes have them), or a weight for
-            each, such as ``{"easy": 1, "hard": 3}``. "unreachable" only if named. `set_difficulty` changes it. For an
-            arm that a scene was not rated for, the ratings for other arms are used, and told as "unrated".
-        physics: "reconstruction"; with "truth" the simulated row behind the scene is what is touched and reached (the
-            true tomato nearest to the target), while observations tell only of the reconstruction.
+        settings: What the environment is made of; the usual `EnvSettings` when left out.
         render_mode: "rgb_array" (by OpenGL, or by ray casting where there is none), "depth_array" (m) or "human" (a
             window); or None. The straight line from tip to target is red, the tip's trace pink.
-        randomization: What to get wrong on purpose, see `Randomization`; nothing by default.
-        capacity: Obstacles a scene may have; 300, or as many as a truth of the bank needs, when left out.
+        **fields: Fields of `EnvSettings`, which documents them: ``bank``, ``split``, ``robot``, ``observation``,
+            ``action``, ``reward``, ``difficulty``, ``physics``, ``randomization``, ``capacity``, ``success_radius``,
+            ``step_limit`` and ``rate``. They take the place of what ``settings`` says.
 
     Raises:
         UnknownNameError: A name is not among the choices; the message lists them.
         UnknownKeywordError: A keyword does not exist; the message lists those that do.
-        InvalidValueError: A goal environment whose goals are not what counts ("truth", wrong targets).
+        InvalidValueError: A setting is not allowed, or a goal environment's goals are not what counts ("truth", wrong
+            targets).
     """
 
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": 20}  # noqa: RUF012
 
-    def __init__(
-        self,
-        bank: str | Path | SceneBank = "default",
-        split: str = "train",
-        robot: str | Path | Robot = "ur5e",
-        observation: str | DepthObservation | PointsObservation = "state",
-        action: str = "joint",
-        reward: str = "dense",
-        difficulty: Difficulty = ("easy", "medium", "hard"),
-        physics: str = "reconstruction",
-        render_mode: str | None = None,
-        randomization: Randomization = NO_RANDOMIZATION,
-        capacity: int | None = None,
-        **unknown: Any,
-    ):
-        refuse_unknown_keywords(TomatoReachEnv.__init__, unknown)
+    def __init__(self, settings: EnvSettings | None = None, *, render_mode: str | None = None, **fields: Any):
+        self.settings = settings_with("TomatoReachEnv", settings, fields)
         self.render_mode = None if render_mode is None else require_choice("render mode", render_mode, RENDER_MODES)
         self._viewer = None if render_mode is None else Viewer(render_mode)
-        settings = EnvSettings(
-            bank, split, robot, observation, action, reward, difficulty, physics, randomization, capacity
-        )
-        self.simulation = ReachSimulation(1, settings, threads=1)
+        self.metadata = {**self.metadata, "render_fps": self.settings.rate}
+        self.simulation = ReachSimulation(1, self.settings, threads=1)
         self.observation_space = self.simulation.observe.space
-        self.action_space = action_space(self.simulation.action_rule)
+        self.action_space: spaces.Box = self.simulation.action_rule.space  # type: ignore[assignment]
         if self.simulation.observe.has_goals:  # only then, since libraries take whoever has them for a goal environment
-            functions = goal_functions(self.simulation.reward_terms)
+            functions = goal_functions(self.simulation.reward_terms, self.settings)
             self.compute_reward, self.compute_terminated, self.compute_truncated = functions
         self._tip_trace: list[Array] = []
         self._over = False
+        self._spec: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """How Gymnasium made the environment, with its step limit."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        if spec is not None:
+            spec.max_episode_steps = self.settings.step_limit
+        self._spec = spec
 
     @property
     def robot(self) -> Robot:
@@ -211,7 +205,7 @@ class TomatoReachEnv(gymnasium.Env[Observed, npt.NDArray[np.float32]]):
         """(joints,) start configuration of the current episode, radians."""
         return self.simulation.episode(0).start
 
-    def set_difficulty(self, difficulty: Difficulty) -> None:
+    def set_difficulty(self, difficulty: DifficultyChoice) -> None:
         """Draw other targets from the next reset on; the class docstring says what may be given."""
         self.simulation.sampler.set_difficulty(difficulty)
 
@@ -220,7 +214,7 @@ class TomatoReachEnv(gymnasium.Env[Observed, npt.NDArray[np.float32]]):
     ) -> tuple[Observed, dict[str, Any]]:
         """Begin an episode; the class docstring lists the options."""
         super().reset(seed=seed)
-        self.simulation.reset(_ONLY, [self.np_random], options)
+        self.simulation.reset(_ONLY, [self.np_random], [options])
         self._over = False
         self._tip_trace = [self._tip()] if self._viewer else []
         self._show()
@@ -279,11 +273,6 @@ class TomatoReachEnv(gymnasium.Env[Observed, npt.NDArray[np.float32]]):
 
     def _tip(self) -> Array:
         return self.simulation.tip(0)
-
-
-def action_space(rule: ActionRule) -> spaces.Space[Float32]:
-    """Numbers in [-1, 1]."""
-    return spaces.Box(-1.0, 1.0, (rule.size,), dtype=np.float32)
 
 
 def _item(values: npt.NDArray[Any]) -> Any:

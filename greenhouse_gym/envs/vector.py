@@ -3,35 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from greenhouse_gym.envs.episodes import Difficulty
+from greenhouse_gym.envs.episodes import DifficultyChoice
 from greenhouse_gym.envs.goals import goal_functions
-from greenhouse_gym.envs.observations import DepthObservation, Observed, PointsObservation, select
-from greenhouse_gym.envs.randomization import NO_RANDOMIZATION, Randomization
+from greenhouse_gym.envs.observations import Observed, select
 from greenhouse_gym.envs.reach_task import Bools
-from greenhouse_gym.envs.settings import EnvSettings
+from greenhouse_gym.envs.settings import EnvSettings, check_whole, settings_with
 from greenhouse_gym.envs.simulation import STEP_INFOS, ReachSimulation, StepResult
 from greenhouse_gym.envs.stepping import Ids
-from greenhouse_gym.envs.tomato_reach import action_space
 from greenhouse_gym.envs.viewer import RENDER_MODES, Viewer
-from greenhouse_gym.errors import (
-    EpisodeOverError,
-    InvalidValueError,
-    UnknownNameError,
-    refuse_unknown_keywords,
-    require_choice,
-)
+from greenhouse_gym.errors import EpisodeOverError, InvalidValueError, UnknownNameError, require_choice
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.robots import Robot
-from greenhouse_gym.scene import SceneBank
 
 Infos = dict[str, Any]
 
@@ -44,12 +35,15 @@ class TomatoReachVectorEnv(VectorEnv[Observed, npt.NDArray[np.float32], npt.NDAr
 
     Args:
         num_envs: Number of simulations.
-        bank, split, robot, observation, action, reward, difficulty, physics, render_mode, randomization, capacity: As
-            in `TomatoReachEnv`.
+        settings: What the simulations are made of; the usual `EnvSettings` when left out.
+        render_mode: As in `TomatoReachEnv`.
         autoreset_mode: An `AutoresetMode` or its value: "NextStep" (the step after an episode's end resets and ignores
             the action), "SameStep" (the ending step resets; the last observation and info are in ``final_obs`` and
             ``final_info``) or "Disabled" (reset with ``options={"reset_mask": (num_envs,) bools}``).
         threads: Threads that simulate; 0 uses all cores. The numbers do not depend on it.
+        max_episode_steps: A step limit below that of the settings, as ``gymnasium.make`` has it for the single
+            environment.
+        **fields: Fields of `EnvSettings`, as in `TomatoReachEnv`.
     """
 
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": 20}  # noqa: RUF012
@@ -57,64 +51,78 @@ class TomatoReachVectorEnv(VectorEnv[Observed, npt.NDArray[np.float32], npt.NDAr
     def __init__(
         self,
         num_envs: int = 1,
-        bank: str | Path | SceneBank = "default",
-        split: str = "train",
-        robot: str | Path | Robot = "ur5e",
-        observation: str | DepthObservation | PointsObservation = "state",
-        action: str = "joint",
-        reward: str = "dense",
-        difficulty: Difficulty = ("easy", "medium", "hard"),
-        physics: str = "reconstruction",
+        settings: EnvSettings | None = None,
+        *,
         render_mode: str | None = None,
-        randomization: Randomization = NO_RANDOMIZATION,
-        capacity: int | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         threads: int = 0,
-        **unknown: Any,
+        max_episode_steps: int | None = None,
+        **fields: Any,
     ):
-        refuse_unknown_keywords(TomatoReachVectorEnv.__init__, unknown)
-        if isinstance(num_envs, bool) or not isinstance(num_envs, (int, np.integer)) or num_envs < 1:
-            raise InvalidValueError(f"num_envs must be a whole number from 1 up, got {num_envs!r}")
+        self.settings = settings_with("TomatoReachVectorEnv", settings, fields)
+        if max_episode_steps is not None:
+            limit = check_whole("max_episode_steps", max_episode_steps, 1, self.settings.step_limit)
+            self.settings = replace(self.settings, step_limit=limit)
+        self.num_envs = num_envs = check_whole("num_envs", num_envs, 1)
+        threads = check_whole("threads", threads, 0)
         self.render_mode = None if render_mode is None else require_choice("render mode", render_mode, RENDER_MODES)
         if render_mode == "human" and num_envs > 1:
             raise InvalidValueError('render_mode="human" shows one simulation; choose "rgb_array" or num_envs=1')
         self._viewer = None if render_mode is None else Viewer(render_mode)
-        self.num_envs = num_envs
         self.autoreset_mode = _mode(autoreset_mode)
-        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
-        settings = EnvSettings(
-            bank, split, robot, observation, action, reward, difficulty, physics, randomization, capacity
-        )
-        self.simulation = ReachSimulation(num_envs, settings, threads)
+        self.metadata = {
+            **self.metadata, "render_fps": self.settings.rate, "autoreset_mode": self.autoreset_mode
+        }  # fmt: skip
+        self.simulation = ReachSimulation(num_envs, self.settings, threads)
         self.single_observation_space = self.simulation.observe.space
-        self.single_action_space = action_space(self.simulation.action_rule)
+        self.single_action_space = self.simulation.action_rule.space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         if self.simulation.observe.has_goals:
-            functions = goal_functions(self.simulation.reward_terms)
+            functions = goal_functions(self.simulation.reward_terms, self.settings)
             self.compute_reward, self.compute_terminated, self.compute_truncated = functions
         self._random: list[np.random.Generator] = [seeding.np_random()[0] for _ in range(num_envs)]
         self._all = np.arange(num_envs)
         self._ended = np.zeros(num_envs, dtype=np.bool_)
+        self._no_options = [None] * num_envs
+        self._spec: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """How Gymnasium made the environment, with its step limit."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        if spec is not None:
+            spec.max_episode_steps = self.settings.step_limit
+        self._spec = spec
 
     def reset(  # type: ignore[override]
-        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | Sequence[dict[str, Any] | None] | None = None,
     ) -> tuple[Observed, Infos]:
         """Begin new episodes in all simulations, or in those of ``options["reset_mask"]``.
 
         Args:
             seed: s gives simulation i the seed s + i; or one seed (or None) per simulation.
-            options: Options of `TomatoReachEnv`, the same for all, and ``reset_mask``, (num_envs,) bools.
+            options: Options of `TomatoReachEnv`, the same for all, and ``reset_mask``, (num_envs,) bools; or a list of
+                options (or None), one for each simulation.
         """
-        options = dict(options or {})
         chosen = self._all
-        if "reset_mask" in options:
+        if isinstance(options, dict) and "reset_mask" in options:
+            options = dict(options)
             mask = np.asarray(options.pop("reset_mask"))
             if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
                 raise InvalidValueError(f"reset_mask must be {self.num_envs} bools, at least one true, got {mask!r}")
             chosen = np.flatnonzero(mask)
         self._seed(chosen, seed)
-        self.simulation.reset(chosen, self._random, options)
+        each = options if isinstance(options, (list, tuple)) else [options] * self.num_envs
+        if len(each) != self.num_envs:
+            raise InvalidValueError(f"expected options for {self.num_envs} simulations, got {len(each)}")
+        self.simulation.reset(chosen, self._random, each)  # type: ignore[arg-type]
         self._ended[chosen] = False
         mask = _mask(self.num_envs, chosen)
         return self.simulation.observation(), _masked(self._info(None), mask, mask)
@@ -134,9 +142,9 @@ class TomatoReachVectorEnv(VectorEnv[Observed, npt.NDArray[np.float32], npt.NDAr
         simulation, everyone = self.simulation, np.ones(self.num_envs, dtype=np.bool_)
         result = simulation.step(actions)
         reward, terminated, truncated = result.reward, result.terminated, result.truncated
-        terms = result.terms
+        terms = dict(result.terms)
         if len(waiting):  # only when autoreset happens in the next step
-            simulation.reset(waiting, self._random)
+            simulation.reset(waiting, self._random, self._no_options)
             reward[waiting], terminated[waiting], truncated[waiting] = 0.0, False, False
             for values in terms.values():
                 values[waiting] = 0.0
@@ -151,7 +159,7 @@ class TomatoReachVectorEnv(VectorEnv[Observed, npt.NDArray[np.float32], npt.NDAr
                 final_obs[i] = _copied(select(observations, i))
             final_info = _masked(info, ended, ended) | _nested("reward_terms", terms, ended)
             final = {"final_obs": final_obs, "_final_obs": ended, "final_info": final_info, "_final_info": ended}
-            simulation.reset(done, self._random)
+            simulation.reset(done, self._random, self._no_options)
             _replace(observations, done, simulation.observation(done))
             info = self._info(result)
             self._ended[:] = False
@@ -162,7 +170,7 @@ class TomatoReachVectorEnv(VectorEnv[Observed, npt.NDArray[np.float32], npt.NDAr
         infos = _masked(info, everyone, stepped) | _nested("reward_terms", terms, stepped) | final
         return observations, reward, terminated, truncated, infos
 
-    def set_difficulty(self, difficulty: Difficulty) -> None:
+    def set_difficulty(self, difficulty: DifficultyChoice) -> None:
         """Draw other targets from each simulation's next reset on, as `TomatoReachEnv.set_difficulty`."""
         self.simulation.sampler.set_difficulty(difficulty)
 

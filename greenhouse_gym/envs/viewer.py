@@ -37,6 +37,10 @@ class Viewer:
         self._window: Any = None
         self._shown: tuple[mujoco.MjModel, mujoco.MjData] | None = None
 
+    def __deepcopy__(self, memo: dict[int, Any]) -> Viewer:
+        """A viewer with a window and a context of its own."""
+        return Viewer(self.mode)
+
     def draw(
         self, model: mujoco.MjModel, data: mujoco.MjData, stand: Stand, tip: Array, target: Array, trace: list[Array]
     ) -> npt.NDArray[Any] | None:

@@ -5,24 +5,27 @@ from __future__ import annotations
 import weakref
 from collections import OrderedDict
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import mujoco
 import numpy as np
 
+from greenhouse_gym.envs.reach_task import SUBSTEPS
 from greenhouse_gym.envs.stepping import drive_and_record
-from greenhouse_gym.errors import InvalidValueError, require_choice
+from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, invert, pose, rotation_about, transform
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import CompiledScene, Scene, SceneBank, compile_scene
 from greenhouse_gym.scene.field import FieldStore, obstacle_field
 from greenhouse_gym.scene.mjcf import DEFAULT_CAPACITY, base_position
 
-PHYSICS = ("reconstruction", "truth")
 _ROUND = 100
 
 KEPT = 300
-"""Worlds that are kept ready; each takes about 3 MB."""
+"""Worlds of one kind that are kept ready; each takes about 3 MB."""
+
+KINDS_KEPT = 8
+"""Kinds of worlds (arm, physics, capacity, rate) whose worlds are kept ready for the next environment."""
 
 _SCENE_FIELDS = (
     # The bounding-volume tree goes with the geoms: with a stale tree MuJoCo misses contacts.
@@ -38,7 +41,7 @@ def room_for(bank: SceneBank, physics: str) -> int:
     Banks whose truths are about alike get the same number, and so share their models. A bank without truth gets the
     usual number; its scenes say what they lack when they are loaded.
     """
-    largest = bank.largest_truth() if require_choice("physics", physics, PHYSICS) == "truth" else None
+    largest = bank.largest_truth() if physics == "truth" else None
     return DEFAULT_CAPACITY if largest is None else max(DEFAULT_CAPACITY, -_ROUND * (-largest // _ROUND))
 
 
@@ -97,14 +100,22 @@ class Worlds:
     """The worlds of one robot and kind of physics in this process, each scene compiled once while it is in use.
 
     The last `KEPT` worlds are kept; older ones live on only as long as a simulation runs in them.
+
+    Args:
+        robot: The arm.
+        physics: "reconstruction" or "truth".
+        capacity: Obstacles a model has room for.
+        substeps: Physics steps per action, whose contacts the models keep.
     """
 
-    def __init__(self, robot: Robot, physics: str, capacity: int):
+    def __init__(self, robot: Robot, physics: str, capacity: int, substeps: int = SUBSTEPS):
         self.robot = robot
+        self.physics = physics
         self.capacity = capacity
-        self.physics = require_choice("physics", physics, PHYSICS)
+        self._record = partial(drive_and_record, substeps=substeps)
         self.fields = FieldStore()
-        # By the scene's identity: a world keeps its scene alive, so an identity is not used again before it is gone.
+        # By the scene's identity: scenes are never changed, and a bank that is written anew is read as other scenes. A
+        # world keeps its scene alive, so an identity is not used again before its world is gone.
         self._alive: weakref.WeakValueDictionary[int, World] = weakref.WeakValueDictionary()
         self._kept: OrderedDict[int, World] = OrderedDict()
 
@@ -127,16 +138,19 @@ class Worlds:
 
     def _make(self, scene: Scene) -> World:
         physical = _true_scene(scene) if self.physics == "truth" else scene
+        self._check_size(physical)
         scene_from_base = pose(rotation_about([0, 0, 1], scene.stand.yaw), base_position(scene, self.robot))
         tomatoes, bodies_there = (_spheres(s, scene_from_base) for s in (scene, physical))
-        gaps = np.linalg.norm(tomatoes[:, None, :3] - bodies_there[None, :, :3], axis=-1)
-        bodies = np.arange(len(tomatoes)) if physical is scene else gaps.argmin(axis=1)
+        if physical is scene:
+            bodies = np.arange(len(tomatoes))
+        else:
+            bodies = np.linalg.norm(tomatoes[:, None, :3] - bodies_there[None, :, :3], axis=-1).argmin(axis=1)
         ellipsoids = {k: t.ellipsoid for k, t in enumerate(scene.tomatoes) if t.ellipsoid is not None}
         others = [*scene.stems, *scene.clutter]
         told: np.ndarray[tuple[int, int], np.dtype[np.float32]] = tomatoes.astype(np.float32)
         return World(
             scene=scene,
-            compiled=compile_scene(physical, self.robot, self.capacity, drive_and_record),
+            compiled=compile_scene(physical, self.robot, self.capacity, self._record),
             frame=np.array([*scene_from_base[:3, 3], *scene_from_base[:2, 0]]),
             tomatoes=told,
             field=self.fields.add(obstacle_field(tomatoes, others, scene_from_base, ellipsoids)),
@@ -144,6 +158,13 @@ class Worlds:
             goals=told.astype(np.float64) if physical is scene else bodies_there[bodies],
             bodies=bodies,
         )
+
+    def _check_size(self, scene: Scene) -> None:
+        """Refuse what would take more room than there is before any of it is taken."""
+        if len(scene.obstacles) > self.capacity:
+            raise InvalidValueError(
+                f"scene {scene.name!r} has {len(scene.obstacles)} obstacles, more than the {self.capacity} allowed"
+            )
 
 
 def _spheres(scene: Scene, scene_from_base: Array) -> Array:
@@ -153,10 +174,14 @@ def _spheres(scene: Scene, scene_from_base: Array) -> Array:
     return np.hstack([transform(invert(scene_from_base), centers), radii])
 
 
-@lru_cache(maxsize=8)
-def worlds_of(robot: Robot, physics: str, capacity: int) -> Worlds:
-    """The worlds of a robot, by its identity, and kind of physics that environments share; those used last are kept."""
-    return Worlds(robot, physics, capacity)
+@lru_cache(maxsize=KINDS_KEPT)
+def worlds_of(robot: Robot, physics: str, capacity: int, substeps: int = SUBSTEPS) -> Worlds:
+    """The worlds that the environments of a kind share in this process.
+
+    By the robot's identity: arms that `get_robot` finds are read once, while every `load_robot` gives another arm with
+    worlds of its own. Kinds beyond the last `KINDS_KEPT` live on as long as an environment uses them.
+    """
+    return Worlds(robot, physics, capacity, substeps)
 
 
 def _true_scene(scene: Scene) -> Scene:

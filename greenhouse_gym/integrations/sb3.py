@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.envs import DepthObservation, PointsObservation, Randomization, TomatoReachVectorEnv
-from greenhouse_gym.envs.episodes import Difficulty
+from greenhouse_gym.envs import EnvSettings, TomatoReachVectorEnv
 from greenhouse_gym.envs.observations import Observed
-from greenhouse_gym.envs.randomization import NO_RANDOMIZATION
-from greenhouse_gym.errors import MissingDependencyError
-from greenhouse_gym.robots import Robot
-from greenhouse_gym.scene import SceneBank
+from greenhouse_gym.errors import InvalidValueError, MissingDependencyError
 
 try:
     from stable_baselines3.common.vec_env import VecEnv, VecMonitor
@@ -40,7 +35,7 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
         """Begin new episodes everywhere and return the observations (n, size)."""
         # Only the first reset, or one after `seed`, has seeds.
         seeds = None if all(seed is None for seed in self._seeds) else self._seeds
-        observations, infos = self.env.reset(seed=seeds, options=self._options[0] or None)
+        observations, infos = self.env.reset(seed=seeds, options=self._options)
         self.reset_infos = [_info(infos, i) for i in range(self.num_envs)]
         self._reset_seeds()
         self._reset_options()
@@ -77,13 +72,30 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
         return [getattr(self.env, attr_name) for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Set an attribute of the vector environment (the simulations share it)."""
+        """Set an attribute of the vector environment, which all simulations share.
+
+        Raises:
+            InvalidValueError: Only some of the simulations are meant.
+        """
+        self._require_all(f"attribute {attr_name!r}", indices)
         setattr(self.env, attr_name, value)
 
     def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
-        """Call a method of the vector environment once and give the result for every index."""
+        """Call a method of the vector environment once and give the result for every index.
+
+        Raises:
+            InvalidValueError: Only some of the simulations are meant, and the method does more than compute.
+        """
+        if not method_name.startswith("compute_"):
+            self._require_all(f"method {method_name!r}", indices)
         result = getattr(self.env, method_name)(*method_args, **method_kwargs)
         return [result for _ in self._get_indices(indices)]
+
+    def _require_all(self, what: str, indices: Any) -> None:
+        if set(self._get_indices(indices)) != set(range(self.num_envs)):
+            raise InvalidValueError(
+                f"{what} belongs to all {self.num_envs} simulations together, got indices {indices!r}; leave them out"
+            )
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
         """No simulation is wrapped."""
@@ -92,43 +104,26 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
 
 def make_sb3_vec_env(
     num_envs: int = 128,
-    bank: str | Path | SceneBank = "default",
-    split: str = "train",
-    robot: str | Path | Robot = "ur5e",
-    observation: str | DepthObservation | PointsObservation = "state",
-    action: str = "joint",
-    reward: str = "dense",
-    difficulty: Difficulty = ("easy", "medium", "hard"),
-    physics: str = "reconstruction",
+    settings: EnvSettings | None = None,
+    *,
     render_mode: str | None = None,
-    randomization: Randomization = NO_RANDOMIZATION,
-    capacity: int | None = None,
     threads: int = 0,
     seed: int | None = None,
+    **fields: Any,
 ) -> VecMonitor:
     """The vector environment for Stable-Baselines3, with episode returns and lengths recorded.
 
     Args:
         num_envs: Number of simulations.
-        bank: This and the others as in `TomatoReachVectorEnv`.
-        split: Split the episodes are drawn from.
-        robot: The arm.
-        observation: Kind of observation.
-        action: Kind of action.
-        reward: Kind of reward.
-        difficulty: Difficulties to draw targets from.
-        physics: What is simulated.
+        settings: What they are made of; the usual `EnvSettings` when left out.
         render_mode: How `render` shows it.
-        randomization: What to get wrong on purpose.
-        capacity: Obstacles a scene may have.
         threads: Threads that simulate.
         seed: Seeds the simulations' generators with seed + i at the first reset.
+        **fields: Fields of `EnvSettings`, as in `TomatoReachEnv`.
     """
     env = TomatoReachVectorEnv(
-        num_envs, bank=bank, split=split, robot=robot, observation=observation, action=action, reward=reward,
-        difficulty=difficulty, physics=physics, render_mode=render_mode, randomization=randomization, capacity=capacity,
-        autoreset_mode="SameStep", threads=threads,
-    )  # fmt: skip
+        num_envs, settings, render_mode=render_mode, autoreset_mode="SameStep", threads=threads, **fields
+    )
     wrapped = Sb3VecEnv(env)
     if seed is not None:
         wrapped.seed(seed)

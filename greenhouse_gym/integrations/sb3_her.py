@@ -9,7 +9,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from greenhouse_gym.envs.observations import Layout
-from greenhouse_gym.envs.reach_task import SUCCESS_RADIUS, lengths
+from greenhouse_gym.envs.reach_task import lengths
 from greenhouse_gym.errors import MissingDependencyError
 
 try:
@@ -63,8 +63,9 @@ class GoalReplayBuffer(HerReplayBuffer):  # type: ignore[misc]
     ) -> npt.NDArray[np.float64]:
         goals = super()._sample_goals(batch_indices, env_indices)
         here = self.observations["achieved_goal"][batch_indices, env_indices]
+        radius = self.env.get_attr("settings")[0].success_radius
         for _ in range(_DRAWS - 1):
-            again = np.flatnonzero(lengths(goals - here) < SUCCESS_RADIUS)
+            again = np.flatnonzero(lengths(goals - here) < radius)
             if not len(again):
                 break
             goals[again] = super()._sample_goals(batch_indices[again], env_indices[again])

@@ -30,6 +30,9 @@ ORIGIN = (0.10, -0.87, -0.80)
 MAX_DISTANCE = 0.3
 """Distances are capped here, metres."""
 
+MAX_DEPTH = 1e3
+"""Depths inside an obstacle are capped here, metres: far beyond any plant, and within what float16 can tell."""
+
 NODE = np.dtype([("distance", np.float16), ("otherwise", np.float16), ("tomato", np.int16), ("", np.int16)])
 """A node: the distance to the nearest obstacle, the index of the tomato that this is, or -1, and the distance without
 that tomato. Eight bytes, so that a lookup fetches all of it at once."""
@@ -82,7 +85,8 @@ def obstacle_field(
         second[...] = np.where(closer, first, np.minimum(second, own))
         first[closer] = own[closer]
         tomato[part][closer] = k
-    field["distance"], field["otherwise"], field["tomato"] = nearest, otherwise, tomato
+    field["distance"], field["otherwise"] = (np.maximum(d, -MAX_DEPTH) for d in (nearest, otherwise))
+    field["tomato"] = tomato
     return field
 
 
@@ -128,7 +132,7 @@ def distance_field(shapes: Sequence[Shape], scene_from_base: npt.ArrayLike | Non
         distance = parts.distance(middle[block], part)
         nearest = np.minimum.reduceat(distance, first)
         if size == 1:
-            field[tuple(corner.T)] = np.minimum(nearest, MAX_DISTANCE)
+            field[tuple(corner.T)] = np.clip(nearest, -MAX_DEPTH, MAX_DISTANCE)
             return field
         radius = (size - 1) / 2 * CELL * np.sqrt(3.0)
         keep = distance <= np.minimum(nearest + 2 * radius, MAX_DISTANCE + radius)[block]

@@ -232,7 +232,7 @@ def _cast(
 ) -> tuple[Array, npt.NDArray[np.int32], Array]:
     """Distances (m,), -1 for a miss, geom ids (m,) and normals (m, 3) for unit rays (m, 3) from one point."""
     count = len(rays)
-    geom, distance, normal = np.full(count, -1, dtype=np.int32), np.empty(count), np.empty(3 * count)
+    geom, distance, normal = np.full(count, -1, dtype=np.int32), np.empty(count), np.zeros(3 * count)
     mujoco.mj_multiRay(
         model, data, origin, np.ascontiguousarray(rays).reshape(-1), None, True, -1, geom, distance, normal, count, 1e3
     )
@@ -242,22 +242,45 @@ def _cast(
 def _shade(model: mujoco.MjModel, data: mujoco.MjData, eye: Array, rays: Array) -> tuple[Array, Array]:
     """Colors (m, 3) and distances (m,) along the rays; infinite where there is nothing."""
     distance, geom, normal = _cast(model, data, eye, rays)
-    up = np.clip(rays[:, 2:] * 2.0 + 0.3, 0.0, 1.0)
-    background = _SKY_LOW + up * (_SKY_HIGH - _SKY_LOW)
     hit = np.flatnonzero(distance >= 0)
-    points, facing = eye + distance[hit, None] * rays[hit], normal[hit]
-    away = points - _KEY_LIGHT
+    away = eye + distance[hit, None] * rays[hit] - _KEY_LIGHT
     reach = np.linalg.norm(away, axis=1)
     away /= reach[:, None]
+    key = np.zeros(len(rays))
     lit = _cast(model, data, _KEY_LIGHT, away)[0] > reach - 2e-3
-    key = np.maximum(-np.einsum("mi,mi->m", facing, away), 0.0) * np.where(lit, 1.0, 0.12)
-    fill = np.maximum(facing @ _FILL_LIGHT, 0.0)
-    light = _AMBIENT + 0.08 * facing[:, 2] + _KEY * key + _FILL * fill
-    color = np.array(model.geom_rgba[geom[hit], :3], dtype=np.float64) * light[:, None]
-    fade = np.clip((distance[hit, None] - _FADE[0]) / (_FADE[1] - _FADE[0]), 0.0, 1.0)
-    background[hit] = color + fade * (background[hit] - color)
+    key[hit] = np.maximum(-np.einsum("mi,mi->m", normal[hit], away), 0.0) * np.where(lit, 1.0, 0.12)
+    colors = _lit(model.geom_rgba[geom], normal, rays, distance, key)
     distance[distance < 0] = np.inf
-    return np.clip(background, 0.0, 1.0), distance
+    return colors, distance
+
+
+def surface_colors(rgba: npt.NDArray[np.float32], normal: Array, rays: Array, distance: Array) -> Array:
+    """Colors (m, 3), 0 to 1, of what rays hit, without shadows: the key light is as far as the sun.
+
+    Args:
+        rgba: (m, 4) colors of what is hit.
+        normal: (m, 3) unit normals of the surfaces.
+        rays: (m, 3) unit vectors.
+        distance: (m,) along them, metres; negative where nothing is hit.
+    """
+    towards = _KEY_LIGHT / np.linalg.norm(_KEY_LIGHT)
+    return _lit(rgba, normal, rays, distance, np.maximum((normal * towards).sum(axis=1), 0.0))
+
+
+def sky_colors(rays: Array) -> Array:
+    """Colors (m, 3), 0 to 1, of the background along unit rays (m, 3)."""
+    up = np.clip(rays[:, 2:] * 2.0 + 0.3, 0.0, 1.0)
+    return _SKY_LOW + up * (_SKY_HIGH - _SKY_LOW)
+
+
+def _lit(rgba: npt.NDArray[np.float32], normal: Array, rays: Array, distance: Array, key: Array) -> Array:
+    """Colors (m, 3) along rays, ``key`` (m,) being what of the key light falls on the surfaces."""
+    fill = np.maximum((normal * _FILL_LIGHT).sum(axis=1), 0.0)
+    light = _AMBIENT + 0.08 * normal[:, 2] + _KEY * key + _FILL * fill
+    color = np.array(rgba[:, :3], dtype=np.float64) * light[:, None]
+    fade = np.clip((distance - _FADE[0]) / (_FADE[1] - _FADE[0]), 0.0, 1.0)
+    fade[distance < 0] = 1.0
+    return np.clip(color + fade[:, None] * (sky_colors(rays) - color), 0.0, 1.0)
 
 
 def _draw_segment(colors: Array, depth: Array, start: Array, end: Array, focal: float, line: Line) -> None:

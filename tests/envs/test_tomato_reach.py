@@ -18,8 +18,8 @@ import greenhouse_gym
 from greenhouse_gym.crop import Stem, Tomato
 from greenhouse_gym.envs import TomatoReachEnv
 from greenhouse_gym.envs.actions import ACTIONS
-from greenhouse_gym.envs.observations import OBSERVATIONS
-from greenhouse_gym.envs.reach_task import REWARDS
+from greenhouse_gym.envs.choices import OBSERVATIONS
+from greenhouse_gym.envs.rewards import REWARDS
 from greenhouse_gym.errors import InvalidValueError, UnknownKeywordError, UnknownNameError
 from greenhouse_gym.robots import ROBOTS
 from greenhouse_gym.scene import Scene, SceneBank, Shapes

@@ -1,0 +1,29 @@
+"""An observation of your own: where the target is, how far every point of the arm is from the plants, and no more.
+
+python examples/own_observation.py
+"""
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+
+import greenhouse_gym  # noqa: F401 - registers the environments
+from greenhouse_gym.envs import Situation
+from greenhouse_gym.robots import Robot
+
+
+class Feelers:
+    """The way to the target, and the clearances (metres)."""
+
+    def __init__(self, robot: Robot):
+        self.space = spaces.Box(-5.0, 5.0, (3 + len(robot.probes),), np.float32)
+
+    def __call__(self, situation: Situation) -> np.ndarray:
+        """One row for each of n simulations."""
+        way = situation.target - situation.grasp
+        return np.clip(np.hstack([way, situation.clearance]), -5.0, 5.0).astype(np.float32)
+
+
+if __name__ == "__main__":
+    env = gymnasium.make("TomatoReach-v0", bank="mini", observation=Feelers)
+    print(env.reset(seed=0)[0])

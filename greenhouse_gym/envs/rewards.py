@@ -1,0 +1,144 @@
+"""What a step is worth: from a `Transition` of n simulations to named terms, whose sum is the reward."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from functools import reduce
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from greenhouse_gym.envs.reach_task import Bools, Situation
+from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.geometry import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Transition:
+    """What the reward of n steps may depend on; all arrays are to be read only.
+
+    Attributes:
+        before: (n,) distance from the grasp point to its goal before the step, metres.
+        after: (n,) the same after it.
+        touched: (n,) whether anything was touched in the step, which ends the episode.
+        success: (n,) whether the grasp point arrived and nothing was touched, which ends the episode.
+        effort: (n,) sum of the squares of the action's entries.
+        steps: (n,) steps of the episode so far, this one included.
+        situations: What the simulations looked like before and after, or None in hindsight: when a goal environment
+            asks what a step would have been worth with another goal. `start` and `end` read them.
+    """
+
+    before: Array
+    after: Array
+    touched: Bools
+    success: Bools
+    effort: Array
+    steps: npt.NDArray[np.int64]
+    situations: tuple[Situation, Situation] | None = None
+
+    @property
+    def start(self) -> Situation:
+        """What the simulations looked like before the step.
+
+        Raises:
+            InvalidValueError: In hindsight.
+        """
+        return self._known()[0]
+
+    @property
+    def end(self) -> Situation:
+        """What the simulations look like after the step.
+
+        Raises:
+            InvalidValueError: In hindsight.
+        """
+        return self._known()[1]
+
+    def _known(self) -> tuple[Situation, Situation]:
+        if self.situations is None:
+            raise InvalidValueError(
+                "in hindsight a reward knows before, after, touched, success, effort and steps only, not the "
+                'situations it read: write it with these, or choose observation="state"'
+            )
+        return self.situations
+
+
+Terms: TypeAlias = Mapping[str, Array]
+Reward: TypeAlias = Callable[[Transition], Terms]
+"""From n steps to terms by name, each (n,); the reward is their sum, in their order."""
+
+
+@dataclass(frozen=True)
+class SparseReward:
+    """Paid at the end only.
+
+    Attributes:
+        success: For a success.
+        collision: For a collision.
+    """
+
+    success: float = 1.0
+    collision: float = -1.0
+
+    def __post_init__(self) -> None:
+        _check_finite(self)
+
+    def __call__(self, step: Transition) -> dict[str, Array]:
+        """The terms of n steps."""
+        return {
+            "success": np.where(step.success, self.success, 0.0),
+            "collision": np.where(step.touched, self.collision, 0.0),
+        }
+
+
+@dataclass(frozen=True)
+class DenseReward:
+    """Paid for progress, too.
+
+    From one start, every success returns more than any crash: progress telescopes to the same 4 d in both, and time
+    and effort cost at most 8.2 (with 7 joints) of the 11 between them.
+
+    Attributes:
+        success: For a success.
+        collision: For a collision.
+        progress: Per metre that the grasp point came nearer to its goal.
+        time: Per step.
+        effort: Times the sum of the squares of the action's entries.
+    """
+
+    success: float = 10.0
+    collision: float = -1.0
+    progress: float = 4.0
+    time: float = -0.02
+    effort: float = -0.003
+
+    def __post_init__(self) -> None:
+        _check_finite(self)
+
+    def __call__(self, step: Transition) -> dict[str, Array]:
+        """The terms of n steps."""
+        return {
+            "success": np.where(step.success, self.success, 0.0),
+            "collision": np.where(step.touched, self.collision, 0.0),
+            "progress": self.progress * (step.before - step.after),
+            "time": np.full(len(step.after), self.time),
+            "effort": self.effort * step.effort,
+        }
+
+
+def total_reward(terms: Terms) -> Array:
+    """(n,) sum of the terms, in their order."""
+    return np.asarray(reduce(np.add, terms.values()))
+
+
+def _check_finite(reward: Any) -> None:
+    for field in fields(reward):
+        value = getattr(reward, field.name)
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
+            raise InvalidValueError(f"{type(reward).__name__}.{field.name} must be a finite number, got {value!r}")
+
+
+REWARDS: dict[str, Reward] = {"sparse": SparseReward(), "dense": DenseReward()}
+"""Rewards by name."""
