@@ -34,7 +34,7 @@ def test_what_is_left_out_is_not_seen(bank: SceneBank, robot: str) -> None:
         mujoco.mj_multiRay(
             model, data, origin, directions.reshape(-1), None, True, -1, geom, expected, None, len(spread), 2.0
         )
-        distance, arm_hit = caster.cast(model, data.qpos, origin, directions, 2.0)
+        distance, arm_hit, *_ = caster.cast(model, data.qpos, origin, directions, 2.0)
         np.testing.assert_array_equal(distance, expected)
         np.testing.assert_array_equal(arm_hit, (geom >= 0) & (model.geom_bodyid[geom] > 0))
         hits, on_the_arm = hits + (distance >= 0).sum(), on_the_arm + arm_hit.sum()
