@@ -64,6 +64,10 @@ class MissingDependencyError(GreenhouseError, ImportError):
         super().__init__(f"{package} is not installed: pip install 'greenhouse-gym[{extra}]'")
 
 
+class GrowthError(GreenhouseError):
+    """A plant could not be grown, or grew without what a row needs; the message gives the reason."""
+
+
 class ReconstructionError(GreenhouseError):
     """A recording could not be turned into a row; the message gives the reasons."""
 

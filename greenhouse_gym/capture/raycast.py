@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from greenhouse_gym.capture.light import Light, Skin, shade
+from greenhouse_gym.capture.meshes import mesh_of
 from greenhouse_gym.capture.rig import Intrinsics
 from greenhouse_gym.geometry import Array, Box, Capsule, Shape, Sphere, frame_along, invert
 from greenhouse_gym.open3d_loader import open3d
-from greenhouse_gym.plants.row import PlantRow
+from greenhouse_gym.plants import PlantRow
 
 _STEM_COLORS = {
     "main": (0.36, 0.50, 0.22),
@@ -46,6 +48,8 @@ class RowRaycaster:
         axes: (shapes, 2, 3) ends of the shapes' axes; both the center for spheres and boxes.
         round: (shapes,) whether a shape's normal points away from its axis.
         colors: (shapes, 3) base color, 0-1.
+        skin: How the triangles of a row of organs look; None for a row of primitives.
+        light: What falls on such a row.
     """
 
     scene: Any
@@ -53,10 +57,32 @@ class RowRaycaster:
     axes: Array
     round: npt.NDArray[np.bool_]
     colors: Array
+    skin: Skin | None = None
+    light: Light = field(default_factory=Light)
 
     @classmethod
-    def of(cls, row: PlantRow) -> RowRaycaster:
-        """Prepare a row and the one behind it; shapes are numbered tomatoes, stems, clutter, then the row behind."""
+    def of(cls, row: PlantRow, light: Light | None = None) -> RowRaycaster:
+        """Prepare a row and the one behind it; shapes are numbered tomatoes, stems, clutter, then the row behind.
+
+        Of a row of organs the meshes are cast: a fruit's triangles count as its tomato, a stem's and a leaf's as the
+        nearest capsule or piece of clutter, and what no shape stands for gets numbers beyond all shapes.
+
+        Args:
+            row: The row.
+            light: What falls on a row of organs; rows of primitives have a light of their own.
+        """
+        if row.organs:
+            mesh = mesh_of(row)
+            none = np.zeros((0, 2, 3))
+            return cls(
+                _scene(mesh.vertices, mesh.skin.corners),
+                mesh.owner,
+                none,
+                np.zeros(0, dtype=bool),
+                none[:, 0],
+                mesh.skin,
+                light or Light(),
+            )
         shapes: list[Shape] = []
         colors: list[Array] = []
         rng = np.random.default_rng(0)
@@ -69,9 +95,7 @@ class RowRaycaster:
                 break
             row = row.behind
         vertices, triangles, owner = tessellate(shapes)
-        o3d = open3d()
-        scene = o3d.t.geometry.RaycastingScene()
-        scene.add_triangles(o3d.core.Tensor(vertices.astype(np.float32)), o3d.core.Tensor(triangles.astype(np.uint32)))
+        scene = _scene(vertices, triangles)
         axes = np.array(
             [[s.start, s.end] if isinstance(s, Capsule) else [s.center, s.center] for s in shapes], dtype=np.float64
         )
@@ -88,8 +112,13 @@ class RowRaycaster:
         color[:] = _BACKGROUND
         directions = rays.numpy()[..., 3:]
         points = rays.numpy()[..., :3][hit] + depth[hit][:, None] * directions[hit]
-        normals = self._normals(points, shape[hit], hits["primitive_normals"].numpy()[hit])
-        color[hit] = _shade(self.colors[shape[hit]], normals, directions[hit])
+        if self.skin is None:
+            normals = self._normals(points, shape[hit], hits["primitive_normals"].numpy()[hit])
+            color[hit] = _shade(self.colors[shape[hit]], normals, directions[hit])
+        else:
+            triangles = hits["primitive_ids"].numpy()[hit].astype(np.int64)
+            normals = self.skin.normals_at(triangles, hits["primitive_uvs"].numpy()[hit])
+            color[hit] = shade(self.skin, self.light, triangles, normals, directions[hit], self._sunlit(points))
         return View(depth, shape, (np.clip(color, 0, 1) * 255).astype(np.uint8))
 
     def measure(
@@ -111,6 +140,12 @@ class RowRaycaster:
         )
         return rays, self.scene.cast_rays(rays)
 
+    def _sunlit(self, points: Array) -> npt.NDArray[np.bool_]:
+        """Whether nothing stands between points (n, 3) and the sun."""
+        toward = np.broadcast_to(self.light.toward_sun, points.shape)
+        rays = np.concatenate([points + 1e-3 * toward, toward], axis=1).astype(np.float32)
+        return ~np.asarray(self.scene.test_occlusions(open3d().core.Tensor(rays)).numpy())
+
     def _found(self, hits: Any) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int32]]:
         depth = hits["t_hit"].numpy()
         hit = np.isfinite(depth)
@@ -125,6 +160,14 @@ class RowRaycaster:
         away = points - (start + np.clip(share, 0, 1)[:, None] * axis)
         away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
         return np.where(self.round[shape][:, None], away, flat)
+
+
+def _scene(vertices: Array, triangles: npt.NDArray[np.int64]) -> Any:
+    """Open3D's scene of one mesh."""
+    o3d = open3d()
+    scene = o3d.t.geometry.RaycastingScene()
+    scene.add_triangles(o3d.core.Tensor(vertices.astype(np.float32)), o3d.core.Tensor(triangles.astype(np.uint32)))
+    return scene
 
 
 def tessellate(shapes: Sequence[Shape]) -> tuple[Array, npt.NDArray[np.int64], npt.NDArray[np.int32]]:

@@ -8,13 +8,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from greenhouse_gym.capture.frames import RgbdFrame, Station
+from greenhouse_gym.capture.light import Light, draw_light
 from greenhouse_gym.capture.raycast import RowRaycaster
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.capture.rig import SEED_RIG, Camera, Rig
 from greenhouse_gym.capture.sensor import StereoNoise, draw_biases, sense_depth
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, pose, rotation_about
-from greenhouse_gym.plants.row import PlantRow
+from greenhouse_gym.plants import PlantRow
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,7 @@ def simulate_recording(
     stations: int | None = None,
     settings: WalkSettings | None = None,
     walk_number: int = 0,
+    light: Light | None = None,
 ) -> Recording:
     """Photograph a grown row with a simulated rig.
 
@@ -51,6 +53,7 @@ def simulate_recording(
         stations: Number of stops; by default one every step over the row's length.
         settings: Tripod and sensor errors.
         walk_number: Tells walks of the same cameras along the same row apart: other steps and noise, the same biases.
+        light: What falls on a row of organs; by default drawn from the seed. Rows of primitives have their own.
 
     Returns:
         A recording whose stations carry their true poses, in the row's frame, and which knows the row as its truth.
@@ -68,7 +71,7 @@ def simulate_recording(
     again = (walk_number,) if walk_number else ()
     biases = draw_biases(len(rig.cameras), np.random.default_rng([seed, 1]), settings.noise)
     actual = misplaced(rig, seed, settings)
-    caster = RowRaycaster.of(row)
+    caster = RowRaycaster.of(row, light or draw_light(np.random.default_rng([seed, 4])))
 
     def load(i: int) -> Station:
         frames = {}

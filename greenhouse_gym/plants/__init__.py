@@ -1,6 +1,9 @@
 """A procedural high-wire tomato row with known truth."""
 
-from greenhouse_gym.plants.row import STYLES, PlantRow, grow_row
+from greenhouse_gym.plants.cultivars import CULTIVARS, Cultivar
+from greenhouse_gym.plants.organs import Organ
+from greenhouse_gym.plants.plant_row import PlantRow
+from greenhouse_gym.plants.row import SOURCES, STYLES, grow_row
 from greenhouse_gym.plants.truss import FruitStyle
 
-__all__ = ["STYLES", "FruitStyle", "PlantRow", "grow_row"]
+__all__ = ["CULTIVARS", "SOURCES", "STYLES", "Cultivar", "FruitStyle", "Organ", "PlantRow", "grow_row"]

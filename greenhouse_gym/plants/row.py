@@ -7,26 +7,29 @@ every truss one spacing lower and riper than in week w - 1. Dimensions are those
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import count, pairwise
 
 import numpy as np
 
 from greenhouse_gym.crop import Stem, Tomato
-from greenhouse_gym.errors import InvalidValueError, UnknownNameError
+from greenhouse_gym.errors import InvalidValueError, UnknownNameError, require_choice
 from greenhouse_gym.geometry import Array, Box, Shape
+from greenhouse_gym.plants.cultivars import CULTIVARS
 from greenhouse_gym.plants.leaf import grow_leaf
+from greenhouse_gym.plants.plant_row import (
+    GUTTER_HEIGHT,
+    HIGHEST_TRUSS,
+    LOWEST_TRUSS,
+    PLANT_SPACING,
+    ROW_PITCH,
+    STEM_LINE,
+    TRUSS_SPACING,
+    WIRE_HEIGHT,
+    PlantRow,
+)
+from greenhouse_gym.plants.trained import grow_mesh_row
 from greenhouse_gym.plants.truss import FruitStyle, grow_truss
 
-STEM_LINE = 0.5
-"""Distance of the stem line from the tripod's line, metres: x of the row in the world frame."""
-
-ROW_PITCH = 1.6
-PLANT_SPACING = (0.42, 0.58)
-TRUSS_SPACING = (0.20, 0.30)
-GUTTER_HEIGHT = 0.5
-WIRE_HEIGHT = 2.4
-LOWEST_TRUSS, HIGHEST_TRUSS = 0.6, 2.2
 BARE_BELOW = 1.35  # leaves below this height are taken off as the vine is lowered
 
 STYLES = {
@@ -37,32 +40,17 @@ STYLES = {
 """Fruit styles by name: numbers and sizes as grown."""
 
 
-@dataclass(frozen=True, eq=False)
-class PlantRow:
-    """A row of tomato plants as analytic primitives in the world frame (metres).
-
-    The frame: z up, y along the row, x into the plants, origin on the floor below the tripod's first station; the stem
-    line is at x = 0.5 m.
-
-    Attributes:
-        tomatoes: Every fruit, with its truss and ripeness.
-        stems: Main stems, peduncles, pedicels, strings and pipes as straight capsules.
-        clutter: Leaves (thin boxes, petioles as capsules) and the gutter.
-        length: Length of the row that is meant to be photographed, metres, from y = 0.
-        week: Growth week; 0 is the first harvest.
-        behind: The next row, or None.
-    """
-
-    tomatoes: tuple[Tomato, ...]
-    stems: tuple[Stem, ...]
-    clutter: tuple[Shape, ...]
-    length: float
-    week: int
-    behind: PlantRow | None = None
+SOURCES = ("own", "helios")
+"""Where plants come from: the analytic primitives of this module, or the organ meshes of Helios (extra ``plants``)."""
 
 
 def grow_row(
-    seed: int, length: float = 5.0, week: int = 0, style: str = "cluster", stem_line: float = STEM_LINE
+    seed: int,
+    length: float = 5.0,
+    week: int = 0,
+    style: str = "cluster",
+    stem_line: float = STEM_LINE,
+    source: str = "own",
 ) -> PlantRow:
     """Grow a row of tomato plants with a second row behind it.
 
@@ -70,15 +58,17 @@ def grow_row(
         seed: Same seed, same plants; over the weeks the same plants grow on.
         length: Length of row to be photographed, metres; plants stand half a metre beyond both ends.
         week: Growth week, 0 = first harvest.
-        style: One of `STYLES`.
+        style: One of `STYLES`; with ``source="helios"`` one of `CULTIVARS`.
         stem_line: x of the row, metres.
+        source: One of `SOURCES`.
 
     Returns:
-        The row, its primitives in the world frame.
+        The row in the world frame.
 
     Raises:
         InvalidValueError: ``length`` is not positive and finite, or ``week`` or ``seed`` is negative.
-        UnknownNameError: No such style.
+        UnknownNameError: No such style or source.
+        MissingDependencyError: ``source="helios"`` without the extra ``plants``.
     """
     if not (np.isfinite(length) and length > 0):
         raise InvalidValueError(f"length must be a positive number of metres, got {length!r}")
@@ -86,6 +76,10 @@ def grow_row(
         raise InvalidValueError(f"week must be 0 or more, got {week!r}")
     if seed < 0:
         raise InvalidValueError(f"seed must be 0 or more, got {seed!r}")
+    if require_choice("source of plants", source, SOURCES) == "helios":
+        if style not in CULTIVARS:
+            raise UnknownNameError("fruit style", style, CULTIVARS)
+        return grow_mesh_row(seed, length, week, CULTIVARS[style], stem_line)
     if style not in STYLES:
         raise UnknownNameError("fruit style", style, STYLES)
     front = _grow_line(seed, 0, length, week, STYLES[style], stem_line)

@@ -1,0 +1,149 @@
+"""Light on meshes: sun with shadows, sky, light through leaves, gloss, and what the camera makes of it.
+
+Shading is done in linear light; colors in and out are coded with a gamma of 2.2, as photographs are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from greenhouse_gym.geometry import Array
+
+GAMMA = 2.2
+
+
+@dataclass(frozen=True)
+class Light:
+    """The light in a greenhouse and the camera's settings.
+
+    Attributes:
+        azimuth: Direction the sun stands in about z, radians; pi is behind the cameras that look into the row.
+        elevation: Height of the sun, radians.
+        sun: Strength of the direct part; with ``diffuse`` = 1 about the share of a hazy day, 0 is overcast.
+        diffuse: Strength of the sky's part.
+        white_balance: Gains of red, green and blue that the camera leaves uncorrected.
+        exposure: Gain of all channels; above 1 highlights burn out.
+        gloss: Strength of highlights on fruit and leaves.
+        flicker: One sigma of the exposure from image to image, relative.
+    """
+
+    azimuth: float = float(np.pi)
+    elevation: float = 0.9
+    sun: float = 0.6
+    diffuse: float = 0.8
+    white_balance: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    exposure: float = 1.0
+    gloss: float = 0.5
+    flicker: float = 0.03
+
+    @property
+    def toward_sun(self) -> Array:
+        """(3,) unit vector to the sun in the world."""
+        level = np.cos(self.elevation)
+        return np.array([level * np.cos(self.azimuth), level * np.sin(self.azimuth), np.sin(self.elevation)])
+
+
+def draw_light(rng: np.random.Generator) -> Light:
+    """A greenhouse's light at some hour of some day: from overcast to direct sun from any side (prior)."""
+    return Light(
+        azimuth=rng.uniform(0, 2 * np.pi),
+        elevation=rng.uniform(0.35, 1.1),
+        sun=rng.uniform(0.0, 1.2),
+        diffuse=rng.uniform(0.6, 1.0),
+        white_balance=tuple(float(np.exp(rng.normal(0, s))) for s in (0.05, 0.0, 0.08)),  # type: ignore[arg-type]
+        exposure=float(np.exp(rng.normal(0, 0.2))),
+        gloss=rng.uniform(0.3, 0.8),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Skin:
+    """How the triangles of a mesh look.
+
+    Attributes:
+        colors: (t, 3) coded color from 0 to 1 under white light.
+        normals: (v, 3) unit normals at the vertices, outwards.
+        corners: (t, 3) the triangles' vertices.
+        thin: (t,) whether light comes through, as in leaves, whose undersides are paler.
+        shine: (t,) strength of highlights.
+    """
+
+    colors: npt.NDArray[np.float32]
+    normals: npt.NDArray[np.float32]
+    corners: npt.NDArray[np.int64]
+    thin: npt.NDArray[np.bool_]
+    shine: npt.NDArray[np.float32]
+
+    def normals_at(self, triangles: npt.NDArray[np.int64], weights: Array) -> Array:
+        """Interpolated unit normals (n, 3) on triangles (n,), at weights (n, 2) of their second and third corner."""
+        a, b, c = (self.normals[self.corners[triangles, k]] for k in range(3))
+        u, v = weights[:, :1], weights[:, 1:]
+        normals = (1 - u - v) * a + u * b + v * c
+        return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+
+
+def vertex_normals(vertices: Array, triangles: npt.NDArray[np.int64]) -> Array:
+    """Unit normals (v, 3): those of the triangles around, weighted by their areas."""
+    a, b, c = vertices[triangles].transpose(1, 0, 2)
+    flat = np.cross(b - a, c - a)
+    summed = np.stack(
+        [np.bincount(triangles.ravel(), np.repeat(flat[:, k], 3), len(vertices)) for k in range(3)], axis=1
+    )
+    return summed / np.maximum(np.linalg.norm(summed, axis=1, keepdims=True), 1e-15)
+
+
+def shade(
+    skin: Skin,
+    light: Light,
+    triangles: npt.NDArray[np.int64],
+    normals: Array,
+    directions: Array,
+    sunlit: npt.NDArray[np.bool_],
+) -> Array:
+    """Coded colors (n, 3), not yet clipped, of points on triangles (n,).
+
+    Args:
+        skin: Of the mesh.
+        light: That falls on it.
+        triangles: (n,).
+        normals: (n, 3) outward unit normals.
+        directions: (n, 3) rays from the camera, of any length.
+        sunlit: (n,) whether nothing stands between a point and the sun.
+    """
+    toward_camera = -directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    facing = np.sign((normals * toward_camera).sum(axis=1) + 1e-9)
+    thin, shine = skin.thin[triangles], skin.shine[triangles]
+    base = skin.colors[triangles].astype(np.float64)
+    base = np.where((thin & (facing < 0))[:, None], _underside(base), base) ** GAMMA
+    normals = normals * facing[:, None]
+    sun = normals @ light.toward_sun
+    direct = light.sun * np.clip(sun, 0, None) * sunlit
+    diffuse = light.diffuse * (0.45 + 0.3 * normals[:, 2] + 0.25 * np.clip((normals * toward_camera).sum(axis=1), 0, 1))
+    through = light.sun * np.clip(-sun, 0, None) * sunlit * thin
+    color = base * (direct + diffuse)[:, None] + _transmitted(base) * through[:, None]
+    for source, strength, width in ((light.toward_sun, light.sun * sunlit, 60), (_SKY, 0.25 * light.diffuse, 12)):
+        half = toward_camera + source
+        half /= np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
+        color += (light.gloss * shine * strength * np.clip((normals * half).sum(axis=1), 0, 1) ** width)[:, None]
+    return np.clip(color * np.array(light.white_balance) * light.exposure, 0, None) ** (1 / GAMMA)
+
+
+_SKY = np.array([0.0, 0.0, 1.0])
+
+
+def _underside(color: Array) -> Array:
+    """A leaf's lower side: a quarter lighter and paler (prior)."""
+    gray = color.mean(axis=1, keepdims=True)
+    return np.clip(1.25 * (0.75 * color + 0.25 * gray), 0, 1)
+
+
+def _transmitted(base: Array) -> Array:
+    """Linear color of light that came through a leaf.
+
+    Yellower green than the reflected light: in LOPEX93 the redness of tomato leaves falls from -0.09 reflected to
+    -0.16 transmitted, and about half as much light is transmitted as reflected in the green.
+    """
+    return base * [0.55, 0.65, 0.25]

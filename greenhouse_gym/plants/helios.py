@@ -1,0 +1,331 @@
+"""The one place that imports PyHelios (extra ``plants``): grow a vine and hand out its organs as meshes.
+
+The vine is trained as a grower does it: no side shoots, 36 nodes, a truss in about every third axil. What comes back is
+a set of organs, each in the frame of the node it grew from, that `greenhouse_gym.plants.trained` hangs along a string.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from importlib import metadata
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from greenhouse_gym.errors import FileFormatError, GrowthError, MissingDependencyError
+from greenhouse_gym.geometry import Array
+
+TRIED_VERSION = "0.1.38"
+NODES = 36
+DAYS = 55
+_FIRST_LEAF, _LAST_LEAF = 6, 28  # nodes with grown leaves: the first are small, the last not yet expanded
+
+
+class Mesh(NamedTuple):
+    """Vertices (v, 3) in metres and triangles (t, 3) that wind counter-clockwise seen from outside."""
+
+    vertices: Array
+    triangles: npt.NDArray[np.int64]
+
+
+class Frond(NamedTuple):
+    """A compound leaf: its node at the origin, z along the stem, its petiole's foot towards +x.
+
+    Attributes:
+        petiole: (k, 4) axis and radii, metres.
+        blade: All leaflets, cut along their lobes.
+        tone: (t, 2) of each of the blade's triangles the texture's brightness as a share of its median, and by how much
+            its redness (R - G) / (R + G) lies above the median.
+    """
+
+    petiole: Array
+    blade: Mesh
+    tone: Array
+
+    @property
+    def area(self) -> float:
+        """One side of the blade, square metres."""
+        a, b, c = self.blade.vertices[self.blade.triangles].transpose(1, 0, 2)
+        return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+
+
+@dataclass(frozen=True, eq=False)
+class Vine:
+    """The organs of one vine.
+
+    Attributes:
+        fronds: Grown compound leaves in the order of their nodes.
+        peduncles: (k, 4) axes and radii, in the frame of a frond.
+        fruit: Skin, its volume center about the origin, stem end up, as wide as one metre.
+        calyx: Sepals on that fruit.
+        flower: An open flower, its foot at the origin, opening upwards, metres.
+        flower_colors: (t, 3) of its triangles.
+    """
+
+    fronds: tuple[Frond, ...]
+    peduncles: tuple[Array, ...]
+    fruit: Mesh
+    calyx: Mesh
+    flower: Mesh
+    flower_colors: Array
+
+
+@cache
+def pyhelios() -> ModuleType:
+    """PyHelios, imported at first use.
+
+    Raises:
+        MissingDependencyError: The extra ``plants`` is not installed, or another version of PyHelios than was tried.
+    """
+    try:
+        version = metadata.version("pyhelios3d")
+        import pyhelios as module
+    except (ImportError, metadata.PackageNotFoundError) as error:
+        raise MissingDependencyError("pyhelios3d", "plants") from error
+    if version != TRIED_VERSION:
+        raise MissingDependencyError(f"pyhelios3d {TRIED_VERSION} (there is {version}, which was not tried)", "plants")
+    return module
+
+
+@lru_cache(maxsize=12)
+def grow_vine(seed: int, model: str = "tomato") -> Vine:
+    """Grow a vine and take its organs apart; the same call gives the same vine. About 1.5 s.
+
+    Args:
+        seed: Of Helios' random numbers.
+        model: ``"tomato"`` or ``"cherrytomato"`` of Helios' plant library.
+
+    Raises:
+        MissingDependencyError: PyHelios is missing or not the version that was tried.
+        GrowthError: The vine bears no fruit, or Helios fails.
+        FileFormatError: The leaf's texture is missing.
+    """
+    helios = pyhelios()
+    with helios.Context() as context, helios.PlantArchitecture(context) as plants:
+        plants.disableMessages()
+        context.seedRandomGenerator(seed)
+        try:
+            plants.loadPlantModelFromLibrary(model)
+            plants.defineShootType("mainstem", _trained(plants.getCurrentShootParameters("mainstem")))
+            plant = plants.buildPlantInstanceFromLibrary(base_position=_vector(helios, 0.0, 0.0, 0.0), age=0.0)
+            # days to dormancy's end, first flowers, their opening, fruit set and ripeness; dormancy and leaf fall never
+            plants.setPlantPhenologicalThresholds(plant, 0.0, 3.0, 2.0, 2.0, 10.0, 1e5, 1e5, True)
+            flower = None
+            days = 0.0
+            while flower is None and days < DAYS:  # a flower lasts two days, and in the end all have set fruit
+                step = 1.0 if days else 14.0
+                plants.advanceTime(step, plant_id=plant)
+                days += step
+                flowers = plants.getPlantFlowerObjectIDs(plant)
+                flower = _soup(context, flowers[:1]) if flowers else None
+            plants.advanceTime(max(DAYS - days, 1.0), plant_id=plant)
+        except (helios.PlantArchitectureError, RuntimeError) as error:
+            raise GrowthError(f"Helios could not grow a {model!r} vine with seed {seed}: {error}") from error
+        fruits = plants.getPlantFruitObjectIDs(plant)
+        peduncles = plants.getPlantPeduncleObjectIDs(plant)
+        if not fruits or flower is None:
+            raise GrowthError(f"the {model!r} vine with seed {seed} bears no {'fruit' if flower else 'flowers'}")
+        fronds = _fronds(context, plants, plant)
+        skin, sepals = _fruit(_soup(context, fruits[:1]))
+        peduncle_axes = tuple(_upright(_axis(context, one))[0] for one in peduncles)
+    return Vine(fronds, peduncle_axes, skin, sepals, *_flower(flower))
+
+
+def _trained(parameters: dict[str, Any]) -> dict[str, Any]:
+    """Shoot parameters of a high-wire vine: no side shoots, more and longer internodes, a truss in every third axil."""
+
+    def constant(value: float) -> dict[str, Any]:
+        return {"distribution": "constant", "parameters": [value]}
+
+    for name in parameters:
+        if name.startswith("vegetative_bud_break_probability"):
+            parameters[name] = constant(0.0)
+    parameters |= {
+        "internode_length_max": constant(0.075),
+        "phyllochron_min": constant(1.0),
+        "elongation_rate_max": constant(0.2),
+        "max_nodes": constant(NODES),
+        "girth_area_factor": constant(0.45),
+        "flower_bud_break_probability": constant(1 / 3),
+        "determinate_shoot_growth": False,
+    }
+    parameters["phytomer_parameters"]["leaf"]["prototype"]["subdivisions"] = 5
+    return parameters
+
+
+class _Soup(NamedTuple):
+    """Loose triangles: corners (t, 3, 3), colors (t, 3), texture coordinates (t, 3, 2) or NaN, the texture's path."""
+
+    corners: Array
+    colors: Array
+    uv: Array
+    texture: str
+
+
+def _soup(context: Any, objects: Sequence[int]) -> _Soup:
+    primitives = context.getObjectPrimitiveUUIDs(list(objects))
+    flat, offsets = context.getPrimitiveVertices(primitives)
+    if not np.all(np.diff(offsets) == 9):
+        raise GrowthError("Helios gave primitives that are no triangles")
+    coordinates, starts = context.getPrimitiveTextureUV(primitives)
+    textured = np.diff(starts) == 6
+    uv = np.full((len(primitives), 3, 2), np.nan)
+    if textured.any():
+        uv[textured] = np.asarray(coordinates, dtype=np.float64).reshape(-1, 3, 2)
+    textures = {file for file in context.getPrimitiveTextureFile(primitives) if file}
+    return _Soup(
+        np.asarray(flat, dtype=np.float64).reshape(-1, 3, 3),
+        np.asarray(context.getPrimitiveColor(primitives), dtype=np.float64).reshape(-1, 3),
+        uv,
+        next(iter(sorted(textures)), ""),
+    )
+
+
+def _axis(context: Any, tube: int) -> Array:
+    nodes = [(node.x, node.y, node.z) for node in context.getTubeObjectNodes(tube)]
+    return np.column_stack([np.array(nodes), context.getTubeObjectNodeRadii(tube)])
+
+
+def _upright(axis: Array) -> tuple[Array, Array]:
+    """A tube's axis (k, 4) from its foot on, turned about z so that it leads towards +x; the turn (3, 3)."""
+    outward = axis[min(2, len(axis) - 1), :2] - axis[0, :2]
+    c, s = outward / max(float(np.linalg.norm(outward)), 1e-9)
+    turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    return np.column_stack([(axis[:, :3] - axis[0, :3]) @ turn.T, axis[:, 3]]), turn
+
+
+def _fronds(context: Any, plants: Any, plant: int) -> tuple[Frond, ...]:
+    petioles, leaflets = plants.getPlantPetioleObjectIDs(plant), plants.getPlantLeafObjectIDs(plant)
+    each = len(leaflets) // len(petioles)  # both lists run from node to node
+    fronds = []
+    for node in range(_FIRST_LEAF, min(_LAST_LEAF, len(petioles))):
+        axis = _axis(context, petioles[node])
+        petiole, turn = _upright(axis)
+        soup = _soup(context, leaflets[node * each : (node + 1) * each])
+        blade, tone = _cut_along_lobes(soup._replace(corners=(soup.corners - axis[0, :3]) @ turn.T))
+        fronds.append(Frond(petiole, blade, tone))
+    return tuple(fronds)
+
+
+def _cut_along_lobes(soup: _Soup) -> tuple[Mesh, Array]:
+    """The opaque part of textured leaflets: triangles at its edge are split in four, and those outside dropped."""
+    textured = np.isfinite(soup.uv).all(axis=(1, 2))
+    opaque, tones = _texture(soup.texture)
+    corners, uv = soup.corners[textured], soup.uv[textured]
+    inside = np.stack([_sample(opaque, at) for at in (*uv.transpose(1, 0, 2), uv.mean(axis=1))])
+    whole = inside.all(axis=0)
+    pieces, piece_uv = _split(corners[~whole], uv[~whole])
+    kept = _sample(opaque, piece_uv.mean(axis=1)) > 0
+    corners, uv = np.concatenate([corners[whole], pieces[kept]]), np.concatenate([uv[whole], piece_uv[kept]])
+    tone = _sample(tones, uv.mean(axis=1))
+    stalks = soup.corners[~textured]
+    mesh, good = _welded(np.concatenate([corners, stalks]))
+    return mesh, np.concatenate([tone, np.tile([1.0, 0.0], (len(stalks), 1))])[good]
+
+
+def _split(corners: Array, uv: Array) -> tuple[Array, Array]:
+    """Each triangle into four at the middles of its sides, corners (t, 3, 3) and texture coordinates (t, 3, 2)."""
+
+    def four(a: Array) -> Array:
+        middle = (a + np.roll(a, -1, axis=1)) / 2  # of sides 0-1, 1-2, 2-0
+        parts = [
+            np.stack([a[:, 0], middle[:, 0], middle[:, 2]], axis=1),
+            np.stack([middle[:, 0], a[:, 1], middle[:, 1]], axis=1),
+            np.stack([middle[:, 2], middle[:, 1], a[:, 2]], axis=1),
+            middle,
+        ]
+        return np.concatenate(parts)
+
+    return four(corners), four(uv)
+
+
+@lru_cache(maxsize=4)
+def _texture(path: str) -> tuple[Array, Array]:
+    """Which pixels (h, w) of a leaf's texture are opaque, and their tones (h, w, 2) as in `Frond`."""
+    from PIL import Image
+
+    try:
+        with Image.open(Path(path)) as image:
+            pixels = np.asarray(image.convert("RGBA"), dtype=np.float64) / 255
+    except (OSError, ValueError) as error:
+        raise FileFormatError(path or "(none)", f"the leaf's texture cannot be read ({error})") from error
+    opaque = pixels[..., 3] > 0.5
+    red, green = pixels[..., 0], pixels[..., 1]
+    light = red + green
+    redness = (red - green) / np.maximum(light, 1e-6)
+    tones = np.stack([light / np.median(light[opaque]), redness - np.median(redness[opaque])], axis=-1)
+    return opaque.astype(np.float64), np.clip(tones, [0.5, -0.2], [1.8, 0.2])
+
+
+def _sample(image: Array, uv: Array) -> Array:
+    """Pixels (n, ...) of an image at texture coordinates (n, 2), the second of which runs upwards."""
+    height, width = image.shape[:2]
+    columns = np.clip((uv[:, 0] * width).astype(int), 0, width - 1)
+    rows = np.clip(((1 - uv[:, 1]) * height).astype(int), 0, height - 1)
+    return image[rows, columns]
+
+
+def _welded(corners: Array) -> tuple[Mesh, npt.NDArray[np.bool_]]:
+    """Loose triangles (t, 3, 3) as a mesh with shared vertices; which of them (t,) have an area and are kept."""
+    keys = np.rint(corners.reshape(-1, 3) * 1e6).astype(np.int64)
+    packed = ((keys[:, 0] + (1 << 20)) << 42) | ((keys[:, 1] + (1 << 20)) << 21) | (keys[:, 2] + (1 << 20))
+    _, first, index = np.unique(packed, return_index=True, return_inverse=True)
+    triangles = index.reshape(-1, 3)
+    vertices = corners.reshape(-1, 3)[first]
+    a, b, c = vertices[triangles].transpose(1, 0, 2)
+    good = np.linalg.norm(np.cross(b - a, c - a), axis=1) > 1e-12
+    return Mesh(vertices, triangles[good]), good
+
+
+def _fruit(soup: _Soup) -> tuple[Mesh, Mesh]:
+    """Skin and sepals of Helios' fruit; its long stalk is left out, for pedicels have a length of their own."""
+    skin = soup.colors[:, 0] > soup.colors[:, 1]
+    body, _ = _welded(soup.corners[skin])
+    low, high = body.vertices.min(axis=0), body.vertices.max(axis=0)
+    center = (low + high) / 2
+    # the sepals sit at the stem end, so their middle tells the axis
+    up = soup.corners[~skin].reshape(-1, 3).mean(axis=0) - center
+    up /= np.linalg.norm(up)
+    frame = _frame(up)
+    local = (body.vertices - center) @ frame
+    local -= (local.min(axis=0) + local.max(axis=0)) / 2
+    scale = 1 / float(2 * np.linalg.norm(local[:, :2], axis=1).max())
+    sepals = (soup.corners[~skin] - center) @ frame * scale
+    top = local[:, 2].max() * scale
+    middle = sepals.mean(axis=1)
+    stalk = (middle[:, 2] > 1.25 * top) & (np.linalg.norm(middle[:, :2], axis=1) < 0.12)
+    calyx, _ = _welded(sepals[~stalk])
+    return Mesh(local * scale, _outward(Mesh(local * scale, body.triangles))), calyx
+
+
+def _flower(soup: _Soup) -> tuple[Mesh, Array]:
+    mesh, good = _welded(soup.corners)
+    green = soup.colors[good][:, 0] < 0.5
+    used = mesh.triangles[green] if green.any() else mesh.triangles
+    foot, middle = mesh.vertices[used].reshape(-1, 3).mean(axis=0), mesh.vertices.mean(axis=0)
+    up = middle - foot if np.linalg.norm(middle - foot) > 1e-6 else np.array([0.0, 0.0, 1.0])
+    local = (mesh.vertices - foot) @ _frame(up / np.linalg.norm(up))
+    return Mesh(local - [0.0, 0.0, local[:, 2].min()], mesh.triangles), soup.colors[good]
+
+
+def _frame(up: Array) -> Array:
+    """A rotation (3, 3) whose third column is ``up``."""
+    side = np.cross(up, np.eye(3)[np.abs(up).argmin()])
+    side /= np.linalg.norm(side)
+    return np.column_stack([side, np.cross(up, side), up])
+
+
+def _outward(mesh: Mesh) -> npt.NDArray[np.int64]:
+    """A star-shaped mesh's triangles, each turned so that it winds counter-clockwise seen from outside."""
+    a, b, c = mesh.vertices[mesh.triangles].transpose(1, 0, 2)
+    inward = (np.cross(b - a, c - a) * (a + b + c)).sum(axis=1) < 0
+    return np.where(inward[:, None], mesh.triangles[:, ::-1], mesh.triangles)
+
+
+def _vector(helios: ModuleType, x: float, y: float, z: float) -> Any:
+    return helios.types.vec3(x, y, z)
