@@ -30,6 +30,9 @@ from greenhouse_gym.plants.plant_row import (
 from greenhouse_gym.plants.trained import grow_mesh_row
 from greenhouse_gym.plants.truss import FruitStyle, grow_truss
 
+__all__ = ["HIGHEST_TRUSS", "LOWEST_TRUSS", "PLANT_SPACING", "SOURCES", "STEM_LINE", "STYLES", "TRUSS_SPACING"]
+__all__ += ["PlantRow", "grow_row"]
+
 BARE_BELOW = 1.35  # leaves below this height are taken off as the vine is lowered
 
 STYLES = {
