@@ -4,10 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+from typing import Any
+
+_LONGEST = 1000  # characters of what a damaged file held that a message repeats
 
 
 class GreenhouseError(Exception):
     """Base of every error this package raises on purpose."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restore, (type(self), self.args, self.__dict__)
+
+
+def _restore(kind: type[GreenhouseError], args: tuple[object, ...], attributes: dict[str, object]) -> GreenhouseError:
+    """An error as it was pickled: with its message and attributes, whatever its constructor asks for."""
+    error = kind.__new__(kind)
+    super(GreenhouseError, error).__init__(*args)
+    error.__dict__.update(attributes)
+    return error
 
 
 class InvalidValueError(GreenhouseError, ValueError):
@@ -46,7 +60,8 @@ class FileFormatError(GreenhouseError, ValueError):
 
     def __init__(self, path: object, problem: str):
         self.path = path
-        super().__init__(f"{path}: {problem}")
+        shown = problem if len(problem) <= _LONGEST else problem[:_LONGEST] + "..."
+        super().__init__(f"{path}: {shown}")
 
 
 class FileWriteError(GreenhouseError, OSError):
@@ -58,10 +73,11 @@ class FileWriteError(GreenhouseError, OSError):
 
 
 class MissingDependencyError(GreenhouseError, ImportError):
-    """An optional dependency is not installed; the message names the extra that brings it."""
+    """An optional dependency is not installed or cannot be imported; the message names the extra that brings it."""
 
-    def __init__(self, package: str, extra: str):
-        super().__init__(f"{package} is not installed: pip install 'greenhouse-gym[{extra}]'")
+    def __init__(self, package: str, extra: str, problem: str = ""):
+        what = f"cannot be imported ({problem}); it comes with" if problem else "is not installed:"
+        super().__init__(f"{package} {what} pip install 'greenhouse-gym[{extra}]'")
 
 
 class GrowthError(GreenhouseError):

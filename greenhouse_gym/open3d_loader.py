@@ -6,7 +6,7 @@ import ctypes
 from functools import cache
 from types import ModuleType
 
-from greenhouse_gym.errors import MissingDependencyError
+from greenhouse_gym.extras import needs
 
 
 @cache
@@ -15,13 +15,12 @@ def open3d() -> ModuleType:
 
     Raises:
         MissingDependencyError: The extra ``reconstruct`` is not installed.
+        KeyboardInterrupt: The import was interrupted.
     """
-    try:
+    with needs("reconstruct"):
         import libusb_package
 
         ctypes.CDLL(str(libusb_package.get_library_path()), mode=ctypes.RTLD_GLOBAL)
         import open3d as o3d
-    except ImportError as error:
-        raise MissingDependencyError(error.name or "open3d", "reconstruct") from error
     o3d.utility.set_verbosity_level(o3d.utility.VerbosityLevel.Error)
     return o3d

@@ -1,9 +1,10 @@
 """Recordings of a row: frames, rigs, readers and writer, the simulated rig."""
 
+from greenhouse_gym.capture.formats import RecordingFormat, open_recording, recording_formats
+from greenhouse_gym.capture.formats.single_camera import single_camera
 from greenhouse_gym.capture.frames import RgbdFrame, Station
 from greenhouse_gym.capture.passes import join_passes
 from greenhouse_gym.capture.protocols import PROTOCOLS, Protocol, get_protocol, simulate_protocol
-from greenhouse_gym.capture.readers import open_recording
 from greenhouse_gym.capture.recordings import Recording, write_recording
 from greenhouse_gym.capture.rig import D435_DEPTH, SEED_RIG, Camera, Intrinsics, Rig, three_camera_rig
 from greenhouse_gym.capture.sensor import StereoNoise, sense_depth
@@ -17,6 +18,7 @@ __all__ = [
     "Intrinsics",
     "Protocol",
     "Recording",
+    "RecordingFormat",
     "RgbdFrame",
     "Rig",
     "Station",
@@ -25,9 +27,11 @@ __all__ = [
     "get_protocol",
     "join_passes",
     "open_recording",
+    "recording_formats",
     "sense_depth",
     "simulate_protocol",
     "simulate_recording",
+    "single_camera",
     "three_camera_rig",
     "write_recording",
 ]

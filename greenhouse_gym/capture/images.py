@@ -4,11 +4,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.errors import FileFormatError
+from greenhouse_gym.extras import needs
+from greenhouse_gym.paths import parsing, read_bytes
+
+with needs("reconstruct"):
+    import cv2
+
+MOST_PIXELS = 64 * 10**6
+"""The most pixels an image may have; the largest cameras have as many."""
 
 
 def read_color(path: str | Path) -> npt.NDArray[np.uint8]:
@@ -34,15 +41,35 @@ def encode_png(image: npt.NDArray[np.uint8] | npt.NDArray[np.uint16]) -> bytes:
 
 
 def _decode(path: Path, mode: int) -> npt.NDArray[np.generic]:
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise FileFormatError(path, f"image cannot be read ({error.strerror or error})") from error
-    if path.suffix.lower() == ".png" and not data.endswith(b"IEND\xaeB`\x82"):
-        raise FileFormatError(path, f"truncated or not a PNG file ({len(data)} bytes)")
-    if path.suffix.lower() in (".jpg", ".jpeg") and b"\xff\xd9" not in data[-64:]:
-        raise FileFormatError(path, f"truncated or not a JPEG file ({len(data)} bytes)")
-    image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), mode) if data else None
+    data = read_bytes(path, "image")
+    if data.startswith(b"\x89PNG\r\n\x1a\n"):
+        kind, size, whole = "PNG", _png_size(data), data.endswith(b"IEND\xaeB`\x82")
+    elif data.startswith(b"\xff\xd8"):
+        kind, size, whole = "JPEG", _jpeg_size(data), b"\xff\xd9" in data[-64:]
+    else:
+        raise FileFormatError(path, f"neither a PNG nor a JPEG file ({len(data)} bytes)")
+    if not whole or size is None:
+        raise FileFormatError(path, f"truncated {kind} file ({len(data)} bytes)")
+    if size[0] * size[1] > MOST_PIXELS:
+        raise FileFormatError(path, f"an image of {size[0]}x{size[1]} pixels is too large: at most {MOST_PIXELS}")
+    with parsing(path, "image"):
+        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), mode)
     if image is None:
-        raise FileFormatError(path, f"not an image that can be decoded ({len(data)} bytes)")
+        raise FileFormatError(path, f"not a {kind} file that can be decoded ({len(data)} bytes)")
     return image
+
+
+def _png_size(data: bytes) -> tuple[int, int] | None:
+    """Width and height in the first chunk of a PNG file."""
+    return (int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")) if len(data) >= 24 else None
+
+
+def _jpeg_size(data: bytes) -> tuple[int, int] | None:
+    """Width and height in the frame header of a JPEG file; None if it has none."""
+    at = 2
+    while at + 9 <= len(data) and data[at] == 0xFF:
+        marker, length = data[at + 1], int.from_bytes(data[at + 2 : at + 4], "big")
+        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
+            return int.from_bytes(data[at + 7 : at + 9], "big"), int.from_bytes(data[at + 5 : at + 7], "big")
+        at += 1 if marker == 0xFF else 2 + length
+    return None

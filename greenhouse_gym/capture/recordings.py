@@ -14,7 +14,7 @@ from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 
 from greenhouse_gym.capture.frames import RgbdFrame, Station
 from greenhouse_gym.capture.images import encode_png, read_color, read_depth
@@ -22,7 +22,7 @@ from greenhouse_gym.capture.rig import Camera, Intrinsics, Rig
 from greenhouse_gym.capture.truth_file import TRUTH, load_truth, save_truth
 from greenhouse_gym.errors import FileFormatError, GreenhouseError, InvalidValueError
 from greenhouse_gym.geometry import Array, is_rotation
-from greenhouse_gym.paths import write_atomically
+from greenhouse_gym.paths import inside, parsing, read_bytes, write_atomically
 from greenhouse_gym.plants.row import PlantRow
 
 INDEX = "recording.json"
@@ -49,6 +49,7 @@ class Recording:
         passes: The walks along the row where there are several, each from about the same place; see `join_passes`.
         truth: The row that was photographed, in the frame of the stations' poses, where it is simulated: its shapes to
             collide with. A real row has none.
+        files: What it is read from; none for one that is simulated. A change in them makes it another recording.
     """
 
     name: str
@@ -59,6 +60,7 @@ class Recording:
     protocol: str | None = None
     passes: tuple[Pass, ...] = (Pass(0, 0.0),)
     truth: PlantRow | None = None
+    files: tuple[Path, ...] = ()
 
     def __len__(self) -> int:
         return self.size
@@ -140,42 +142,41 @@ def open_folder(path: str | Path) -> Recording:
     """
     folder = Path(path)
     file = folder / INDEX
-    try:
-        index = RecordingIndex.model_validate_json(file.read_bytes())
-    except OSError as error:
-        raise FileFormatError(file, f"cannot be read ({error.strerror or error}); not a recording's folder?") from error
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"])) or "the file"
-        raise FileFormatError(file, f"{where}: {first['msg']} (got {first.get('input')!r:.80})") from error
+    content = read_bytes(file, "recording index")
+    with parsing(file, "recording index"):
+        index = RecordingIndex.model_validate_json(content)
     try:
         rig = Rig({name: _camera(file, name, record) for name, record in index.cameras.items()}, index.reference)
     except InvalidValueError as error:
         raise FileFormatError(file, str(error)) from error
+    images = [
+        {kind: {name: inside(folder, image, named_in=file) for name, image in names.items()} for kind, names in both}
+        for both in ((("color", record.color), ("depth", record.depth)) for record in index.stations)
+    ]
     poses = [
         None if matrix is None else checked_pose(file, f"station {i}: world_from_station", matrix)
         for i, matrix in enumerate(record.world_from_station for record in index.stations)
     ]
 
     def load(i: int) -> Station:
-        record = index.stations[i]
+        color, depth = images[i]["color"], images[i]["depth"]
         frames = {}
         for name, camera in rig.cameras.items():
-            if name not in record.color or name not in record.depth:
+            if name not in color or name not in depth:
                 raise FileFormatError(file, f"station {i} names no images for camera {name!r}")
-            frames[name] = read_frame(folder / record.color[name], folder / record.depth[name], camera)
+            frames[name] = read_frame(color[name], depth[name], camera)
         return Station(frames, poses[i])
 
     passes = tuple(Pass(one.first, one.lift) for one in index.passes)
     truth = load_truth(folder / TRUTH)
-    return Recording(index.name, rig, len(index.stations), load, folder, index.protocol, passes, truth)
+    files = (file, *([folder / TRUTH] if truth else []),
+             *(image for station in images for kind in station.values() for image in kind.values()))  # fmt: skip
+    return Recording(index.name, rig, len(index.stations), load, folder, index.protocol, passes, truth, files)
 
 
 def _camera(file: Path, name: str, record: CameraRecord) -> Camera:
-    try:
+    with parsing(file, f"recording index: camera {name!r}"):
         return record.camera()
-    except ValueError as error:
-        raise FileFormatError(file, f"camera {name!r}: {error}") from error
 
 
 def read_frame(color_file: str | Path, depth_file: str | Path, camera: Camera) -> RgbdFrame:

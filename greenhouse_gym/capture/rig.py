@@ -32,11 +32,11 @@ class Intrinsics:
     def __post_init__(self) -> None:
         for name in ("width", "height", "fx", "fy"):
             value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
-                raise InvalidValueError(f"intrinsics: {name} must be positive and finite, got {value!r}")
+            if not 0 < value < 1e6:
+                raise InvalidValueError(f"intrinsics: {name} must be positive and below a million, got {value!r}")
         for name in ("cx", "cy"):
-            if not np.isfinite(getattr(self, name)):
-                raise InvalidValueError(f"intrinsics: {name} must be finite, got {getattr(self, name)!r}")
+            if not abs(getattr(self, name)) < 1e6:
+                raise InvalidValueError(f"intrinsics: {name} must be below a million, got {getattr(self, name)!r}")
 
     @property
     def matrix(self) -> Array:

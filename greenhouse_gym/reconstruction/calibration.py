@@ -60,6 +60,8 @@ class CalibrationReport:
         gap_after: The same after calibration.
     """
 
+    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
+
     bias: dict[str, float]
     turned: dict[str, float]
     shifted: dict[str, float]

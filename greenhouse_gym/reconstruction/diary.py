@@ -6,7 +6,6 @@ tell what an interruption or a bad disk spoiled; the walk is done again from the
 
 from __future__ import annotations
 
-import hashlib
 import io
 import json
 import zlib
@@ -16,18 +15,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter
 
-from greenhouse_gym.capture.recordings import INDEX, Recording
-from greenhouse_gym.errors import FileFormatError, FileWriteError
+from greenhouse_gym.capture.fingerprint import fingerprint
+from greenhouse_gym.capture.recordings import Recording
+from greenhouse_gym.errors import FileWriteError
 from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.reconstruction.clouds import PackedCloud
 from greenhouse_gym.reconstruction.graph import Edge
-from greenhouse_gym.reconstruction.report import StationReport, station_report
+from greenhouse_gym.reconstruction.report import StationReport
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings
 from greenhouse_gym.reconstruction.views import Screen
 
-_VERSION = 2  # of what a walk finds; raise it when registration changes, so that old notes are not continued
-_IMAGES = ("color", "depth", "rgb", "RGBD")  # folders of a recording that hold its images
+_REPORT = TypeAdapter(StationReport)
+_VERSION = 3  # of what a walk finds; raise it when registration changes, so that old notes are not continued
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,36 +109,11 @@ class Diary:
 
 
 def _identity(recording: Recording, settings: ReconstructionSettings) -> dict[str, Any]:
-    """What tells one walk from another: the recording's files, or its rig and first images, and all settings."""
-    rig = {name: [vars(c.intrinsics), c.rig_from_camera.tolist()] for name, c in recording.rig.cameras.items()}
-    index = recording.folder / INDEX if recording.folder else None
-    sha256 = hashlib.sha256(index.read_bytes()).hexdigest() if index and index.exists() else ""
+    """What tells one walk from another: the recording, and all settings."""
     return {
-        "version": _VERSION, "recording": recording.name, "stations": len(recording), "sha256": sha256,
-        "images": _images(recording), "rig": rig, "reference": recording.rig.reference,
+        "version": _VERSION, "recording": recording.name, "fingerprint": fingerprint(recording, contents=False),
         "settings": json.loads(json.dumps(asdict(settings))),
     }  # fmt: skip
-
-
-def _images(recording: Recording) -> str:
-    """A checksum of the sizes and times of a recording's image files, or of the first images of one without files."""
-    checksum = hashlib.sha256()
-    if recording.folder:
-        for kind in _IMAGES:
-            for file in sorted((recording.folder / kind).rglob("*.*")):
-                status = file.stat()
-                checksum.update(
-                    f"{file.relative_to(recording.folder)} {status.st_size} {status.st_mtime_ns}\n".encode()
-                )
-    elif len(recording):
-        try:
-            first = recording[0]
-        except FileFormatError:
-            return ""
-        for frame in first.frames.values():
-            checksum.update(frame.depth.tobytes())
-            checksum.update(frame.color.tobytes())
-    return checksum.hexdigest()
 
 
 def _checksum(line: dict[str, Any]) -> int:
@@ -152,7 +128,7 @@ def _entry(line: dict[str, Any], folder: Path) -> Entry:
     """
     if line.pop("checksum") != _checksum(line):
         raise ValueError("the line was spoiled")
-    report = station_report(line["report"])
+    report = _REPORT.validate_python(line["report"])
     cloud, screens = None, {}
     if line["cloud"] is not None:
         content = _cloud_file(folder, report.station).read_bytes()

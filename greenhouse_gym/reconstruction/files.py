@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import zipfile
-import zlib
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
+from pydantic import TypeAdapter
 
-from greenhouse_gym.errors import FileFormatError
-from greenhouse_gym.paths import write_atomically
-from greenhouse_gym.reconstruction.calibration import CalibrationReport
-from greenhouse_gym.reconstruction.report import RowReport, station_report
+from greenhouse_gym.geometry import is_rotation
+from greenhouse_gym.paths import MOST_BYTES, parsing, read_bytes, write_atomically
+from greenhouse_gym.reconstruction.report import RowReport
 from greenhouse_gym.reconstruction.row import RowCloud
 
-_DAMAGED = (KeyError, TypeError, ValueError, EOFError, AttributeError, RuntimeError, zipfile.BadZipFile, zlib.error)
+_REPORT = TypeAdapter(RowReport)
 _ARRAYS = ("points", "colors", "normals", "station", "registered", "world_from_station")
 
 
@@ -40,21 +42,66 @@ def load_row(path: str | Path) -> RowCloud:
     """Read a row cloud.
 
     Raises:
-        FileFormatError: The file is missing, damaged, or lacks an array.
+        FileFormatError: The file is missing, damaged, or lacks an array; or its arrays do not fit each other.
     """
-    try:
-        with Path(path).open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in _ARRAYS}
-            report = json.loads(str(file["report"]))
-        stations = tuple(station_report(station) for station in report.pop("stations"))
-        calibration = CalibrationReport(**report.pop("calibration"))
-        segments = tuple(tuple(segment) for segment in report.pop("segments"))
-        warnings = tuple(report.pop("warnings"))
-        row_report = RowReport(stations, segments, warnings=warnings, calibration=calibration, **report)
-    except OSError as error:
-        raise FileFormatError(path, f"cannot be read ({error.strerror or error})") from error
-    except _DAMAGED as error:
-        raise FileFormatError(path, f"not a row cloud: {error}") from error
+    with parsing(path, "row cloud"):
+        arrays, text = _read_arrays(read_bytes(path, "row cloud"))
+        report = _REPORT.validate_json(text)
+        _check(arrays, report)
     for name in ("points", "colors", "normals"):
         arrays[name] = arrays[name].astype(np.float64)
-    return RowCloud(**arrays, report=row_report)
+    return RowCloud(**arrays, report=report)
+
+
+def _read_arrays(content: bytes) -> tuple[dict[str, npt.NDArray[Any]], str]:
+    """The arrays of a row file and its report's text; sizes are compared before anything is allocated for them."""
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        members = {info.filename: info for info in archive.infolist()}
+        unpacked = sum(info.file_size for info in members.values())
+        if unpacked > MOST_BYTES["row cloud"]:
+            raise ValueError(f"unpacked it has {unpacked} bytes, at most {MOST_BYTES['row cloud']} are read")
+        arrays = {name: _array(archive.read(members[f"{name}.npy"])) for name in _ARRAYS}
+        report = _array(archive.read(members["report.npy"]))
+    if report.dtype.kind != "U" or report.shape != ():
+        raise ValueError(f"its report is no text but {report.dtype} of shape {report.shape}")
+    return arrays, str(report)
+
+
+def _array(content: bytes) -> npt.NDArray[Any]:
+    """An array from the content of an ``.npy`` file whose header promises what is there."""
+    file = io.BytesIO(content)
+    version = np.lib.format.read_magic(file)
+    read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
+    shape, _, dtype = read(file)
+    if dtype.hasobject or math.prod(shape) * dtype.itemsize != len(content) - file.tell():
+        raise ValueError(f"{dtype} of shape {shape} is not what {len(content) - file.tell()} bytes hold")
+    file.seek(0)
+    return np.asarray(np.lib.format.read_array(file, allow_pickle=False))
+
+
+def _check(arrays: dict[str, npt.NDArray[Any]], report: RowReport) -> None:
+    """Raise `ValueError` for arrays that do not fit each other, the report or what a row is."""
+    points, stations = len(arrays["points"]), len(arrays["registered"])
+    expected = {
+        "points": ("f", (points, 3)),
+        "colors": ("f", (points, 3)),
+        "normals": ("f", (points, 3)),
+        "station": ("i", (points,)),
+        "registered": ("b", (stations,)),
+        "world_from_station": ("f", (stations, 4, 4)),
+    }
+    for name, (kind, shape) in expected.items():
+        if arrays[name].dtype.kind != kind or arrays[name].shape != shape:
+            got = f"{arrays[name].dtype} of shape {arrays[name].shape}"
+            raise ValueError(f"{name} must have the shape {shape} and numbers of the kind {kind!r}, got {got}")
+    poses = arrays["world_from_station"][arrays["registered"]]
+    finite = {name: arrays[name] for name in ("points", "colors", "normals")} | {"poses of registered stations": poses}
+    for name, values in finite.items():
+        if not np.isfinite(values).all():
+            raise ValueError(f"{name} are not all finite numbers")
+    if points and not 0 <= arrays["station"].min() <= arrays["station"].max() < stations:
+        raise ValueError(f"points of stations that do not exist; there are {stations}")
+    if not all(is_rotation(pose[:3, :3], tolerance=1e-4) and np.allclose(pose[3], [0, 0, 0, 1]) for pose in poses):
+        raise ValueError("a registered station has no 4x4 pose")
+    if len(report.stations) not in (0, stations):
+        raise ValueError(f"its report tells of {len(report.stations)} stations, the arrays of {stations}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 from greenhouse_gym.reconstruction.calibration import CalibrationReport
 
@@ -24,6 +23,8 @@ class StationReport:
         blind: Cameras that saw no foreground.
     """
 
+    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
+
     station: int
     registered: bool
     against: int | None = None
@@ -33,11 +34,6 @@ class StationReport:
     rmse: float | None = None
     segment: int | None = None
     blind: tuple[str, ...] = ()
-
-
-def station_report(fields: dict[str, Any]) -> StationReport:
-    """A station's report from its JSON fields."""
-    return StationReport(**fields | {"blind": tuple(fields["blind"])})
 
 
 @dataclass(frozen=True)
@@ -55,6 +51,8 @@ class RowReport:
         points: Points after it.
         seconds: Time of each stage.
     """
+
+    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
 
     stations: tuple[StationReport, ...]
     segments: tuple[tuple[int, ...], ...] = ()

@@ -11,8 +11,8 @@ from typing import Literal, get_args, overload
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError, require_choice
-from greenhouse_gym.paths import data_path, write_atomically
-from greenhouse_gym.scene.scene import Scene
+from greenhouse_gym.paths import checked_name, data_path, first_fault, inside, parsing, read_bytes, write_atomically
+from greenhouse_gym.scene.scene import Scene, SceneName
 
 Split = Literal["train", "validation", "test"]
 SPLITS: tuple[str, ...] = get_args(Split)
@@ -24,7 +24,7 @@ class Entry(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    name: str
+    name: SceneName
     file: str
     sha256: str
     row: str
@@ -85,7 +85,8 @@ class SceneBank(Sequence[Scene]):
         folder = shipped.get(str(bank)) or Path(bank)
         if not folder.is_dir():
             raise UnknownNameError("scene bank", str(bank), [*shipped, "(or the path of a bank's folder)"])
-        return _open_folder(folder.resolve())
+        folder = folder.resolve()
+        return _opened(folder, read_bytes(folder / MANIFEST, "bank manifest"))
 
     def names(self, split: str | None = None) -> list[str]:
         """Names of the scenes, all of them or those of one split, in the manifest's order."""
@@ -110,9 +111,10 @@ class SceneBank(Sequence[Scene]):
         """
         entry = self._entry(name)
         if name not in self._scenes:
-            path = self.path / entry.file
-            scene = Scene.load(path)
-            if hashlib.sha256(path.read_bytes()).hexdigest() != entry.sha256:
+            path = inside(self.path, entry.file, named_in=self.path / MANIFEST)
+            content = read_bytes(path, "scene")
+            scene = Scene.parse(content, path)
+            if hashlib.sha256(content).hexdigest() != entry.sha256:
                 raise FileFormatError(path, f"checksum differs from the one in {self.path / MANIFEST}")
             self._scenes[name] = scene
         return self._scenes[name]
@@ -135,17 +137,10 @@ class SceneBank(Sequence[Scene]):
 
 
 @lru_cache(maxsize=16)
-def _open_folder(folder: Path) -> SceneBank:
-    path = folder / MANIFEST
-    try:
-        manifest = Manifest.model_validate_json(path.read_bytes())
-    except OSError as error:
-        raise FileFormatError(path, f"cannot be read ({error.strerror or error})") from error
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"])) or "the file"
-        raise FileFormatError(path, f"not a valid bank manifest: {where}: {first['msg']}") from error
-    return SceneBank(folder, manifest)
+def _opened(folder: Path, content: bytes) -> SceneBank:
+    """The bank of a folder whose manifest holds ``content``: kept, so that its scenes are read once."""
+    with parsing(folder / MANIFEST, "bank manifest"):
+        return SceneBank(folder, Manifest.model_validate_json(content))
 
 
 def write_bank(folder: str | Path, scenes: Iterable[tuple[Scene, str]], name: str, description: str = "") -> SceneBank:
@@ -158,13 +153,15 @@ def write_bank(folder: str | Path, scenes: Iterable[tuple[Scene, str]], name: st
         description: A sentence on where it comes from.
 
     Raises:
-        InvalidValueError: A row lies in two splits, or two scenes share a name; nothing is written then.
+        InvalidValueError: A row lies in two splits, two scenes share a name, or a name is no safe file name; nothing is
+            written then.
     """
     folder = Path(folder).resolve()
     contents: list[tuple[Path, str]] = []
     entries: list[Entry] = []
     for scene, split in scenes:
         require_choice("split", split, SPLITS)
+        checked_name("a scene", scene.name)  # copies of a scene with another name are not validated
         content = scene.model_dump_json() + "\n"
         entries.append(
             Entry(
@@ -181,9 +178,8 @@ def write_bank(folder: str | Path, scenes: Iterable[tuple[Scene, str]], name: st
     try:
         manifest = Manifest(name=name, description=description, scenes=tuple(entries))
     except ValidationError as error:
-        raise InvalidValueError(f"{folder}: {error.errors()[0]['msg']}") from error
+        raise InvalidValueError(f"{folder}: {first_fault(error)}") from error
     for path, content in contents:
         write_atomically(path, content)
     write_atomically(folder / MANIFEST, manifest.model_dump_json(indent=1) + "\n")
-    _open_folder.cache_clear()
     return SceneBank(folder, manifest)

@@ -23,6 +23,9 @@ from greenhouse_gym.scene.scene import Scene
 DEFAULT_CAPACITY = 300
 """Obstacles a padded model has room for."""
 
+MOST_CAPACITY = 20_000
+"""The most it may be given; every padded geom costs memory and time in every simulation."""
+
 ARM_AND_CUP, ARM_ONLY = 3, 1
 """Collision masks of an obstacle, and of the target (which the cup may touch)."""
 
@@ -81,8 +84,10 @@ def scene_spec(scene: Scene, robot: str | Robot | None = None, capacity: int | N
         capacity: Pad the obstacles with parked geoms to this number, so that models of several scenes have one size.
 
     Raises:
-        InvalidValueError: The scene has more obstacles than ``capacity``.
+        InvalidValueError: The scene has more obstacles than ``capacity``, or that is no capacity.
     """
+    if capacity is not None and not (isinstance(capacity, int | np.integer) and 1 <= capacity <= MOST_CAPACITY):
+        raise InvalidValueError(f"capacity must be a whole number from 1 to {MOST_CAPACITY}, got {capacity!r}")
     arm = None if robot is None else get_robot(robot)
     spec = mujoco.MjSpec() if arm is None else arm.spec()
     spec.modelname = scene.name

@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_args
 
+import numpy as np
 from pydantic import (
+    AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
     Field,
     PlainSerializer,
-    ValidationError,
     model_validator,
 )
 
 from greenhouse_gym.crop import Stem, Tomato
-from greenhouse_gym.errors import FileFormatError, InvalidValueError
+from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Box, Capsule, Shape, Sphere, Vector
-from greenhouse_gym.paths import write_atomically
+from greenhouse_gym.paths import checked_name, parsing, read_bytes, write_atomically
 from greenhouse_gym.scene.packed import pack, unpack
 
 if TYPE_CHECKING:
@@ -26,6 +27,14 @@ if TYPE_CHECKING:
 
 Difficulty = Literal["easy", "medium", "hard", "unreachable"]
 DIFFICULTIES: tuple[str, ...] = get_args(Difficulty)
+
+MOST_TOMATOES, MOST_SHAPES = 2000, 50_000
+"""The most tomatoes, and the most stems and the most pieces of clutter, that a scene may hold."""
+
+LARGEST = 100.0
+"""The largest coordinate or size in a scene, metres: single precision still resolves a hundredth of a millimetre."""
+
+SceneName = Annotated[str, AfterValidator(lambda name: checked_name("a scene", name))]
 
 
 class _Part(BaseModel):
@@ -42,8 +51,14 @@ class Stand(_Part):
     """
 
     position: Vector = Field(default_factory=lambda: [0.0, 0.0, 0.0], validate_default=True)
-    yaw: float = 0.0
-    shoulder_height: float = Field(default=1.1, gt=0)
+    yaw: float = Field(default=0.0, ge=-100, le=100)
+    shoulder_height: float = Field(default=1.1, gt=0, le=10)
+
+    @model_validator(mode="after")
+    def _not_far(self) -> Stand:
+        if np.abs(self.position).max() > LARGEST:
+            raise InvalidValueError(f"position {self.position.tolist()} is farther than {LARGEST:g} m from the origin")
+        return self
 
 
 class Target(_Part):
@@ -78,9 +93,18 @@ class Provenance(_Part):
 class Shapes(_Part):
     """Tomatoes, stems and clutter in the scene frame: what stands around the arm."""
 
-    tomatoes: tuple[Tomato, ...] = ()
-    stems: tuple[Stem, ...] = ()
-    clutter: tuple[Sphere | Capsule | Box, ...] = ()
+    tomatoes: tuple[Tomato, ...] = Field(default=(), max_length=MOST_TOMATOES)
+    stems: tuple[Stem, ...] = Field(default=(), max_length=MOST_SHAPES)
+    clutter: tuple[Sphere | Capsule | Box, ...] = Field(default=(), max_length=MOST_SHAPES)
+
+    @model_validator(mode="after")
+    def _not_large(self) -> Self:
+        for kind in ("tomatoes", "stems", "clutter"):
+            for i, shape in enumerate(getattr(self, kind)):
+                lengths = [value for value in vars(shape).values() if isinstance(value, np.ndarray | float)]
+                if max(float(np.abs(value).max()) for value in lengths) > LARGEST:
+                    raise InvalidValueError(f"{kind}.{i} is larger, or farther away, than {LARGEST:g} m: {shape}")
+        return self
 
     @property
     def obstacles(self) -> tuple[Shape, ...]:
@@ -122,7 +146,7 @@ class Scene(Shapes):
     """
 
     schema_version: Literal[1] = 1
-    name: str
+    name: SceneName
     stand: Stand = Field(default_factory=Stand)
     targets: tuple[Target, ...] = ()
     provenance: Provenance
@@ -142,16 +166,13 @@ class Scene(Shapes):
         Raises:
             FileFormatError: The file is missing, is not JSON, or breaks the schema; the message names the field.
         """
-        try:
-            return cls.model_validate_json(Path(path).read_bytes())
-        except OSError as error:
-            raise FileFormatError(path, f"cannot be read ({error.strerror or error})") from error
-        except ValidationError as error:
-            first = error.errors()[0]
-            where = ".".join(map(str, first["loc"])) or "the file"
-            given = repr(first.get("input"))
-            given = given if len(given) <= 80 else given[:77] + "..."
-            raise FileFormatError(path, f"not a valid scene: {where}: {first['msg']} (got {given})") from error
+        return cls.parse(read_bytes(path, "scene"), path)
+
+    @classmethod
+    def parse(cls, content: bytes, path: str | Path) -> Scene:
+        """A scene from the content of its file; ``path`` is named in the error."""
+        with parsing(path, "scene"):
+            return cls.model_validate_json(content)
 
     def save(self, path: str | Path) -> Path:
         """Write the scene as JSON (to a temporary name, then renamed) and return the path."""

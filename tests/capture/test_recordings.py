@@ -217,7 +217,7 @@ def test_a_damaged_image_is_named(folder: Path, file: Path, damage: Callable[[by
 @pytest.mark.parametrize("file", [COLOR, DEPTH])
 def test_a_missing_image_is_named(folder: Path, file: Path) -> None:
     (folder / file).unlink()
-    with pytest.raises(FileFormatError, match=rf"{file}: image cannot be read"):
+    with pytest.raises(FileFormatError, match=rf"{file}: cannot be read"):
         open_recording(folder)[0]
 
 
@@ -463,7 +463,7 @@ def test_a_truncated_jpeg_and_a_missing_depth_image(open3d_folder: Path) -> None
     opened = open_recording(open3d_folder)
     with pytest.raises(FileFormatError, match=r"00000\.jpg: truncated"):
         opened[0]
-    with pytest.raises(FileFormatError, match=r"00001\.png: image cannot be read"):
+    with pytest.raises(FileFormatError, match=r"00001\.png: cannot be read"):
         opened[1]
 
 

@@ -58,16 +58,16 @@ def test_files_that_are_no_rows(saved: Path, tmp_path: Path) -> None:
         load_row(tmp_path / "none.npz")
     text = tmp_path / "text.npz"
     text.write_text("points")
-    with pytest.raises(FileFormatError, match=r"text\.npz: not a row cloud"):
+    with pytest.raises(FileFormatError, match=r"text\.npz: not a valid row cloud"):
         load_row(text)
     array = tmp_path / "array.npy"
     np.save(array, np.zeros(3))
-    with pytest.raises(FileFormatError, match=r"array\.npy: not a row cloud"):
+    with pytest.raises(FileFormatError, match=r"array\.npy: not a valid row cloud"):
         load_row(array)
     partial = tmp_path / "partial.npz"
     with np.load(saved) as file:
         np.savez(partial, **{name: file[name] for name in file.files if name != "normals"})
-    with pytest.raises(FileFormatError, match=r"partial\.npz: not a row cloud: .*normals"):
+    with pytest.raises(FileFormatError, match=r"partial\.npz: not a valid row cloud: .*normals"):
         load_row(partial)
 
 
@@ -78,7 +78,7 @@ def test_a_file_with_another_report(saved: Path, tmp_path: Path, report: str) ->
     path = tmp_path / "row.npz"
     with np.load(saved) as file:
         np.savez(path, **({name: file[name] for name in file.files} | {"report": np.array(report)}))
-    with pytest.raises(FileFormatError, match=r"row\.npz: not a row cloud"):
+    with pytest.raises(FileFormatError, match=r"row\.npz: not a valid row cloud"):
         load_row(path)
 
 
@@ -86,5 +86,5 @@ def test_pickles_are_not_read(saved: Path, tmp_path: Path) -> None:
     path = tmp_path / "row.npz"
     with np.load(saved) as file:
         np.savez(path, **({name: file[name] for name in file.files} | {"points": np.array([{}], dtype=object)}))
-    with pytest.raises(FileFormatError, match=r"row\.npz: not a row cloud"):
+    with pytest.raises(FileFormatError, match=r"row\.npz: not a valid row cloud"):
         load_row(path)

@@ -25,7 +25,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def reopened(folder: Path) -> SceneBank:
-    bank_module._open_folder.cache_clear()
+    bank_module._opened.cache_clear()
     return SceneBank.open(folder)
 
 

@@ -1,0 +1,77 @@
+"""Open3D's RGB-D folders: ``color/``, ``depth/`` (millimetres), and camera and trajectory where they are known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from pydantic import BaseModel, Field
+
+from greenhouse_gym.capture.formats.single_camera import single_camera
+from greenhouse_gym.capture.recordings import INDEX, Recording, checked_pose
+from greenhouse_gym.capture.rig import Intrinsics
+from greenhouse_gym.geometry import Array
+from greenhouse_gym.paths import parsing, read_bytes
+
+name = "open3d"
+description = "the folders color/ and depth/, optionally camera*.json and trajectory.log"
+
+PRIMESENSE = Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5)
+"""What Open3D assumes for RGB-D folders that carry no intrinsics."""
+
+
+class _CameraFile(BaseModel):
+    """Open3D's camera: the matrix column by column."""
+
+    width: int
+    height: int
+    intrinsic_matrix: list[float] = Field(min_length=9, max_length=9)
+
+
+def recognises(path: Path) -> bool:
+    """Whether the folder, or ``RGBD`` in it, has images in both of its folders, and no index of another format."""
+    folder = _inner(path)
+    return not (folder / INDEX).exists() and (folder / "depth").is_dir() and bool(_color_images(folder))
+
+
+def open(path: Path) -> Recording:
+    """Open such a folder.
+
+    Raises:
+        FileFormatError: A file is missing or damaged. Images are checked when their station is read.
+    """
+    folder = _inner(path)
+    color = _color_images(folder)
+    cameras, trajectory = sorted(folder.glob("camera*.json"))[:1], folder / "trajectory.log"
+    described_by = [*cameras, *([trajectory] if trajectory.exists() else [])]
+    poses = _poses(trajectory, len(color)) if trajectory.exists() else [None] * len(color)
+    return single_camera(
+        folder, _intrinsics(cameras[0]) if cameras else PRIMESENSE,
+        color, [folder / "depth" / f"{file.stem}.png" for file in color], poses, described_by=described_by,
+    )  # fmt: skip
+
+
+def _inner(path: Path) -> Path:
+    return path / "RGBD" if (path / "RGBD").is_dir() else path
+
+
+def _color_images(folder: Path) -> list[Path]:
+    return sorted(file for file in (folder / "color").glob("*.*") if file.suffix.lower() in (".jpg", ".png"))
+
+
+def _intrinsics(path: Path) -> Intrinsics:
+    with parsing(path, "camera with width, height and an intrinsic_matrix of nine numbers"):
+        camera = _CameraFile.model_validate_json(read_bytes(path, "calibration"))
+        m = camera.intrinsic_matrix
+        return Intrinsics(camera.width, camera.height, m[0], m[4], m[6], m[7])
+
+
+def _poses(path: Path, images: int) -> list[Array | None]:
+    """World from camera of each image; None for those that the trajectory does not reach."""
+    with parsing(path, "trajectory with a header line and a 4x4 matrix per image"):
+        lines = [line for line in read_bytes(path, "trajectory").decode().splitlines() if line.strip()]
+        blocks = [
+            np.array([list(map(float, row.split())) for row in lines[i + 1 : i + 5]]) for i in range(0, len(lines), 5)
+        ]
+        found = [checked_pose(path, f"pose {i}", block) for i, block in enumerate(blocks[:images])]
+    return [*found, *[None] * (images - len(found))]

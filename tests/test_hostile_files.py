@@ -1,0 +1,192 @@
+"""Names and paths that lead elsewhere, files that are none, sizes nobody has memory for."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import struct
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import make_scene
+
+from greenhouse_gym import paths
+from greenhouse_gym.capture import Camera, Intrinsics, Recording, RgbdFrame, Rig, Station, open_recording
+from greenhouse_gym.capture.images import read_color, read_depth
+from greenhouse_gym.capture.recordings import INDEX, write_recording
+from greenhouse_gym.errors import FileFormatError, InvalidValueError
+from greenhouse_gym.paths import checked_name, read_bytes
+from greenhouse_gym.scene import Scene, SceneBank, compile_scene
+from greenhouse_gym.scene.bank import MANIFEST, write_bank
+
+BAD_NAMES = ["", ".", "..", "../../evil", "/abs/x", "a/b", "a\\b", "C:x", ".hidden", "x.", "x ", "a\0b", "a\nb",
+             "manifest", "Manifest", "\ud800", "x" * 300]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAD_NAMES)
+def test_names_that_are_no_file_names_are_refused_everywhere(tmp_path: Path, name: str) -> None:
+    with pytest.raises(InvalidValueError, match="a scene cannot be named"):
+        checked_name("a scene", name)
+    scene = make_scene(0, stems=1)
+    with pytest.raises(ValueError, match="a scene cannot be named"):
+        Scene(name=name, provenance=scene.provenance)
+    with pytest.raises(InvalidValueError, match="a scene cannot be named"):
+        write_bank(tmp_path / "bank", [(scene.model_copy(update={"name": name}), "train")], name="b")
+    assert list(tmp_path.rglob("*")) == []
+
+
+@pytest.mark.parametrize("name", ["row-100-00", "Reihe 3 (süd)", "a.b", "番茄", "x" * 200])
+def test_names_of_all_languages_are_welcome(name: str) -> None:
+    assert checked_name("a scene", name) == name
+
+
+# -- paths that a file names ------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def secret(tmp_path: Path) -> Path:
+    """A scene outside of the bank that the manifests below name."""
+    return make_scene(1, stems=1).save(tmp_path / "secret.json")
+
+
+def lead_to(outside: Path, folder: Path, how: str) -> str:
+    if how == "link":
+        (folder / "link.json").symlink_to(outside)
+        return "link.json"
+    if how == "folder":
+        (folder / "there").symlink_to(outside.parent)
+        return f"there/{outside.name}"
+    return str(outside) if how == "absolute" else f"../{outside.name}"
+
+
+LEADS = pytest.mark.parametrize("how", ["absolute", "up", "link", "folder"])
+
+
+@LEADS
+def test_a_manifest_names_files_of_its_folder_only(tmp_path: Path, secret: Path, how: str) -> None:
+    bank = write_bank(tmp_path / "bank", [(make_scene(0, stems=1), "train")], name="b")
+    manifest = json.loads((bank.path / MANIFEST).read_text())
+    digest = hashlib.sha256(secret.read_bytes()).hexdigest()
+    manifest["scenes"][0] |= {"file": lead_to(secret, bank.path, how), "sha256": digest}
+    (bank.path / MANIFEST).write_text(json.dumps(manifest))
+    with pytest.raises(FileFormatError, match=r"manifest\.json: names the file .*not inside"):
+        SceneBank.open(bank.path)[0]
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    intrinsics = Intrinsics(4, 3, 2.0, 2.0, 1.5, 1.0)
+    frame = RgbdFrame(np.zeros((3, 4, 3), np.uint8), np.ones((3, 4), np.float32), intrinsics)
+    rig = Rig({"c": Camera(intrinsics, np.eye(4))}, "c")
+    return write_recording(Recording("r", rig, 1, lambda i: Station({"c": frame})), tmp_path / "recording")
+
+
+@LEADS
+@pytest.mark.parametrize("kind", ["color", "depth"])
+def test_a_recording_names_images_of_its_folder_only(tmp_path: Path, recording: Path, kind: str, how: str) -> None:
+    image = recording / kind / "c" / "000000.png"
+    outside = image.rename(tmp_path / "outside.png")
+    index = json.loads((recording / INDEX).read_text())
+    index["stations"][0][kind]["c"] = lead_to(outside, recording, how)
+    (recording / INDEX).write_text(json.dumps(index))
+    with pytest.raises(FileFormatError, match=r"recording\.json: names the file .*not inside"):
+        open_recording(recording)[0]
+
+
+def test_links_within_a_recording_are_followed(recording: Path) -> None:
+    image = recording / "depth" / "c" / "000000.png"
+    image.symlink_to(image.rename(recording / "elsewhere.png"))
+    assert open_recording(recording)[0].frames["c"].depth.any()
+
+
+# -- what is no file --------------------------------------------------------------------------------------------------
+
+
+def no_files(folder: Path) -> list[Path]:
+    os.mkfifo(folder / "pipe")
+    return [folder / "pipe", Path("/dev/zero"), Path("/dev/null"), folder]
+
+
+@pytest.mark.timeout(30)
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes among the files of this system")
+def test_pipes_and_devices_are_refused_at_once(tmp_path: Path, recording: Path) -> None:
+    for path in no_files(tmp_path):
+        with pytest.raises(FileFormatError, match="cannot be read"):
+            Scene.load(path)
+        with pytest.raises(FileFormatError, match="cannot be read"):
+            read_depth(path)
+    image = recording / "color" / "c" / "000000.png"
+    image.unlink()
+    os.mkfifo(image)
+    with pytest.raises(FileFormatError, match="not a regular file"):
+        open_recording(recording)[0]
+    (recording / INDEX).unlink()
+    os.mkfifo(recording / INDEX)
+    with pytest.raises(FileFormatError):
+        open_recording(recording)
+
+
+# -- sizes ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_file_beyond_its_kinds_limit_is_refused_before_it_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = make_scene(0, stems=1).save(tmp_path / "scene.json")
+    monkeypatch.setattr(paths, "MOST_BYTES", paths.MOST_BYTES | {"scene": 100})
+    with pytest.raises(FileFormatError, match=r"too large for a scene: \d+ bytes, at most 100"):
+        Scene.load(path)
+    sparse = tmp_path / "sparse"
+    with sparse.open("wb") as file:
+        file.truncate(2**40)
+    for kind in paths.MOST_BYTES:
+        with pytest.raises(FileFormatError, match="too large"):
+            read_bytes(sparse, kind)
+
+
+def png_header(width: int, height: int) -> bytes:
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    size = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", size) + chunk(b"IDAT", zlib.compress(b"")) + chunk(b"IEND", b"")
+
+
+@pytest.mark.parametrize("size", [(60_000, 60_000), (20_000, 20_000), (2**31 - 1, 2**31 - 1), (1, 2**31 - 1)])
+def test_an_image_too_large_is_refused_by_its_header(tmp_path: Path, size: tuple[int, int]) -> None:
+    path = tmp_path / "large.png"
+    path.write_bytes(png_header(*size))
+    with pytest.raises(FileFormatError, match=f"{size[0]}x{size[1]} pixels is too large"):
+        read_color(path)
+
+
+def many(count: int) -> list[dict[str, Any]]:
+    return [{"center": [0.5, 0.0, 1.0], "radius": 0.03, "truss": 0}] * count
+
+
+@pytest.mark.parametrize(
+    ("fields", "problem"),
+    [
+        ({"tomatoes": many(100_000)}, "tomatoes.*at most 2000"),
+        ({"truth": {"tomatoes": many(100_000)}}, r"truth\.tomatoes.*at most 2000"),
+        ({"tomatoes": [many(1)[0] | {"radius": 3e5}]}, r"tomatoes\.0 is larger, or farther away, than 100 m"),
+        ({"tomatoes": [many(1)[0] | {"center": [0.0, 1e30, 0.0]}]}, r"tomatoes\.0 is larger, or farther away"),
+        ({"stand": {"position": [1e6, 0.0, 0.0]}}, "farther than 100 m"),
+        ({"stand": {"shoulder_height": 1e6}}, "shoulder_height"),
+    ],
+)
+def test_scenes_have_limits(tmp_path: Path, fields: dict[str, Any], problem: str) -> None:
+    path = tmp_path / "scene.json"
+    path.write_text(json.dumps({"name": "large", "provenance": {"row": "r"}} | fields))
+    with pytest.raises(FileFormatError, match=problem):
+        Scene.load(path)
+
+
+@pytest.mark.parametrize("capacity", [0, -1, 10**9, "a", 1.5])
+def test_what_is_no_capacity(capacity: Any) -> None:
+    with pytest.raises(InvalidValueError, match=r"capacity must be a whole number from 1 to 20000"):
+        compile_scene(make_scene(0, stems=1), capacity=capacity)
