@@ -1,119 +1,49 @@
 """Runs any agent over a split of a bank and records what happened.
 
-The same seed gives every agent the same episodes.
+The same seed gives every agent the same episodes, however many are played side by side.
 """
 
 from __future__ import annotations
 
-import math
+import copy
 import sys
 import time
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from statistics import mean, median
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
-import gymnasium
-import mujoco
 import numpy as np
 from rich.progress import track
 
 from greenhouse_gym.agents import Agent, Problem
-from greenhouse_gym.envs.tomato_reach import TomatoReachEnv
-from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.agents.agent import check_agent
+from greenhouse_gym.agents.patience import Patience
+from greenhouse_gym.envs import TomatoReachVectorEnv
+from greenhouse_gym.envs.actions import check_actions
+from greenhouse_gym.envs.observations import Observed, select
+from greenhouse_gym.envs.simulation import ReachSimulation
+from greenhouse_gym.errors import GreenhouseError, InvalidValueError
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.planning import CollisionChecker, path_length
-from greenhouse_gym.planning.collision import set_margin
+from greenhouse_gym.planning import path_length
+from greenhouse_gym.planning.collision import CLEARANCE_RANGE, smallest_clearance
 from greenhouse_gym.planning.kinematics import tool_chain, tool_state
-from greenhouse_gym.robots.robot import TIP_SITE
-from greenhouse_gym.scene import DIFFICULTIES
-from greenhouse_gym.scene.mjcf import ARM_ONLY
+from greenhouse_gym.records import Evaluation, Record, comparison_table, wilson_interval
 
-ENV_ID = "TomatoReach-v0"
-
-CLEARANCE_RANGE = 0.1
-"""Clearances beyond this are recorded as this, metres."""
-
-
-@dataclass(frozen=True)
-class Record:
-    """One episode.
-
-    Attributes:
-        seed: Seed of the episode.
-        scene: Name of the scene.
-        target: Index of the target tomato.
-        difficulty: Its rating.
-        success: The target was reached and nothing was touched.
-        collision: Something was touched.
-        contact: Names of the geoms that touched, the arm's first; empty without a collision.
-        steps: Actions taken, 20 a second.
-        planning_time: Seconds the agent took at the episode's start.
-        action_time: Seconds the agent took per action, on average.
-        joint_length: Way of the joints, radians (Euclidean norm).
-        tip_length: Way of the tip, metres.
-        clearance: Smallest distance of the arm to any obstacle but the target, metres, at the ends of the actions;
-            at most `CLEARANCE_RANGE`.
-        jerkiness: Mean norm of the change of the joint steps from action to action, radians; 0 is smoothest.
-        total_reward: Sum of the rewards.
-        distance: From the grasp point to the target's center at the end, metres.
-        status: What the agent says of its plan; empty for agents that do not plan.
-    """
-
-    seed: int
-    scene: str
-    target: int
-    difficulty: str
-    success: bool
-    collision: bool
-    contact: tuple[str, ...]
-    steps: int
-    planning_time: float
-    action_time: float
-    joint_length: float
-    tip_length: float
-    clearance: float
-    jerkiness: float
-    total_reward: float
-    distance: float
-    status: str = ""
+__all__ = [
+    "CLEARANCE_RANGE",
+    "AgentError",
+    "Evaluation",
+    "Record",
+    "compare",
+    "comparison_table",
+    "evaluate",
+    "wilson_interval",
+]
 
 
-@dataclass(frozen=True)
-class Evaluation:
-    """An agent's episodes.
-
-    Attributes:
-        agent: The agent's name.
-        records: One per episode.
-    """
-
-    agent: str
-    records: tuple[Record, ...]
-
-    @property
-    def success_rate(self) -> float:
-        """Share of successful episodes; nan without episodes."""
-        return mean(r.success for r in self.records) if self.records else math.nan
-
-    @property
-    def collision_rate(self) -> float:
-        """Share of episodes that ended with a collision; nan without episodes."""
-        return mean(r.collision for r in self.records) if self.records else math.nan
-
-    @property
-    def success_interval(self) -> tuple[float, float]:
-        """95 % interval of the success rate (Wilson)."""
-        return wilson_interval(sum(r.success for r in self.records), len(self.records))
-
-    def of(self, difficulty: str) -> Evaluation:
-        """The episodes of one difficulty."""
-        return Evaluation(self.agent, tuple(r for r in self.records if r.difficulty == difficulty))
-
-    def median(self, field: str, solved_only: bool = False) -> float:
-        """Median of a number of the records, over all episodes or the successful ones; nan where there are none."""
-        values = [float(getattr(r, field)) for r in self.records if r.success or not solved_only]
-        return median(values) if values else math.nan
+class AgentError(GreenhouseError, RuntimeError):
+    """An agent cannot be evaluated: it failed before it gave a single valid action."""
 
 
 def evaluate(
@@ -123,9 +53,14 @@ def evaluate(
     seed: int = 0,
     progress: bool | None = None,
     problems: Sequence[tuple[str, int]] | None = None,
+    num_envs: int = 1,
+    patience: float | None = None,
     **options: Any,
 ) -> Evaluation:
     """Run an agent over episodes drawn from a split.
+
+    An agent that raises an error, gives an action of the wrong shape or not a number, or is out of patience, fails: at
+    its first action that is an error, later it ends the episode, whose record says why, and counts as no success.
 
     Args:
         agent: The agent; its ``env_options`` say which environment it needs.
@@ -136,125 +71,241 @@ def evaluate(
         progress: Whether to show a bar; None shows it on a terminal.
         problems: Names of scenes with targets to run instead, one episode each: of any split and difficulty, and
             whatever ``episodes`` says.
+        num_envs: Episodes that are played side by side. Each gets a copy of the agent, unless that has ``act_many``;
+            the records are the same, but for times.
+        patience: Seconds the agent may take to prepare for an episode or to act; None waits for ever.
         **options: Further keywords of the environment, such as ``bank`` or ``difficulty``; those the agent needs cannot
             be changed.
 
     Raises:
-        InvalidValueError: No episodes, or an option that contradicts what the agent needs.
+        InvalidValueError: No episodes, no agent, or an option that contradicts what the agent needs.
+        AgentError: The agent failed before it gave a single valid action.
     """
-    if episodes < 1:
-        raise InvalidValueError(f"episodes must be at least 1, got {episodes!r}")
+    for name, number in (("episodes", episodes), ("num_envs", num_envs)):
+        if isinstance(number, bool) or not isinstance(number, (int, np.integer)) or number < 1:
+            raise InvalidValueError(f"{name} must be a whole number from 1 up, got {number!r}")
+    check_agent(agent)
     for key, value in agent.env_options.items():
         if key in options and options[key] != value:
             raise InvalidValueError(f"agent {agent.name!r} needs {key}={value!r}, got {options[key]!r}")
-    env = gymnasium.make(ENV_ID, split=split, **{**options, **agent.env_options})
+    chosen: list[dict[str, Any]] = [{}] * episodes
+    if problems is not None:
+        chosen = [{"scene": name, "target": k} for name, k in problems]
+    count = min(num_envs, max(1, len(chosen)))
+    env = TomatoReachVectorEnv(count, split=split, **{**options, **agent.env_options})
     show = sys.stderr.isatty() if progress is None else progress
     try:
-        chosen = [{}] * episodes if problems is None else [{"scene": name, "target": k} for name, k in problems]
-        runs = track(list(enumerate(chosen, start=seed)), description=agent.name, disable=not show)
-        return Evaluation(agent.name, tuple(_episode(env, agent, s, where) for s, where in runs))
+        played = _Match(agent, env, deque(enumerate(chosen)), seed, patience)
+        ended = track(played.records(), description=agent.name, disable=not show, total=len(chosen))
+        return Evaluation(agent.name, tuple(record for _, record in sorted(ended)))
     finally:
         env.close()
 
 
 def compare(
-    agents: Iterable[Agent], split: str = "test", episodes: int = 200, seed: int = 0, **options: Any
+    agents: Sequence[Agent], split: str = "test", episodes: int = 200, seed: int = 0, **options: Any
 ) -> tuple[Evaluation, ...]:
-    """Run several agents on the same episodes; see `evaluate`."""
-    return tuple(evaluate(agent, split, episodes, seed, **options) for agent in agents)
+    """Run several agents on the same episodes; see `evaluate`.
+
+    An agent that cannot be evaluated gets an evaluation without records, with the error, and the others go on.
+    """
+
+    def one(agent: Agent) -> Evaluation:
+        try:
+            return evaluate(agent, split, episodes, seed, **options)
+        except AgentError as error:
+            return Evaluation(agent.name, (), str(error))
+
+    return tuple(one(agent) for agent in agents)
 
 
-def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
-    """95 % confidence interval of a rate (Wilson, 1927); (0, 1) without trials."""
-    if trials == 0:
-        return 0.0, 1.0
-    z = 1.959964
-    rate = successes / trials
-    center = (rate + z * z / (2 * trials)) / (1 + z * z / trials)
-    half = z / (1 + z * z / trials) * math.sqrt(rate * (1 - rate) / trials + z * z / (4 * trials * trials))
-    return max(0.0, center - half), min(1.0, center + half)
+@dataclass
+class _Run:
+    """An episode that is being played.
+
+    Attributes:
+        place: Which of the episodes it is.
+        problem: What the agent was told.
+        agent: Who plays.
+        planning_time: Seconds the agent took to prepare.
+        action_time: Seconds it took to act so far.
+        total_reward: Sum of the rewards so far.
+        joints: True joint positions so far, (joints,) each.
+        failure: Why the agent gave no valid action.
+    """
+
+    place: int
+    problem: Problem
+    agent: Agent
+    planning_time: float = 0.0
+    action_time: float = 0.0
+    total_reward: float = 0.0
+    joints: list[Array] = field(default_factory=list)
+    failure: str = ""
 
 
-def comparison_table(evaluations: Sequence[Evaluation]) -> str:
-    """A Markdown table, a row per agent; ways, steps and clearances are medians over the successful episodes."""
-    present = {r.difficulty for e in evaluations for r in e.records}
-    difficulties = [d for d in DIFFICULTIES if d in present]
-    heads = ["agent", "episodes", "success [95 %]", *difficulties, "collision", "planning s", "steps"]
-    heads += ["joints rad", "tip m", "clearance mm", "jerkiness rad"]
-    rows = [heads, ["---"] + ["---:"] * (len(heads) - 1)]
-    for e in evaluations:
-        low, high = e.success_interval
-        rows.append(
-            [
-                e.agent,
-                str(len(e.records)),
-                f"{e.success_rate:.1%} [{low:.1%}, {high:.1%}]",
-                *(f"{e.of(difficulty).success_rate:.1%}" for difficulty in difficulties),
-                f"{e.collision_rate:.1%}",
-                f"{e.median('planning_time'):.3f}",
-                f"{e.median('steps', solved_only=True):.0f}",
-                f"{e.median('joint_length', solved_only=True):.2f}",
-                f"{e.median('tip_length', solved_only=True):.2f}",
-                f"{1000 * e.median('clearance', solved_only=True):.1f}",
-                f"{e.median('jerkiness', solved_only=True):.4f}",
-            ]
+class _Match:
+    """An agent's episodes in the simulations of a vector environment, each begun as soon as one is free.
+
+    Args:
+        agent: Who plays.
+        env: Where.
+        chosen: Place and reset options of the episodes.
+        seed: Of the episode in place 0.
+        patience: See `evaluate`.
+    """
+
+    def __init__(
+        self,
+        agent: Agent,
+        env: TomatoReachVectorEnv,
+        chosen: deque[tuple[int, dict[str, Any]]],
+        seed: int,
+        patience: float | None,
+    ):
+        self._agent, self._env, self._chosen, self._seed = agent, env, chosen, seed
+        self._simulation: ReachSimulation = env.simulation
+        self._shared = getattr(agent, "act_many", None)
+        self._players = [agent] * env.num_envs
+        if env.num_envs > 1 and self._shared is None:
+            self._players = [_copy(agent) for _ in self._players]
+        self._patience = Patience(patience)
+        self._proven = False  # whether the agent ever gave a valid action
+
+    def records(self) -> Iterator[tuple[int, Record]]:
+        """Places and records of all episodes, in the order in which they end."""
+        env, ids = self._env, range(self._env.num_envs)
+        if env.num_envs > 1:
+            env.reset(seed=self._seed)  # simulations can only be reset singly when all have been
+        runs: list[_Run | None] = [None] * env.num_envs
+        actions = np.zeros((env.num_envs, self._simulation.action_rule.size))
+        while True:
+            for i in ids:
+                while runs[i] is None and self._chosen:
+                    runs[i] = self._begin(i)
+                    yield from self._ended(runs, i)
+            observations = self._simulation.observation()
+            self._act(runs, observations, actions)
+            for i in ids:
+                yield from self._ended(runs, i)
+            playing = [i for i in ids if runs[i] is not None]
+            if not playing:
+                if self._chosen:
+                    continue
+                return
+            _, rewards, terminated, truncated, _ = env.step(actions)
+            for i in playing:
+                run = runs[i]
+                assert run is not None
+                run.total_reward += float(rewards[i])
+                run.joints.append(self._simulation.joints[i].copy())
+                if terminated[i] or truncated[i]:
+                    yield run.place, self._record(i, run)
+                    runs[i] = None
+
+    def _begin(self, i: int) -> _Run:
+        place, where = self._chosen.popleft()
+        env, seed = self._env, self._seed + place
+        alone = np.arange(env.num_envs) == i
+        env.reset(seed=[seed if mine else None for mine in alone], options={**where, "reset_mask": alone})
+        episode = self._simulation.episode(i)
+        problem = Problem(
+            episode.scene, episode.target, self._simulation.robot, episode.start, seed, self._simulation.action_rule
         )
-    return "\n".join("| " + " | ".join(row) + " |" for row in rows) + "\n"
-
-
-def _episode(env: gymnasium.Env[Any, Any], agent: Agent, seed: int, where: dict[str, Any]) -> Record:
-    reach = env.unwrapped
-    assert isinstance(reach, TomatoReachEnv)
-    observation, info = env.reset(seed=seed, options=where)
-    began = time.perf_counter()
-    agent.reset(Problem(reach.scene, reach.target, reach.robot, reach.start, seed))
-    planning_time = time.perf_counter() - began
-    joints, total_reward, action_time, over = [reach.start], 0.0, 0.0, False
-    while not over:
+        run = _Run(place, problem, self._players[i], joints=[self._simulation.joints[i].copy()])
         began = time.perf_counter()
-        action = agent.act(observation)
-        action_time += time.perf_counter() - began
-        observation, reward, terminated, truncated, info = env.step(action)
-        total_reward += float(reward)
-        joints.append(_joints(reach))
-        over = terminated or truncated
-    steps = len(joints) - 1
-    way = np.array(joints)
-    model, _ = reach.model_and_data()
-    tips = tool_state(tool_chain(model, model.site(TIP_SITE).id), way).point
-    return Record(
-        seed=seed,
-        scene=info["scene"],
-        target=info["target"],
-        difficulty=info["difficulty"],
-        success=info["is_success"],
-        collision=info["collision"],
-        contact=tuple(info["contact"]),
-        steps=steps,
-        planning_time=planning_time,
-        action_time=action_time / steps,
-        joint_length=path_length(way),
-        tip_length=path_length(tips),
-        clearance=_clearance(model, way),
-        jerkiness=float(np.linalg.norm(np.diff(way, n=2, axis=0), axis=-1).mean()) if steps > 1 else 0.0,
-        total_reward=total_reward,
-        distance=info["distance"],
-        status=str(getattr(agent, "status", "")),
-    )
+        try:
+            self._patience.call(run.agent.reset, problem)
+        except Exception as error:
+            self._fail(run, error)
+        run.planning_time = time.perf_counter() - began
+        return run
+
+    def _act(self, runs: Sequence[_Run | None], observations: Observed, actions: Array) -> None:
+        """Ask for the actions of all runs; those of others are zero."""
+        actions[:] = 0.0
+        playing = [(i, run) for i, run in enumerate(runs) if run is not None]
+        if not playing:
+            return
+        if self._shared is None:
+            for i, run in playing:
+                self._ask(run, run.agent.act, select(observations, i), actions[i : i + 1])
+            return
+        began = time.perf_counter()
+        try:
+            seen = select(observations, [i for i, _ in playing])
+            together = np.asarray(self._patience.call(self._shared, seen))
+            if together.shape[:1] != (len(playing),):
+                raise InvalidValueError(f"act_many must give {len(playing)} actions, got shape {together.shape}")
+        except Exception as error:
+            for _, run in playing:
+                self._fail(run, error)
+            return
+        spent = (time.perf_counter() - began) / len(playing)
+        for (i, run), action in zip(playing, together, strict=True):
+            self._ask(run, np.asarray, action, actions[i : i + 1])
+            run.action_time += spent
+
+    def _ask(self, run: _Run, act: Callable[[Any], Any], observation: Any, action: Array) -> None:
+        """Fill in a run's next action (1, size)."""
+        began = time.perf_counter()
+        try:
+            action[:] = check_actions(np.asarray(self._patience.call(act, observation))[None], action.shape)
+        except Exception as error:
+            self._fail(run, error)
+        else:
+            self._proven = True
+        run.action_time += time.perf_counter() - began
+
+    def _fail(self, run: _Run, error: Exception) -> None:
+        run.failure = f"{type(error).__name__}: {error}"
+        if not self._proven:
+            raise AgentError(
+                f"agent {self._agent.name!r} failed before its first action (seed {run.problem.seed}): {run.failure}"
+            ) from error
+
+    def _ended(self, runs: list[_Run | None], i: int) -> Iterator[tuple[int, Record]]:
+        """The record of a run whose agent failed."""
+        run = runs[i]
+        if run is not None and run.failure:
+            runs[i] = None
+            yield run.place, self._record(i, run)
+
+    def _record(self, i: int, run: _Run) -> Record:
+        simulation = self._simulation
+        info = {key: values[i] for key, values in simulation.info().items()}
+        steps = len(run.joints) - 1
+        way = np.array(run.joints)
+        model, _ = simulation.model_and_data(i)
+        compiled, target = simulation.physical(i)
+        tips = tool_state(tool_chain(model, compiled.tip_site), way).point
+        return Record(
+            seed=run.problem.seed,
+            scene=info["scene"],
+            target=int(info["target"]),
+            difficulty=info["difficulty"],
+            success=bool(info["is_success"]) and not run.failure,
+            collision=bool(info["collision"]),
+            contact=tuple(info["contact"]),
+            steps=steps,
+            planning_time=run.planning_time,
+            action_time=run.action_time / max(1, steps),
+            joint_length=path_length(way),
+            tip_length=path_length(tips),
+            clearance=smallest_clearance(compiled, model, target, way),
+            jerkiness=float(np.linalg.norm(np.diff(way, n=2, axis=0), axis=-1).mean()) if steps > 1 else 0.0,
+            total_reward=run.total_reward,
+            distance=float(info["distance"]),
+            status=str(getattr(run.agent, "status", "")),
+            failure=run.failure,
+        )
 
 
-def _joints(env: TomatoReachEnv) -> Array:
-    situation = env.simulation.situation
-    assert situation is not None
-    return situation.joints[0]
-
-
-def _clearance(model: mujoco.MjModel, joints: Array) -> float:
-    """Smallest distance between arm and obstacles over configurations (k, joints), up to `CLEARANCE_RANGE`."""
-    world = [geom for geom in range(model.ngeom) if model.geom_bodyid[geom] == 0]
-    obstacles = [geom for geom in world if model.geom(geom).name not in ("floor", "cart")]
-    set_margin(model, np.array(obstacles), CLEARANCE_RANGE)
-    targets = [geom for geom in obstacles if model.geom_contype[geom] == ARM_ONLY]
-    model.geom_contype[targets] = model.geom_conaffinity[targets] = 0
-    checker = CollisionChecker(model)
-    return min(CLEARANCE_RANGE, min(checker.clearance(configuration) for configuration in joints))
+def _copy(agent: Agent) -> Agent:
+    try:
+        return copy.deepcopy(agent)
+    except Exception as error:
+        raise InvalidValueError(
+            f"agent {agent.name!r} cannot be copied for each of several simulations ({error}); "
+            "give it a method act_many(observations), or leave num_envs at 1"
+        ) from error

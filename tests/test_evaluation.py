@@ -1,15 +1,20 @@
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from greenhouse_gym.agents import PlannerAgent, RandomAgent, StillAgent, StraightLineAgent
+from greenhouse_gym.agents import PlannerAgent, Problem, RandomAgent, StillAgent, StraightLineAgent
+from greenhouse_gym.envs import Randomization
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.evaluation import (
     CLEARANCE_RANGE,
+    AgentError,
     Evaluation,
     Record,
     compare,
@@ -18,6 +23,9 @@ from greenhouse_gym.evaluation import (
     wilson_interval,
 )
 from greenhouse_gym.scene import SceneBank
+from greenhouse_gym.scene.bank import write_bank
+
+MEASURED = {"planning_time": 0.0, "action_time": 0.0}
 
 
 @pytest.fixture(scope="module")
@@ -67,8 +75,45 @@ def test_the_numbers_of_an_episode(evaluations: tuple[Evaluation, ...]) -> None:
 
 def test_evaluating_again_gives_the_same(bank: SceneBank, evaluations: tuple[Evaluation, ...]) -> None:
     again = evaluate(RandomAgent(), episodes=12, seed=3, bank=bank)
-    measured = {"planning_time": 0.0, "action_time": 0.0}
-    assert [replace(r, **measured) for r in again.records] == [replace(r, **measured) for r in evaluations[2].records]
+    assert untimed(again) == untimed(evaluations[2])
+
+
+@pytest.mark.parametrize("num_envs", [5, 40])
+def test_side_by_side_gives_the_same_records(
+    bank: SceneBank, evaluations: tuple[Evaluation, ...], num_envs: int
+) -> None:
+    agents = [PlannerAgent(), StraightLineAgent(), RandomAgent()]
+    for agent, alone in zip(agents, evaluations, strict=False):
+        assert untimed(evaluate(agent, episodes=12, seed=3, bank=bank, num_envs=num_envs)) == untimed(alone)
+    problems = [("made-up-0", 3), ("made-up-6", 11), ("made-up-0", 3), ("made-up-1", 2)]
+    one, many = (evaluate(RandomAgent(), bank=bank, problems=problems, num_envs=n) for n in (1, 3))
+    assert untimed(one) == untimed(many)
+
+
+def test_wrong_encoders_change_observations_and_not_what_is_measured(bank: SceneBank) -> None:
+    """A planner does not look at observations, so it goes the same way; only what the agent is told is wrong."""
+    problems = [("made-up-0", k) for k in range(3)]
+    right, wrong = (
+        evaluate(PlannerAgent(), bank=bank, problems=problems, randomization=Randomization(joint_offset=offset))
+        for offset in (0.0, 0.2)
+    )
+    measured = [(r.success, r.clearance, r.joint_length, r.tip_length, r.jerkiness) for r in right.records]
+    assert measured == [(r.success, r.clearance, r.joint_length, r.tip_length, r.jerkiness) for r in wrong.records]
+    assert all(r.success and r.clearance > 0 for r in wrong.records)
+
+
+def test_clearance_is_measured_where_the_base_stands(bank: SceneBank) -> None:
+    elsewhere = Randomization(base_position=0.05, base_yaw=0.1)
+    records = evaluate(PlannerAgent(), episodes=12, seed=3, bank=bank, randomization=elsewhere).records
+    assert any(r.collision for r in records)
+    assert all(r.clearance > 0 for r in records if not r.collision)
+
+
+def test_a_bank_without_a_test_split_says_which_splits_it_has(bank: SceneBank, tmp_path: Path) -> None:
+    write_bank(tmp_path, [(bank.scene("made-up-0"), "train")], name="first")
+    with pytest.raises(InvalidValueError, match=r"no scene in split 'test'; choices: train"):
+        evaluate(StillAgent(), bank=tmp_path)
+    assert len(evaluate(StillAgent(), "train", episodes=1, bank=tmp_path).records) == 1
 
 
 def test_chosen_problems(bank: SceneBank) -> None:
@@ -120,3 +165,125 @@ def test_bad_requests(bank: SceneBank) -> None:
 
     with pytest.raises(InvalidValueError, match="'picky' needs reward='dense', got 'sparse'"):
         evaluate(Picky(), episodes=1, bank=bank, reward="sparse")
+
+
+def untimed(evaluation: Evaluation) -> list[Record]:
+    return [replace(r, **MEASURED) for r in evaluation.records]
+
+
+class Flawed(StillAgent):
+    """Acts well at first, and from its second episode's third action on in its own way."""
+
+    name = "flawed"
+
+    def __init__(self, flaw: Any, since: int = 1):
+        super().__init__()
+        self.flaw, self.since, self.episode, self.steps = flaw, since, -1, 0
+
+    def reset(self, problem: Problem) -> None:
+        super().reset(problem)
+        self.episode, self.steps = self.episode + 1, 0
+
+    def act(self, observation: Any) -> Any:
+        self.steps += 1
+        flawed = self.episode >= self.since and self.steps == 3
+        return self.flaw() if flawed else super().act(observation)
+
+
+def no_number() -> Any:
+    return np.full(6, np.nan)
+
+
+def too_few() -> Any:
+    return np.zeros(5)
+
+
+def nothing() -> Any:
+    return None
+
+
+def raises() -> Any:
+    raise ZeroDivisionError("of my own")
+
+
+def hangs() -> Any:
+    time.sleep(30)
+
+
+@pytest.mark.parametrize("num_envs", [1, 2])
+@pytest.mark.parametrize(
+    ("flaw", "told"),
+    [
+        (no_number, "InvalidValueError: an action must be finite"),
+        (too_few, "InvalidValueError: an action must have shape"),
+        (nothing, "InvalidValueError: an action must"),
+        (raises, "ZeroDivisionError: of my own"),
+        (hangs, "TimeoutError: it took longer than 0.5 s"),
+    ],
+)
+def test_an_agent_that_fails_on_the_way_loses_the_episode(bank: SceneBank, flaw: Any, told: str, num_envs: int) -> None:
+    patience = 0.5 if flaw is hangs else None
+    evaluation = evaluate(Flawed(flaw), episodes=5, bank=bank, patience=patience, num_envs=num_envs)
+    assert len(evaluation.records) == 5
+    failed = [r for r in evaluation.records if r.failure]
+    assert evaluation.failures == len(failed) == 5 - num_envs, "each player's first episode is played to its end"
+    assert all(told in r.failure and not r.success and not r.collision for r in failed)
+    assert failed[0].steps == 2
+    assert f"flawed: {len(failed)} episodes ended without a valid action" in comparison_table([evaluation])
+
+
+def test_an_agent_that_never_acts_is_an_error_and_the_comparison_goes_on(bank: SceneBank) -> None:
+    never = Flawed(raises, since=0)
+    never.steps = 2
+    never.reset = lambda problem: setattr(never, "steps", 2)  # type: ignore[method-assign]
+    never.episode = 0
+    with pytest.raises(AgentError, match=r"'flawed' failed before its first action \(seed 4\): ZeroDivisionError"):
+        evaluate(never, episodes=2, seed=4, bank=bank)
+    error, still = compare([never, StillAgent()], episodes=1, bank=bank)
+    assert (error.records, len(still.records)) == ((), 1)
+    assert "flawed: agent 'flawed' failed" in comparison_table([error, still])
+
+
+def test_what_is_no_agent_is_named(bank: SceneBank) -> None:
+    with pytest.raises(InvalidValueError, match=r"StillAgent is a class: .* such as StillAgent\(\)"):
+        evaluate(StillAgent, bank=bank)  # type: ignore[arg-type]
+
+    class Mute:
+        name, env_options = "mute", {}
+
+        def reset(self, problem: Problem) -> None: ...
+
+    with pytest.raises(InvalidValueError, match="'mute' is no agent: its 'act' is missing"):
+        evaluate(Mute(), bank=bank)  # type: ignore[arg-type]
+    with pytest.raises(InvalidValueError, match="num_envs"):
+        evaluate(StillAgent(), bank=bank, num_envs=0)
+
+
+def test_agents_that_cannot_be_copied_play_alone(bank: SceneBank) -> None:
+    class Unique(StillAgent):
+        name = "unique"
+
+        def __deepcopy__(self, memo: Any) -> Any:
+            raise TypeError("there is only one")
+
+    assert len(evaluate(Unique(), episodes=1, bank=bank).records) == 1
+    with pytest.raises(InvalidValueError, match="'unique' cannot be copied .* act_many"):
+        evaluate(Unique(), episodes=2, bank=bank, num_envs=2)
+
+
+def test_agents_without_memory_act_for_all_at_once(bank: SceneBank) -> None:
+    class Many(StillAgent):
+        name = "many"
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.asked: list[int] = []
+
+        def act_many(self, observations: Any) -> Any:
+            self.asked.append(len(observations))
+            return np.zeros((len(observations), 6))
+
+    agent = Many()
+    together = evaluate(agent, episodes=3, bank=bank, num_envs=2)
+    assert max(agent.asked) == 2
+    assert untimed(together) == untimed(replace(evaluate(StillAgent(), episodes=3, bank=bank), agent="many"))

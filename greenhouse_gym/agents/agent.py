@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
 
+from greenhouse_gym.envs.actions import ActionRule, JointIncrements, JointVelocities
+from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene
@@ -24,6 +26,7 @@ class Problem:
         robot: The arm.
         start: (joints,) start configuration, radians.
         seed: Seed for the agent's own random choices in this episode.
+        action: What the environment makes of actions; None stands for its default, increments of the joints.
     """
 
     scene: Scene
@@ -31,11 +34,35 @@ class Problem:
     robot: Robot
     start: Array
     seed: int = 0
+    action: ActionRule | None = None
+
+    @property
+    def action_size(self) -> int:
+        """Entries of an action."""
+        return len(self.robot.joints) if self.action is None else self.action.size
+
+    @property
+    def joint_steps(self) -> Array:
+        """(joints,) what an action of 1 adds to each joint's command, radians.
+
+        Raises:
+            InvalidValueError: The environment's actions are no motions of the joints.
+        """
+        rule = JointIncrements(self.robot) if self.action is None else self.action
+        if not isinstance(rule, JointIncrements | JointVelocities):
+            raise InvalidValueError(
+                f"a joint path can be followed with action='joint' or 'joint_velocity' only, got {type(rule).__name__}"
+            )
+        return rule.peak
 
 
 @runtime_checkable
 class Agent(Protocol):
     """A reaching agent, scripted, planned or learned.
+
+    An agent without memory may also have a method ``act_many(observations)`` that gives actions (n, size) for the
+    observations of n simulations at once. It is then asked for all of them together where many run side by side;
+    of any other agent every simulation gets a copy.
 
     Attributes:
         name: How it is called in tables.
@@ -49,4 +76,21 @@ class Agent(Protocol):
         """Prepare for an episode."""
 
     def act(self, observation: Any) -> npt.NDArray[np.floating[Any]]:
-        """The next action, (joints,) in [-1, 1]."""
+        """The next action, (size,) in [-1, 1]; `Problem.action_size` tells the size."""
+
+
+def check_agent(agent: object) -> None:
+    """Raise an error unless something is an `Agent`.
+
+    Raises:
+        InvalidValueError: It is a class, or an attribute of an agent is missing.
+    """
+    called = getattr(agent, "name", type(agent).__name__)
+    if isinstance(agent, type):
+        raise InvalidValueError(f"{agent.__name__} is a class: an agent is an object, such as {agent.__name__}()")
+    for attribute, what in (("name", str), ("env_options", Mapping), ("reset", Callable), ("act", Callable)):
+        if not isinstance(getattr(agent, attribute, None), what):
+            raise InvalidValueError(
+                f"{called!r} is no agent: its {attribute!r} is missing or of the wrong kind; an agent has a name, "
+                "env_options (a mapping), reset(problem) and act(observation)"
+            )

@@ -26,8 +26,8 @@ class StillAgent:
         self._action = np.zeros(0, dtype=np.float32)
 
     def reset(self, problem: Problem) -> None:
-        """Note the number of joints."""
-        self._action = np.zeros(len(problem.robot.joints), dtype=np.float32)
+        """Note the size of an action."""
+        self._action = np.zeros(problem.action_size, dtype=np.float32)
 
     def act(self, observation: Any) -> npt.NDArray[np.float32]:
         """Zero."""
@@ -42,20 +42,23 @@ class RandomAgent:
 
     def __init__(self) -> None:
         self._random = np.random.default_rng(0)
-        self._joints = 0
+        self._size = 0
 
     def reset(self, problem: Problem) -> None:
         """Begin the episode's own random sequence."""
         self._random = np.random.default_rng(problem.seed)
-        self._joints = len(problem.robot.joints)
+        self._size = problem.action_size
 
     def act(self, observation: Any) -> npt.NDArray[np.float32]:
         """Uniform in [-1, 1]."""
-        return self._random.uniform(-1.0, 1.0, self._joints).astype(np.float32)
+        return self._random.uniform(-1.0, 1.0, self._size).astype(np.float32)
 
 
 class StraightLineAgent:
-    """Takes the free goal configuration nearest to the start and moves there straight, whatever is in between."""
+    """Takes the free goal configuration nearest to the start and moves there straight, whatever is in between.
+
+    It needs an environment whose actions move the joints.
+    """
 
     name = "straight line"
     env_options = _NOTHING_SPECIAL
@@ -67,7 +70,7 @@ class StraightLineAgent:
         """Choose the goal."""
         ends = goal_configurations(problem.scene, problem.target, problem.robot, seed=problem.seed).configurations
         nearest = np.abs(ends - problem.start).max(-1).argsort()[:1]  # empty where no goal exists
-        self._follower = PathFollower(np.concatenate([problem.start[None], ends[nearest]]), problem.robot)
+        self._follower = PathFollower(np.concatenate([problem.start[None], ends[nearest]]), problem)
 
     def act(self, observation: Any) -> npt.NDArray[np.float32]:
         """The next action along the line."""

@@ -13,9 +13,7 @@ from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.envs.actions import INTERVAL, joint_steps
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning import PLANNERS, PlannerSettings, PlanResult, follow_path, free_commands, plan
-from greenhouse_gym.robots import Robot
-from greenhouse_gym.scene import Scene
-from greenhouse_gym.scene.mjcf import compile_scene
+from greenhouse_gym.scene import compile_scene
 
 
 class PathFollower:
@@ -23,24 +21,26 @@ class PathFollower:
 
     Args:
         path: (k, joints) radians, from where the arm is.
-        robot: Whose limits on speed and acceleration hold.
-        scene: The scene the path was planned in, and
-        target: its target tomato: the commands are then proven free, too; see `free_commands`.
+        problem: The episode: its arm's limits on speed and acceleration hold, and its kind of action.
+        proven: Whether the path is proven free, and the commands are to be so, too; see `free_commands`.
 
     Attributes:
         commands: (steps, joints) what is commanded after each action, radians.
+
+    Raises:
+        InvalidValueError: The environment's actions are no motions of the joints.
     """
 
-    def __init__(self, path: Array, robot: Robot, scene: Scene | None = None, target: int = 0):
-        steps = joint_steps(robot)
-        speed = np.minimum(robot.velocity_limits, steps / INTERVAL)
+    def __init__(self, path: Array, problem: Problem, proven: bool = False):
+        robot, steps = problem.robot, problem.joint_steps
+        speed = np.minimum(robot.velocity_limits, np.minimum(steps, joint_steps(robot)) / INTERVAL)
         limits = (path, speed, robot.acceleration_limits, INTERVAL)
-        if scene is None:
-            self.commands = follow_path(*limits, lag=robot.lag)
+        if proven:
+            self.commands = free_commands(compile_scene(problem.scene, robot), problem.target, *limits)
         else:
-            self.commands = free_commands(compile_scene(scene, robot), target, *limits)
+            self.commands = follow_path(*limits, lag=robot.lag)
         self._actions = iter(np.diff(self.commands, axis=0, prepend=path[:1]) / steps)
-        self._still = np.zeros(len(robot.joints))
+        self._still = np.zeros(len(steps))
 
     def action(self) -> npt.NDArray[np.float32]:
         """The next action, (joints,) in [-1, 1]."""
@@ -48,7 +48,9 @@ class PathFollower:
 
 
 class PlannerAgent:
-    """Plans with OMPL and follows the path through the environment's joint actions; stays still without a path.
+    """Plans with OMPL and follows the path through the environment's actions; stays still without a path.
+
+    It needs an environment whose actions move the joints: increments or velocities.
 
     Args:
         planner: A name in `greenhouse_gym.planning.PLANNERS`.
@@ -94,9 +96,9 @@ class PlannerAgent:
             seed=problem.seed, start=problem.start, settings=self.settings,
         )  # fmt: skip
         if self.result.path is None:
-            self._follower = PathFollower(problem.start[None], problem.robot)
+            self._follower = PathFollower(problem.start[None], problem)
         else:
-            self._follower = PathFollower(self.result.path, problem.robot, problem.scene, problem.target)
+            self._follower = PathFollower(self.result.path, problem, proven=True)
 
     def act(self, observation: Any) -> npt.NDArray[np.float32]:
         """The next action along the path, whatever is observed."""

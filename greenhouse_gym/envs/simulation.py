@@ -26,6 +26,7 @@ from greenhouse_gym.envs.worlds import World, room_for, worlds_of
 from greenhouse_gym.errors import NoEpisodeError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import ROBOTS, get_robot
+from greenhouse_gym.scene import CompiledScene
 from greenhouse_gym.scene.field import NO_TOMATO
 
 STEP_INFOS = ("previous_goal", "effort")
@@ -251,6 +252,18 @@ class ReachSimulation:
         assert self._physics is not None
         return self._physics.command
 
+    @property
+    def joints(self) -> Array:
+        """(n, j) true joint positions, radians, live; observations may tell wrong ones."""
+        assert self._physics is not None
+        return self._physics.qpos
+
+    def physical(self, i: int) -> tuple[CompiledScene, int]:
+        """What a simulation's physics run on, and the index of the target there: the scene's, or the truth's."""
+        world = self._worlds[i]
+        assert world is not None
+        return world.compiled, int(world.bodies[self.episode(i).target])
+
     def tip(self, i: int) -> Array:
         """(3,) the tip in the scene, metres."""
         assert self._physics is not None
@@ -321,7 +334,7 @@ class ReachSimulation:
         if not cameras:
             return self._no_pictures.first(len(tip))
         if self._rig is None:
-            threads = 1 if self.count == 1 else self._threads or len(os.sched_getaffinity(0))
+            threads = 1 if self.count == 1 else self._threads or usable_cores()
             world = self._worlds[0]
             assert world is not None
             self._rig = CameraRig(cameras, world.compiled, threads, self.observe.sees_arm, self.observe.sees_color)
@@ -329,3 +342,10 @@ class ReachSimulation:
         noises = [None if drawn is None else drawn.noise for drawn in (self._disturbances[i] for i in chosen)]
         models = [physics.models[i] for i in chosen]
         return self._rig.photograph(models, physics.qpos[ids], frame, tip, tool, noises)
+
+
+def usable_cores() -> int:
+    """Cores this process may use, where the system tells; all of them elsewhere."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

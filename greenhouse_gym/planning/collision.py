@@ -99,16 +99,33 @@ def path_clearance(compiled: CompiledScene, target: int, path: npt.ArrayLike) ->
     The floor and the cart do not count. Measured at configurations between which no point of the arm moves farther
     than 1 cm, in metres; negative inside an obstacle.
     """
-    model = _with_world_at_rest(compiled.model)
+    points = np.asarray(path, dtype=np.float64)
+    way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(points, axis=0)) @ joint_reaches(compiled.model))])
+    places = np.linspace(0.0, way[-1], 1 + int(np.ceil(way[-1] / 0.01)))
+    between = np.stack([np.interp(places, way, joint) for joint in points.T], axis=-1)
+    return smallest_clearance(compiled, compiled.model, target, between)
+
+
+def smallest_clearance(compiled: CompiledScene, model: mujoco.MjModel, target: int, configurations: Array) -> float:
+    """Smallest distance of the arm to any obstacle but the target in some configurations, up to `CLEARANCE_RANGE`.
+
+    The floor, the cart and the arm itself do not count.
+
+    Args:
+        compiled: The scene.
+        model: Its model, or a copy in which the arm stands elsewhere.
+        target: Index of the target tomato.
+        configurations: (k, joints) radians.
+
+    Returns:
+        Metres; negative inside an obstacle.
+    """
+    model = _with_world_at_rest(model)
     set_margin(model, np.arange(compiled.obstacle_geoms.start, compiled.obstacle_geoms.stop), CLEARANCE_RANGE)
     _leave_out(compiled, model, ("stand", "self"))
     model.geom_contype[compiled.tomato_geom(target)] = model.geom_conaffinity[compiled.tomato_geom(target)] = 0
     checker = CollisionChecker(model)
-    points = np.asarray(path, dtype=np.float64)
-    way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(points, axis=0)) @ checker.reaches)])
-    places = np.linspace(0.0, way[-1], 1 + int(np.ceil(way[-1] / 0.01)))
-    between = np.stack([np.interp(places, way, joint) for joint in points.T], axis=-1)
-    return min(CLEARANCE_RANGE, *(checker.clearance(configuration) for configuration in between))
+    return min(CLEARANCE_RANGE, *(checker.clearance(configuration) for configuration in configurations))
 
 
 def set_margin(model: mujoco.MjModel, geoms: npt.NDArray[np.int64], margin: float) -> None:

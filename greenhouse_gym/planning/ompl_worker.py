@@ -7,7 +7,6 @@ It is never imported by the caller's process: some planners hang or crash, and a
 from __future__ import annotations
 
 import math
-import resource
 import signal
 import threading
 import time
@@ -106,12 +105,21 @@ class Answer:
     costs: Array
 
 
+def _limit_memory(size: int) -> None:
+    """Let this process hold so many bytes of data at most, where the system can do that."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return
+    resource.setrlimit(resource.RLIMIT_DATA, (size, size))
+
+
 def serve(handle: int, memory_limit: int) -> None:
     """Answer queries from the connection with this handle until it is closed, with at most so many bytes of data.
 
     A message is (command, argument, hard limit in seconds); the answer is (True, result) or (False, error text).
     """
-    resource.setrlimit(resource.RLIMIT_DATA, (memory_limit, memory_limit))
+    _limit_memory(memory_limit)
     connection = Connection(handle)
     try:
         ompl = import_ompl()

@@ -1,0 +1,37 @@
+"""Every agent under every kind of action: it works, or says which kind it needs."""
+
+from __future__ import annotations
+
+import pytest
+
+from greenhouse_gym.agents import Agent, PlannerAgent, RandomAgent, StillAgent, StraightLineAgent
+from greenhouse_gym.envs.actions import ACTIONS
+from greenhouse_gym.evaluation import AgentError, compare, evaluate
+from greenhouse_gym.scene import SceneBank
+
+ROBOTS = ("ur5e", "iiwa14")
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize("action", ACTIONS)
+def test_simple_agents_work_with_every_action(bank: SceneBank, action: str, robot: str) -> None:
+    for evaluation in compare([StillAgent(), RandomAgent()], episodes=2, bank=bank, action=action, robot=robot):
+        assert len(evaluation.records) == 2
+        assert evaluation.failures == 0
+        assert all(r.steps > 0 for r in evaluation.records)
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize("action", ["joint", "joint_velocity"])
+def test_planned_paths_are_followed_with_every_joint_action(bank: SceneBank, action: str, robot: str) -> None:
+    problems = [("made-up-0", k) for k in (0, 4, 7)]
+    evaluation = evaluate(PlannerAgent(), bank=bank, action=action, robot=robot, problems=problems)
+    solved = [r for r in evaluation.records if r.status == "solved"]
+    assert len(solved) >= 2
+    assert all(r.success for r in solved)
+
+
+@pytest.mark.parametrize("agent", [PlannerAgent(), StraightLineAgent()], ids=lambda agent: agent.name)
+def test_agents_on_joint_paths_refuse_actions_of_the_tip(bank: SceneBank, agent: Agent) -> None:
+    with pytest.raises(AgentError, match="action='joint' or 'joint_velocity' only, got TipVelocity"):
+        evaluate(agent, episodes=1, bank=bank, action="tip_velocity")
