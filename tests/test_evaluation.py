@@ -267,7 +267,7 @@ def test_agents_that_cannot_be_copied_play_alone(bank: SceneBank) -> None:
             raise TypeError("there is only one")
 
     assert len(evaluate(Unique(), episodes=1, bank=bank).records) == 1
-    with pytest.raises(InvalidValueError, match="'unique' cannot be copied .* act_many"):
+    with pytest.raises(InvalidValueError, match=r"'unique' cannot be copied .* act_many"):
         evaluate(Unique(), episodes=2, bank=bank, num_envs=2)
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from greenhouse_gym.agents.policy_agent import Policy
+from greenhouse_gym.agents.policy import Policy
 from greenhouse_gym.learning.policies import score
 from greenhouse_gym.learning.ppo import PpoSettings, train_ppo
 

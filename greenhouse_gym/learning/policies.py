@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.agents.policy_agent import Policy
+from greenhouse_gym.agents.policy import Policy
 from greenhouse_gym.envs import TomatoReachVectorEnv
 
 _ACTIVATION_NAMES = {"Tanh": "tanh", "ReLU": "relu"}  # torch is not imported here: playing a policy needs none

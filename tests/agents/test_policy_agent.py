@@ -1,8 +1,11 @@
 from __future__ import annotations
 
+import hashlib
 import json
+import random
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,8 +13,9 @@ import pytest
 pytest.importorskip("safetensors")
 
 from greenhouse_gym.agents.agent import Agent, Problem
-from greenhouse_gym.agents.policy_agent import Policy, PolicyAgent
-from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError
+from greenhouse_gym.agents.policy import Policy
+from greenhouse_gym.agents.policy_agent import PolicyAgent, shipped_policies
+from greenhouse_gym.errors import FileFormatError, GreenhouseError, InvalidValueError, UnknownNameError
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene
 
@@ -38,6 +42,8 @@ def test_forward_pass(policy: Policy) -> None:
     expected = np.clip(policy.weights[1] @ hidden + policy.biases[1], -1, 1)
     np.testing.assert_allclose(policy(x), expected, atol=1e-6)
     np.testing.assert_allclose(policy(np.stack([x, x])), [expected, expected], atol=1e-6)
+    many = np.random.default_rng(1).normal(size=(37, 4))
+    assert np.array_equal(policy(many), [policy(one) for one in many]), "company changes the action"
     with pytest.raises(InvalidValueError, match="4 entries"):
         policy(np.zeros((2, 3)))
 
@@ -60,9 +66,14 @@ def test_damaged_files_are_named(policy: Policy, tmp_path: Path) -> None:
         PolicyAgent.load(tmp_path / "q")
     content = json.loads(path.read_text())
     damages = {
-        "network": {**content, "network": {"kind": "mlp", "sizes": [4, 6, 2], "activation": "tanh"}},
-        "version": {**content, "schema_version": 9},
-        "lacks": {k: v for k, v in content.items() if k != "env_options"},
+        r"layer_0.weight must be float32 of shape \(6, 4\)": {
+            **content,
+            "network": {"kind": "mlp", "sizes": [4, 6, 2], "activation": "tanh"},
+        },
+        "schema_version: Input should be 2": {**content, "schema_version": 9},
+        "env_options: Field required": {k: v for k, v in content.items() if k != "env_options"},
+        "observation_layout has 3 entries, the network takes 4": {**content, "observation_layout": [["a", 3]]},
+        r"env_options\.physics": {**content, "env_options": {"physics": "truth"}},
     }
     for message, damaged in damages.items():
         path.write_text(json.dumps(damaged))
@@ -72,8 +83,15 @@ def test_damaged_files_are_named(policy: Policy, tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match="JSON"):
         PolicyAgent.load(path)
     path.write_text(json.dumps(content))
-    (tmp_path / "p.safetensors").write_bytes(b"12345678")
-    with pytest.raises(FileFormatError, match="safetensors"):
+    weights = tmp_path / "p.safetensors"
+    flipped = bytearray(weights.read_bytes())
+    flipped[-3] ^= 1
+    weights.write_bytes(flipped)
+    with pytest.raises(FileFormatError, match=r"p\.safetensors: checksum differs from the one in p\.json"):
+        PolicyAgent.load(path)
+    weights.write_bytes(b"12345678")
+    path.write_text(json.dumps({**content, "weights_sha256": hashlib.sha256(b"12345678").hexdigest()}))
+    with pytest.raises(FileFormatError, match="is not a safetensors file"):
         PolicyAgent.load(path)
     (tmp_path / "p.safetensors").unlink()
     with pytest.raises(FileFormatError, match="cannot be read"):
@@ -86,3 +104,96 @@ def test_another_arm_is_refused(policy: Policy, scene: Scene) -> None:
     foreign = Policy(**{**vars(policy), "env_options": {"robot": "iiwa14"}})
     with pytest.raises(InvalidValueError, match="iiwa14"):
         PolicyAgent(foreign).reset(Problem(scene, 0, robot, robot.start))
+
+
+def test_what_a_file_cannot_hold_is_not_written(policy: Policy, tmp_path: Path) -> None:
+    for changed, told in (
+        ({"env_options": {"observation": object()}}, r"env_options|observation: Input should be a valid string"),
+        ({"weights": tuple(w[:, :-1] for w in policy.weights)}, "has 4 entries, the network takes 3"),
+        ({"biases": policy.biases[::-1]}, r"layer_0.bias must be float32 of shape \(5,\)"),
+        ({"scale": np.zeros(4, dtype=np.float32)}, "scale has zeros"),
+        ({"biases": (policy.biases[0] * np.nan, policy.biases[1])}, "not finite"),
+        ({"training": {"by": object()}}, "no JSON"),
+    ):
+        with pytest.raises(InvalidValueError, match=told):
+            Policy(**{**vars(policy), **changed}).save(tmp_path / "p")
+    assert not list(tmp_path.iterdir())
+
+
+def test_shipped_policies_load_and_say_what_they_were_trained_on() -> None:
+    assert "ppo-ur5e" in shipped_policies()
+    for name in shipped_policies():
+        agent = PolicyAgent.load(name)
+        assert agent.env_options["observation"] == "state"
+        assert agent.policy.training["settings"]["split"] == "train"
+
+
+MUTANTS = 300
+ODD = (
+    None,
+    True,
+    -1,
+    0,
+    1,
+    2.5,
+    1 << 40,
+    "",
+    "tanh",
+    "\0",
+    [],
+    [[]],
+    {},
+    [["a", "b"]],
+    [4, 0, 2],
+    [4, 5, 2],
+    [1],
+    "nan",
+)
+
+
+def test_mutants_are_loaded_or_refused_by_name(policy: Policy, scene: Scene, tmp_path: Path) -> None:
+    """Changed files, with the checksum made right again: nothing but the package's own errors, also in use."""
+    rng, arm = random.Random(0), get_robot("ur5e")
+    path = policy.save(tmp_path / "p")
+    content, weights = json.loads(path.read_text()), (tmp_path / "p.safetensors").read_bytes()
+    refused = 0
+    for _ in range(MUTANTS):
+        changed, data = json.loads(json.dumps(content)), bytearray(weights)
+        kind = rng.randrange(4)
+        if kind == 0:
+            header = 8 + int.from_bytes(data[:8], "little")
+            for _ in range(rng.randint(1, 4)):
+                data[rng.randrange(header)] = rng.choice(b'0123456789[],:{}"fF\xff')
+        if kind == 1:
+            del data[rng.randrange(len(data)) :]
+        changed["weights_sha256"] = hashlib.sha256(data).hexdigest()
+        if kind == 2:
+            _change_something(changed, rng)
+        text = bytearray(json.dumps(changed).encode())
+        if kind == 3:
+            i = rng.randrange(len(text))
+            text[i : i + rng.randrange(3)] = rng.choice([b"[" * 100_000, b"1e999", b"\xff", b"-", b"{", b"NaN"])
+        path.write_bytes(text)
+        (tmp_path / "p.safetensors").write_bytes(data)
+        try:
+            agent = PolicyAgent.load(path)
+            agent.reset(Problem(scene, 0, arm, arm.start))
+            assert agent.act(np.zeros(4)).shape == (2,)
+        except GreenhouseError:
+            refused += 1
+    assert refused > 0.5 * MUTANTS
+
+
+def _change_something(content: Any, rng: random.Random) -> None:
+    """Replace, remove or add a value somewhere in a JSON document."""
+    while True:
+        keys = list(content) if isinstance(content, dict) else list(range(len(content)))
+        key = rng.choice(keys)
+        deeper = isinstance(content[key], dict | list) and content[key]
+        if not deeper or rng.random() < 0.4:
+            break
+        content = content[key]
+    if rng.random() < 0.2:
+        del content[key]
+    else:
+        content[key] = rng.choice(ODD)

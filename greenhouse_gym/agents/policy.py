@@ -1,0 +1,239 @@
+"""A small network in numpy, read from a weights file and a description beside it."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError
+
+from greenhouse_gym.errors import FileFormatError, InvalidValueError, MissingDependencyError
+from greenhouse_gym.paths import write_atomically
+
+Float32 = npt.NDArray[np.float32]
+
+ACTIVATIONS: dict[str, Callable[[Float32], Float32]] = {
+    "tanh": np.tanh,
+    "relu": lambda x: np.maximum(x, np.float32(0.0)),
+}
+"""Activations between layers by name."""
+
+MAX_LAYERS, MAX_WIDTH = 16, 1 << 14
+"""Layers a network may have, and entries of each."""
+
+MAX_DESCRIPTION, MAX_WEIGHTS = 1 << 20, 1 << 28
+"""Bytes that the two files of a policy may have."""
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=True)
+
+
+class _Network(_Part):
+    kind: Literal["mlp"] = "mlp"
+    sizes: list[PositiveInt] = Field(min_length=2, max_length=MAX_LAYERS + 1)
+    activation: Literal["tanh", "relu"]
+
+
+class _EnvOptions(_Part):
+    """The keywords of `gymnasium.make` that a policy may ask for."""
+
+    robot: str | None = None
+    observation: str | None = None
+    action: str | None = None
+
+
+class _Description(_Part):
+    """What a policy's JSON file holds."""
+
+    schema_version: Literal[2] = 2
+    network: _Network
+    observation_layout: list[tuple[str, PositiveInt]] = Field(max_length=1000)
+    env_options: _EnvOptions
+    weights_sha256: str
+    training: dict[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Policy:
+    """A multilayer perceptron from observations to actions.
+
+    Attributes:
+        weights: Per layer (outputs, inputs).
+        biases: Per layer (outputs,).
+        activation: One of `ACTIVATIONS`, between layers.
+        center: (size,) subtracted from observations.
+        scale: (size,) that divides them then.
+        env_options: Keywords for `gymnasium.make` that give the environment it was trained for.
+        layout: Name and number of entries of each group of the observation.
+        training: How it came about: algorithm, settings, steps.
+    """
+
+    weights: tuple[Float32, ...]
+    biases: tuple[Float32, ...]
+    activation: str
+    center: Float32
+    scale: Float32
+    env_options: Mapping[str, Any]
+    layout: tuple[tuple[str, int], ...]
+    training: Mapping[str, Any] = field(default_factory=dict)
+
+    def __call__(self, observations: npt.ArrayLike) -> Float32:
+        """Actions in [-1, 1], (joints,) or (n, joints), for observations (size,) or (n, size).
+
+        An observation gets the same action, to the last bit, alone and among others.
+        """
+        x = np.asarray(observations, dtype=np.float32)
+        if x.shape[-1:] != self.center.shape:
+            raise InvalidValueError(f"expected observations of {len(self.center)} entries, got shape {x.shape}")
+        x = ((x - self.center) / self.scale)[..., None]
+        activate = ACTIVATIONS[self.activation]
+        # a stack of products with one vector each: a product of matrices rounds otherwise for other numbers of rows
+        for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
+            x = activate(np.asarray(weight @ x + bias[:, None], dtype=np.float32))
+        return np.clip((self.weights[-1] @ x)[..., 0] + self.biases[-1], -1.0, 1.0).astype(np.float32)
+
+    def save(self, path: str | Path) -> Path:
+        """Write ``path``.safetensors (weights) and then ``path``.json (everything else); returns the latter.
+
+        Raises:
+            InvalidValueError: It needs an environment that a file cannot describe, or its parts do not fit together.
+        """
+        described = described_at(path)
+        arrays = {"center": self.center, "scale": self.scale}
+        for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            arrays[f"layer_{i}.weight"], arrays[f"layer_{i}.bias"] = weight, bias
+        content = _safetensors().save({k: np.ascontiguousarray(a, dtype=np.float32) for k, a in arrays.items()})
+        try:
+            description = _Description(
+                network=_Network(sizes=_sizes(self.weights), activation=self.activation),  # type: ignore[arg-type]
+                observation_layout=list(self.layout),
+                env_options=_EnvOptions(**self.env_options),
+                weights_sha256=hashlib.sha256(content).hexdigest(),
+                training=dict(self.training),
+            )
+        except ValidationError as error:
+            raise InvalidValueError(f"this policy cannot be written: {_first(error)}") from error
+        if flaw := _flaw(arrays, description):
+            raise InvalidValueError(f"this policy cannot be written: {flaw}")
+        try:
+            text = description.model_dump_json(indent=1, exclude_none=True)
+        except ValueError as error:
+            raise InvalidValueError(
+                f"this policy cannot be written: its notes on training are no JSON: {error}"
+            ) from error
+        write_atomically(described.with_suffix(".safetensors"), content)
+        return write_atomically(described, text + "\n")
+
+    @classmethod
+    def load(cls, path: str | Path) -> Policy:
+        """Read a policy by its path, with or without a suffix.
+
+        Raises:
+            FileFormatError: A file is missing or damaged, or the two do not belong together.
+        """
+        described = described_at(path)
+        weighed = described.with_suffix(".safetensors")
+        try:
+            description = _Description.model_validate_json(_read(described, MAX_DESCRIPTION))
+        except ValidationError as error:
+            raise FileFormatError(described, f"not a policy's description: {_first(error)}") from error
+        content = _read(weighed, MAX_WEIGHTS)
+        if hashlib.sha256(content).hexdigest() != description.weights_sha256:
+            raise FileFormatError(weighed, f"checksum differs from the one in {described.name}")
+        try:
+            arrays = _safetensors().load(content)
+        except MissingDependencyError:
+            raise
+        except Exception as error:  # safetensors raises its own kind
+            raise FileFormatError(weighed, f"is not a safetensors file: {error}") from error
+        if flaw := _flaw(arrays, description):
+            raise FileFormatError(weighed, f"does not fit {described.name}: {flaw}")
+        # Unaligned arrays, as a file may give them, are multiplied in another order.
+        aligned = {name: np.require(array, requirements=["C", "A"]) for name, array in arrays.items()}
+        layers = range(len(description.network.sizes) - 1)
+        return cls(
+            weights=tuple(aligned[f"layer_{i}.weight"] for i in layers),
+            biases=tuple(aligned[f"layer_{i}.bias"] for i in layers),
+            activation=description.network.activation,
+            center=aligned["center"],
+            scale=aligned["scale"],
+            env_options=description.env_options.model_dump(exclude_none=True),
+            layout=tuple(description.observation_layout),
+            training=description.training,
+        )
+
+
+def _flaw(arrays: Mapping[str, npt.NDArray[Any]], description: _Description) -> str:
+    """Why weights do not make the network that is described; empty if they do."""
+    sizes = description.network.sizes
+    if max(sizes) > MAX_WIDTH:
+        return f"a layer has {max(sizes)} entries, at most {MAX_WIDTH} are allowed"
+    if (described := sum(size for _, size in description.observation_layout)) and described != sizes[0]:
+        return f"the observation_layout has {described} entries, the network takes {sizes[0]}"
+    shapes: dict[str, tuple[int, ...]] = {"center": (sizes[0],), "scale": (sizes[0],)}
+    for i, (inputs, outputs) in enumerate(pairwise(sizes)):
+        shapes |= {f"layer_{i}.weight": (outputs, inputs), f"layer_{i}.bias": (outputs,)}
+    for name, shape in shapes.items():
+        array = arrays.get(name)
+        if array is None or array.shape != shape or array.dtype != np.float32:
+            found = "nothing" if array is None else f"{array.dtype} of shape {array.shape}"
+            return f"{name} must be float32 of shape {shape}, found {found}"
+        if not np.isfinite(array).all():
+            return f"{name} has entries that are not finite"
+    if unknown := sorted(arrays.keys() - shapes.keys()):
+        return f"unknown array {unknown[0]!r}"
+    return "" if arrays["scale"].all() else "scale has zeros"
+
+
+def _sizes(weights: tuple[Float32, ...]) -> list[int]:
+    return [weights[0].shape[1], *(weight.shape[0] for weight in weights)]
+
+
+def _first(error: ValidationError) -> str:
+    first = error.errors()[0]
+    return f"{'.'.join(map(str, first['loc'])) or 'the file'}: {first['msg']}"
+
+
+def _read(path: Path, limit: int) -> bytes:
+    """The bytes of a file.
+
+    Raises:
+        FileFormatError: It cannot be read, is no plain file, or has more bytes than ``limit``.
+    """
+    try:
+        if not path.is_file():
+            raise FileFormatError(path, "cannot be read (no such file)")
+        if path.stat().st_size > limit:
+            raise FileFormatError(path, f"has {path.stat().st_size} bytes, at most {limit} are allowed")
+        return path.read_bytes()
+    except (OSError, ValueError) as error:  # a name with a NUL is a ValueError
+        if isinstance(error, FileFormatError):
+            raise
+        raise FileFormatError(path, f"cannot be read ({error})") from error
+
+
+def policy_path(path: str | Path) -> Path:
+    """A policy's path without the suffix of either of its files."""
+    path = Path(path)
+    return path.with_suffix("") if path.suffix in (".json", ".safetensors") else path
+
+
+def described_at(path: str | Path) -> Path:
+    """The JSON file of the policy at a path with or without suffix."""
+    stem = policy_path(path)
+    return stem.with_name(stem.name + ".json")
+
+
+def _safetensors() -> Any:
+    try:
+        import safetensors.numpy
+    except ImportError as error:
+        raise MissingDependencyError("safetensors", "train") from error
+    return safetensors.numpy
