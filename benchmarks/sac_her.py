@@ -13,10 +13,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from results_file import RESULTS, write_results
 
-from greenhouse_gym.learning.policies import Score, score
+from greenhouse_gym.agents import RandomAgent
+from greenhouse_gym.evaluation import Evaluation, evaluate
 from greenhouse_gym.learning.sac import SacProgress, SacSettings, train_sac
 
 
@@ -39,11 +39,10 @@ def main() -> None:
         print(curve[-1], flush=True)
         write_results(arguments.out, figures, ("stable-baselines3", "torch", "mujoco"))
 
-    random = np.random.default_rng(arguments.seed)
     for split in ("train", "test"):
-        result = score(
-            lambda seen: random.uniform(-1, 1, (len(seen), 6)), arguments.episodes, seed=10_000, split=split,
-            bank=settings.bank, difficulty=settings.difficulty, threads=1,
+        result = evaluate(
+            RandomAgent(), split, arguments.episodes, seed=10_000, num_envs=settings.num_envs, bank=settings.bank,
+            difficulty=settings.difficulty, threads=1,
         )  # fmt: skip
         figures["random"][split] = shares(result)
     print("random actions", figures["random"], flush=True)
@@ -52,9 +51,14 @@ def main() -> None:
     )
 
 
-def shares(result: Score) -> dict[str, float]:
+def shares(result: Evaluation) -> dict[str, float]:
     """The shares of episodes that ended so, and their mean number of steps."""
-    return {name: round(value, 3) for name, value in result._asdict().items() if name != "episodes"}
+    steps = sum(record.steps for record in result.records) / len(result.records)
+    return {
+        "success": round(result.success_rate, 3),
+        "collision": round(result.collision_rate, 3),
+        "steps": round(steps, 3),
+    }
 
 
 if __name__ == "__main__":

@@ -8,10 +8,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-import numpy as np
-
-from greenhouse_gym.agents.policy import Policy
-from greenhouse_gym.learning.policies import score
+from greenhouse_gym.agents import PolicyAgent, RandomAgent
+from greenhouse_gym.evaluation import compare, comparison_table
 from greenhouse_gym.learning.ppo import PpoSettings, train_ppo
 
 
@@ -25,18 +23,14 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--resume", action="store_true")
     parser.add_argument("--time-limit", type=float, default=None, help="seconds")
-    parser.add_argument("--split", default="test", help="split to judge the policy on")
+    parser.add_argument("--split", default="validation", help="split to judge the policy on")
     parser.add_argument("--episodes", type=int, default=512)
     arguments = parser.parse_args()
     settings = PpoSettings(bank=arguments.bank, robot=arguments.robot, total_steps=arguments.steps, seed=arguments.seed)
     path = train_ppo(settings, arguments.out, resume=arguments.resume, time_limit=arguments.time_limit)
-    options = {"bank": arguments.bank, "split": arguments.split, "robot": arguments.robot}
-    policy = Policy.load(path)
-    random = np.random.default_rng(arguments.seed)
-    agents = {"policy": policy, "random": lambda o: random.uniform(-1, 1, (len(o), len(policy.biases[-1])))}
-    for name, act in agents.items():
-        result = score(act, arguments.episodes, seed=10_000, **options)
-        print(f"{name}: success {result.success:.1%}, collision {result.collision:.1%}, {result.steps:.0f} steps")
+    agents = (PolicyAgent.load(path), RandomAgent())
+    options = {"bank": arguments.bank, "robot": arguments.robot, "num_envs": 64}
+    print(comparison_table(compare(agents, arguments.split, arguments.episodes, 10_000, **options)))
 
 
 if __name__ == "__main__":

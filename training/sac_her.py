@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import argparse
 
-import numpy as np
-
-from greenhouse_gym.learning.policies import Score, score
+from greenhouse_gym.agents import RandomAgent
+from greenhouse_gym.evaluation import Evaluation, evaluate
 from greenhouse_gym.learning.sac import SacProgress, SacSettings, train_sac
 
 
@@ -33,13 +32,14 @@ def main() -> None:
         bank=arguments.bank, difficulty=tuple(arguments.difficulty), reward=arguments.reward, seed=arguments.seed,
         threads=arguments.threads,
     )  # fmt: skip
-    model, _ = train_sac(
+    train_sac(
         settings, arguments.steps, minutes=arguments.minutes, every=arguments.every, episodes=arguments.episodes,
         tell=lambda progress: print(line(progress), flush=True),
     )  # fmt: skip
-    random, size = np.random.default_rng(arguments.seed), model.action_space.shape[0]
-    options = {"bank": settings.bank, "difficulty": settings.difficulty, "threads": settings.threads}
-    result = score(lambda seen: random.uniform(-1, 1, (len(seen), size)), arguments.episodes, seed=10_000, **options)
+    result = evaluate(
+        RandomAgent(), "train", arguments.episodes, seed=10_000, num_envs=settings.num_envs, bank=settings.bank,
+        difficulty=settings.difficulty, threads=settings.threads,
+    )  # fmt: skip
     print(f"random actions: {shares('train', result)}")
 
 
@@ -49,9 +49,10 @@ def line(progress: SacProgress) -> str:
     return "; ".join([told, shares("train", progress.train), shares("test", progress.test)])
 
 
-def shares(split: str, result: Score) -> str:
+def shares(split: str, result: Evaluation) -> str:
     """How episodes ended."""
-    return f"{split}: success {result.success:.0%}, collision {result.collision:.0%}, {result.steps:.0f} steps"
+    steps = result.median("steps")
+    return f"{split}: success {result.success_rate:.0%}, collision {result.collision_rate:.0%}, {steps:.0f} steps"
 
 
 if __name__ == "__main__":

@@ -88,8 +88,14 @@ def check_agent(agent: object) -> None:
     called = getattr(agent, "name", type(agent).__name__)
     if isinstance(agent, type):
         raise InvalidValueError(f"{agent.__name__} is a class: an agent is an object, such as {agent.__name__}()")
-    for attribute, what in (("name", str), ("env_options", Mapping), ("reset", Callable), ("act", Callable)):
-        if not isinstance(getattr(agent, attribute, None), what):
+    kinds: dict[str, Callable[[object], bool]] = {
+        "name": lambda value: isinstance(value, str),
+        "env_options": lambda value: isinstance(value, Mapping),
+        "reset": callable,
+        "act": callable,
+    }
+    for attribute, fits in kinds.items():
+        if not fits(getattr(agent, attribute, None)):
             raise InvalidValueError(
                 f"{called!r} is no agent: its {attribute!r} is missing or of the wrong kind; an agent has a name, "
                 "env_options (a mapping), reset(problem) and act(observation)"

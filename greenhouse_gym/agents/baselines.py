@@ -60,7 +60,7 @@ class StraightLineAgent:
     It needs an environment whose actions move the joints.
     """
 
-    name = "straight line"
+    name = "straight-line"
     env_options = _NOTHING_SPECIAL
 
     def __init__(self) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.progress import track
@@ -124,30 +124,47 @@ def train(
 
 
 def compare(
-    agents: Annotated[
-        list[str] | None, typer.Argument(help="Planner names, policy names or files, 'random', 'still'.")
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[AGENTS]...",
+            help="Planners, policies (names or files), random, still, straight-line, or your own as file.py:Class or "
+            "module:Class.",
+        ),
     ] = None,
+    agents: Annotated[str, typer.Option(help="The same, separated by commas.")] = "",
     bank: Bank = "default",
     split: Annotated[str, typer.Option(help="train, validation or test.")] = "test",
     episodes: int = 100,
     seed: int = 0,
+    robot: Annotated[str, typer.Option(help="Name or file of the arm; by default what each agent needs.")] = "",
+    difficulty: Annotated[str, typer.Option(help="Difficulties of the targets, separated by commas.")] = "",
+    num_envs: Annotated[int, typer.Option(help="Episodes played side by side.")] = 1,
+    patience: Annotated[float, typer.Option(help="Seconds an agent may take for one answer.")] = 120.0,
 ) -> None:
-    """Run agents on the same episodes and print one table; by default a planner, the shipped policy and chance."""
-    from greenhouse_gym.agents import Agent, PlannerAgent, PolicyAgent, RandomAgent, StillAgent
+    """Run agents on the same episodes and print one table; by default a planner, the shipped policy and chance.
+
+    Interrupted, it prints the table of the agents it has been through.
+    """
+    from greenhouse_gym.agents.named import make_agent
+    from greenhouse_gym.evaluation import Evaluation, comparison_table
     from greenhouse_gym.evaluation import compare as run
-    from greenhouse_gym.evaluation import comparison_table
-    from greenhouse_gym.planning import PLANNERS
 
-    def agent(name: str) -> Agent:
-        if name == "random":
-            return RandomAgent()
-        if name == "still":
-            return StillAgent()
-        return PlannerAgent(name) if name in PLANNERS else PolicyAgent.load(name)
+    asked = [*(names or ()), *_parts(agents)]
+    chosen = [make_agent(name) for name in asked or ("RRTConnect", "ppo-ur5e", "random")]
+    options: dict[str, Any] = {"bank": bank, "num_envs": num_envs, "patience": patience}
+    options |= {key: value for key, value in (("robot", robot), ("difficulty", _parts(difficulty))) if value}
+    evaluations: list[Evaluation] = []
+    try:
+        for agent in chosen:
+            evaluations += run([agent], split, episodes, seed, **options)
+    finally:
+        if evaluations:
+            typer.echo(comparison_table(evaluations), nl=False)
 
-    chosen = [agent(name) for name in agents or ("RRTConnect", "ppo-ur5e", "random")]
-    table = comparison_table(run(chosen, split, episodes, seed, bank=bank))
-    typer.echo(table, nl=False)
+
+def _parts(text: str) -> tuple[str, ...]:
+    return tuple(part.strip() for part in text.split(",") if part.strip())
 
 
 def render(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -279,6 +280,7 @@ def _train(out: Path, seed: int, settings: DemoSettings, report: Report) -> list
     from greenhouse_gym.learning import PpoSettings, train_ppo
 
     with report.stage("train PPO") as results:
+        shutil.rmtree(out / "ppo", ignore_errors=True)  # an earlier demo's
         ppo = PpoSettings(bank=str(out / "bank"), total_steps=settings.training_steps, seed=seed)
         train_ppo(ppo, out / "ppo", time_limit=settings.training_seconds)
         curve = list(csv.DictReader((out / "ppo" / "curve.csv").read_text().splitlines()))

@@ -1,21 +1,84 @@
-"""Stable-Baselines3: its `VecEnv` over the native vector environment."""
+"""Stable-Baselines3: its `VecEnv` over the native vector environment, and its models as agents."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from greenhouse_gym.agents import Problem
 from greenhouse_gym.envs import EnvSettings, TomatoReachVectorEnv
 from greenhouse_gym.envs.observations import Observed
+from greenhouse_gym.envs.simulation import ReachSimulation
 from greenhouse_gym.errors import InvalidValueError, MissingDependencyError
 
 try:
     from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 except ImportError as error:  # pragma: no cover - depends on the installation
     raise MissingDependencyError("stable-baselines3", "train") from error
+
+
+class Sb3Agent:
+    """Any model of Stable-Baselines3 as an `greenhouse_gym.agents.Agent`, one with a memory (sb3-contrib's) too.
+
+    Observations are normalized as a ``VecNormalize`` around the model's environment does.
+
+    Args:
+        model: The model, trained or loaded.
+        name: How it is called in tables; the class of the model when left out.
+        env_options: Keywords for `gymnasium.make`; those of the model's environment when left out.
+        deterministic: Whether to take the most likely action, or to draw one.
+    """
+
+    def __init__(
+        self,
+        model: Any,
+        name: str | None = None,
+        env_options: Mapping[str, Any] | None = None,
+        deterministic: bool = True,
+    ):
+        self.name = name or type(model).__name__
+        self.model = model
+        simulation = simulation_of(model)
+        known = {} if simulation is None else simulation.env_options
+        self.env_options: Mapping[str, Any] = known if env_options is None else env_options
+        self._deterministic = deterministic
+        self._memory: Any = None
+        self._first = True
+        if not hasattr(model.policy, "lstm_actor"):
+            self.act_many = self._predict
+
+    def reset(self, problem: Problem) -> None:
+        """Forget the last episode."""
+        self._memory, self._first = None, True
+
+    def act(self, observation: Any) -> npt.NDArray[np.float32]:
+        """The model's action, (size,)."""
+        return self._predict(observation)
+
+    def _predict(self, observations: Any) -> npt.NDArray[np.float32]:
+        normalizer = self.model.get_vec_normalize_env()
+        if normalizer is not None:
+            observations = normalizer.normalize_obs(observations)
+        actions, self._memory = self.model.predict(
+            observations, self._memory, np.array([self._first]), deterministic=self._deterministic
+        )
+        self._first = False
+        return np.asarray(actions)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Sb3Agent:
+        return Sb3Agent(self.model, self.name, self.env_options, self._deterministic)
+
+
+def simulation_of(model: Any) -> ReachSimulation | None:
+    """The simulation of the environment that a model of Stable-Baselines3 is trained on; None without any of ours."""
+    env = model.get_env()
+    try:
+        return None if env is None else env.get_attr("simulation")[0]
+    except AttributeError:
+        return None
 
 
 class Sb3VecEnv(VecEnv):  # type: ignore[misc]

@@ -7,12 +7,18 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from pydantic import BaseModel, NonNegativeInt
 from safetensors.torch import load, save
 
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.paths import write_atomically
 
 NAME = "checkpoint.safetensors"
+
+
+class _Notes(BaseModel):
+    steps: NonNegativeInt
+    settings: dict[str, Any]
 
 
 def save_checkpoint(model: Any, folder: Path, notes: dict[str, Any]) -> Path:
@@ -26,7 +32,7 @@ def save_checkpoint(model: Any, folder: Path, notes: dict[str, Any]) -> Path:
 
 
 def read_notes(folder: Path) -> dict[str, Any]:
-    """The notes of a checkpoint, with ``steps``.
+    """The notes of a checkpoint: ``steps``, ``settings``.
 
     Raises:
         FileFormatError: There is no checkpoint, or it is damaged.
@@ -35,12 +41,12 @@ def read_notes(folder: Path) -> dict[str, Any]:
     try:
         data = path.read_bytes()
         header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
-        notes: dict[str, Any] = json.loads(header["__metadata__"]["notes"])
+        notes = _Notes.model_validate_json(header["__metadata__"]["notes"])
     except OSError as error:
         raise FileFormatError(path, f"cannot be read ({error.strerror or error})") from error
-    except (ValueError, KeyError) as error:
-        raise FileFormatError(path, f"not a checkpoint: {error}") from error
-    return notes
+    except (ValueError, KeyError, TypeError, RecursionError) as error:  # pydantic's are ValueErrors
+        raise FileFormatError(path, f"not a checkpoint: {error or type(error).__name__}") from error
+    return notes.model_dump()
 
 
 def load_checkpoint(model: Any, folder: Path) -> dict[str, Any]:
@@ -49,18 +55,26 @@ def load_checkpoint(model: Any, folder: Path) -> dict[str, Any]:
     Raises:
         FileFormatError: There is no checkpoint, it is damaged, or it is of another network.
     """
-    notes = read_notes(folder)
-    tensors = load((folder / NAME).read_bytes())
+    notes, path = read_notes(folder), folder / NAME
+    try:
+        tensors = load(path.read_bytes())
+    except Exception as error:  # safetensors raises its own kind
+        raise FileFormatError(path, f"not a checkpoint: {error}") from error
     optimizer = model.policy.optimizer.state_dict()
+    shapes = {i: parameter.shape for i, parameter in enumerate(model.policy.parameters())}
     for key, tensor in tensors.items():
         if key.startswith("optimizer."):
-            _, index, name = key.split(".")
+            _, index, name = f"{key}..".split(".")[:3]
+            if not index.isdigit() or tensor.shape not in (shapes.get(int(index)), torch.Size([])):
+                raise FileFormatError(path, f"does not fit the network: {key} has shape {tuple(tensor.shape)}")
             optimizer["state"].setdefault(int(index), {})[name] = tensor
     weights = {key.removeprefix("policy."): tensor for key, tensor in tensors.items() if key.startswith("policy.")}
+    if flawed := [key for key, tensor in tensors.items() if not torch.isfinite(tensor).all()]:
+        raise FileFormatError(path, f"{flawed[0]} has entries that are not finite")
     try:
         model.policy.load_state_dict(weights)
         model.policy.optimizer.load_state_dict(optimizer)
     except (RuntimeError, ValueError) as error:
-        raise FileFormatError(folder / NAME, f"does not fit the network: {error}") from error
+        raise FileFormatError(path, f"does not fit the network: {error}") from error
     model.num_timesteps = notes["steps"]
     return notes

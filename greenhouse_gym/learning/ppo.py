@@ -95,7 +95,7 @@ def train_ppo(
     Args:
         settings: The settings.
         out: Folder for the results.
-        resume: Go on from the checkpoint in ``out``, if there is one.
+        resume: Go on from the checkpoint in ``out``; otherwise ``out`` must not hold one.
         time_limit: Stop after this many seconds, as if interrupted.
         checkpoint_seconds: Time between checkpoints.
 
@@ -103,15 +103,14 @@ def train_ppo(
         The path of the policy's JSON file.
 
     Raises:
-        InvalidValueError: The checkpoint was made with other settings.
+        InvalidValueError: There is nothing to resume, or something that would be overwritten, or the checkpoint was
+            made with other settings.
         FileFormatError: The checkpoint is damaged.
+        KeyboardInterrupt: The training was interrupted; what there was is written.
     """
     out = Path(out)
-    resumed = resume and (out / CHECKPOINT).is_file()
     described = json.loads(json.dumps(asdict(settings)))
-    if resumed and (made_with := read_notes(out)["settings"]) | {"total_steps": 0} != described | {"total_steps": 0}:
-        different = [key for key in described if key != "total_steps" and made_with.get(key) != described[key]]
-        raise InvalidValueError(f"the checkpoint in {out} was made with other settings: {', '.join(different)}")
+    _check_folder(out, described, resume)
     if settings.threads:
         torch.set_num_threads(settings.threads)
     env = make_sb3_vec_env(
@@ -120,7 +119,7 @@ def train_ppo(
     )  # fmt: skip
     model = _model(settings, env)
     rows: list[dict[str, float]] = []
-    if resumed:
+    if resume:
         load_checkpoint(model, out)
         rows = [row for row in _read_curve(out) if row["steps"] <= model.num_timesteps]
         env.seed(settings.seed + model.num_timesteps)
@@ -129,13 +128,33 @@ def train_ppo(
     try:
         if model.num_timesteps < settings.total_steps:
             remaining = settings.total_steps - model.num_timesteps
-            model.learn(remaining, callback=report, reset_num_timesteps=not resumed)
+            model.learn(remaining, callback=report, reset_num_timesteps=not resume)
     except KeyboardInterrupt:
         report.say(f"interrupted after {model.num_timesteps} steps; resume goes on from here")
+        save_policy(model, out / "policy", {"settings": described})
+        raise
     finally:
         report.finish(model)
         env.close()
     return save_policy(model, out / "policy", {"settings": described})
+
+
+def _check_folder(out: Path, described: dict[str, Any], resume: bool) -> None:
+    """Refuse to overwrite a training, to resume where there is none, and to resume one with other settings."""
+    there = (out / CHECKPOINT).is_file()
+    if resume and not there:
+        raise InvalidValueError(f"nothing to resume: {out} holds no {CHECKPOINT}")
+    if not there:
+        return
+    notes = read_notes(out)
+    if not resume:
+        raise InvalidValueError(
+            f"{out} holds a training of {notes['steps']:,} steps, which would be lost: resume it, or choose another "
+            "folder"
+        )
+    made_with = notes["settings"]
+    if different := [k for k in described if k != "total_steps" and made_with.get(k) != described[k]]:
+        raise InvalidValueError(f"the checkpoint in {out} was made with other settings: {', '.join(different)}")
 
 
 def _model(settings: PpoSettings, env: Any) -> Any:

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from greenhouse_gym.errors import MissingDependencyError
-from greenhouse_gym.integrations.sb3 import make_sb3_vec_env
-from greenhouse_gym.learning.policies import Score, score
+from greenhouse_gym.evaluation import Evaluation, evaluate
+from greenhouse_gym.integrations.sb3 import Sb3Agent, make_sb3_vec_env
 
 try:
     import torch
@@ -81,8 +81,8 @@ class SacProgress:
     steps: int
     updates: int
     seconds: float
-    train: Score
-    test: Score
+    train: Evaluation
+    test: Evaluation
 
 
 def make_sac(settings: SacSettings) -> Any:
@@ -179,8 +179,8 @@ class _Report(BaseCallback):  # type: ignore[misc]
             self._judging = time.process_time() - self._began - seconds
         return self._limit is None or seconds < self._limit
 
-    def _judge(self, split: str) -> Score:
-        def act(seen: Any) -> Any:
-            return self.model.predict(seen, deterministic=True)[0]
-
-        return score(act, self._episodes, seed=10_000, split=split, **self._options)
+    def _judge(self, split: str) -> Evaluation:
+        agent = Sb3Agent(self.model)
+        return evaluate(
+            agent, split, self._episodes, seed=10_000, progress=False, num_envs=self._episodes, **self._options
+        )

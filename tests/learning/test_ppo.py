@@ -2,6 +2,11 @@ from __future__ import annotations
 
 import csv
 import json
+import random
+import signal
+import subprocess
+import sys
+import time
 import zipfile
 from pathlib import Path
 
@@ -12,13 +17,13 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 import torch
-from stable_baselines3 import PPO
+from stable_baselines3 import PPO, SAC
 
 from greenhouse_gym.agents.policy_agent import PolicyAgent
 from greenhouse_gym.errors import FileFormatError, InvalidValueError
 from greenhouse_gym.integrations.sb3 import make_sb3_vec_env
 from greenhouse_gym.learning.checkpoints import NAME, load_checkpoint, save_checkpoint
-from greenhouse_gym.learning.policies import save_policy, score
+from greenhouse_gym.learning.policies import save_policy
 from greenhouse_gym.learning.ppo import PpoSettings, _model, train_ppo
 from greenhouse_gym.scene import SceneBank
 
@@ -57,14 +62,42 @@ def test_resuming_goes_on_where_the_checkpoint_was(settings: PpoSettings, tmp_pa
     rows = list(csv.DictReader((tmp_path / "curve.csv").read_text().splitlines()))
     assert [int(float(row["steps"])) for row in rows] == [32, 64, 96, 128, 160, 192]
     assert json.loads(path.read_text())["training"]["steps"] == 192
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     other = PpoSettings(**{**vars(settings), "hidden": (8, 8)})
     with pytest.raises(InvalidValueError, match="hidden"):
         train_ppo(other, tmp_path, resume=True)
+    with pytest.raises(InvalidValueError, match="holds a training of 192 steps, which would be lost"):
+        train_ppo(settings, tmp_path)
+    assert before == {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+
+
+def test_nothing_to_resume_is_an_error(settings: PpoSettings, tmp_path: Path) -> None:
+    with pytest.raises(InvalidValueError, match="nothing to resume"):
+        train_ppo(settings, tmp_path, resume=True)
+    assert not list(tmp_path.iterdir())
 
 
 def test_an_interrupted_training_keeps_what_it_has(settings: PpoSettings, tmp_path: Path) -> None:
     train_ppo(PpoSettings(**{**vars(settings), "total_steps": 10**9}), tmp_path, time_limit=0.5)
     assert {NAME, "policy.json"} <= {p.name for p in tmp_path.iterdir()}
+
+
+def test_an_interrupted_command_keeps_what_it_has_and_says_so(settings: PpoSettings, tmp_path: Path) -> None:
+    call = "from greenhouse_gym.cli import main; main()"
+    arguments = ["train", "ppo", "--bank", settings.bank, "--out", str(tmp_path), "--steps", "1000000000"]
+    process = subprocess.Popen([sys.executable, "-c", call, *arguments], stderr=subprocess.PIPE, text=True)
+    assert process.stderr is not None
+    deadline = time.monotonic() + 120
+    while not (tmp_path / "settings.json").is_file():
+        assert process.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+    time.sleep(1.0)
+    process.send_signal(signal.SIGINT)
+    told = process.communicate(timeout=120)[1]
+    assert "interrupted after" in told
+    assert process.returncode == 130
+    assert {NAME, "policy.json", "curve.csv"} <= {p.name for p in tmp_path.iterdir()}
 
 
 def test_checkpoints_restore_weights_and_optimizer(settings: PpoSettings, tmp_path: Path) -> None:
@@ -80,9 +113,39 @@ def test_checkpoints_restore_weights_and_optimizer(settings: PpoSettings, tmp_pa
     assert mine.keys() == theirs.keys()
     for i in mine:
         assert all(torch.equal(torch.as_tensor(mine[i][k]), torch.as_tensor(theirs[i][k])) for k in mine[i])
-    (tmp_path / NAME).write_bytes(b"nonsense")
-    with pytest.raises(FileFormatError, match=NAME):
-        load_checkpoint(fresh, tmp_path)
+    whole = (tmp_path / NAME).read_bytes()
+    for damaged in (
+        b"nonsense",
+        whole[:-5],
+        _with_header(b"[" * 100_000),
+        _with_header(b'{"__metadata__": {"notes": 3}}'),
+    ):
+        (tmp_path / NAME).write_bytes(damaged)
+        with pytest.raises(FileFormatError, match=NAME):
+            load_checkpoint(fresh, tmp_path)
+
+
+def _with_header(header: bytes) -> bytes:
+    return len(header).to_bytes(8, "little") + header
+
+
+def test_mutants_of_a_checkpoint_are_loaded_or_refused(settings: PpoSettings, tmp_path: Path) -> None:
+    model = _model(PpoSettings(**{**vars(settings), "hidden": (4,)}), make_sb3_vec_env(1, bank=settings.bank))
+    whole, rng = save_checkpoint(model, tmp_path, {"settings": {}}).read_bytes(), random.Random(0)
+    header = 8 + int.from_bytes(whole[:8], "little")
+    refused = 0
+    for _ in range(300):
+        data = bytearray(whole)
+        if rng.random() < 0.2:
+            del data[rng.randrange(len(data)) :]
+        for _ in range(rng.randint(1, 3)):
+            data[rng.randrange(min(header, len(data)))] = rng.choice(b'0123456789[],:{}"fF.x\xff')
+        (tmp_path / NAME).write_bytes(data)
+        try:
+            load_checkpoint(model, tmp_path)
+        except FileFormatError:
+            refused += 1
+    assert refused > 150
 
 
 def test_the_saved_policy_acts_as_the_model(settings: PpoSettings, bank: SceneBank, tmp_path: Path) -> None:
@@ -97,9 +160,17 @@ def test_the_saved_policy_acts_as_the_model(settings: PpoSettings, bank: SceneBa
     np.testing.assert_allclose(agent.act(observations[0]), expected[0], atol=1e-5)
 
 
-def test_score_counts_endings(bank: SceneBank) -> None:
-    still = score(lambda observations: np.zeros((len(observations), 6)), 6, bank=bank)
-    assert still == (6, 0.0, 0.0, 200.0)
-    falling = score(lambda observations: np.tile([0, 1.0, 0, 0, 0, 0], (len(observations), 1)), 16, bank=bank)
-    assert falling.collision > 0.2
-    assert falling.steps < 200
+def test_what_a_policy_file_cannot_hold_is_said(bank: SceneBank, tmp_path: Path) -> None:
+    env = make_sb3_vec_env(2, bank=bank, seed=0)
+    on_images = make_sb3_vec_env(2, bank=bank, seed=0, observation="points")
+    for model, told in (
+        (SAC("MlpPolicy", env, policy_kwargs={"net_arch": [8]}), "got SAC on a Box space"),
+        (PPO("MultiInputPolicy", on_images, policy_kwargs={"net_arch": [8]}), "got PPO on a Dict space"),
+        (PPO("MlpPolicy", env, policy_kwargs={"net_arch": [8], "activation_fn": torch.nn.SiLU}), "PPO with SiLU"),
+    ):
+        with pytest.raises(InvalidValueError, match=told):
+            save_policy(model, tmp_path / "p")
+    elsewhere = PPO("MlpPolicy", "Pendulum-v1", policy_kwargs={"net_arch": [8]})
+    with pytest.raises(InvalidValueError, match="no environment of this package"):
+        save_policy(elsewhere, tmp_path / "p")
+    assert not list(tmp_path.iterdir())
