@@ -24,5 +24,5 @@ class Learned:
 
 
 if __name__ == "__main__":
-    result = evaluate(Learned(), split="validation", episodes=64, num_envs=32, bank="mini")
+    result = evaluate(Learned(), split="validation", episodes=16, num_envs=16, bank="mini")
     print(f"{result.success_rate:.0%} reached, {result.collision_rate:.0%} collided, of {len(result.records)}")

@@ -39,6 +39,9 @@ PICTURES = {
 }
 
 
+ROOT = Path(__file__).parent.parent
+
+
 def run(*arguments: str | Path) -> str:
     result = CliRunner().invoke(app, [str(argument) for argument in arguments], catch_exceptions=False)
     assert result.exit_code == 0, result.output
@@ -311,6 +314,18 @@ def test_compare_prints_a_table(bank: SceneBank) -> None:
     printed = run("compare", "random", "still", "--bank", bank.path, "--split", "test", "--episodes", "2")
     assert "random" in printed
     assert "still" in printed
+
+
+def test_compare_takes_agents_of_every_kind(bank: SceneBank) -> None:
+    own = f"{ROOT}/examples/own_agent.py:ReachForIt,greenhouse_gym.agents:StillAgent"
+    arguments = ("--bank", bank.path, "--episodes", "2", "--robot", "ur5e", "--difficulty", "easy,medium")
+    rows = run("compare", "random", "--agents", own, "--num-envs", "2", *arguments).splitlines()
+    assert [row.split("|")[1].strip() for row in rows[2:]] == ["random", "reach for it", "still"]
+    told = str(fails("compare", "RRTConect", *arguments))
+    assert "unknown agent 'RRTConect'. Did you mean 'RRTConnect'?" in told
+    assert all(name in told for name in ("straight-line", "ppo-ur5e", "file.py:Class"))
+    assert "iiwa14" in str(fails("compare", "ppo-ur5e", "--bank", bank.path, "--robot", "iiwa14"))
+    assert "'simple'" in str(fails("compare", "still", "--bank", bank.path, "--difficulty", "simple"))
 
 
 @pytest.mark.timeout(600)

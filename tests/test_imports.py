@@ -16,3 +16,21 @@ def test_modules_import_only_what_they_may() -> None:
     assert done.returncode == 0, done.stdout + done.stderr
     assert "0 broken" in done.stdout
     assert "0 kept" not in done.stdout
+
+
+def test_nothing_but_posix_is_needed_to_plan_and_evaluate() -> None:
+    """Windows lacks these modules, macOS the affinity: neither is needed to import, or to count cores."""
+    code = (
+        "import os, sys\n"
+        "for name in ('resource', 'fcntl', 'pwd', 'grp', 'termios'): sys.modules[name] = None\n"
+        "for name in ('sched_getaffinity', 'sched_setaffinity'): delattr(os, name)\n"
+        "import greenhouse_gym.evaluation, greenhouse_gym.planning, greenhouse_gym.planning.ompl_worker\n"
+        "import greenhouse_gym.envs, greenhouse_gym.cli\n"
+        "from greenhouse_gym.envs.simulation import usable_cores\n"
+        "assert usable_cores() >= 1\n"
+        "from greenhouse_gym.agents import StillAgent\n"
+        "from greenhouse_gym.evaluation import evaluate\n"
+        "evaluate(StillAgent(), episodes=2, num_envs=2, bank='mini', observation='points')\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

@@ -1,0 +1,39 @@
+"""The examples run, and are as short as they are meant to be."""
+
+from __future__ import annotations
+
+import ast
+import runpy
+from pathlib import Path
+
+import pytest
+
+from greenhouse_gym.agents.named import make_agent
+from greenhouse_gym.evaluation import evaluate
+
+EXAMPLES = Path(__file__).parent.parent / "examples"
+OWN = ("own_agent", "own_learner")
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_a_stranger_writes_twenty_lines_at_most(name: str) -> None:
+    text = (EXAMPLES / f"{name}.py").read_text()
+    # without comments, docstrings and blank lines
+    tree = ast.parse(text)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node):
+            node.body = node.body[1:] or [ast.Pass()]
+    assert len([line for line in ast.unparse(tree).splitlines() if line.strip()]) <= 20
+
+
+def test_own_agent_and_policy_play() -> None:
+    for name, attribute in zip(OWN, ("ReachForIt", "Learned"), strict=True):
+        agent = make_agent(f"{EXAMPLES}/{name}.py:{attribute}")
+        evaluation = evaluate(agent, episodes=3, bank="mini", num_envs=3)
+        assert evaluation.failures == 0
+        assert all(r.joint_length > 0.1 for r in evaluation.records)
+
+
+def test_own_learner_prints_its_rate(capsys: pytest.CaptureFixture[str]) -> None:
+    runpy.run_path(str(EXAMPLES / "own_learner.py"), run_name="__main__")
+    assert "of 16" in capsys.readouterr().out
