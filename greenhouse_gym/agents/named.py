@@ -47,7 +47,7 @@ def make_agent(name: str) -> Agent:
     if name in planners:
         return PlannerAgent(name)
     own = "(a policy's file, file.py:Class or module:Class)"
-    raise UnknownNameError("agent", name, [*SIMPLE, *shipped_policies(), *planners, own])
+    raise UnknownNameError("agent", name, [*SIMPLE, *shipped_policies(), own, *planners])
 
 
 def _own_agent(module: str, attribute: str) -> Agent:

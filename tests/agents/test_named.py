@@ -53,7 +53,7 @@ def test_mistakes_in_own_agents_are_told(tmp_path: Path) -> None:
     with pytest.raises(InvalidValueError, match="module 'nowhere' cannot be imported"):
         make_agent("nowhere:Mine")
     file.write_text("1 / 0")
-    with pytest.raises(FileFormatError, match="own.py: cannot be run: ZeroDivisionError"):
+    with pytest.raises(FileFormatError, match=r"own\.py: cannot be run: ZeroDivisionError"):
         make_agent(f"{file}:Mine")
     with pytest.raises(FileFormatError, match="cannot be run: FileNotFoundError"):
         make_agent(f"{tmp_path}/none.py:Mine")

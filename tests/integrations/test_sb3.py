@@ -1,12 +1,21 @@
 from __future__ import annotations
 
+import copy
+from typing import Any
+
+import gymnasium
 import numpy as np
 import pytest
 
 pytest.importorskip("stable_baselines3")
 
+from stable_baselines3 import PPO, SAC
+from stable_baselines3.common.vec_env import VecNormalize
+
+from greenhouse_gym.agents import Agent, Problem
 from greenhouse_gym.envs import TomatoReachEnv
-from greenhouse_gym.integrations.sb3 import make_sb3_vec_env
+from greenhouse_gym.evaluation import evaluate
+from greenhouse_gym.integrations.sb3 import Sb3Agent, make_sb3_vec_env
 from greenhouse_gym.scene import SceneBank
 
 
@@ -57,3 +66,58 @@ def test_attributes_and_methods_reach_the_environment(bank: SceneBank) -> None:
     assert env.env_is_wrapped(object) == [False, False]
     with pytest.raises(TypeError):
         make_sb3_vec_env(2, bank=bank, colour="red")
+
+
+def test_any_model_is_an_agent(bank: SceneBank) -> None:
+    """Of the native environment, of a single one, of images, with normalized observations; alone and many at once."""
+    native = make_sb3_vec_env(2, bank=bank, seed=0)
+    single = gymnasium.make("TomatoReach-v0", bank=bank)
+    images = make_sb3_vec_env(2, bank=bank, seed=0, observation="points")
+    normalized = VecNormalize(make_sb3_vec_env(2, bank=bank, seed=0))
+    networks: list[dict[str, Any]] = [{"net_arch": [8]} for _ in range(4)]  # models write into them
+    models = [
+        PPO("MlpPolicy", native, n_steps=32, policy_kwargs=networks[0], seed=0),
+        SAC("MlpPolicy", single, buffer_size=10, policy_kwargs=networks[1], seed=0),
+        PPO("MultiInputPolicy", images, n_steps=32, policy_kwargs=networks[2], seed=0),
+        PPO("MlpPolicy", normalized, n_steps=32, policy_kwargs=networks[3], seed=0),
+    ]
+    for model in models:
+        agent = Sb3Agent(model)
+        assert isinstance(agent, Agent)
+        assert agent.name == type(model).__name__
+        one, many = (evaluate(agent, episodes=2, bank=bank, num_envs=n, physics="reconstruction") for n in (1, 2))
+        assert one.failures == many.failures == 0
+        assert [(r.scene, r.target) for r in one.records] == [(r.scene, r.target) for r in many.records]
+        np.testing.assert_allclose([r.distance for r in one.records], [r.distance for r in many.records], atol=0.02)
+    assert Sb3Agent(models[2]).env_options["observation"] == "points"
+    assert Sb3Agent(models[0], name="mine", env_options={"robot": "iiwa14"}).env_options == {"robot": "iiwa14"}
+
+
+def test_models_with_a_memory_forget_between_episodes() -> None:
+    class Recurrent:
+        """What the agent needs of sb3-contrib's RecurrentPPO."""
+
+        policy = type("Policy", (), {"lstm_actor": None})()
+
+        def __init__(self) -> None:
+            self.told: list[tuple[int | None, bool]] = []
+
+        def get_env(self) -> None:
+            return None
+
+        get_vec_normalize_env = get_env
+
+        def predict(self, seen: Any, state: int | None, first: Any, deterministic: bool) -> tuple[Any, int]:
+            self.told.append((state, bool(first[0])))
+            return np.zeros(6), (state or 0) + 1
+
+    model = Recurrent()
+    agent = Sb3Agent(model, env_options={})
+    assert not hasattr(agent, "act_many")
+    problem = Problem(*(None,) * 4)  # type: ignore[arg-type]
+    for _ in range(2):
+        agent.reset(problem)
+        agent.act(np.zeros(60))
+        agent.act(np.zeros(60))
+    assert model.told == [(None, True), (1, False)] * 2
+    assert copy.deepcopy(agent).model is model
