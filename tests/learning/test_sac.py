@@ -25,7 +25,7 @@ def test_training_is_judged_now_and_then(settings: SacSettings) -> None:
     assert [row.steps for row in curve] == [500, 1000]
     assert [row.updates for row in curve] == [0, 24]
     assert 0 < curve[0].seconds < curve[1].seconds
-    assert all(row.test.episodes == 4 and row.test.steps > 0 for row in curve)
+    assert all(len(row.test.records) == 4 and row.test.median("steps") > 0 for row in curve)
     assert model.num_timesteps == 1000
 
 
@@ -53,5 +53,5 @@ def test_it_learns_to_reach_without_touching() -> None:
     """Some five minutes of one core: random actions reach 0 % (and collide seldom, for they hardly get anywhere)."""
     _, (first, last) = train_sac(SacSettings(threads=1), 40_000, every=20_000, episodes=128)
     for before, after in ((first.train, last.train), (first.test, last.test)):
-        assert after.success > max(before.success, 0.05)
-    assert last.train.collision < first.train.collision
+        assert after.success_rate > max(before.success_rate, 0.05)
+    assert last.train.collision_rate < first.train.collision_rate
