@@ -165,6 +165,7 @@ class _Match:
     ):
         self._agent, self._env, self._chosen, self._seed = agent, env, chosen, seed
         self._simulation: ReachSimulation = env.simulation
+        self._space = env.simulation.action_rule.space
         self._shared = getattr(agent, "act_many", None)
         self._players = [agent] * env.num_envs
         if env.num_envs > 1 and self._shared is None:
@@ -178,7 +179,7 @@ class _Match:
         if env.num_envs > 1:
             env.reset(seed=self._seed)  # simulations can only be reset singly when all have been
         runs: list[_Run | None] = [None] * env.num_envs
-        actions = np.zeros((env.num_envs, self._simulation.action_rule.size))
+        actions = np.zeros((env.num_envs, *self._space.shape))
         while True:
             for i in ids:
                 while runs[i] is None and self._chosen:
@@ -209,9 +210,11 @@ class _Match:
         alone = np.arange(env.num_envs) == i
         env.reset(seed=[seed if mine else None for mine in alone], options={**where, "reset_mask": alone})
         episode = self._simulation.episode(i)
+        simulation = self._simulation
         problem = Problem(
-            episode.scene, episode.target, self._simulation.robot, episode.start, seed, self._simulation.action_rule
-        )
+            episode.scene, episode.target, simulation.robot, episode.start, seed, simulation.action_rule,
+            simulation.interval,
+        )  # fmt: skip
         run = _Run(place, problem, self._players[i], joints=[self._simulation.joints[i].copy()])
         began = time.perf_counter()
         try:
@@ -250,7 +253,7 @@ class _Match:
         """Fill in a run's next action (1, size)."""
         began = time.perf_counter()
         try:
-            action[:] = check_actions(np.asarray(self._patience.call(act, observation))[None], action.shape)
+            action[:] = check_actions(np.asarray(self._patience.call(act, observation))[None], 1, self._space)
         except Exception as error:
             self._fail(run, error)
         else:

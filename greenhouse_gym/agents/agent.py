@@ -8,8 +8,9 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
+from gymnasium import spaces
 
-from greenhouse_gym.envs.actions import ActionRule, JointIncrements, JointVelocities
+from greenhouse_gym.envs.actions import INTERVAL, ActionRule, JointIncrements, JointVelocities
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
@@ -27,6 +28,7 @@ class Problem:
         start: (joints,) start configuration, radians.
         seed: Seed for the agent's own random choices in this episode.
         action: What the environment makes of actions; None stands for its default, increments of the joints.
+        interval: Seconds from one action to the next.
     """
 
     scene: Scene
@@ -35,11 +37,12 @@ class Problem:
     start: Array
     seed: int = 0
     action: ActionRule | None = None
+    interval: float = INTERVAL
 
     @property
-    def action_size(self) -> int:
-        """Entries of an action."""
-        return len(self.robot.joints) if self.action is None else self.action.size
+    def action_space(self) -> spaces.Box:
+        """The space of an action, which has one axis."""
+        return self._rule.space
 
     @property
     def joint_steps(self) -> Array:
@@ -48,12 +51,16 @@ class Problem:
         Raises:
             InvalidValueError: The environment's actions are no motions of the joints.
         """
-        rule = JointIncrements(self.robot) if self.action is None else self.action
+        rule = self._rule
         if not isinstance(rule, JointIncrements | JointVelocities):
             raise InvalidValueError(
                 f"a joint path can be followed with action='joint' or 'joint_velocity' only, got {type(rule).__name__}"
             )
         return rule.peak
+
+    @property
+    def _rule(self) -> ActionRule:
+        return JointIncrements(self.robot, self.interval) if self.action is None else self.action
 
 
 @runtime_checkable
@@ -76,7 +83,7 @@ class Agent(Protocol):
         """Prepare for an episode."""
 
     def act(self, observation: Any) -> npt.NDArray[np.floating[Any]]:
-        """The next action, (size,) in [-1, 1]; `Problem.action_size` tells the size."""
+        """The next action, (size,), within `Problem.action_space`: [-1, 1] unless the environment has its own."""
 
 
 def check_agent(agent: object) -> None:

@@ -27,7 +27,7 @@ class StillAgent:
 
     def reset(self, problem: Problem) -> None:
         """Note the size of an action."""
-        self._action = np.zeros(problem.action_size, dtype=np.float32)
+        self._action = np.zeros(problem.action_space.shape, dtype=np.float32)
 
     def act(self, observation: Any) -> npt.NDArray[np.float32]:
         """Zero."""
@@ -42,16 +42,16 @@ class RandomAgent:
 
     def __init__(self) -> None:
         self._random = np.random.default_rng(0)
-        self._size = 0
+        self._bounds: tuple[Any, Any] = (0.0, 0.0)
 
     def reset(self, problem: Problem) -> None:
         """Begin the episode's own random sequence."""
         self._random = np.random.default_rng(problem.seed)
-        self._size = problem.action_size
+        self._bounds = problem.action_space.low, problem.action_space.high
 
     def act(self, observation: Any) -> npt.NDArray[np.float32]:
-        """Uniform in [-1, 1]."""
-        return self._random.uniform(-1.0, 1.0, self._size).astype(np.float32)
+        """Uniform in the space of actions."""
+        return np.asarray(self._random.uniform(*self._bounds), dtype=np.float32)
 
 
 class StraightLineAgent:

@@ -32,9 +32,9 @@ class PathFollower:
     """
 
     def __init__(self, path: Array, problem: Problem, proven: bool = False):
-        robot, steps = problem.robot, problem.joint_steps
-        speed = np.minimum(robot.velocity_limits, np.minimum(steps, joint_steps(robot)) / INTERVAL)
-        limits = (path, speed, robot.acceleration_limits, INTERVAL)
+        robot, steps, interval = problem.robot, problem.joint_steps, problem.interval
+        speed = np.minimum(np.minimum(robot.velocity_limits, steps / interval), joint_steps(robot) / INTERVAL)
+        limits = (path, speed, robot.acceleration_limits, interval)
         if proven:
             self.commands = free_commands(compile_scene(problem.scene, robot), problem.target, *limits)
         else:

@@ -47,6 +47,7 @@ class _EnvOptions(_Part):
     robot: str | None = None
     observation: str | None = None
     action: str | None = None
+    rate: float | None = None
 
 
 class _Description(_Part):

@@ -253,6 +253,11 @@ class ReachSimulation:
         return self._physics.command
 
     @property
+    def interval(self) -> float:
+        """Seconds from one action to the next."""
+        return self._pace.interval
+
+    @property
     def joints(self) -> Array:
         """(n, j) true joint positions, radians, live; observations may tell wrong ones."""
         assert self._physics is not None
