@@ -1,9 +1,20 @@
 """A procedural high-wire tomato row with known truth."""
 
-from greenhouse_gym.plants.cultivars import CULTIVARS, Cultivar
+from greenhouse_gym.plants.cultivars import CULTIVARS, DEVELOPMENT_CULTIVARS, HELD_OUT_CULTIVARS, Cultivar
 from greenhouse_gym.plants.organs import Organ
 from greenhouse_gym.plants.plant_row import PlantRow
 from greenhouse_gym.plants.row import SOURCES, STYLES, grow_row
 from greenhouse_gym.plants.truss import FruitStyle
 
-__all__ = ["CULTIVARS", "SOURCES", "STYLES", "Cultivar", "FruitStyle", "Organ", "PlantRow", "grow_row"]
+__all__ = [
+    "CULTIVARS",
+    "DEVELOPMENT_CULTIVARS",
+    "HELD_OUT_CULTIVARS",
+    "SOURCES",
+    "STYLES",
+    "Cultivar",
+    "FruitStyle",
+    "Organ",
+    "PlantRow",
+    "grow_row",
+]

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from greenhouse_gym.crop import Tomato
 from greenhouse_gym.geometry import Array, frame_along, rotation_about
 from greenhouse_gym.plants.cultivars import Cultivar
 from greenhouse_gym.plants.helios import Mesh, Vine
-from greenhouse_gym.plants.organs import Organ, fruit_ellipsoid, tube
+from greenhouse_gym.plants.organs import Organ, fruit_ellipsoid, tube_organ
 from greenhouse_gym.plants.truss import push_apart
-
-SKIN = np.array([[0.50, 0.56, 0.30], [0.74, 0.64, 0.24], [0.86, 0.44, 0.14], [0.76, 0.11, 0.08]])
-"""Color of the skin at ripeness 0, 1/3, 2/3 and 1: redness -0.06 when green, as photographs have it (-0.03)."""
 
 _TRUSS_COLOR = (0.44, 0.56, 0.28)
 _CALYX_COLOR = (0.36, 0.50, 0.22)
@@ -32,17 +31,26 @@ def ripeness_at(age: float) -> float:
     return float(np.clip((age - 0.55) / 0.45, 0.0, 1.0))
 
 
+class TrussPlace(NamedTuple):
+    """Where a truss grows and how it is counted.
+
+    Attributes:
+        node: (4,) point on the main stem's axis and the stem's radius, metres.
+        azimuth: Direction of growth about z, radians.
+        plant: Number of its plant.
+        truss: Its number.
+        first_fruit: Index of its first tomato in the row.
+    """
+
+    node: Array
+    azimuth: float
+    plant: int
+    truss: int
+    first_fruit: int
+
+
 def grow_mesh_truss(
-    rng: np.random.Generator,
-    vine: Vine,
-    cultivar: Cultivar,
-    aspect: float,
-    node: Array,
-    azimuth: float,
-    age: float,
-    plant: int,
-    truss: int,
-    first_fruit: int,
+    rng: np.random.Generator, vine: Vine, cultivar: Cultivar, aspect: float, place: TrussPlace, age: float
 ) -> tuple[list[Organ], list[Tomato]]:
     """Grow one truss from a node of the main stem.
 
@@ -51,16 +59,13 @@ def grow_mesh_truss(
         vine: Whose organs it takes.
         cultivar: Numbers and sizes.
         aspect: Height of a fruit over its width.
-        node: (4,) point on the main stem's axis and the stem's radius, metres.
-        azimuth: Direction of growth about z, radians.
+        place: Where it grows.
         age: 0 when its flowers open, 1 when its fruits are red; below 0 there is none yet.
-        plant: Number of its plant.
-        truss: Its number.
-        first_fruit: Index of its first tomato in the row.
 
     Returns:
         Its organs, and its tomatoes.
     """
+    node, azimuth, plant, truss, first_fruit = place
     number = int(rng.integers(cultivar.count[0], cultivar.count[1] + 1))
     peduncle = vine.peduncles[int(rng.integers(len(vine.peduncles)))]
     length = cultivar.rachis * rng.uniform(0.85, 1.15) * float(np.clip(0.4 + 2 * age, 0.3, 1.0))
@@ -83,7 +88,7 @@ def grow_mesh_truss(
     radii = thickness * np.interp(np.linspace(0, 1, len(points)), [0, 0.15, 1], [1.4, 1.0, 0.75])
     rachis = np.column_stack([points, radii])
     shade = np.array(_TRUSS_COLOR) * rng.uniform(0.9, 1.1)
-    organs = [_tube("peduncle", rachis, shade, plant, truss)]
+    organs = [tube_organ("peduncle", rachis, shade, plant, truss)]
 
     shares = np.linspace(0.45, 1.0, number)
     joints = np.column_stack([np.interp(shares, np.linspace(0, 1, len(points)), points[:, k]) for k in range(3)])
@@ -112,13 +117,13 @@ def grow_mesh_truss(
                 "fruit",
                 vertices,
                 skin.triangles,
-                _skin_colors(skin, ripe, rng),
+                _skin_colors(skin, np.array(cultivar.skin), ripe, rng),
                 plant,
                 truss,
                 first_fruit + len(tomatoes),
             )
         )
-        shape = fruit_ellipsoid(vertices, frame)
+        shape = fruit_ellipsoid(vertices, skin.triangles, frame)
         tomatoes.append(
             Tomato(shape.center, shape.radius, truss, ripe, semi_axes=shape.semi_axes, rotation=shape.rotation)
         )
@@ -140,14 +145,14 @@ def _shaped(fruit: Mesh, width: float, aspect: float, ribs: float, rib_count: in
     return Mesh(width * np.column_stack([x * fold, y * fold, z * tall]), fruit.triangles)
 
 
-def _skin_colors(skin: Mesh, ripeness: float, rng: np.random.Generator) -> Array:
+def _skin_colors(skin: Mesh, stops: Array, ripeness: float, rng: np.random.Generator) -> Array:
     """Colors (t, 3): a fruit reddens from its blossom end, and its shoulders stay green longest."""
     height = skin.vertices[skin.triangles].mean(axis=1)[:, 2]
     height = (height - height.min()) / max(float(np.ptp(height)), 1e-9)
     lag = 0.35 * ripeness * (1 - ripeness) * 2
     local = np.clip(ripeness + lag * (0.5 - height), 0.0, 1.0)
-    stops = np.linspace(0, 1, len(SKIN))
-    colors = np.column_stack([np.interp(local, stops, SKIN[:, k]) for k in range(3)])
+    shares = np.linspace(0, 1, len(stops))
+    colors = np.column_stack([np.interp(local, shares, stops[:, k]) for k in range(3)])
     return np.clip(colors * rng.normal(1.0, 0.05), 0.0, 1.0)
 
 
@@ -179,9 +184,4 @@ def _pedicel(joint: Array, end: Array, radius: float, shade: Array, plant: int, 
     bow = 0.15 * np.linalg.norm(end - joint) * np.sin(np.pi * share)
     points = joint + share[:, None] * (end - joint) + bow[:, None] * UP
     radii = max(radius, 0.0008) * np.array([1.0, 0.95, 1.0, 1.35, 1.1, 1.25])
-    return _tube("pedicel", np.column_stack([points, radii]), shade, plant, truss)
-
-
-def _tube(kind: str, axis: Array, color: Array, plant: int, truss: int) -> Organ:
-    vertices, triangles = tube(axis, 8)
-    return Organ(kind, vertices, triangles, np.tile(color, (len(triangles), 1)), plant, truss, None, axis)  # type: ignore[arg-type]
+    return tube_organ("pedicel", np.column_stack([points, radii]), shade, plant, truss)

@@ -93,12 +93,16 @@ def pyhelios() -> ModuleType:
 
 
 @lru_cache(maxsize=12)
-def grow_vine(seed: int, model: str = "tomato") -> Vine:
+def grow_vine(
+    seed: int, model: str = "tomato", leaf_curl: tuple[float, float] = (-0.45, -0.2), leaf_width: float = 0.55
+) -> Vine:
     """Grow a vine and take its organs apart; the same call gives the same vine. About 1.5 s.
 
     Args:
         seed: Of Helios' random numbers.
         model: ``"tomato"`` or ``"cherrytomato"`` of Helios' plant library.
+        leaf_curl: Range of the leaflets' curvature along their length, negative downwards.
+        leaf_width: Of a leaflet over its length.
 
     Raises:
         MissingDependencyError: PyHelios is missing or not the version that was tried.
@@ -111,7 +115,9 @@ def grow_vine(seed: int, model: str = "tomato") -> Vine:
         context.seedRandomGenerator(seed)
         try:
             plants.loadPlantModelFromLibrary(model)
-            plants.defineShootType("mainstem", _trained(plants.getCurrentShootParameters("mainstem")))
+            plants.defineShootType(
+                "mainstem", _trained(plants.getCurrentShootParameters("mainstem"), leaf_curl, leaf_width)
+            )
             plant = plants.buildPlantInstanceFromLibrary(base_position=_vector(helios, 0.0, 0.0, 0.0), age=0.0)
             # days to dormancy's end, first flowers, their opening, fruit set and ripeness; dormancy and leaf fall never
             plants.setPlantPhenologicalThresholds(plant, 0.0, 3.0, 2.0, 2.0, 10.0, 1e5, 1e5, True)
@@ -136,7 +142,7 @@ def grow_vine(seed: int, model: str = "tomato") -> Vine:
     return Vine(fronds, peduncle_axes, skin, sepals, *_flower(flower))
 
 
-def _trained(parameters: dict[str, Any]) -> dict[str, Any]:
+def _trained(parameters: dict[str, Any], leaf_curl: tuple[float, float], leaf_width: float) -> dict[str, Any]:
     """Shoot parameters of a high-wire vine: no side shoots, more and longer internodes, a truss in every third axil."""
 
     def constant(value: float) -> dict[str, Any]:
@@ -154,7 +160,11 @@ def _trained(parameters: dict[str, Any]) -> dict[str, Any]:
         "flower_bud_break_probability": constant(1 / 3),
         "determinate_shoot_growth": False,
     }
-    parameters["phytomer_parameters"]["leaf"]["prototype"]["subdivisions"] = 5
+    parameters["phytomer_parameters"]["leaf"]["prototype"] |= {
+        "subdivisions": 5,
+        "longitudinal_curvature": {"distribution": "uniform", "parameters": list(leaf_curl)},
+        "leaf_aspect_ratio": constant(leaf_width),
+    }
     return parameters
 
 
@@ -222,7 +232,8 @@ def _cut_along_lobes(soup: _Soup) -> tuple[Mesh, Array]:
     pieces, piece_uv = _split(corners[~whole], uv[~whole])
     kept = _sample(opaque, piece_uv.mean(axis=1)) > 0
     corners, uv = np.concatenate([corners[whole], pieces[kept]]), np.concatenate([uv[whole], piece_uv[kept]])
-    tone = _sample(tones, uv.mean(axis=1))
+    around = (*uv.transpose(1, 0, 2), uv.mean(axis=1))
+    tone = np.mean([_sample(tones, at) for at in around], axis=0)
     stalks = soup.corners[~textured]
     mesh, good = _welded(np.concatenate([corners, stalks]))
     return mesh, np.concatenate([tone, np.tile([1.0, 0.0], (len(stalks), 1))])[good]

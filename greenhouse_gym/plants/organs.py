@@ -9,7 +9,6 @@ from typing import Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import ConvexHull, QhullError
 
 from greenhouse_gym.crop import STEM_KINDS, Stem
 from greenhouse_gym.errors import InvalidValueError, require_choice
@@ -85,33 +84,30 @@ def volume(vertices: Array, triangles: npt.NDArray[np.int64]) -> float:
     return float((np.cross(a, b) * c).sum() / 6)
 
 
-def fruit_ellipsoid(vertices: Array, rotation: Array) -> Ellipsoid:
-    """The ellipsoid with the volume center and the second moments of a fruit's convex hull, along given axes.
-
-    The hull makes ribs, holes and the way triangles wind irrelevant.
+def fruit_ellipsoid(vertices: Array, triangles: npt.NDArray[np.int64], rotation: Array) -> Ellipsoid:
+    """The ellipsoid with the volume, the volume's center and the second moments of a closed mesh, along given axes.
 
     Args:
         vertices: (v, 3) of the skin.
+        triangles: (t, 3) that wind outwards.
         rotation: (3, 3) world_from_fruit, which the ellipsoid keeps.
 
     Raises:
-        InvalidValueError: The vertices enclose nothing.
+        InvalidValueError: The mesh encloses nothing.
     """
     local = vertices @ rotation
-    try:
-        hull = ConvexHull(local)
-    except QhullError as error:
-        raise InvalidValueError(f"fruit: its {len(vertices)} vertices enclose no volume") from error
-    inside = local[hull.vertices].mean(axis=0)
-    corners = local[hull.simplices] - inside  # tetrahedra with their fourth corner at the origin
-    volumes = np.abs((np.cross(corners[:, 0], corners[:, 1]) * corners[:, 2]).sum(axis=1)) / 6
+    middle = local.mean(axis=0)
+    corners = (local - middle)[triangles]  # tetrahedra with their fourth corner at the origin
+    volumes = (np.cross(corners[:, 0], corners[:, 1]) * corners[:, 2]).sum(axis=1) / 6
     total = volumes.sum()
-    center = (volumes[:, None] * corners.sum(axis=1) / 4).sum(axis=0) / total
-    squares = (corners**2).sum(axis=1) + corners.sum(axis=1) ** 2
-    moments = (volumes[:, None] * squares / 20).sum(axis=0) / total - center**2
-    semi_axes = np.sqrt(5 * moments)  # of an ellipsoid's second moments, a^2 / 5
+    if total <= 0:
+        raise InvalidValueError("fruit: the skin encloses no volume, or its triangles wind inwards")
+    sums = corners.sum(axis=1)
+    center = volumes @ sums / 4 / total
+    moments = volumes @ ((corners**2).sum(axis=1) + sums**2) / 20 / total - center**2
+    semi_axes = np.sqrt(5 * moments)  # an ellipsoid's second moments are a^2 / 5
     semi_axes *= np.cbrt(total / (4 / 3 * np.pi * semi_axes.prod()))
-    return Ellipsoid((inside + center) @ rotation.T, semi_axes, rotation)
+    return Ellipsoid((middle + center) @ rotation.T, semi_axes, rotation)
 
 
 def stems_of(organs: Iterable[Organ]) -> tuple[Stem, ...]:
@@ -129,16 +125,13 @@ def tube(axis: Array, around: int = 8) -> tuple[Array, npt.NDArray[np.int64]]:
     points, radii = axis[:, :3], axis[:, 3]
     along = np.gradient(points, axis=0)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    side = np.cross(along[0], np.eye(3)[np.abs(along[0]).argmin()])
-    rings = []
-    angles = np.arange(around) * 2 * np.pi / around
-    for point, direction, radius in zip(points, along, radii, strict=True):
-        side = side - (side @ direction) * direction  # carried along without twist
-        side /= np.linalg.norm(side)
-        up = np.cross(direction, side)
-        rings.append(point + radius * (np.cos(angles)[:, None] * side + np.sin(angles)[:, None] * up))
+    across = np.linalg.svd(along)[2][2]  # as little along the tube as any direction: it hardly twists
+    side = across - (along @ across)[:, None] * along
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    angles = np.arange(around)[:, None, None] * 2 * np.pi / around
+    rings = points + radii[:, None] * (np.cos(angles) * side + np.sin(angles) * np.cross(along, side))
     count = len(points)
-    vertices = np.concatenate([*rings, points[:1], points[-1:]])
+    vertices = np.concatenate([rings.transpose(1, 0, 2).reshape(-1, 3), points[:1], points[-1:]])
     grid = np.arange(count * around).reshape(count, around)
     a, b = grid[:-1], grid[1:]
     c, d = np.roll(b, -1, axis=1), np.roll(a, -1, axis=1)
@@ -147,3 +140,16 @@ def tube(axis: Array, around: int = 8) -> tuple[Array, npt.NDArray[np.int64]]:
     start, end = np.full(around, count * around), np.full(around, count * around + 1)
     caps = [np.column_stack([start, np.roll(first, -1), first]), np.column_stack([end, last, np.roll(last, -1)])]
     return vertices, np.concatenate([sides, *caps])
+
+
+def tube_organ(
+    kind: OrganKind,
+    axis: Array,
+    color: Array | tuple[float, float, float],
+    plant: int = -1,
+    truss: int | None = None,
+    around: int = 8,
+) -> Organ:
+    """An organ that is a tube along an axis (k, 4) of points and radii, in one color (3,)."""
+    vertices, triangles = tube(axis, around)
+    return Organ(kind, vertices, triangles, np.tile(color, (len(triangles), 1)), plant, truss, None, axis)

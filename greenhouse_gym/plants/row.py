@@ -14,7 +14,7 @@ import numpy as np
 from greenhouse_gym.crop import Stem, Tomato
 from greenhouse_gym.errors import InvalidValueError, UnknownNameError, require_choice
 from greenhouse_gym.geometry import Array, Box, Shape
-from greenhouse_gym.plants.cultivars import CULTIVARS
+from greenhouse_gym.plants.cultivars import CULTIVARS, Cultivar
 from greenhouse_gym.plants.leaf import grow_leaf
 from greenhouse_gym.plants.plant_row import (
     GUTTER_HEIGHT,
@@ -44,14 +44,14 @@ STYLES = {
 
 
 SOURCES = ("own", "helios")
-"""Where plants come from: the analytic primitives of this module, or the organ meshes of Helios (extra ``plants``)."""
+"""Where plants come from: analytic primitives of this module, or the organ meshes of Helios (extra ``plants``)."""
 
 
 def grow_row(
     seed: int,
     length: float = 5.0,
     week: int = 0,
-    style: str = "cluster",
+    style: str | Cultivar = "cluster",
     stem_line: float = STEM_LINE,
     source: str = "own",
 ) -> PlantRow:
@@ -61,7 +61,7 @@ def grow_row(
         seed: Same seed, same plants; over the weeks the same plants grow on.
         length: Length of row to be photographed, metres; plants stand half a metre beyond both ends.
         week: Growth week, 0 = first harvest.
-        style: One of `STYLES`; with ``source="helios"`` one of `CULTIVARS`.
+        style: One of `STYLES`; with ``source="helios"`` one of `CULTIVARS`, or a `Cultivar`.
         stem_line: x of the row, metres.
         source: One of `SOURCES`.
 
@@ -80,10 +80,9 @@ def grow_row(
     if seed < 0:
         raise InvalidValueError(f"seed must be 0 or more, got {seed!r}")
     if require_choice("source of plants", source, SOURCES) == "helios":
-        if style not in CULTIVARS:
-            raise UnknownNameError("fruit style", style, CULTIVARS)
-        return grow_mesh_row(seed, length, week, CULTIVARS[style], stem_line)
-    if style not in STYLES:
+        cultivar = style if isinstance(style, Cultivar) else CULTIVARS[require_choice("cultivar", style, CULTIVARS)]
+        return grow_mesh_row(seed, length, week, cultivar, stem_line)
+    if not isinstance(style, str) or style not in STYLES:
         raise UnknownNameError("fruit style", style, STYLES)
     front = _grow_line(seed, 0, length, week, STYLES[style], stem_line)
     back = _grow_line(seed, 1, length, week, STYLES[style], stem_line + ROW_PITCH)

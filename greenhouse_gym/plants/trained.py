@@ -7,18 +7,20 @@ week older than in week w - 1; plants, trusses and fruits keep their numbers.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import count
 
 import numpy as np
 
 from greenhouse_gym.crop import Tomato
+from greenhouse_gym.errors import GrowthError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.plants.cultivars import Cultivar
-from greenhouse_gym.plants.foliage import grow_frond, leaf_palette
-from greenhouse_gym.plants.fruiting import grow_mesh_truss
+from greenhouse_gym.plants.foliage import SHOOT_LEAVES_PER_METRE, grow_frond, grow_shoot, leaf_palette
+from greenhouse_gym.plants.fruiting import TrussPlace, grow_mesh_truss
 from greenhouse_gym.plants.helios import Vine, grow_vine
-from greenhouse_gym.plants.organs import Organ, OrganKind, stems_of, tube
+from greenhouse_gym.plants.organs import Organ, stems_of, tube_organ
 from greenhouse_gym.plants.plant_row import (
     GUTTER_HEIGHT,
     HIGHEST_TRUSS,
@@ -32,6 +34,14 @@ from greenhouse_gym.plants.plant_row import (
 
 VINES = 3
 """Vines that Helios grows for a row; every plant takes its organs from one of them, each placed and sized anew."""
+
+FIRST_RED = 0.75
+"""Height at which a truss is red, metres."""
+
+HIGHEST_LEAF = WIRE_HEIGHT - 0.1
+LINE_SPACING = 0.35
+SHOOT_LEAF = 0.5
+"""Size of a side shoot's leaves against those of the main stem."""
 
 _STEM_COLOR = (0.42, 0.52, 0.27)
 _STRING_COLOR = (0.85, 0.84, 0.78)
@@ -49,6 +59,7 @@ class _Crop:
     vines: tuple[Vine, ...]
     aspect: float
     leaf_redness: float
+    leaf_size: float
 
 
 def grow_mesh_row(seed: int, length: float, week: int, cultivar: Cultivar, stem_line: float) -> PlantRow:
@@ -63,29 +74,54 @@ def grow_mesh_row(seed: int, length: float, week: int, cultivar: Cultivar, stem_
 
     Raises:
         MissingDependencyError: PyHelios is missing, or not the version that was tried.
-        GrowthError: The vines bear no fruit.
+        GrowthError: Nothing that grew bears fruit.
     """
     rng = np.random.default_rng([seed, 7])
-    vines = tuple(grow_vine(int(rng.integers(1, 2**31)), cultivar.model) for _ in range(VINES))
-    crop = _Crop(seed, week, cultivar, vines, rng.uniform(*cultivar.aspect), rng.uniform(*cultivar.leaf_redness))
-    front = _grow_line(crop, 0, length, stem_line)
-    back = _grow_line(crop, 1, length, stem_line + ROW_PITCH)
-    return PlantRow(front.tomatoes, front.stems, (), length, week, back, front.organs)
+    seeds = rng.integers(1, 2**31, VINES).tolist()
+    vines = tuple(grow_vine(own, cultivar.model, cultivar.leaf_curl, cultivar.leaf_width) for own in seeds)
+    crop = _Crop(
+        seed,
+        week,
+        cultivar,
+        vines,
+        rng.uniform(*cultivar.aspect),
+        rng.uniform(*cultivar.leaf_redness),
+        _leaf_size(cultivar, vines),
+    )
+    front = _grow_row(crop, 0, length, stem_line)
+    back = _grow_row(crop, 1, length, stem_line + ROW_PITCH)
+    if not front.tomatoes:
+        raise GrowthError(f"the row with seed {seed} bears no fruit in week {week}: {cultivar}")
+    return replace(front, behind=back)
 
 
-def _grow_line(crop: _Crop, line: int, length: float, x: float) -> PlantRow:
-    rng = np.random.default_rng([crop.seed, line])
+def _leaf_size(cultivar: Cultivar, vines: Sequence[Vine]) -> float:
+    """The size of leaves, against Helios' own, that gives a row its leaf area."""
+    nodes = np.arange(cultivar.bare_below, HIGHEST_LEAF, float(np.mean(TRUSS_SPACING)) / 3)
+    each = np.mean([frond.area for vine in vines for frond in vine.fronds])
+    on_a_metre = cultivar.lines / np.mean(PLANT_SPACING) * (_youth(nodes) ** 2).sum() * each
+    in_shoots = (
+        1 + cultivar.side_shoots * SHOOT_LEAVES_PER_METRE * float(np.mean(cultivar.shoot_length)) * SHOOT_LEAF**2
+    )
+    return float(np.sqrt(cultivar.leaf_area / (on_a_metre * in_shoots)))
+
+
+def _grow_row(crop: _Crop, number: int, length: float, x: float) -> PlantRow:
+    """One row, front or behind, with its lines of plants and its fixtures."""
     organs: list[Organ] = []
     tomatoes: list[Tomato] = []
-    y = -0.5 + rng.uniform(0, 0.2)
-    for plant in count():
-        if y > length + 0.5:
-            break
-        base = np.array([x + rng.uniform(-0.03, 0.03), y, GUTTER_HEIGHT])
-        grown, fruits = _grow_plant(crop, [crop.seed, line, plant], base, plant, len(tomatoes))
-        organs += grown
-        tomatoes += fruits
-        y += rng.uniform(*PLANT_SPACING)
+    plants = count()
+    for line in range(crop.cultivar.lines):
+        seed = [crop.seed, number] if not line else [crop.seed, number, line]
+        rng = np.random.default_rng(seed)
+        y = -0.5 + rng.uniform(0, 0.2)
+        while y <= length + 0.5:
+            plant = next(plants)
+            base = np.array([x + line * LINE_SPACING + rng.uniform(-0.03, 0.03), y, GUTTER_HEIGHT])
+            grown, fruits = _grow_plant(crop, [crop.seed, number, plant], base, plant, len(tomatoes))
+            organs += grown
+            tomatoes += fruits
+            y += rng.uniform(*PLANT_SPACING)
     organs += _fixtures(x, length)
     return PlantRow(tuple(tomatoes), stems_of(organs), (), length, crop.week, None, tuple(organs))
 
@@ -104,19 +140,6 @@ def _fixtures(x: float, length: float) -> list[Organ]:
     return [*organs, Organ("gutter", vertices, triangles, np.tile(_GUTTER_COLOR, (12, 1)))]
 
 
-def tube_organ(
-    kind: OrganKind,
-    axis: Array,
-    color: Array | tuple[float, float, float],
-    plant: int = -1,
-    truss: int | None = None,
-    around: int = 8,
-) -> Organ:
-    """An organ that is a tube along an axis (k, 4) of points and radii, in one color (3,)."""
-    vertices, triangles = tube(axis, around)
-    return Organ(kind, vertices, triangles, np.tile(color, (len(triangles), 1)), plant, truss, None, axis)
-
-
 def _grow_plant(
     crop: _Crop, seed: list[int], base: Array, plant: int, first_fruit: int
 ) -> tuple[list[Organ], list[Tomato]]:
@@ -124,14 +147,14 @@ def _grow_plant(
     rng = np.random.default_rng(seed)
     cultivar, vine = crop.cultivar, crop.vines[seed[2] % len(crop.vines)]
     spacing = rng.uniform(*TRUSS_SPACING)
-    radius = rng.uniform(*cultivar.stem_radius)
-    axis, string = _axes(rng, base, radius, cultivar.winding)
+    axis, string = _axes(rng, base, rng.uniform(*cultivar.stem_radius), cultivar.winding)
+    stem_color = np.array(_STEM_COLOR) * rng.uniform(0.9, 1.1)
     organs = [
-        tube_organ("main", axis, np.array(_STEM_COLOR) * rng.uniform(0.9, 1.1), plant, around=12),
+        tube_organ("main", axis, stem_color, plant, around=12),
         tube_organ("string", string, _STRING_COLOR, plant, around=5),
     ]
     tomatoes: list[Tomato] = []
-    offset, twist, handle = rng.uniform(0, spacing), rng.uniform(0, 2 * np.pi), int(rng.integers(0, 1000))
+    offset, twist, first_frond = rng.uniform(0, spacing), rng.uniform(0, 2 * np.pi), int(rng.integers(0, 1000))
     flowering = rng.uniform(*cultivar.flowering)
     palette = leaf_palette(rng, crop.leaf_redness)
     for j in range(crop.week, crop.week + int((HIGHEST_TRUSS - LOWEST_TRUSS) / spacing) + 2):
@@ -139,32 +162,30 @@ def _grow_plant(
         height = LOWEST_TRUSS + offset + (j - crop.week) * spacing
         if height > HIGHEST_TRUSS:
             break
-        # pickers turn trusses to the aisle
-        azimuth = np.pi + own.normal(0, 0.7)
-        grown, fruits = grow_mesh_truss(
-            np.random.default_rng([*seed, j, 1]),
-            vine,
-            cultivar,
-            crop.aspect,
-            _at(axis, height),
-            azimuth,
-            (flowering - height) / (flowering - 0.75),
-            plant,
-            100 * plant + j,
-            first_fruit + len(tomatoes),
-        )
+        azimuth = np.pi + own.normal(0, 0.7)  # pickers turn trusses to the aisle
+        age = (flowering - height) / (flowering - FIRST_RED)
+        place = TrussPlace(_at(axis, height), azimuth, plant, 100 * plant + j, first_fruit + len(tomatoes))
+        grown, fruits = grow_mesh_truss(np.random.default_rng([*seed, j, 1]), vine, cultivar, crop.aspect, place, age)
         organs += grown
         tomatoes += fruits
         for leaf in range(3):
-            leaf_height = height + (leaf + 0.5) * spacing / 3
-            node_rng = np.random.default_rng([*seed, j, 2 + leaf])
-            if max(cultivar.bare_below, LOWEST_TRUSS) < leaf_height < WIRE_HEIGHT - 0.1:
-                frond = vine.fronds[(handle + 3 * j + leaf) % len(vine.fronds)]
-                young = float(np.clip((WIRE_HEIGHT + 0.1 - leaf_height) / 0.4, 0.35, 1.0))
-                size = young * node_rng.uniform(*cultivar.leaf_scale)
-                turn = twist + 2.4 * (3 * j + leaf)
-                organs += grow_frond(node_rng, frond, _at(axis, leaf_height), turn, size, palette, plant)
+            node, here = 3 * j + leaf, height + (leaf + 0.5) * spacing / 3
+            if not cultivar.bare_below < here < HIGHEST_LEAF:
+                continue
+            own = np.random.default_rng([*seed, j, 2 + leaf])
+            frond = vine.fronds[(first_frond + node) % len(vine.fronds)]
+            size = crop.leaf_size * float(_youth(np.array(here))) * own.uniform(0.88, 1.12)
+            organs += grow_frond(own, frond, _at(axis, here), twist + 2.4 * node, size, palette, plant)
+            if own.random() < cultivar.side_shoots:
+                shoot = own.uniform(*cultivar.shoot_length)
+                foot, turn = _at(axis, here), twist + 2.4 * node + own.normal(0, 0.3)
+                organs += grow_shoot(own, vine, foot, turn, shoot, SHOOT_LEAF * size, palette, stem_color, plant)
     return organs, tomatoes
+
+
+def _youth(height: Array) -> Array:
+    """Size of leaves at heights, as a share of a grown one: those at the top are still growing."""
+    return np.clip((WIRE_HEIGHT + 0.1 - height) / 0.4, 0.35, 1.0)
 
 
 def _axes(rng: np.random.Generator, base: Array, radius: float, winding: float) -> tuple[Array, Array]:

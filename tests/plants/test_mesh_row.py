@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial import ConvexHull
 
 from greenhouse_gym.capture import simulate_recording
 from greenhouse_gym.errors import InvalidValueError, UnknownNameError
@@ -59,7 +60,11 @@ def test_an_ellipsoid_keeps_a_mesh_s_moments() -> None:
     rng = np.random.default_rng(0)
     ball = rng.normal(size=(4000, 3))
     ball /= np.linalg.norm(ball, axis=1, keepdims=True)
-    shape = fruit_ellipsoid(ball * [0.02, 0.03, 0.04] + [1.0, 2.0, 3.0], np.eye(3))
+    triangles = ConvexHull(ball).simplices
+    a, b, c = ball[triangles].transpose(1, 0, 2)
+    inward = (np.cross(b - a, c - a) * a).sum(axis=1) < 0
+    triangles[inward] = triangles[inward, ::-1]
+    shape = fruit_ellipsoid(ball * [0.02, 0.03, 0.04] + [1.0, 2.0, 3.0], triangles, np.eye(3))
     assert shape.center == pytest.approx([1.0, 2.0, 3.0], abs=1e-4)
     assert shape.semi_axes == pytest.approx([0.02, 0.03, 0.04], rel=0.01)
     assert shape.radius == pytest.approx(0.0288, rel=0.01)
