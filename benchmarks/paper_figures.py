@@ -195,14 +195,14 @@ def meshes(row: RowCloud) -> Numbers:
 
 def simulation(recording: Recording, row: RowCloud, shapes: RowShapes, out: Path) -> Numbers:
     """Figures 8 to 10: the arm before the whole row, at its start, and at a tomato with the way of its tip."""
-    middle = 0.1 * len(recording) / 2  # one stand, in the middle of the row
-    whole = BuildSettings(spacing=middle, width=8.0, reach=5.0, primitives=10_000, robot=ARM)
+    length = float(np.ptp(row.world_from_station[row.registered][:, 1, 3]))  # one stand, in the middle of the row
+    whole = BuildSettings(spacing=length, width=8.0, reach=5.0, primitives=10_000, robot=ARM)
     compiled = compile_scene(cut_scenes(row, shapes, recording, None, whole)[0], ARM)
     data = mujoco.MjData(compiled.model)
     data.qpos[:] = get_robot(ARM).start
     mujoco.mj_forward(compiled.model, data)
     save_jpeg(render_scene(compiled.model, data, WHOLE_ROW, 1400, 640), out / "8-simulation-environment.jpg")
-    scene = cut_scenes(row, shapes, recording, None, BuildSettings(spacing=middle, robot=ARM))[0]
+    scene = cut_scenes(row, shapes, recording, None, BuildSettings(spacing=length, robot=ARM))[0]
     target, goals, found = planned(scene)
     assert found.path is not None
     for name, path in (("9-initial-position", found.path[:1]), ("10-final-position", resample(found.path, 0.03))):

@@ -78,7 +78,7 @@ def measure(row: Row, cause: str, workdir: Path) -> dict[str, Any]:
     placed = in_frame(shapes, world_from_row)
     everything: list[Shape] = [*placed.tomatoes, *placed.stems, *placed.clutter]
     points = transform(world_from_row, cloud.points)
-    stands = stand_positions(row.simulate(), BuildSettings())
+    stands = stand_positions(poses[:, 1, 3], BuildSettings())
     whole = visible.tomatoes._replace(in_image=visible.tomatoes.whole)  # beyond the image's edge counts as hidden
     colored = visible.tomatoes._replace(in_image=visible.tomatoes.in_color)  # the band without depth hides nothing
     petioles = [shape for shape in truth.clutter if isinstance(shape, Capsule)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
+import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
@@ -10,12 +10,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter
 from scipy.spatial.transform import Rotation
 
-from greenhouse_gym.capture.recordings import INDEX, Recording
+from greenhouse_gym.capture.fingerprint import fingerprint
+from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.crop import Stem, Tomato
-from greenhouse_gym.errors import FileFormatError, InvalidValueError
+from greenhouse_gym.errors import FileFormatError, GreenhouseError, InvalidValueError
+from greenhouse_gym.extras import require_installed
 from greenhouse_gym.geometry import Array, Box, Capsule, Shape, Sphere, distance_to_shapes, invert, pose, transform
+from greenhouse_gym.paths import checked_name, exclusive, parsing, read_bytes, write_atomically
 from greenhouse_gym.planning import certify_targets
 from greenhouse_gym.plants.truth import truth_of
 from greenhouse_gym.progress import CONSOLE
@@ -25,6 +29,11 @@ from greenhouse_gym.scene.bank import write_bank
 from greenhouse_gym.shapes import RowShapes, ShapeSettings, extract_shapes
 
 DECIMALS = 5  # 0.01 mm
+
+UNFINISHED, CUT = "unfinished", "scenes.json"
+"""Folder, below the bank's, of what an interrupted build knows; and, in it, per row, the scenes without targets."""
+
+_SCENES = TypeAdapter(list[Scene])
 
 
 @dataclass(frozen=True)
@@ -53,8 +62,9 @@ def build_bank(
 ) -> SceneBank:
     """Build a bank of scenes from recordings, one row each.
 
-    Scenes are written as they are finished and the manifest last, so an interrupted build goes on with the rows that
-    are missing; a scene file made with other settings or another version is made anew.
+    An interrupted build goes on with the station, or the scene, at which it stopped: what is not finished lies in the
+    folder ``unfinished`` until the manifest is written, last. What was made of other images, with other settings or by
+    another version is made anew.
 
     Args:
         recordings: One per row; their names become the rows' names.
@@ -67,39 +77,103 @@ def build_bank(
         on_stage: Told what is being done, row by row.
 
     Raises:
-        InvalidValueError: No recordings, two of one name, or lists of different lengths.
+        InvalidValueError: No recordings, two of one name, one that cannot be a file's, or lists of different lengths.
+        FileWriteError: The folder cannot be written, or another process is building in it; told before any work.
+        MissingDependencyError: OMPL, which certifies the targets, is not installed.
         ReconstructionError: A recording could not be turned into a row.
     """
     settings = settings or BuildSettings()
-    names = [recording.name for recording in recordings]
+    names = [checked_name("a recording to build of", recording.name) for recording in recordings]
     splits = default_splits(len(recordings)) if splits is None else splits
     weeks = [None] * len(recordings) if weeks is None else weeks
     if not recordings or len(set(names)) != len(names) or not len(names) == len(splits) == len(weeks):
         raise InvalidValueError(
             f"expected recordings with different names, each with a split and a week; got {names}, {splits}, {weeks}"
         )
-    report = on_stage or (lambda text: CONSOLE.print(text, highlight=False))
+    require_installed("plan", "ompl")
+    report = on_stage or (lambda text: CONSOLE.print(text, highlight=False, markup=False))
     folder = Path(out)
     scenes: list[tuple[Scene, str]] = []
-    for recording, split, week in zip(recordings, splits, weeks, strict=True):
-        fitted = replace(settings, reconstruction=settings.reconstruction or settings_for(recording))
-        made = finished_scenes(folder, recording, week, fitted)
-        if made:
-            report(f"{recording.name}: {len(made)} scenes already built")
-        else:
-            report(f"{recording.name}: reconstructing {len(recording)} stations")
-            row = reconstruct_row(recording, fitted.reconstruction)
-            report(f"{recording.name}: extracting shapes from {len(row)} points")
-            shapes = extract_shapes(row.points, row.colors, row.normals, settings.shapes)
-            made = cut_scenes(row, shapes, recording, week, fitted)
-            report(f"{recording.name}: certifying the targets of {len(made)} scenes")
-            made = [
-                scene.model_copy(update={"targets": certify_targets(scene, settings.robot, seed=0)}) for scene in made
-            ]
-            for scene in made:
-                scene.save(folder / f"{scene.name}.json")
-        scenes += [(scene, split) for scene in made]
-    return write_bank(folder, scenes, name, description)
+    with exclusive(folder):
+        for recording, split, week in zip(recordings, splits, weeks, strict=True):
+            fitted = replace(settings, reconstruction=settings.reconstruction or settings_for(recording))
+            made = _row_of_scenes(folder, recording, week, fitted, report)
+            scenes += [(scene, split) for scene in made]
+        bank = write_bank(folder, scenes, name, description)
+        shutil.rmtree(folder / UNFINISHED, ignore_errors=True)
+    return bank
+
+
+def _row_of_scenes(
+    folder: Path, recording: Recording, week: int | None, settings: BuildSettings, report: Callable[[str], None]
+) -> Sequence[Scene]:
+    """The certified scenes of a recording, each saved in the bank's folder."""
+    origin = _provenance(recording, week, settings)
+    finished = _of_finished_bank(folder, origin)
+    if finished:
+        report(f"{recording.name}: {len(finished)} scenes already built")
+        return finished
+    notes = folder / UNFINISHED / recording.name
+    cut = _cut_before(notes / CUT, origin)
+    if cut is None:
+        report(f"{recording.name}: reconstructing {len(recording)} stations")
+        row = reconstruct_row(recording, settings.reconstruction, folder=notes)
+        report(f"{recording.name}: extracting shapes from {len(row)} points")
+        shapes = extract_shapes(row.points, row.colors, row.normals, settings.shapes)
+        cut = cut_scenes(row, shapes, recording, week, settings, origin)
+        write_atomically(notes / CUT, _SCENES.dump_json(cut))
+    report(f"{recording.name}: certifying the targets of {len(cut)} scenes")
+    return [_certified(folder, scene, settings) for scene in cut]
+
+
+def _certified(folder: Path, scene: Scene, settings: BuildSettings) -> Scene:
+    """The scene with its targets: as an interrupted build left it in the folder, else certified now and saved there."""
+    path = folder / f"{scene.name}.json"
+    try:
+        found = Scene.load(path)
+    except FileFormatError:
+        found = scene
+    if not found.targets or found.model_copy(update={"targets": ()}).model_dump_json() != scene.model_dump_json():
+        found = scene.model_copy(update={"targets": certify_targets(scene, settings.robot, seed=0)})
+        found.save(path)
+    return found
+
+
+def _cut_before(path: Path, origin: Provenance) -> list[Scene] | None:
+    """Scenes that an interrupted build cut out of the same row in the same way; None where there are none."""
+    try:
+        with parsing(path, "list of scenes"):
+            found = _SCENES.validate_json(read_bytes(path, "scene"))
+    except FileFormatError:
+        return None
+    return found if all(_same(scene, origin) for scene in found) else None
+
+
+def _of_finished_bank(folder: Path, origin: Provenance) -> list[Scene]:
+    """The row's scenes in the bank that lies in the folder, if there is one and they were made in the same way."""
+    try:
+        bank = SceneBank.open(folder)
+        found = [bank.scene(entry.name) for entry in bank.manifest.scenes if entry.row == origin.row]
+    except GreenhouseError:
+        return []
+    return found if all(_same(scene, origin) for scene in found) else []
+
+
+def _same(scene: Scene, origin: Provenance) -> bool:
+    """Whether a scene comes from there, wherever along the row it stands."""
+    return scene.provenance.model_copy(update={"station": None}) == origin
+
+
+def _provenance(recording: Recording, week: int | None, settings: BuildSettings) -> Provenance:
+    """Where all scenes of a recording come from."""
+    return Provenance(
+        row=recording.name,
+        week=week,
+        recording=recording.name,
+        recording_sha256=fingerprint(recording),
+        settings=_plain(settings),
+        package_version=version("greenhouse-gym"),
+    )
 
 
 def default_splits(rows: int) -> list[str]:
@@ -108,34 +182,26 @@ def default_splits(rows: int) -> list[str]:
     return ["train"] * train + ["validation" if k % 2 == 0 else "test" for k in range(rows - train)]
 
 
-def finished_scenes(folder: Path, recording: Recording, week: int | None, settings: BuildSettings) -> list[Scene]:
-    """Scenes of a recording that an earlier build left in the folder, if they were made the same way; else none."""
-    try:
-        found = [
-            Scene.load(folder / f"{scene_name(recording, k)}.json")
-            for k in range(len(stand_positions(recording, settings)))
-        ]
-    except FileFormatError:
-        return []
-    same = all(
-        (made.settings, made.package_version, made.recording_sha256, made.week)
-        == (_plain(settings), version("greenhouse-gym"), _fingerprint(recording), week)
-        for made in (scene.provenance for scene in found)
-    ) and all((scene.truth is None) == (recording.truth is None) for scene in found)
-    return found if same else []
-
-
 def scene_name(recording: Recording, stand: int) -> str:
     """Name of the scene at a stand of a recording, counted from 0."""
     return f"{recording.name}-{stand:02d}"
 
 
-def stand_positions(recording: Recording, settings: BuildSettings) -> list[float]:
-    """Where along the nominal walk, metres from its start, the arm is put up: evenly, half a spacing from the ends."""
-    later = recording.passes[1:]
-    length = 0.1 * (later[0].first if later else len(recording))
-    count = max(1, int(length / settings.spacing + 1e-9) - 1)
-    return [float(y) for y in length / 2 + settings.spacing * (np.arange(count) - (count - 1) / 2)]
+def stand_positions(along: Array, settings: BuildSettings) -> list[float]:
+    """Where along the row the arm is put up: evenly, at least half a spacing from the ends of the walk.
+
+    Args:
+        along: (stations,) where the registered stations stood, metres along the row in any order.
+        settings: All settings.
+
+    Returns:
+        Metres along the row, the end at which the walk began first.
+    """
+    first, last = float(along.min()), float(along.max())
+    count = max(1, int((last - first) / settings.spacing + 1e-9))
+    stands = (first + last) / 2 + settings.spacing * (np.arange(count) - (count - 1) / 2)
+    backward = abs(along[0] - first) > abs(along[0] - last)
+    return [float(y) for y in (stands[::-1] if backward else stands)]
 
 
 def level(row: RowCloud) -> Array:
@@ -149,7 +215,12 @@ def level(row: RowCloud) -> Array:
 
 
 def cut_scenes(
-    row: RowCloud, shapes: RowShapes, recording: Recording, week: int | None, settings: BuildSettings
+    row: RowCloud,
+    shapes: RowShapes,
+    recording: Recording,
+    week: int | None,
+    settings: BuildSettings,
+    origin: Provenance | None = None,
 ) -> list[Scene]:
     """Put the arm up at every stand along a row and keep what is around it.
 
@@ -159,6 +230,7 @@ def cut_scenes(
         recording: What it was reconstructed from.
         week: Growth week, if known.
         settings: All settings.
+        origin: What the scenes' provenance tells, where it is known already.
 
     Returns:
         Scenes without targets; each frame has its origin on the floor below the arm.
@@ -170,15 +242,11 @@ def cut_scenes(
     stem_line = _stem_line(stems, recording)
     heads = transform(leveled, row.world_from_station[row.registered][:, :3, 3])
     numbers = np.flatnonzero(row.registered)
-    direction = (
-        -1.0 if heads[np.argmax(np.abs(heads[:, 1])), 1] < 0 else 1.0
-    )  # the tripod may have gone either way along the row
+    origin = origin or _provenance(recording, week, settings)
     truth = None if recording.truth is None else _registered_truth(recording, row, leveled)
     scenes = []
-    for k, walked in enumerate(stand_positions(recording, settings)):
-        along = direction * walked
-        origin = np.array([stem_line - settings.stem_distance, along, 0.0])
-        shift = pose(translation=-origin)
+    for k, along in enumerate(stand_positions(heads[:, 1], settings)):
+        shift = pose(translation=[settings.stem_distance - stem_line, -along, 0.0])
         near = [
             _within_reach([_moved(shape, shift) for shape in part], settings.reach, settings.width)
             for part in (tomatoes, stems, clutter)
@@ -192,15 +260,7 @@ def cut_scenes(
                 clutter=tuple(near[2]),
                 stand=Stand(),
                 truth=None if truth is None else _around(truth, shift, settings),
-                provenance=Provenance(
-                    row=recording.name,
-                    station=int(numbers[np.argmin(np.abs(heads[:, 1] - along))]),
-                    week=week,
-                    recording=recording.name,
-                    recording_sha256=_fingerprint(recording),
-                    settings=_plain(settings),
-                    package_version=version("greenhouse-gym"),
-                ),
+                provenance=origin.model_copy(update={"station": int(numbers[np.argmin(np.abs(heads[:, 1] - along))])}),
             )
         )
     return scenes
@@ -309,10 +369,3 @@ def _plain(settings: BuildSettings) -> dict[str, Any]:
         for key, value in asdict(settings).items()
     }
     return plain
-
-
-def _fingerprint(recording: Recording) -> str | None:
-    """Checksum of a recording's index file, or None for one that lies on no disk."""
-    if recording.folder is None or not (recording.folder / INDEX).exists():
-        return None
-    return hashlib.sha256((recording.folder / INDEX).read_bytes()).hexdigest()

@@ -11,6 +11,7 @@ import os
 import re
 import reprlib
 import stat
+import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -151,6 +152,47 @@ def first_fault(error: ValidationError) -> str:
     first = error.errors(include_url=False, include_context=False)[0]
     where = ".".join(map(str, first["loc"])) or "the file"
     return f"{where}: {first['msg']} (got {reprlib.repr(first['input'])})"
+
+
+@contextmanager
+def exclusive(folder: str | Path) -> Iterator[None]:
+    """Work in a folder while no other process does; it is made if missing.
+
+    The file ``.lock`` in it is locked meanwhile; the lock goes with the process, however that ends.
+
+    Raises:
+        FileWriteError: The folder cannot be made or written, or another process is at work in it.
+    """
+    path = Path(folder) / ".lock"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = path.open("a")
+    except OSError as error:
+        raise FileWriteError(folder, error) from error
+    with file:
+        try:
+            _lock(file.fileno())
+            same = path.stat().st_ino == os.fstat(file.fileno()).st_ino  # nobody finished and removed it in between
+        except OSError:
+            same = False
+        if not same:
+            raise FileWriteError(folder, OSError("another process is at work in this folder"))
+        try:
+            yield
+        finally:
+            path.unlink(missing_ok=True)
+
+
+def _lock(handle: int) -> None:
+    """Lock an open file; `OSError` where another process has."""
+    if sys.platform == "win32":
+        import msvcrt
+
+        msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+    else:
+        import fcntl
+
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def write_atomically(path: str | Path, content: str | bytes) -> Path:

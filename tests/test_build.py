@@ -10,10 +10,11 @@ from row_helpers import HALF, half_cloud, half_recording
 
 from greenhouse_gym import build
 from greenhouse_gym.build import BuildSettings, build_bank, cut_scenes, default_splits, level, stand_positions
-from greenhouse_gym.capture import Recording, Station, write_recording
+from greenhouse_gym.capture import Recording, RgbdFrame, Station, write_recording
 from greenhouse_gym.crop import Stem, Tomato
-from greenhouse_gym.errors import InvalidValueError, ReconstructionError
+from greenhouse_gym.errors import FileWriteError, InvalidValueError, ReconstructionError
 from greenhouse_gym.geometry import Box, distance_to_shapes, pose, rotation_about, rotation_angle
+from greenhouse_gym.paths import exclusive
 from greenhouse_gym.plants import PlantRow
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, RowReport
 from greenhouse_gym.scene import Scene, SceneBank, Target
@@ -21,14 +22,17 @@ from greenhouse_gym.scene.bank import MANIFEST
 from greenhouse_gym.shapes import RowShapes, ShapeSettings, extract_shapes
 
 
-def recording(name: str = "row", stations: int = 20) -> Recording:
-    """A recording whose stations nobody looks at."""
-    return Recording(name, HALF, stations, lambda i: pytest.fail("a station was read"))
+def recording(name: str = "row", stations: int = 20, shade: int = 0) -> Recording:
+    """A recording that lies on no disk; its images tell it from others of its name."""
+    intrinsics = HALF.cameras["middle"].intrinsics
+    color = np.full((intrinsics.height, intrinsics.width, 3), shade, np.uint8)
+    frame = RgbdFrame(color, np.zeros(color.shape[:2], np.float32), intrinsics)
+    return Recording(name, HALF, stations, lambda i: Station(dict.fromkeys(HALF.cameras, frame)))
 
 
-def made_up_row(stations: int, tilt: float = 0.0) -> RowCloud:
-    """A walk of ten centimetres a station; each station tilted to the other side of the one before."""
-    poses = np.array([pose(rotation_about([1, 0, 0], tilt * (-1) ** k), [0.0, 0.1 * k, 0.0]) for k in range(stations)])
+def made_up_row(stations: int, tilt: float = 0.0, step: float = 0.1) -> RowCloud:
+    """A walk of even steps; each station tilted to the other side of the one before."""
+    poses = np.array([pose(rotation_about([1, 0, 0], tilt * (-1) ** k), [0.0, step * k, 0.0]) for k in range(stations)])
     none = np.zeros((0, 3))
     return RowCloud(none, none, none, np.zeros(0, np.int32), np.ones(stations, bool), poses, RowReport(()))
 
@@ -64,15 +68,29 @@ def test_splits_of_rows() -> None:
 
 
 @pytest.mark.parametrize(
-    ("stations", "expected"), [(20, [0.5, 1.0, 1.5]), (5, [0.25]), (1, [0.05]), (10, [0.5]), (25, [0.5, 1.0, 1.5, 2.0])]
+    ("along", "expected"),
+    [
+        (0.1 * np.arange(20), [0.45, 0.95, 1.45]),
+        (0.1 * np.arange(5), [0.2]),
+        (np.zeros(1), [0.0]),
+        (0.1 * np.arange(25), [0.45, 0.95, 1.45, 1.95]),
+        (0.05 * np.arange(40), [0.475, 0.975, 1.475]),
+        (-0.1 * np.arange(20), [-0.45, -0.95, -1.45]),
+        (np.array([*0.1 * np.arange(20), *0.1 * np.arange(20)]), [0.45, 0.95, 1.45]),
+        (3.0 + 0.1 * np.arange(20), [3.45, 3.95, 4.45]),
+    ],
+    ids=["ten cm", "short", "one", "long", "five cm", "backward", "two passes", "elsewhere"],
 )
-def test_stands_are_spread_evenly_along_the_walk(stations: int, expected: list[float]) -> None:
-    positions = stand_positions(recording(stations=stations), BuildSettings())
-    if stations == 25:
-        np.testing.assert_allclose(np.diff(positions), 0.5)
-        assert np.mean(positions) == pytest.approx(1.25)
-    else:
-        np.testing.assert_allclose(positions, expected)
+def test_stands_are_spread_evenly_over_where_the_rig_went(along: np.ndarray, expected: list[float]) -> None:
+    np.testing.assert_allclose(stand_positions(along, BuildSettings()), expected)
+
+
+@pytest.mark.parametrize("step", [0.05, 0.1])
+def test_scenes_have_tomatoes_wherever_the_stations_are(step: float) -> None:
+    row = made_up_row(round(2.0 / step), step=step)
+    scenes = cut_scenes(row, made_up_shapes(), recording(stations=len(row.registered)), None, BuildSettings())
+    assert len(scenes) == 3
+    assert all(len(scene.tomatoes) >= 2 for scene in scenes)
 
 
 def test_leveling_takes_the_mean_of_the_stations() -> None:
@@ -95,12 +113,12 @@ def scenes_of(shapes: RowShapes, settings: BuildSettings | None = None) -> list[
 def test_scenes_stand_before_the_stem_line() -> None:
     scenes = scenes_of(made_up_shapes())
     assert [scene.name for scene in scenes] == ["row-00", "row-01", "row-02"]
-    for scene, station in zip(scenes, (5, 10, 15), strict=True):
+    for scene, along in zip(scenes, (4.5, 9.5, 14.5), strict=True):
         stems = [stem for stem in scene.stems if stem.kind == "main"]
         assert np.median([(s.start[0] + s.end[0]) / 2 for s in stems]) == pytest.approx(0.60, abs=1e-4)
         assert scene.stand.shoulder_height == 1.1
         assert (scene.provenance.row, scene.provenance.week) == ("row", 2)
-        assert scene.provenance.station == station
+        assert abs(scene.provenance.station - along) == pytest.approx(0.5)
         assert scene.targets == ()
         near = sorted(tomato.center[1] for tomato in scene.tomatoes)
         np.testing.assert_allclose(near, np.arange(len(near)) * 0.5 + near[0], atol=1e-4)
@@ -205,17 +223,21 @@ class Calls:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.reconstructed: list[str] = []
         self.fail_at: str | None = None
+        self.certified: list[str] = []
         monkeypatch.setattr(build, "reconstruct_row", self.reconstruct)
         monkeypatch.setattr(build, "extract_shapes", lambda *_: made_up_shapes(boxes=20))
         monkeypatch.setattr(build, "certify_targets", self.certify)
 
-    def reconstruct(self, recording: Recording, settings: ReconstructionSettings) -> RowCloud:
+    def reconstruct(self, recording: Recording, settings: ReconstructionSettings, folder: Path) -> RowCloud:
         if recording.name == self.fail_at:
             raise ReconstructionError("stopped")
         self.reconstructed.append(recording.name)
         return made_up_row(len(recording))
 
     def certify(self, scene: Scene, robot: str, seed: int) -> tuple[Target, ...]:
+        if scene.name == self.fail_at:
+            raise KeyboardInterrupt
+        self.certified.append(scene.name)
         return tuple(Target(tomato=i, difficulty="easy", robot=robot) for i in range(len(scene.tomatoes)))
 
 
@@ -314,18 +336,53 @@ def test_another_week_rebuilds(calls: Calls, tmp_path: Path) -> None:
 
 
 def test_another_recording_of_the_same_name_rebuilds(calls: Calls, tmp_path: Path) -> None:
-    first = replace(ROWS[0], folder=tmp_path / "one")
-    second = replace(ROWS[0], folder=tmp_path / "two")
-    for row, content in ((first, "1"), (second, "2")):
-        assert row.folder is not None
-        row.folder.mkdir()
-        (row.folder / "recording.json").write_text(content)
-    for row in (first, first, second):
+    for row in (recording("a"), recording("a"), recording("a", shade=1)):
         built(tmp_path / "bank", [row])
     assert calls.reconstructed == ["a", "a"]
     hashes = [scene.provenance.recording_sha256 for scene in SceneBank.open(tmp_path / "bank")]
     assert len(set(hashes)) == 1
     assert hashes[0] is not None
+
+
+def test_an_interrupted_build_goes_on_with_the_scene_at_which_it_stopped(calls: Calls, tmp_path: Path) -> None:
+    calls.fail_at = "b-01"
+    with pytest.raises(KeyboardInterrupt):
+        built(tmp_path)
+    assert calls.certified == ["a-00", "a-01", "a-02", "b-00"]
+    calls.fail_at = None
+    before = {path.name: path.read_bytes() for path in tmp_path.glob("*.json")}
+    assert len(built(tmp_path)) == 9
+    assert calls.reconstructed == ["a", "b", "a-1"]
+    assert calls.certified == ["a-00", "a-01", "a-02", "b-00", "b-01", "b-02", "a-1-00", "a-1-01", "a-1-02"]
+    assert all((tmp_path / name).read_bytes() == content for name, content in before.items())
+    assert len(list(tmp_path.iterdir())) == 10
+
+
+def test_an_interrupted_build_of_other_images_is_not_continued(calls: Calls, tmp_path: Path) -> None:
+    calls.fail_at = "a-01"
+    with pytest.raises(KeyboardInterrupt):
+        built(tmp_path, [recording("a")])
+    calls.fail_at = None
+    built(tmp_path, [recording("a", shade=1)])
+    assert calls.reconstructed == ["a", "a"]
+    assert calls.certified == ["a-00", "a-00", "a-01", "a-02"]
+
+
+def test_a_folder_that_cannot_be_written_is_told_before_any_work(calls: Calls, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    for out in (tmp_path / "file", tmp_path / "file" / "bank"):
+        with pytest.raises(FileWriteError, match="cannot be written"):
+            built(out)
+    with exclusive(tmp_path / "bank"), pytest.raises(FileWriteError, match="another process is at work in this folder"):
+        built(tmp_path / "bank")
+    assert calls.reconstructed == []
+
+
+@pytest.mark.parametrize("name", ["../../evil", "/abs/x", "a/b", ""])
+def test_recordings_whose_names_lead_elsewhere_are_refused(calls: Calls, tmp_path: Path, name: str) -> None:
+    with pytest.raises(InvalidValueError, match="a recording to build of cannot be named"):
+        built(tmp_path / "bank", [recording(name)])
+    assert calls.reconstructed == []
 
 
 def test_stages_are_told(calls: Calls, tmp_path: Path) -> None:

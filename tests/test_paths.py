@@ -2,12 +2,15 @@ from __future__ import annotations
 
 import os
 import stat
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from greenhouse_gym import paths
-from greenhouse_gym.paths import data_path, write_atomically
+from greenhouse_gym.errors import FileWriteError
+from greenhouse_gym.paths import data_path, exclusive, write_atomically
 
 
 def test_write_makes_folders_and_returns_the_path(tmp_path: Path) -> None:
@@ -65,3 +68,25 @@ def test_the_checkout_comes_before_package_data(tmp_path: Path, monkeypatch: pyt
     assert data_path("policies") == package / "_policies"
     (tmp_path / "training" / "policies").mkdir(parents=True)
     assert data_path("policies") == tmp_path / "training" / "policies"
+
+
+def test_one_process_at_a_time_works_in_a_folder(tmp_path: Path) -> None:
+    folder = tmp_path / "new" / "folder"
+    with exclusive(folder):
+        with (
+            pytest.raises(FileWriteError, match=r"folder: cannot be written \(another process is at work"),
+            exclusive(folder),
+        ):
+            pytest.fail("both are in")
+        (folder / "result").touch()
+    with exclusive(folder):
+        assert (folder / "result").exists()
+    assert [path.name for path in folder.iterdir()] == ["result"]
+
+
+def test_a_lock_goes_with_its_process(tmp_path: Path) -> None:
+    code = "import os, sys; from greenhouse_gym.paths import exclusive\nwith exclusive(sys.argv[1]): os._exit(9)"
+    subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=False)
+    assert (tmp_path / ".lock").exists()
+    with exclusive(tmp_path):
+        pass

@@ -24,7 +24,9 @@ def fingerprint(recording: Recording, contents: bool = True) -> str:
     Raises:
         FileFormatError: A file of the recording cannot be read.
     """
-    walked = f"{len(recording)} {recording.protocol} {[tuple(one) for one in recording.passes]}"
+    walked = (
+        f"{len(recording)} {recording.protocol} {[tuple(one) for one in recording.passes]} {recording.truth is None}"
+    )
     checksum = hashlib.sha256(f"{walked} {recording.rig.reference}".encode())
     for name, camera in recording.rig.cameras.items():
         checksum.update(f"\n{name} {camera.intrinsics} {camera.depth_scale!r}".encode())

@@ -213,8 +213,8 @@ def _build(
     from greenhouse_gym.scene.bank import write_bank
 
     with report.stage("build a bank of two scenes, both for training") as results:
-        length = 0.1 * len(recording)
-        settings = BuildSettings(spacing=length / 3.01, width=demo_settings.scene_width)  # two stands
+        walked = np.ptp(cloud.world_from_station[cloud.registered][:, 1, 3])
+        settings = BuildSettings(spacing=float(walked) / 2.01, width=demo_settings.scene_width)  # two stands
         scenes = cut_scenes(cloud, shapes, recording, 0, settings)
         certified = []
         with progress("scenes certified", len(scenes)) as done:
