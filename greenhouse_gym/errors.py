@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+from numbers import Integral
 from typing import Any
 
 _LONGEST = 1000  # characters of what a damaged file held that a message repeats
@@ -94,3 +95,10 @@ def require_choice(kind: str, name: str, choices: Iterable[str]) -> str:
     if name not in choices:
         raise UnknownNameError(kind, name, choices)
     return name
+
+
+def require_seed(seed: int) -> int:
+    """Return ``seed`` if it is a whole number from 0 on, else raise `InvalidValueError`."""
+    if isinstance(seed, bool) or not isinstance(seed, Integral) or seed < 0:
+        raise InvalidValueError(f"seed must be a whole number from 0 on, got {seed!r}")
+    return int(seed)

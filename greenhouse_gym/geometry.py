@@ -184,9 +184,16 @@ def transform(target_from_source: npt.ArrayLike, points: npt.ArrayLike) -> Array
 
 
 def rotation_about(axis: npt.ArrayLike, angle: float) -> Array:
-    """The (3, 3) rotation by ``angle`` radians about ``axis`` (3,) (Rodrigues' formula)."""
+    """The (3, 3) rotation by ``angle`` radians about ``axis`` (3,) of any length (Rodrigues' formula).
+
+    Raises:
+        InvalidValueError: The axis has no direction.
+    """
     a = np.asarray(axis, dtype=np.float64)
-    a = a / np.linalg.norm(a)
+    length = np.linalg.norm(a)
+    if a.shape != (3,) or not (np.isfinite(length) and length > 0):
+        raise InvalidValueError(f"rotation_about: expected an axis (x, y, z) with a direction, got {axis!r}")
+    a = a / length
     k = np.array([[0.0, -a[2], a[1]], [a[2], 0.0, -a[0]], [-a[1], a[0], 0.0]])
     return np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * (k @ k)
 

@@ -320,3 +320,9 @@ def test_the_middle_of_an_ellipsoid_is_its_least_semi_axis_deep() -> None:
 def test_impossible_ellipsoids_are_refused(axes: list[float], turn: np.ndarray, message: str) -> None:
     with pytest.raises(InvalidValueError, match=message):
         Ellipsoid([0, 0, 0], axes, turn)
+
+
+@pytest.mark.parametrize("axis", [[0.0, 0.0, 0.0], [np.nan, 0.0, 1.0], [1.0, 0.0]])
+def test_a_rotation_needs_an_axis_with_a_direction(axis: list[float]) -> None:
+    with pytest.raises(InvalidValueError, match="rotation_about: expected an axis"):
+        rotation_about(axis, 0.5)

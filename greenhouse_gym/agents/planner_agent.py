@@ -48,13 +48,13 @@ class PathFollower:
 
 
 class PlannerAgent:
-    """Plans with OMPL and follows the path through the environment's actions; stays still without a path.
+    """Plans with any planner and follows the path through the environment's actions; stays still without a path.
 
     It needs an environment whose actions move the joints: increments or velocities.
 
     Args:
         planner: A name in `greenhouse_gym.planning.PLANNERS`.
-        time_limit: Seconds the planner may search.
+        time_limit: Seconds the planner may search; None has ``max_checks`` alone end the search.
         max_checks: Collision checks after which it stops, or None.
         goals: Number of goal configurations.
         name: Shown in tables; the planner's name when left out.
@@ -72,7 +72,7 @@ class PlannerAgent:
     def __init__(
         self,
         planner: str = "RRTConnect",
-        time_limit: float = 5.0,
+        time_limit: float | None = 5.0,
         max_checks: int | None = None,
         goals: int = 60,
         name: str | None = None,

@@ -1,12 +1,13 @@
-"""Motion planning: goal configurations, OMPL's planners on the simulator's own collision model, commands in time."""
+"""Motion planning: goal configurations, planners on the simulator's own collision model, commands in time."""
 
 from greenhouse_gym.planning.certify import certify_target, certify_targets
 from greenhouse_gym.planning.collision import COLLISION_PAIRS, CollisionChecker, path_clearance, planning_model
 from greenhouse_gym.planning.goals import Approach, Goals, GoalStatistics, goal_configurations
 from greenhouse_gym.planning.path import follow_path, path_length, resample
 from greenhouse_gym.planning.planner_settings import PlannerSettings
-from greenhouse_gym.planning.planners import PAPER_PLANNERS, PLANNERS, PlannerInfo
+from greenhouse_gym.planning.planners import PAPER_PLANNERS, PLANNERS, PlannerInfo, register_planner
 from greenhouse_gym.planning.query import PlanResult, plan
+from greenhouse_gym.planning.registered import OutOfBudget, PlanningProblem
 from greenhouse_gym.planning.trajectory import free_commands
 
 __all__ = [
@@ -17,9 +18,11 @@ __all__ = [
     "CollisionChecker",
     "GoalStatistics",
     "Goals",
+    "OutOfBudget",
     "PlanResult",
     "PlannerInfo",
     "PlannerSettings",
+    "PlanningProblem",
     "certify_target",
     "certify_targets",
     "follow_path",
@@ -29,5 +32,6 @@ __all__ = [
     "path_length",
     "plan",
     "planning_model",
+    "register_planner",
     "resample",
 ]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.errors import InvalidValueError, require_seed
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning.collision import CollisionChecker, planning_model
 from greenhouse_gym.planning.kinematics import Chain, tool_chain, tool_state
@@ -151,7 +151,7 @@ def search_goals(
         )
     arm, tomato = compiled.robot, compiled.scene.tomatoes[target]
     chain = tool_chain(compiled.model, compiled.tip_site)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(require_seed(seed))
     accepted = np.empty((count, len(arm.joints)))
     found = samples = within = converged = duplicate = colliding = 0
     while found < count and samples < SAMPLE_BUDGET:

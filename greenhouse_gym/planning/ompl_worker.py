@@ -1,25 +1,28 @@
 """The process in which OMPL runs: takes queries from a connection, answers each, one at a time.
 
-It is never imported by the caller's process: some planners hang or crash, and a separate process can be killed.
-`greenhouse_gym.planning.worker` starts it and talks to it.
+The caller's process does not import this module: some planners hang or crash, and a separate process can be killed.
+`greenhouse_gym.planning.worker` starts it and talks to it, in the terms of `greenhouse_gym.planning.exchange`.
 """
 
 from __future__ import annotations
 
+import ctypes
 import math
+import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
-from typing import Any, Literal
+from typing import Any
 
-import mujoco
 import numpy as np
 
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning.collision import PROOF, CollisionChecker
+from greenhouse_gym.planning.exchange import Answer, Outcome, Query
 from greenhouse_gym.planning.ompl_binding import (
     Ompl,
     Planner,
@@ -42,83 +45,20 @@ LOOK = 0.001
 """Seconds between two looks at the cost of the best path so far, while it is improved."""
 
 _REMEMBERED = 100_000  # configurations, some 30 MB
-
-Outcome = Literal["solved", "approximate", "no_solution", "invalid"]
-
-
-@dataclass(frozen=True, eq=False)
-class Query:
-    """What a planner is asked. Angles are radians.
-
-    Attributes:
-        model: The model to check collisions with, as `planning_model` makes it.
-        reaches: (joints,) its `joint_reaches`.
-        lower: (joints,) lower limits.
-        upper: (joints,) upper limits.
-        start: (joints,) start configuration.
-        goals: (k, joints) goal configurations, any of which will do.
-        planner: Name of an OMPL planner.
-        settings: The planner's settings that are not OMPL's own.
-        time_limit: Seconds.
-        max_checks: Number of configurations that may be checked, or None.
-        optimizing: Whether the planner is to use all its time: it then checks motions at `PROOF` from the start. Else
-            it stops at its first path, as far as it tells that it has one.
-        seed: Seed of OMPL's random numbers.
-    """
-
-    model: mujoco.MjModel
-    reaches: Array
-    lower: Array
-    upper: Array
-    start: Array
-    goals: Array
-    planner: str
-    settings: dict[str, Any]
-    time_limit: float
-    max_checks: int | None
-    optimizing: bool
-    seed: int
+_PR_SET_PDEATHSIG = 1  # of Linux's prctl
 
 
-@dataclass(frozen=True, eq=False)
-class Answer:
-    """What a planner found.
-
-    Attributes:
-        status: "invalid" if the planner's path could not be proven free.
-        path: (k, joints) the simplified path, or None.
-        raw_path: (k, joints) the planner's own path, or None.
-        planning_time: Seconds the planner took.
-        simplification_time: Seconds for shortening the path and proving it free.
-        checks: Configurations the planner checked.
-        tree_size: Nodes in the planner's trees or roadmap; 0 for EITstar, whose are slow to count.
-        costs: (m, 2) seconds and length of the best path by then, radians: as it was found and as it got shorter.
-    """
-
-    status: Outcome
-    path: Array | None
-    raw_path: Array | None
-    planning_time: float
-    simplification_time: float
-    checks: int
-    tree_size: int
-    costs: Array
-
-
-def _limit_memory(size: int) -> None:
-    """Let this process hold so many bytes of data at most, where the system can do that."""
-    try:
-        import resource
-    except ImportError:  # Windows
-        return
-    resource.setrlimit(resource.RLIMIT_DATA, (size, size))
-
-
-def serve(handle: int, memory_limit: int) -> None:
-    """Answer queries from the connection with this handle until it is closed, with at most so many bytes of data.
+def serve(handle: int, memory_limit: int, caller: int) -> None:
+    """Answer queries from a connection until it is closed.
 
     A message is (command, argument, hard limit in seconds); the answer is (True, result) or (False, error text).
+
+    Args:
+        handle: The connection's handle.
+        memory_limit: Bytes of data this process may hold, where the system can limit them.
+        caller: Process id of the caller; this process dies with it on Linux, and elsewhere after the hard limit.
     """
+    _die_with(caller)
     _limit_memory(memory_limit)
     connection = Connection(handle)
     try:
@@ -139,7 +79,7 @@ def serve(handle: int, memory_limit: int) -> None:
             command, argument, hard_limit = connection.recv()
         except EOFError:
             return
-        # should the caller die meanwhile, nothing of this process stays behind
+        # should the caller die meanwhile, nothing of this process stays behind for long
         signal.setitimer(signal.ITIMER_REAL, hard_limit + 10.0)
         try:
             reply = (True, commands[command](argument))
@@ -150,6 +90,22 @@ def serve(handle: int, memory_limit: int) -> None:
             connection.send(reply)
         except BrokenPipeError:
             return
+
+
+def _die_with(caller: int) -> None:
+    """Have the system kill this process when the thread that started it ends."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGKILL), 0, 0, 0)
+        if os.getppid() != caller:  # it died before
+            os._exit(1)
+
+
+def _limit_memory(limit: int) -> None:
+    try:
+        import resource
+    except ImportError:  # Windows has no such limits
+        return
+    resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
 
 
 def solve(ompl: Ompl, query: Query) -> Answer:

@@ -1,15 +1,21 @@
-"""The planners of the installed OMPL by name (Sucan, Moll, Kavraki: The Open Motion Planning Library, 2012)."""
+"""Planners by name: those of the installed OMPL, those of this package, and any that are registered.
+
+OMPL is that of Sucan, Moll, Kavraki: The Open Motion Planning Library, 2012.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from importlib.util import find_spec
 from typing import Any
 
-from greenhouse_gym.errors import UnknownNameError, require_choice
+from greenhouse_gym.errors import InvalidValueError, UnknownNameError, require_choice
 from greenhouse_gym.planning import planner_settings as settings
 from greenhouse_gym.planning.planner_settings import PlannerSettings
+from greenhouse_gym.planning.registered import Solve
+from greenhouse_gym.planning.shortcut_connect import ShortcutConnectSettings, shortcut_connect
 from greenhouse_gym.planning.worker import shared_worker
 
 
@@ -18,7 +24,7 @@ class PlannerInfo:
     """A planner.
 
     Attributes:
-        name: OMPL's name.
+        name: OMPL's name, or the one it was registered by.
         description: What it does, in a line.
         settings: The settings used unless others are given: OMPL's own but for the range of some, where a shorter one
             made planning in dense rows cheaper by far; RRTConnect, for one, then needs 40 % of the checks.
@@ -27,6 +33,7 @@ class PlannerInfo:
             start is free the longest: it works on several threads, of which only one may ask Python for a goal.
         reproducible: Whether the same seed and number of checks give the same path. Threads take turns as they like,
             and LazyPRMstar checks so little that the time and not the checks end its search.
+        solve: The planner itself; None for OMPL's.
     """
 
     name: str
@@ -35,6 +42,7 @@ class PlannerInfo:
     optimizing: bool = False
     single_goal: bool = False
     reproducible: bool = True
+    solve: Solve | None = None
 
     def with_settings(self, **values: Any) -> PlannerSettings:
         """The planner's settings with some of them changed.
@@ -122,32 +130,88 @@ PAPER_PLANNERS = (
 """The 25 planners of the paper: those that CoppeliaSim's plugin offers."""
 
 
-class _Installed(Mapping[str, PlannerInfo]):
-    """The planners that the installed OMPL has; asks the planning process when first used."""
+class _Planners(Mapping[str, PlannerInfo]):
+    """The planners that are registered and those that the installed OMPL has; asks the planning process when needed."""
+
+    def __init__(self) -> None:
+        self.registered: dict[str, PlannerInfo] = {}
 
     @cached_property
-    def _planners(self) -> dict[str, PlannerInfo]:
+    def _of_ompl(self) -> dict[str, PlannerInfo]:
         known = {planner.name: planner for planner in _KNOWN}
         names: tuple[str, ...] = shared_worker().call("planners", None, _LIMIT)
         return {name: known.get(name, PlannerInfo(name, "not described")) for name in names}
 
+    @property
+    def _all(self) -> dict[str, PlannerInfo]:
+        of_ompl = {} if find_spec("ompl") is None else self._of_ompl
+        return dict(sorted({**of_ompl, **self.registered}.items()))
+
     def __getitem__(self, name: str) -> PlannerInfo:
+        if name in self.registered:
+            return self.registered[name]
         try:
-            return self._planners[name]
+            return self._of_ompl[name]
         except KeyError:
-            raise UnknownNameError("planner", name, self._planners) from None
+            raise UnknownNameError("planner", name, self._all) from None
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._planners)
+        return iter(self._all)
 
     def __len__(self) -> int:
-        return len(self._planners)
+        return len(self._all)
 
     def __repr__(self) -> str:
         return f"PLANNERS({', '.join(self)})"
 
 
 _LIMIT = 60.0  # seconds for the planning process to list its planners
+_ALL = _Planners()
 
-PLANNERS: Mapping[str, PlannerInfo] = _Installed()
-"""All geometric planners of the installed OMPL, sorted by name: 38 with OMPL 1.7.0."""
+PLANNERS: Mapping[str, PlannerInfo] = _ALL
+"""All geometric planners of the installed OMPL, 38 with OMPL 1.7.0, and all registered ones, sorted by name."""
+
+
+def register_planner(
+    name: str,
+    solve: Solve,
+    settings: PlannerSettings | None = None,
+    description: str = "not described",
+    optimizing: bool = False,
+    replace: bool = False,
+) -> PlannerInfo:
+    """Make a planner one of `PLANNERS`: `plan`, the agents, the tables and the command line then know it by its name.
+
+    It runs in the caller's process, within the budget of each query; see `PlanningProblem`. Its path counts only after
+    it has been proven free, as those of all planners.
+
+    Args:
+        name: Its name.
+        solve: Called with a `PlanningProblem` and the settings; returns a path (m, joints) from the problem's start to
+            one of its goals, or None. An error it raises makes a plan "crashed".
+        settings: Its usual settings, of a frozen dataclass derived from `PlannerSettings`; none when left out.
+        description: What it does, in a line.
+        optimizing: Whether it goes on improving its path; it is then asked to stop at the first one where the caller of
+            `plan` wants that.
+        replace: Whether it may take the place of a registered planner of that name.
+
+    Raises:
+        InvalidValueError: The name is taken or empty, or ``solve`` cannot be called.
+    """
+    taken = name in _ALL.registered or any(planner.name == name for planner in _KNOWN)
+    if not name or not callable(solve) or (taken and not (replace and name in _ALL.registered)):
+        raise InvalidValueError(
+            f"planner {name!r}: expected a name that is free and a function, got {solve!r}; taken is {taken}"
+        )
+    info = PlannerInfo(name, description, settings or PlannerSettings(), optimizing=optimizing, solve=solve)
+    _ALL.registered[name] = info
+    return info
+
+
+register_planner(
+    "ShortcutConnect",
+    shortcut_connect,
+    ShortcutConnectSettings(),
+    "RRTConnect to the nearest goals, again and again, each path cut short",
+    optimizing=True,
+)

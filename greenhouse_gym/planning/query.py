@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.errors import InvalidValueError, require_seed
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning.collision import (
     COLLISION_PAIRS,
@@ -20,11 +20,12 @@ from greenhouse_gym.planning.collision import (
     path_clearance,
     planning_model,
 )
+from greenhouse_gym.planning.exchange import Answer, Query
 from greenhouse_gym.planning.goals import Goals, GoalStatistics, search_goals
-from greenhouse_gym.planning.ompl_worker import Answer, Query
 from greenhouse_gym.planning.path import path_length
 from greenhouse_gym.planning.planner_settings import PlannerSettings
-from greenhouse_gym.planning.planners import PLANNERS
+from greenhouse_gym.planning.planners import PLANNERS, PlannerInfo
+from greenhouse_gym.planning.registered import PlannerFailedError, run_registered
 from greenhouse_gym.planning.worker import WorkerCrashedError, WorkerFailedError, WorkerTimeoutError, shared_worker
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene
@@ -42,6 +43,8 @@ Status = Literal[
 ]
 
 _COARSE = 0.05  # metres; for a guess
+_SLOWEST = 0.001  # seconds that a check never takes, a hundred times what it does
+_LONGEST = 1e6  # seconds; what comes near the range of the system's clocks is cut to this
 
 GRACE = 5.0
 """Seconds beyond the time limit after which a planner that does not return is killed."""
@@ -93,7 +96,7 @@ def plan(
     target: int,
     robot: str | Robot = "ur5e",
     planner: str = "RRTConnect",
-    time_limit: float = 5.0,
+    time_limit: float | None = 5.0,
     max_checks: int | None = None,
     goals: int | Goals | npt.ArrayLike = 60,
     seed: int = 0,
@@ -104,15 +107,16 @@ def plan(
 ) -> PlanResult:
     """Plan a path that brings the tool to a tomato and touches nothing else.
 
-    The planner runs in a process of its own; whatever happens there ends in a status. The path is shortened, and it
-    counts only after every motion has been proven free in this process.
+    OMPL's planners run in a process of their own; whatever happens there ends in a status. Their path is shortened;
+    that of a planner of `register_planner` is taken as it is. It counts only after every motion has been proven free
+    in this process.
 
     Args:
         scene: The scene.
         target: Index of the tomato in the scene.
         robot: Name or file of the arm, or a `Robot`.
         planner: A name in `PLANNERS`.
-        time_limit: Seconds the planner may search.
+        time_limit: Seconds the planner may search; None has ``max_checks`` alone end the search.
         max_checks: Number of collision checks after which the search ends. As long as this and not the time ends it,
             the same seed gives the same path (for planners that are themselves reproducible, such as RRTConnect).
         goals: How many goal configurations to find, or the configurations (k, joints) themselves, radians.
@@ -128,7 +132,8 @@ def plan(
 
     Raises:
         UnknownNameError: No such planner, arm or collision pair.
-        InvalidValueError: No such tomato; a limit that is not positive and finite; a start or goals outside the limits.
+        InvalidValueError: No such tomato; a limit that is not positive and finite, or none at all; a negative seed; a
+            start or goals outside the limits.
         MissingDependencyError: OMPL is not installed.
     """
     compiled = compile_scene(scene, robot)
@@ -143,7 +148,7 @@ def plan_with(
     checker: CollisionChecker,
     target: int,
     planner: str = "RRTConnect",
-    time_limit: float = 5.0,
+    time_limit: float | None = 5.0,
     max_checks: int | None = None,
     goals: int | Goals | npt.ArrayLike = 60,
     seed: int = 0,
@@ -158,10 +163,8 @@ def plan_with(
         raise InvalidValueError(
             f"settings: {planner} takes {type(info.settings).__name__}, got {type(chosen).__name__}"
         )
-    if not (math.isfinite(time_limit) and time_limit > 0):
-        raise InvalidValueError(f"time_limit must be a positive, finite number of seconds, got {time_limit!r}")
-    if max_checks is not None and max_checks < 1:
-        raise InvalidValueError(f"max_checks must be at least 1 or None, got {max_checks!r}")
+    require_seed(seed)
+    seconds = _seconds(time_limit, max_checks)
     arm = compiled.robot
     origin = _configurations("start", np.asarray(arm.configuration(start))[None], arm)[0]
     if not checker.is_free(origin):
@@ -191,18 +194,31 @@ def plan_with(
         goals=ends,
         planner=planner,
         settings=chosen.changed(),
-        time_limit=time_limit,
+        time_limit=seconds,
         max_checks=max_checks,
         optimizing=info.optimizing and not first_solution,
         seed=seed,
     )
-    result = _ask(checker, query)
+    result = _ask(info, chosen, checker, query)
     clearance = math.nan if result.path is None else path_clearance(compiled, target, result.path)
     return replace(result, clearance=clearance, goal_time=goal_time, goals=statistics)
 
 
-def _ask(checker: CollisionChecker, query: Query) -> PlanResult:
-    """Have the planning process answer, and believe nothing it says about the path."""
+def _seconds(time_limit: float | None, max_checks: int | None) -> float:
+    """The limit on time, one that the checks never come near where there is none."""
+    if max_checks is not None and max_checks < 1:
+        raise InvalidValueError(f"max_checks must be at least 1 or None, got {max_checks!r}")
+    if time_limit is None:
+        if max_checks is None:
+            raise InvalidValueError("time_limit is None: give max_checks, or nothing would end the search")
+        return min(60.0 + _SLOWEST * max_checks, _LONGEST)
+    if not (math.isfinite(time_limit) and time_limit > 0):
+        raise InvalidValueError(f"time_limit must be a positive, finite number of seconds, or None, got {time_limit!r}")
+    return min(time_limit, _LONGEST)
+
+
+def _ask(info: PlannerInfo, settings: PlannerSettings, checker: CollisionChecker, query: Query) -> PlanResult:
+    """Have the planner answer, OMPL's in the planning process, and believe nothing it says about the path."""
     began = time.perf_counter()
 
     def failed(status: Status, error: Exception) -> PlanResult:
@@ -210,11 +226,15 @@ def _ask(checker: CollisionChecker, query: Query) -> PlanResult:
             status, None, query.planner, planning_time=time.perf_counter() - began, message=f"{query.planner}: {error}"
         )
 
+    answer: Answer
     try:
-        answer: Answer = shared_worker().call("solve", query, query.time_limit + GRACE)
+        if info.solve is not None:
+            answer = run_registered(info.solve, settings, query)
+        else:
+            answer = shared_worker().call("solve", query, query.time_limit + GRACE)
     except WorkerTimeoutError as error:
         return failed("timeout", error)
-    except (WorkerCrashedError, WorkerFailedError) as error:
+    except (WorkerCrashedError, WorkerFailedError, PlannerFailedError) as error:
         return failed("crashed", error)
     status: Status = answer.status
     path, message = answer.path, "the planner's path is not free" if answer.status == "invalid" else ""
@@ -240,7 +260,7 @@ def _ask(checker: CollisionChecker, query: Query) -> PlanResult:
 
 def _flaw(checker: CollisionChecker, query: Query, path: Array) -> str:
     """What is wrong with a path, or nothing."""
-    if path.ndim != 2 or path.shape[1] != len(query.start) or not np.isfinite(path).all():
+    if path.ndim != 2 or path.shape[1:] != query.start.shape or not len(path) or not np.isfinite(path).all():
         return f"{query.planner}: the path has the shape {path.shape} or entries that are not numbers"
     if not np.array_equal(path[0], query.start):
         return f"{query.planner}: the path starts at {path[0].tolist()}, not at {query.start.tolist()}"

@@ -15,13 +15,14 @@ import sys
 import threading
 from importlib.util import find_spec
 from multiprocessing.connection import Connection
+from queue import SimpleQueue
 from typing import Any
 
 from greenhouse_gym.errors import GreenhouseError, MissingDependencyError
 
 _BOOT = (
     "import json, os, sys; sys.path[:] = json.loads(sys.argv[1]); "
-    "from greenhouse_gym.planning.ompl_worker import serve; serve(int(sys.argv[2]), int(sys.argv[3])); "
+    "from greenhouse_gym.planning.ompl_worker import serve; serve(*map(int, sys.argv[2:])); "
     "os._exit(0)"  # OMPL 2 dies when its objects are torn down
 )
 MEMORY_LIMIT = 4 << 30
@@ -107,13 +108,7 @@ class Worker:
         ours, theirs = multiprocessing.Pipe()
         handle = theirs.fileno()
         with theirs:
-            self._process = subprocess.Popen(
-                [sys.executable, "-c", _BOOT, json.dumps(sys.path), str(handle), str(self._memory_limit)],
-                pass_fds=[handle],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                start_new_session=True,  # Ctrl-C is for the caller
-            )
+            self._process = _launched(handle, self._memory_limit)
         self._connection, self._owner = ours, os.getpid()
         succeeded, reply = self._receive(ours, _START_LIMIT)
         if not succeeded:
@@ -145,6 +140,37 @@ class Worker:
         if process is not None:
             process.kill()
             process.wait()
+
+
+def _launched(handle: int, memory_limit: int) -> subprocess.Popen[bytes]:
+    """A planning process, started by a thread that lives as long as the process.
+
+    The process dies with the thread that started it (Linux knows no other way to tie it to its caller), and the thread
+    that happens to plan first may end long before the caller does.
+    """
+    arguments = [json.dumps(sys.path), str(handle), str(memory_limit), str(os.getpid())]
+    started: SimpleQueue[subprocess.Popen[bytes] | OSError] = SimpleQueue()
+
+    def start_and_wait() -> None:
+        try:
+            process = subprocess.Popen(
+                [sys.executable, "-c", _BOOT, *arguments],
+                pass_fds=[handle],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                start_new_session=True,  # Ctrl-C is for the caller
+            )
+        except OSError as error:
+            started.put(error)
+        else:
+            started.put(process)
+            process.wait()
+
+    threading.Thread(target=start_and_wait, name="planning process", daemon=True).start()
+    process = started.get()
+    if isinstance(process, OSError):
+        raise process
+    return process
 
 
 _WORKER = Worker()

@@ -17,7 +17,7 @@ from greenhouse_gym.planning import (
     planning_model,
     query,
 )
-from greenhouse_gym.planning.ompl_worker import Answer
+from greenhouse_gym.planning.exchange import Answer
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.mjcf import compile_scene
@@ -121,6 +121,13 @@ def test_checks_are_a_budget(scene: Scene) -> None:
     assert result.planning_time < 5.0
 
 
+@pytest.mark.parametrize("time_limit", [None, 1e9, 1e300])
+def test_checks_alone_may_end_a_search(scene: Scene, time_limit: float | None) -> None:
+    first, again = (plan(scene, 0, time_limit=limit, max_checks=30_000) for limit in (time_limit, 60.0))
+    assert first.status == again.status == "solved"
+    assert np.array_equal(first.path, again.path)  # type: ignore[arg-type]
+
+
 def test_goals_may_be_given(scene: Scene) -> None:
     goals = goal_configurations(scene, 2, count=5)
     for given in (goals, goals.configurations, goals.configurations[:1].tolist()):
@@ -168,6 +175,8 @@ def test_nothing_to_reach_is_a_result(scene: Scene) -> None:
         ({"time_limit": math.inf}, "time_limit"),
         ({"time_limit": math.nan}, "time_limit"),
         ({"max_checks": 0}, "max_checks"),
+        ({"time_limit": None}, "time_limit is None: give max_checks"),
+        ({"seed": -1}, "seed must be a whole number from 0 on, got -1"),
         ({"goals": 0}, "count"),
         ({"start": [0, 0, 0, 4, 0, 0]}, "wrist_1.*4.00000"),
         ({"start": [math.nan] * 6}, "shoulder_pan"),

@@ -22,6 +22,8 @@ from greenhouse_gym.planning.worker import (
 )
 from greenhouse_gym.scene import Scene
 
+OF_OMPL = sum(info.solve is None for info in PLANNERS.values())
+
 
 @pytest.fixture
 def worker() -> Iterator[Worker]:
@@ -47,7 +49,7 @@ def alive(pid: int) -> bool:
 
 
 def test_a_hang_ends_at_the_hard_limit_and_the_next_call_works(worker: Worker) -> None:
-    assert len(worker.call("planners", None, 30.0)) == len(PLANNERS)
+    assert len(worker.call("planners", None, 30.0)) == OF_OMPL
     first = worker.pid
     began = time.perf_counter()
     with pytest.raises(WorkerTimeoutError, match=r"0\.3 s"):
@@ -55,7 +57,7 @@ def test_a_hang_ends_at_the_hard_limit_and_the_next_call_works(worker: Worker) -
     assert time.perf_counter() - began < 5.0
     assert first is not None
     assert not alive(first)
-    assert len(worker.call("planners", None, 30.0)) == len(PLANNERS)
+    assert len(worker.call("planners", None, 30.0)) == OF_OMPL
     assert worker.pid != first
 
 
@@ -63,7 +65,7 @@ def test_killed_while_idle_it_is_replaced_unnoticed(worker: Worker) -> None:
     worker.call("planners", None, 30.0)
     assert worker.pid is not None
     os.kill(worker.pid, signal.SIGKILL)
-    assert len(worker.call("planners", None, 30.0)) == len(PLANNERS)
+    assert len(worker.call("planners", None, 30.0)) == OF_OMPL
 
 
 def test_errors_of_a_command_leave_the_process_alone(worker: Worker) -> None:
@@ -136,7 +138,7 @@ def test_ctrl_c_reaches_the_caller_and_the_next_call_works(worker: Worker) -> No
     with pytest.raises(KeyboardInterrupt):
         worker.call("sleep", 60.0, 30.0)
     assert not alive(first)
-    assert len(worker.call("planners", None, 30.0)) == len(PLANNERS)
+    assert len(worker.call("planners", None, 30.0)) == OF_OMPL
 
 
 def test_without_ompl_the_extra_is_named(worker: Worker, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -187,6 +189,45 @@ def test_ompl_stays_out_of_this_process(scene: Scene) -> None:
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="reads the memory of a process from /proc")
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux ends a process with its caller")
+def test_the_process_dies_with_a_killed_caller() -> None:
+    code = (
+        "import threading\n"
+        "from greenhouse_gym.planning.worker import shared_worker as w\n"
+        "def work():\n"
+        "    w().call('planners', None, 60.0)\n"
+        "thread = threading.Thread(target=work); thread.start(); thread.join()\n"  # the process outlives this thread
+        "w().call('planners', None, 60.0); print(w().pid, flush=True); w().call('sleep', 60.0, 60.0)"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as caller:
+        assert caller.stdout is not None
+        pid = int(caller.stdout.readline())
+        assert alive(pid)
+        caller.kill()
+    for _ in range(100):
+        if not alive(pid):
+            return
+        time.sleep(0.05)
+    pytest.fail("the planning process outlives its caller")
+
+
+def test_the_process_outlives_the_thread_that_first_planned(worker: Worker) -> None:
+    thread = threading.Thread(target=worker.call, args=("planners", None, 60.0))
+    thread.start()
+    thread.join()
+    first = worker.pid
+    worker.call("planners", None, 60.0)
+    assert worker.pid == first
+
+
+def test_planning_is_imported_where_no_limits_of_memory_exist() -> None:
+    code = (
+        "import sys, os; sys.modules['resource'] = None; os.__dict__.pop('sched_getaffinity', None)\n"
+        "import greenhouse_gym.planning, greenhouse_gym.planning.ompl_worker\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
 def test_queries_leave_no_memory_behind(scene: Scene) -> None:
     """OMPL's objects and Python's callbacks must not keep each other alive: that costs 0.7 MB a query."""
     goals = goal_configurations(scene, 0, count=3)

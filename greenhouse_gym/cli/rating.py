@@ -1,0 +1,32 @@
+"""The command that rates a bank for another arm."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from greenhouse_gym.progress import CONSOLE, progress
+
+
+def rate(
+    bank: Annotated[str, typer.Argument(help="A shipped bank's name or a bank's folder.")],
+    robot: Annotated[str, typer.Option(help="Name or file of the arm.")],
+    out: Annotated[Path, typer.Option(help="Folder of the new bank.")],
+    seed: Annotated[int, typer.Option(help="Seed of the goal searches and planners.")] = 0,
+    per_scene: Annotated[int | None, typer.Option(min=1, help="Tomatoes of each scene, the nearest; else all.")] = None,
+) -> None:
+    """Rate the targets of a bank for another arm and write a bank beside it; goes on where it was interrupted."""
+    from greenhouse_gym.planning.rate import rate_bank
+    from greenhouse_gym.robots import get_robot
+    from greenhouse_gym.scene import SceneBank
+
+    opened, arm = SceneBank.open(bank), get_robot(robot)
+    with progress("targets", sum(len(scene.tomatoes[:per_scene]) for scene in opened)) as report:
+        rated = rate_bank(opened, arm, out, seed, per_scene, report)
+    mine = [target for scene in rated for target in scene.targets if target.robot == arm.name]
+    counts = Counter(target.difficulty for target in mine)
+    found = ", ".join(f"{count} {difficulty}" for difficulty, count in counts.most_common())
+    CONSOLE.print(f"{len(rated)} scenes in {out}, targets for {arm.name}: {found}", highlight=False)
