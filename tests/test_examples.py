@@ -10,12 +10,14 @@ import pytest
 
 from greenhouse_gym.agents.named import make_agent
 from greenhouse_gym.evaluation import evaluate
+from greenhouse_gym.planning.planners import _ALL
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 OWN = ("own_agent", "own_learner")
+MAIN = ("own_planner", "own_robot")
 
 
-@pytest.mark.parametrize("name", OWN)
+@pytest.mark.parametrize("name", [*OWN, *MAIN])
 def test_a_stranger_writes_twenty_lines_at_most(name: str) -> None:
     text = (EXAMPLES / f"{name}.py").read_text()
     # without comments, docstrings and blank lines
@@ -37,3 +39,15 @@ def test_own_agent_and_policy_play() -> None:
 def test_own_learner_prints_its_rate(capsys: pytest.CaptureFixture[str]) -> None:
     runpy.run_path(str(EXAMPLES / "own_learner.py"), run_name="__main__")
     assert "of 16" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", MAIN)
+def test_planner_and_robot_run(name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr("sys.argv", [name])
+    registered = dict(_ALL.registered)
+    try:
+        runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
+    finally:
+        _ALL.registered.clear()
+        _ALL.registered.update(registered)
+    assert {"own_planner": "solved", "own_robot": "easy"}[name] in capsys.readouterr().out
