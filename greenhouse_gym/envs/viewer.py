@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import threading
 from typing import Any
 
 import mujoco
@@ -32,7 +33,8 @@ class Viewer:
 
     def __init__(self, mode: str):
         self.mode = mode
-        self._gl: OpenGLRenderer | None = None
+        # A context works in the thread that made it, so every thread that draws has its own.
+        self._of_thread = threading.local()
         self._gl_works = mode == "rgb_array"
         self._window: Any = None
         self._shown: tuple[mujoco.MjModel, mujoco.MjData] | None = None
@@ -63,22 +65,28 @@ class Viewer:
         if self.mode == "human":
             self._show(model, data, stand, tip, target, trace)
             return None
-        if self._gl_works and self._gl is None:
+        if self._gl_works:
             try:
-                self._gl = OpenGLRenderer(model, WIDTH, HEIGHT)
+                if self._gl is None:
+                    self._of_thread.gl = OpenGLRenderer(model, WIDTH, HEIGHT)
+                assert self._gl is not None
+                return self._gl.picture(model, data, camera, lines)
             except OpenGLMissingError:
                 self._gl_works = False
-        if self._gl is not None:
-            return self._gl.picture(model, data, camera, lines)
         return render_scene(model, data, camera, WIDTH, HEIGHT, lines, samples=1)
 
     def close(self) -> None:
-        """Close the window and free the context; drawing again opens new ones."""
+        """Close the window and free this thread's context; drawing again opens new ones."""
         if self._gl is not None:
             self._gl.close()
         if self._window is not None:
             self._window.close()
-        self._gl = self._window = self._shown = None
+        self._of_thread.gl = self._window = self._shown = None
+
+    @property
+    def _gl(self) -> OpenGLRenderer | None:
+        """This thread's renderer."""
+        return getattr(self._of_thread, "gl", None)
 
     def _show(
         self, model: mujoco.MjModel, data: mujoco.MjData, stand: Stand, tip: Array, target: Array, trace: list[Array]

@@ -23,9 +23,18 @@ Image = npt.NDArray[np.uint8]
 
 RED, PINK = (0.9, 0.05, 0.05), (1.0, 0.3, 0.65)
 
-_KEY_LIGHT = np.array([-2.2, -1.6, 3.6])  # a point light with shadows, from the aisle
-_FILL_LIGHT = np.array([-0.5, 0.8, 0.3]) / np.linalg.norm([-0.5, 0.8, 0.3])  # a direction, without shadows
-_AMBIENT, _KEY, _FILL = 0.48, 0.5, 0.16
+KEY_LIGHT = np.array([-2.2, -1.6, 3.6])
+"""A point light with shadows, from the aisle."""
+
+FILL_LIGHT = np.array([-0.5, 0.8, 0.3]) / np.linalg.norm([-0.5, 0.8, 0.3])
+"""The direction of a light without shadows."""
+
+AMBIENT, KEY, FILL, ABOVE = 0.48, 0.5, 0.16, 0.08
+"""How bright they are, and the light from everywhere and from above."""
+
+SHADOW = 0.12
+"""Share of the key light that falls into its shadows."""
+
 _SKY_LOW, _SKY_HIGH = np.array([0.93, 0.95, 0.95]), np.array([0.74, 0.83, 0.9])
 _FADE = (4.0, 9.0)  # surfaces fade into the background between these distances, metres
 _ROWS_PER_TASK = 128
@@ -103,7 +112,7 @@ def render_scene(
     camera = camera or default_camera()
     w, h = width * samples, height * samples
     axes, eye = camera.axes(), np.array(camera.position, dtype=np.float64)
-    directions, stretch, focal = _rays(camera, w, h)
+    directions, stretch, focal = view_rays(camera, w, h)
 
     def shade(rows: slice) -> tuple[Array, Array]:
         # Rays use the data's scratch memory, so each task has its own.
@@ -133,7 +142,7 @@ def render_depth(
     if min(width, height) < 1:
         raise InvalidValueError(f"width and height must be at least 1, got {width}, {height}")
     camera = camera or default_camera()
-    directions, stretch, _ = _rays(camera, width, height)
+    directions, stretch, _ = view_rays(camera, width, height)
     eye = np.array(camera.position, dtype=np.float64)
     distance = _cast(model, copy.copy(data), eye, directions.reshape(-1, 3))[0].reshape(height, width)
     return np.where(distance >= 0, distance / stretch, 0.0).astype(np.float32)
@@ -218,7 +227,7 @@ def picture_of_path(
     return picture(compiled.model, data, trace[0], center, trace, camera, width, height, samples)
 
 
-def _rays(camera: Camera, width: int, height: int) -> tuple[Array, Array, float]:
+def view_rays(camera: Camera, width: int, height: int) -> tuple[Array, Array, float]:
     """Unit rays (h, w, 3) in the scene, their lengths per unit of depth (h, w), and the focal length in pixels."""
     focal = float(height / (2 * np.tan(np.radians(camera.field_of_view) / 2)))
     u, v = np.meshgrid((np.arange(width) + 0.5 - width / 2) / focal, (np.arange(height) + 0.5 - height / 2) / focal)
@@ -243,12 +252,12 @@ def _shade(model: mujoco.MjModel, data: mujoco.MjData, eye: Array, rays: Array) 
     """Colors (m, 3) and distances (m,) along the rays; infinite where there is nothing."""
     distance, geom, normal = _cast(model, data, eye, rays)
     hit = np.flatnonzero(distance >= 0)
-    away = eye + distance[hit, None] * rays[hit] - _KEY_LIGHT
+    away = eye + distance[hit, None] * rays[hit] - KEY_LIGHT
     reach = np.linalg.norm(away, axis=1)
     away /= reach[:, None]
     key = np.zeros(len(rays))
-    lit = _cast(model, data, _KEY_LIGHT, away)[0] > reach - 2e-3
-    key[hit] = np.maximum(-np.einsum("mi,mi->m", normal[hit], away), 0.0) * np.where(lit, 1.0, 0.12)
+    lit = _cast(model, data, KEY_LIGHT, away)[0] > reach - 2e-3
+    key[hit] = np.maximum(-np.einsum("mi,mi->m", normal[hit], away), 0.0) * np.where(lit, 1.0, SHADOW)
     colors = _lit(model.geom_rgba[geom], normal, rays, distance, key)
     distance[distance < 0] = np.inf
     return colors, distance
@@ -263,22 +272,27 @@ def surface_colors(rgba: npt.NDArray[np.float32], normal: Array, rays: Array, di
         rays: (m, 3) unit vectors.
         distance: (m,) along them, metres; negative where nothing is hit.
     """
-    towards = _KEY_LIGHT / np.linalg.norm(_KEY_LIGHT)
+    towards = KEY_LIGHT / np.linalg.norm(KEY_LIGHT)
     return _lit(rgba, normal, rays, distance, np.maximum((normal * towards).sum(axis=1), 0.0))
 
 
+def background_share(distance: Array) -> Array:
+    """How far surfaces at distances (...), metres, have faded into the background, 0 to 1."""
+    return np.asarray(np.clip((distance - _FADE[0]) / (_FADE[1] - _FADE[0]), 0.0, 1.0))
+
+
 def sky_colors(rays: Array) -> Array:
-    """Colors (m, 3), 0 to 1, of the background along unit rays (m, 3)."""
-    up = np.clip(rays[:, 2:] * 2.0 + 0.3, 0.0, 1.0)
+    """Colors (..., 3), 0 to 1, of the background along unit rays (..., 3)."""
+    up = np.clip(rays[..., 2:] * 2.0 + 0.3, 0.0, 1.0)
     return _SKY_LOW + up * (_SKY_HIGH - _SKY_LOW)
 
 
 def _lit(rgba: npt.NDArray[np.float32], normal: Array, rays: Array, distance: Array, key: Array) -> Array:
     """Colors (m, 3) along rays, ``key`` (m,) being what of the key light falls on the surfaces."""
-    fill = np.maximum((normal * _FILL_LIGHT).sum(axis=1), 0.0)
-    light = _AMBIENT + 0.08 * normal[:, 2] + _KEY * key + _FILL * fill
+    fill = np.maximum((normal * FILL_LIGHT).sum(axis=1), 0.0)
+    light = AMBIENT + ABOVE * normal[:, 2] + KEY * key + FILL * fill
     color = np.array(rgba[:, :3], dtype=np.float64) * light[:, None]
-    fade = np.clip((distance - _FADE[0]) / (_FADE[1] - _FADE[0]), 0.0, 1.0)
+    fade = background_share(distance)
     fade[distance < 0] = 1.0
     return np.clip(color + fade[:, None] * (sky_colors(rays) - color), 0.0, 1.0)
 

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import os
+import signal
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 import pytest
 
 from greenhouse_gym.envs import TomatoReachEnv, TomatoReachVectorEnv, viewer
+from greenhouse_gym.errors import GreenhouseError
 from greenhouse_gym.scene import SceneBank, opengl
+from greenhouse_gym.scene.render import default_camera, render_depth
 
 
 def moved(bank: SceneBank, seed: int, **keywords: Any) -> TomatoReachEnv:
@@ -63,9 +69,76 @@ def test_rays_and_opengl_see_the_same_scene(bank: SceneBank, monkeypatch: pytest
     if env._viewer._gl is None:
         pytest.skip("no OpenGL here")
     env.close()
-    # Light and shade differ; what is seen where does not.
     ends = [(line.min(axis=0), line.max(axis=0)) for line in map(on_red_line, (cast, drawn))]
     np.testing.assert_allclose(ends[0], ends[1], atol=0.03)
+    sky = moved_depth(bank, 1) == 0
+    assert 0.2 < sky.mean() < 0.8
+    np.testing.assert_allclose(drawn[sky].mean(axis=0), cast[sky].mean(axis=0), atol=2)
+    np.testing.assert_allclose(drawn[~sky].mean(axis=0), cast[~sky].mean(axis=0), rtol=0.06)
+    off = np.abs(drawn.astype(int) - cast)
+    assert np.median(off) <= 2
+    assert off.mean() < 8  # edges
+
+
+def moved_depth(bank: SceneBank, seed: int) -> np.ndarray:
+    env = moved(bank, seed)
+    model, data = env.model_and_data()
+    return render_depth(model, data, default_camera(env.scene.stand), viewer.WIDTH, viewer.HEIGHT)
+
+
+def test_every_thread_draws_the_same(bank: SceneBank) -> None:
+    env = moved(bank, 0)
+    here = env.render()
+    with ThreadPoolExecutor(1) as pool:
+        for _ in range(2):
+            np.testing.assert_array_equal(pool.submit(env.render).result(), here)
+    np.testing.assert_array_equal(env.render(), here)
+    env.close()
+
+
+def in_a_forked_process(work: Callable[[], str]) -> str:
+    """What ``work`` tells in a fork of this process, or that it hung."""
+    read, write = os.pipe()
+    child = os.fork()
+    if child == 0:
+        signal.alarm(60)
+        try:
+            os.write(write, work().encode())
+        finally:
+            os._exit(0)
+    os.close(write)
+    with os.fdopen(read) as pipe:
+        told = pipe.read()
+    os.waitpid(child, 0)
+    return told or "it hung"
+
+
+def test_a_forked_process_steps_and_draws_or_says_why_not(bank: SceneBank) -> None:
+    env = TomatoReachEnv(bank=bank, render_mode="rgb_array")
+    env.reset(seed=0)
+    env.render()
+    many = TomatoReachVectorEnv(2, bank=bank)
+    many.reset(seed=0)
+
+    def single() -> str:
+        env.step(np.zeros(6))
+        env.reset()
+        env.close()
+        env.reset()
+        return str(env.render().shape)
+
+    def vector() -> str:
+        try:
+            many.step(np.zeros((2, 6)))
+        except GreenhouseError as error:
+            return str(error)
+        return "stepped"
+
+    assert in_a_forked_process(single) == "(480, 640, 3)"
+    assert "spawn" in in_a_forked_process(vector)
+    many.step(np.zeros((2, 6)))
+    assert env.render().std() > 20
+    env.close()
 
 
 def test_environments_draw_side_by_side(bank: SceneBank) -> None:
