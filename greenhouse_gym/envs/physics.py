@@ -155,11 +155,11 @@ class Physics:
             mujoco.mj_step1(model, data)
         contact = data.contact[int(np.argmin(data.contact.dist))]
         geoms = sorted((int(contact.geom1), int(contact.geom2)), key=lambda g: model.geom_bodyid[g], reverse=True)
-        names = tuple(_name(model, g) for g in geoms)
+        names = tuple(name_of(model, g) for g in geoms)
         return Contact(names, of_arm_alone=bool(model.geom_bodyid[geoms[1]] > 0))
 
 
-def _name(model: mujoco.MjModel, geom: int) -> str:
+def name_of(model: mujoco.MjModel, geom: int) -> str:
     """A geom's name; for one without a name that of the body it belongs to, as arms of other makers have them."""
     return str(model.geom(geom).name or model.body(model.geom_bodyid[geom]).name or f"geom {geom}")
 

@@ -1,16 +1,20 @@
 from __future__ import annotations
 
+import dataclasses
 import gc
+import weakref
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
-from greenhouse_gym.envs import TomatoReachVectorEnv, worlds
+from greenhouse_gym.envs import TomatoReachEnv, TomatoReachVectorEnv, worlds
+from greenhouse_gym.envs.physics import name_of
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Box
 from greenhouse_gym.robots import get_robot
-from greenhouse_gym.scene import SceneBank, Shapes
+from greenhouse_gym.scene import Scene, SceneBank, Shapes
 from greenhouse_gym.scene.bank import write_bank
 
 
@@ -51,3 +55,37 @@ def test_truth_chooses_its_capacity_from_the_bank(bank: SceneBank, tmp_path: Pat
     assert worlds.room_for(true, "reconstruction") == worlds.room_for(bank, "truth") == 300
     with pytest.raises(InvalidValueError, match=r"made-up-\d.*no truth.*simulated"):
         TomatoReachVectorEnv(2, bank=bank, physics="truth").reset(seed=0)
+
+
+def test_a_bank_that_is_written_anew_gives_its_new_scenes(scene: Scene, tmp_path: Path) -> None:
+    def first_target(x: float) -> np.ndarray:
+        moved = [dataclasses.replace(t, center=t.center + [x, 0.0, 0.0]) for t in scene.tomatoes]
+        placed = scene.model_copy(update={"tomatoes": tuple(moved)})
+        write_bank(tmp_path, [(placed, "train")], name="same")
+        env = TomatoReachEnv(bank=tmp_path)
+        env.reset(seed=0, options={"scene": scene.name, "target": 0})
+        body = env.model_and_data()[0].geom("tomato_0").pos
+        np.testing.assert_allclose(body, moved[0].center)
+        return env.simulation.situation.target[0]
+
+    before, after = first_target(0.0), first_target(0.05)
+    np.testing.assert_allclose(after - before, [0.05, 0.0, 0.0], atol=1e-6)
+
+
+def test_kinds_of_worlds_are_kept_only_so_long(bank: SceneBank) -> None:
+    robot = get_robot("ur5e")
+    kept = worlds.worlds_of(robot, "reconstruction", 300)
+    assert worlds.worlds_of(robot, "reconstruction", 300) is kept
+    assert worlds.worlds_of(robot, "reconstruction", 300, substeps=2) is not kept
+    last = [weakref.ref(worlds.worlds_of(robot, "reconstruction", 301 + k)) for k in range(worlds.KINDS_KEPT + 1)]
+    gc.collect()
+    assert last[0]() is None
+    assert last[1]() is not None
+
+
+def test_parts_without_a_name_are_told_by_their_body() -> None:
+    model = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><geom size='1'/><body name='link'><geom size='1'/><geom name='cup' size='1'/></body>"
+        "<body><geom size='1'/></body></worldbody></mujoco>"
+    )
+    assert [name_of(model, geom) for geom in range(4)] == ["world", "link", "cup", "geom 3"]

@@ -14,6 +14,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from greenhouse_gym.agents import Agent, Problem
 from greenhouse_gym.envs import TomatoReachEnv
+from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.integrations.sb3 import Sb3Agent, make_sb3_vec_env
 from greenhouse_gym.scene import SceneBank
@@ -121,3 +122,31 @@ def test_models_with_a_memory_forget_between_episodes() -> None:
         agent.act(np.zeros(60))
     assert model.told == [(None, True), (1, False)] * 2
     assert copy.deepcopy(agent).model is model
+
+
+def test_every_simulation_gets_its_own_options(bank: SceneBank) -> None:
+    env = make_sb3_vec_env(3, bank=bank)
+    scenes = bank.names()[:3]
+    env.set_options([{"scene": name, "target": k} for k, name in enumerate(scenes)])
+    env.reset()
+    assert [info["scene"] for info in env.venv.reset_infos] == scenes
+    assert [info["target"] for info in env.venv.reset_infos] == [0, 1, 2]
+    env.set_options({"scene": scenes[2]})
+    env.reset()
+    assert {info["scene"] for info in env.venv.reset_infos} == {scenes[2]}
+
+
+def test_some_of_the_simulations_cannot_be_changed_alone(bank: SceneBank) -> None:
+    env = make_sb3_vec_env(3, bank=bank, observation="goal")
+    env.env_method("set_difficulty", "easy")
+    env.env_method("set_difficulty", "easy", indices=[2, 0, 1])
+    with pytest.raises(InvalidValueError, match=r"'set_difficulty'.*all 3 simulations.*\[1\]"):
+        env.env_method("set_difficulty", "hard", indices=[1])
+    with pytest.raises(InvalidValueError, match="attribute 'render_mode'"):
+        env.set_attr("render_mode", None, indices=0)
+    assert env.get_attr("render_mode", indices=[0, 2]) == [None, None]
+    observed = env.reset()
+    env.step(np.zeros((3, 6)))
+    infos = env.step(np.zeros((3, 6)))[3]
+    goals = (observed["achieved_goal"], observed["desired_goal"], infos)
+    assert env.env_method("compute_reward", *goals, indices=[0])[0].shape == (3,)
