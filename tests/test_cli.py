@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -83,7 +84,7 @@ def test_simulate_writes_a_recording_once(tmp_path: Path) -> None:
 
 # -- reconstruct ------------------------------------------------------------------------------------------------------
 
-RESULTS = {"row.npz", "row.ply", "mesh.ply", "report.json", "report.html"} | {
+RESULTS = {"row.npz", "row.ply", "mesh.ply", "report.json", "report.html", "settings.toml"} | {
     name for name in PICTURES if name.split("-")[0] in set("12345678")
 }
 SMALL = ("--points", "2000", "--faces", "1500")
@@ -294,7 +295,7 @@ def test_an_expected_error_is_one_line_and_status_1(tmp_path: Path) -> None:
     assert done.returncode == 1
     assert done.stdout == ""
     assert len(done.stderr.strip().splitlines()) == 1
-    assert done.stderr.startswith(f"error: {folder}: not a recording: expected {INDEX}")
+    assert done.stderr.startswith(f"error: {folder}: not a recording of a known format (greenhouse: {INDEX}")
 
 
 def test_usage_errors_and_help() -> None:
@@ -349,3 +350,70 @@ def test_the_demo_runs_whole(tmp_path: Path) -> None:
     assert len(open_recording(out / "recording")) == 6
     assert (out / "comparison.md").read_text().count("|") > 20
     assert (out / "ppo" / "policy.json").is_file()
+
+
+# -- settings and formats ---------------------------------------------------------------------------------------------
+
+
+def test_formats_are_listed() -> None:
+    printed = run("formats").splitlines()
+    assert [line.split(":")[0] for line in printed[:3]] == ["greenhouse", "calibrated", "open3d"]
+
+
+@pytest.mark.parametrize("name", ["reconstruct", "build", "train"])
+def test_settings_are_printed_as_a_file_to_begin_from(name: str) -> None:
+    printed = run(name, "--print-settings")
+    assert tomllib.loads(printed)
+    assert printed.count("# ") > 15
+
+
+def test_misspelt_settings_list_the_choices(recording: Path, tmp_path: Path) -> None:
+    out = ["--out", tmp_path / "out"]
+    assert "Did you mean 'voxel'" in str(fails("reconstruct", recording, *out, "--set", "voxl=0.004"))
+    assert "Did you mean 'shapes.voxel'" in str(fails("build", recording, *out, "--set", "shapes.voxl=0.004"))
+    (tmp_path / "s.toml").write_text("total_step = 5")
+    error = str(fails("train", "ppo", "--settings", tmp_path / "s.toml", *out))
+    assert "s.toml: unknown setting 'total_step'. Did you mean 'total_steps'?" in error
+    assert "recording format 'rosbag'" in str(fails("build", recording, *out, "--format", "rosbag"))
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.xdist_group("row")
+def test_resolved_settings_lie_beside_the_results(recording: Path, reconstructed: Path, tmp_path: Path) -> None:
+    assert "voxel = 0.002\n" in (reconstructed / "settings.toml").read_text()
+    settings = ["--settings", reconstructed / "settings.toml", "--set", "voxel=0.01", "--set", "calibration_stations=0"]
+    run("reconstruct", recording, "--out", tmp_path, *SMALL, *settings)
+    assert "voxel = 0.01\n" in (tmp_path / "settings.toml").read_text()
+    assert len(load_row(tmp_path / "row.npz")) < 0.2 * len(load_row(reconstructed / "row.npz"))
+
+
+def test_a_build_writes_its_settings(recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from greenhouse_gym import build
+    from greenhouse_gym.settings_files import resolve
+
+    def stop(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(build, "reconstruct_row", stop)
+    result = CliRunner().invoke(app, ["build", str(recording), "--out", str(tmp_path / "bank")])
+    assert result.exit_code == 130
+    assert "give the same command again to go on" in result.output
+    given: list[object] = []
+    monkeypatch.setattr(build, "build_bank", lambda *_, settings, **__: given.append(settings) or [])
+    run("build", recording, "--out", tmp_path / "bank", "--set", "shapes.voxel=0.004", "--set", "width=1.5")
+    (settings,) = given
+    assert isinstance(settings, build.BuildSettings)
+    assert (settings.width, settings.shapes.voxel) == (1.5, 0.004)
+    assert resolve(build.BuildSettings(), tmp_path / "bank" / "settings.toml") == settings
+
+
+@pytest.mark.parametrize("name", ["reconstruct", "demo"])
+def test_one_process_at_a_time_and_no_file_for_a_folder(recording: Path, tmp_path: Path, name: str) -> None:
+    from greenhouse_gym.paths import exclusive
+
+    arguments = [recording] if name == "reconstruct" else ["--quick"]
+    (tmp_path / "file").touch()
+    assert "file: cannot be written" in str(fails(name, *arguments, "--out", tmp_path / "file"))
+    with exclusive(tmp_path / "out"):
+        assert "another process is at work" in str(fails(name, *arguments, "--out", tmp_path / "out"))
+    assert list((tmp_path / "out").iterdir()) == []

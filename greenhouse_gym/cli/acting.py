@@ -10,12 +10,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.progress import track
 
+from greenhouse_gym.cli.settings import Assignments, SettingsFile, shown
 from greenhouse_gym.progress import CONSOLE
 
 if TYPE_CHECKING:
     from greenhouse_gym.planning import PlanResult
 
 Bank = Annotated[str, typer.Option(help="A shipped bank's name or a bank's folder.")]
+
+
+def _training_settings() -> object:
+    from greenhouse_gym.learning import PpoSettings
+
+    return PpoSettings()
 
 
 def plan(
@@ -113,13 +120,21 @@ def train(
     steps: Annotated[int, typer.Option(help="Environment steps.")] = 2_000_000,
     seed: int = 0,
     resume: Annotated[bool, typer.Option(help="Go on from the checkpoint in the folder.")] = False,
+    settings: SettingsFile = None,
+    assignments: Assignments = None,
+    print_settings: Annotated[bool, shown(_training_settings)] = False,
 ) -> None:
-    """Train a policy."""
+    """Train a policy. Settings of a file and of --set replace what --bank, --steps and --seed say."""
     from greenhouse_gym.errors import require_choice
     from greenhouse_gym.learning import PpoSettings, train_ppo
+    from greenhouse_gym.paths import write_atomically
+    from greenhouse_gym.settings_files import as_toml, resolve
 
     require_choice("algorithm", algorithm, ["ppo"])
-    policy = train_ppo(PpoSettings(bank=bank, total_steps=steps, seed=seed), out, resume=resume)
+    given = PpoSettings(bank=bank, total_steps=steps, seed=seed)
+    resolved = resolve(given, settings, assignments or ())
+    policy = train_ppo(resolved, out, resume=resume)
+    write_atomically(out / "settings.toml", as_toml(resolved))
     CONSOLE.print(f"policy in {policy}")
 
 

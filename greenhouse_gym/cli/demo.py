@@ -16,7 +16,7 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from greenhouse_gym.paths import write_atomically
+from greenhouse_gym.paths import exclusive, write_atomically
 from greenhouse_gym.progress import CONSOLE, progress
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ class Report:
 
 def demo(
     out: Annotated[Path, typer.Option(help="Folder for pictures and results.")] = Path("demo"),
-    seed: Annotated[int, typer.Option(help="Seed of everything.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of everything.")] = 1,
     quick: Annotated[bool, typer.Option("--quick", help="A much smaller run, as the tests do it.")] = False,
 ) -> None:
     """Simulate a row, reconstruct it, build a bank, plan, train, compare; about five minutes on two cores."""
@@ -78,6 +78,11 @@ def demo(
 
 def run_demo(out: Path, seed: int, settings: DemoSettings) -> Report:
     """Run the demo; pictures and ``results.json`` go to ``out``."""
+    with exclusive(out):
+        return _run(out, seed, settings)
+
+
+def _run(out: Path, seed: int, settings: DemoSettings) -> Report:
     report = Report()
     row, recording = _simulate(out, seed, settings, report)
     cloud = _reconstruct(out, row, recording, report)

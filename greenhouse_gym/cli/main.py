@@ -20,6 +20,7 @@ app = typer.Typer(
 app.command()(sensing.simulate)
 app.command()(sensing.reconstruct)
 app.command()(sensing.build)
+app.command()(sensing.formats)
 app.command("build-shipped")(sensing.build_shipped)
 app.command()(acting.plan)
 app.command()(rating.rate)

@@ -23,6 +23,7 @@ from greenhouse_gym.reconstruction import (
 from greenhouse_gym.reconstruction.row import merge_segment, remove_outliers
 from greenhouse_gym.reconstruction.surface import save_mesh, save_points
 from greenhouse_gym.reconstruction.walk import Walk
+from greenhouse_gym.settings_files import as_toml
 
 
 def write_results(
@@ -60,6 +61,7 @@ def write_results(
     save_mesh(mesh, work / "mesh.ply")
     report = rows[0].report
     write_atomically(work / "report.json", report_as_json(report))
+    write_atomically(work / "settings.toml", as_toml(settings))
     pair = typical_pair(report.stations)
     pictures = registration_pictures(recording, *pair, walk.calibration, settings, work) if pair else []
     pictures += row_pictures(merged, rows[0], mesh, work)

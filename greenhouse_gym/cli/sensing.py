@@ -4,13 +4,31 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from greenhouse_gym.cli.settings import Assignments, SettingsFile, shown
 from greenhouse_gym.progress import CONSOLE, progress
 
+if TYPE_CHECKING:
+    from greenhouse_gym.capture import Recording
+    from greenhouse_gym.reconstruction import ReconstructionSettings
+
 Out = Annotated[Path, typer.Option("--out", help="Folder for the results.")]
+Format = Annotated[str | None, typer.Option("--format", help="The recording's format; found out when left out.")]
+
+
+def _reconstruction_settings() -> object:
+    from greenhouse_gym.reconstruction import ReconstructionSettings
+
+    return ReconstructionSettings()
+
+
+def _build_settings() -> object:
+    from greenhouse_gym.build import BuildSettings
+
+    return BuildSettings()
 
 
 def simulate(
@@ -39,21 +57,38 @@ def reconstruct(
     method: Annotated[str, typer.Option(help="How to mesh: ball_pivoting, poisson or alpha_shape.")] = "ball_pivoting",
     points: Annotated[int, typer.Option(min=4, help="Points the cloud is simplified to before it is meshed.")] = 10_000,
     faces: Annotated[int, typer.Option(min=1, help="Most faces of the mesh.")] = 18_000,
+    format: Format = None,
+    settings: SettingsFile = None,
+    assignments: Assignments = None,
+    print_settings: Annotated[bool, shown(_reconstruction_settings)] = False,
 ) -> None:
     """Turn a recording into a cloud and a mesh, with a report; an interrupted run goes on where it stopped.
 
     Notes of the way are kept in the folder "walk" beside the results until all results are written.
     """
     from greenhouse_gym.capture import open_recording
+    from greenhouse_gym.errors import require_choice
+    from greenhouse_gym.paths import exclusive
+    from greenhouse_gym.reconstruction import METHODS, settings_for
+    from greenhouse_gym.settings_files import resolve
+
+    require_choice("meshing method", method, METHODS)
+    opened = open_recording(recording, format)
+    resolved = resolve(settings_for(opened), settings, assignments or ())
+    with exclusive(out):
+        _reconstruct(opened, resolved, out, method, points, faces)
+
+
+def _reconstruct(
+    opened: Recording, settings: ReconstructionSettings, out: Path, method: str, points: int, faces: int
+) -> None:
     from greenhouse_gym.cli.results import write_results
-    from greenhouse_gym.errors import FileFormatError, ReconstructionError, require_choice
-    from greenhouse_gym.reconstruction import METHODS, settings_for, simplify_points, triangulate
+    from greenhouse_gym.errors import FileFormatError, ReconstructionError
+    from greenhouse_gym.reconstruction import simplify_points, triangulate
     from greenhouse_gym.reconstruction.diary import Diary
     from greenhouse_gym.reconstruction.walk import walk_through
 
-    require_choice("meshing method", method, METHODS)
-    opened, notes = open_recording(recording), out / "walk"
-    settings = settings_for(opened)
+    notes = out / "walk"
     if notes.exists() and not (notes / "walk.jsonl").exists():
         raise FileFormatError(notes, "holds no notes of a reconstruction; choose another folder or remove it")
     noted = len(Diary.open(notes, opened, settings).entries)
@@ -95,13 +130,41 @@ def build(
     recordings: Annotated[list[Path], typer.Argument(help="Folders of recordings, one per row.")],
     out: Out,
     name: Annotated[str, typer.Option(help="The bank's name; the folder's name by default.")] = "",
+    format: Format = None,
+    settings: SettingsFile = None,
+    assignments: Assignments = None,
+    print_settings: Annotated[bool, shown(_build_settings)] = False,
 ) -> None:
-    """Build a bank of scenes from recordings; an interrupted build goes on where it stopped."""
-    from greenhouse_gym.build import build_bank
-    from greenhouse_gym.capture import open_recording
+    """Build a bank of scenes from recordings; an interrupted build goes on where it stopped.
 
-    bank = build_bank([open_recording(path) for path in recordings], out, name or out.name)
-    CONSOLE.print(f"{len(bank)} scenes in {out}")
+    What the settings leave open in reconstruction is what the recordings' protocol needs.
+    """
+    from greenhouse_gym.build import BuildSettings, build_bank
+    from greenhouse_gym.capture import open_recording
+    from greenhouse_gym.paths import write_atomically
+    from greenhouse_gym.reconstruction import settings_for
+    from greenhouse_gym.settings_files import as_toml, resolve
+
+    opened = [open_recording(path, format) for path in recordings]
+    needed = {settings_for(recording) for recording in opened}
+    resolved = resolve(
+        BuildSettings(reconstruction=needed.pop() if len(needed) == 1 else None), settings, assignments or ()
+    )
+    try:
+        bank = build_bank(opened, out, name or out.resolve().name, settings=resolved)
+    except KeyboardInterrupt:
+        _say(f"interrupted: what is done is kept in {out}; give the same command again to go on")
+        raise typer.Exit(130) from None
+    write_atomically(out / "settings.toml", as_toml(resolved))
+    _say(f"{len(bank)} scenes in {out}")
+
+
+def formats() -> None:
+    """List the formats of recordings that can be read, those of installed packages too."""
+    from greenhouse_gym.capture import recording_formats
+
+    for known in recording_formats().values():
+        _say(f"{known.name}: {known.description}")
 
 
 def build_shipped(out: Out = Path("scenes")) -> None:
