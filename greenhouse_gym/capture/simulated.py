@@ -67,7 +67,23 @@ def simulate_recording(
         raise InvalidValueError(f"stations must be at least 1, got {count}")
     if seed < 0:
         raise InvalidValueError(f"seed must be 0 or more, got {seed!r}")
-    poses = walk(count, seed, rig, settings, walk_number)
+    return photograph(row, seed, rig, walk(count, seed, rig, settings, walk_number), settings, walk_number)
+
+
+def photograph(
+    row: PlantRow, seed: int, rig: Rig, poses: Array, settings: WalkSettings | None = None, walk_number: int = 0
+) -> Recording:
+    """Photograph a grown row from given places; otherwise as `simulate_recording`.
+
+    Args:
+        row: The row.
+        seed: Seed of the camera biases and the noise.
+        rig: The cameras.
+        poses: (stations, 4, 4) where the rig stands in the row's frame.
+        settings: Sensor errors.
+        walk_number: As in `simulate_recording`.
+    """
+    settings = settings or WalkSettings()
     again = (walk_number,) if walk_number else ()
     biases = draw_biases(len(rig.cameras), np.random.default_rng([seed, 1]), settings.noise)
     actual = misplaced(rig, seed, settings)
@@ -84,7 +100,7 @@ def simulate_recording(
             frames[name] = RgbdFrame(color, depth, camera.intrinsics)
         return Station(frames, poses[i])
 
-    return Recording(f"simulated-{seed}", rig, count, load, truth=row)
+    return Recording(f"simulated-{seed}", rig, len(poses), load, truth=row)
 
 
 def misplaced(rig: Rig, seed: int, settings: WalkSettings) -> Rig:

@@ -30,7 +30,7 @@ MAX_RANGE = 2.0
 COLOR_RANGE = 10.0
 """Surfaces beyond this distance are not in the color images, metres."""
 
-_TIP_FROM_WRIST = pose(translation=[0.07, 0.0, -0.13])
+TIP_FROM_WRIST = pose(translation=[0.07, 0.0, -0.13])
 """Beside the flange, looking along the tool."""
 
 _BASE_FROM_MAST = pose(
@@ -211,7 +211,7 @@ def _camera_poses(cameras: Sequence[DepthCamera], base_from_tip: Array) -> Array
     """(n, c, 4, 4) base_from_camera for tool poses (n, 4, 4)."""
     result = np.empty((len(base_from_tip), len(cameras), 4, 4))
     for k, camera in enumerate(cameras):
-        result[:, k] = base_from_tip @ _TIP_FROM_WRIST if camera.mount == "wrist" else _BASE_FROM_MAST
+        result[:, k] = base_from_tip @ TIP_FROM_WRIST if camera.mount == "wrist" else _BASE_FROM_MAST
     return result
 
 

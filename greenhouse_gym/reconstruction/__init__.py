@@ -1,6 +1,7 @@
 """From a recording to one cloud of the row, and its mesh."""
 
 from greenhouse_gym.reconstruction.files import load_row, report_as_json, save_row
+from greenhouse_gym.reconstruction.looks import add_looks
 from greenhouse_gym.reconstruction.report import RowReport, StationReport
 from greenhouse_gym.reconstruction.row import RowCloud, reconstruct_row, reconstruct_segments
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings, settings_for
@@ -13,6 +14,7 @@ __all__ = [
     "RowReport",
     "StationReport",
     "TriangleMesh",
+    "add_looks",
     "load_row",
     "reconstruct_row",
     "reconstruct_segments",

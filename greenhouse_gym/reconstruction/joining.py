@@ -81,7 +81,7 @@ def join_segments(
             for beginning in beginnings:
                 apart = along[later] - along[earlier] + beginning
                 start = pose(translation=[0.0, apart, lift])
-                edge = _edge(view(earlier), view(later), start, settings)
+                edge = register_near(view(earlier), view(later), start, settings)
                 if isinstance(edge, Edge):
                     found[earlier, later] = edge
                     beginnings = (beginning,)
@@ -104,8 +104,10 @@ def _along(segment: Sequence[int], one: Pass, edges: Edges, recording: Recording
     return dict(zip(segment, (places + pace * (segment[0] - one.first)).tolist(), strict=True))
 
 
-def _edge(first: StationView, second: StationView, start: Array, settings: ReconstructionSettings) -> Edge | str:
-    """The registration of two stations that stand nearly ``start`` (4, 4) apart, or why there is none."""
+def register_near(
+    first: StationView, second: StationView, start: Array, settings: ReconstructionSettings
+) -> Edge | str:
+    """The registration of two stations that stand ``start`` (4, 4) apart to a few centimetres, or why there is none."""
     near = start
     for distance in (3 * settings.coarse_distance, settings.coarse_distance):
         near = coarse_icp(first, second, near, distance, settings)

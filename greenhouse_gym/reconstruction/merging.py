@@ -92,10 +92,10 @@ def _merge_points(cloud: Cloud, station: npt.NDArray[np.int32], settings: Recons
         cube = voxels(cloud.points, 1.5 * settings.outlier_radius, offset)
         cubes, count = np.unique(np.unique(cube * stations + station) // stations, return_counts=True)
         np.maximum.at(seen_by, row, count[np.searchsorted(cubes, cube)].astype(np.int32))
-    return Merged(means, first_seen, seen_by, _lonely(means.points, settings))
+    return Merged(means, first_seen, seen_by, lonely_points(means.points, settings))
 
 
-def _lonely(points: Array, settings: ReconstructionSettings) -> npt.NDArray[np.bool_]:
+def lonely_points(points: Array, settings: ReconstructionSettings) -> npt.NDArray[np.bool_]:
     """Points (n,) with too few neighbours; only those in thinly filled cubes are looked at closely."""
     lonely = np.zeros(len(points), dtype=bool)
     cubes, count = np.unique(voxels(points, settings.outlier_radius), return_inverse=True, return_counts=True)[1:]

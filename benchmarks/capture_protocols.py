@@ -1,0 +1,218 @@
+"""How must a row be photographed so that plans made on the scan hold in the plants?
+
+    python benchmarks/capture_protocols.py --rows 711-716                       # development rows
+    python benchmarks/capture_protocols.py --rows 801-810 --out benchmarks/results/capture_protocols.json
+
+Every row is photographed by every protocol, reconstructed and cut into scenes. In each scene every tomato within reach
+is planned for on the reconstruction, and the path is followed in the true row (``physics="truth"``): the arm reaches
+the tomato, or hits something, or there was no plan to follow. Scenes and episodes are kept under --workdir as they are
+finished, so an interrupted run goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import gymnasium
+import numpy as np
+from capture_protocols_summary import summaries, table
+from capture_protocols_truth import with_truth
+from joblib import Parallel, delayed
+from results_file import write_results
+
+from greenhouse_gym.agents.planner_agent import PathFollower
+from greenhouse_gym.build import BuildSettings, cut_scenes
+from greenhouse_gym.capture import PROTOCOLS, get_protocol, simulate_protocol
+from greenhouse_gym.envs.tomato_reach import TomatoReachEnv
+from greenhouse_gym.evaluation import ENV_ID
+from greenhouse_gym.paths import write_atomically
+from greenhouse_gym.planning import plan
+from greenhouse_gym.plants import STYLES, PlantRow, grow_row
+from greenhouse_gym.reconstruction import reconstruct_row
+from greenhouse_gym.robots import get_robot
+from greenhouse_gym.scene import Scene
+from greenhouse_gym.shapes import extract_shapes
+
+REACH = 0.95
+"""Metres from the shoulder up to which a tomato is a target."""
+
+SAME = 0.03
+"""Metres between the centers of a reconstructed tomato and of the true one it stands for."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What is measured.
+
+    Attributes:
+        source: Where the plants come from.
+        length: Of a row, metres.
+        robot: The arm.
+        planner: The planner.
+        checks: Its budget of collision checks.
+        start: What the arm starts from, by name.
+        primitives: Most shapes in a scene.
+        per_scene: Most targets of a scene, drawn by the row's seed.
+        workdir: Where scenes and episodes are kept.
+    """
+
+    source: str
+    length: float
+    robot: str
+    planner: str
+    checks: int
+    start: str
+    primitives: int
+    per_scene: int
+    workdir: Path
+
+
+def main() -> None:
+    """Run the benchmark."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rows", type=_numbers, default=_numbers("711-716"), help="seeds, such as 711-716 or 711,713")
+    parser.add_argument("--source", default="own", help="own or helios")
+    parser.add_argument("--protocols", nargs="+", default=list(PROTOCOLS), choices=list(PROTOCOLS), metavar="NAME")
+    parser.add_argument("--unseen", nargs="+", default=["free"], metavar="MODE", help="free, avoid, forbid")
+    parser.add_argument("--length", type=float, default=2.0, help="of a row, metres")
+    parser.add_argument("--robot", default="ur5e")
+    parser.add_argument("--planner", default="RRTConnect")
+    parser.add_argument("--checks", type=int, default=20_000, help="collision checks of a plan")
+    parser.add_argument("--start", default="start", help="start (upright) or folded")
+    parser.add_argument("--primitives", type=int, default=600, help="most shapes in a scene")
+    parser.add_argument("--per-scene", type=int, default=20, help="most targets of a scene")
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--workdir", type=Path, default=Path("capture_protocols"))
+    parser.add_argument("--out", type=Path, help="JSON file for the figures")
+    a = parser.parse_args()
+    options = Options(
+        a.source, a.length, a.robot, a.planner, a.checks, a.start, a.primitives, a.per_scene, a.workdir
+    )  # fmt: skip
+    tasks = product(a.rows, a.protocols)  # row by row, so that an early look compares the protocols
+    done = Parallel(n_jobs=a.workers, return_as="generator_unordered")(
+        delayed(measure)(seed, name, tuple(a.unseen), options) for seed, name in tasks
+    )
+    episodes: list[dict[str, Any]] = []
+    for part in done:
+        episodes += part
+        print(f"\n{table(summaries(episodes))}", flush=True)
+    if a.out:
+        command = f"benchmarks/capture_protocols.py --source {a.source} --rows {a.rows[0]}-{a.rows[-1]} --protocols "
+        command += f"{' '.join(a.protocols)} --unseen {' '.join(a.unseen)} --length {a.length:g} --start {a.start} "
+        command += f"--primitives {a.primitives} --checks {a.checks} --per-scene {a.per_scene}"
+        figures = {"command": command, "source": a.source, "rows": a.rows, "figures": summaries(episodes)}
+        write_results(a.out, figures, ["mujoco", "ompl", "open3d"])
+
+
+def _numbers(text: str) -> list[int]:
+    first, _, last = text.partition("-")
+    return list(range(int(first), int(last) + 1)) if last else [int(part) for part in text.split(",")]
+
+
+def measure(seed: int, protocol: str, unseen: Sequence[str], options: Options) -> list[dict[str, Any]]:
+    """All episodes of one row photographed by one protocol."""
+    made = f"{options.source}-{seed}-{options.length:g}m-{options.primitives}-{protocol}"
+    folder = options.workdir / made
+    folder.mkdir(parents=True, exist_ok=True)
+    scenes = scenes_of(seed, protocol, options, folder / "scenes.jsonl")
+    episodes: list[dict[str, Any]] = []
+    for mode in unseen:
+        file = folder / f"{options.robot}-{options.planner}-{options.checks}-{options.start}-{mode}.json"
+        if not file.exists():
+            env = gymnasium.make(ENV_ID, bank="mini", robot=options.robot, physics="truth", capacity=4000)
+            found = [
+                {"source": options.source, "row": seed, "protocol": protocol, "unseen": mode, "start": options.start}
+                | episode
+                for scene in scenes
+                for episode in reach_all(scene, env, mode, seed, options)
+            ]
+            env.close()
+            write_atomically(file, json.dumps(found))
+        episodes += json.loads(file.read_text())
+    return episodes
+
+
+def grow(seed: int, options: Options) -> PlantRow:
+    """A row whose week and style follow from its seed."""
+    styles = list(STYLES)
+    return grow_row(seed, options.length, week=seed % 3, style=styles[(seed + seed // 3) % len(styles)])
+
+
+def scenes_of(seed: int, protocol: str, options: Options, file: Path) -> list[Scene]:
+    """The scenes of a row, with the truth, made once."""
+    if not file.exists():
+        began = perf_counter()
+        row = grow(seed, options)
+        recording = simulate_protocol(row, seed, get_protocol(protocol))
+        cloud = reconstruct_row(recording)
+        shapes = extract_shapes(cloud.points, cloud.colors, cloud.normals)
+        build = BuildSettings(primitives=options.primitives)
+        scenes = cut_scenes(cloud, shapes, recording, row.week, build)
+        scenes = with_truth(scenes, cloud, shapes, row, recording, build)
+        print(
+            f"{protocol}, row {seed}: {cloud.registered.sum()} of {len(recording)} stations, {len(cloud)} points, "
+            f"{[len(scene.obstacles) for scene in scenes]} shapes, {perf_counter() - began:.0f} s",
+            flush=True,
+        )
+        write_atomically(file, "".join(scene.model_dump_json() + "\n" for scene in scenes))
+    return [Scene.model_validate_json(line) for line in file.read_text().splitlines()]
+
+
+def reach_all(
+    scene: Scene, env: gymnasium.Env[Any, Any], unseen: str, seed: int, options: Options
+) -> list[dict[str, Any]]:
+    """Plan for the tomatoes within reach, and follow the paths in the truth."""
+    assert scene.truth is not None
+    shoulder = np.array([0.0, 0.0, scene.stand.shoulder_height])
+    near = [k for k, t in enumerate(scene.tomatoes) if np.linalg.norm(t.center - shoulder) < REACH]
+    drawn = np.random.default_rng(seed).permutation(near)[: options.per_scene].tolist()
+    true = np.array([tomato.center for tomato in scene.truth.tomatoes]).reshape(-1, 3)
+    within = int(np.count_nonzero(np.linalg.norm(true - shoulder, axis=1) < REACH))
+    share = len(drawn) / max(1, len(near))  # of the scene's targets that are tried
+    result = []
+    for k in drawn:
+        gaps = np.linalg.norm(true - scene.tomatoes[k].center, axis=1)
+        match = int(gaps.argmin()) if gaps.min(initial=np.inf) < SAME else None
+        about = {"scene": scene.name, "target": k, "match": match, "true_within_reach": within * share}
+        result.append(about | reach(scene, k, env, unseen, options))
+    return result
+
+
+def reach(scene: Scene, target: int, env: gymnasium.Env[Any, Any], unseen: str, options: Options) -> dict[str, Any]:
+    """One episode: a plan on the reconstruction, followed in the truth."""
+    reaching = env.unwrapped
+    assert isinstance(reaching, TomatoReachEnv)
+    start = get_robot(options.robot).starts[options.start]
+    planned = plan(
+        scene, target, options.robot, options.planner, time_limit=120.0, max_checks=options.checks, start=start
+    )
+    if planned.path is None:
+        return {"status": planned.status, "outcome": "no plan"}
+    env.reset(seed=0, options={"scene": scene, "target": target, "start": start})
+    follower = PathFollower(planned.path, reaching.robot, scene, target)
+    for _ in range(len(follower.commands) + 20):
+        _, _, terminated, truncated, info = env.step(follower.action())
+        if terminated or truncated:
+            break
+    outcome = "reached" if info["is_success"] else "collided" if info["collision"] else "missed"
+    episode = {
+        "status": planned.status, "outcome": outcome, "distance": float(info["distance"]),
+        "clearance": planned.clearance,
+    }  # fmt: skip
+    if outcome == "collided":
+        model, _ = reaching.model_and_data()
+        touched = next((c for c in info["contact"] if c.startswith(("tomato_", "stem_", "clutter_"))), "")
+        place = model.geom(touched).pos.round(3).tolist() if touched else None
+        episode |= {"contact": list(info["contact"]), "at": place}
+    return episode
+
+
+if __name__ == "__main__":
+    main()

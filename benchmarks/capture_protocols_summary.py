@@ -1,0 +1,91 @@
+"""From episodes to figures: what was reached, hit, and had no plan, per protocol and way to treat the unseen."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+from greenhouse_gym.evaluation import wilson_interval
+
+AISLE, BEHIND = 0.50, 0.75
+"""Metres from the arm's axis: what is nearer hangs in the aisle, what is farther grows behind the stems at 0.60."""
+
+Episode = dict[str, Any]
+
+
+def summaries(episodes: Sequence[Episode]) -> list[dict[str, Any]]:
+    """Figures of each protocol and mode, in the order in which they first occur."""
+    groups: dict[tuple[str, ...], list[Episode]] = {}
+    for episode in episodes:
+        groups.setdefault(tuple(episode[key] for key in ("protocol", "unseen", "start")), []).append(episode)
+    return [_summary(*key, group) for key, group in groups.items()]
+
+
+def _summary(protocol: str, unseen: str, start: str, episodes: Sequence[Episode]) -> dict[str, Any]:
+    followed = [e for e in episodes if e["outcome"] != "no plan"]
+    counts = Counter(e["outcome"] for e in followed)
+    scenes = {e["scene"]: e["true_within_reach"] for e in episodes}
+    planned_for = {(e["scene"], e["match"]) for e in followed if e["match"] is not None}
+    return {
+        "protocol": protocol,
+        "unseen": unseen,
+        "start": start,
+        "rows": len({e["row"] for e in episodes}),
+        "targets": len(episodes),
+        "followed": len(followed),
+        "reached": _rate(counts["reached"], len(followed)),
+        "collided": _rate(counts["collided"], len(followed)),
+        "missed": _rate(counts["missed"], len(followed)),
+        "planned_share_of_targets": _rate(len(followed), len(episodes)),
+        "planned_share_of_true_tomatoes": round(len(planned_for) / max(1.0, sum(scenes.values())), 4),
+        "without_plan": dict(Counter(e["status"] for e in episodes if e["outcome"] == "no plan").most_common()),
+        "hit": dict(Counter(what_was_hit(e) for e in followed if e["outcome"] == "collided").most_common()),
+        "by_part": dict(Counter(_part(e) for e in followed if e["outcome"] == "collided").most_common()),
+    }
+
+
+def _rate(count: int, total: int) -> dict[str, Any]:
+    low, high = wilson_interval(count, total)
+    return {
+        "count": count,
+        "rate": round(count / total, 4) if total else None,
+        "interval": [round(low, 4), round(high, 4)],
+    }
+
+
+def what_was_hit(episode: Episode) -> str:
+    """What a path hit, and whether it hangs in the aisle, stands in the row, or behind it."""
+    touched = next((c for c in episode["contact"] if c.startswith(("tomato_", "stem_", "clutter_"))), None)
+    if touched is None or episode["at"] is None:
+        return "-".join(sorted(episode["contact"]))
+    kind = {"tomato": "fruit", "clutter": "leaf"}.get(touched.split("_")[0]) or touched.split("_")[2]
+    x = episode["at"][0]
+    return f"{kind} {'in the aisle' if x < AISLE else 'behind' if x > BEHIND else 'in the row'}"
+
+
+def _part(episode: Episode) -> str:
+    return next((c for c in episode["contact"] if not c.startswith(("tomato_", "stem_", "clutter_"))), "")
+
+
+def table(rows: Sequence[dict[str, Any]]) -> str:
+    """The figures as Markdown."""
+    lines = [
+        "| protocol | unseen | start | episodes | reached [95 %] | collided [95 %] | planned | of true tomatoes | hit |",
+        "|---|---|---|---:|---:|---:|---:|---:|---|",
+    ]
+    for row in rows:
+        hit = ", ".join(f"{count} {what}" for what, count in row["hit"].items())
+        lines.append(
+            f"| {row['protocol']} | {row['unseen']} | {row['start']} | {row['followed']} | {_text(row['reached'])} | "
+            f"{_text(row['collided'])} | {_text(row['planned_share_of_targets'], False)} | "
+            f"{row['planned_share_of_true_tomatoes']:.0%} | {hit} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def _text(rate: dict[str, Any], interval: bool = True) -> str:
+    if rate["rate"] is None:
+        return "-"
+    low, high = rate["interval"]
+    return f"{rate['rate']:.1%}" + (f" [{low:.1%}, {high:.1%}]" if interval else "")
