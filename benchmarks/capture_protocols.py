@@ -23,22 +23,24 @@ from typing import Any
 import gymnasium
 import numpy as np
 from capture_protocols_summary import summaries, table
-from capture_protocols_truth import with_truth
 from joblib import Parallel, delayed
 from results_file import write_results
 
 from greenhouse_gym.agents.planner_agent import PathFollower
-from greenhouse_gym.build import BuildSettings, cut_scenes
-from greenhouse_gym.capture import PROTOCOLS, get_protocol, simulate_protocol
+from greenhouse_gym.build import BuildSettings, cut_scenes, stand_poses
+from greenhouse_gym.capture import PROTOCOLS, Recording, get_protocol, simulate_protocol
+from greenhouse_gym.capture.simulated import photograph
 from greenhouse_gym.envs.tomato_reach import TomatoReachEnv
 from greenhouse_gym.evaluation import ENV_ID
+from greenhouse_gym.geometry import Array, pose, rotation_about
 from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.planning import plan
 from greenhouse_gym.plants import STYLES, PlantRow, grow_row
-from greenhouse_gym.reconstruction import reconstruct_row
+from greenhouse_gym.reconstruction import RowCloud, add_looks, reconstruct_row
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.shapes import extract_shapes
+from greenhouse_gym.wrist import look_rig
 
 REACH = 0.95
 """Metres from the shoulder up to which a tomato is a target."""
@@ -126,7 +128,7 @@ def measure(seed: int, protocol: str, unseen: Sequence[str], options: Options) -
     for mode in unseen:
         file = folder / f"{options.robot}-{options.planner}-{options.checks}-{options.start}-{mode}.json"
         if not file.exists():
-            env = gymnasium.make(ENV_ID, bank="mini", robot=options.robot, physics="truth", capacity=4000)
+            env = gymnasium.make(ENV_ID, bank="mini", robot=options.robot, physics="truth", capacity=_room(scenes))
             found = [
                 {"source": options.source, "row": seed, "protocol": protocol, "unseen": mode, "start": options.start}
                 | episode
@@ -137,6 +139,11 @@ def measure(seed: int, protocol: str, unseen: Sequence[str], options: Options) -
             write_atomically(file, json.dumps(found))
         episodes += json.loads(file.read_text())
     return episodes
+
+
+def _room(scenes: Sequence[Scene]) -> int:
+    """Obstacles the largest truth has, rounded up."""
+    return 1000 * (1 + max(0 if scene.truth is None else len(scene.truth.obstacles) for scene in scenes) // 1000)
 
 
 def grow(seed: int, options: Options) -> PlantRow:
@@ -154,8 +161,10 @@ def scenes_of(seed: int, protocol: str, options: Options, file: Path) -> list[Sc
         cloud = reconstruct_row(recording)
         shapes = extract_shapes(cloud.points, cloud.colors, cloud.normals)
         build = BuildSettings(primitives=options.primitives)
+        if get_protocol(protocol).looks:
+            cloud = look_around(cloud, stand_poses(cloud, shapes, recording, build), recording, seed, options)
+            shapes = extract_shapes(cloud.points, cloud.colors, cloud.normals)
         scenes = cut_scenes(cloud, shapes, recording, row.week, build)
-        scenes = with_truth(scenes, cloud, shapes, row, recording, build)
         print(
             f"{protocol}, row {seed}: {cloud.registered.sum()} of {len(recording)} stations, {len(cloud)} points, "
             f"{[len(scene.obstacles) for scene in scenes]} shapes, {perf_counter() - began:.0f} s",
@@ -163,6 +172,22 @@ def scenes_of(seed: int, protocol: str, options: Options, file: Path) -> list[Sc
         )
         write_atomically(file, "".join(scene.model_dump_json() + "\n" for scene in scenes))
     return [Scene.model_validate_json(line) for line in file.read_text().splitlines()]
+
+
+def look_around(cloud: RowCloud, row_from_stand: Array, recording: Recording, seed: int, options: Options) -> RowCloud:
+    """The cloud with what the arm's wrist camera sees from each stand, where the arm is put up to a centimetre."""
+    assert recording.truth is not None
+    first = recording[int(np.flatnonzero(cloud.registered)[0])].world_from_station
+    assert first is not None
+    random = np.random.default_rng([seed, 4])
+    errors = [
+        pose(rotation_about([0, 0, 1], random.uniform(-0.01, 0.01)), random.uniform(-0.01, 0.01, 3))
+        for _ in row_from_stand
+    ]
+    looks = photograph(
+        recording.truth, seed, look_rig(options.robot), first @ row_from_stand @ np.array(errors), walk_number=9
+    )
+    return add_looks(cloud, recording, looks, row_from_stand)[0]
 
 
 def reach_all(

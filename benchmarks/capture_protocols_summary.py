@@ -71,7 +71,7 @@ def _part(episode: Episode) -> str:
 def table(rows: Sequence[dict[str, Any]]) -> str:
     """The figures as Markdown."""
     lines = [
-        "| protocol | unseen | start | episodes | reached [95 %] | collided [95 %] | planned | of true tomatoes | hit |",
+        "| protocol | unseen | start | followed | reached [95 %] | collided [95 %] | planned | of true fruit | hit |",
         "|---|---|---|---:|---:|---:|---:|---:|---|",
     ]
     for row in rows:

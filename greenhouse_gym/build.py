@@ -239,14 +239,13 @@ def cut_scenes(
     tomatoes, stems, clutter = (
         [_moved(shape, leveled) for shape in part] for part in (shapes.tomatoes, shapes.stems, shapes.clutter)
     )
-    stem_line = _stem_line(stems, recording)
     heads = transform(leveled, row.world_from_station[row.registered][:, :3, 3])
     numbers = np.flatnonzero(row.registered)
-    origin = origin or _provenance(recording, week, settings)
-    truth = None if recording.truth is None else _registered_truth(recording, row, leveled)
+    made_from = origin or _provenance(recording, week, settings)
     scenes = []
-    for k, along in enumerate(stand_positions(heads[:, 1], settings)):
-        shift = pose(translation=[settings.stem_distance - stem_line, -along, 0.0])
+    for k, place in enumerate(_stand_origins(stems, heads, recording, settings)):
+        shift = pose(translation=-place)
+        station = int(numbers[np.argmin(np.abs(heads[:, 1] - place[1]))])
         near = [
             _within_reach([_moved(shape, shift) for shape in part], settings.reach, settings.width)
             for part in (tomatoes, stems, clutter)
@@ -259,40 +258,51 @@ def cut_scenes(
                 stems=tuple(s for s in near[1] if isinstance(s, Stem)),
                 clutter=tuple(near[2]),
                 stand=Stand(),
-                truth=None if truth is None else _around(truth, shift, settings),
-                provenance=origin.model_copy(update={"station": int(numbers[np.argmin(np.abs(heads[:, 1] - along))])}),
+                truth=None
+                if recording.truth is None
+                else _truth_around(recording, row, station, shift @ leveled, settings),
+                provenance=made_from.model_copy(update={"station": station}),
             )
         )
     return scenes
 
 
-def _registered_truth(recording: Recording, row: RowCloud, leveled: Array) -> Shapes:
-    """The true row in the leveled frame of the cloud, by the true pose of the first registered station; never fitted.
+def stand_poses(row: RowCloud, shapes: RowShapes, recording: Recording, settings: BuildSettings) -> Array:
+    """(stands, 4, 4) where `cut_scenes` puts the arm up: the frame of each scene in that of the row."""
+    leveled = level(row)
+    heads = transform(leveled, row.world_from_station[row.registered][:, :3, 3])
+    origins = _stand_origins([_moved(stem, leveled) for stem in shapes.stems], heads, recording, settings)
+    return np.array([invert(leveled) @ pose(translation=origin) for origin in origins])
+
+
+def _stand_origins(stems: Sequence[Shape], heads: Array, recording: Recording, settings: BuildSettings) -> list[Array]:
+    """(3,) points on the floor below the arm, in the leveled frame, of stems and stations (n, 3) in that frame."""
+    aside = _stem_line(stems, recording) - settings.stem_distance
+    return [np.array([aside, along, 0.0]) for along in stand_positions(heads[:, 1], settings)]
+
+
+def _truth_around(
+    recording: Recording, row: RowCloud, station: int, scene_from_row: Array, settings: BuildSettings
+) -> Shapes:
+    """All of the true row within the arm's reach, in a scene's frame.
+
+    It is registered by the true pose of the station nearest to the arm, never fitted: that leaves the drift along the
+    row out, which an arm put up there would not feel.
 
     Raises:
         InvalidValueError: The recording does not say where that station stood.
     """
     assert recording.truth is not None
-    first = int(np.flatnonzero(row.registered)[0])
-    true_from_station = recording[first].world_from_station
+    true_from_station = recording[station].world_from_station
     if true_from_station is None:
         raise InvalidValueError(
-            f"recording {recording.name!r} carries the truth of its row but not where station {first} stood: give its "
-            "stations their world_from_station, or leave the truth out (remove truth.npz)"
+            f"recording {recording.name!r} carries the truth of its row but not where station {station} stood: give "
+            "its stations their world_from_station, or leave the truth out (remove truth.npz)"
         )
-    frame = leveled @ row.world_from_station[first] @ invert(true_from_station)
+    frame = scene_from_row @ row.world_from_station[station] @ invert(true_from_station)
     true = truth_of(recording.truth)
     parts = ([_moved(shape, frame) for shape in part] for part in (true.tomatoes, true.stems, true.clutter))
-    return _shapes(*parts)
-
-
-def _around(truth: Shapes, shift: Array, settings: BuildSettings) -> Shapes:
-    """All of the truth within the arm's reach, in the scene's frame."""
-    near = (
-        _within_reach([_moved(shape, shift) for shape in part], settings.reach)
-        for part in (truth.tomatoes, truth.stems, truth.clutter)
-    )
-    return _shapes(*near).compact()
+    return _shapes(*(_within_reach(part, settings.reach) for part in parts)).compact()
 
 
 def _shapes(tomatoes: Sequence[Shape], stems: Sequence[Shape], clutter: Sequence[Shape]) -> Shapes:
@@ -303,7 +313,7 @@ def _shapes(tomatoes: Sequence[Shape], stems: Sequence[Shape], clutter: Sequence
     )
 
 
-def _stem_line(stems: list[Shape], recording: Recording) -> float:
+def _stem_line(stems: Sequence[Shape], recording: Recording) -> float:
     """Distance of the stem line from the tripod's line: the median of the main stems, else the nominal half metre."""
     main = [(s.start[0] + s.end[0]) / 2 for s in stems if isinstance(s, Stem) and s.kind == "main"]
     camera = recording.rig.cameras[recording.rig.reference].rig_from_camera[0, 3]

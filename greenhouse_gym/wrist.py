@@ -47,13 +47,11 @@ def look_rig(
         )
     model = arm.spec().compile()
     data, site = mujoco.MjData(model), model.site(TIP_SITE).id
-    lift = (stand or Stand()).shoulder_height - arm.shoulder_height
+    stand_from_base = pose(translation=[0.0, 0.0, (stand or Stand()).shoulder_height - arm.shoulder_height])
     cameras = {}
     for k, configuration in enumerate(chosen):
         data.qpos[:] = configuration
         mujoco.mj_kinematics(model, data)
         base_from_tip = pose(data.site_xmat[site].reshape(3, 3), data.site_xpos[site] - data.xpos[1])
-        cameras[f"{LOOK_PREFIX}{k}"] = Camera(
-            intrinsics, pose(translation=[0.0, 0.0, lift]) @ base_from_tip @ TIP_FROM_WRIST
-        )
+        cameras[f"{LOOK_PREFIX}{k}"] = Camera(intrinsics, stand_from_base @ base_from_tip @ TIP_FROM_WRIST)
     return Rig(cameras, f"{LOOK_PREFIX}0")

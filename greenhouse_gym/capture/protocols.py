@@ -28,6 +28,8 @@ class Protocol:
         summary: What is done, in a sentence.
         passes: The rig of each walk along the row; the same cameras, at another height.
         back: How far behind its usual line, half a metre from the stems, the tripod walks, metres.
+        looks: Whether the arm then looks with its wrist camera before it reaches: `greenhouse_gym.wrist.look_rig` and
+            `greenhouse_gym.reconstruction.add_looks`. A recording holds the tripod's passes alone.
         depth: How far behind the stems the foreground ends, metres; the paper cuts 10 cm behind them.
     """
 
@@ -36,6 +38,7 @@ class Protocol:
     passes: tuple[Rig, ...] = (SEED_RIG,)
     back: float = 0.0
     depth: float = 0.10
+    looks: bool = False
 
     @property
     def distance(self) -> float:
@@ -63,6 +66,7 @@ PROTOCOLS: Mapping[str, Protocol] = MappingProxyType(
                 "the paper's beam twice, at 1.0 and at 1.5 m, joined into one cloud",
                 (three_camera_rig(height=1.0), three_camera_rig(height=1.5)),
             ),
+            Protocol("wrist", "the paper's beam, and the arm's wrist camera looks before it reaches", looks=True),
         )
     }
 )

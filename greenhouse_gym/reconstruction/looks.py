@@ -33,7 +33,7 @@ def add_looks(
     """Add what the arm's camera saw from its stands to a row.
 
     The images of one stand share the arm's kinematics, so they are registered as one station whose cameras stand where
-    the arm held its camera; where the arm stands, and the error of that, ICP finds from the nearest stations of the row.
+    the arm held its camera; how far off the arm stands, ICP finds from the nearest stations of the row.
     Only what lies off all points of the row is added: the scan saw the rest from more sides.
 
     Args:
