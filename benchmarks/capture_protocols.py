@@ -35,7 +35,7 @@ from greenhouse_gym.evaluation import ENV_ID
 from greenhouse_gym.geometry import Array, pose, rotation_about
 from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.planning import plan
-from greenhouse_gym.plants import STYLES, PlantRow, grow_row
+from greenhouse_gym.plants import CULTIVARS, STYLES, PlantRow, grow_row
 from greenhouse_gym.reconstruction import RowCloud, add_looks, reconstruct_row
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene
@@ -56,6 +56,7 @@ class Options:
     Attributes:
         source: Where the plants come from.
         length: Of a row, metres.
+        spacing: Between the stands of the arm, metres.
         robot: The arm.
         planner: The planner.
         checks: Its budget of collision checks.
@@ -67,6 +68,7 @@ class Options:
 
     source: str
     length: float
+    spacing: float
     robot: str
     planner: str
     checks: int
@@ -84,6 +86,7 @@ def main() -> None:
     parser.add_argument("--protocols", nargs="+", default=list(PROTOCOLS), choices=list(PROTOCOLS), metavar="NAME")
     parser.add_argument("--unseen", nargs="+", default=["free"], metavar="MODE", help="free, avoid, forbid")
     parser.add_argument("--length", type=float, default=2.0, help="of a row, metres")
+    parser.add_argument("--spacing", type=float, default=0.5, help="between the stands of the arm, metres")
     parser.add_argument("--robot", default="ur5e")
     parser.add_argument("--planner", default="RRTConnect")
     parser.add_argument("--checks", type=int, default=20_000, help="collision checks of a plan")
@@ -95,7 +98,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="JSON file for the figures")
     a = parser.parse_args()
     options = Options(
-        a.source, a.length, a.robot, a.planner, a.checks, a.start, a.primitives, a.per_scene, a.workdir
+        a.source, a.length, a.spacing, a.robot, a.planner, a.checks, a.start, a.primitives, a.per_scene, a.workdir
     )  # fmt: skip
     tasks = product(a.rows, a.protocols)  # row by row, so that an early look compares the protocols
     done = Parallel(n_jobs=a.workers, return_as="generator_unordered")(
@@ -107,7 +110,7 @@ def main() -> None:
         print(f"\n{table(summaries(episodes))}", flush=True)
     if a.out:
         command = f"benchmarks/capture_protocols.py --source {a.source} --rows {a.rows[0]}-{a.rows[-1]} --protocols "
-        command += f"{' '.join(a.protocols)} --unseen {' '.join(a.unseen)} --length {a.length:g} --start {a.start} "
+        command += f"{' '.join(a.protocols)} --unseen {' '.join(a.unseen)} --length {a.length:g} --spacing {a.spacing:g} --start {a.start} "
         command += f"--primitives {a.primitives} --checks {a.checks} --per-scene {a.per_scene}"
         figures = {"command": command, "source": a.source, "rows": a.rows, "figures": summaries(episodes)}
         write_results(a.out, figures, ["mujoco", "ompl", "open3d"])
@@ -120,7 +123,7 @@ def _numbers(text: str) -> list[int]:
 
 def measure(seed: int, protocol: str, unseen: Sequence[str], options: Options) -> list[dict[str, Any]]:
     """All episodes of one row photographed by one protocol."""
-    made = f"{options.source}-{seed}-{options.length:g}m-{options.primitives}-{protocol}"
+    made = f"{options.source}-{seed}-{options.length:g}m-{options.spacing:g}-{options.primitives}-{protocol}"
     folder = options.workdir / made
     folder.mkdir(parents=True, exist_ok=True)
     scenes = scenes_of(seed, protocol, options, folder / "scenes.jsonl")
@@ -148,8 +151,9 @@ def _room(scenes: Sequence[Scene]) -> int:
 
 def grow(seed: int, options: Options) -> PlantRow:
     """A row whose week and style follow from its seed."""
-    styles = list(STYLES)
-    return grow_row(seed, options.length, week=seed % 3, style=styles[(seed + seed // 3) % len(styles)])
+    styles = list(STYLES if options.source == "own" else CULTIVARS)
+    style = styles[(seed + seed // 3) % len(styles)]
+    return grow_row(seed, options.length, week=seed % 3, style=style, source=options.source)
 
 
 def scenes_of(seed: int, protocol: str, options: Options, file: Path) -> list[Scene]:
@@ -160,7 +164,7 @@ def scenes_of(seed: int, protocol: str, options: Options, file: Path) -> list[Sc
         recording = simulate_protocol(row, seed, get_protocol(protocol))
         cloud = reconstruct_row(recording)
         shapes = extract_shapes(cloud.points, cloud.colors, cloud.normals)
-        build = BuildSettings(primitives=options.primitives)
+        build = BuildSettings(primitives=options.primitives, spacing=options.spacing)
         if get_protocol(protocol).looks:
             cloud = look_around(cloud, stand_poses(cloud, shapes, recording, build), recording, seed, options)
             shapes = extract_shapes(cloud.points, cloud.colors, cloud.normals)

@@ -67,11 +67,17 @@ def simulate_recording(
         raise InvalidValueError(f"stations must be at least 1, got {count}")
     if seed < 0:
         raise InvalidValueError(f"seed must be 0 or more, got {seed!r}")
-    return photograph(row, seed, rig, walk(count, seed, rig, settings, walk_number), settings, walk_number)
+    return photograph(row, seed, rig, walk(count, seed, rig, settings, walk_number), settings, walk_number, light)
 
 
 def photograph(
-    row: PlantRow, seed: int, rig: Rig, poses: Array, settings: WalkSettings | None = None, walk_number: int = 0
+    row: PlantRow,
+    seed: int,
+    rig: Rig,
+    poses: Array,
+    settings: WalkSettings | None = None,
+    walk_number: int = 0,
+    light: Light | None = None,
 ) -> Recording:
     """Photograph a grown row from given places; otherwise as `simulate_recording`.
 
@@ -82,6 +88,7 @@ def photograph(
         poses: (stations, 4, 4) where the rig stands in the row's frame.
         settings: Sensor errors.
         walk_number: As in `simulate_recording`.
+        light: As in `simulate_recording`.
     """
     settings = settings or WalkSettings()
     again = (walk_number,) if walk_number else ()
