@@ -109,9 +109,12 @@ def main() -> None:
         episodes += part
         print(f"\n{table(summaries(episodes))}", flush=True)
     if a.out:
-        command = f"benchmarks/capture_protocols.py --source {a.source} --rows {a.rows[0]}-{a.rows[-1]} --protocols "
-        command += f"{' '.join(a.protocols)} --unseen {' '.join(a.unseen)} --length {a.length:g} --spacing {a.spacing:g} --start {a.start} "
-        command += f"--primitives {a.primitives} --checks {a.checks} --per-scene {a.per_scene}"
+        command = (
+            f"benchmarks/capture_protocols.py --source {a.source} --rows {','.join(map(str, a.rows))} "
+            f"--protocols {' '.join(a.protocols)} --unseen {' '.join(a.unseen)} --length {a.length:g} "
+            f"--spacing {a.spacing:g} --start {a.start} --primitives {a.primitives} --checks {a.checks} "
+            f"--per-scene {a.per_scene}"
+        )
         figures = {"command": command, "source": a.source, "rows": a.rows, "figures": summaries(episodes)}
         write_results(a.out, figures, ["mujoco", "ompl", "open3d"])
 
