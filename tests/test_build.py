@@ -184,12 +184,17 @@ def true_row() -> PlantRow:
     return PlantRow(shapes.tomatoes, shapes.stems, shapes.clutter, 2.0, 0)
 
 
-def known_recording(pose_of_first: np.ndarray | None) -> Recording:
-    """A recording that knows its row and where its first station stood."""
-    return replace(recording(), load=lambda i: Station({}, pose_of_first), truth=true_row())
+def known_recording(world_from_row: np.ndarray | None) -> Recording:
+    """A recording that knows its row, and where its stations stood but for the first, which it has half a metre off."""
+
+    def load(i: int) -> Station:
+        known = None if world_from_row is None else world_from_row @ made_up_row(20).world_from_station[i]
+        return Station({}, known if i or known is None else known @ pose(translation=[0.5, 0.0, 0.0]))
+
+    return replace(recording(), load=load, truth=true_row())
 
 
-def test_truth_comes_by_the_pose_of_the_first_registered_station() -> None:
+def test_truth_comes_by_the_pose_of_the_station_nearest_to_the_arm() -> None:
     there = pose(rotation_about([0.2, 0.1, 1.0], 0.7), [3.0, -2.0, 0.1])
     seen = made_up_shapes()
     moved_row = PlantRow(
@@ -209,7 +214,7 @@ def test_truth_comes_by_the_pose_of_the_first_registered_station() -> None:
 
 
 def test_truth_without_a_pose_is_named() -> None:
-    with pytest.raises(InvalidValueError, match=r"row.*station 0.*truth\.npz"):
+    with pytest.raises(InvalidValueError, match=r"row.*station 5.*truth\.npz"):
         cut_scenes(made_up_row(20), made_up_shapes(), known_recording(None), None, BuildSettings())
     assert all(scene.truth is None for scene in scenes_of(made_up_shapes()))
 
