@@ -98,7 +98,8 @@ def test_passes_at_two_heights_become_one_cloud() -> None:
     assert degrees < 0.8
     low = reconstruct_row(from_stations([recording[i] for i in range(4)], replace(recording, passes=())), KNOWN)
     assert row.points[:, 2].max() > low.points[:, 2].max() + 0.3
-    assert len(stand_positions(recording, BuildSettings())) == 1
+    along = row.world_from_station[:, 1, 3]
+    assert stand_positions(along, BuildSettings(spacing=0.1)) == pytest.approx([0.05, 0.15, 0.25], abs=0.03)
 
 
 def test_passes_are_kept_in_the_recordings_folder(tmp_path: Path) -> None:
