@@ -1,4 +1,4 @@
-"""Which pixels of an image a sphere, a capsule or a box would cover, were it alone."""
+"""Which pixels of an image a sphere, an ellipsoid, a capsule or a box would cover, were it alone."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.capture.rig import Intrinsics
-from greenhouse_gym.geometry import Array, Box, Capsule, Shape, transform
+from greenhouse_gym.geometry import Array, Box, Capsule, Shape, Sphere, transform
 
 _CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
 
@@ -35,27 +35,34 @@ class Outlines:
 
     Attributes:
         points: (n, 8, 3) metres.
-        radii: (n,) metres; 0 for boxes.
+        radii: (n,) metres; 0 for boxes, the longest semi-axis for ellipsoids.
+        axes: (n, 3, 3) semi-axes of ellipsoids as columns, metres; NaN for all others.
     """
 
     points: Array
     radii: Array
+    axes: Array
 
     @classmethod
     def of(cls, shapes: Sequence[Shape]) -> Outlines:
         """The outlines of some shapes, in their frame."""
         points, radii = np.empty((len(shapes), 8, 3)), np.zeros(len(shapes))
+        axes = np.full((len(shapes), 3, 3), np.nan)
         for i, shape in enumerate(shapes):
             if isinstance(shape, Box):
                 points[i] = shape.center + (_CORNERS * shape.half_extents) @ shape.rotation.T
                 continue
             radii[i] = shape.radius
             points[i] = np.repeat([shape.start, shape.end], 4, axis=0) if isinstance(shape, Capsule) else shape.center
-        return cls(points, radii)
+            if isinstance(shape, Sphere) and (ellipsoid := shape.ellipsoid) is not None:
+                radii[i] = ellipsoid.semi_axes.max()
+                axes[i] = ellipsoid.rotation * ellipsoid.semi_axes
+        return cls(points, radii, axes)
 
     def seen_from(self, camera_from_world: Array) -> Outlines:
         """The same in a camera's frame."""
-        return Outlines(transform(camera_from_world, self.points.reshape(-1, 3)).reshape(-1, 8, 3), self.radii)
+        points = transform(camera_from_world, self.points.reshape(-1, 3)).reshape(-1, 8, 3)
+        return Outlines(points, self.radii, camera_from_world[:3, :3] @ self.axes)
 
     def in_view(self, k: Intrinsics, farthest: float, of: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
         """Which of some of them (n,) may show on an image: nearer than ``farthest`` metres, none around the camera."""
@@ -73,7 +80,13 @@ class Outlines:
         spans = [(int(np.floor((w - margin).min())), int(np.ceil((w + margin).max())) + 1) for w in (v, u)]
         y, x = ((np.arange(*span) - c) / f for span, c, f in zip(spans, (k.cy, k.cx), (k.fy, k.fx), strict=True))
         rays = np.stack(np.broadcast_arrays(x[None, :], y[:, None], 1.0), axis=-1)
-        alone = _through_box(rays, points) if radius == 0 else _near_segment(rays, points[0], points[-1], radius)
+        if radius == 0:
+            alone = _through_box(rays, points)
+        elif np.isfinite(self.axes[i]).all():  # where its semi-axes are unit vectors, an ellipsoid is a unit ball
+            unit = np.linalg.inv(self.axes[i])
+            alone = _near_segment(rays @ unit.T, unit @ points[0], unit @ points[0], 1.0)
+        else:
+            alone = _near_segment(rays, points[0], points[-1], radius)
         image, part = [], []
         for (low, high), size in zip(spans, (k.height, k.width), strict=True):
             first, last = min(max(low, 0), size), min(max(high, 0), size)

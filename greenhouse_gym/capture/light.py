@@ -5,7 +5,7 @@ Shading is done in linear light; colors in and out are coded with a gamma of 2.2
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +27,8 @@ class Light:
         white_balance: Gains of red, green and blue that the camera leaves uncorrected.
         exposure: Gain of all channels; above 1 highlights burn out.
         gloss: Strength of highlights on fruit and leaves.
-        flicker: One sigma of the exposure from image to image, relative.
+        flicker: One sigma of the sun's strength from station to station, as clouds pass, and a third of it that of the
+            exposure from image to image; relative.
     """
 
     azimuth: float = float(np.pi)
@@ -37,13 +38,18 @@ class Light:
     white_balance: tuple[float, float, float] = (1.0, 1.0, 1.0)
     exposure: float = 1.0
     gloss: float = 0.5
-    flicker: float = 0.03
+    flicker: float = 0.1
 
     @property
     def toward_sun(self) -> Array:
         """(3,) unit vector to the sun in the world."""
         level = np.cos(self.elevation)
         return np.array([level * np.cos(self.azimuth), level * np.sin(self.azimuth), np.sin(self.elevation)])
+
+    def at_station(self, rng: np.random.Generator) -> Light:
+        """The light a station meets: another cloud, another exposure."""
+        sun, exposure = np.exp(self.flicker * rng.normal(0.0, [1.0, 1 / 3]))
+        return replace(self, sun=self.sun * float(sun), exposure=self.exposure * float(exposure))
 
 
 def draw_light(rng: np.random.Generator) -> Light:
@@ -102,8 +108,8 @@ def shade(
     normals: Array,
     directions: Array,
     sunlit: npt.NDArray[np.bool_],
-) -> Array:
-    """Coded colors (n, 3), not yet clipped, of points on triangles (n,).
+) -> tuple[Array, Array]:
+    """Coded colors (n, 3), not yet clipped, of points on triangles (n,), and what highlights add (n,), linear.
 
     Args:
         skin: Of the mesh.
@@ -124,11 +130,13 @@ def shade(
     diffuse = light.diffuse * (0.45 + 0.3 * normals[:, 2] + 0.25 * np.clip((normals * toward_camera).sum(axis=1), 0, 1))
     through = light.sun * np.clip(-sun, 0, None) * sunlit * thin
     color = base * (direct + diffuse)[:, None] + _transmitted(base) * through[:, None]
+    glare = np.zeros(len(color))
     for source, strength, width in ((light.toward_sun, light.sun * sunlit, 60), (_SKY, 0.25 * light.diffuse, 12)):
         half = toward_camera + source
         half /= np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
-        color += (light.gloss * shine * strength * np.clip((normals * half).sum(axis=1), 0, 1) ** width)[:, None]
-    return np.clip(color * np.array(light.white_balance) * light.exposure, 0, None) ** (1 / GAMMA)
+        glare += light.gloss * shine * strength * np.clip((normals * half).sum(axis=1), 0, 1) ** width
+    color = (color + glare[:, None]) * np.array(light.white_balance) * light.exposure
+    return np.clip(color, 0, None) ** (1 / GAMMA), glare * light.exposure
 
 
 _SKY = np.array([0.0, 0.0, 1.0])

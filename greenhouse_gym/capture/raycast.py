@@ -31,11 +31,15 @@ RIPENESS_COLORS = np.array([[0.46, 0.58, 0.24], [0.72, 0.62, 0.20], [0.86, 0.42,
 
 
 class View(NamedTuple):
-    """What a camera sees: depth (h, w) metres (inf = nothing), shape (h, w) index or -1, color (h, w, 3) uint8."""
+    """What a camera sees: depth (h, w) metres (inf = nothing), shape (h, w) index or -1, color (h, w, 3) uint8.
+
+    Of a row of organs also ``glare`` (h, w): what highlights add to the color, as a share of full white.
+    """
 
     depth: npt.NDArray[np.float32]
     shape: npt.NDArray[np.int32]
     color: npt.NDArray[np.uint8]
+    glare: npt.NDArray[np.float32] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +112,7 @@ class RowRaycaster:
         rays, hits = self._cast(world_from_camera, intrinsics)
         depth, shape = self._found(hits)
         hit = shape >= 0
-        color = np.empty((*depth.shape, 3))
+        color, glare = np.empty((*depth.shape, 3)), None
         color[:] = _BACKGROUND
         directions = rays.numpy()[..., 3:]
         points = rays.numpy()[..., :3][hit] + depth[hit][:, None] * directions[hit]
@@ -118,8 +122,11 @@ class RowRaycaster:
         else:
             triangles = hits["primitive_ids"].numpy()[hit].astype(np.int64)
             normals = self.skin.normals_at(triangles, hits["primitive_uvs"].numpy()[hit])
-            color[hit] = shade(self.skin, self.light, triangles, normals, directions[hit], self._sunlit(points))
-        return View(depth, shape, (np.clip(color, 0, 1) * 255).astype(np.uint8))
+            glare = np.zeros(depth.shape, dtype=np.float32)
+            color[hit], glare[hit] = shade(
+                self.skin, self.light, triangles, normals, directions[hit], self._sunlit(points)
+            )
+        return View(depth, shape, (np.clip(color, 0, 1) * 255).astype(np.uint8), glare)
 
     def measure(
         self, world_from_camera: Array, intrinsics: Intrinsics

@@ -30,6 +30,62 @@ class StereoNoise:
     max_range: float = 3.0  # m; farther readings are not modelled
 
 
+@dataclass(frozen=True)
+class StereoDoubt:
+    """Where block matching fails on plants, besides at edges; every term can be set to zero.
+
+    Wires of 2 mm before a far background give no depth (librealsense, issue 5477), surfaces have holes where they
+    reflect the light (issues 4320 and 3744), and a poor exposure is the first reason for bad depth (Intel's notes on
+    tuning the D400). None of these gives numbers: the figures here are priors.
+    """
+
+    thin_width: int = 5  # px; nearer things narrower than this along an image row are thin
+    thin_dropout: float = 0.25  # share of pixels without a reading on thin things
+    mixed: float = 0.04  # share of pixels beside a depth edge whose reading lies between near and far
+    glare_from: float = 0.12  # share of full white that a highlight adds, from which on it is glare
+    glare_dropout: float = 0.6  # share of pixels without a reading in glare
+    burnt: int = 250  # gray level from which on all channels count as burnt out
+    dark: int = 6  # gray level below which all channels count as black
+    exposure_dropout: float = 0.5  # share of pixels without a reading where burnt out or black
+
+
+def doubtful(
+    depth: npt.NDArray[np.floating],
+    color: npt.NDArray[np.uint8],
+    glare: npt.NDArray[np.floating],
+    fx: float,
+    doubt: StereoDoubt = StereoDoubt(),
+    baseline: float = StereoNoise.baseline,
+) -> Array:
+    """Share of readings (h, w) that stereo loses on thin things, in glare and where the exposure fails.
+
+    Args:
+        depth: (h, w) true depth, metres; 0 or inf = nothing there.
+        color: (h, w, 3) the photograph.
+        glare: (h, w) what highlights add, as a share of full white.
+        fx: Focal length, pixels.
+        doubt: The figures.
+        baseline: Of the two imagers, metres.
+    """
+    seen = np.where(np.isfinite(depth) & (depth > 0), depth, np.inf)
+    lost = np.where(_thin(fx * baseline / seen, doubt.thin_width), doubt.thin_dropout, 0.0)
+    lost = np.maximum(lost, np.where(glare > doubt.glare_from, doubt.glare_dropout, 0.0))
+    failed = (color >= doubt.burnt).all(axis=-1) | (color < doubt.dark).all(axis=-1)
+    return np.asarray(np.maximum(lost, np.where(failed, doubt.exposure_dropout, 0.0)))
+
+
+def mix_edges(depth: npt.NDArray[np.floating], rng: np.random.Generator, share: float) -> npt.NDArray[np.floating]:
+    """Depth (h, w) in which a share of the pixels at edges along rows lies anywhere between near and far."""
+    mixed = np.array(depth)
+    left, right = depth[:, :-1], depth[:, 1:]
+    with np.errstate(invalid="ignore"):
+        edge = np.isfinite(left) & np.isfinite(right) & (np.abs(left - right) > 0.01)
+    at = np.nonzero(edge & (rng.random(edge.shape) < share))
+    part = rng.random(len(at[0]))
+    mixed[at[0], at[1] + rng.integers(0, 2, len(part))] = (1 - part) * left[at] + part * right[at]
+    return mixed
+
+
 def draw_biases(count: int, rng: np.random.Generator, noise: StereoNoise) -> Array:
     """Relative depth error of each of ``count`` cameras, (count,), normal with sigma ``noise.bias``."""
     return rng.normal(0.0, noise.bias, count)
@@ -41,6 +97,7 @@ def sense_depth(
     rng: np.random.Generator,
     noise: StereoNoise = StereoNoise(),
     bias: float = 0.0,
+    lost: Array | float = 0.0,
 ) -> npt.NDArray[np.float32]:
     """What the camera reports for a true depth image.
 
@@ -50,6 +107,7 @@ def sense_depth(
         rng: Source of the noise.
         noise: The camera's figures.
         bias: This camera's relative depth error: it reports ``(1 + bias)`` times the depth.
+        lost: (height, width) share of readings lost besides, as by `doubtful`.
 
     Returns:
         (height, width) float32 metres, 0 = no reading.
@@ -61,7 +119,7 @@ def sense_depth(
     valid = (disparity > 0) & (seen >= noise.min_range) & (seen <= noise.max_range)
     valid &= ~_hidden_from_right_imager(disparity)
     edges = _beside_edge(disparity)
-    valid &= rng.random(depth.shape) >= np.where(edges, noise.edge_dropout, noise.dropout)
+    valid &= rng.random(depth.shape) >= np.maximum(np.where(edges, noise.edge_dropout, noise.dropout), lost)
     disparity = disparity + _smooth_noise(rng, depth.shape) * noise.disparity_noise
     if noise.disparity_step > 0:
         disparity = np.rint(disparity / noise.disparity_step) * noise.disparity_step
@@ -104,6 +162,16 @@ def _beside_edge(disparity: Array, jump: float = 1.0) -> npt.NDArray[np.bool_]:
     wide[:, 1:] |= edge[:, :-1]
     wide[:, :-1] |= edge[:, 1:]
     return wide
+
+
+def _thin(disparity: Array, width: int) -> npt.NDArray[np.bool_]:
+    """Pixels of things that are narrower than ``width`` along a row and nearer than what is on both sides."""
+    thin = np.zeros(disparity.shape, dtype=bool)
+    for left in range(1, width):
+        right = width - left
+        apart = disparity[:, left:-right] - np.maximum(disparity[:, :-width], disparity[:, width:])
+        thin[:, left:-right] |= apart > 1.0
+    return thin
 
 
 def _smooth_noise(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:

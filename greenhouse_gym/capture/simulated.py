@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from greenhouse_gym.capture.frames import RgbdFrame, Station
 from greenhouse_gym.capture.light import Light, draw_light
-from greenhouse_gym.capture.raycast import RowRaycaster
+from greenhouse_gym.capture.raycast import RowRaycaster, View
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.capture.rig import SEED_RIG, Camera, Rig
-from greenhouse_gym.capture.sensor import StereoNoise, draw_biases, sense_depth
+from greenhouse_gym.capture.sensor import StereoDoubt, StereoNoise, doubtful, draw_biases, mix_edges, sense_depth
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, pose, rotation_about
 from greenhouse_gym.plants import PlantRow
@@ -31,6 +32,7 @@ class WalkSettings:
     camera_angle: float = 0.0  # rad about each axis, likewise; the reference camera stands right
     color_noise: float = 2.5  # gray levels, one sigma
     noise: StereoNoise = field(default_factory=StereoNoise)
+    doubt: StereoDoubt = field(default_factory=StereoDoubt)  # what stereo loses besides, on rows of organs
 
 
 def simulate_recording(
@@ -94,20 +96,34 @@ def photograph(
     again = (walk_number,) if walk_number else ()
     biases = draw_biases(len(rig.cameras), np.random.default_rng([seed, 1]), settings.noise)
     actual = misplaced(rig, seed, settings)
-    caster = RowRaycaster.of(row, light or draw_light(np.random.default_rng([seed, 4])))
+    light = light or draw_light(np.random.default_rng([seed, 4]))
+    caster = RowRaycaster.of(row, light)
 
     def load(i: int) -> Station:
         frames = {}
         for k, (name, camera) in enumerate(actual.cameras.items()):
             rng = np.random.default_rng([seed, 2, i, k, *again])
-            view = caster.look(poses[i] @ camera.rig_from_camera, camera.intrinsics)
-            depth = sense_depth(view.depth, camera.intrinsics.fx, rng, settings.noise, float(biases[k]))
+            own = np.random.default_rng([seed, 5, i, k, *again])
+            at = replace(caster, light=light.at_station(own))
+            view = at.look(poses[i] @ camera.rig_from_camera, camera.intrinsics)
+            depth = _sensed(view, camera.intrinsics.fx, rng, own, settings, float(biases[k]))
             noise = settings.color_noise * rng.standard_normal(view.color.shape, dtype=np.float32)
             color = np.clip(view.color + noise, 0, 255).astype(np.uint8)
             frames[name] = RgbdFrame(color, depth, camera.intrinsics)
         return Station(frames, poses[i])
 
     return Recording(f"simulated-{seed}", rig, len(poses), load, truth=row)
+
+
+def _sensed(
+    view: View, fx: float, rng: np.random.Generator, own: np.random.Generator, settings: WalkSettings, bias: float
+) -> npt.NDArray[np.float32]:
+    """The depth a camera reports of what it sees; ``own`` is the source of what it loses on organs."""
+    if view.glare is None:
+        return sense_depth(view.depth, fx, rng, settings.noise, bias)
+    true = mix_edges(view.depth, own, settings.doubt.mixed)
+    lost = doubtful(view.depth, view.color, view.glare, fx, settings.doubt, settings.noise.baseline)
+    return sense_depth(true, fx, rng, settings.noise, bias, lost)
 
 
 def misplaced(rig: Rig, seed: int, settings: WalkSettings) -> Rig:
