@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from greenhouse_gym.capture import Recording, StereoNoise, WalkSettings
+from greenhouse_gym.capture import Recording, StereoDoubt, StereoNoise, WalkSettings
 from greenhouse_gym.geometry import invert
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud
 from greenhouse_gym.reconstruction.merging import merge_stations, outliers
@@ -17,6 +17,7 @@ NOISE_FREE = WalkSettings(
     noise=StereoNoise(
         disparity_noise=0.0, disparity_step=0.0, depth_unit=0.0, bias=0.0, dropout=0.0, edge_dropout=0.0, fatten=0
     ),
+    doubt=StereoDoubt(thin_dropout=0.0, mixed=0.0, glare_dropout=0.0, exposure_dropout=0.0),
 )
 """The usual walk with cameras that see without error (what one of the two imagers does not see stays a hole)."""
 

@@ -3,11 +3,12 @@
 from greenhouse_gym.capture.formats import RecordingFormat, open_recording, recording_formats
 from greenhouse_gym.capture.formats.single_camera import single_camera
 from greenhouse_gym.capture.frames import RgbdFrame, Station
+from greenhouse_gym.capture.light import Light
 from greenhouse_gym.capture.passes import join_passes
 from greenhouse_gym.capture.protocols import PROTOCOLS, Protocol, get_protocol, simulate_protocol
 from greenhouse_gym.capture.recordings import Recording, write_recording
 from greenhouse_gym.capture.rig import D435_DEPTH, SEED_RIG, Camera, Intrinsics, Rig, three_camera_rig
-from greenhouse_gym.capture.sensor import StereoNoise, sense_depth
+from greenhouse_gym.capture.sensor import StereoDoubt, StereoNoise, sense_depth
 from greenhouse_gym.capture.simulated import WalkSettings, simulate_recording
 
 __all__ = [
@@ -16,12 +17,14 @@ __all__ = [
     "SEED_RIG",
     "Camera",
     "Intrinsics",
+    "Light",
     "Protocol",
     "Recording",
     "RecordingFormat",
     "RgbdFrame",
     "Rig",
     "Station",
+    "StereoDoubt",
     "StereoNoise",
     "WalkSettings",
     "get_protocol",

@@ -6,6 +6,7 @@ Shading is done in linear light; colors in and out are coded with a gamma of 2.2
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +14,7 @@ import numpy.typing as npt
 from greenhouse_gym.geometry import Array
 
 GAMMA = 2.2
+Pixels: TypeAlias = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -41,10 +43,11 @@ class Light:
     flicker: float = 0.1
 
     @property
-    def toward_sun(self) -> Array:
-        """(3,) unit vector to the sun in the world."""
+    def toward_sun(self) -> npt.NDArray[np.float32]:
+        """(3,) float32 unit vector to the sun in the world."""
         level = np.cos(self.elevation)
-        return np.array([level * np.cos(self.azimuth), level * np.sin(self.azimuth), np.sin(self.elevation)])
+        toward = [level * np.cos(self.azimuth), level * np.sin(self.azimuth), np.sin(self.elevation)]
+        return np.array(toward, dtype=np.float32)
 
     def at_station(self, rng: np.random.Generator) -> Light:
         """The light a station meets: another cloud, another exposure."""
@@ -70,20 +73,34 @@ class Skin:
     """How the triangles of a mesh look.
 
     Attributes:
-        colors: (t, 3) coded color from 0 to 1 under white light.
+        colors: (2, t, 3) linear color of the outer and of the inner side under white light.
         normals: (v, 3) unit normals at the vertices, outwards.
         corners: (t, 3) the triangles' vertices.
-        thin: (t,) whether light comes through, as in leaves, whose undersides are paler.
+        thin: (t,) 1 where light comes through, as in leaves, else 0.
         shine: (t,) strength of highlights.
     """
 
     colors: npt.NDArray[np.float32]
     normals: npt.NDArray[np.float32]
     corners: npt.NDArray[np.int64]
-    thin: npt.NDArray[np.bool_]
+    thin: npt.NDArray[np.float32]
     shine: npt.NDArray[np.float32]
 
-    def normals_at(self, triangles: npt.NDArray[np.int64], weights: Array) -> Array:
+    @classmethod
+    def of(
+        cls,
+        vertices: Array,
+        corners: npt.NDArray[np.int64],
+        colors: Array,
+        thin: npt.NDArray[np.bool_],
+        shine: npt.NDArray[np.float32],
+    ) -> Skin:
+        """The skin of a mesh with coded colors (t, 3) from 0 to 1; the lower sides of thin triangles are paler."""
+        sides = np.stack([colors, np.where(thin[:, None], _underside(colors), colors)]).astype(np.float32) ** GAMMA
+        normals = _vertex_normals(vertices, corners).astype(np.float32)
+        return cls(sides, normals, corners, thin.astype(np.float32), shine)
+
+    def normals_at(self, triangles: npt.NDArray[np.int64], weights: Pixels) -> Pixels:
         """Interpolated unit normals (n, 3) on triangles (n,), at weights (n, 2) of their second and third corner."""
         a, b, c = (self.normals[self.corners[triangles, k]] for k in range(3))
         u, v = weights[:, :1], weights[:, 1:]
@@ -91,7 +108,7 @@ class Skin:
         return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
 
 
-def vertex_normals(vertices: Array, triangles: npt.NDArray[np.int64]) -> Array:
+def _vertex_normals(vertices: Array, triangles: npt.NDArray[np.int64]) -> Array:
     """Unit normals (v, 3): those of the triangles around, weighted by their areas."""
     a, b, c = vertices[triangles].transpose(1, 0, 2)
     flat = np.cross(b - a, c - a)
@@ -105,10 +122,10 @@ def shade(
     skin: Skin,
     light: Light,
     triangles: npt.NDArray[np.int64],
-    normals: Array,
-    directions: Array,
+    normals: Pixels,
+    directions: Pixels,
     sunlit: npt.NDArray[np.bool_],
-) -> tuple[Array, Array]:
+) -> tuple[Pixels, Pixels]:
     """Coded colors (n, 3), not yet clipped, of points on triangles (n,), and what highlights add (n,), linear.
 
     Args:
@@ -121,25 +138,24 @@ def shade(
     """
     toward_camera = -directions / np.linalg.norm(directions, axis=1, keepdims=True)
     facing = np.sign((normals * toward_camera).sum(axis=1) + 1e-9)
-    thin, shine = skin.thin[triangles], skin.shine[triangles]
-    base = skin.colors[triangles].astype(np.float64)
-    base = np.where((thin & (facing < 0))[:, None], _underside(base), base) ** GAMMA
+    lit, thin, shine = sunlit.astype(np.float32), skin.thin[triangles], skin.shine[triangles]
+    base = skin.colors[(facing < 0).astype(np.int64), triangles]
     normals = normals * facing[:, None]
     sun = normals @ light.toward_sun
-    direct = light.sun * np.clip(sun, 0, None) * sunlit
+    direct = light.sun * np.clip(sun, 0, None) * lit
     diffuse = light.diffuse * (0.45 + 0.3 * normals[:, 2] + 0.25 * np.clip((normals * toward_camera).sum(axis=1), 0, 1))
-    through = light.sun * np.clip(-sun, 0, None) * sunlit * thin
+    through = light.sun * np.clip(-sun, 0, None) * lit * thin
     color = base * (direct + diffuse)[:, None] + _transmitted(base) * through[:, None]
-    glare = np.zeros(len(color))
-    for source, strength, width in ((light.toward_sun, light.sun * sunlit, 60), (_SKY, 0.25 * light.diffuse, 12)):
+    glare = np.zeros(len(color), dtype=np.float32)
+    for source, strength, width in ((light.toward_sun, light.sun * lit, 60), (_SKY, 0.25 * light.diffuse, 12)):
         half = toward_camera + source
         half /= np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
         glare += light.gloss * shine * strength * np.clip((normals * half).sum(axis=1), 0, 1) ** width
-    color = (color + glare[:, None]) * np.array(light.white_balance) * light.exposure
-    return np.clip(color, 0, None) ** (1 / GAMMA), glare * light.exposure
+    color = (color + glare[:, None]) * np.array(light.white_balance, dtype=np.float32) * np.float32(light.exposure)
+    return np.clip(color, 0, None) ** np.float32(1 / GAMMA), glare * light.exposure
 
 
-_SKY = np.array([0.0, 0.0, 1.0])
+_SKY = np.array([0.0, 0.0, 1.0], dtype=np.float32)
 
 
 def _underside(color: Array) -> Array:
@@ -148,10 +164,10 @@ def _underside(color: Array) -> Array:
     return np.clip(1.25 * (0.75 * color + 0.25 * gray), 0, 1)
 
 
-def _transmitted(base: Array) -> Array:
+def _transmitted(base: Pixels) -> Pixels:
     """Linear color of light that came through a leaf.
 
     Yellower green than the reflected light: in LOPEX93 the redness of tomato leaves falls from -0.09 reflected to
     -0.16 transmitted, and about half as much light is transmitted as reflected in the green.
     """
-    return base * [0.55, 0.65, 0.25]
+    return base * np.array([0.55, 0.65, 0.25], dtype=np.float32)

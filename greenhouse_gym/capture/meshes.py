@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from greenhouse_gym.capture.light import Skin, vertex_normals
+from greenhouse_gym.capture.light import Skin
 from greenhouse_gym.geometry import Array, Box, Capsule, Shape
 from greenhouse_gym.plants import Organ, PlantRow
 
@@ -44,13 +44,7 @@ def mesh_of(row: PlantRow) -> RowMesh:
             count += len(organ.vertices)
         first += len(one.tomatoes) + len(one.stems) + len(one.clutter)
     points, corners = np.concatenate(vertices), np.concatenate(triangles)
-    skin = Skin(
-        np.concatenate(colors).astype(np.float32),
-        vertex_normals(points, corners).astype(np.float32),
-        corners,
-        np.concatenate(thin),
-        np.concatenate(shine),
-    )
+    skin = Skin.of(points, corners, np.concatenate(colors), np.concatenate(thin), np.concatenate(shine))
     return RowMesh(points, skin, np.concatenate(owner).astype(np.int32))
 
 

@@ -121,11 +121,10 @@ class RowRaycaster:
             color[hit] = _shade(self.colors[shape[hit]], normals, directions[hit])
         else:
             triangles = hits["primitive_ids"].numpy()[hit].astype(np.int64)
-            normals = self.skin.normals_at(triangles, hits["primitive_uvs"].numpy()[hit])
+            smooth = self.skin.normals_at(triangles, hits["primitive_uvs"].numpy()[hit])
             glare = np.zeros(depth.shape, dtype=np.float32)
-            color[hit], glare[hit] = shade(
-                self.skin, self.light, triangles, normals, directions[hit], self._sunlit(points)
-            )
+            sunlit = self._sunlit(points)
+            color[hit], glare[hit] = shade(self.skin, self.light, triangles, smooth, directions[hit], sunlit)
         return View(depth, shape, (np.clip(color, 0, 1) * 255).astype(np.uint8), glare)
 
     def measure(

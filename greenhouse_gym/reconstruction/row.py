@@ -10,6 +10,7 @@ from time import perf_counter
 import numpy as np
 import numpy.typing as npt
 
+from greenhouse_gym.capture.exposure import exposure_failure
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.reconstruction.clouds import Cloud
@@ -100,8 +101,11 @@ def merge_segment(walk: Walk, segment: int, settings: ReconstructionSettings) ->
     merged = merge_stations({i: walk.clouds[i] for i in stations}, poses, settings)
     outlier = outliers(merged, poses, walk.screens, walk.calibration.rig, settings)
     cloud = merged.cloud
+    warnings = _warnings(walk)
+    if failure := exposure_failure(cloud.colors):
+        warnings += (f"{failure}, so that no shapes can be told by color",)
     report = RowReport(
-        walk.reports, walk.segments, segment, _warnings(walk), walk.calibrated, len(cloud), len(cloud),
+        walk.reports, walk.segments, segment, warnings, walk.calibrated, len(cloud), len(cloud),
         walk.seconds | {"optimize": optimized - started, "merge": perf_counter() - optimized},
     )  # fmt: skip
     row = RowCloud(cloud.points, cloud.colors, cloud.normals, merged.station, registered, poses, report)

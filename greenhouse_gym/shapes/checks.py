@@ -11,6 +11,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from greenhouse_gym.capture.exposure import exposure_failure
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.reconstruction.clouds import Cloud, voxel_means
@@ -43,7 +44,7 @@ def checked(points: npt.ArrayLike, colors: npt.ArrayLike, normals: npt.ArrayLike
     """The arrays as a cloud; normals that are left out are zero.
 
     Raises:
-        InvalidValueError: They do not fit together, or hold NaN or colors beyond 1.
+        InvalidValueError: They do not fit together, hold NaN or colors beyond 1, or nearly all are black or white.
     """
     p, c = np.asarray(points, dtype=np.float64), np.asarray(colors, dtype=np.float64)
     n = np.zeros_like(p) if normals is None else np.asarray(normals, dtype=np.float64)
@@ -54,6 +55,8 @@ def checked(points: npt.ArrayLike, colors: npt.ArrayLike, normals: npt.ArrayLike
             raise InvalidValueError(f"{name} must be finite, {(~np.isfinite(array)).any(axis=1).sum()} rows are not")
     if c.min(initial=0.0) < 0.0 or c.max(initial=0.0) > 1.0:
         raise InvalidValueError(f"colors must be between 0 and 1, got {c.min():g} to {c.max():g}")
+    if len(p) >= _FEWEST and (failure := exposure_failure(c)):
+        raise InvalidValueError(f"colors: {failure}, but what is fruit, leaf or stem is told by color as well")
     return Cloud(p, c, n)
 
 
