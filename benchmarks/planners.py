@@ -1,13 +1,18 @@
-"""OMPL's planners over the targets of a bank, run by run, resumable.
+"""Planners over the targets of a bank, run by run, resumable, with budgets in collision checks.
 
-    python benchmarks/planners.py --planners all --seeds 5 --first-solution --budget 60   # all planners
+    python benchmarks/planners.py --planners all --first-solution --budget 2000000   # all planners
     python benchmarks/planners.py --planners RRTConnect --seeds 5 --out benchmarks/results/rrtconnect
 
 Each run is added to OUT/runs.jsonl at once; runs that are there already are not repeated, so an interrupted benchmark
 goes on where it stopped and a further seed costs only that seed. From the runs come OUT/planners.json, planners.md,
 two plots and planners.db, an SQLite file in the schema of OMPL's benchmarks, which Planner Arena opens. Times are over
-all runs, failed ones included. Planners that go on improving their paths use all of the time limit, unless
+all runs, failed ones included. Planners that go on improving their paths use all of their checks, unless
 ``--first-solution`` has them stop at the first; a run with it tells how soon, one without how good.
+
+What ends a run is the number of its checks, and what leaves a planner out of further seeds is the sum of them, so a
+machine with other work on it gives the same paths; only the seconds differ, and the rate of bare checks, measured
+beside every run, says by how much. ``--time-limit`` is for planners that check too little to end by their checks
+(LazyPRMstar) or that do not look at them: it decides nothing as long as it is generous.
 """
 
 from __future__ import annotations
@@ -55,12 +60,13 @@ def main() -> None:
         "--targets", type=int, default=60, help="reachable ones, as many of each difficulty as there are"
     )
     parser.add_argument("--planners", nargs="+", default=DEFAULT_PLANNERS, metavar="NAME", help="or: all, paper")
-    parser.add_argument("--seeds", type=int, default=1, help="runs per target")
-    parser.add_argument("--time-limit", type=float, default=5.0, help="seconds per plan")
+    parser.add_argument("--seeds", type=int, default=3, help="runs per target")
+    parser.add_argument("--max-checks", type=int, default=50_000, help="collision checks per plan")
+    parser.add_argument("--time-limit", type=float, default=60.0, help="seconds per plan, at most")
     parser.add_argument("--first-solution", action="store_true", help="let no planner improve its first path")
     parser.add_argument(
         "--budget", type=float, default=math.inf,
-        help="seconds; a planner that has used as many gets no further seed, and fewer runs than the others",
+        help="checks; a planner that has used as many gets no further seed, and fewer runs than the others",
     )  # fmt: skip
     parser.add_argument("--out", type=Path, default=RESULTS / "planners", help="folder")
     arguments = parser.parse_args()
@@ -69,8 +75,9 @@ def main() -> None:
     arguments.out.mkdir(parents=True, exist_ok=True)
     runs = run_all([PLANNERS[name].name for name in names], targets, arguments)
     rows = summary(runs)
-    command = f"benchmarks/planners.py --bank {Path(arguments.bank).name} --targets {len(targets)} --planners "
-    command += f"{' '.join(arguments.planners)} --seeds {arguments.seeds} --time-limit {arguments.time_limit:g}"
+    command = f"benchmarks/planners.py --bank {Path(arguments.bank).name} --split {arguments.split} "
+    command += f"--targets {len(targets)} --planners {' '.join(arguments.planners)} --seeds {arguments.seeds} "
+    command += f"--max-checks {arguments.max_checks} --time-limit {arguments.time_limit:g}"
     command += " --first-solution" * arguments.first_solution
     command += f" --budget {arguments.budget:g}" * math.isfinite(arguments.budget)
     searches = [run["goal_search_time"] for run in runs if "goal_search_time" in run]
@@ -119,12 +126,13 @@ def run_all(
         for seed in range(arguments.seeds):
             used = Counter[str]()
             for run in runs:
-                used[run["planner"]] += run["planning_time"] + run["simplification_time"]
+                used[run["planner"]] += run["checks"]
             asked = [(p, *target) for target in targets for p in planners if used[p] < arguments.budget]
             for planner, scene, target in track(asked, description=f"planning, seed {seed}"):
                 wanted = {"planner": planner, "scene": scene.name, "target": target.tomato, "seed": seed}
                 wanted |= {
                     "scene_hash": hashes[scene.name],
+                    "max_checks": arguments.max_checks,
                     "time_limit": arguments.time_limit,
                     "first_solution": arguments.first_solution,
                 }
@@ -143,15 +151,15 @@ def run_all(
 
 
 def _key(run: dict[str, Any]) -> tuple[Any, ...]:
-    keys = ("planner", "scene", "scene_hash", "target", "seed", "time_limit", "first_solution")
-    return tuple(run[key] for key in keys)
+    keys = ("planner", "scene", "scene_hash", "target", "seed", "max_checks", "time_limit", "first_solution")
+    return tuple(run.get(key) for key in keys)
 
 
 def measure(scene: Scene, wanted: dict[str, Any], goals: Goals, goal_seconds: float) -> dict[str, Any]:
     """One run."""
     result = plan(
-        scene, wanted["target"], planner=wanted["planner"], time_limit=wanted["time_limit"], goals=goals,
-        seed=wanted["seed"], first_solution=wanted["first_solution"],
+        scene, wanted["target"], planner=wanted["planner"], time_limit=wanted["time_limit"],
+        max_checks=wanted["max_checks"], goals=goals, seed=wanted["seed"], first_solution=wanted["first_solution"],
     )  # fmt: skip
     numbers = {
         field.name: value if math.isfinite(value) else None

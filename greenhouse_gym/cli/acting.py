@@ -29,10 +29,12 @@ def plan(
     scene: Annotated[str, typer.Option(help="Name of the scene in the bank.")],
     target: Annotated[int, typer.Option(help="Index of the tomato in the scene.")],
     planner: Annotated[str, typer.Option(help="A planner's name.")] = "RRTConnect",
-    all_planners: Annotated[bool, typer.Option("--all", help="Every planner of the installed OMPL.")] = False,
+    all_planners: Annotated[bool, typer.Option("--all", help="Every planner there is.")] = False,
     bank: Bank = "default",
     robot: Annotated[str, typer.Option(help="Name or file of the arm.")] = "ur5e",
-    time_limit: Annotated[float, typer.Option(help="Seconds per planner.")] = 5.0,
+    time_limit: Annotated[
+        float | None, typer.Option(help="Seconds per planner; 5 where its checks are not limited either.")
+    ] = None,
     max_checks: Annotated[int | None, typer.Option(help="Collision checks after which a planner stops.")] = None,
     setting: Annotated[list[str] | None, typer.Option(help="A setting of the planner, as range=0.5.")] = None,
     seed: int = 0,
@@ -45,6 +47,8 @@ def plan(
     from greenhouse_gym.scene import SceneBank
     from greenhouse_gym.scene.render import picture_of_path
 
+    if time_limit is None and max_checks is None:
+        time_limit = 5.0
     if all_planners and setting:
         raise InvalidValueError("--setting goes with one planner, not with --all")
     chosen = SceneBank.open(bank).scene(scene)

@@ -93,7 +93,7 @@ def planner_parameters(ompl: Ompl, name: str) -> dict[str, str] | None:
     if ompl.version == 2 or name in UNBOUND:
         return None
     one = np.ones(3)
-    problem = Problem(ompl, -one, one, 0 * one, one[None], lambda _: True, lambda *_: 1.0, 0.1)
+    problem = OmplProblem(ompl, -one, one, 0 * one, one[None], lambda _: True, lambda *_: 1.0, 0.1)
     names = ompl.util.vectorString()
     try:
         parameters = getattr(ompl.geometric, name)(problem.information).params()
@@ -108,7 +108,7 @@ def set_seed(ompl: Ompl, seed: int) -> None:
     ompl.util.RNG.setSeed(seed % (2**31) + 1)  # 0 is not allowed
 
 
-class Problem:
+class OmplProblem:
     """A problem as OMPL's objects.
 
     Args:
@@ -206,7 +206,7 @@ class Problem:
 class BoundPlanner:
     """A planner with Python bindings."""
 
-    def __init__(self, ompl: Ompl, name: str, problem: Problem, settings: dict[str, Any]):
+    def __init__(self, ompl: Ompl, name: str, problem: OmplProblem, settings: dict[str, Any]):
         self._ompl, self.name = ompl, name
         self._planner = getattr(ompl.geometric, name)(problem.information)
         self._planner.setProblemDefinition(problem.definition)

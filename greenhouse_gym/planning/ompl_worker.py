@@ -25,8 +25,8 @@ from greenhouse_gym.planning.collision import PROOF, CollisionChecker
 from greenhouse_gym.planning.exchange import Answer, Outcome, Query
 from greenhouse_gym.planning.ompl_binding import (
     Ompl,
+    OmplProblem,
     Planner,
-    Problem,
     import_ompl,
     planner_names,
     planner_parameters,
@@ -124,7 +124,7 @@ def solve(ompl: Ompl, query: Query) -> Answer:
         began = time.perf_counter()
         search.begin(began - planning_time, query.time_limit, resolution)
         fineness = JOINING.get(query.planner, resolution / float(np.linalg.norm(checker.reaches)))
-        problem = Problem(
+        problem = OmplProblem(
             ompl, query.lower, query.upper, query.start, query.goals, search.is_free, search.free_share, fineness,
             threads=query.planner in THREADED,
         )  # fmt: skip
@@ -152,7 +152,7 @@ def solve(ompl: Ompl, query: Query) -> Answer:
     return Answer(status, path, raw, planning_time, simplification_time, checker.checks, tree_size, costs)
 
 
-def _simplified(problem: Problem, search: _Search, raw: Array) -> Array | None:
+def _simplified(problem: OmplProblem, search: _Search, raw: Array) -> Array | None:
     """The path shortened and proven free; the planner's own path if only that can be proven, or None."""
     proven = search.checker.path_is_free(raw, PROOF)
     if proven:

@@ -24,6 +24,7 @@ RESOLUTIONS = (6 * PROOF, 3 * PROOF, PROOF)
 
 _NEAREST = 8  # goals that are tried by a straight motion before anything is searched
 _NODES = 4000  # of a search, after which it gives up
+_DRAWS = 200  # of 32 samples each, after which no shorter way is believed in
 _GAIN = 0.01  # share of its length by which a path must get shorter for a search to have brought something
 
 
@@ -52,7 +53,7 @@ def shortcut_connect(problem: PlanningProblem, settings: ShortcutConnectSettings
             problem.tell(path)
             if problem.first_solution:
                 return problem.best
-            _shorten(problem, path, settings, rng)
+            _tell_shortened(problem, path, settings, rng)
         elif problem.best is None:
             return None
         gained = problem.best is not None and path_length(problem.best) < (1 - _GAIN) * best
@@ -101,14 +102,14 @@ def _connect(
 
 def _sample(problem: PlanningProblem, goals: Array, rng: np.random.Generator, best: float) -> Array | None:
     """A random configuration through which a path can be shorter than the best; None where there seems to be none."""
-    for _ in range(200):
-        samples = rng.uniform(problem.lower, problem.upper, (32, len(problem.lower)))
-        if not np.isfinite(best):
-            return np.asarray(samples[0])
-        # a ball around the middle of the way to a goal holds what is shorter
+    if not np.isfinite(best):
+        return np.asarray(rng.uniform(problem.lower, problem.upper))
+    for _ in range(_DRAWS):
         goal = goals[rng.integers(len(goals))]
+        # the box around the ellipsoid of all places on a shorter way to that goal
         middle, radius = (problem.start + goal) / 2, best / 2
-        samples = np.clip(middle + np.clip(samples - middle, -radius, radius), problem.lower, problem.upper)
+        low, high = np.maximum(problem.lower, middle - radius), np.minimum(problem.upper, middle + radius)
+        samples = rng.uniform(low, high, (32, len(low)))
         way = np.linalg.norm(samples - problem.start, axis=-1) + np.linalg.norm(samples - goal, axis=-1)
         inside = np.flatnonzero(way < best)
         if len(inside):
@@ -166,26 +167,34 @@ def _reach(problem: PlanningProblem, tree: _Tree, goal: Array, step: float, reso
             return node
 
 
-def _shorten(
+def _tell_shortened(
     problem: PlanningProblem, path: Array, settings: ShortcutConnectSettings, rng: np.random.Generator
 ) -> None:
-    """Cut a path short between random places, in all joints or in one; tells of each shorter one."""
-    failures = 0
-    while failures < settings.shortcuts:
-        cut = _cut(path, rng)
-        if cut is None:
+    """Shorten a path as coarsely as it can then still be proven, and tell of it."""
+    for resolution in RESOLUTIONS:
+        shortened = _shortened(problem, path, settings.shortcuts, rng, resolution)
+        if problem.path_is_free(shortened):
+            problem.tell(shortened)
             return
-        first, last, pieces, shorter = cut
-        if shorter and all(problem.motion_is_free(a, b) for a, b in pairwise(pieces)):
+
+
+def _shortened(
+    problem: PlanningProblem, path: Array, patience: int, rng: np.random.Generator, resolution: float
+) -> Array:
+    """A path cut short between random places, in all joints or in one."""
+    failures = 0
+    while failures < patience and len(path) > 2:
+        first, last, pieces, shorter = _cut(path, rng)
+        if shorter and all(problem.motion_is_free(a, b, resolution) for a, b in pairwise(pieces)):
             path = np.concatenate([path[: first + 1], pieces, path[last:]])
             path = path[np.concatenate([[True], np.abs(np.diff(path, axis=0)).max(axis=-1) > 1e-9])]
-            problem.tell(path)
             failures = 0
         else:
             failures += 1
+    return path
 
 
-def _cut(path: Array, rng: np.random.Generator) -> tuple[int, int, Array, bool] | None:
+def _cut(path: Array, rng: np.random.Generator) -> tuple[int, int, Array, bool]:
     """Between two random places of a path, the motions that would replace it there, and whether they are shorter.
 
     The result is the corner before the first place, the one after the last, the configurations from place to place,
@@ -193,8 +202,6 @@ def _cut(path: Array, rng: np.random.Generator) -> tuple[int, int, Array, bool] 
     """
     lengths = np.linalg.norm(np.diff(path, axis=0), axis=-1)
     ends = np.concatenate([[0.0], np.cumsum(lengths)])
-    if len(path) < 3:
-        return None
     places = np.sort(rng.uniform(0.0, ends[-1], 2))
     first, after = (np.minimum(np.searchsorted(ends, places, side="right") - 1, len(lengths) - 1)).tolist()
     if first == after:
