@@ -7,6 +7,7 @@ strange number somewhere else.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from inspect import signature
 from typing import Any
 
 import numpy as np
@@ -170,6 +171,13 @@ def _named(kind: str, name: str, choices: Mapping[str, Any]) -> Any:
 def _made(kind: str, own: Any, *arguments: Any) -> Any:
     """The user's object: as it is where it has a space, else made from the arguments."""
     if callable(own) and (isinstance(own, type) or not isinstance(getattr(own, "space", None), spaces.Space)):
+        try:
+            signature(own).bind(*arguments)
+        except TypeError as error:
+            given = " and ".join(type(argument).__name__ for argument in arguments)
+            raise InvalidValueError(
+                f"{kind} {_name(own)} must be an object, or what makes one from {given}, but: {error}"
+            ) from error
         made = own(*arguments)
     else:
         made = own
