@@ -5,13 +5,16 @@ from __future__ import annotations
 import gymnasium
 import numpy as np
 import pytest
+from reach_helpers import scene_of
 from test_tomato_reach import make_for
 from test_vector import compare_with_singles
 
 from greenhouse_gym.crop import Tomato
 from greenhouse_gym.envs import EnvSettings, TomatoReachEnv, TomatoReachVectorEnv
 from greenhouse_gym.errors import GreenhouseError, InvalidValueError, NoEpisodeError, UnknownKeywordError
+from greenhouse_gym.geometry import Sphere
 from greenhouse_gym.scene import SceneBank
+from greenhouse_gym.scene.field import obstacle_field
 
 WRONG = [
     {"capacity": "a"}, {"capacity": 0}, {"capacity": -3}, {"capacity": 10**9}, {"capacity": True}, {"capacity": 2.5},
@@ -91,8 +94,6 @@ def test_the_success_radius_decides(bank: SceneBank) -> None:
 
 @pytest.mark.parametrize("rate", [100, 50, 10, 4])
 def test_joints_move_as_far_per_second_at_every_rate(rate: int) -> None:
-    from reach_helpers import scene_of
-
     placed = scene_of([Tomato([0.0, 5.0, 1.0], 0.03, truss=0)])
     ends = []
     for chosen in (20, rate):
@@ -114,20 +115,19 @@ def test_vector_equals_single_at_other_rates(rate: int, bank: SceneBank) -> None
     compare_with_singles(3, 150 if rate == 100 else 30, lambda step: drift, "SameStep", bank=bank, rate=rate)
 
 
-def test_a_tiny_radius_beside_a_huge_one_gives_numbers(bank: SceneBank) -> None:
-    from reach_helpers import scene_of
-
-    for radius in (3e5, 1e30):
-        placed = scene_of([Tomato([0.9, 0.0, 1.2], 0.03, truss=0), Tomato([0.9, 0.3, 1.2], radius, truss=1)])
-        env = make_for(placed)
-        observation, info = env.reset(options={"scene": placed, "target": 0})
-        assert env.observation_space.contains(observation)
-        assert np.isfinite(info["clearance"])
+def test_a_huge_radius_beside_a_small_one_gives_numbers() -> None:
+    placed = scene_of([Tomato([0.9, 0.0, 1.2], 0.03, truss=0), Tomato([0.9, 0.3, 1.2], 90.0, truss=1)])
+    env = make_for(placed)
+    observation, info = env.reset(options={"scene": placed, "target": 0})
+    assert env.observation_space.contains(observation)
+    assert np.isfinite(info["clearance"])
+    for radius in (3e5, 1e30):  # no scene may hold them, but a field of numbers stays one
+        field = obstacle_field(np.array([[0.9, 0.0, 0.0, radius]]), [Sphere([0.9, 0.3, 0.0], radius)])
+        assert np.isfinite(field["distance"]).all()
+        assert np.isfinite(field["otherwise"]).all()
 
 
 def test_too_many_tomatoes_are_refused_before_they_take_room() -> None:
-    from reach_helpers import scene_of
-
     tomatoes = [Tomato([0.9, 0.0, 1.2], 0.03, truss=0)]
     many = scene_of(tomatoes).model_copy(update={"tomatoes": tuple(tomatoes * 300_000)})
     with pytest.raises(InvalidValueError, match="300000 obstacles, more than the 300 allowed"):
