@@ -14,7 +14,7 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError
 
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, MissingDependencyError
-from greenhouse_gym.paths import write_atomically
+from greenhouse_gym.paths import first_fault, parsing, read_bytes, write_atomically
 
 Float32 = npt.NDArray[np.float32]
 
@@ -26,9 +26,6 @@ ACTIVATIONS: dict[str, Callable[[Float32], Float32]] = {
 
 MAX_LAYERS, MAX_WIDTH = 16, 1 << 14
 """Layers a network may have, and entries of each."""
-
-MAX_DESCRIPTION, MAX_WEIGHTS = 1 << 20, 1 << 28
-"""Bytes that the two files of a policy may have."""
 
 
 class _Part(BaseModel):
@@ -120,7 +117,7 @@ class Policy:
                 training=dict(self.training),
             )
         except ValidationError as error:
-            raise InvalidValueError(f"this policy cannot be written: {_first(error)}") from error
+            raise InvalidValueError(f"this policy cannot be written: {first_fault(error)}") from error
         if flaw := _flaw(arrays, description):
             raise InvalidValueError(f"this policy cannot be written: {flaw}")
         try:
@@ -141,19 +138,13 @@ class Policy:
         """
         described = described_at(path)
         weighed = described.with_suffix(".safetensors")
-        try:
-            description = _Description.model_validate_json(_read(described, MAX_DESCRIPTION))
-        except ValidationError as error:
-            raise FileFormatError(described, f"not a policy's description: {_first(error)}") from error
-        content = _read(weighed, MAX_WEIGHTS)
+        with parsing(described, "policy's description"):
+            description = _Description.model_validate_json(read_bytes(described, "settings"))
+        content = read_bytes(weighed, "policy")
         if hashlib.sha256(content).hexdigest() != description.weights_sha256:
             raise FileFormatError(weighed, f"checksum differs from the one in {described.name}")
-        try:
+        with parsing(weighed, "safetensors file"):
             arrays = _safetensors().load(content)
-        except MissingDependencyError:
-            raise
-        except Exception as error:  # safetensors raises its own kind
-            raise FileFormatError(weighed, f"is not a safetensors file: {error}") from error
         if flaw := _flaw(arrays, description):
             raise FileFormatError(weighed, f"does not fit {described.name}: {flaw}")
         # Unaligned arrays, as a file may give them, are multiplied in another order.
@@ -195,29 +186,6 @@ def _flaw(arrays: Mapping[str, npt.NDArray[Any]], description: _Description) -> 
 
 def _sizes(weights: tuple[Float32, ...]) -> list[int]:
     return [weights[0].shape[1], *(weight.shape[0] for weight in weights)]
-
-
-def _first(error: ValidationError) -> str:
-    first = error.errors()[0]
-    return f"{'.'.join(map(str, first['loc'])) or 'the file'}: {first['msg']}"
-
-
-def _read(path: Path, limit: int) -> bytes:
-    """The bytes of a file.
-
-    Raises:
-        FileFormatError: It cannot be read, is no plain file, or has more bytes than ``limit``.
-    """
-    try:
-        if not path.is_file():
-            raise FileFormatError(path, "cannot be read (no such file)")
-        if path.stat().st_size > limit:
-            raise FileFormatError(path, f"has {path.stat().st_size} bytes, at most {limit} are allowed")
-        return path.read_bytes()
-    except (OSError, ValueError) as error:  # a name with a NUL is a ValueError
-        if isinstance(error, FileFormatError):
-            raise
-        raise FileFormatError(path, f"cannot be read ({error})") from error
 
 
 def policy_path(path: str | Path) -> Path:

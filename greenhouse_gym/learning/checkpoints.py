@@ -11,7 +11,7 @@ from pydantic import BaseModel, NonNegativeInt
 from safetensors.torch import load, save
 
 from greenhouse_gym.errors import FileFormatError
-from greenhouse_gym.paths import write_atomically
+from greenhouse_gym.paths import parsing, read_bytes, write_atomically
 
 NAME = "checkpoint.safetensors"
 
@@ -38,14 +38,10 @@ def read_notes(folder: Path) -> dict[str, Any]:
         FileFormatError: There is no checkpoint, or it is damaged.
     """
     path = folder / NAME
-    try:
-        data = path.read_bytes()
+    data = read_bytes(path, "checkpoint")
+    with parsing(path, "checkpoint"):
         header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
         notes = _Notes.model_validate_json(header["__metadata__"]["notes"])
-    except OSError as error:
-        raise FileFormatError(path, f"cannot be read ({error.strerror or error})") from error
-    except (ValueError, KeyError, TypeError, RecursionError) as error:  # pydantic's are ValueErrors
-        raise FileFormatError(path, f"not a checkpoint: {error or type(error).__name__}") from error
     return notes.model_dump()
 
 
@@ -56,10 +52,8 @@ def load_checkpoint(model: Any, folder: Path) -> dict[str, Any]:
         FileFormatError: There is no checkpoint, it is damaged, or it is of another network.
     """
     notes, path = read_notes(folder), folder / NAME
-    try:
-        tensors = load(path.read_bytes())
-    except Exception as error:  # safetensors raises its own kind
-        raise FileFormatError(path, f"not a checkpoint: {error}") from error
+    with parsing(path, "checkpoint"):
+        tensors = load(read_bytes(path, "checkpoint"))
     optimizer = model.policy.optimizer.state_dict()
     shapes = {i: parameter.shape for i, parameter in enumerate(model.policy.parameters())}
     for key, tensor in tensors.items():

@@ -18,6 +18,7 @@ from rich.progress import BarColumn, Progress, TimeRemainingColumn
 from greenhouse_gym.errors import InvalidValueError, MissingDependencyError
 from greenhouse_gym.integrations.sb3 import make_sb3_vec_env
 from greenhouse_gym.paths import write_atomically
+from greenhouse_gym.scene import SceneBank
 
 try:
     import torch
@@ -123,6 +124,7 @@ def train_ppo(
         load_checkpoint(model, out)
         rows = [row for row in _read_curve(out) if row["steps"] <= model.num_timesteps]
         env.seed(settings.seed + model.num_timesteps)
+    notes = {"settings": described, "bank_sha256": SceneBank.open(settings.bank).sha256}
     write_atomically(out / "settings.json", json.dumps(described, indent=1) + "\n")
     report = _Report(out, settings, described, rows, time_limit, checkpoint_seconds)
     try:
@@ -131,12 +133,12 @@ def train_ppo(
             model.learn(remaining, callback=report, reset_num_timesteps=not resume)
     except KeyboardInterrupt:
         report.say(f"interrupted after {model.num_timesteps} steps; resume goes on from here")
-        save_policy(model, out / "policy", {"settings": described})
+        save_policy(model, out / "policy", notes)
         raise
     finally:
         report.finish(model)
         env.close()
-    return save_policy(model, out / "policy", {"settings": described})
+    return save_policy(model, out / "policy", notes)
 
 
 def _check_folder(out: Path, described: dict[str, Any], resume: bool) -> None:

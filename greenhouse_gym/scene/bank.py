@@ -88,6 +88,11 @@ class SceneBank(Sequence[Scene]):
         folder = folder.resolve()
         return _opened(folder, read_bytes(folder / MANIFEST, "bank manifest"))
 
+    @property
+    def sha256(self) -> str:
+        """The manifest's checksum, and so, through the checksums in it, that of all scenes."""
+        return hashlib.sha256(read_bytes(self.path / MANIFEST, "bank manifest")).hexdigest()
+
     def names(self, split: str | None = None) -> list[str]:
         """Names of the scenes, all of them or those of one split, in the manifest's order."""
         if split is not None:

@@ -91,7 +91,7 @@ def test_damaged_files_are_named(policy: Policy, tmp_path: Path) -> None:
         PolicyAgent.load(path)
     weights.write_bytes(b"12345678")
     path.write_text(json.dumps({**content, "weights_sha256": hashlib.sha256(b"12345678").hexdigest()}))
-    with pytest.raises(FileFormatError, match="is not a safetensors file"):
+    with pytest.raises(FileFormatError, match="not a valid safetensors file"):
         PolicyAgent.load(path)
     (tmp_path / "p.safetensors").unlink()
     with pytest.raises(FileFormatError, match="cannot be read"):

@@ -1,0 +1,72 @@
+"""How often agents reach the tomatoes of unseen rows: success and collision with 95 % intervals, by difficulty.
+
+python benchmarks/policies.py --agents ppo-ur5e,straight-line,random --episodes 1000
+
+Every agent plays the same episodes: seeds 0, 1, 2, ... of the test split, policies without noise. The world is the
+reconstruction (or, with ``--physics truth``, the simulated row behind it). Rows are own, simulated ones. Writes
+results/policies.json, an entry per agent and world; those of other agents that it holds stay.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from results_file import RESULTS, write_results
+
+from greenhouse_gym.agents.named import make_agent
+from greenhouse_gym.evaluation import Evaluation, evaluate, wilson_interval
+from greenhouse_gym.scene import DIFFICULTIES, SceneBank
+
+
+def main() -> None:
+    """Play and write the figures after each agent."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--agents", default="ppo-ur5e,straight-line,random")
+    parser.add_argument("--bank", default="default")
+    parser.add_argument("--split", default="test")
+    parser.add_argument("--physics", default="reconstruction")
+    parser.add_argument("--episodes", type=int, default=1000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--num-envs", type=int, default=64)
+    parser.add_argument("--out", type=Path, default=RESULTS / "policies.json")
+    arguments = parser.parse_args()
+    figures: dict[str, Any] = json.loads(arguments.out.read_text())["agents"] if arguments.out.is_file() else {}
+    for name in arguments.agents.split(","):
+        evaluation = evaluate(
+            make_agent(name), arguments.split, arguments.episodes, arguments.seed, num_envs=arguments.num_envs,
+            bank=arguments.bank, physics=arguments.physics, threads=1,
+        )  # fmt: skip
+        entry: dict[str, Any] = {"bank": arguments.bank, "bank_sha256": SceneBank.open(arguments.bank).sha256}
+        entry |= {"split": arguments.split, "physics": arguments.physics, "first_seed": arguments.seed}
+        figures[f"{name}, {arguments.physics}"] = entry | rates(evaluation)
+        print(name, json.dumps(figures[f"{name}, {arguments.physics}"]), flush=True)
+        write_results(arguments.out, {"agents": figures}, ("mujoco", "numpy"))
+
+
+def rates(evaluation: Evaluation) -> dict[str, Any]:
+    """Shares with their intervals, over all episodes and by difficulty."""
+    difficulties = {difficulty: evaluation.of(difficulty) for difficulty in DIFFICULTIES}
+    return {
+        **_shares(evaluation),
+        "median_steps_of_successes": evaluation.median("steps", solved_only=True),
+        "by_difficulty": {name: _shares(part) for name, part in difficulties.items() if part.records},
+    }
+
+
+def _shares(evaluation: Evaluation) -> dict[str, Any]:
+    count = len(evaluation.records)
+    collisions = sum(record.collision for record in evaluation.records)
+    return {
+        "episodes": count,
+        "success": round(evaluation.success_rate, 4),
+        "success_95": [round(bound, 4) for bound in evaluation.success_interval],
+        "collision": round(collisions / count, 4),
+        "collision_95": [round(bound, 4) for bound in wilson_interval(collisions, count)],
+    }
+
+
+if __name__ == "__main__":
+    main()
