@@ -57,7 +57,8 @@ class PpoSettings:
         log_std: Initial logarithm of the action noise.
         hidden: Sizes of the hidden layers, of actor and critic each.
         seed: Of scenes, weights and noise.
-        threads: Threads for simulation and network; 0 uses all cores.
+        threads: Threads of the simulation; 0 uses all cores. The network has one: with more, its many small products
+            wait for each other, on a busy machine most of the time.
     """
 
     bank: str = "default"
@@ -112,8 +113,7 @@ def train_ppo(
     out = Path(out)
     described = json.loads(json.dumps(asdict(settings)))
     _check_folder(out, described, resume)
-    if settings.threads:
-        torch.set_num_threads(settings.threads)
+    torch.set_num_threads(1)
     env = make_sb3_vec_env(
         settings.num_envs, bank=settings.bank, split=settings.split, robot=settings.robot,
         difficulty=settings.difficulty, threads=settings.threads, seed=settings.seed,

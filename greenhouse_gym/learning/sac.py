@@ -44,7 +44,8 @@ class SacSettings:
         random_steps: Steps with random actions before the first gradient step.
         hidden: Sizes of the hidden layers, of actor and critics each.
         seed: Of scenes, weights and noise.
-        threads: Threads for simulation and network; 0 uses all cores.
+        threads: Threads of the simulation; 0 uses all cores. The network has one: with more, its many small products
+            wait for each other, on a busy machine most of the time.
     """
 
     bank: str = "mini"
@@ -87,8 +88,7 @@ class SacProgress:
 
 def make_sac(settings: SacSettings) -> Any:
     """The Stable-Baselines3 model, untrained, on its own vector environment."""
-    if settings.threads:
-        torch.set_num_threads(settings.threads)
+    torch.set_num_threads(1)
     env = make_sb3_vec_env(settings.num_envs, seed=settings.seed, **_env_options(settings))
     layout = env.get_attr("simulation")[0].observe.layout
     return SAC(

@@ -42,7 +42,9 @@ def test_plain_ppo_takes_the_environment(bank: SceneBank) -> None:
 
 
 def test_training_leaves_curve_checkpoint_and_policy(settings: PpoSettings, tmp_path: Path) -> None:
+    torch.set_num_threads(2)
     path = train_ppo(settings, tmp_path)
+    assert torch.get_num_threads() == 1, "a fifth of the speed where another process runs"
     files = {p.name for p in tmp_path.iterdir()}
     assert files == {"settings.json", "curve.csv", NAME, "policy.json", "policy.safetensors"}
     assert not any(zipfile.is_zipfile(p) for p in tmp_path.iterdir())
