@@ -9,9 +9,19 @@ from greenhouse_gym.agents.baselines import RandomAgent, StillAgent, StraightLin
 from greenhouse_gym.agents.planner_agent import PlannerAgent
 
 if TYPE_CHECKING:
+    from greenhouse_gym.agents.hybrid import HybridAgent
     from greenhouse_gym.agents.policy_agent import PolicyAgent
 
-__all__ = ["Agent", "PlannerAgent", "PolicyAgent", "Problem", "RandomAgent", "StillAgent", "StraightLineAgent"]
+__all__ = [
+    "Agent",
+    "HybridAgent",
+    "PlannerAgent",
+    "PolicyAgent",
+    "Problem",
+    "RandomAgent",
+    "StillAgent",
+    "StraightLineAgent",
+]
 
 
 def __getattr__(name: str) -> Any:
@@ -19,4 +29,8 @@ def __getattr__(name: str) -> Any:
         from greenhouse_gym.agents.policy_agent import PolicyAgent
 
         return PolicyAgent
+    if name == "HybridAgent":
+        from greenhouse_gym.agents.hybrid import HybridAgent
+
+        return HybridAgent
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -8,13 +8,14 @@ from types import ModuleType
 
 from greenhouse_gym.agents.agent import Agent, check_agent
 from greenhouse_gym.agents.baselines import RandomAgent, StillAgent, StraightLineAgent
+from greenhouse_gym.agents.hybrid import HybridAgent
 from greenhouse_gym.agents.planner_agent import PlannerAgent
 from greenhouse_gym.agents.policy import described_at
 from greenhouse_gym.agents.policy_agent import PolicyAgent, shipped_policies
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, MissingDependencyError, UnknownNameError
 from greenhouse_gym.planning import PAPER_PLANNERS, PLANNERS
 
-SIMPLE = {agent.name: agent for agent in (RandomAgent, StillAgent, StraightLineAgent)}
+SIMPLE = {agent.name: agent for agent in (RandomAgent, StillAgent, StraightLineAgent, HybridAgent)}
 """Agents that need nothing but a name."""
 
 
