@@ -24,8 +24,10 @@ from greenhouse_gym.planning import certify_targets
 from greenhouse_gym.plants.truth import truth_of
 from greenhouse_gym.progress import CONSOLE
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, reconstruct_row, settings_for
+from greenhouse_gym.reconstruction.seen import Carving, CarvingSettings, carve
 from greenhouse_gym.scene import Provenance, Scene, SceneBank, Shapes, Stand
 from greenhouse_gym.scene.bank import write_bank
+from greenhouse_gym.scene.seen import UNSEEN, SeenSpace
 from greenhouse_gym.shapes import RowShapes, ShapeSettings, extract_shapes
 
 DECIMALS = 5  # 0.01 mm
@@ -48,6 +50,7 @@ class BuildSettings:
     robot: str = "ur5e"
     reconstruction: ReconstructionSettings | None = None  # by default what each recording's protocol needs
     shapes: ShapeSettings = field(default_factory=ShapeSettings)
+    carving: CarvingSettings = field(default_factory=CarvingSettings)
 
 
 def build_bank(
@@ -122,6 +125,8 @@ def _row_of_scenes(
         shapes = extract_shapes(row.points, row.colors, row.normals, settings.shapes)
         cut = cut_scenes(row, shapes, recording, week, settings, origin)
         write_atomically(notes / CUT, _SCENES.dump_json(cut))
+        for scene in cut:
+            report(_what_was_seen(scene, settings))
     report(f"{recording.name}: certifying the targets of {len(cut)} scenes")
     return [_certified(folder, scene, settings) for scene in cut]
 
@@ -174,6 +179,19 @@ def _provenance(recording: Recording, week: int | None, settings: BuildSettings)
         settings=_plain(settings),
         package_version=version("greenhouse-gym"),
     )
+
+
+def _what_was_seen(scene: Scene, settings: BuildSettings) -> str:
+    """A line on how much of the space around an arm the scan saw."""
+    if scene.seen is None:
+        return f"{scene.name}: what the scan saw is not known"
+    shoulder = np.array([0.0, 0.0, Stand().shoulder_height])
+    text = f"{scene.name}: {scene.seen.share(shoulder, settings.reach):.0%} of the space within reach was seen"
+    plants = scene.seen.states[scene.seen.centers[..., 0] > settings.stem_distance / 2]
+    above = scene.seen.centers[..., 2][scene.seen.centers[..., 0] > settings.stem_distance / 2]
+    if not (plants[above > shoulder[2]] != UNSEEN).any():
+        text += f"; nothing of the plants above {shoulder[2]:g} m: an arm that must not leave it will hardly move"
+    return text
 
 
 def default_splits(rows: int) -> list[str]:
@@ -242,8 +260,10 @@ def cut_scenes(
     heads = transform(leveled, row.world_from_station[row.registered][:, :3, 3])
     numbers = np.flatnonzero(row.registered)
     made_from = origin or _provenance(recording, week, settings)
+    places = _stand_origins(stems, heads, recording, settings)
+    carving = None if row.sight is None else _carving(row, leveled, places, settings)
     scenes = []
-    for k, place in enumerate(_stand_origins(stems, heads, recording, settings)):
+    for k, place in enumerate(places):
         shift = pose(translation=-place)
         station = int(numbers[np.argmin(np.abs(heads[:, 1] - place[1]))])
         near = [
@@ -261,6 +281,7 @@ def cut_scenes(
                 truth=None
                 if recording.truth is None
                 else _truth_around(recording, row, station, shift @ leveled, settings),
+                seen=None if carving is None else _seen_from(carving, place, settings),
                 provenance=made_from.model_copy(update={"station": station}),
             )
         )
@@ -279,6 +300,25 @@ def _stand_origins(stems: Sequence[Shape], heads: Array, recording: Recording, s
     """(3,) points on the floor below the arm, in the leveled frame, of stems and stations (n, 3) in that frame."""
     aside = _stem_line(stems, recording) - settings.stem_distance
     return [np.array([aside, along, 0.0]) for along in stand_positions(heads[:, 1], settings)]
+
+
+def _carving(row: RowCloud, leveled: Array, stands: Sequence[Array], settings: BuildSettings) -> Carving:
+    """The space within reach of all stands, in the leveled frame of the cloud."""
+    low, high = _space(settings)
+    ends = [stand + corner for stand in stands for corner in (low, high)]
+    return carve(row, leveled, np.min(ends, axis=0), np.max(ends, axis=0), settings.carving)
+
+
+def _seen_from(carving: Carving, stand: Array, settings: BuildSettings) -> SeenSpace:
+    low, high = _space(settings)
+    states, corner = carving.cut(stand + low, stand + high)
+    return SeenSpace.of(states, np.round(corner - stand, DECIMALS), carving.voxel)
+
+
+def _space(settings: BuildSettings) -> tuple[Array, Array]:
+    """Corners (3,) of the space around a stand that an arm may get to, metres."""
+    reach = settings.reach
+    return np.array([-reach, -reach, 0.0]), np.array([reach, reach, Stand().shoulder_height + reach])
 
 
 def _truth_around(

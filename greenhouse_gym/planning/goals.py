@@ -16,7 +16,8 @@ from greenhouse_gym.errors import InvalidValueError, require_seed
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning.collision import CollisionChecker, planning_model
 from greenhouse_gym.planning.kinematics import Chain, tool_chain, tool_state
-from greenhouse_gym.robots import Robot
+from greenhouse_gym.planning.unseen import depths_of, guarded
+from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
 
@@ -108,6 +109,7 @@ def goal_configurations(
     min_difference: float = 0.01,
     seed: int = 0,
     approach: Approach | None = None,
+    unseen: str = "free",
 ) -> Goals:
     """Find configurations that bring the grasp point to a tomato's center without touching anything but by the cup.
 
@@ -123,13 +125,20 @@ def goal_configurations(
             radians.
         seed: Same seed, same result.
         approach: Directions the tool may come from; any when left out.
+        unseen: "free", or "forbid" configurations in which some of the arm is in space that the scan did not see; with
+            "avoid" those are found only where there are no others. The arm's own start counts as seen.
 
     Raises:
         InvalidValueError: No such tomato, or a number that makes no sense.
     """
-    compiled = compile_scene(scene, robot)
-    checker = CollisionChecker(planning_model(compiled, target))
-    return search_goals(compiled, checker, target, count, threshold, min_difference, seed, approach)
+    arm = get_robot(robot)
+    for depth in depths_of(unseen):
+        compiled = compile_scene(guarded(scene, arm, arm.start, depth), arm)
+        checker = CollisionChecker(planning_model(compiled, target))
+        found = search_goals(compiled, checker, target, count, threshold, min_difference, seed, approach)
+        if len(found.configurations):
+            break
+    return found
 
 
 def search_goals(

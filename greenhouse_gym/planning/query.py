@@ -26,8 +26,9 @@ from greenhouse_gym.planning.path import path_length
 from greenhouse_gym.planning.planner_settings import PlannerSettings
 from greenhouse_gym.planning.planners import PLANNERS, PlannerInfo
 from greenhouse_gym.planning.registered import PlannerFailedError, run_registered
+from greenhouse_gym.planning.unseen import depths_of, guarded, require_seen, unseen_way
 from greenhouse_gym.planning.worker import WorkerCrashedError, WorkerFailedError, WorkerTimeoutError, shared_worker
-from greenhouse_gym.robots import Robot
+from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
 
@@ -43,6 +44,7 @@ Status = Literal[
 ]
 
 _COARSE = 0.05  # metres; for a guess
+_POOL = 240  # goal configurations of which those that keep out of unseen space are chosen
 _SLOWEST = 0.001  # seconds that a check never takes, a hundred times what it does
 _LONGEST = 1e6  # seconds; what comes near the range of the system's clocks is cut to this
 
@@ -72,6 +74,8 @@ class PlanResult:
             of and every shorter one.
         goals: How the search for goal configurations went; None where they were given.
         message: What happened, where the status does not tell it all.
+        unseen_length: Length of the tip's way along ``path`` while some of the arm is in space that the scan did not
+            see, metres; nan without a path, or where unseen space counts as free.
     """
 
     status: Status
@@ -89,6 +93,7 @@ class PlanResult:
     costs: Array = field(default_factory=lambda: np.empty((0, 2)))
     goals: GoalStatistics | None = None
     message: str = ""
+    unseen_length: float = math.nan
 
 
 def plan(
@@ -104,6 +109,7 @@ def plan(
     settings: PlannerSettings | None = None,
     first_solution: bool = False,
     pairs: Collection[str] = COLLISION_PAIRS,
+    unseen: str = "free",
 ) -> PlanResult:
     """Plan a path that brings the tool to a tomato and touches nothing else.
 
@@ -129,6 +135,10 @@ def plan(
             LBTRRT, LazyLBTRRT and PRMstar, which do not tell when they have one, use their time up all the same, and
             so does LazyPRMstar in most cases, which is asked only when it checks something.
         pairs: What the arm is checked against, of `COLLISION_PAIRS`; all of it unless less is asked for.
+        unseen: What space that the scan did not see is: "free", as if it were empty; "forbid", as if it were full, but
+            where the arm and its cart stand; "avoid", first forbidden, then entered no deeper than each of
+            `greenhouse_gym.planning.unseen.DEPTHS`, at last free. Each try gets half of the time and checks that are
+            left, the last all of them, and the result says how far the way through the unseen is.
 
     Raises:
         UnknownNameError: No such planner, arm or collision pair.
@@ -136,11 +146,46 @@ def plan(
             start or goals outside the limits.
         MissingDependencyError: OMPL is not installed.
     """
-    compiled = compile_scene(scene, robot)
+    arm, depths = get_robot(robot), depths_of(unseen)
+    compiled = compile_scene(scene, arm)
     checker = CollisionChecker(planning_model(compiled, target, pairs=pairs))
-    return plan_with(
-        compiled, checker, target, planner, time_limit, max_checks, goals, seed, start, settings, first_solution
-    )
+    if unseen == "free":
+        return plan_with(
+            compiled, checker, target, planner, time_limit, max_checks, goals, seed, start, settings, first_solution
+        )
+    require_seen(scene)
+    began = time.perf_counter()
+    count, pool, statistics = 0, goals, None
+    if isinstance(goals, int | np.integer):
+        searched = search_goals(compiled, checker, target, count=max(int(goals), _POOL), seed=seed)
+        count, pool, statistics = int(goals), searched.configurations, searched.statistics
+    ends = pool.configurations if isinstance(pool, Goals) else np.asarray(pool, dtype=np.float64)
+    goal_time = time.perf_counter() - began
+    origin = np.asarray(arm.start if start is None else start, dtype=np.float64)
+    result = PlanResult("no_goal", None, planner)
+    for k, depth in enumerate(depths):
+        last = k == len(depths) - 1
+        around = compile_scene(guarded(scene, arm, origin, depth), arm)
+        careful = CollisionChecker(planning_model(around, target, pairs=pairs))
+        free = np.array([careful.is_free(end) for end in ends], dtype=np.bool_) if np.ndim(ends) == 2 else [True]
+        if not np.any(free):
+            continue
+        seconds = time_limit if last or time_limit is None else time_limit / 2
+        checks = max_checks if last or max_checks is None else max(1, max_checks // 2)
+        chosen = ends[free][: count or None] if np.ndim(ends) == 2 else ends
+        result = plan_with(
+            around, careful, target, planner, seconds, checks, chosen, seed, start, settings, first_solution
+        )
+        if result.path is not None:
+            break
+        time_limit = None if time_limit is None else time_limit - min(time_limit / 2, result.planning_time)
+        max_checks = None if max_checks is None else max(1, max_checks - result.checks)
+    result = replace(result, goal_time=goal_time + result.goal_time, goals=statistics)
+    if result.path is None:
+        return result
+    way = unseen_way(scene, arm, result.path)
+    message = f"the path must leave the seen space for {way:.2f} m" if way > 0 else ""
+    return replace(result, clearance=path_clearance(compiled, target, result.path), unseen_length=way, message=message)
 
 
 def plan_with(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
@@ -12,13 +12,28 @@ import numpy.typing as npt
 
 from greenhouse_gym.capture.exposure import exposure_failure
 from greenhouse_gym.capture.recordings import Recording
+from greenhouse_gym.capture.rig import Rig
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.reconstruction.clouds import Cloud
 from greenhouse_gym.reconstruction.graph import optimize
 from greenhouse_gym.reconstruction.merging import merge_stations, outliers
 from greenhouse_gym.reconstruction.report import RowReport
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings, settings_for
+from greenhouse_gym.reconstruction.views import Screen
 from greenhouse_gym.reconstruction.walk import Walk, walk_through
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """What the stations saw of space.
+
+    Attributes:
+        rig: The cameras as they are.
+        screens: Of each station and camera, the nearest reading of each block of pixels.
+    """
+
+    rig: Rig
+    screens: Mapping[int, Mapping[str, Screen]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,12 +45,14 @@ class RowCloud(Cloud):
         registered: (stations,) bool.
         world_from_station: (stations, 4, 4); NaN where not registered, identity for the first that is.
         report: What happened on the way.
+        sight: What the stations saw of space; None for a cloud that was read from a file.
     """
 
     station: npt.NDArray[np.int32]
     registered: npt.NDArray[np.bool_]
     world_from_station: Array
     report: RowReport
+    sight: Sight | None = None
 
 
 def reconstruct_row(
@@ -108,7 +125,8 @@ def merge_segment(walk: Walk, segment: int, settings: ReconstructionSettings) ->
         walk.reports, walk.segments, segment, warnings, walk.calibrated, len(cloud), len(cloud),
         walk.seconds | {"optimize": optimized - started, "merge": perf_counter() - optimized},
     )  # fmt: skip
-    row = RowCloud(cloud.points, cloud.colors, cloud.normals, merged.station, registered, poses, report)
+    sight = Sight(walk.calibration.rig, {i: walk.screens[i] for i in stations})
+    row = RowCloud(cloud.points, cloud.colors, cloud.normals, merged.station, registered, poses, report, sight)
     return row, outlier
 
 
@@ -117,7 +135,7 @@ def remove_outliers(row: RowCloud, outlier: npt.NDArray[np.bool_]) -> RowCloud:
     kept = ~outlier
     return RowCloud(
         row.points[kept], row.colors[kept], row.normals[kept], row.station[kept],
-        row.registered, row.world_from_station, replace(row.report, points=int(np.count_nonzero(kept))),
+        row.registered, row.world_from_station, replace(row.report, points=int(np.count_nonzero(kept))), row.sight,
     )  # fmt: skip
 
 

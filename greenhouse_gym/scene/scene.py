@@ -21,6 +21,7 @@ from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Box, Capsule, Shape, Sphere, Vector
 from greenhouse_gym.paths import checked_name, parsing, read_bytes, write_atomically
 from greenhouse_gym.scene.packed import pack, unpack
+from greenhouse_gym.scene.seen import SeenSpace
 
 if TYPE_CHECKING:
     from greenhouse_gym.robots import Robot
@@ -143,6 +144,8 @@ class Scene(Shapes):
 
     Attributes:
         truth: What really stands there, where that is known: all of a simulated row within the arm's reach.
+        seen: What the scan saw of the space around the arm: ``scene.seen(points)`` tells seen points from unseen ones.
+            None where it is not known.
     """
 
     schema_version: Literal[1] = 1
@@ -151,6 +154,7 @@ class Scene(Shapes):
     targets: tuple[Target, ...] = ()
     provenance: Provenance
     truth: PackedShapes | None = None
+    seen: SeenSpace | None = None
 
     @model_validator(mode="after")
     def _targets_exist(self) -> Scene:

@@ -1,0 +1,117 @@
+"""What a scan did not see is not free: unseen voxels as obstacles for planning."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import distance_transform_edt
+
+from greenhouse_gym.errors import InvalidValueError, require_choice
+from greenhouse_gym.geometry import Array, Box, distance_to_shapes
+from greenhouse_gym.planning.collision import CollisionChecker, planning_model
+from greenhouse_gym.planning.kinematics import tool_chain, tool_state
+from greenhouse_gym.robots import Robot
+from greenhouse_gym.scene import Scene
+from greenhouse_gym.scene.mjcf import compile_scene
+from greenhouse_gym.scene.seen import UNSEEN, boxes_of, inside_boxes
+
+UNSEEN_RULES = ("free", "avoid", "forbid")
+"""What planners make of unseen space: nothing; a place to keep out of as far as can be; an obstacle."""
+
+DEPTHS = (0.0, 0.1, 0.15, 0.2, float("inf"))
+"""How deep a path may go into unseen space, metres: what "avoid" tries, one after the other."""
+
+REACH = 1.35
+"""Metres from the shoulder beyond which no arm comes, so that what was not seen there does not count."""
+
+_RESOLUTION = 0.01  # metres, at which a path's way through unseen space is measured
+
+
+def depths_of(rule: str) -> tuple[float, ...]:
+    """How deep the arm may go into unseen space by a rule, metres: what is tried, one after the other.
+
+    Raises:
+        UnknownNameError: No such rule.
+    """
+    return {"free": DEPTHS[-1:], "avoid": DEPTHS, "forbid": DEPTHS[:1]}[require_choice("unseen", rule, UNSEEN_RULES)]
+
+
+def require_seen(scene: Scene) -> None:
+    """Raise an error unless a scene knows what was seen.
+
+    Raises:
+        InvalidValueError: It does not; the message says what helps.
+    """
+    if scene.seen is None:
+        raise InvalidValueError(
+            f'scene {scene.name!r} does not say what was seen of its space, which unseen="avoid" and "forbid" need: '
+            'build it from its recording with this version, or plan with unseen="free"'
+        )
+
+
+def unseen_boxes(scene: Scene, robot: Robot, start: npt.ArrayLike, depth: float = 0.0) -> list[Box]:
+    """Boxes over the unseen space within reach in which no arm may be.
+
+    Known, though not seen, is where the arm and its cart stand, and the inside of tomatoes.
+
+    Args:
+        scene: The scene; it must know what was seen.
+        robot: The arm.
+        start: (joints,) where it stands, radians.
+        depth: How far from seen space unseen space is still allowed, metres.
+    """
+    require_seen(scene)
+    assert scene.seen is not None
+    space = scene.seen
+    unseen = space.states == UNSEEN
+    if depth > 0:
+        unseen &= distance_transform_edt(unseen, sampling=space.voxel) > depth
+    shoulder = scene.stand.position + [0.0, 0.0, scene.stand.shoulder_height]
+    cells = np.argwhere(unseen)
+    centers = space.origin + (cells + 0.5) * space.voxel
+    known = np.linalg.norm(centers - shoulder, axis=1) > REACH
+    known |= inside_boxes(centers, _boxes_around_arm(scene, robot, start), space.voxel)
+    if scene.tomatoes:
+        known |= distance_to_shapes(centers, scene.tomatoes).min(axis=1) < 0
+    unseen[tuple(cells[known].T)] = False
+    return boxes_of(unseen, space.origin, space.voxel)
+
+
+def guarded(scene: Scene, robot: Robot, start: npt.ArrayLike, depth: float = 0.0) -> Scene:
+    """A scene in which the unseen space of `unseen_boxes` is clutter, for planning."""
+    if np.isinf(depth):
+        return scene
+    return scene.model_copy(update={"clutter": (*scene.clutter, *unseen_boxes(scene, robot, start, depth))})
+
+
+def unseen_way(scene: Scene, robot: Robot, path: Array) -> float:
+    """Length of the tip's way along a path (k, joints) while some of the arm is in unseen space, metres."""
+    boxes = unseen_boxes(scene, robot, path[0])
+    alone = Scene(
+        name=scene.name, tomatoes=scene.tomatoes, clutter=tuple(boxes), stand=scene.stand, provenance=scene.provenance
+    )
+    compiled = compile_scene(alone, robot)
+    checker = CollisionChecker(planning_model(compiled, 0, margin=0.0, pairs=("clutter",)))
+    way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(path, axis=0)) @ checker.reaches)])
+    places = np.linspace(0.0, way[-1], 1 + int(np.ceil(way[-1] / _RESOLUTION)))
+    between = np.stack([np.interp(places, way, joint) for joint in path.T], axis=-1)
+    inside = np.array([not checker.is_free(q) for q in between])
+    tips = tool_state(tool_chain(compiled.model, compiled.tip_site), between, 0.0).point
+    return float(sum(np.linalg.norm(b - a) for k, (a, b) in enumerate(pairwise(tips)) if inside[k] or inside[k + 1]))
+
+
+def _boxes_around_arm(scene: Scene, robot: Robot, start: npt.ArrayLike) -> list[tuple[Array, Array, Array]]:
+    """Center, half extents and rotation of a box around each geom of the arm at its start, and of its cart."""
+    bare = Scene(name=scene.name, stand=scene.stand, provenance=scene.provenance)
+    model = compile_scene(bare, robot).model
+    data = mujoco.MjData(model)
+    data.qpos[:] = start
+    mujoco.mj_kinematics(model, data)
+    boxes = []
+    for geom in np.flatnonzero(model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE).tolist():
+        rotation = data.geom_xmat[geom].reshape(3, 3)
+        boxes.append((data.geom_xpos[geom] + rotation @ model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:], rotation))
+    return boxes

@@ -1,0 +1,126 @@
+"""What a scan saw of the space around an arm: empty, surface, or unseen, in voxels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.geometry import Array, Box, Vector
+from greenhouse_gym.scene.packed import compressed, decompressed
+
+UNSEEN, EMPTY, SURFACE = 0, 1, 2
+"""What a voxel is."""
+
+MOST_VOXELS = 5_000_000
+
+States = npt.NDArray[np.uint8]
+
+
+class SeenSpace(BaseModel):
+    """Voxels in the scene frame; what lies outside of them is unseen.
+
+    Attributes:
+        origin: (3,) the lower corner of the first voxel, metres.
+        voxel: Side of a voxel, metres.
+        shape: Number of voxels along x, y and z.
+        data: Which voxels are seen, then which of all are surface, one bit each; see `of`.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, ignored_types=(cached_property,))
+
+    origin: Vector
+    voxel: float = Field(gt=0, le=1)
+    shape: tuple[int, int, int]
+    data: str
+
+    @model_validator(mode="after")
+    def _matches(self) -> SeenSpace:
+        if min(self.shape) < 1 or int(np.prod(self.shape, dtype=object)) > MOST_VOXELS:
+            raise InvalidValueError(f"shape {self.shape}: expected 1 to {MOST_VOXELS} voxels")
+        decompressed(self.data, 2 * self._plane)
+        return self
+
+    @property
+    def _plane(self) -> int:
+        return -(-int(np.prod(self.shape)) // 8)
+
+    @classmethod
+    def of(cls, states: States, origin: npt.ArrayLike, voxel: float) -> SeenSpace:
+        """The space of an array (x, y, z) of `UNSEEN`, `EMPTY` and `SURFACE`."""
+        planes = [np.packbits(plane.reshape(-1)).tobytes() for plane in (states != UNSEEN, states == SURFACE)]
+        shape = (int(states.shape[0]), int(states.shape[1]), int(states.shape[2]))
+        return cls(origin=np.asarray(origin), voxel=voxel, shape=shape, data=compressed(b"".join(planes)))
+
+    @cached_property
+    def states(self) -> States:
+        """(x, y, z) uint8 of `UNSEEN`, `EMPTY` and `SURFACE`, read-only."""
+        planes = np.frombuffer(decompressed(self.data, 2 * self._plane), dtype=np.uint8).reshape(2, -1)
+        seen, surface = np.unpackbits(planes, axis=1, count=int(np.prod(self.shape)))
+        states = np.where(surface > 0, SURFACE, seen).astype(np.uint8).reshape(self.shape)
+        states.setflags(write=False)
+        return states
+
+    @property
+    def centers(self) -> Array:
+        """(x, y, z, 3) the middles of the voxels, metres."""
+        return self.origin + (np.moveaxis(np.indices(self.shape), 0, -1) + 0.5) * self.voxel
+
+    def at(self, points: npt.ArrayLike) -> States:
+        """What points (n, 3) of the scene lie in, (n,) of `UNSEEN`, `EMPTY` and `SURFACE`."""
+        cells = np.floor((np.asarray(points, dtype=np.float64).reshape(-1, 3) - self.origin) / self.voxel)
+        inside = ((cells >= 0) & (cells < self.shape)).all(axis=1)
+        result = np.full(len(cells), UNSEEN, dtype=np.uint8)
+        result[inside] = self.states[tuple(cells[inside].astype(np.int64).T)]
+        return result
+
+    def __call__(self, points: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+        """Whether points (n, 3) of the scene were seen, (n,)."""
+        return self.at(points) != UNSEEN
+
+    def share(self, center: npt.ArrayLike, reach: float) -> float:
+        """Share of the voxels within ``reach`` metres of a point (3,), above the floor, that were seen; else nan."""
+        centers = self.centers
+        near = (np.linalg.norm(centers - np.asarray(center), axis=-1) < reach) & (centers[..., 2] > 0)
+        return float((self.states[near] != UNSEEN).mean()) if near.any() else float("nan")
+
+
+def boxes_of(cells: npt.NDArray[np.bool_], origin: npt.ArrayLike, voxel: float) -> list[Box]:
+    """Few boxes that cover the marked cells (x, y, z) of a grid and nothing else.
+
+    Runs along z grow along y, then along x, as long as all of a side's cells are marked and not yet covered.
+    """
+    left, corner = cells.copy(), np.asarray(origin, dtype=np.float64)
+    boxes = []
+    for start in np.argwhere(cells):
+        if not left[tuple(start)]:
+            continue
+        end = start + 1
+        for axis in (2, 1, 0):
+            while end[axis] < cells.shape[axis]:
+                side = [slice(a, b) for a, b in zip(start, end, strict=True)]
+                side[axis] = slice(end[axis], end[axis] + 1)
+                if not left[tuple(side)].all():
+                    break
+                end[axis] += 1
+        left[tuple(slice(a, b) for a, b in zip(start, end, strict=True))] = False
+        half = (end - start) * voxel / 2
+        boxes.append(Box(corner + start * voxel + half, half, np.eye(3)))
+    return boxes
+
+
+def inside_boxes(points: Array, boxes: Sequence[tuple[Array, Array, Array]], margin: float) -> npt.NDArray[np.bool_]:
+    """Whether points (n, 3) lie within a margin of one of the boxes, each a center, half extents and rotation."""
+    found = np.zeros(len(points), dtype=np.bool_)
+    for center, half, rotation in boxes:
+        found |= (np.abs((points - center) @ rotation) <= half + margin).all(axis=1)
+    return found
+
+
+CORNERS = np.array(list(product((-0.25, 0.25), repeat=3)))
+"""(8, 3) places in a voxel, in its sides from its middle, at which it is looked at: all must be empty for it to be."""

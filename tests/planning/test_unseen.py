@@ -1,0 +1,87 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from greenhouse_gym.errors import InvalidValueError, UnknownNameError
+from greenhouse_gym.planning import goal_configurations, plan
+from greenhouse_gym.planning import goals as goals_module
+from greenhouse_gym.planning.collision import CollisionChecker, planning_model
+from greenhouse_gym.planning.unseen import REACH, guarded, unseen_boxes, unseen_way
+from greenhouse_gym.robots import get_robot
+from greenhouse_gym.scene import Scene
+from greenhouse_gym.scene.mjcf import compile_scene
+from greenhouse_gym.scene.seen import EMPTY, UNSEEN, SeenSpace
+
+ARM = get_robot("ur5e")
+LOW, HIGH, VOXEL = np.array([-1.35, -1.35, 0.0]), np.array([1.35, 1.35, 2.45]), 0.05
+TARGET = 4
+
+
+def seen_where(scene: Scene, seen: float | None, aisle: float = -1.35) -> Scene:
+    """The scene, seen up to a height; what is above, and farther from the aisle than given, is unseen."""
+    shape = np.rint((HIGH - LOW) / VOXEL).astype(int)
+    states = np.full(shape, EMPTY, dtype=np.uint8)
+    if seen is not None:
+        states[round((aisle - LOW[0]) / VOXEL) :, :, round(seen / VOXEL) :] = UNSEEN
+    return scene.model_copy(update={"seen": SeenSpace.of(states, LOW, VOXEL)})
+
+
+def test_where_all_was_seen_nothing_changes(scene: Scene) -> None:
+    whole = seen_where(scene, None)
+    usual = plan(scene, TARGET, time_limit=30.0, max_checks=20_000)
+    assert unseen_boxes(whole, ARM, ARM.start) == []
+    for rule in ("avoid", "forbid"):
+        result = plan(whole, TARGET, time_limit=30.0, max_checks=20_000, unseen=rule)
+        assert result.unseen_length == 0.0
+        assert result.message == ""
+        np.testing.assert_array_equal(result.path, usual.path)
+        assert result.clearance == usual.clearance
+    assert np.isnan(usual.unseen_length)
+
+
+def test_the_arms_own_place_and_what_no_arm_reaches_do_not_count(scene: Scene) -> None:
+    nothing = seen_where(scene, 0.0)
+    compiled = compile_scene(guarded(nothing, ARM, ARM.start), ARM)
+    assert CollisionChecker(planning_model(compiled, TARGET)).is_free(ARM.start)
+    boxes = unseen_boxes(nothing, ARM, ARM.start)
+    shoulder = np.array([0.0, 0.0, 1.1])
+    assert all(np.linalg.norm(box.center - shoulder) < REACH for box in boxes)
+    deep = unseen_boxes(seen_where(scene, 1.2), ARM, ARM.start, depth=0.2)
+    assert min(box.center[2] - box.half_extents[2] for box in deep) > 1.35
+
+
+def test_forbidden_space_is_not_entered(scene: Scene) -> None:
+    partly = seen_where(scene, 1.7, aisle=0.3)
+    result = plan(partly, TARGET, time_limit=60.0, max_checks=60_000, unseen="forbid")
+    assert result.status == "solved"
+    assert result.path is not None
+    assert result.unseen_length == 0.0
+    assert plan(partly, TARGET, goals=result.path[-1:], time_limit=30.0, max_checks=60_000).status == "solved"
+    goals = goal_configurations(partly, TARGET, count=10, unseen="forbid").configurations
+    checker = CollisionChecker(planning_model(compile_scene(guarded(partly, ARM, ARM.start), ARM), TARGET))
+    assert len(goals) > 0
+    assert all(checker.is_free(goal) for goal in goals)
+
+
+def test_what_cannot_be_avoided_is_entered_and_said(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(goals_module, "SAMPLE_BUDGET", 2000)
+    nothing = seen_where(scene, 0.0)
+    assert plan(nothing, TARGET, time_limit=5.0, unseen="forbid").status == "no_goal"
+    assert len(goal_configurations(nothing, TARGET, count=3, unseen="forbid").configurations) == 0
+    assert len(goal_configurations(nothing, TARGET, count=3, unseen="avoid").configurations) == 3
+    result = plan(nothing, TARGET, time_limit=30.0, max_checks=40_000, unseen="avoid")
+    assert result.path is not None
+    assert result.unseen_length > 0.3
+    assert "leave the seen space" in result.message
+    assert unseen_way(nothing, ARM, result.path[:1]) == 0.0
+
+
+def test_scenes_that_do_not_know_are_refused(scene: Scene) -> None:
+    for rule in ("avoid", "forbid"):
+        with pytest.raises(InvalidValueError, match=rf"{scene.name}.*unseen=\"free\""):
+            plan(scene, TARGET, unseen=rule)
+    with pytest.raises(UnknownNameError, match=r"'shun'.*avoid"):
+        plan(scene, TARGET, unseen="shun")
+    with pytest.raises(UnknownNameError, match="avoid"):
+        goal_configurations(scene, TARGET, unseen="shun")

@@ -1,0 +1,87 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import make_scene
+
+from greenhouse_gym.errors import FileFormatError, InvalidValueError
+from greenhouse_gym.geometry import distance_to_shapes
+from greenhouse_gym.scene import Scene
+from greenhouse_gym.scene.packed import compressed
+from greenhouse_gym.scene.seen import EMPTY, SURFACE, UNSEEN, SeenSpace, boxes_of
+
+
+def some_space(seed: int = 0) -> SeenSpace:
+    states = np.random.default_rng(seed).integers(0, 3, (7, 9, 11)).astype(np.uint8)
+    return SeenSpace.of(states, [-0.2, 0.1, 0.3], 0.05)
+
+
+def test_states_survive_and_points_find_their_voxel() -> None:
+    states = np.random.default_rng(0).integers(0, 3, (7, 9, 11)).astype(np.uint8)
+    space = some_space()
+    np.testing.assert_array_equal(space.states, states)
+    np.testing.assert_array_equal(space.at(space.centers.reshape(-1, 3)), states.reshape(-1))
+    np.testing.assert_array_equal(space(space.centers.reshape(-1, 3)), states.reshape(-1) != UNSEEN)
+    assert space.at([[-0.21, 0.2, 0.4], [5, 5, 5]]).tolist() == [UNSEEN, UNSEEN]  # outside nothing was seen
+    assert {UNSEEN, EMPTY, SURFACE} == set(states.reshape(-1).tolist())
+    assert space.share([0.0, 0.3, 0.6], 10.0) == pytest.approx((states != UNSEEN).mean())
+    assert np.isnan(space.share([5.0, 5.0, 5.0], 0.1))
+
+
+def test_a_scene_carries_what_was_seen(tmp_path: Path) -> None:
+    scene = make_scene(0).model_copy(update={"seen": some_space()})
+    again = Scene.load(scene.save(tmp_path / "scene.json"))
+    assert again.seen is not None
+    np.testing.assert_array_equal(again.seen.states, some_space().states)
+    assert again.seen([[0.0, 0.3, 0.5]]).shape == (1,)
+    assert Scene.load(make_scene(0).save(tmp_path / "without.json")).seen is None
+
+
+def test_it_is_small() -> None:
+    """A space as large as an arm's, with a seen wedge and a ragged surface at its end."""
+    x, y, z = np.indices((54, 54, 49))
+    states = np.where((np.abs(z - 24) < x) & (x < 30 + 3 * np.sin(y)), EMPTY, UNSEEN).astype(np.uint8)
+    states[np.random.default_rng(0).random(states.shape) < 0.01] = SURFACE
+    assert len(SeenSpace.of(states, [0, 0, 0], 0.05).model_dump_json()) < 10_000
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"shape": [7, 9, 12]}, "damaged"),
+        ({"shape": [0, 9, 11]}, "voxels"),
+        ({"shape": [10**6, 10**6, 10**6]}, "voxels"),
+        ({"data": "?"}, "damaged"),
+        ({"data": compressed(bytes(10**7))}, "damaged"),
+        ({"voxel": 0.0}, "voxel"),
+        ({"origin": [0, 0]}, "origin"),
+    ],
+)
+def test_voxels_that_do_not_match_are_named(tmp_path: Path, change: dict[str, Any], message: str) -> None:
+    data = make_scene(0).model_copy(update={"seen": some_space()}).model_dump(mode="json")
+    data["seen"].update(change)
+    path = tmp_path / "damaged.json"
+    path.write_text(json.dumps(data))
+    with pytest.raises(FileFormatError, match=f"seen.*{message}"):
+        Scene.load(path)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.9, 1.0])
+def test_boxes_cover_the_marked_cells_and_no_others(share: float) -> None:
+    cells = np.random.default_rng(1).random((6, 7, 8)) < share
+    boxes = boxes_of(cells, [0.1, -0.2, 0.3], 0.05)
+    centers = np.array([0.1, -0.2, 0.3]) + (np.argwhere(np.ones_like(cells)) + 0.5) * 0.05
+    inside = distance_to_shapes(centers, boxes).min(axis=1) < 0 if boxes else np.zeros(len(centers), dtype=bool)
+    np.testing.assert_array_equal(inside, cells.reshape(-1))
+    volume = sum(8 * box.half_extents.prod() for box in boxes)
+    assert volume == pytest.approx(cells.sum() * 0.05**3)  # no two overlap
+    assert len(boxes) == (1 if share == 1.0 else len(boxes))
+
+
+def test_spaces_of_nothing_are_refused() -> None:
+    with pytest.raises((InvalidValueError, ValueError), match="voxels"):
+        SeenSpace.of(np.zeros((0, 3, 3), np.uint8), [0, 0, 0], 0.05)
