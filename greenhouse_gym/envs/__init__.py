@@ -10,6 +10,7 @@ from greenhouse_gym.envs.rewards import DenseReward, SparseReward, Transition
 from greenhouse_gym.envs.settings import EnvSettings
 from greenhouse_gym.envs.tomato_reach import TomatoReachEnv
 from greenhouse_gym.envs.vector import TomatoReachVectorEnv
+from greenhouse_gym.scene.plant_motion import PlantMotion
 
 __all__ = [
     "ActionRule",
@@ -18,6 +19,7 @@ __all__ = [
     "DepthObservation",
     "EnvSettings",
     "Observation",
+    "PlantMotion",
     "PointsObservation",
     "Randomization",
     "RgbObservation",

@@ -10,6 +10,7 @@ import numpy as np
 
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.scene.plant_motion import PlantMotion
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,8 @@ class Randomization:
         joint_offset: Error of the joint positions that are observed, radians per joint.
         target_position: Error of the target's position that is observed, metres along each axis.
         depth_noise: Whether depth images carry the noise of a D435.
+        plants: How far the plants have moved since they were scanned, for ``physics="truth"``; None for not at all. The
+            scene that is observed and planned in stays as it was scanned.
     """
 
     base_position: float = 0.0
@@ -30,9 +33,14 @@ class Randomization:
     joint_offset: float = 0.0
     target_position: float = 0.0
     depth_noise: bool = False
+    plants: PlantMotion | None = None
 
     def __post_init__(self) -> None:
+        if not (self.plants is None or isinstance(self.plants, PlantMotion)):
+            raise InvalidValueError(f"randomization plants must be a PlantMotion or None, got {self.plants!r}")
         for field in fields(self):
+            if field.name == "plants":
+                continue
             value = getattr(self, field.name)
             if not (np.isfinite(value) and value >= 0):
                 raise InvalidValueError(f"randomization {field.name} must be a number from 0 up, got {value!r}")
@@ -51,6 +59,7 @@ class Disturbance(NamedTuple):
         joints: (j,) added to the observed joint positions, radians.
         target: (3,) added to the observed target, metres.
         noise: Generator of the depth images' noise, or None.
+        plants: Seed of the plants' motion, or None.
     """
 
     shift: Array
@@ -58,6 +67,7 @@ class Disturbance(NamedTuple):
     joints: Array
     target: Array
     noise: np.random.Generator | None
+    plants: int | None
 
 
 def draw_disturbance(settings: Randomization, joints: int, random: np.random.Generator) -> Disturbance:
@@ -72,6 +82,7 @@ def draw_disturbance(settings: Randomization, joints: int, random: np.random.Gen
         joints=uniform(settings.joint_offset, joints),
         target=uniform(settings.target_position, 3),
         noise=np.random.default_rng(random.integers(2**63)) if settings.depth_noise else None,
+        plants=None if settings.plants is None else int(random.integers(2**63)),
     )
 
 

@@ -23,10 +23,10 @@ from greenhouse_gym.envs.rewards import Terms, Transition, total_reward
 from greenhouse_gym.envs.settings import EnvSettings
 from greenhouse_gym.envs.stepping import Ids
 from greenhouse_gym.envs.worlds import World, room_for, worlds_of
-from greenhouse_gym.errors import NoEpisodeError
+from greenhouse_gym.errors import InvalidValueError, NoEpisodeError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import ROBOTS, get_robot
-from greenhouse_gym.scene import CompiledScene
+from greenhouse_gym.scene import CompiledScene, Scene
 from greenhouse_gym.scene.field import NO_TOMATO
 
 STEP_INFOS = ("previous_goal", "effort")
@@ -79,6 +79,8 @@ class ReachSimulation:
         self._limit = CommandLimits(robot, self.action_rule, self._pace)
         self.reward_terms = make_reward(settings.reward)
         self.randomization = settings.randomization
+        if self.randomization.plants is not None and settings.physics != "truth":
+            raise InvalidValueError('randomization plants needs physics="truth": it is the true plants that move')
         hidden = 'physics="truth"' if settings.physics == "truth" else ""
         check_goals_are_known(self.observe, hidden or ("target_position" if self.randomization.target_position else ""))
         name = robot.name if robot.name in ROBOTS else str(robot.path)
@@ -140,14 +142,17 @@ class ReachSimulation:
             options: Options of the reset for each of the n simulations.
         """
         episodes = [self.sampler.draw(random[i], options[i]) for i in ids]
-        worlds = [self.worlds.world(episode.scene) for episode in episodes]
+        disturbances = [draw_disturbance(self.randomization, len(self.robot.joints), random[i]) for i in ids]
+        worlds = [
+            self._world(episode.scene, disturbance.plants)
+            for episode, disturbance in zip(episodes, disturbances, strict=True)
+        ]
         physics = self._physics
         if physics is None:
             physics = self._physics = Physics(self.count, worlds[0], self._threads, self._pace)
         for world in worlds:
             world.check_fits(physics.models[0])
-        for i, episode, world in zip(ids, episodes, worlds, strict=True):
-            disturbance = draw_disturbance(self.randomization, len(self.robot.joints), random[i])
+        for i, episode, world, disturbance in zip(ids, episodes, worlds, disturbances, strict=True):
             physics.load(int(i), world, episode.target, disturbance)
             self._begin(int(i), episode, world, disturbance)
         touches = physics.place(ids, np.array([episode.start for episode in episodes]))
@@ -157,6 +162,11 @@ class ReachSimulation:
         self._note(touches)
         fresh = self._look(ids, touches.any)
         self.situation = fresh if len(ids) == self.count else self._seen().replaced(ids, fresh)
+
+    def _world(self, scene: Scene, moved: int | None) -> World:
+        """The world of an episode; ``moved`` is the seed of how the plants moved, or None."""
+        world, motion = self.worlds.world(scene), self.randomization.plants
+        return world if motion is None or moved is None else self.worlds.moved(world, motion, moved)
 
     def _begin(self, i: int, episode: Episode, world: World, disturbance: Disturbance) -> None:
         self._episodes[i], self._worlds[i], self._disturbances[i] = episode, world, disturbance

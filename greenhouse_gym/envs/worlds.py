@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import weakref
 from collections import OrderedDict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
 import mujoco
@@ -18,6 +18,7 @@ from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import CompiledScene, Scene, SceneBank, compile_scene
 from greenhouse_gym.scene.field import FieldStore, obstacle_field
 from greenhouse_gym.scene.mjcf import DEFAULT_CAPACITY, base_position
+from greenhouse_gym.scene.plant_motion import PlantMotion, moved_plants
 
 _ROUND = 100
 
@@ -57,6 +58,7 @@ class World:
         field: Slot of the scene's distance field in the store.
         goals: (t, 4) center in the base frame and radius of what stands for each of them in the physics.
         bodies: (t,) index, for every tomato of the scene, of the tomato that stands for it in the physics.
+        before: The world before its plants moved, whose field it shares; None for one that did not.
     """
 
     scene: Scene
@@ -66,6 +68,7 @@ class World:
     field: int
     goals: Array
     bodies: np.ndarray[tuple[int], np.dtype[np.int64]]
+    before: World | None = None
 
     def check_fits(self, model: mujoco.MjModel) -> None:
         """Raise an error unless ``model`` has room for this world's geoms.
@@ -135,6 +138,21 @@ class Worlds:
         if len(self._kept) > KEPT:
             self._kept.popitem(last=False)
         return world
+
+    def moved(self, world: World, motion: PlantMotion, seed: int) -> World:
+        """The world after its true plants moved: what is told stays, what is touched and reached is compiled anew."""
+        true = world.compiled.scene
+        plants = moved_plants(true, motion, np.random.default_rng(seed))
+        parts = {name: getattr(plants, name) for name in ("tomatoes", "stems", "clutter")}
+        moved = true.model_copy(update=parts)
+        scene = world.scene
+        scene_from_base = pose(rotation_about([0, 0, 1], scene.stand.yaw), base_position(scene, self.robot))
+        return replace(
+            world,
+            compiled=compile_scene(moved, self.robot, self.capacity, self._record),
+            goals=_spheres(moved, scene_from_base)[world.bodies],
+            before=world,
+        )
 
     def _make(self, scene: Scene) -> World:
         physical = _true_scene(scene) if self.physics == "truth" else scene

@@ -50,7 +50,7 @@ def load_row(path: str | Path) -> RowCloud:
         _check(arrays, report)
     for name in ("points", "colors", "normals"):
         arrays[name] = arrays[name].astype(np.float64)
-    return RowCloud(**arrays, report=report)
+    return RowCloud(**arrays, report=report, sight=None)
 
 
 def _read_arrays(content: bytes) -> tuple[dict[str, npt.NDArray[Any]], str]:

@@ -1,13 +1,16 @@
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from greenhouse_gym.envs import Randomization, TomatoReachEnv
+from greenhouse_gym.envs import PlantMotion, Randomization, TomatoReachEnv
+from greenhouse_gym.envs.randomization import NO_RANDOMIZATION
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.scene import SceneBank
+from greenhouse_gym.scene import SceneBank, Shapes
+from greenhouse_gym.scene.bank import write_bank
 
 
 def first(bank: SceneBank, seed: int = 0, **settings: Any) -> tuple[TomatoReachEnv, np.ndarray]:
@@ -62,3 +65,33 @@ def test_the_base_stands_elsewhere_and_physics_and_positions_follow(bank: SceneB
 def test_impossible_sizes_are_refused(settings: dict[str, float]) -> None:
     with pytest.raises(InvalidValueError, match=next(iter(settings))):
         Randomization(**settings)
+
+
+def test_plants_move_in_the_truth_and_nobody_is_told(bank: SceneBank, tmp_path: Path) -> None:
+    scenes = [
+        scene.model_copy(update={"truth": Shapes(tomatoes=scene.tomatoes, stems=scene.stems, clutter=scene.clutter)})
+        for scene in bank
+    ]
+    true = write_bank(tmp_path, [(scene, bank.split_of(scene.name)) for scene in scenes], name="true")
+    moving = Randomization(plants=PlantMotion(truss_turn=0.3))
+    still, env, again = (
+        TomatoReachEnv(bank=true, physics="truth", randomization=randomization)
+        for randomization in (NO_RANDOMIZATION, moving, moving)
+    )
+    (seen, told), (same, info), (_, twice) = (each.reset(seed=5) for each in (still, env, again))
+    np.testing.assert_array_equal(seen, same)
+    assert told["scene"] == info["scene"]
+    assert info["distance"] != pytest.approx(told["distance"], abs=1e-4)
+    assert info["distance"] == twice["distance"]
+    goals = []
+    for _ in range(4):
+        env.reset(options={"scene": true.names("train")[0], "target": 0})
+        goals.append(env.simulation.goal(0).tolist())
+        model, _ = env.simulation.model_and_data(0)
+        np.testing.assert_allclose(model.geom("tomato_0").pos, goals[-1])
+        env.step(env.action_space.sample())
+    assert len({tuple(goal) for goal in goals}) == 4
+    with pytest.raises(InvalidValueError, match="truth"):
+        TomatoReachEnv(bank=true, randomization=moving)
+    with pytest.raises(InvalidValueError, match="PlantMotion"):
+        Randomization(plants=0.1)  # type: ignore[arg-type]

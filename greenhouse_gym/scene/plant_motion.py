@@ -1,0 +1,156 @@
+"""Plants that moved since they were scanned: trusses turn and swing, stems and leaves shift.
+
+The sizes are priors: a truss that hangs by a peduncle of 3-4.5 mm is moved by a touch or a fan by some degrees, a vine
+on its string by about a centimetre, a leaf of 0.3 m by a few. Shapes that lie together move together: stems and leaves
+follow smooth fields of shifts, and a truss moves as one piece about the place where it leaves the stem.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from greenhouse_gym.crop import Stem, Tomato
+from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.geometry import (
+    Array,
+    Box,
+    Capsule,
+    Shape,
+    Sphere,
+    distance_to_capsules,
+    distance_to_spheres,
+    rotation_about,
+)
+from greenhouse_gym.scene.scene import Shapes
+
+_WAVELENGTHS = (0.4, 1.2)  # metres, over which shifts change
+_WAVES = 6
+_FIXED = 0.15  # metres half length from which on a box is no leaf but a gutter, and stays
+
+Field = Callable[[Array], Array]
+
+
+@dataclass(frozen=True)
+class PlantMotion:
+    """How far plants move, each figure one standard deviation.
+
+    Attributes:
+        truss_turn: Of a truss about the vertical through its root, radians.
+        truss_swing: Of a truss about horizontal axes through its root, radians.
+        stem_shift: Of stems and all that hangs on them, metres along each horizontal axis.
+        leaf_shift: Of leaves beside that, metres along each axis.
+    """
+
+    truss_turn: float = 0.10
+    truss_swing: float = 0.05
+    stem_shift: float = 0.005
+    leaf_shift: float = 0.010
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not (isinstance(value, int | float) and np.isfinite(value) and 0 <= value <= 1):
+                raise InvalidValueError(f"plant motion {field.name} must be a number from 0 to 1, got {value!r}")
+
+
+def moved_plants(shapes: Shapes, motion: PlantMotion, random: np.random.Generator) -> Shapes:
+    """The shapes of plants after they moved; pipes and gutters stay, and tomatoes keep their order.
+
+    Args:
+        shapes: The plants as they were.
+        motion: How far they move.
+        random: Source of all of it: same state, same result.
+    """
+    stem_field = _smooth_field(motion.stem_shift * np.array([1.0, 1.0, 0.0]), random)
+    leaf_field = _smooth_field(motion.leaf_shift * np.ones(3), random)
+    stems, clutter = list(shapes.stems), list(shapes.clutter)
+    hanging = [k for k, stem in enumerate(stems) if stem.kind in ("peduncle", "pedicel")]
+    trusses = sorted({tomato.truss for tomato in shapes.tomatoes})
+    turns = {truss: _turn(motion, random) for truss in trusses}
+    owners = dict(zip(hanging, _nearest_truss([stems[k] for k in hanging], shapes.tomatoes), strict=True))
+    roots = {
+        truss: _root([stems[k] for k in hanging if owners[k] == truss], stems, shapes.tomatoes, truss)
+        for truss in trusses
+    }
+
+    def with_truss(truss: int) -> Field:
+        root, turn = roots[truss], turns[truss]
+        shifted = root + stem_field(root[None])[0]
+        return lambda points: (points - root) @ turn.T + shifted
+
+    def with_stem(points: Array) -> Array:
+        return points + stem_field(points)
+
+    def with_leaf(points: Array) -> Array:
+        return points + stem_field(points) + leaf_field(points)
+
+    def move_stem(k: int, stem: Stem) -> Stem:
+        if stem.kind == "pipe":
+            return stem
+        field = with_truss(owners[k]) if k in owners else with_stem
+        start, end = field(np.array([stem.start, stem.end]))
+        return replace(stem, start=start, end=end)
+
+    return Shapes(
+        tomatoes=tuple(_moved_tomato(t, with_truss(t.truss), turns[t.truss]) for t in shapes.tomatoes),
+        stems=tuple(move_stem(k, stem) for k, stem in enumerate(stems)),
+        clutter=tuple(_moved_leaf(shape, with_leaf) for shape in clutter),
+    )
+
+
+def _smooth_field(size: Array, random: np.random.Generator) -> Field:
+    """Shifts (n, 3) by place (n, 3): a sum of waves in random directions, of a standard deviation ``size`` (3,)."""
+    directions = random.normal(size=(_WAVES, 3))
+    lengths = random.uniform(*_WAVELENGTHS, _WAVES)
+    waves = 2 * np.pi * directions / np.linalg.norm(directions, axis=1, keepdims=True) / lengths[:, None]
+    phases = random.uniform(0, 2 * np.pi, (_WAVES, 3))
+    scale = size * np.sqrt(2.0 / _WAVES)
+    return lambda points: (np.cos((points @ waves.T)[:, :, None] + phases) * scale).sum(axis=1)
+
+
+def _turn(motion: PlantMotion, random: np.random.Generator) -> Array:
+    about, across = motion.truss_turn * random.normal(), motion.truss_swing * random.normal(size=2)
+    angle = float(np.linalg.norm(across))
+    swing = rotation_about([*across, 0.0], angle) if angle > 0 else np.eye(3)
+    return np.asarray(swing @ rotation_about([0.0, 0.0, 1.0], float(about)))
+
+
+def _nearest_truss(stems: list[Stem], tomatoes: tuple[Tomato, ...]) -> list[int]:
+    """The truss of the tomato nearest to each stem's middle; -1 without tomatoes."""
+    if not stems or not tomatoes:
+        return [-1] * len(stems)
+    middles = np.array([(stem.start + stem.end) / 2 for stem in stems])
+    gaps = distance_to_spheres(middles, [t.center for t in tomatoes], [t.radius for t in tomatoes])
+    return [tomatoes[k].truss for k in gaps.argmin(axis=1)]
+
+
+def _root(own: list[Stem], stems: list[Stem], tomatoes: tuple[Tomato, ...], truss: int) -> Array:
+    """(3,) where a truss leaves the main stem: of its ends the one nearest to one, else above its fruit."""
+    main = [stem for stem in stems if stem.kind == "main"]
+    ends = np.array([end for stem in own for end in (stem.start, stem.end)]).reshape(-1, 3)
+    if not len(ends):
+        centers = np.array([t.center for t in tomatoes if t.truss == truss])
+        return np.asarray([*centers[:, :2].mean(axis=0), centers[:, 2].max() + 0.05])
+    if not main:
+        return np.asarray(ends[ends[:, 2].argmax()])
+    starts, finishes = np.array([s.start for s in main]), np.array([s.end for s in main])
+    gaps = distance_to_capsules(ends, starts, finishes, np.array([s.radius for s in main])).min(axis=1)
+    return np.asarray(ends[gaps.argmin()])
+
+
+def _moved_tomato(tomato: Tomato, field: Field, turn: Array) -> Tomato:
+    rotation: npt.NDArray[np.float64] | None = None if tomato.rotation is None else turn @ tomato.rotation
+    return replace(tomato, center=field(tomato.center[None])[0], rotation=rotation)
+
+
+def _moved_leaf(shape: Shape, field: Field) -> Sphere | Capsule | Box:
+    if isinstance(shape, Capsule):
+        start, end = field(np.array([shape.start, shape.end]))
+        return replace(shape, start=start, end=end)
+    if isinstance(shape, Box) and shape.half_extents.max() > _FIXED:
+        return shape
+    return replace(shape, center=field(shape.center[None])[0])
