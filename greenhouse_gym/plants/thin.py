@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, Box
 
-TOLERANCE = 0.0055
+TOLERANCE = 0.005
 """Metres from the leaf's surface at which a box's surface still counts as on it. All boxes of a leaf together then lie
 within 4 mm with 95 % of their surface."""
 
