@@ -16,6 +16,10 @@ from greenhouse_gym.planning import PLANNERS, PlannerSettings, PlanResult, follo
 from greenhouse_gym.scene import compile_scene
 
 
+CAREFUL = 0.15
+"""How deep planned paths enter unseen space by default, metres: the leaves that paths hit hang deeper in it."""
+
+
 class PathFollower:
     """Turns a joint path into the environment's actions, one after the other, and then stays still.
 
@@ -59,6 +63,8 @@ class PlannerAgent:
         goals: Number of goal configurations.
         name: Shown in tables; the planner's name when left out.
         settings: The planner's settings; its usual ones when left out.
+        unseen: What space that the scan did not see is, as `greenhouse_gym.planning.plan` takes it. When left out, it is
+            entered no deeper than `CAREFUL` where a scene says what was seen, and free where it does not.
 
     Attributes:
         result: The last episode's plan, or None before the first.
@@ -77,8 +83,9 @@ class PlannerAgent:
         goals: int = 60,
         name: str | None = None,
         settings: PlannerSettings | None = None,
+        unseen: str | float | None = None,
     ):
-        self.planner, self.settings = PLANNERS[planner].name, settings
+        self.planner, self.settings, self.unseen = PLANNERS[planner].name, settings, unseen
         self.time_limit, self.max_checks, self.goals = time_limit, max_checks, goals
         self.name = name or planner
         self.result: PlanResult | None = None
@@ -91,9 +98,11 @@ class PlannerAgent:
 
     def reset(self, problem: Problem) -> None:
         """Plan."""
+        careful = "free" if problem.scene.seen is None else CAREFUL
         self.result = plan(
             problem.scene, problem.target, problem.robot, self.planner, self.time_limit, self.max_checks, self.goals,
             seed=problem.seed, start=problem.start, settings=self.settings,
+            unseen=careful if self.unseen is None else self.unseen,
         )  # fmt: skip
         if self.result.path is None:
             self._follower = PathFollower(problem.start[None], problem)

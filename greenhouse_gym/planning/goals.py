@@ -109,7 +109,7 @@ def goal_configurations(
     min_difference: float = 0.01,
     seed: int = 0,
     approach: Approach | None = None,
-    unseen: str = "free",
+    unseen: str | float = "free",
 ) -> Goals:
     """Find configurations that bring the grasp point to a tomato's center without touching anything but by the cup.
 

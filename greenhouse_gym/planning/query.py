@@ -109,7 +109,7 @@ def plan(
     settings: PlannerSettings | None = None,
     first_solution: bool = False,
     pairs: Collection[str] = COLLISION_PAIRS,
-    unseen: str = "free",
+    unseen: str | float = "free",
 ) -> PlanResult:
     """Plan a path that brings the tool to a tomato and touches nothing else.
 
@@ -138,7 +138,8 @@ def plan(
         unseen: What space that the scan did not see is: "free", as if it were empty; "forbid", as if it were full, but
             where the arm and its cart stand; "avoid", first forbidden, then entered no deeper than each of
             `greenhouse_gym.planning.unseen.DEPTHS`, at last free. Each try gets half of the time and checks that are
-            left, the last all of them, and the result says how far the way through the unseen is.
+            left, the last all of them, and the result says how far the way through the unseen is. A number, metres,
+            is like "avoid" but goes no deeper than that.
 
     Raises:
         UnknownNameError: No such planner, arm or collision pair.

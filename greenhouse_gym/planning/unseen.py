@@ -30,13 +30,19 @@ REACH = 1.35
 _RESOLUTION = 0.01  # metres, at which a path's way through unseen space is measured
 
 
-def depths_of(rule: str) -> tuple[float, ...]:
+def depths_of(rule: str | float) -> tuple[float, ...]:
     """How deep the arm may go into unseen space by a rule, metres: what is tried, one after the other.
 
     Raises:
         UnknownNameError: No such rule.
+        InvalidValueError: A negative depth.
     """
-    return {"free": DEPTHS[-1:], "avoid": DEPTHS, "forbid": DEPTHS[:1]}[require_choice("unseen", rule, UNSEEN_RULES)]
+    if isinstance(rule, str):
+        named = {"free": DEPTHS[-1:], "avoid": DEPTHS, "forbid": DEPTHS[:1]}
+        return named[require_choice("unseen", rule, UNSEEN_RULES)]
+    if not rule >= 0:
+        raise InvalidValueError(f"unseen must be a rule or a depth of 0 m or more, got {rule!r}")
+    return (*(depth for depth in DEPTHS if depth < rule), float(rule))
 
 
 def require_seen(scene: Scene) -> None:

@@ -7,7 +7,7 @@ from greenhouse_gym.errors import InvalidValueError, UnknownNameError
 from greenhouse_gym.planning import goal_configurations, plan
 from greenhouse_gym.planning import goals as goals_module
 from greenhouse_gym.planning.collision import CollisionChecker, planning_model
-from greenhouse_gym.planning.unseen import REACH, guarded, unseen_boxes, unseen_way
+from greenhouse_gym.planning.unseen import REACH, depths_of, guarded, unseen_boxes, unseen_way
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.mjcf import compile_scene
@@ -75,6 +75,18 @@ def test_what_cannot_be_avoided_is_entered_and_said(scene: Scene, monkeypatch: p
     assert result.unseen_length > 0.3
     assert "leave the seen space" in result.message
     assert unseen_way(nothing, ARM, result.path[:1]) == 0.0
+
+
+def test_a_number_bounds_the_depth(scene: Scene) -> None:
+    assert depths_of(0.12) == (0.0, 0.1, 0.12)
+    assert depths_of("avoid")[:2] == (0.0, 0.1)
+    assert depths_of(0.0) == depths_of("forbid") == (0.0,)
+    with pytest.raises(InvalidValueError, match="depth"):
+        depths_of(-0.1)
+    slab = seen_where(scene, 1.7, aisle=0.3)
+    result = plan(slab, TARGET, time_limit=60.0, max_checks=60_000, unseen=0.15)
+    assert result.status == "solved"
+    assert result.goals is not None
 
 
 def test_scenes_that_do_not_know_are_refused(scene: Scene) -> None:
