@@ -15,7 +15,6 @@ from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning import PLANNERS, PlannerSettings, PlanResult, follow_path, free_commands, plan
 from greenhouse_gym.scene import compile_scene
 
-
 CAREFUL = 0.15
 """How deep planned paths enter unseen space by default, metres: the leaves that paths hit hang deeper in it."""
 
