@@ -62,8 +62,8 @@ class PlannerAgent:
         goals: Number of goal configurations.
         name: Shown in tables; the planner's name when left out.
         settings: The planner's settings; its usual ones when left out.
-        unseen: What space that the scan did not see is, as `greenhouse_gym.planning.plan` takes it. When left out, it is
-            entered no deeper than `CAREFUL` where a scene says what was seen, and free where it does not.
+        unseen: What space that the scan did not see is, as `greenhouse_gym.planning.plan` takes it. When left out, it
+            is entered no deeper than `CAREFUL` where a scene says what was seen, and free where it does not.
 
     Attributes:
         result: The last episode's plan, or None before the first.
