@@ -8,7 +8,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from greenhouse_gym.cli import acting, demo, rating, sensing
+from greenhouse_gym.cli import acting, arms, demo, sensing
 from greenhouse_gym.errors import GreenhouseError
 
 app = typer.Typer(
@@ -23,7 +23,8 @@ app.command()(sensing.build)
 app.command()(sensing.formats)
 app.command("build-shipped")(sensing.build_shipped)
 app.command()(acting.plan)
-app.command()(rating.rate)
+app.command()(arms.mount)
+app.command()(arms.rate)
 app.command()(acting.train)
 app.command()(acting.compare)
 app.command()(acting.render)

@@ -13,7 +13,7 @@ from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.planning import CollisionChecker, plan, planning_model, rate
 from greenhouse_gym.planning.collision import PROOF
 from greenhouse_gym.planning.rate import RATING, rate_bank
-from greenhouse_gym.robots import get_robot, load_robot, mount_tool
+from greenhouse_gym.robots import get_robot, load_robot
 from greenhouse_gym.scene import Scene, SceneBank, compile_scene
 from greenhouse_gym.scene.bank import write_bank
 
@@ -38,11 +38,13 @@ def test_arms_from_elsewhere_go_through_rate_plan_and_train(name: str, few: Scen
     pytest.importorskip("stable_baselines3")
     from greenhouse_gym.learning.ppo import PpoSettings, train_ppo
 
-    file = mount_tool(write_arm(name, tmp_path), tmp_path / "arm.xml")
-    result = CliRunner().invoke(
-        app, ["rate", str(few.path), "--robot", str(file), "--out", str(tmp_path / "rated")], catch_exceptions=False
-    )
-    assert result.exit_code == 0, result.output
+    bare, file = write_arm(name, tmp_path), tmp_path / "arm.xml"
+    for command in (
+        ["mount", str(bare), "--out", str(file)],
+        ["rate", str(few.path), "--robot", str(file), "--out", str(tmp_path / "rated")],
+    ):
+        result = CliRunner().invoke(app, command, catch_exceptions=False)
+        assert result.exit_code == 0, result.output
     rated, arm = SceneBank.open(tmp_path / "rated"), get_robot(file)
     assert rated.names() == few.names()
     assert [rated.split_of(n) for n in rated.names()] == ["train", "test"]

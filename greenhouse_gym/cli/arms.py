@@ -1,4 +1,4 @@
-"""The command that rates a bank for another arm."""
+"""Commands for arms from elsewhere: mount, rate."""
 
 from __future__ import annotations
 
@@ -9,6 +9,19 @@ from typing import Annotated
 import typer
 
 from greenhouse_gym.progress import CONSOLE, progress
+
+
+def mount(
+    arm: Annotated[Path, typer.Argument(help="The arm's MJCF file, without a tool.")],
+    out: Annotated[Path, typer.Option(help="The file to write.")],
+    flange: Annotated[str | None, typer.Option(help="Name of the site at the flange; usual ones are found.")] = None,
+) -> None:
+    """Write an arm's file anew with the package's gripper at its flange and a start that is free."""
+    from greenhouse_gym.robots import get_robot, mount_tool
+
+    robot = get_robot(mount_tool(arm, out, flange))
+    start = ", ".join(f"{name} {value:.2f}" for name, value in zip(robot.joints, robot.start, strict=True))
+    CONSOLE.print(f"{out}: starts at {start}", highlight=False)
 
 
 def rate(
