@@ -26,24 +26,29 @@ from capture_protocols_summary import summaries, table
 from joblib import Parallel, delayed
 from results_file import write_results
 
+from greenhouse_gym import ENV_IDS
+from greenhouse_gym.agents import Problem
 from greenhouse_gym.agents.planner_agent import PathFollower
 from greenhouse_gym.build import BuildSettings, cut_scenes, stand_poses
 from greenhouse_gym.capture import PROTOCOLS, Recording, get_protocol, simulate_protocol
 from greenhouse_gym.capture.simulated import photograph
 from greenhouse_gym.envs.tomato_reach import TomatoReachEnv
-from greenhouse_gym.evaluation import ENV_ID
 from greenhouse_gym.geometry import Array, pose, rotation_about
 from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.planning import plan
 from greenhouse_gym.plants import CULTIVARS, STYLES, PlantRow, grow_row
 from greenhouse_gym.reconstruction import RowCloud, add_looks, reconstruct_row
-from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.shapes import extract_shapes
 from greenhouse_gym.wrist import look_rig
 
 REACH = 0.95
 """Metres from the shoulder up to which a tomato is a target."""
+
+ENDS = 0.25
+"""Metres by which stands keep farther from the walk's ends than half a spacing: nothing was scanned beyond."""
+
+SCENES = "scenes.jsonl"
 
 SAME = 0.03
 """Metres between the centers of a reconstructed tomato and of the true one it stands for."""
@@ -60,22 +65,20 @@ class Options:
         robot: The arm.
         planner: The planner.
         checks: Its budget of collision checks.
-        start: What the arm starts from, by name.
         primitives: Most shapes in a scene.
         per_scene: Most targets of a scene, drawn by the row's seed.
         workdir: Where scenes and episodes are kept.
     """
 
-    source: str
-    length: float
-    spacing: float
-    robot: str
-    planner: str
-    checks: int
-    start: str
-    primitives: int
-    per_scene: int
-    workdir: Path
+    source: str = "own"
+    length: float = 2.0
+    spacing: float = 0.5
+    robot: str = "ur5e"
+    planner: str = "RRTConnect"
+    checks: int = 20_000
+    primitives: int = 600
+    per_scene: int = 20
+    workdir: Path = Path("capture_protocols")
 
 
 def main() -> None:
@@ -83,39 +86,40 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rows", type=_numbers, default=_numbers("711-716"), help="seeds, such as 711-716 or 711,713")
     parser.add_argument("--source", default="own", help="own or helios")
-    parser.add_argument("--protocols", nargs="+", default=list(PROTOCOLS), choices=list(PROTOCOLS), metavar="NAME")
+    parser.add_argument(
+        "--protocols", nargs="+", default=list(PROTOCOLS), metavar="NAME[:START]",
+        help="names, each with what the arm starts from: start (upright, if left out) or folded",
+    )  # fmt: skip
     parser.add_argument("--unseen", nargs="+", default=["free"], metavar="MODE", help="free, avoid, forbid")
     parser.add_argument("--length", type=float, default=2.0, help="of a row, metres")
     parser.add_argument("--spacing", type=float, default=0.5, help="between the stands of the arm, metres")
     parser.add_argument("--robot", default="ur5e")
     parser.add_argument("--planner", default="RRTConnect")
     parser.add_argument("--checks", type=int, default=20_000, help="collision checks of a plan")
-    parser.add_argument("--start", default="start", help="start (upright) or folded")
     parser.add_argument("--primitives", type=int, default=600, help="most shapes in a scene")
     parser.add_argument("--per-scene", type=int, default=20, help="most targets of a scene")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--workdir", type=Path, default=Path("capture_protocols"))
+    parser.add_argument("--only-finished", action="store_true", help="measure nothing, tell what is there")
     parser.add_argument("--out", type=Path, help="JSON file for the figures")
     a = parser.parse_args()
-    options = Options(
-        a.source, a.length, a.spacing, a.robot, a.planner, a.checks, a.start, a.primitives, a.per_scene, a.workdir
-    )  # fmt: skip
-    tasks = product(a.rows, a.protocols)  # row by row, so that an early look compares the protocols
-    done = Parallel(n_jobs=a.workers, return_as="generator_unordered")(
-        delayed(measure)(seed, name, tuple(a.unseen), options) for seed, name in tasks
-    )
+    options = Options(a.source, a.length, a.spacing, a.robot, a.planner, a.checks, a.primitives, a.per_scene, a.workdir)
+    tasks = [(row, *_named(name), unseen) for row, name, unseen in product(a.rows, a.protocols, a.unseen)]
+    if a.only_finished:
+        tasks = [task for task in tasks if _episodes_file(*task, options).exists()]
     episodes: list[dict[str, Any]] = []
-    for part in done:
+    for part in Parallel(n_jobs=a.workers, return_as="generator")(delayed(measure)(*task, options) for task in tasks):
         episodes += part
         print(f"\n{table(summaries(episodes))}", flush=True)
     if a.out:
         command = (
             f"benchmarks/capture_protocols.py --source {a.source} --rows {','.join(map(str, a.rows))} "
             f"--protocols {' '.join(a.protocols)} --unseen {' '.join(a.unseen)} --length {a.length:g} "
-            f"--spacing {a.spacing:g} --start {a.start} --primitives {a.primitives} --checks {a.checks} "
+            f"--spacing {a.spacing:g} --primitives {a.primitives} --checks {a.checks} "
             f"--per-scene {a.per_scene}"
         )
-        figures = {"command": command, "source": a.source, "rows": a.rows, "figures": summaries(episodes)}
+        rows = sorted({task[0] for task in tasks})
+        figures = {"command": command, "source": a.source, "rows_measured": rows, "figures": summaries(episodes)}
         write_results(a.out, figures, ["mujoco", "ompl", "open3d"])
 
 
@@ -124,27 +128,41 @@ def _numbers(text: str) -> list[int]:
     return list(range(int(first), int(last) + 1)) if last else [int(part) for part in text.split(",")]
 
 
-def measure(seed: int, protocol: str, unseen: Sequence[str], options: Options) -> list[dict[str, Any]]:
+def _named(text: str) -> tuple[str, str]:
+    protocol, _, start = text.partition(":")
+    return get_protocol(protocol).name, start or "start"
+
+
+def measure(seed: int, protocol: str, start: str, unseen: str, options: Options) -> list[dict[str, Any]]:
     """All episodes of one row photographed by one protocol."""
+    file = _episodes_file(seed, protocol, start, unseen, options)
+    if not file.exists():
+        scenes = scenes_of(seed, protocol, options)
+        ends = round(ENDS / options.spacing)
+        scenes = scenes[ends : len(scenes) - ends]
+        env = gymnasium.make(ENV_IDS[0], bank="mini", robot=options.robot, physics="truth", capacity=_room(scenes))
+        about = {"source": options.source, "row": seed, "protocol": protocol, "unseen": unseen, "start": start}
+        found = [about | one for scene in scenes for one in reach_all(scene, env, unseen, start, seed, options)]
+        env.close()
+        write_atomically(file, json.dumps(found))
+    return episodes_of(seed, protocol, start, unseen, options)
+
+
+def folder_of(seed: int, protocol: str, options: Options) -> Path:
+    """Where the scenes and episodes of a row and a protocol are kept."""
     made = f"{options.source}-{seed}-{options.length:g}m-{options.spacing:g}-{options.primitives}-{protocol}"
-    folder = options.workdir / made
-    folder.mkdir(parents=True, exist_ok=True)
-    scenes = scenes_of(seed, protocol, options, folder / "scenes.jsonl")
-    episodes: list[dict[str, Any]] = []
-    for mode in unseen:
-        file = folder / f"{options.robot}-{options.planner}-{options.checks}-{options.start}-{mode}.json"
-        if not file.exists():
-            env = gymnasium.make(ENV_ID, bank="mini", robot=options.robot, physics="truth", capacity=_room(scenes))
-            found = [
-                {"source": options.source, "row": seed, "protocol": protocol, "unseen": mode, "start": options.start}
-                | episode
-                for scene in scenes
-                for episode in reach_all(scene, env, mode, seed, options)
-            ]
-            env.close()
-            write_atomically(file, json.dumps(found))
-        episodes += json.loads(file.read_text())
-    return episodes
+    return options.workdir / made
+
+
+def _episodes_file(seed: int, protocol: str, start: str, unseen: str, options: Options) -> Path:
+    name = f"{options.robot}-{options.planner}-{options.checks}-{options.per_scene}-{start}-{unseen}.json"
+    return folder_of(seed, protocol, options) / name
+
+
+def episodes_of(seed: int, protocol: str, start: str, unseen: str, options: Options) -> list[dict[str, Any]]:
+    """The episodes of a row, protocol and mode that were measured."""
+    result: list[dict[str, Any]] = json.loads(_episodes_file(seed, protocol, start, unseen, options).read_text())
+    return result
 
 
 def _room(scenes: Sequence[Scene]) -> int:
@@ -159,8 +177,9 @@ def grow(seed: int, options: Options) -> PlantRow:
     return grow_row(seed, options.length, week=seed % 3, style=style, source=options.source)
 
 
-def scenes_of(seed: int, protocol: str, options: Options, file: Path) -> list[Scene]:
+def scenes_of(seed: int, protocol: str, options: Options) -> list[Scene]:
     """The scenes of a row, with the truth, made once."""
+    file = folder_of(seed, protocol, options) / SCENES
     if not file.exists():
         began = perf_counter()
         row = grow(seed, options)
@@ -178,7 +197,12 @@ def scenes_of(seed: int, protocol: str, options: Options, file: Path) -> list[Sc
             flush=True,
         )
         write_atomically(file, "".join(scene.model_dump_json() + "\n" for scene in scenes))
-    return [Scene.model_validate_json(line) for line in file.read_text().splitlines()]
+    return scenes_in(file.parent)
+
+
+def scenes_in(folder: Path) -> list[Scene]:
+    """The scenes that were made of a row."""
+    return [Scene.model_validate_json(line) for line in (folder / SCENES).read_text().splitlines()]
 
 
 def look_around(cloud: RowCloud, row_from_stand: Array, recording: Recording, seed: int, options: Options) -> RowCloud:
@@ -198,7 +222,7 @@ def look_around(cloud: RowCloud, row_from_stand: Array, recording: Recording, se
 
 
 def reach_all(
-    scene: Scene, env: gymnasium.Env[Any, Any], unseen: str, seed: int, options: Options
+    scene: Scene, env: gymnasium.Env[Any, Any], unseen: str, start: str, seed: int, options: Options
 ) -> list[dict[str, Any]]:
     """Plan for the tomatoes within reach, and follow the paths in the truth."""
     assert scene.truth is not None
@@ -207,28 +231,36 @@ def reach_all(
     drawn = np.random.default_rng(seed).permutation(near)[: options.per_scene].tolist()
     true = np.array([tomato.center for tomato in scene.truth.tomatoes]).reshape(-1, 3)
     within = int(np.count_nonzero(np.linalg.norm(true - shoulder, axis=1) < REACH))
+    space = getattr(scene, "seen", None)
+    seen = None if space is None else round(space.share(shoulder, REACH), 4)
     share = len(drawn) / max(1, len(near))  # of the scene's targets that are tried
     result = []
     for k in drawn:
         gaps = np.linalg.norm(true - scene.tomatoes[k].center, axis=1)
         match = int(gaps.argmin()) if gaps.min(initial=np.inf) < SAME else None
-        about = {"scene": scene.name, "target": k, "match": match, "true_within_reach": within * share}
-        result.append(about | reach(scene, k, env, unseen, options))
+        about = {
+            "scene": scene.name, "target": k, "match": match, "true_within_reach": within * share,
+            "place": scene.tomatoes[k].center.round(3).tolist(), "seen": seen,
+        }  # fmt: skip
+        result.append(about | reach(scene, k, env, unseen, start, options))
     return result
 
 
-def reach(scene: Scene, target: int, env: gymnasium.Env[Any, Any], unseen: str, options: Options) -> dict[str, Any]:
+def reach(
+    scene: Scene, target: int, env: gymnasium.Env[Any, Any], unseen: str, start: str, options: Options
+) -> dict[str, Any]:
     """One episode: a plan on the reconstruction, followed in the truth."""
     reaching = env.unwrapped
     assert isinstance(reaching, TomatoReachEnv)
-    start = get_robot(options.robot).starts[options.start]
+    rule = {} if unseen == "free" else {"unseen": unseen}
     planned = plan(
-        scene, target, options.robot, options.planner, time_limit=120.0, max_checks=options.checks, start=start
+        scene, target, options.robot, options.planner, time_limit=120.0, max_checks=options.checks, start=start, **rule
     )
     if planned.path is None:
         return {"status": planned.status, "outcome": "no plan"}
     env.reset(seed=0, options={"scene": scene, "target": target, "start": start})
-    follower = PathFollower(planned.path, reaching.robot, scene, target)
+    problem = Problem(scene, target, reaching.robot, reaching.start)
+    follower = PathFollower(planned.path, problem, proven=True)
     for _ in range(len(follower.commands) + 20):
         _, _, terminated, truncated, info = env.step(follower.action())
         if terminated or truncated:

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
-from greenhouse_gym.evaluation import wilson_interval
+from greenhouse_gym.records import wilson_interval
 
 AISLE, BEHIND = 0.50, 0.75
 """Metres from the arm's axis: what is nearer hangs in the aisle, what is farther grows behind the stems at 0.60."""
@@ -19,14 +19,24 @@ def summaries(episodes: Sequence[Episode]) -> list[dict[str, Any]]:
     groups: dict[tuple[str, ...], list[Episode]] = {}
     for episode in episodes:
         groups.setdefault(tuple(episode[key] for key in ("protocol", "unseen", "start")), []).append(episode)
-    return [_summary(*key, group) for key, group in groups.items()]
+    result = []
+    for (protocol, unseen, start), group in groups.items():
+        free = {_task(e) for e in groups.get((protocol, "free", start), []) if e["outcome"] != "no plan"}
+        refused = sum(e["outcome"] == "no plan" and _task(e) in free for e in group)
+        result.append(_summary(protocol, unseen, start, refused, group))
+    return result
 
 
-def _summary(protocol: str, unseen: str, start: str, episodes: Sequence[Episode]) -> dict[str, Any]:
+def _task(episode: Episode) -> tuple[Any, ...]:
+    return episode["source"], episode["row"], episode["scene"], episode["target"]
+
+
+def _summary(protocol: str, unseen: str, start: str, refused: int, episodes: Sequence[Episode]) -> dict[str, Any]:
     followed = [e for e in episodes if e["outcome"] != "no plan"]
     counts = Counter(e["outcome"] for e in followed)
-    scenes = {e["scene"]: e["true_within_reach"] for e in episodes}
-    planned_for = {(e["scene"], e["match"]) for e in followed if e["match"] is not None}
+    scenes = {(e["row"], e["scene"]): e["true_within_reach"] for e in episodes}
+    seen = {(e["row"], e["scene"]): e["seen"] for e in episodes if e["seen"] is not None}
+    planned_for = {(e["row"], e["scene"], e["match"]) for e in followed if e["match"] is not None}
     return {
         "protocol": protocol,
         "unseen": unseen,
@@ -39,6 +49,8 @@ def _summary(protocol: str, unseen: str, start: str, episodes: Sequence[Episode]
         "missed": _rate(counts["missed"], len(followed)),
         "planned_share_of_targets": _rate(len(followed), len(episodes)),
         "planned_share_of_true_tomatoes": round(len(planned_for) / max(1.0, sum(scenes.values())), 4),
+        "refused": _rate(refused, len(episodes)),
+        "seen_share_of_reach": round(sum(seen.values()) / len(seen), 4) if seen else None,
         "without_plan": dict(Counter(e["status"] for e in episodes if e["outcome"] == "no plan").most_common()),
         "hit": dict(Counter(what_was_hit(e) for e in followed if e["outcome"] == "collided").most_common()),
         "by_part": dict(Counter(_part(e) for e in followed if e["outcome"] == "collided").most_common()),
@@ -71,15 +83,17 @@ def _part(episode: Episode) -> str:
 def table(rows: Sequence[dict[str, Any]]) -> str:
     """The figures as Markdown."""
     lines = [
-        "| protocol | unseen | start | followed | reached [95 %] | collided [95 %] | planned | of true fruit | hit |",
-        "|---|---|---|---:|---:|---:|---:|---:|---|",
+        "| protocol | unseen | start | followed | reached [95 %] | collided [95 %] | refused | planned "
+        "| of true fruit | seen | hit |",
+        "|---|---|---|---:|---:|---:|---:|---:|---:|---:|---|",
     ]
     for row in rows:
         hit = ", ".join(f"{count} {what}" for what, count in row["hit"].items())
         lines.append(
             f"| {row['protocol']} | {row['unseen']} | {row['start']} | {row['followed']} | {_text(row['reached'])} | "
-            f"{_text(row['collided'])} | {_text(row['planned_share_of_targets'], False)} | "
-            f"{row['planned_share_of_true_tomatoes']:.0%} | {hit} |"
+            f"{_text(row['collided'])} | {_text(row['refused'], False)} | "
+            f"{_text(row['planned_share_of_targets'], False)} | {row['planned_share_of_true_tomatoes']:.0%} | "
+            f"{'-' if row['seen_share_of_reach'] is None else format(row['seen_share_of_reach'], '.0%')} | {hit} |"
         )
     return "\n".join(lines) + "\n"
 
