@@ -20,6 +20,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,7 @@ from rich.table import Table
 from greenhouse_gym.crop import Tomato
 from greenhouse_gym.envs import TomatoReachEnv, TomatoReachVectorEnv
 from greenhouse_gym.envs.reach_task import ACTION_STEP, SUBSTEPS
+from greenhouse_gym.envs.worlds import PHYSICS
 from greenhouse_gym.geometry import Box
 from greenhouse_gym.scene import Provenance, Scene, Target, compile_scene
 from greenhouse_gym.scene.bank import write_bank
@@ -109,7 +111,13 @@ def measure(arguments: argparse.Namespace) -> dict[str, list[float]]:
     vector = TomatoReachVectorEnv(count, **where, autoreset_mode="SameStep", threads=arguments.threads)
     depth = TomatoReachVectorEnv(64, **where, observation="depth", autoreset_mode="SameStep", threads=arguments.threads)
     single = TomatoReachEnv(**where)
-    for env in (vector, depth):
+    twins = {
+        physics: TomatoReachVectorEnv(
+            64, **where, physics=physics, autoreset_mode="SameStep", threads=arguments.threads
+        )
+        for physics in (PHYSICS if vector.simulation.sampler.bank.largest_truth() else ())
+    }
+    for env in (vector, depth, *twins.values()):
         env.reset(seed=0)
     for name in single.simulation.sampler.bank.names(arguments.split):  # compiles every scene, which is not measured
         single.reset(options={"scene": name})
@@ -138,6 +146,10 @@ def measure(arguments: argparse.Namespace) -> dict[str, list[float]]:
         for action in actions[:5, :64]:
             depth.step(action)
 
+    def step_twin(env: TomatoReachVectorEnv) -> float:
+        env.reset(seed=0)
+        return rate(64 * STEPS, lambda: [env.step(action) for action in actions[:, :64]] and None)
+
     rates: dict[str, list[float]] = {}
     with fetch_reach(arguments.fetch_python) as fetch:
         # What is compared comes one after the other.
@@ -150,6 +162,7 @@ def measure(arguments: argparse.Namespace) -> dict[str, list[float]]:
             "single environment, resets": lambda: rate(SINGLE_STEPS, reset_single),
             "depth images 64x48, 64 simulations": lambda: rate(64 * 3, look),
             "depth environment, 64 simulations": lambda: rate(64 * 5, step_depth),
+            **{f"physics {physics}, 64 simulations": partial(step_twin, env) for physics, env in twins.items()},
         }
         for _ in range(ROUNDS):
             for name, task in tasks.items():
@@ -225,11 +238,15 @@ def ratios(rates: dict[str, list[float]]) -> dict[str, float]:
             "FetchReach-v4, AsyncVectorEnv(8)",
         ),
         "single environment / FetchReach-v4 single": ("single environment", "FetchReach-v4, single"),
+        "physics truth / reconstruction": (
+            "physics truth, 64 simulations",
+            "physics reconstruction, 64 simulations",
+        ),
     }
     return {
         name: float(np.median(np.array(rates[one]) / np.array(rates[other])))
         for name, (one, other) in pairs.items()
-        if other in rates
+        if one in rates and other in rates
     }
 
 

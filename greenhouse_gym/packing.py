@@ -11,7 +11,7 @@ from greenhouse_gym.crop import STEM_KINDS, Stem, Tomato
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, Box, Capsule, Shape, Sphere, quaternions_from, rotations_from
 
-MOST_SHAPES = 50_000
+MOST_SHAPES = 300_000
 """Shapes that tables may hold in all; what claims more is not believed."""
 
 

@@ -11,7 +11,8 @@ from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning.collision import PROOF, CollisionChecker, planning_model
 from greenhouse_gym.planning.goals import search_goals
 from greenhouse_gym.planning.query import PlanResult, plan_with
-from greenhouse_gym.robots import Robot
+from greenhouse_gym.planning.unseen import depths_of, guarded
+from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.scene import DIFFICULTIES, Scene, Target
 from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
 from greenhouse_gym.scene.scene import Difficulty
@@ -29,7 +30,9 @@ _TIME_LIMIT = 60.0  # seconds; far more than the checks take, so that they and n
 _DECIMALS = 6  # of a witness, radians
 
 
-def certify_targets(scene: Scene, robot: str | Robot = "ur5e", seed: int = 0) -> tuple[Target, ...]:
+def certify_targets(
+    scene: Scene, robot: str | Robot = "ur5e", seed: int = 0, unseen: str | float = "free"
+) -> tuple[Target, ...]:
     """Rate every tomato of a scene as a target.
 
     "easy", "medium" and "hard" go by the collision checks that RRTConnect needs (`EASY`, `MEDIUM`). "unreachable" is a
@@ -40,12 +43,19 @@ def certify_targets(scene: Scene, robot: str | Robot = "ur5e", seed: int = 0) ->
         scene: The scene; targets it already has are not looked at.
         robot: Name or file of the arm, or a `Robot`.
         seed: Same seed, same result.
+        unseen: What space that the scan did not see is for a witness, as `plan` takes it: a tomato is rated by the
+            first depth at which it can be reached.
 
     Returns:
         A target for each tomato, in their order.
     """
-    compiled = compile_scene(scene, robot)
-    return tuple(certify_target(compiled, tomato, seed) for tomato in range(len(scene.tomatoes)))
+    arm, targets = get_robot(robot), dict[int, Target]()
+    for depth in depths_of(unseen):
+        compiled = compile_scene(guarded(scene, arm, arm.start, depth), arm)
+        for tomato in range(len(scene.tomatoes)):
+            if tomato not in targets or targets[tomato].witness is None:
+                targets[tomato] = certify_target(compiled, tomato, seed)
+    return tuple(targets[tomato] for tomato in range(len(scene.tomatoes)))
 
 
 def certify_target(compiled: CompiledScene, tomato: int, seed: int = 0) -> Target:

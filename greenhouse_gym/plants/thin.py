@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from greenhouse_gym.errors import InvalidValueError
@@ -16,7 +17,7 @@ _STRAY = 0.05  # share of a box's surface that may lie farther off
 _THINNEST = 0.0005  # metres, half the thickness of a box at least
 
 
-def leaf_boxes(vertices: Array, triangles: Array, tolerance: float = TOLERANCE) -> list[Box]:
+def leaf_boxes(vertices: Array, triangles: npt.NDArray[np.int64], tolerance: float = TOLERANCE) -> list[Box]:
     """Cut a leaf into thin boxes that cover it and claim little more.
 
     Each box encloses a piece of the surface, in the directions of its extent; a piece that is too bent or fills too
@@ -51,7 +52,7 @@ def leaf_boxes(vertices: Array, triangles: Array, tolerance: float = TOLERANCE) 
     return boxes
 
 
-def surface_points(vertices: Array, triangles: Array, spacing: float) -> Array:
+def surface_points(vertices: Array, triangles: npt.NDArray[np.int64], spacing: float) -> Array:
     """Points (n, 3) on triangles, no farther from each other than about ``spacing``; at least the corners of each."""
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     longest = np.linalg.norm([b - a, c - b, a - c], axis=-1).max(axis=0)

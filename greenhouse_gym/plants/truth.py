@@ -2,12 +2,40 @@
 
 from __future__ import annotations
 
-from greenhouse_gym.plants.row import PlantRow
+from dataclasses import replace
+from functools import lru_cache
+from itertools import pairwise
+
+import numpy as np
+
+from greenhouse_gym.geometry import Box, Capsule, Shape
+from greenhouse_gym.plants.organs import Organ
+from greenhouse_gym.plants.plant_row import PlantRow
+from greenhouse_gym.plants.thin import leaf_boxes
+
+_THIN = ("leaf", "calyx", "flower")
 
 
+@lru_cache(maxsize=4)
 def truth_of(row: PlantRow) -> PlantRow:
-    """A row, and the one behind it, as shapes to collide with: capsules, spheres or ellipsoids, and thin boxes.
+    """A row as shapes to collide with: capsules, spheres or ellipsoids, and thin boxes.
 
-    A row of our own generator is made of such shapes already.
+    A row of our own generator is made of such shapes already. Of a row of meshes, the fruit and stems are known as
+    such; leaves, calyces and flowers are cut into thin boxes (`greenhouse_gym.plants.thin`), which takes about half a
+    second each. The row behind, which no arm reaches, keeps its leaves as they are.
     """
-    return row
+    if not row.organs:
+        return row
+    return replace(row, clutter=(*row.clutter, *(shape for organ in row.organs for shape in _clutter_of(organ))))
+
+
+def _clutter_of(organ: Organ) -> list[Shape]:
+    """The shapes of an organ that is neither fruit nor stem; none of those that are."""
+    if organ.kind in _THIN:
+        return list(leaf_boxes(organ.vertices, organ.triangles))
+    if organ.kind == "petiole" and organ.axis is not None:
+        return [Capsule(a[:3], b[:3], max((a[3] + b[3]) / 2, 1e-4)) for a, b in pairwise(organ.axis)]
+    if organ.kind == "gutter":
+        low, high = organ.vertices.min(axis=0), organ.vertices.max(axis=0)
+        return [Box((low + high) / 2, (high - low) / 2, np.eye(3))]
+    return []

@@ -61,7 +61,7 @@ def rewritten(path: Path, folder: Path, **changes: np.ndarray | None) -> Path:
         ({"spheres": np.array([{}], dtype=object)}, "pickle"),
         ({"size": np.array([0.0, 0.0])}, "positive length"),
         ({"size": np.array([1.0])}, "unpack"),
-        ({"spheres": np.ones((60_000, 4))}, "at most"),
+        ({"spheres": np.ones((300_001, 4))}, "at most"),
         ({"more": np.zeros(10_000_000)}, "unpacks to more"),
     ],
 )
