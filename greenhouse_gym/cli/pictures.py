@@ -18,8 +18,10 @@ from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, TriangleMesh
 from greenhouse_gym.reconstruction.foreground import blacked_out
 from greenhouse_gym.reconstruction.registration import register
+from greenhouse_gym.reconstruction.seen import carve
 from greenhouse_gym.reconstruction.shift import Shift, along, overlap
 from greenhouse_gym.reconstruction.views import Calibration, CameraView, view_station
+from greenhouse_gym.scene.seen import UNSEEN
 
 Image = npt.NDArray[np.uint8]
 
@@ -161,6 +163,28 @@ def row_pictures(merged: RowCloud, row: RowCloud, mesh: TriangleMesh, out: Path)
         save(splat(row.points, row.colors), out / "7-row.png"),
         save(draw_mesh(mesh), out / "8-mesh.png"),
     ]
+
+
+def seen_picture(row: RowCloud, out: Path) -> tuple[Path, float]:
+    """What the scan saw of space, in two upright planes, and the share of it that an arm may reach.
+
+    Left, across the row in the middle of the walk, the aisle on the left; right, along the row halfway between cameras
+    and plants. White is seen and empty, green is surface, gray was never seen.
+    """
+    places = row.world_from_station[row.registered][:, :3, 3]
+    middle = np.median(places, axis=0)
+    reach = np.array([1.35, 1.35, 0.0])
+    low, high = places.min(axis=0) - reach, places.max(axis=0) + reach
+    low[2], high[2] = 0.0, 2.4
+    carving = carve(row, np.eye(4), low, high)
+    cells = ((middle + [0.25, 0.0, 0.0] - carving.origin) / carving.voxel).astype(int)
+    palette = np.array([[150, 152, 158], [250, 251, 252], [58, 125, 68]], dtype=np.uint8)  # unseen, empty, surface
+    planes = (carving.states[:, cells[1]], carving.states[cells[0]])
+    images = [np.kron(palette[plane.T[::-1]], np.ones((8, 8, 1), dtype=np.uint8)) for plane in planes]
+    centers = np.moveaxis(np.indices(carving.states.shape), 0, -1) * carving.voxel + carving.origin
+    near = np.linalg.norm(centers - [middle[0], middle[1], 1.1], axis=-1) < reach[0]
+    share = float((carving.states[near] != UNSEEN).mean())
+    return save(side_by_side(images), out / "9-seen-space.png"), share
 
 
 def training_curve(steps: Sequence[float], success: Sequence[float], random_success: float, path: Path) -> Path:

@@ -79,6 +79,8 @@ _CAPTIONS = {
     "6": "The same without outliers.",
     "7": "The row in its own colors.",
     "8": "The mesh.",
+    "9": "What the cameras saw of space: across the row with the aisle on the left, and along the row halfway to the "
+    "plants. White is empty, green is surface, gray was never seen and may hold anything.",
 }
 """By what the names of the pictures begin with."""
 
@@ -91,6 +93,7 @@ def report_page(
     settings: ReconstructionSettings,
     pair: tuple[int, int] | None,
     pictures: Sequence[Path],
+    seen: float | None = None,
 ) -> str:
     """All about a reconstruction as one HTML page.
 
@@ -102,6 +105,7 @@ def report_page(
         settings: The reconstruction's.
         pair: The stations that the pictures of a registration show, if there are any.
         pictures: PNG files as `registration_pictures` and `row_pictures` name them, in the page's order.
+        seen: Share of the space within an arm's reach that was seen, if that is known.
     """
     report = rows[0].report
     paths = [_path(row, head) for row in rows]
@@ -117,6 +121,7 @@ def report_page(
                 "points": f"{sum(map(len, rows)):,}",
                 "mesh faces": f"{faces:,}",
                 "segments" if len(rows) > 1 else "segment": f"{len(rows)}",
+                **({} if seen is None else {"of the space within reach seen": f"{seen:.0%}"}),
             }
         ),
         cameras=_cameras(report.calibration),

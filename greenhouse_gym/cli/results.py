@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from greenhouse_gym.capture import Recording
-from greenhouse_gym.cli.pictures import registration_pictures, row_pictures
+from greenhouse_gym.cli.pictures import registration_pictures, row_pictures, seen_picture
 from greenhouse_gym.cli.report_page import report_page, segment_name
 from greenhouse_gym.errors import FileWriteError
 from greenhouse_gym.paths import write_atomically
@@ -65,8 +65,10 @@ def write_results(
     pair = typical_pair(report.stations)
     pictures = registration_pictures(recording, *pair, walk.calibration, settings, work) if pair else []
     pictures += row_pictures(merged, rows[0], mesh, work)
+    picture, seen = seen_picture(rows[0], work)
+    pictures.append(picture)
     head = recording.rig.cameras[recording.rig.reference].rig_from_camera[:3, 3]
-    page = report_page(recording.name, rows, len(mesh.triangles), head, settings, pair, pictures)
+    page = report_page(recording.name, rows, len(mesh.triangles), head, settings, pair, pictures, seen)
     write_atomically(work / "report.html", page)
     _put_in_place(work, out)
     return rows, mesh
@@ -88,7 +90,7 @@ def _put_in_place(work: Path, out: Path) -> None:
     """Move results from one folder to another, in place of what an earlier run left there."""
     try:
         for old in out.iterdir():
-            if re.fullmatch(r"row-\d+\.(npz|ply)|[1-8]-[a-z-]+\.png", old.name):
+            if re.fullmatch(r"row-\d+\.(npz|ply)|[1-9]-[a-z-]+\.png", old.name):
                 old.unlink()
         for path in work.iterdir():
             path.replace(out / path.name)
