@@ -72,6 +72,7 @@ def wall(y: float, half_width: float, x: float = 0.3) -> Box:
     "shape",
     [
         tomato(0.02, z=1.03),
+        Tomato([0.5, 0.02, 1.0], 0.04, 0, semi_axes=[0.02, 0.04, 0.08], rotation=rotation_about([1.0, 0.0, 0.0], 0.4)),
         Stem([0.45, -0.02, 0.95], [0.5, 0.03, 1.05], 0.004, "main"),
         Box([0.5, 0.02, 1.0], [0.03, 0.02, 0.001], rotation_about([1, 2, 3], 0.7)),
     ],

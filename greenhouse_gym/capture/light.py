@@ -56,14 +56,18 @@ class Light:
 
 
 def draw_light(rng: np.random.Generator) -> Light:
-    """A greenhouse's light at some hour of some day: from overcast to direct sun from any side (prior)."""
+    """A greenhouse's light at some hour of some day: from overcast to direct sun from any side (prior).
+
+    The camera meters on the whole light, so that leaves come out at about a third of full white.
+    """
+    sun, diffuse = rng.uniform(0.0, 1.2), rng.uniform(0.6, 1.0)
     return Light(
         azimuth=rng.uniform(0, 2 * np.pi),
         elevation=rng.uniform(0.35, 1.1),
-        sun=rng.uniform(0.0, 1.2),
-        diffuse=rng.uniform(0.6, 1.0),
+        sun=sun,
+        diffuse=diffuse,
         white_balance=tuple(float(np.exp(rng.normal(0, s))) for s in (0.05, 0.0, 0.08)),  # type: ignore[arg-type]
-        exposure=float(np.exp(rng.normal(0, 0.2))),
+        exposure=1.9 / (0.4 * sun + diffuse) * float(np.exp(rng.normal(0, 0.2))),
         gloss=rng.uniform(0.3, 0.8),
     )
 

@@ -36,7 +36,8 @@ def simulate(
     seed: Annotated[int, typer.Option(help="Seed of the row, the walk and the noise.")] = 1,
     length: Annotated[float, typer.Option(help="Length of the row in metres.")] = 2.0,
     week: Annotated[int, typer.Option(help="Growth week, 0 = first harvest.")] = 0,
-    style: Annotated[str, typer.Option(help="Fruit style: cluster, beefsteak or cherry.")] = "cluster",
+    style: Annotated[str, typer.Option(help="Fruit style: cluster, beefsteak or cherry; Helios has more.")] = "cluster",
+    source: Annotated[str, typer.Option(help="Where plants come from: own or helios (extra plants).")] = "own",
     protocol: Annotated[
         str, typer.Option(help="How the row is photographed: paper, upright-back and others.")
     ] = "paper",
@@ -45,7 +46,7 @@ def simulate(
     from greenhouse_gym.capture import simulate_protocol, write_recording
     from greenhouse_gym.plants import grow_row
 
-    recording = simulate_protocol(grow_row(seed, length, week, style), seed, protocol)
+    recording = simulate_protocol(grow_row(seed, length, week, style, source=source), seed, protocol)
     with progress("stations", len(recording)) as done:
         write_recording(recording, out, lambda i: done(i + 1))
     CONSOLE.print(f"{len(recording)} stations in {out}")
