@@ -231,8 +231,7 @@ def reach_all(
     drawn = np.random.default_rng(seed).permutation(near)[: options.per_scene].tolist()
     true = np.array([tomato.center for tomato in scene.truth.tomatoes]).reshape(-1, 3)
     within = int(np.count_nonzero(np.linalg.norm(true - shoulder, axis=1) < REACH))
-    space = getattr(scene, "seen", None)
-    seen = None if space is None else round(space.share(shoulder, REACH), 4)
+    seen = None if scene.seen is None else round(scene.seen.share(shoulder, REACH), 4)
     share = len(drawn) / max(1, len(near))  # of the scene's targets that are tried
     result = []
     for k in drawn:
@@ -252,10 +251,10 @@ def reach(
     """One episode: a plan on the reconstruction, followed in the truth."""
     reaching = env.unwrapped
     assert isinstance(reaching, TomatoReachEnv)
-    rule = {} if unseen == "free" else {"unseen": unseen}
     planned = plan(
-        scene, target, options.robot, options.planner, time_limit=120.0, max_checks=options.checks, start=start, **rule
-    )
+        scene, target, options.robot, options.planner, time_limit=120.0, max_checks=options.checks, start=start,
+        unseen=unseen,
+    )  # fmt: skip
     if planned.path is None:
         return {"status": planned.status, "outcome": "no plan"}
     env.reset(seed=0, options={"scene": scene, "target": target, "start": start})

@@ -17,8 +17,10 @@ from greenhouse_gym.errors import InvalidValueError, ReconstructionError
 from greenhouse_gym.geometry import invert, pose, rotation_about, rotation_angle, transform
 from greenhouse_gym.plants import grow_row
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, add_looks, reconstruct_row
+from greenhouse_gym.reconstruction.seen import carve
 from greenhouse_gym.robots import ROBOTS, get_robot, load_robot
 from greenhouse_gym.scene import compile_scene
+from greenhouse_gym.scene.seen import UNSEEN
 from greenhouse_gym.wrist import look_rig
 
 pytestmark = pytest.mark.xdist_group("row")
@@ -83,6 +85,10 @@ def test_what_the_arm_sees_joins_the_cloud_where_it_belongs() -> None:
     assert new[:, 2].max() > row.points[:, 2].max() + 0.1
     assert np.percentile(distance_to_surface(transform(first, new), grow_row(seed=3, length=0.2)), 90) < 0.012
     assert len(whole.station) == len(whole) == whole.report.points
+    corners = invert(first)[:3, 3] + [[0.0, -0.2, 0.2], [0.5, 0.4, 2.2]]
+    before, after = (carve(cloud, np.eye(4), *corners).states != UNSEEN for cloud in (row, whole))
+    assert (after | ~before).all()
+    assert after.mean() > before.mean() + 0.1
 
 
 def test_looks_that_fit_nothing_or_stand_nowhere_are_errors() -> None:

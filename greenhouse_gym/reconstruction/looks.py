@@ -15,7 +15,7 @@ from greenhouse_gym.reconstruction.clouds import Cloud, merge, voxel_means
 from greenhouse_gym.reconstruction.graph import Edge
 from greenhouse_gym.reconstruction.joining import register_near
 from greenhouse_gym.reconstruction.merging import lonely_points
-from greenhouse_gym.reconstruction.row import RowCloud
+from greenhouse_gym.reconstruction.row import Look, RowCloud
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings, settings_for
 from greenhouse_gym.reconstruction.views import Calibration, view_station
 
@@ -60,6 +60,7 @@ def add_looks(
     known = Calibration(recording.rig, row.report.calibration.bias)
     found = np.empty_like(nominal)
     seen: list[Cloud] = []
+    sights: list[Look] = []
     for k, start in enumerate(nominal):
         nearest = _nearest(row, start)
         depth = row.world_from_station[nearest[0], 0, 3] + _reference_x(recording.rig) + settings.foreground
@@ -76,8 +77,10 @@ def add_looks(
             reasons.append(f"station {i}: {edge}")
         else:
             raise ReconstructionError(f"looks {looks.name!r}: stand {k} fits no station near it. {'; '.join(reasons)}")
+        sights.append(Look(found[k], looks.rig, {name: camera.screen() for name, camera in look.cameras.items()}))
         seen.append(voxel_means(look.cloud().moved(found[k]), settings.voxel)[0])
-    return _with_new(row, merge(seen), settings), found
+    sight = None if row.sight is None else replace(row.sight, looks=(*row.sight.looks, *sights))
+    return replace(_with_new(row, merge(seen), settings), sight=sight), found
 
 
 def _reference_x(rig: Rig) -> float:

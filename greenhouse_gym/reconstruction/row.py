@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +24,14 @@ from greenhouse_gym.reconstruction.views import Screen
 from greenhouse_gym.reconstruction.walk import Walk, walk_through
 
 
+class Look(NamedTuple):
+    """What another rig saw from one place: its pose (4, 4) in the row's frame, its cameras, and a screen of each."""
+
+    row_from_rig: Array
+    rig: Rig
+    screens: Mapping[str, Screen]
+
+
 @dataclass(frozen=True, eq=False)
 class Sight:
     """What the stations saw of space.
@@ -30,10 +39,12 @@ class Sight:
     Attributes:
         rig: The cameras as they are.
         screens: Of each station and camera, the nearest reading of each block of pixels.
+        looks: What was seen besides; see `greenhouse_gym.reconstruction.add_looks`.
     """
 
     rig: Rig
     screens: Mapping[int, Mapping[str, Screen]]
+    looks: tuple[Look, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

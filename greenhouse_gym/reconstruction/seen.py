@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from greenhouse_gym.errors import ReconstructionError
 from greenhouse_gym.geometry import Array, invert, transform
-from greenhouse_gym.reconstruction.row import RowCloud
+from greenhouse_gym.reconstruction.row import Look, RowCloud
 from greenhouse_gym.reconstruction.views import BLOCK
 from greenhouse_gym.scene.seen import CORNERS, EMPTY, SURFACE, UNSEEN, States
 
@@ -103,13 +103,17 @@ _Camera = tuple[Array, npt.NDArray[np.float32], Array]
 
 
 def _cameras(row: RowCloud, frame: Array) -> list[_Camera]:
-    """Each camera of each registered station: its pose in the frame, its screen, metres, and its matrix in blocks."""
+    """Each camera of stations and looks: its pose in the frame, its screen, metres, and its matrix in blocks."""
     assert row.sight is not None
     cameras = []
-    for i in np.flatnonzero(row.registered):
-        for name, screen in row.sight.screens[int(i)].items():
-            camera = row.sight.rig.cameras[name]
-            pose = frame @ row.world_from_station[i] @ camera.rig_from_camera
+    places = [
+        Look(row.world_from_station[i], row.sight.rig, row.sight.screens[int(i)])
+        for i in np.flatnonzero(row.registered)
+    ]
+    for place in (*places, *row.sight.looks):
+        for name, screen in place.screens.items():
+            camera = place.rig.cameras[name]
+            pose = frame @ place.row_from_rig @ camera.rig_from_camera
             blocks = camera.intrinsics.matrix.copy()
             blocks[:2, 2] += 0.5  # pixels are counted from their middles
             blocks[:2] /= BLOCK
