@@ -17,7 +17,7 @@ from greenhouse_gym.capture.fingerprint import fingerprint
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.crop import Stem, Tomato
 from greenhouse_gym.errors import FileFormatError, GreenhouseError, InvalidValueError
-from greenhouse_gym.extras import require_installed
+from greenhouse_gym.extras import require_extras
 from greenhouse_gym.geometry import Array, Box, Capsule, Shape, Sphere, distance_to_shapes, invert, pose, transform
 from greenhouse_gym.paths import checked_name, exclusive, parsing, read_bytes, write_atomically
 from greenhouse_gym.planning import certify_targets
@@ -93,7 +93,7 @@ def build_bank(
         raise InvalidValueError(
             f"expected recordings with different names, each with a split and a week; got {names}, {splits}, {weeks}"
         )
-    require_installed("plan", "ompl")
+    require_extras("reconstruct", "plan")
     report = on_stage or (lambda text: CONSOLE.print(text, highlight=False, markup=False))
     folder = Path(out)
     scenes: list[tuple[Scene, str]] = []

@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from importlib.util import find_spec
+from types import MappingProxyType
 
 from greenhouse_gym.errors import MissingDependencyError
+
+MODULES: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "reconstruct": ("open3d", "cv2", "libusb_package", "threadpoolctl"),
+        "plan": ("ompl",),
+        "train": ("stable_baselines3", "torch", "safetensors"),
+        "viz": ("matplotlib", "moviepy"),
+    }
+)
+"""What extras that commands need bring, by the names that are imported."""
 
 
 @contextmanager
@@ -30,11 +41,15 @@ def needs(extra: str) -> Iterator[None]:
         raise MissingDependencyError(error.name or "a package", extra, problem=str(error)) from error
 
 
-def require_installed(extra: str, *modules: str) -> None:
-    """Raise `MissingDependencyError` for the first of the modules that is not installed, without importing any."""
-    for module in modules:
-        if find_spec(module) is None:
-            raise MissingDependencyError(module, extra)
+def require_extras(*extras: str) -> None:
+    """Raise `MissingDependencyError` for the first package of these extras that is missing, without importing any.
+
+    Long work begins with it, so that what its last part needs is not found missing after hours.
+    """
+    for extra in extras:
+        for module in MODULES[extra]:
+            if find_spec(module) is None:
+                raise MissingDependencyError(module, extra)
 
 
 def _interrupted(error: BaseException | None) -> bool:

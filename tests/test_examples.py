@@ -6,10 +6,13 @@ import ast
 import runpy
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from greenhouse_gym.agents.named import make_agent
+from greenhouse_gym.capture.images import encode_png
 from greenhouse_gym.evaluation import evaluate
+from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.planning.planners import _ALL
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
@@ -17,7 +20,7 @@ OWN = ("own_agent", "own_learner")
 MAIN = ("own_planner", "own_robot")
 
 
-@pytest.mark.parametrize("name", [*OWN, *MAIN])
+@pytest.mark.parametrize("name", [*OWN, *MAIN, "own_reader"])
 def test_a_stranger_writes_twenty_lines_at_most(name: str) -> None:
     text = (EXAMPLES / f"{name}.py").read_text()
     # without comments, docstrings and blank lines
@@ -51,3 +54,13 @@ def test_planner_and_robot_run(name: str, monkeypatch: pytest.MonkeyPatch, capsy
         _ALL.registered.clear()
         _ALL.registered.update(registered)
     assert {"own_planner": "solved", "own_robot": "easy"}[name] in capsys.readouterr().out
+
+
+def test_own_reader_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    for kind, image in (("image", np.zeros((3, 4, 3), np.uint8)), ("range", np.full((3, 4), 5000, np.uint16))):
+        for i in range(2):
+            write_atomically(tmp_path / kind / f"{i}.png", encode_png(image))
+    (tmp_path / "camera.txt").write_text("4 3 4.0 4.0 1.5 1.0")
+    monkeypatch.setattr("sys.argv", ["own_reader.py", str(tmp_path)])
+    runpy.run_path(str(EXAMPLES / "own_reader.py"), run_name="__main__")
+    assert capsys.readouterr().out == "2 stations, 12 points at the first, 0.50 m away\n"

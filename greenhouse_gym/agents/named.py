@@ -45,8 +45,8 @@ def make_agent(name: str) -> Agent:
         if name in PAPER_PLANNERS:
             raise
         planners = ()
-    if name in planners:
-        return PlannerAgent(name)
+    if name in planners or name in PAPER_PLANNERS:
+        return PlannerAgent(name)  # of a planner of OMPL, where that is missing, this tells so
     own = "(a policy's file, file.py:Class or module:Class)"
     raise UnknownNameError("agent", name, [*SIMPLE, *shipped_policies(), own, *planners])
 

@@ -16,6 +16,7 @@ import numpy as np
 import typer
 from rich.table import Table
 
+from greenhouse_gym.extras import require_extras
 from greenhouse_gym.paths import exclusive, write_atomically
 from greenhouse_gym.progress import CONSOLE, progress
 
@@ -78,6 +79,7 @@ def demo(
 
 def run_demo(out: Path, seed: int, settings: DemoSettings) -> Report:
     """Run the demo; pictures and ``results.json`` go to ``out``."""
+    require_extras("reconstruct", "plan", "train", "viz")
     with exclusive(out):
         return _run(out, seed, settings)
 

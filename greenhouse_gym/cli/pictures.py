@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from greenhouse_gym.capture import Recording
 from greenhouse_gym.capture.images import encode_png
-from greenhouse_gym.errors import MissingDependencyError
+from greenhouse_gym.extras import needs
 from greenhouse_gym.geometry import Array, pose, transform
 from greenhouse_gym.open3d_loader import open3d
 from greenhouse_gym.paths import write_atomically
@@ -193,11 +193,9 @@ def training_curve(steps: Sequence[float], success: Sequence[float], random_succ
     Raises:
         MissingDependencyError: The extra ``viz`` is not installed.
     """
-    try:
+    with needs("viz"):
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
-    except ImportError as error:
-        raise MissingDependencyError("matplotlib", "viz") from error
     figure = Figure(figsize=(7, 4.2), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()

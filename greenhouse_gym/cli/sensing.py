@@ -140,6 +140,9 @@ def build(
 
     What the settings leave open in reconstruction is what the recordings' protocol needs.
     """
+    from greenhouse_gym.extras import require_extras
+
+    require_extras("reconstruct", "plan")
     from greenhouse_gym.build import BuildSettings, build_bank
     from greenhouse_gym.capture import open_recording
     from greenhouse_gym.paths import write_atomically

@@ -12,13 +12,16 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
-from threadpoolctl import threadpool_limits
 
 from greenhouse_gym.capture.rig import Rig
+from greenhouse_gym.extras import needs
 from greenhouse_gym.geometry import Array, invert, transform
 from greenhouse_gym.reconstruction.clouds import Cloud, PackedCloud, merge, voxel_means, voxels
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings
 from greenhouse_gym.reconstruction.views import BLOCK, Screen
+
+with needs("reconstruct"):
+    from threadpoolctl import threadpool_limits
 
 _SLICE = 0.5  # m along the row
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.capture.rig import Intrinsics
+from greenhouse_gym.extras import needs
 from greenhouse_gym.geometry import Array
+
+with needs("reconstruct"):
+    import cv2
 
 
 def image_normals(

@@ -14,10 +14,10 @@ from pathlib import Path
 from time import perf_counter
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from greenhouse_gym.capture.recordings import Pass, Recording
 from greenhouse_gym.errors import FileFormatError, ReconstructionError
+from greenhouse_gym.extras import needs
 from greenhouse_gym.geometry import Array, transform
 from greenhouse_gym.reconstruction.calibration import CalibrationReport, calibrate
 from greenhouse_gym.reconstruction.clouds import PackedCloud
@@ -29,6 +29,9 @@ from greenhouse_gym.reconstruction.registration import Registration, refine, reg
 from greenhouse_gym.reconstruction.report import StationReport
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings
 from greenhouse_gym.reconstruction.views import Calibration, Screen, StationView, view_station
+
+with needs("reconstruct"):
+    from threadpoolctl import threadpool_limits
 
 _TRIED = 3  # segments a station is tried against, the longest first
 _SHORTEST = 3  # stations that make a segment beside the longest one

@@ -1,0 +1,157 @@
+"""With no extra, or with one alone, every command does its work or names the extra that is missing."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from greenhouse_gym.extras import MODULES
+
+ROOT = Path(__file__).parent.parent
+DECLARED = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+
+COMMANDS = {
+    "simulate": ["simulate", "{out}/recording", "--length", "0.1"],
+    "reconstruct": ["reconstruct", "{out}/recording", "--out", "{out}/row"],
+    "build": ["build", "{out}/recording", "--out", "{out}/bank"],
+    "formats": ["formats"],
+    "plan": ["plan", "--scene", "{scene}", "--target", "0", "--bank", "mini", "--time-limit", "0.2"],
+    "train": ["train", "ppo", "--bank", "mini", "--out", "{out}/run", "--steps", "-1"],
+    "compare": ["compare", "random", "--bank", "mini", "--episodes", "1"],
+    "compare planners": ["compare", "RRTConnect", "--bank", "mini", "--episodes", "1"],
+    "render": ["render", "--bank", "mini", "--out", "{out}/scene.png"],
+    "demo": ["demo", "--quick", "--out", "{out}/demo"],
+}
+
+NEEDED = {
+    "simulate": {"reconstruct"},
+    "reconstruct": {"reconstruct"},
+    "build": {"reconstruct", "plan"},
+    "formats": {"reconstruct"},
+    "plan": {"plan"},
+    "train": {"train"},
+    "compare planners": {"plan"},
+    "render": {"reconstruct"},
+    "demo": {"reconstruct", "plan", "train", "viz"},
+}
+
+RUN = """
+import json, sys
+hidden, commands = json.loads(sys.argv[1])
+class Hiding:
+    def __init__(self, finder):
+        self.finder = finder
+    def __getattr__(self, name):
+        return getattr(self.finder, name)
+    def find_spec(self, name, path=None, target=None):
+        return None if name.split(".")[0] in hidden else self.finder.find_spec(name, path, target)
+sys.meta_path[:] = map(Hiding, sys.meta_path)
+from typer.testing import CliRunner
+from greenhouse_gym.cli import app
+results = {}
+for name, arguments in commands.items():
+    result = CliRunner().invoke(app, arguments)
+    error = result.exception
+    results[name] = [result.exit_code, type(error).__name__, str(error)]
+print(json.dumps(results))
+"""
+
+
+def outcomes(installed: str, out: Path) -> dict[str, tuple[int, str, str]]:
+    """How each command ends, in a process that finds the modules of one extra only."""
+    from greenhouse_gym.scene import SceneBank
+
+    places = {"out": str(out), "scene": SceneBank.open("mini").names()[0]}
+    commands = {
+        name: [part.format(**places) for part in parts]
+        for name, parts in COMMANDS.items()
+        if name == "compare" or NEEDED[name] - {installed}
+    }
+    hidden = [module for extra, modules in MODULES.items() if extra != installed for module in modules]
+    arguments = [sys.executable, "-c", RUN, json.dumps([hidden, commands])]
+    done = subprocess.run(arguments, capture_output=True, text=True, cwd=ROOT, check=False)
+    assert done.returncode == 0, done.stderr
+    results: dict[str, tuple[int, str, str]] = json.loads(done.stdout.splitlines()[-1])
+    return results
+
+
+@pytest.mark.parametrize("installed", ["", *MODULES])
+def test_what_is_missing_is_named_by_its_extra(tmp_path: Path, installed: str) -> None:
+    results = outcomes(installed, tmp_path)
+    assert results.pop("compare")[0] == 0, results
+    for name, (_, error, message) in results.items():
+        assert error == "MissingDependencyError", f"{name}: {error}: {message}"
+        (extra,) = re.findall(r"pip install 'greenhouse-gym\[(\w+)\]'", message)
+        assert extra in NEEDED[name] - {installed}, f"{name}: {message}"
+    assert not [path for path in tmp_path.rglob("*") if path.is_file() and "recording" not in str(path)]
+
+
+# -- what is declared -------------------------------------------------------------------------------------------------
+
+IMPORTED_AS = {"opencv-python-headless": "cv2", "pyhelios3d": "pyhelios", "pillow": "PIL"}
+NOT_IMPORTED = {"moviepy", "mujoco_menagerie"}
+"""What gymnasium's RecordVideo asks for, and files of arms."""
+
+
+def modules_of(requirements: list[str]) -> set[str]:
+    names = [re.match(r"[A-Za-z0-9_.-]+", requirement)[0] for requirement in requirements]  # type: ignore[index]
+    return {IMPORTED_AS.get(name, name.replace("-", "_")) for name in names}
+
+
+def test_what_is_declared_is_imported_and_what_is_imported_is_declared() -> None:
+    extras = {k: v for k, v in DECLARED["optional-dependencies"].items() if k not in ("all", "dev", "docs")}
+    declared = modules_of(DECLARED["dependencies"]).union(*map(modules_of, extras.values()))
+    imported = set()
+    for path in (ROOT / "greenhouse_gym").rglob("*.py"):
+        imported |= set(re.findall(r"^\s*(?:import|from) (\w+)", path.read_text(), re.M))
+        imported |= set(re.findall(r"import_module\([\"'](\w+)", path.read_text()))
+    assert declared - imported - NOT_IMPORTED == set()
+    own = {"greenhouse_gym", "pydantic_core"}
+    foreign = {name for name in imported if name not in sys.stdlib_module_names} - own
+    assert {name for name in foreign - declared if _installed(name)} == set()
+
+
+def _installed(name: str) -> bool:
+    """Whether a word after "import" is a package; the words of docstrings are not."""
+    from importlib.util import find_spec
+
+    return find_spec(name) is not None
+
+
+def test_the_modules_of_extras_are_those_declared() -> None:
+    for extra, modules in MODULES.items():
+        assert set(modules) == modules_of(DECLARED["optional-dependencies"][extra])
+
+
+# -- real installs ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("extra", ["", *MODULES])
+def test_an_install_of_one_extra_alone(tmp_path: Path, extra: str) -> None:
+    """In a fresh environment, by the package index that pip is set up with."""
+    from greenhouse_gym.scene import SceneBank
+
+    subprocess.run([sys.executable, "-m", "venv", tmp_path / "venv"], check=True)
+    python = tmp_path / "venv" / "bin" / "python"
+    target = f"{ROOT}[{extra}]" if extra else str(ROOT)
+    constraints = ["--constraint", str(ROOT / "constraints.txt")]
+    subprocess.run([python, "-m", "pip", "install", "--quiet", *constraints, target], check=True)
+    places = {"out": str(tmp_path), "scene": SceneBank.open("mini").names()[0]}
+    code = "from greenhouse_gym.cli import main; main()"
+    for name, parts in COMMANDS.items():
+        arguments = [part.format(**places) for part in parts]
+        done = subprocess.run(
+            [python, "-c", code, *arguments], capture_output=True, text=True, cwd=tmp_path, check=False
+        )
+        assert "Traceback" not in done.stderr, f"{name}: {done.stderr}"
+        if NEEDED.get(name, set()) - {extra}:
+            assert done.returncode == 1, f"{name}: {done.stdout}{done.stderr}"
+            assert "pip install 'greenhouse-gym[" in done.stderr, f"{name}: {done.stderr}"
