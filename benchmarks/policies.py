@@ -51,7 +51,7 @@ def rates(evaluation: Evaluation) -> dict[str, Any]:
     difficulties = {difficulty: evaluation.of(difficulty) for difficulty in DIFFICULTIES}
     return {
         **_shares(evaluation),
-        "median_steps_of_successes": evaluation.median("steps", solved_only=True),
+        "median_steps_of_successes": evaluation.median("steps", solved_only=True) if evaluation.success_rate else None,
         "by_difficulty": {name: _shares(part) for name, part in difficulties.items() if part.records},
     }
 

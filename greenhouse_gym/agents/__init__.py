@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from greenhouse_gym.agents.agent import Agent, Problem
@@ -11,6 +12,7 @@ from greenhouse_gym.agents.planner_agent import PlannerAgent
 if TYPE_CHECKING:
     from greenhouse_gym.agents.hybrid import HybridAgent
     from greenhouse_gym.agents.policy_agent import PolicyAgent
+    from greenhouse_gym.agents.shield import ShieldedAgent
 
 __all__ = [
     "Agent",
@@ -19,18 +21,17 @@ __all__ = [
     "PolicyAgent",
     "Problem",
     "RandomAgent",
+    "ShieldedAgent",
     "StillAgent",
     "StraightLineAgent",
 ]
 
 
+# Learned policies are loaded only where they are used.
+_LATER = {"HybridAgent": "hybrid", "PolicyAgent": "policy_agent", "ShieldedAgent": "shield"}
+
+
 def __getattr__(name: str) -> Any:
-    if name == "PolicyAgent":  # learned policies are loaded only where they are used
-        from greenhouse_gym.agents.policy_agent import PolicyAgent
-
-        return PolicyAgent
-    if name == "HybridAgent":
-        from greenhouse_gym.agents.hybrid import HybridAgent
-
-        return HybridAgent
+    if name in _LATER:
+        return getattr(import_module(f"{__name__}.{_LATER[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

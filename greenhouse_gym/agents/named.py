@@ -12,10 +12,12 @@ from greenhouse_gym.agents.hybrid import HybridAgent
 from greenhouse_gym.agents.planner_agent import PlannerAgent
 from greenhouse_gym.agents.policy import described_at
 from greenhouse_gym.agents.policy_agent import PolicyAgent, shipped_policies
+from greenhouse_gym.agents.shield import ShieldedAgent
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, MissingDependencyError, UnknownNameError
 from greenhouse_gym.planning import PAPER_PLANNERS, PLANNERS
 
-SIMPLE = {agent.name: agent for agent in (RandomAgent, StillAgent, StraightLineAgent, HybridAgent)}
+_NAMED: tuple[type[Agent], ...] = (RandomAgent, StillAgent, StraightLineAgent, HybridAgent, ShieldedAgent)
+SIMPLE = {agent.name: agent for agent in _NAMED}
 """Agents that need nothing but a name."""
 
 
