@@ -16,7 +16,7 @@ from row_helpers import Depth, from_stations, half_recording, with_depth, worst_
 from greenhouse_gym.capture import Recording, RgbdFrame, Station, open_recording, write_recording
 from greenhouse_gym.capture.recordings import INDEX
 from greenhouse_gym.capture.sensor import sense_depth
-from greenhouse_gym.errors import FileFormatError, FileWriteError, ReconstructionError
+from greenhouse_gym.errors import FileFormatError, FileWriteError, InvalidValueError, ReconstructionError
 from greenhouse_gym.geometry import transform
 from greenhouse_gym.reconstruction import (
     ReconstructionSettings,
@@ -29,6 +29,7 @@ from greenhouse_gym.reconstruction import (
     triangulate,
 )
 from greenhouse_gym.reconstruction.surface import save_mesh, save_points
+from greenhouse_gym.shapes import extract_shapes
 
 pytestmark = pytest.mark.xdist_group("row")  # the row is rendered once
 
@@ -52,6 +53,25 @@ def refusal(stations: list[Station]) -> str:
 
 
 # -- what the cameras see ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("gray", "what"), [(0, "underexposed"), (255, "overexposed")])
+def test_photographs_without_color_make_a_row_that_says_so_and_no_shapes(gray: int, what: str) -> None:
+    stations = [
+        Station(
+            {
+                name: RgbdFrame(np.full_like(frame.color, gray), frame.depth, frame.intrinsics)
+                for name, frame in station.frames.items()
+            },
+            station.world_from_station,
+        )
+        for station in half_recording()
+    ]
+    row = reconstruct_row(recording_of(stations), KNOWN)
+    assert row.registered.sum() == plain_row().registered.sum()
+    assert any(what in warning for warning in row.report.warnings)
+    with pytest.raises(InvalidValueError, match=what):
+        extract_shapes(row.points, row.colors, row.normals)
 
 
 def test_nothing_within_reach_is_refused_with_what_was_read() -> None:
