@@ -122,7 +122,7 @@ def test_reconstruct_writes_cloud_mesh_report_and_pictures(reconstructed: Path) 
     page = (reconstructed / "report.html").read_text()
     assert "<dd>5 of 5</dd>" in page
     assert f"<dd>{len(row):,}</dd>" in page
-    assert page.count('src="data:image/') == 8
+    assert page.count('src="data:image/') == 9
 
 
 @pytest.mark.xdist_group("row")
