@@ -33,6 +33,7 @@ MOST_BYTES = MappingProxyType(
         "calibration": 2**20,
         "trajectory": 256 * 2**20,
         "image": 256 * 2**20,
+        "truth": 64 * 2**20,
         "row cloud": 16 * 2**30,
         "settings": 2**20,
         "policy": 2**30,

@@ -15,10 +15,12 @@ from mutants import damaged_arrays, damaged_bytes, damaged_json
 
 from greenhouse_gym.capture import Camera, Intrinsics, Recording, RgbdFrame, Rig, Station, open_recording
 from greenhouse_gym.capture.recordings import INDEX, write_recording
+from greenhouse_gym.capture.truth_file import load_truth, save_truth
 from greenhouse_gym.errors import GreenhouseError
 from greenhouse_gym.geometry import pose
+from greenhouse_gym.plants import PlantRow
 from greenhouse_gym.reconstruction import RowCloud, RowReport, StationReport, load_row, save_row
-from greenhouse_gym.scene import Scene, SceneBank
+from greenhouse_gym.scene import Scene, SceneBank, Shapes
 from greenhouse_gym.scene.bank import write_bank
 
 MUTANTS = int(os.environ.get("GREENHOUSE_GYM_MUTANTS", "50"))
@@ -56,6 +58,27 @@ def test_scenes(tmp_path: Path) -> None:
 def test_bank_manifests(tmp_path: Path) -> None:
     bank = write_bank(tmp_path / "bank", [(make_scene(i, stems=1), "train") for i in range(3)], name="b")
     try_mutants(bank.path / "manifest.json", damaged_json, lambda: list(SceneBank.open(bank.path)))
+
+
+def test_truths(tmp_path: Path) -> None:
+    scene = make_scene(0, stems=2)
+    row = PlantRow(scene.tomatoes, scene.stems, scene.clutter, 1.0, 0)
+    path = save_truth(row, tmp_path / "truth.npz")
+    try_mutants(path, damaged_arrays, lambda: load_truth(path))
+
+
+def test_scenes_with_truth(tmp_path: Path) -> None:
+    plain = make_scene(0, stems=2)
+    truth = Shapes(tomatoes=plain.tomatoes, stems=plain.stems, clutter=plain.clutter)
+    path = plain.model_copy(update={"truth": truth}).save(tmp_path / "scene.json")
+
+    def in_the_truth(content: bytes, seed: int) -> bytes:
+        tree = json.loads(content)
+        return json.dumps(tree | {"truth": "TRUTH"}).encode().replace(
+            b'"TRUTH"', damaged_json(json.dumps(tree["truth"]).encode(), seed)
+        )  # fmt: skip
+
+    try_mutants(path, in_the_truth, lambda: Scene.load(path).truth)
 
 
 @pytest.fixture

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import io
-import zipfile
-import zlib
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from greenhouse_gym.errors import FileFormatError, InvalidValueError
+from greenhouse_gym.array_files import read_arrays
+from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.packing import ShapeTables, as_tables, from_tables
-from greenhouse_gym.paths import write_atomically
+from greenhouse_gym.paths import parsing, read_bytes, write_atomically
 from greenhouse_gym.plants.row import PlantRow
 from greenhouse_gym.plants.truth import truth_of
 
@@ -22,7 +22,6 @@ LARGEST = 50_000_000
 """Bytes that such a file may unpack to; a row of 5 m takes about one million."""
 
 _BEHIND = "behind_"
-_DAMAGED = (KeyError, TypeError, ValueError, EOFError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error)
 
 
 def save_truth(row: PlantRow, path: str | Path) -> Path:
@@ -44,28 +43,20 @@ def load_truth(path: str | Path) -> PlantRow | None:
     Raises:
         FileFormatError: The file is damaged.
     """
-    path = Path(path)
-    if not path.is_file():
+    if not Path(path).is_file():
         return None
-    try:
-        with zipfile.ZipFile(path) as file:
-            if sum(member.file_size for member in file.infolist()) > LARGEST:
-                raise InvalidValueError(f"unpacks to more than {LARGEST} bytes")
-        with np.load(path, allow_pickle=False) as arrays:
-            length, week = _floats(arrays["size"], 1)
-            row = PlantRow(*_parts(arrays, ""), length=float(length), week=int(week))
-            if _BEHIND + ShapeTables._fields[0] in arrays:
-                row = replace(row, behind=PlantRow(*_parts(arrays, _BEHIND), length=row.length, week=row.week))
-    except OSError as error:
-        raise FileFormatError(path, f"cannot be read ({error.strerror or error})") from error
-    except _DAMAGED as error:
-        raise FileFormatError(path, f"not the truth of a recording: {error}") from error
-    if not (row.length > 0 and row.week >= 0):
-        raise FileFormatError(path, f"expected a positive length and a week from 0 up, got {row.length}, {row.week}")
+    with parsing(path, "truth of a recording"):
+        arrays = read_arrays(read_bytes(path, "truth"), LARGEST)
+        length, week = _floats(arrays["size"], 1)
+        row = PlantRow(*_parts(arrays, ""), length=float(length), week=int(week))
+        if _BEHIND + ShapeTables._fields[0] in arrays:
+            row = replace(row, behind=PlantRow(*_parts(arrays, _BEHIND), length=row.length, week=row.week))
+        if not (row.length > 0 and row.week >= 0):
+            raise InvalidValueError(f"expected a positive length and a week from 0 up, got {row.length}, {row.week}")
     return row
 
 
-def _parts(arrays: np.lib.npyio.NpzFile, prefix: str) -> tuple[tuple, tuple, tuple]:  # type: ignore[type-arg]
+def _parts(arrays: Mapping[str, Array], prefix: str) -> tuple[tuple, tuple, tuple]:  # type: ignore[type-arg]
     parts = from_tables(ShapeTables(*(_floats(arrays[prefix + name], 2) for name in ShapeTables._fields)))
     return parts.tomatoes, parts.stems, parts.clutter
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import math
-import zipfile
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -14,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import TypeAdapter
 
+from greenhouse_gym.array_files import read_arrays
 from greenhouse_gym.geometry import is_rotation
 from greenhouse_gym.paths import MOST_BYTES, parsing, read_bytes, write_atomically
 from greenhouse_gym.reconstruction.report import RowReport
@@ -45,38 +44,15 @@ def load_row(path: str | Path) -> RowCloud:
         FileFormatError: The file is missing, damaged, or lacks an array; or its arrays do not fit each other.
     """
     with parsing(path, "row cloud"):
-        arrays, text = _read_arrays(read_bytes(path, "row cloud"))
-        report = _REPORT.validate_json(text)
+        arrays = read_arrays(read_bytes(path, "row cloud"), MOST_BYTES["row cloud"])
+        missing = [name for name in (*_ARRAYS, "report") if name not in arrays]
+        if missing:
+            raise ValueError(f"it lacks {', '.join(missing)}")
+        report = _REPORT.validate_json(str(arrays["report"]))
         _check(arrays, report)
     for name in ("points", "colors", "normals"):
         arrays[name] = arrays[name].astype(np.float64)
-    return RowCloud(**arrays, report=report, sight=None)
-
-
-def _read_arrays(content: bytes) -> tuple[dict[str, npt.NDArray[Any]], str]:
-    """The arrays of a row file and its report's text; sizes are compared before anything is allocated for them."""
-    with zipfile.ZipFile(io.BytesIO(content)) as archive:
-        members = {info.filename: info for info in archive.infolist()}
-        unpacked = sum(info.file_size for info in members.values())
-        if unpacked > MOST_BYTES["row cloud"]:
-            raise ValueError(f"unpacked it has {unpacked} bytes, at most {MOST_BYTES['row cloud']} are read")
-        arrays = {name: _array(archive.read(members[f"{name}.npy"])) for name in _ARRAYS}
-        report = _array(archive.read(members["report.npy"]))
-    if report.dtype.kind != "U" or report.shape != ():
-        raise ValueError(f"its report is no text but {report.dtype} of shape {report.shape}")
-    return arrays, str(report)
-
-
-def _array(content: bytes) -> npt.NDArray[Any]:
-    """An array from the content of an ``.npy`` file whose header promises what is there."""
-    file = io.BytesIO(content)
-    version = np.lib.format.read_magic(file)
-    read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
-    shape, _, dtype = read(file)
-    if dtype.hasobject or math.prod(shape) * dtype.itemsize != len(content) - file.tell():
-        raise ValueError(f"{dtype} of shape {shape} is not what {len(content) - file.tell()} bytes hold")
-    file.seek(0)
-    return np.asarray(np.lib.format.read_array(file, allow_pickle=False))
+    return RowCloud(**{name: arrays[name] for name in _ARRAYS}, report=report, sight=None)
 
 
 def _check(arrays: dict[str, npt.NDArray[Any]], report: RowReport) -> None:

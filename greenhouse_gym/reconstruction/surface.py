@@ -63,7 +63,9 @@ def simplify_points(cloud: AnyCloud, target: int = 10_000) -> AnyCloud:
 
 
 def _require_finite(cloud: Cloud) -> None:
-    """Raise `InvalidValueError` for points or normals that are NaN or infinite."""
+    """Raise `InvalidValueError` for what is no cloud, and for points or normals that are NaN or infinite."""
+    if not isinstance(cloud, Cloud):
+        raise InvalidValueError(f"expected a Cloud of points, colors and normals, got {type(cloud).__name__}")
     for name, values in (("points", cloud.points), ("normals", cloud.normals)):
         broken = np.count_nonzero(~np.isfinite(values).all(axis=1))
         if broken:

@@ -75,17 +75,25 @@ class CompiledScene:
         model.geom_conaffinity[geom] = mask
 
 
-def scene_spec(scene: Scene, robot: str | Robot | None = None, capacity: int | None = None) -> mujoco.MjSpec:
+def scene_spec(
+    scene: Scene, robot: str | Robot | None = None, capacity: int | None = None, target: int | None = None
+) -> mujoco.MjSpec:
     """The scene, and the arm if one is named, as an editable MuJoCo specification.
 
     Args:
         scene: The scene.
         robot: Name, file or `Robot`; None leaves the arm out.
         capacity: Pad the obstacles with parked geoms to this number, so that models of several scenes have one size.
+        target: Index of the tomato that the cup may touch.
 
     Raises:
-        InvalidValueError: The scene has more obstacles than ``capacity``, or that is no capacity.
+        InvalidValueError: The scene has more obstacles than ``capacity``, or that is no capacity, or there is no tomato
+            ``target``.
     """
+    if target is not None and not 0 <= target < len(scene.tomatoes):
+        raise InvalidValueError(
+            f"scene {scene.name!r} has tomatoes 0 to {len(scene.tomatoes) - 1}, there is no {target}"
+        )
     if capacity is not None and not (isinstance(capacity, int | np.integer) and 1 <= capacity <= MOST_CAPACITY):
         raise InvalidValueError(f"capacity must be a whole number from 1 to {MOST_CAPACITY}, got {capacity!r}")
     arm = None if robot is None else get_robot(robot)
@@ -109,6 +117,9 @@ def scene_spec(scene: Scene, robot: str | Robot | None = None, capacity: int | N
     colors += [_STEM_COLORS[stem.kind] for stem in scene.stems] + [_CLUTTER_COLOR] * len(scene.clutter)
     for name, shape, color in zip(names, scene.obstacles, colors, strict=True):
         _add_obstacle(world, name, shape, color)
+    if target is not None:
+        reached = spec.geom(names[target])
+        reached.contype = reached.conaffinity = ARM_ONLY
     if capacity is not None:
         if len(names) > capacity:
             raise InvalidValueError(

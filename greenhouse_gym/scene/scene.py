@@ -182,11 +182,19 @@ class Scene(Shapes):
         """Write the scene as JSON (to a temporary name, then renamed) and return the path."""
         return write_atomically(path, self.model_dump_json(indent=None) + "\n")
 
-    def to_mjcf(self, robot: str | Robot | None = None) -> str:
-        """The scene as an XML text that plain MuJoCo opens, with the arm in it if one is named."""
+    def to_mjcf(self, robot: str | Robot | None = None, target: int | None = None) -> str:
+        """The scene as an XML text that plain MuJoCo opens.
+
+        Args:
+            robot: Name, file or `Robot`; None leaves the arm out.
+            target: Index of the tomato that the cup may touch: contacts are then those the environment judges by.
+
+        Raises:
+            InvalidValueError: The scene has no such tomato.
+        """
         from greenhouse_gym.scene.mjcf import scene_spec
 
-        spec = scene_spec(self, robot)
+        spec = scene_spec(self, robot, target=target)
         spec.compile()  # MuJoCo writes XML from a compiled specification only
         xml: str = spec.to_xml()
         return xml

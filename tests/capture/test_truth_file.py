@@ -58,11 +58,11 @@ def rewritten(path: Path, folder: Path, **changes: np.ndarray | None) -> Path:
         ({"boxes": np.zeros((3, 9))}, "columns"),
         ({"stems": np.full((1, 8), np.nan)}, "finite"),
         ({"tomatoes": np.array([["a"]])}, "float64"),
-        ({"spheres": np.array([{}], dtype=object)}, "pickle"),
+        ({"spheres": np.array([{}], dtype=object)}, "object of shape"),
         ({"size": np.array([0.0, 0.0])}, "positive length"),
         ({"size": np.array([1.0])}, "unpack"),
         ({"spheres": np.ones((300_001, 4))}, "at most"),
-        ({"more": np.zeros(10_000_000)}, "unpacks to more"),
+        ({"more": np.zeros(10_000_000)}, "too large"),
     ],
 )
 def test_damaged_truth_is_named(

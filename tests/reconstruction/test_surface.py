@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -307,3 +308,10 @@ def test_clouds_move_select_and_merge() -> None:
     assert len(both) == 20
     np.testing.assert_array_equal(both.select(np.arange(10, 20)).points, moved.points)
     assert len(merge([])) == 0
+
+
+def test_an_array_is_no_cloud() -> None:
+    points: Any = np.random.default_rng(0).uniform(size=(100, 3))
+    for make in (triangulate, simplify_points):
+        with pytest.raises(InvalidValueError, match="expected a Cloud of points, colors and normals, got ndarray"):
+            make(points)

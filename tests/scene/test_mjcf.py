@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import copy
+
 import mujoco
 import numpy as np
 import pytest
@@ -16,7 +18,7 @@ from greenhouse_gym.scene.mjcf import ARM_AND_CUP, ARM_ONLY
 def mixed() -> Scene:
     turn = rotation_about([1.0, 2.0, 3.0], 0.8)
     return Scene(
-        name='a "mixed" <scene>',
+        name="a 'mixed' & scene",
         tomatoes=(Tomato([0.5, -0.4, 0.9], 0.03, truss=0), Tomato([0.5, 0.4, 0.9], 0.025, truss=1, ripeness=0.2)),
         stems=(
             Stem([0.6, 0, 0.5], [0.65, 0.1, 2.0], 0.006, kind="main"),
@@ -146,3 +148,15 @@ def test_an_ellipsoid_stands_as_the_scene_says() -> None:
     found = np.empty(9)
     mujoco.mju_quat2Mat(found, geom.quat)
     np.testing.assert_allclose(found.reshape(3, 3), turn, atol=1e-9)
+
+
+def test_a_replay_in_plain_mujoco_judges_as_the_environment_does(mixed: Scene) -> None:
+    target = 1
+    compiled = compile_scene(mixed, "ur5e")
+    judging = copy.copy(compiled.model)
+    compiled.allow_cup_on(judging, target)
+    plain = mujoco.MjModel.from_xml_string(mixed.to_mjcf("ur5e", target=target))
+    for mask in ("geom_contype", "geom_conaffinity"):
+        np.testing.assert_array_equal(getattr(plain, mask), getattr(judging, mask))
+    with pytest.raises(InvalidValueError, match=r"has tomatoes 0 to \d+, there is no 99"):
+        mixed.to_mjcf("ur5e", target=99)
