@@ -9,7 +9,7 @@ import copy
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -103,7 +103,7 @@ def evaluate(
 
 
 def compare(
-    agents: Sequence[Agent], split: str = "test", episodes: int = 200, seed: int = 0, **options: Any
+    agents: Iterable[Agent], split: str = "test", episodes: int = 200, seed: int = 0, **options: Any
 ) -> tuple[Evaluation, ...]:
     """Run several agents on the same episodes; see `evaluate`.
 
