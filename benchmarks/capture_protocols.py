@@ -116,7 +116,7 @@ def main() -> None:
             f"benchmarks/capture_protocols.py --source {a.source} --rows {','.join(map(str, a.rows))} "
             f"--protocols {' '.join(a.protocols)} --unseen {' '.join(a.unseen)} --length {a.length:g} "
             f"--spacing {a.spacing:g} --primitives {a.primitives} --checks {a.checks} "
-            f"--per-scene {a.per_scene}"
+            f"--per-scene {a.per_scene}{' --only-finished' * a.only_finished}"
         )
         rows = sorted({task[0] for task in tasks})
         figures = {"command": command, "source": a.source, "rows_measured": rows, "figures": summaries(episodes)}
