@@ -13,9 +13,10 @@ class ShapeSettings:
     least_redness: float = -0.24  # (R - G) / (R + G) of fruit and stems; leaves are bluer, about -0.35
     most_redness: float = 0.1  # of peduncles, which stay green
     least_saturation: float = 0.15  # of fruit and stems; gutters and strings are white
-    radii: tuple[float, float] = (0.012, 0.050)  # of tomatoes
+    radii: tuple[float, float] = (0.006, 0.050)  # of tomatoes
     radius_step: float = 0.003
     vote_cell: float = 0.005
+    leaf_contrast: float = 0.10  # redness by which fruit and stems may differ from the leaves
     min_score: float = 0.12  # share of a half sphere's points that vote for its center
     shell: float = 0.004  # points this near a sphere belong to it
     skin_noise: float = 0.0015  # but a stem's may stand out this far

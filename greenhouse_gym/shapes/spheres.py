@@ -40,7 +40,7 @@ class Trust(NamedTuple):
     fewest: int
 
 
-IN_NORMALS = Trust((0.7, 0.7, 0.7, 0.7, 0.7, 0.7, 0.85, 0.85), on=0.7, radius=1e-5, fewest=15)
+IN_NORMALS = Trust((0.7, 0.7, 0.7, 0.7, 0.7, 0.7, 0.85, 0.85), on=0.7, radius=1e-5, fewest=10)
 """The normals are right, the size is unknown."""
 
 IN_SIZE = Trust((-0.2,) * len(_SCALES), on=-1.0, radius=1e3, fewest=8)
@@ -68,17 +68,17 @@ def vote(points: Array, normals: Array, settings: ShapeSettings) -> Array:
     """Candidate spheres (k, 4), center and radius, at the peaks of the vote."""
     if not len(points):
         return np.zeros((0, 4))
-    radii = np.arange(settings.radii[0], settings.radii[1] + 1e-9, settings.radius_step)
     octaves = max(1, round(np.log2(settings.radii[1] / settings.radii[0])))
     edges = np.geomspace(settings.radii[0], settings.radii[1] + settings.radius_step, octaves + 1)
-    return np.concatenate(
-        [_of_octave(points, normals, radii[(radii >= a) & (radii < b)], settings) for a, b in pairwise(edges)]
-    )
+    return np.concatenate([
+        _of_octave(points, normals, np.arange(low, high - 1e-9, min(settings.radius_step, low / 4)), settings)
+        for low, high in pairwise(edges)
+    ])
 
 
 def _of_octave(points: Array, normals: Array, radii: Array, settings: ShapeSettings) -> Array:
     """Candidates (k, 4) of one octave: what nothing near has more votes than."""
-    cell = settings.vote_cell
+    cell = min(settings.vote_cell, 0.4 * float(radii[0]))
     candidates, shares = [np.zeros((0, 4))], [np.zeros(0)]
     for radius in radii:
         half = 2 * np.pi * radius**2  # square metres
@@ -120,6 +120,11 @@ def crowded(positions: Array, least: float) -> tuple[Array, Array]:
     return centers, votes[crowded].astype(np.float64)
 
 
+def shell_of(radius: float, settings: ShapeSettings) -> float:
+    """How near to a sphere its points lie, metres: nearer to smaller ones."""
+    return min(settings.shell, 0.3 * radius)
+
+
 def fit_spheres(
     points: Array, normals: Array, candidates: Array, settings: ShapeSettings, trust: Trust = IN_NORMALS
 ) -> list[SphereFit]:
@@ -144,12 +149,13 @@ def _refine(cloud: Array, normals: Array, candidate: Array, settings: ShapeSetti
     stride = max(1, len(cloud) // _MOST_POINTS)
     cloud, normals = cloud[::stride], normals[::stride]
     center, radius = candidate[:3], float(candidate[3])
+    shell = shell_of(radius, settings)
     for scale, aligned in zip(_SCALES, trust.aligned, strict=True):
         away = cloud - center
         distance = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
         unit = away / distance[:, None]
         residual = distance - radius
-        weight = np.clip(1 - (residual / (scale * settings.shell)) ** 2, 0, None) ** 2
+        weight = np.clip(1 - (residual / (scale * shell)) ** 2, 0, None) ** 2
         weight *= (unit * normals).sum(axis=1) > aligned
         if np.count_nonzero(weight) < trust.fewest:
             return None
@@ -177,7 +183,7 @@ def _assess(
     distance = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
     unit, residual = away / distance[:, None], distance - radius
     alignment = (unit * normals[near]).sum(axis=1)
-    on = (np.abs(residual) < settings.shell) & (alignment > trust.on)
+    on = (np.abs(residual) < shell_of(radius, settings)) & (alignment > trust.on)
     if np.count_nonzero(on) < trust.fewest:
         return None
     return SphereFit(

@@ -1,0 +1,83 @@
+"""What tells a fruit from a bent leaf: measures of the spheres that were fitted to a cloud, by shape, color and company.
+
+A leaf that bends one way, or that goes on beyond the sphere, or passes through it, is none; nor is what is much larger
+than the fruit of the row. Color is compared with the leaves of the same cloud only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from greenhouse_gym.geometry import Array, Sphere
+from greenhouse_gym.reconstruction.clouds import Cloud
+from greenhouse_gym.shapes.settings import ShapeSettings
+from greenhouse_gym.shapes.spheres import SphereFit, shell_of
+from greenhouse_gym.shapes.surfaces import Surfaces
+
+MEASURES = (
+    "coverage", "coverage^2", "log points", "rmse / mm", "alignment", "inside", "beyond", "crossing",
+    "smaller bend", "larger bend", "log plane rmse / rmse", "filled", "contrast", "contrast^2", "tone spread", "log radius",
+)  # fmt: skip
+"""Names of what `measures` gives."""
+
+COMPANY = ("larger", "smaller", "unlike neighbors", "neighbors")
+"""Names of what `company` gives."""
+
+_BEYOND = 0.010  # metres outside the shell: what goes on there is no part of a ball
+_MOST_BEND = 2.5  # times the sphere's own
+
+
+def measures(fits: Sequence[SphereFit], cloud: Cloud, surface: Surfaces, settings: ShapeSettings) -> Array:
+    """Measures (k, len(MEASURES)) of spheres by themselves, among all points of a cloud."""
+    tree = cKDTree(cloud.points)
+    rows = [_measures(fit, cloud, surface, tree, settings) for fit in fits]
+    return np.array(rows).reshape(-1, len(MEASURES))
+
+
+def _measures(fit: SphereFit, cloud: Cloud, surface: Surfaces, tree: cKDTree, settings: ShapeSettings) -> list[float]:
+    shell = shell_of(fit.radius, settings)
+    near = np.array(tree.query_ball_point(fit.center, fit.radius + shell + _BEYOND), dtype=np.int64)
+    away = cloud.points[near] - fit.center
+    distance = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
+    unit, residual = away / distance[:, None], distance - fit.radius
+    cosine = (unit * cloud.normals[near]).sum(axis=1)
+    skin = np.abs(residual) < shell
+    on = skin & (cosine > 0.7)
+    count = max(np.count_nonzero(on), 1)
+    inside, beyond, crossing = (
+        float(np.log1p(np.count_nonzero(which) / count))
+        for which in (residual < -shell, residual > shell, skin & (cosine < 0.4))
+    )
+    if not on.any():
+        on = skin
+    bends = np.clip(np.median(surface.bends[near[on]], axis=0) * fit.radius, -1.0, _MOST_BEND)
+    spread = np.linalg.eigvalsh(np.cov(cloud.points[near[on]].T) if np.count_nonzero(on) > 3 else np.eye(3))
+    even = float(np.log((np.sqrt(max(spread[0], 0.0)) + 1e-4) / (fit.rmse + 1e-4)))
+    middle = float(np.linalg.norm(unit[on].mean(axis=0)))  # 1 - |middle| of a cap is the share of the sphere it covers
+    low, tone, high = np.quantile(surface.tones[near[on]], (0.25, 0.5, 0.75))
+    contrast = float(np.clip((tone - surface.leaf) / 0.1, -3.0, 3.0)) if surface.leaf > -1.0 else 0.0
+    return [
+        fit.coverage, fit.coverage**2, float(np.log(count)), 1e3 * fit.rmse, fit.alignment, inside, beyond, crossing,
+        float(bends[0]), float(bends[1]), even, fit.coverage / (1.02 - middle), contrast, contrast**2,
+        float(high - low) / 0.1, float(np.log(fit.radius / 0.025)),
+    ]  # fmt: skip
+
+
+def company(fits: Sequence[Sphere], sure: Sequence[Sphere], settings: ShapeSettings) -> Array:
+    """How spheres agree with those that are sure (k, len(COMPANY)): in size with the row and with those beside them."""
+    if not len(sure):
+        return np.zeros((len(fits), len(COMPANY)))
+    centers, radii = np.array([s.center for s in sure]), np.array([s.radius for s in sure])
+    usual = float(np.median(radii))
+    rows = []
+    for fit in fits:
+        apart = np.linalg.norm(centers - fit.center, axis=1)
+        other = apart > 0.5 * radii
+        beside = other & (apart - radii - fit.radius < settings.truss_gap)
+        size = float(np.log(fit.radius / usual))
+        unlike = abs(float(np.log(fit.radius / np.median(radii[beside])))) if beside.any() else abs(size)
+        rows.append([max(size, 0.0), max(-size, 0.0), unlike, float(np.log1p(np.count_nonzero(beside)))])
+    return np.array(rows).reshape(-1, len(COMPANY))

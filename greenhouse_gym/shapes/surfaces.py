@@ -1,0 +1,75 @@
+"""How the surfaces of a cloud bend, and what color its leaves are.
+
+Leaves are flat or bend one way, stems bend one way and much, fruit bends alike both ways. The color of leaves differs
+from cultivar to cultivar and with the light, so it is read off the cloud itself: it is that of what is flat.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from greenhouse_gym.geometry import Array
+from greenhouse_gym.reconstruction.clouds import Cloud, voxel_means
+from greenhouse_gym.shapes.colors import is_colorless, redness
+from greenhouse_gym.shapes.neighborhoods import Neighborhoods
+from greenhouse_gym.shapes.settings import ShapeSettings
+
+_CELL = 0.005  # metres: pieces of surface are told apart at this size
+_REACH = 0.011  # and looked at together with those this near
+_SLACK = 3e-6  # square metres, added to how far a piece spreads, so that a speck does not bend
+_FLAT = 10.0  # 1/m: what bends less both ways is flat
+_FEWEST_FLAT = 200  # pieces that tell the leaves' color
+_MOST_SPREAD = 0.06  # of the redness of leaves, that of reflected and of transmitted light
+
+
+class Surfaces(NamedTuple):
+    """What is known of the surface around each point of a cloud.
+
+    Attributes:
+        bends: (n, 2) its principal curvatures in 1/m, the smaller first; positive where it bulges.
+        tones: (n,) its redness, smoothed over neighbors.
+        leaf: Redness of the leaves in the middle, or -1 where there are none.
+        spread: By how much that scatters (a standard deviation, by the quartiles).
+    """
+
+    bends: Array
+    tones: Array
+    leaf: float
+    spread: float
+
+    def select(self, rows: npt.NDArray[np.generic]) -> Surfaces:
+        """The points at ``rows``."""
+        return self._replace(bends=self.bends[rows], tones=self.tones[rows])
+
+    def unlike_leaf(self, settings: ShapeSettings) -> npt.NDArray[np.bool_]:
+        """Which points (n,) are redder than the leaves."""
+        return np.asarray(self.tones > self.leaf + max(settings.leaf_contrast, 2.5 * self.spread))
+
+
+def surfaces(cloud: Cloud, settings: ShapeSettings) -> Surfaces:
+    """Look at how a cloud, one point per voxel of ``settings.voxel``, bends around each point."""
+    if not len(cloud):
+        return Surfaces(np.zeros((0, 2)), np.zeros(0), -1.0, 0.0)
+    cells, cell = voxel_means(cloud, _CELL)
+    near = Neighborhoods(cells.points, _REACH)
+    # normals change linearly over a bent surface: the shape operator by least squares, within the tangent plane
+    _, axes = np.linalg.eigh(near.moments(cells.normals, cells.normals))
+    tangent = axes[:, :, :2]
+    place = _within(tangent, near.covariances(cells.points, cells.points)) + _SLACK * np.eye(2)
+    operator = np.linalg.solve(place, _within(tangent, near.covariances(cells.points, cells.normals)))
+    bends = np.linalg.eigvalsh((operator + operator.transpose(0, 2, 1)) / 2)
+    tones = near.mean(redness(cells.colors)[:, None])[:, 0]
+    flat = (np.abs(bends).max(axis=1) < _FLAT) & ~is_colorless(cells.colors, settings)
+    leaf, spread = -1.0, 0.0
+    if np.count_nonzero(flat) >= _FEWEST_FLAT:
+        low, leaf, high = np.quantile(tones[flat], (0.25, 0.5, 0.75)).tolist()
+        spread = min((high - low) / 1.35, _MOST_SPREAD)
+    return Surfaces(bends[cell], tones[cell], leaf, spread)
+
+
+def _within(tangent: Array, moments: Array) -> Array:
+    """Moments (n, 3, 3) within planes spanned by (n, 3, 2), (n, 2, 2)."""
+    return np.asarray(tangent.transpose(0, 2, 1) @ moments @ tangent)
