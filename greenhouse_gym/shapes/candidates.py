@@ -11,11 +11,10 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-from greenhouse_gym.geometry import Array, Sphere
-from greenhouse_gym.reconstruction.clouds import Cloud
+from greenhouse_gym.geometry import Array
 from greenhouse_gym.shapes.settings import ShapeSettings
 from greenhouse_gym.shapes.spheres import SphereFit, shell_of
-from greenhouse_gym.shapes.surfaces import Surfaces
+from greenhouse_gym.shapes.surfaces import NO_LEAF, SurfaceCloud
 
 MEASURES = (
     "coverage", "coverage^2", "log points", "rmse / mm", "alignment", "inside", "beyond", "crossing",
@@ -23,21 +22,21 @@ MEASURES = (
 )  # fmt: skip
 """Names of what `measures` gives."""
 
-COMPANY = ("larger", "smaller", "unlike neighbors", "neighbors")
+COMPANY = ("larger", "smaller", "unlike neighbors", "neighbors", "gap / cm", "unlike tone")
 """Names of what `company` gives."""
 
 _BEYOND = 0.010  # metres outside the shell: what goes on there is no part of a ball
 _MOST_BEND = 2.5  # times the sphere's own
 
 
-def measures(fits: Sequence[SphereFit], cloud: Cloud, surface: Surfaces, settings: ShapeSettings) -> Array:
+def measures(fits: Sequence[SphereFit], cloud: SurfaceCloud, settings: ShapeSettings) -> Array:
     """Measures (k, len(MEASURES)) of spheres by themselves, among all points of a cloud."""
     tree = cKDTree(cloud.points)
-    rows = [_measures(fit, cloud, surface, tree, settings) for fit in fits]
+    rows = [_measures(fit, cloud, tree, settings) for fit in fits]
     return np.array(rows).reshape(-1, len(MEASURES))
 
 
-def _measures(fit: SphereFit, cloud: Cloud, surface: Surfaces, tree: cKDTree, settings: ShapeSettings) -> list[float]:
+def _measures(fit: SphereFit, cloud: SurfaceCloud, tree: cKDTree, settings: ShapeSettings) -> list[float]:
     shell = shell_of(fit.radius, settings)
     near = np.array(tree.query_ball_point(fit.center, fit.radius + shell + _BEYOND), dtype=np.int64)
     away = cloud.points[near] - fit.center
@@ -53,12 +52,12 @@ def _measures(fit: SphereFit, cloud: Cloud, surface: Surfaces, tree: cKDTree, se
     )
     if not on.any():
         on = skin
-    bends = np.clip(np.median(surface.bends[near[on]], axis=0) * fit.radius, -1.0, _MOST_BEND)
+    bends = np.clip(np.median(cloud.bends[near[on]], axis=0) * fit.radius, -1.0, _MOST_BEND)
     spread = np.linalg.eigvalsh(np.cov(cloud.points[near[on]].T) if np.count_nonzero(on) > 3 else np.eye(3))
     even = float(np.log((np.sqrt(max(spread[0], 0.0)) + 1e-4) / (fit.rmse + 1e-4)))
     middle = float(np.linalg.norm(unit[on].mean(axis=0)))  # 1 - |middle| of a cap is the share of the sphere it covers
-    low, tone, high = np.quantile(surface.tones[near[on]], (0.25, 0.5, 0.75))
-    contrast = float(np.clip((tone - surface.leaf) / 0.1, -3.0, 3.0)) if surface.leaf > -1.0 else 0.0
+    low, tone, high = np.quantile(cloud.tones[near[on]], (0.25, 0.5, 0.75))
+    contrast = float(np.clip((tone - cloud.leaf) / 0.1, -3.0, 3.0)) if cloud.leaf > NO_LEAF else 0.0
     return [
         fit.coverage, fit.coverage**2, float(np.log(count)), 1e3 * fit.rmse, fit.alignment, inside, beyond, crossing,
         float(bends[0]), float(bends[1]), even, fit.coverage / (1.02 - middle), contrast, contrast**2,
@@ -66,18 +65,31 @@ def _measures(fit: SphereFit, cloud: Cloud, surface: Surfaces, tree: cKDTree, se
     ]  # fmt: skip
 
 
-def company(fits: Sequence[Sphere], sure: Sequence[Sphere], settings: ShapeSettings) -> Array:
-    """How spheres agree with those that are sure (k, len(COMPANY)): in size with the row and with those beside them."""
+def company(fits: Sequence[SphereFit], tones: Array, sure: Sequence[SphereFit], settings: ShapeSettings) -> Array:
+    """How spheres agree with those that are sure (k, len(COMPANY)): in size with the row and with those beside them.
+
+    Args:
+        fits: The spheres.
+        tones: Redness (n,) of the points that they were fitted to.
+        sure: Those that are tomatoes for sure.
+        settings: All settings.
+    """
     if not len(sure):
         return np.zeros((len(fits), len(COMPANY)))
     centers, radii = np.array([s.center for s in sure]), np.array([s.radius for s in sure])
+    tone = np.array([np.median(tones[s.points]) for s in sure])
     usual = float(np.median(radii))
     rows = []
     for fit in fits:
         apart = np.linalg.norm(centers - fit.center, axis=1)
-        other = apart > 0.5 * radii
-        beside = other & (apart - radii - fit.radius < settings.truss_gap)
+        gap = np.where(apart > 0.5 * radii, apart - radii - fit.radius, np.inf)  # not to itself
+        beside = gap < settings.truss_gap
         size = float(np.log(fit.radius / usual))
         unlike = abs(float(np.log(fit.radius / np.median(radii[beside])))) if beside.any() else abs(size)
-        rows.append([max(size, 0.0), max(-size, 0.0), unlike, float(np.log1p(np.count_nonzero(beside)))])
-    return np.array(rows).reshape(-1, len(COMPANY))
+        nearest = int(gap.argmin())
+        rows.append([
+            max(size, 0.0), max(-size, 0.0), unlike, float(np.log1p(np.count_nonzero(beside))),
+            float(np.clip(gap[nearest] / 0.01, 0.0, 5.0)),
+            abs(float(np.median(tones[fit.points]) - tone[nearest])) / 0.1 if beside.any() else 0.0,
+        ])  # fmt: skip
+    return np.array(rows)

@@ -1,6 +1,12 @@
-"""What colors say: leaves are bluish green, gutters and strings are white; fruit and stems are neither."""
+"""What colors and bends say of a cloud's points: which may be fruit, stem or pipe, and which can not.
+
+Leaves are flat, and of one color over a row; gutters and strings are white. What bends like fruit or a stem may be one,
+whatever its color, and so may what is redder than the leaves of the same cloud.
+"""
 
 from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -8,35 +14,48 @@ import numpy.typing as npt
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.shapes.settings import ShapeSettings
 
+if TYPE_CHECKING:
+    from greenhouse_gym.shapes.surfaces import SurfaceCloud
 
-def could_be_fruit_or_stem(colors: Array, settings: ShapeSettings) -> npt.NDArray[np.bool_]:
-    """Which colors (n, 3) a tomato, ripe or not, or a stem may have; all of them in a cloud without colors."""
+Mask = npt.NDArray[np.bool_]
+
+
+def could_be_fruit(cloud: SurfaceCloud, settings: ShapeSettings) -> Mask:
+    """Which points (n,) may be skin of a tomato, ripe or not: redder than leaves, or bulging both ways."""
+    return is_colorful(cloud.colors, settings) & (_is_no_leaf(cloud, settings) | (cloud.bends[:, 0] > settings.fruit_bend))
+
+
+def could_be_stem(cloud: SurfaceCloud, settings: ShapeSettings) -> Mask:
+    """Which points (n,) may lie on a main stem: redder than leaves, or bulging one way at least."""
+    return is_colorful(cloud.colors, settings) & (_is_no_leaf(cloud, settings) | (cloud.bends[:, 1] > settings.stem_bend))
+
+
+def could_be_peduncle(cloud: SurfaceCloud, settings: ShapeSettings) -> Mask:
+    """Which points (n,) may lie on a peduncle or pedicel: no leaf, as thin as that, and not as red as ripe fruit."""
+    thin = _is_no_leaf(cloud, settings) | (cloud.bends[:, 1] > settings.peduncle_bend)
+    return is_colorful(cloud.colors, settings) & thin & (redness(cloud.colors) < settings.most_redness)
+
+
+def could_be_pipe(cloud: SurfaceCloud, settings: ShapeSettings) -> Mask:
+    """Which points (n,) may lie on a pipe: all but those of leaves."""
+    return ~is_colorful(cloud.colors, settings) | _is_no_leaf(cloud, settings)
+
+
+def is_colorful(colors: Array, settings: ShapeSettings) -> Mask:
+    """Which colors (n, 3) are neither white, gray nor black, as strings and gutters are; all in a cloud without any."""
     colorful = _saturation(colors) > settings.least_saturation
-    if not colorful.any():
-        return np.ones(len(colors), dtype=bool)
-    return colorful & (redness(colors) > settings.least_redness)
-
-
-def could_be_peduncle(colors: Array, settings: ShapeSettings) -> npt.NDArray[np.bool_]:
-    """Which colors (n, 3) a peduncle may have: those of stems, but not of ripe fruit; all in a cloud without colors."""
-    return could_be_fruit_or_stem(colors, settings) & (redness(colors) < settings.most_redness)
-
-
-def is_colorless(colors: Array, settings: ShapeSettings) -> npt.NDArray[np.bool_]:
-    """Which colors (n, 3) are white, gray or black: those of strings and gutters; none in a cloud without colors."""
-    pale = _saturation(colors) <= settings.least_saturation
-    return pale & (not pale.all())
-
-
-def could_be_pipe(colors: Array, settings: ShapeSettings) -> npt.NDArray[np.bool_]:
-    """Which colors (n, 3) a pipe may have: all but those of leaves."""
-    return (_saturation(colors) <= settings.least_saturation) | (redness(colors) > settings.least_redness)
+    return colorful | ~colorful.any()
 
 
 def redness(colors: Array) -> Array:
     """(R - G) / (R + G) of colors (n, 3), which ignores shading."""
     red, green = colors[:, 0], colors[:, 1]
     return np.asarray((red - green) / np.maximum(red + green, 1e-6))
+
+
+def _is_no_leaf(cloud: SurfaceCloud, settings: ShapeSettings) -> Mask:
+    """Which points (n,) are redder than the cloud's leaves."""
+    return np.asarray(cloud.tones > cloud.leaf + max(settings.leaf_contrast, 2.5 * cloud.spread))
 
 
 def _saturation(colors: Array) -> Array:

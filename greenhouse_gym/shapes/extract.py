@@ -13,12 +13,13 @@ from greenhouse_gym.geometry import Box, Shape
 from greenhouse_gym.reconstruction.clouds import Cloud
 from greenhouse_gym.shapes.checks import Notes, checked, thinned
 from greenhouse_gym.shapes.clutter import cover
-from greenhouse_gym.shapes.colors import could_be_fruit_or_stem, could_be_peduncle, could_be_pipe, is_colorless
+from greenhouse_gym.shapes.colors import could_be_peduncle, could_be_pipe, could_be_stem, is_colorful
 from greenhouse_gym.shapes.evidence import Evidence, nearest_shapes
 from greenhouse_gym.shapes.peduncles import find_peduncles, stands_out
 from greenhouse_gym.shapes.pipes import find_pipes
 from greenhouse_gym.shapes.settings import ShapeSettings
 from greenhouse_gym.shapes.stems import find_main_stems, find_strings
+from greenhouse_gym.shapes.surfaces import SurfaceCloud, look_at_surfaces
 from greenhouse_gym.shapes.tomatoes import find_tomatoes
 
 _LYING = 0.5  # metres of main stems that show that a cloud lies on its side
@@ -74,16 +75,17 @@ def extract_shapes(
     """
     settings = settings or ShapeSettings()
     whole, notes = checked(points, colors, normals), Notes()
-    cloud = thinned(whole, normals is not None, settings, notes)
-    if not len(cloud):
+    thin = thinned(whole, normals is not None, settings, notes)
+    if not len(thin):
         return RowShapes(evidence=nearest_shapes(whole.points, (), 0.0), warnings=tuple(notes.messages))
-    pipes = find_pipes(cloud.select(could_be_pipe(cloud.colors, settings)), settings)
+    cloud = look_at_surfaces(thin, settings)
+    pipes = find_pipes(cloud.select(could_be_pipe(cloud, settings)), settings)
     cloud = _without(cloud, pipes, settings.shell)
-    tomatoes, confidence = find_tomatoes(cloud.points, cloud.normals, cloud.colors, settings)
-    green = cloud.select(could_be_peduncle(cloud.colors, settings))
+    tomatoes, confidence = find_tomatoes(cloud, settings)
+    green = cloud.select(could_be_peduncle(cloud, settings))
     green = green.select(stands_out(green.points, green.normals, tomatoes, settings))
     cloud = _without(cloud, tomatoes, settings.shell)
-    woody, pale = (cloud.select(looks(cloud.colors, settings)) for looks in (could_be_fruit_or_stem, is_colorless))
+    woody, pale = cloud.select(could_be_stem(cloud, settings)), cloud.select(~is_colorful(cloud.colors, settings))
     upright = (
         *find_main_stems(woody.points, woody.normals, settings),
         *find_strings(pale.points, pale.normals, settings),
@@ -92,9 +94,9 @@ def extract_shapes(
     if not main:
         _say_if_not_upright(woody, settings, notes)
     green = _without(green, main, settings.stem_margin)
-    thin = find_peduncles(green.points, green.normals, tomatoes, main, settings)
-    stems = (*upright, *thin, *pipes)
-    cloud = _without(_without(cloud, upright, settings.stem_margin), thin, settings.shell)
+    hanging = find_peduncles(green.points, green.normals, tomatoes, main, settings)
+    stems = (*upright, *hanging, *pipes)
+    cloud = _without(_without(cloud, upright, settings.stem_margin), hanging, settings.shell)
     budget = round(settings.clutter_per_metre * float(np.ptp(cloud.points[:, 1]))) if len(cloud) else 0
     clutter = tuple(cover(cloud.points, cloud.normals, max(budget, 10), settings))
     evidence = nearest_shapes(whole.points, (*tomatoes, *stems, *clutter), settings.explained)
@@ -110,6 +112,6 @@ def _say_if_not_upright(woody: Cloud, settings: ShapeSettings, notes: Notes) -> 
             return
 
 
-def _without(cloud: Cloud, shapes: Sequence[Shape], margin: float) -> Cloud:
+def _without(cloud: SurfaceCloud, shapes: Sequence[Shape], margin: float) -> SurfaceCloud:
     """The points farther than ``margin`` metres outside all of the shapes."""
     return cloud.select(nearest_shapes(cloud.points, shapes, margin).owner < 0)

@@ -10,13 +10,15 @@ class ShapeSettings:
     """How a cloud becomes shapes. Lengths are metres."""
 
     voxel: float = 0.003  # the cloud is thinned out to this first
-    least_redness: float = -0.24  # (R - G) / (R + G) of fruit and stems; leaves are bluer, about -0.35
+    leaf_contrast: float = 0.10  # of (R - G) / (R + G): what is redder than the leaves by this is none
+    fruit_bend: float = 6.0  # 1/m: what bulges more both ways may be fruit, whatever its color
+    stem_bend: float = 25.0  # likewise one way, and a main stem
+    peduncle_bend: float = 40.0  # or a peduncle
     most_redness: float = 0.1  # of peduncles, which stay green
     least_saturation: float = 0.15  # of fruit and stems; gutters and strings are white
     radii: tuple[float, float] = (0.006, 0.050)  # of tomatoes
     radius_step: float = 0.003
     vote_cell: float = 0.005
-    leaf_contrast: float = 0.10  # redness by which fruit and stems may differ from the leaves
     min_score: float = 0.12  # share of a half sphere's points that vote for its center
     shell: float = 0.004  # points this near a sphere belong to it
     skin_noise: float = 0.0015  # but a stem's may stand out this far

@@ -6,14 +6,14 @@ from cultivar to cultivar and with the light, so it is read off the cloud itself
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.reconstruction.clouds import Cloud, voxel_means
-from greenhouse_gym.shapes.colors import is_colorless, redness
+from greenhouse_gym.shapes.colors import is_colorful, redness
 from greenhouse_gym.shapes.neighborhoods import Neighborhoods
 from greenhouse_gym.shapes.settings import ShapeSettings
 
@@ -24,14 +24,18 @@ _FLAT = 10.0  # 1/m: what bends less both ways is flat
 _FEWEST_FLAT = 200  # pieces that tell the leaves' color
 _MOST_SPREAD = 0.06  # of the redness of leaves, that of reflected and of transmitted light
 
+NO_LEAF = -1.0
+"""The leaves' redness where nothing is flat: everything is redder."""
 
-class Surfaces(NamedTuple):
-    """What is known of the surface around each point of a cloud.
+
+@dataclass(frozen=True, eq=False)
+class SurfaceCloud(Cloud):
+    """A cloud and what is known of the surface around each of its points.
 
     Attributes:
         bends: (n, 2) its principal curvatures in 1/m, the smaller first; positive where it bulges.
         tones: (n,) its redness, smoothed over neighbors.
-        leaf: Redness of the leaves in the middle, or -1 where there are none.
+        leaf: Redness of the leaves in the middle, or `NO_LEAF` where there are none.
         spread: By how much that scatters (a standard deviation, by the quartiles).
     """
 
@@ -40,19 +44,18 @@ class Surfaces(NamedTuple):
     leaf: float
     spread: float
 
-    def select(self, rows: npt.NDArray[np.generic]) -> Surfaces:
-        """The points at ``rows``."""
-        return self._replace(bends=self.bends[rows], tones=self.tones[rows])
+    def select(self, rows: npt.NDArray[np.generic]) -> SurfaceCloud:
+        """The points at ``rows``: indices or a mask."""
+        return replace(
+            self,
+            **{name: getattr(self, name)[rows] for name in ("points", "colors", "normals", "bends", "tones")},
+        )
 
-    def unlike_leaf(self, settings: ShapeSettings) -> npt.NDArray[np.bool_]:
-        """Which points (n,) are redder than the leaves."""
-        return np.asarray(self.tones > self.leaf + max(settings.leaf_contrast, 2.5 * self.spread))
 
-
-def surfaces(cloud: Cloud, settings: ShapeSettings) -> Surfaces:
+def look_at_surfaces(cloud: Cloud, settings: ShapeSettings) -> SurfaceCloud:
     """Look at how a cloud, one point per voxel of ``settings.voxel``, bends around each point."""
     if not len(cloud):
-        return Surfaces(np.zeros((0, 2)), np.zeros(0), -1.0, 0.0)
+        return SurfaceCloud(cloud.points, cloud.colors, cloud.normals, np.zeros((0, 2)), np.zeros(0), NO_LEAF, 0.0)
     cells, cell = voxel_means(cloud, _CELL)
     near = Neighborhoods(cells.points, _REACH)
     # normals change linearly over a bent surface: the shape operator by least squares, within the tangent plane
@@ -62,12 +65,12 @@ def surfaces(cloud: Cloud, settings: ShapeSettings) -> Surfaces:
     operator = np.linalg.solve(place, _within(tangent, near.covariances(cells.points, cells.normals)))
     bends = np.linalg.eigvalsh((operator + operator.transpose(0, 2, 1)) / 2)
     tones = near.mean(redness(cells.colors)[:, None])[:, 0]
-    flat = (np.abs(bends).max(axis=1) < _FLAT) & ~is_colorless(cells.colors, settings)
-    leaf, spread = -1.0, 0.0
+    flat = (np.abs(bends).max(axis=1) < _FLAT) & is_colorful(cells.colors, settings)
+    leaf, spread = NO_LEAF, 0.0
     if np.count_nonzero(flat) >= _FEWEST_FLAT:
         low, leaf, high = np.quantile(tones[flat], (0.25, 0.5, 0.75)).tolist()
         spread = min((high - low) / 1.35, _MOST_SPREAD)
-    return Surfaces(bends[cell], tones[cell], leaf, spread)
+    return SurfaceCloud(cloud.points, cloud.colors, cloud.normals, bends[cell], tones[cell], leaf, spread)
 
 
 def _within(tangent: Array, moments: Array) -> Array:

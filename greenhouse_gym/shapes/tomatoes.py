@@ -12,27 +12,19 @@ from scipy.sparse.csgraph import connected_components
 
 from greenhouse_gym.crop import Tomato
 from greenhouse_gym.geometry import Array, Sphere
-from greenhouse_gym.shapes.colors import could_be_fruit_or_stem, redness
+from greenhouse_gym.shapes.candidates import company, measures
+from greenhouse_gym.shapes.colors import could_be_fruit, redness
+from greenhouse_gym.shapes.credibility import ALONE, BESIDE, IN_ROW, credibility
 from greenhouse_gym.shapes.second_look import look_again
 from greenhouse_gym.shapes.settings import ShapeSettings
 from greenhouse_gym.shapes.spheres import SphereFit, fit_spheres, vote
+from greenhouse_gym.shapes.surfaces import SurfaceCloud
 
 _REDNESS = np.array([-0.12, 0.07, 0.34, 0.77])
 """(R - G) / (R + G) of the skin at ripeness 0, 1/3, 2/3, 1: green, turning, orange, red."""
 
-_CREDIBLE = np.array([14.4, -7.0e3, 36.7, -26.3])
-"""Logistic regression of "is a tomato" on coverage, rmse (m) and alignment, and its offset; on six simulated rows."""
-
-_CREDIBLE_BESIDE = np.array([1.43, 2.5, -5.64e3, 2.98, -76.9, -9.67, 7.71])
-"""The same for spheres of the size of their truss: on the logarithms of the number of points and of coverage, on rmse
-(m), alignment, gap (m) and difference in redness to the nearest tomato, and its offset; on the same rows."""
-
 _SURE = 0.8
 """How credible a tomato must be for others to be looked for beside it."""
-
-_LIKELY = 0.5
-"""How credible these others must be: near a truss much is round."""
-
 
 class FoundTomatoes(NamedTuple):
     """Tomatoes found in a cloud, each with how credible it is, 0 to 1."""
@@ -41,58 +33,53 @@ class FoundTomatoes(NamedTuple):
     confidence: tuple[float, ...]
 
 
-def find_tomatoes(points: Array, normals: Array, colors: Array, settings: ShapeSettings) -> FoundTomatoes:
-    """Find tomatoes in a cloud.
-
-    Args:
-        points: (n, 3) metres, one per voxel of ``settings.voxel``.
-        normals: (n, 3) unit vectors pointing out of the surfaces.
-        colors: (n, 3) RGB in [0, 1].
-        settings: All settings.
-
-    Returns:
-        Spheres with truss numbers, ripeness and confidence.
-    """
-    skin = np.flatnonzero(could_be_fruit_or_stem(colors, settings))
-    points, normals, colors = points[skin], normals[skin], colors[skin]
-    fits = fit_spheres(points, normals, vote(points, normals, settings), settings)
-    credible = [credibility(fit) for fit in fits]
-    sure = choose(fits, credible, len(points), _SURE)
-    tones = redness(colors)
-    for fit in look_again(points, normals, tones, sure, group_trusses(sure, settings.truss_gap), settings):
-        if (likely := credibility_beside(fit, sure, tones)) > _LIKELY:
-            fits.append(fit)
-            credible.append(likely)
-    found = choose(fits, credible, len(points), settings.min_confidence)
+def find_tomatoes(cloud: SurfaceCloud, settings: ShapeSettings) -> FoundTomatoes:
+    """Find tomatoes in a cloud with one point per voxel of ``settings.voxel``."""
+    looks = look(cloud, settings)
+    credible = np.concatenate([credibility(looks.first, IN_ROW), credibility(looks.second, BESIDE)]).tolist()
+    fits = [*looks.fits, *looks.beside]
+    found = choose(fits, credible, len(looks.skin), settings.min_confidence)
     confidence = dict(zip(fits, credible, strict=True))
     return FoundTomatoes(
         tuple(
-            Tomato(fit.center, fit.radius, truss=int(truss), ripeness=ripeness_of(colors[fit.points]))
+            Tomato(fit.center, fit.radius, truss=int(truss), ripeness=ripeness_of(looks.skin.colors[fit.points]))
             for fit, truss in zip(found, group_trusses(found, settings.truss_gap), strict=True)
         ),
         tuple(confidence[fit] for fit in found),
     )
 
 
-def credibility(fit: SphereFit) -> float:
-    """How likely a fitted sphere is a tomato, 0 to 1, by how much of it was seen and how well that fits."""
-    return float(1 / (1 + np.exp(-_CREDIBLE @ [fit.coverage, fit.rmse, fit.alignment, 1.0])))
+class Looks(NamedTuple):
+    """What a first look at a cloud and a second one at its trusses show.
 
-
-def credibility_beside(fit: SphereFit, others: list[SphereFit], tones: Array) -> float:
-    """The same for one of the size of its truss.
-
-    Args:
-        fit: The sphere, fitted to what the others leave unexplained.
-        others: Tomatoes, at least one.
-        tones: (n,) redness of all points.
+    Attributes:
+        skin: The points that may be fruit.
+        fits: Spheres of the first look, among ``skin``.
+        first: Measures (k, m) of these, by themselves and in company.
+        beside: Spheres of the second look, among ``skin``.
+        second: Measures (j, m) of these.
     """
-    centers, radii = _centers_and_radii(others)
-    gaps = np.linalg.norm(centers - fit.center, axis=1) - radii - fit.radius
-    nearest = others[int(gaps.argmin())]
-    unlike = abs(np.median(tones[fit.points]) - np.median(tones[nearest.points]))
-    seen = [np.log(len(fit.points)), np.log(fit.coverage), fit.rmse, fit.alignment]
-    return float(1 / (1 + np.exp(-_CREDIBLE_BESIDE @ [*seen, max(gaps.min(), 0.0), unlike, 1.0])))
+
+    skin: SurfaceCloud
+    fits: list[SphereFit]
+    first: Array
+    beside: list[SphereFit]
+    second: Array
+
+
+def look(cloud: SurfaceCloud, settings: ShapeSettings) -> Looks:
+    """Fit spheres to a cloud, and measure them by themselves and by those that are sure."""
+    skin = cloud.select(could_be_fruit(cloud, settings))
+    fits = fit_spheres(skin.points, skin.normals, vote(skin.points, skin.normals, settings), settings)
+    alone = measures(fits, cloud, settings)
+    sure = choose(fits, credibility(alone, ALONE).tolist(), len(skin), _SURE)
+    trusses = group_trusses(sure, settings.truss_gap)
+    beside = look_again(skin.points, skin.normals, skin.tones, sure, trusses, settings)
+
+    def in_company(fits: list[SphereFit], alone: Array) -> Array:
+        return np.column_stack([alone, company(fits, skin.tones, sure, settings)])
+
+    return Looks(skin, fits, in_company(fits, alone), beside, in_company(beside, measures(beside, cloud, settings)))
 
 
 def choose(fits: list[SphereFit], credible: list[float], count: int, least: float) -> list[SphereFit]:
