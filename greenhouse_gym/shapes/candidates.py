@@ -1,4 +1,4 @@
-"""What tells a fruit from a bent leaf: measures of the spheres that were fitted to a cloud, by shape, color and company.
+"""What tells a fruit from a bent leaf: measures of fitted spheres, by shape, color and company.
 
 A leaf that bends one way, or that goes on beyond the sphere, or passes through it, is none; nor is what is much larger
 than the fruit of the row. Color is compared with the leaves of the same cloud only.
@@ -18,7 +18,8 @@ from greenhouse_gym.shapes.surfaces import NO_LEAF, SurfaceCloud
 
 MEASURES = (
     "coverage", "coverage^2", "log points", "rmse / mm", "alignment", "inside", "beyond", "crossing",
-    "smaller bend", "larger bend", "log plane rmse / rmse", "filled", "contrast", "contrast^2", "tone spread", "log radius",
+    "smaller bend", "larger bend", "log plane rmse / rmse", "filled", "contrast", "contrast^2",
+    "tone spread", "log radius",
 )  # fmt: skip
 """Names of what `measures` gives."""
 
@@ -92,4 +93,4 @@ def company(fits: Sequence[SphereFit], tones: Array, sure: Sequence[SphereFit], 
             float(np.clip(gap[nearest] / 0.01, 0.0, 5.0)),
             abs(float(np.median(tones[fit.points]) - tone[nearest])) / 0.1 if beside.any() else 0.0,
         ])  # fmt: skip
-    return np.array(rows)
+    return np.array(rows).reshape(-1, len(COMPANY))

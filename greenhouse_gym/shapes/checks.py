@@ -20,6 +20,7 @@ from greenhouse_gym.shapes.settings import ShapeSettings
 
 _LONGEST, _HIGHEST = 200.0, 20.0  # metres of a row
 _STRAY_CELL = 0.25  # metres that stray points are away from everything
+_FAR = 4000  # of these lengths; what is farther off still is in one place
 _MOST_STRAYS = 0.01  # share of all points; more are no strays
 _FEWEST = 50  # points that hold a shape
 
@@ -92,7 +93,9 @@ def thinned(whole: Cloud, with_normals: bool, settings: ShapeSettings, notes: No
 
 def _stray(points: Array) -> npt.NDArray[np.bool_]:
     """Which points (n,) are few and far from all others."""
-    cells, cell = np.unique(np.floor(points / _STRAY_CELL), axis=0, return_inverse=True)
+    cubes = np.clip(np.floor((points - np.median(points, axis=0)) / _STRAY_CELL), -_FAR, _FAR).astype(np.int64)
+    cells, cell = np.unique((cubes + _FAR) @ [1, 4 * _FAR, 16 * _FAR**2], return_inverse=True)
+    cells = np.stack([cells % (4 * _FAR), cells // (4 * _FAR) % (4 * _FAR), cells // (16 * _FAR**2)], axis=1)
     pairs = cKDTree(cells).query_pairs(1.8, output_type="ndarray")
     links = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(len(cells),) * 2)
     part = connected_components(links, directed=False)[1][cell.ravel()]

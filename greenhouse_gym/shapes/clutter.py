@@ -25,6 +25,7 @@ THINNEST = 0.0025
 """Smallest half extent of a box, metres: about the noise of the cloud."""
 
 _TOLERATED = 0.15  # share of a box's surface that may be empty
+_OPEN = 2e-4  # square metres of empty surface that a point weighs that a box holds though it should not
 _MOST_SPLIT = 3  # times the wanted number of boxes are made before they are joined
 _NEIGHBORS = 6  # of which a box may be joined with one, itself counted
 _CUTS = (0.3, 0.4, 0.5, 0.6, 0.7)  # where along its axes a box may be split
@@ -38,6 +39,13 @@ class _Bounds(NamedTuple):
     rotation: Array
 
 
+class _Cloud(NamedTuple):
+    """Cells (n, 3) to be covered, and points that no box is to hold."""
+
+    centers: Array
+    open: cKDTree
+
+
 class _Piece(NamedTuple):
     """Points, their box, how much of its surface (square metres) is far from all of them, and as a share."""
 
@@ -47,24 +55,35 @@ class _Piece(NamedTuple):
     share: float
 
 
-def cover(points: Array, normals: Array, budget: int, settings: ShapeSettings) -> list[Box]:
-    """Cover points (n, 3) with normals (n, 3) with at most about ``budget`` oriented boxes.
+def cover(
+    points: Array, normals: Array, budget: int, settings: ShapeSettings, open_points: Array | None = None
+) -> list[Box]:
+    """Cover points with as many oriented boxes as they need, but about ``budget`` at most.
 
     Specks are left out: a handful of cells with points in them is noise.
+
+    Args:
+        points: (n, 3) metres.
+        normals: (n, 3) unit vectors.
+        budget: Most boxes.
+        settings: All settings.
+        open_points: (k, 3) points that were seen and belong to something else, fruit for instance: no box may hold them
+            if it can be helped.
     """
     if not len(points) or budget < 1:
         return []
     centers, facing = _cells(points, normals, settings.clutter_cell)
-    found = [_boxed(centers, rows, settings) for rows in flat_patches(centers, facing, settings)]
+    cloud = _Cloud(centers, cKDTree(open_points if open_points is not None else np.zeros((0, 3))))
+    found = [_boxed(cloud, rows, settings) for rows in flat_patches(centers, facing, settings)]
     missed = np.flatnonzero(
         nearest_shapes(centers, [Box(*piece.bounds) for piece in found], settings.clutter_near).owner < 0
     )
-    found += [_boxed(centers, missed[rows], settings) for rows in lumps(centers[missed], settings)]
-    pieces = _exact(centers, found, _MOST_SPLIT * budget, settings)
-    return [Box(*piece.bounds) for piece in _fewer(centers, pieces, budget, settings)]
+    found += [_boxed(cloud, missed[rows], settings) for rows in lumps(centers[missed], settings)]
+    pieces = _exact(cloud, found, _MOST_SPLIT * budget, settings)
+    return [Box(*piece.bounds) for piece in _fewer(cloud, pieces, budget, settings)]
 
 
-def _exact(points: Array, pieces: Sequence[_Piece], most: int, settings: ShapeSettings) -> list[_Piece]:
+def _exact(cloud: _Cloud, pieces: Sequence[_Piece], most: int, settings: ShapeSettings) -> list[_Piece]:
     """Split, again and again, the piece that claims most empty space, until they claim hardly any or are too many."""
     number = itertools.count()  # settles ties
     heap = [(-piece.claimed, next(number), piece) for piece in pieces]
@@ -72,7 +91,7 @@ def _exact(points: Array, pieces: Sequence[_Piece], most: int, settings: ShapeSe
     done: list[_Piece] = []
     while heap and len(heap) + len(done) < most:
         piece = heapq.heappop(heap)[-1]
-        parts = _split(points, piece, settings) if piece.share > _TOLERATED else None
+        parts = _split(cloud, piece, settings) if piece.share > _TOLERATED else None
         if parts is None:
             done.append(piece)
             continue
@@ -81,11 +100,12 @@ def _exact(points: Array, pieces: Sequence[_Piece], most: int, settings: ShapeSe
     return done + [piece for _, _, piece in heap]
 
 
-def _fewer(points: Array, pieces: Sequence[_Piece], budget: int, settings: ShapeSettings) -> Iterable[_Piece]:
-    """Join neighbors until the budget is kept: always the two whose common box claims least beyond their own."""
+def _fewer(cloud: _Cloud, pieces: Sequence[_Piece], budget: int, settings: ShapeSettings) -> Iterable[_Piece]:
+    """Join neighbors until the budget is kept, and as long as it costs hardly anything.
+
+    It is always the two whose common box claims least beyond their own.
+    """
     alive = dict(enumerate(pieces))
-    if len(alive) <= budget:
-        return pieces
     centers = np.array([piece.bounds.center for piece in pieces])
     nearest = cKDTree(centers).query(centers, k=min(_NEIGHBORS, len(pieces)))[1]
     near: dict[int, set[int]] = {i: set() for i in alive}
@@ -94,12 +114,12 @@ def _fewer(points: Array, pieces: Sequence[_Piece], budget: int, settings: Shape
         near[j].add(i)
 
     def joined(i: int, j: int) -> tuple[float, int, int, _Piece]:
-        union = _boxed(points, np.concatenate([alive[i].rows, alive[j].rows]), settings)
+        union = _boxed(cloud, np.concatenate([alive[i].rows, alive[j].rows]), settings)
         return union.claimed - alive[i].claimed - alive[j].claimed, i, j, union
 
     heap = [joined(i, j) for i in near for j in near[i] if i < j]
     heapq.heapify(heap)
-    while len(alive) > budget and heap:
+    while heap and (len(alive) > budget or heap[0][0] < settings.clutter_claim):
         _, i, j, union = heapq.heappop(heap)
         if i not in alive or j not in alive:
             continue
@@ -123,11 +143,11 @@ def _cells(points: Array, normals: Array, cell: float) -> tuple[Array, Array]:
     return means, facing / np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-9)
 
 
-def _split(points: Array, piece: _Piece, settings: ShapeSettings) -> tuple[_Piece, _Piece] | None:
+def _split(cloud: _Cloud, piece: _Piece, settings: ShapeSettings) -> tuple[_Piece, _Piece] | None:
     """The two parts of a piece that together claim least, cut across one of its box's axes."""
     best: tuple[_Piece, _Piece] | None = None
     box = piece.bounds
-    local = (points[piece.rows] - box.center) @ box.rotation / box.half_extents
+    local = (cloud.centers[piece.rows] - box.center) @ box.rotation / box.half_extents
     for axis in range(3):
         if box.half_extents[axis] < 2 * settings.clutter_margin:
             continue
@@ -136,20 +156,25 @@ def _split(points: Array, piece: _Piece, settings: ShapeSettings) -> tuple[_Piec
             if min(np.count_nonzero(beyond), np.count_nonzero(~beyond)) < settings.min_lump_cells:
                 continue
             parts = (
-                _boxed(points, piece.rows[beyond], settings),
-                _boxed(points, piece.rows[~beyond], settings),
+                _boxed(cloud, piece.rows[beyond], settings),
+                _boxed(cloud, piece.rows[~beyond], settings),
             )
             if best is None or parts[0].claimed + parts[1].claimed < best[0].claimed + best[1].claimed:
                 best = parts
     return best
 
 
-def _boxed(points: Array, rows: npt.NDArray[np.int64], settings: ShapeSettings) -> _Piece:
-    box = _bounds(points[rows])
+def _boxed(cloud: _Cloud, rows: npt.NDArray[np.int64], settings: ShapeSettings) -> _Piece:
+    points = cloud.centers[rows]
+    box = _bounds(points)
     surface, areas = _surface(box, settings.clutter_margin)
-    far = cKDTree(points[rows]).query(surface, distance_upper_bound=settings.clutter_margin)[0] == np.inf
-    claimed = float(areas[far].sum())
-    return _Piece(rows, box, claimed, claimed / float(areas.sum()))
+    far = cKDTree(points).query(surface, distance_upper_bound=settings.clutter_margin)[0] == np.inf
+    claimed, area = float(areas[far].sum()), float(areas.sum())
+    if cloud.open.n:
+        near = cloud.open.query_ball_point(box.center, float(np.linalg.norm(box.half_extents)))
+        inside = np.abs((cloud.open.data[near] - box.center) @ box.rotation) < box.half_extents
+        claimed += _OPEN * np.count_nonzero(inside.all(axis=1))
+    return _Piece(rows, box, claimed, claimed / area)
 
 
 def _surface(box: _Bounds, spacing: float) -> tuple[Array, Array]:

@@ -22,12 +22,16 @@ Mask = npt.NDArray[np.bool_]
 
 def could_be_fruit(cloud: SurfaceCloud, settings: ShapeSettings) -> Mask:
     """Which points (n,) may be skin of a tomato, ripe or not: redder than leaves, or bulging both ways."""
-    return is_colorful(cloud.colors, settings) & (_is_no_leaf(cloud, settings) | (cloud.bends[:, 0] > settings.fruit_bend))
+    return is_colorful(cloud.colors, settings) & (
+        _is_no_leaf(cloud, settings) | (cloud.bends[:, 0] > settings.fruit_bend)
+    )
 
 
 def could_be_stem(cloud: SurfaceCloud, settings: ShapeSettings) -> Mask:
     """Which points (n,) may lie on a main stem: redder than leaves, or bulging one way at least."""
-    return is_colorful(cloud.colors, settings) & (_is_no_leaf(cloud, settings) | (cloud.bends[:, 1] > settings.stem_bend))
+    return is_colorful(cloud.colors, settings) & (
+        _is_no_leaf(cloud, settings) | (cloud.bends[:, 1] > settings.stem_bend)
+    )
 
 
 def could_be_peduncle(cloud: SurfaceCloud, settings: ShapeSettings) -> Mask:

@@ -1,13 +1,13 @@
 """Fruit that is longer or flatter than a ball: spheroids fitted to what the spheres have found.
 
-From one side hardly anything tells how deep a fruit is. But the fruits of a row are of one cultivar, and as many of them
-lie this way as that: how long they are for their width is estimated from those that are seen well, and then held fast
-while each fruit's center, size and direction are refined. Fruit hangs more upright than not.
+From one side hardly anything tells how deep a fruit is. But the fruits of a row are of one cultivar, and some show their
+length and some their end: how long they are for their width is what explains all together best. Held fast, it lets each
+fruit's center, size and direction be refined.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,19 +16,21 @@ from scipy.spatial import cKDTree
 
 from greenhouse_gym.geometry import Array, frame_along
 from greenhouse_gym.shapes.settings import ShapeSettings
-from greenhouse_gym.shapes.spheres import SphereFit, shell_of
+from greenhouse_gym.shapes.spheres import SphereFit, even_directions, shell_of
 from greenhouse_gym.shapes.surfaces import SurfaceCloud
 
-_MOST_POINTS = 250  # a fit looks at
+_FRAMES = [frame_along(axis) for axis in even_directions(26) if axis[2] > 0]  # whose axes are tried first
+_MOST_POINTS = 120  # a fit looks at
 _NOISE = 0.0015  # metres: points farther off count less
 _ALIGNED = 0.5  # least cosine between normals and the sphere's
 _WELL_SEEN = 0.22  # share of a sphere that must show to tell how long a fruit is
 _FEWEST_SEEN = 6  # fruits that tell it
-_FREE, _HELD = 0.5, 0.02  # standard deviations of log length / width before and after the row has told it
-_TILT = 0.6  # standard deviation of an axis from the vertical, a tangent
-_PRIOR = 0.0015  # metres: what one standard deviation weighs, times the root of the number of points
-_LEAST = 0.04  # |log length / width| below which fruit is round
-_MOST = 0.7
+_STRETCHES = np.linspace(-0.4, 0.56, 9)  # log length / width that are tried
+_LEAST = 0.06  # of it below which fruit is round
+_SAVED = 0.06  # share of the cost of round fruit that other fruit must save
+_TRIED = 12  # fruits that are asked
+_LEAN = 1.5  # standard deviation of an axis from the vertical, a tangent: fruit hangs more upright than not
+_SIZE = 0.15  # standard deviation of a width from the sphere's, a logarithm
 
 
 class Spheroid(NamedTuple):
@@ -68,11 +70,17 @@ def stretched(fits: Sequence[SphereFit], cloud: SurfaceCloud, settings: ShapeSet
     seen = [k for k, fit in enumerate(fits) if fit.coverage > _WELL_SEEN and len(skins[k]) >= 40]
     if len(seen) < _FEWEST_SEEN:
         return None
-    free = [_fit(fits[k], skins[k], 0.0, _FREE) for k in seen]
-    usual = float(np.clip(np.median([one.stretch for one in free]), -_MOST, _MOST))
-    if abs(usual) < _LEAST:
+    asked = seen[:: max(1, len(seen) // _TRIED)]
+    costs = np.array([sum(_fit(fits[k], skins[k], stretch)[1] for k in asked) for stretch in _STRETCHES])
+    best = int(np.argmin(costs))
+    stretch = float(_STRETCHES[best])
+    if 0 < best < len(costs) - 1:  # the vertex of the parabola through the three lowest
+        below, here, above = costs[best - 1 : best + 2]
+        stretch += float(_STRETCHES[1] - _STRETCHES[0]) * float((below - above) / (2 * (below - 2 * here + above)))
+    round_cost = float(np.interp(0.0, _STRETCHES, costs))
+    if abs(stretch) < _LEAST or costs[best] > (1 - _SAVED) * round_cost:
         return None
-    return [_fit(fit, skin, usual, _HELD) for fit, skin in zip(fits, skins, strict=True)]
+    return [_fit(fit, skin, stretch)[0] for fit, skin in zip(fits, skins, strict=True)]
 
 
 def _skins(fits: Sequence[SphereFit], cloud: SurfaceCloud, settings: ShapeSettings) -> list[Array]:
@@ -94,32 +102,40 @@ def _skins(fits: Sequence[SphereFit], cloud: SurfaceCloud, settings: ShapeSettin
     return skins
 
 
-def _fit(fit: SphereFit, skin: Array, stretch: float, deviation: float) -> Spheroid:
-    """The spheroid with least robust distances from points (k, 3), its stretch held near one by so much."""
+def _fit(fit: SphereFit, skin: Array, stretch: float) -> tuple[Spheroid, float]:
+    """The spheroid of one stretch with least robust distances from points (k, 3), and their cost."""
+    start = Spheroid(fit.center, fit.radius * np.exp(-stretch / 3), stretch, np.array([0.0, 0.0, 1.0]))
     if len(skin) < 8:
-        return Spheroid(fit.center, fit.radius * np.exp(-stretch / 3), stretch, np.array([0.0, 0.0, 1.0]))
-    away = skin - fit.center
-    weight = _PRIOR * np.sqrt(len(skin))
+        return start, 0.0
+    weight = 0.3 * np.sqrt(len(skin))
+    fits = []
+    for frame in _FRAMES:
 
-    def spheroid(x: Array) -> Spheroid:
-        axis = np.array([x[5], x[6], 1.0])
-        return Spheroid(
-            fit.center + 0.01 * x[:3], fit.radius * np.exp(x[3] - x[4] / 3), float(x[4]), axis / np.linalg.norm(axis)
-        )
+        def spheroid(x: Array, frame: Array = frame) -> Spheroid:
+            axis = frame @ [x[4], x[5], 1.0]
+            return Spheroid(
+                fit.center + 0.01 * x[:3], start.width * float(np.exp(x[3])), stretch, axis / np.linalg.norm(axis)
+            )
 
-    def cost(x: Array) -> Array:
-        one = spheroid(x)
-        local = away - 0.01 * x[:3]
-        along = local @ one.axis
-        across = np.sqrt(np.maximum((local * local).sum(axis=1) - along**2, 1e-12))
-        long = one.width * np.exp(one.stretch)
-        level = np.sqrt((across / one.width) ** 2 + (along / long) ** 2)
-        slope = np.sqrt((across / one.width**2) ** 2 + (along / long**2) ** 2) / np.maximum(level, 1e-6)
-        off = (level - 1) / np.maximum(slope, 1e-6) / _NOISE
-        off = off / np.sqrt(1 + off**2 / 8)  # what is far off counts as much as what is not near
-        prior = [(x[4] - stretch) / deviation, x[5] / _TILT, x[6] / _TILT, x[3] / 0.3]
-        return np.concatenate([off * _NOISE, 0.3 * weight * np.array(prior)]) / _NOISE
+        def cost(x: Array, spheroid: Callable[[Array], Spheroid] = spheroid) -> Array:
+            one = spheroid(x)
+            off = _distances(one, skin) / _NOISE
+            off /= np.sqrt(1 + off**2 / 8)  # what is far off counts little more than what is not near
+            lean = np.hypot(*one.axis[:2]) / max(abs(one.axis[2]), 0.2)
+            return np.append(off, weight * np.array([lean / _LEAN, x[3] / _SIZE]))
 
-    starts = [np.array([0.0, 0.0, 0.0, 0.0, stretch, *tilt]) for tilt in ((0.0, 0.0), (0.7, 0.0), (-0.7, 0.0), (0.0, 0.7), (0.0, -0.7))]
-    best = min(starts, key=lambda x: float((cost(x) ** 2).sum()))
-    return spheroid(least_squares(cost, best, max_nfev=25).x)
+        fits.append((float((cost(np.zeros(6)) ** 2).sum()), spheroid, cost))
+    _, spheroid, cost = min(fits, key=lambda f: f[0])
+    found = least_squares(cost, np.zeros(6), max_nfev=15)
+    return spheroid(found.x), 2 * float(found.cost)
+
+
+def _distances(spheroid: Spheroid, points: Array) -> Array:
+    """Signed distances (n,) of points (n, 3) from a spheroid, to first order."""
+    local = points - spheroid.center
+    along = local @ spheroid.axis
+    across = np.sqrt(np.maximum((local * local).sum(axis=1) - along**2, 1e-12))
+    long = spheroid.width * np.exp(spheroid.stretch)
+    level = np.sqrt((across / spheroid.width) ** 2 + (along / long) ** 2)
+    slope = np.sqrt((across / spheroid.width**2) ** 2 + (along / long**2) ** 2) / np.maximum(level, 1e-6)
+    return np.asarray((level - 1) / np.maximum(slope, 1e-6))

@@ -43,5 +43,6 @@ def _bounds(shape: Shape, margin: float) -> tuple[Array, Array]:
     if isinstance(shape, Box):
         half = np.abs(shape.rotation) @ shape.half_extents + margin
         return shape.center - half, shape.center + half
+    reach = shape.radius if getattr(shape, "semi_axes", None) is None else float(np.max(shape.semi_axes))
     ends = np.array([shape.start, shape.end] if isinstance(shape, Capsule) else [shape.center])
-    return ends.min(axis=0) - shape.radius - margin, ends.max(axis=0) + shape.radius + margin
+    return ends.min(axis=0) - reach - margin, ends.max(axis=0) + reach + margin

@@ -84,6 +84,7 @@ def extract_shapes(
     tomatoes, confidence = find_tomatoes(cloud, settings)
     green = cloud.select(could_be_peduncle(cloud, settings))
     green = green.select(stands_out(green.points, green.normals, tomatoes, settings))
+    skin = cloud.points[nearest_shapes(cloud.points, tomatoes, settings.skin_noise).owner >= 0]
     cloud = _without(cloud, tomatoes, settings.shell)
     woody, pale = cloud.select(could_be_stem(cloud, settings)), cloud.select(~is_colorful(cloud.colors, settings))
     upright = (
@@ -98,7 +99,7 @@ def extract_shapes(
     stems = (*upright, *hanging, *pipes)
     cloud = _without(_without(cloud, upright, settings.stem_margin), hanging, settings.shell)
     budget = round(settings.clutter_per_metre * float(np.ptp(cloud.points[:, 1]))) if len(cloud) else 0
-    clutter = tuple(cover(cloud.points, cloud.normals, max(budget, 10), settings))
+    clutter = tuple(cover(cloud.points, cloud.normals, max(budget, 10), settings, skin))
     evidence = nearest_shapes(whole.points, (*tomatoes, *stems, *clutter), settings.explained)
     return RowShapes(tomatoes, stems, clutter, confidence, evidence, tuple(notes.messages))
 

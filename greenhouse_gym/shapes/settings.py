@@ -20,10 +20,11 @@ class ShapeSettings:
     radius_step: float = 0.003
     vote_cell: float = 0.005
     min_score: float = 0.12  # share of a half sphere's points that vote for its center
+    min_score_small: float = 0.25  # likewise of the smallest octave, where leaves are full of such
     shell: float = 0.004  # points this near a sphere belong to it
     skin_noise: float = 0.0015  # but a stem's may stand out this far
     skin_alignment: float = 0.8  # and the cosine between their normals and the sphere's is smaller
-    min_confidence: float = 0.25  # of a tomato
+    min_confidence: float = 0.4  # of a tomato
     truss_gap: float = 0.035  # between the skins of neighbours on one truss
     pipe_radii: tuple[float, float] = (0.014, 0.057)  # from 28 mm grow pipes to mains 114 mm across
     pipe_gap: float = 0.05  # hidden part of a pipe that is bridged
@@ -53,7 +54,8 @@ class ShapeSettings:
     pedicel_reach: float = 0.008  # from the last point of a pedicel to the skin
     axis_tolerance: float = 0.009  # a chain of capsules may be this far from the traced axis
     upright_tolerance: float = 0.008  # likewise for main stems and strings
-    clutter_per_metre: int = 38  # boxes
+    clutter_per_metre: int = 110  # boxes at most
+    clutter_claim: float = 0.003  # square metres of empty surface at which two boxes still become one
     clutter_cell: float = 0.005  # boxes are looked for among the cells of this size that hold points
     clutter_facing: float = 0.9  # cosine between the normals of neighbors on one smooth patch
     clutter_flat: float = 0.006  # cells of one flat patch lie this near its plane
@@ -68,6 +70,7 @@ class ShapeSettings:
 
 FINE_SHAPES = ShapeSettings(
     clutter_per_metre=250,
+    clutter_claim=0.0003,
     min_lump_cells=8,
     clutter_flat=0.002,
     clutter_margin=0.008,

@@ -70,20 +70,23 @@ def vote(points: Array, normals: Array, settings: ShapeSettings) -> Array:
         return np.zeros((0, 4))
     octaves = max(1, round(np.log2(settings.radii[1] / settings.radii[0])))
     edges = np.geomspace(settings.radii[0], settings.radii[1] + settings.radius_step, octaves + 1)
-    return np.concatenate([
-        _of_octave(points, normals, np.arange(low, high - 1e-9, min(settings.radius_step, low / 4)), settings)
-        for low, high in pairwise(edges)
-    ])
+    return np.concatenate(
+        [
+            _of_octave(points, normals, np.arange(low, high - 1e-9, min(settings.radius_step, low / 4)), settings)
+            for low, high in pairwise(edges)
+        ]
+    )
 
 
 def _of_octave(points: Array, normals: Array, radii: Array, settings: ShapeSettings) -> Array:
     """Candidates (k, 4) of one octave: what nothing near has more votes than."""
     cell = min(settings.vote_cell, 0.4 * float(radii[0]))
+    score = settings.min_score if radii[0] >= 2 * settings.radii[0] else settings.min_score_small
     candidates, shares = [np.zeros((0, 4))], [np.zeros(0)]
     for radius in radii:
         half = 2 * np.pi * radius**2  # square metres
         # a plane's votes fall into one layer of cells
-        least = max(settings.min_score, _ABOVE_PLANE * (3 * cell) ** 2 / half)
+        least = max(score, _ABOVE_PLANE * (3 * cell) ** 2 / half)
         centers, votes = crowded((points - radius * normals) / cell, least * half / settings.voxel**2)
         candidates.append(np.column_stack([centers * cell, np.full(len(centers), radius)]))
         shares.append(votes * settings.voxel**2 / half)

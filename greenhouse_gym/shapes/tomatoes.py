@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +15,7 @@ from greenhouse_gym.geometry import Array, Sphere
 from greenhouse_gym.shapes.candidates import company, measures
 from greenhouse_gym.shapes.colors import could_be_fruit, redness
 from greenhouse_gym.shapes.credibility import ALONE, BESIDE, IN_ROW, credibility
+from greenhouse_gym.shapes.ellipsoids import Spheroid, stretched
 from greenhouse_gym.shapes.second_look import look_again
 from greenhouse_gym.shapes.settings import ShapeSettings
 from greenhouse_gym.shapes.spheres import SphereFit, fit_spheres, vote
@@ -25,6 +26,7 @@ _REDNESS = np.array([-0.12, 0.07, 0.34, 0.77])
 
 _SURE = 0.8
 """How credible a tomato must be for others to be looked for beside it."""
+
 
 class FoundTomatoes(NamedTuple):
     """Tomatoes found in a cloud, each with how credible it is, 0 to 1."""
@@ -41,12 +43,23 @@ def find_tomatoes(cloud: SurfaceCloud, settings: ShapeSettings) -> FoundTomatoes
     found = choose(fits, credible, len(looks.skin), settings.min_confidence)
     confidence = dict(zip(fits, credible, strict=True))
     return FoundTomatoes(
-        tuple(
-            Tomato(fit.center, fit.radius, truss=int(truss), ripeness=ripeness_of(looks.skin.colors[fit.points]))
-            for fit, truss in zip(found, group_trusses(found, settings.truss_gap), strict=True)
-        ),
+        tuple(_tomatoes(found, stretched(found, looks.skin, settings), looks.skin, settings)),
         tuple(confidence[fit] for fit in found),
     )
+
+
+def _tomatoes(
+    fits: list[SphereFit], spheroids: list[Spheroid] | None, skin: SurfaceCloud, settings: ShapeSettings
+) -> Iterator[Tomato]:
+    """Spheres as tomatoes, or the spheroids that the row's fruit is."""
+    trusses = group_trusses(fits if spheroids is None else spheroids, settings.truss_gap)
+    for k, (fit, truss) in enumerate(zip(fits, trusses.tolist(), strict=True)):
+        ripeness = ripeness_of(skin.colors[fit.points])
+        if spheroids is None:
+            yield Tomato(fit.center, fit.radius, truss, ripeness)
+        else:
+            own = spheroids[k]
+            yield Tomato(own.center, own.radius, truss, ripeness, own.semi_axes, own.rotation)
 
 
 class Looks(NamedTuple):
@@ -105,7 +118,7 @@ def choose(fits: list[SphereFit], credible: list[float], count: int, least: floa
     return sorted([fits[k] for k in chosen], key=lambda f: tuple(np.round(f.center[[1, 2, 0]], 3)))
 
 
-def group_trusses(fruits: Sequence[Sphere], gap: float) -> npt.NDArray[np.int32]:
+def group_trusses(fruits: Sequence[Sphere | Spheroid], gap: float) -> npt.NDArray[np.int32]:
     """Truss number (n,) of each fruit: fruits whose skins are less than ``gap`` metres apart hang together."""
     centers, radii = _centers_and_radii(fruits)
     distance = np.linalg.norm(centers[:, None] - centers[None], axis=-1) - radii[:, None] - radii[None]
@@ -117,6 +130,6 @@ def ripeness_of(colors: Array) -> float:
     return float(np.round(np.interp(np.median(redness(colors)), _REDNESS, np.linspace(0, 1, len(_REDNESS))), 3))
 
 
-def _centers_and_radii(spheres: Sequence[Sphere]) -> tuple[Array, Array]:
+def _centers_and_radii(spheres: Sequence[Sphere | Spheroid]) -> tuple[Array, Array]:
     """(n, 3) and (n,)."""
     return np.array([s.center for s in spheres]).reshape(-1, 3), np.array([s.radius for s in spheres])

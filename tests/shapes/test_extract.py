@@ -11,12 +11,14 @@ from greenhouse_gym.capture.raycast import RIPENESS_COLORS
 from greenhouse_gym.crop import Stem, Tomato
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Sphere, distance_to_shapes, invert, transform
+from greenhouse_gym.reconstruction.clouds import Cloud
 from greenhouse_gym.shapes import FINE_SHAPES, RowShapes, ShapeSettings, ShapeWarning, extract_shapes
 from greenhouse_gym.shapes.clutter import bounding_box, cover
-from greenhouse_gym.shapes.colors import could_be_fruit_or_stem, could_be_peduncle
+from greenhouse_gym.shapes.colors import could_be_fruit, could_be_peduncle, could_be_stem, redness
 from greenhouse_gym.shapes.evidence import nearest_shapes
 from greenhouse_gym.shapes.peduncles import find_peduncles, stands_out
 from greenhouse_gym.shapes.polylines import fitted, kept_rows
+from greenhouse_gym.shapes.surfaces import NO_LEAF, SurfaceCloud, look_at_surfaces
 from greenhouse_gym.shapes.tomatoes import group_trusses, ripeness_of
 
 SETTINGS = ShapeSettings()
@@ -247,8 +249,8 @@ def test_a_stem_on_the_skin_stands_out() -> None:
 
 def test_ripe_skin_is_no_peduncle_and_gray_may_be() -> None:
     colors = np.array([RIPENESS_COLORS[-1], [0.45, 0.6, 0.3]])
-    np.testing.assert_array_equal(could_be_peduncle(colors, SETTINGS), [False, True])
-    assert could_be_peduncle(np.full((4, 3), 0.5), SETTINGS).all()
+    np.testing.assert_array_equal(could_be_peduncle(as_surface(colors), SETTINGS), [False, True])
+    assert could_be_peduncle(as_surface(np.full((4, 3), 0.5)), SETTINGS).all()
 
 
 @pytest.mark.parametrize("tolerance", [0.001, 0.01])
@@ -314,12 +316,45 @@ def test_the_nearest_shape_is_the_one_that_distances_name(seed: int) -> None:
 # -- colors -----------------------------------------------------------------------------------------------------------
 
 
+def as_surface(colors: np.ndarray, bends: tuple[float, float] = (0.0, 0.0), leaf: float = NO_LEAF) -> SurfaceCloud:
+    """Points of some colors that all bend alike, among leaves of one redness."""
+    nothing = np.zeros((len(colors), 3))
+    return SurfaceCloud(nothing, colors, nothing, np.tile(bends, (len(colors), 1)), redness(colors), leaf, 0.01)
+
+
 def test_leaves_gutters_and_strings_are_neither_fruit_nor_stem() -> None:
     plant = np.array([*RIPENESS_COLORS, [0.36, 0.50, 0.22]])
     other = np.array([[0.20, 0.42, 0.16], [0.90, 0.90, 0.88], [0.85, 0.84, 0.78]])
-    assert could_be_fruit_or_stem(np.concatenate([plant, other]), SETTINGS).tolist() == [True] * 5 + [False] * 3
-    assert could_be_fruit_or_stem(np.full((4, 3), 0.5), SETTINGS).all()  # no colors at all
-    assert len(could_be_fruit_or_stem(np.zeros((0, 3)), SETTINGS)) == 0
+    cloud = as_surface(np.concatenate([plant, other]), leaf=-0.36)
+    assert (
+        could_be_fruit(cloud, SETTINGS).tolist() == could_be_stem(cloud, SETTINGS).tolist() == [True] * 5 + [False] * 3
+    )
+    assert could_be_fruit(as_surface(np.full((4, 3), 0.5)), SETTINGS).all()  # no colors at all
+    assert len(could_be_fruit(as_surface(np.zeros((0, 3))), SETTINGS)) == 0
+
+
+@pytest.mark.parametrize(
+    ("bends", "fruit", "stem"), [((0, 3), 0, 0), ((30, 35), 1, 1), ((0, 120), 0, 1), ((-9, 9), 0, 0)]
+)
+def test_what_bends_like_fruit_or_stem_may_be_such_in_the_color_of_leaves(
+    bends: tuple[float, float], fruit: bool, stem: bool
+) -> None:
+    cloud = as_surface(np.array([[0.3, 0.4, 0.2]]), bends, leaf=-0.14)
+    assert could_be_fruit(cloud, SETTINGS).tolist() == [fruit]
+    assert could_be_stem(cloud, SETTINGS).tolist() == [stem]
+
+
+def test_bends_and_the_color_of_leaves_are_read_off_a_cloud() -> None:
+    ball, stem, leaf = half_sphere((0.45, 0.2, 1.1), 0.03), cylinder(0.5, 0.5, 0.6, 1.4, 0.008), plane()
+    leaf = (leaf[0] + [0.1, 1.0, 0.0], np.tile([0.24, 0.36, 0.2], (len(leaf[0]), 1)), leaf[2])
+    cloud = look_at_surfaces(Cloud(*together(ball, stem, leaf)), SETTINGS)
+    kind = np.repeat([0, 1, 2], [len(part[0]) for part in (ball, stem, leaf)])
+    of_ball, of_stem, of_leaf = (np.median(cloud.bends[kind == k], axis=0) for k in range(3))
+    np.testing.assert_allclose(of_ball, 1 / 0.03, rtol=0.35)
+    assert abs(of_stem[0]) < 0.1 * of_stem[1]
+    assert of_stem[1] > 60
+    assert np.abs(of_leaf).max() < 5
+    assert cloud.leaf == pytest.approx(-0.2, abs=0.01)
 
 
 # -- clutter ----------------------------------------------------------------------------------------------------------
