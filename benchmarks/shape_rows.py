@@ -29,7 +29,7 @@ from greenhouse_gym.capture.recordings import INDEX
 from greenhouse_gym.capture.simulated import walk
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.paths import write_atomically
-from greenhouse_gym.plants import STYLES, PlantRow, grow_row
+from greenhouse_gym.plants import DEVELOPMENT_CULTIVARS, HELD_OUT_CULTIVARS, STYLES, PlantRow, grow_row
 from greenhouse_gym.reconstruction import RowCloud, load_row, reconstruct_row, save_row
 from greenhouse_gym.scene.scene import Shapes
 
@@ -37,17 +37,23 @@ CAUSES = ("noisy", "noise-free")
 """Where a cloud comes from: `reconstruct_row` of a noisy recording, or perfect images merged at their true poses."""
 
 
+HELD_OUT_MESHES = range(601, 611)
+"""Seeds of held-out rows of Helios' plants."""
+
+
 @dataclass(frozen=True)
 class Row:
     """A simulated row; week and style follow from the seed.
 
     Attributes:
-        seed: Of the plants, the walk and the noise.
+        seed: Of the plants, the walk and the noise; those of `HELD_OUT_MESHES` are of held-out cultivars.
         length: Metres.
+        source: Where its plants come from, as `grow_row` has it.
     """
 
     seed: int
     length: float = 2.0
+    source: str = "own"
 
     @property
     def week(self) -> int:
@@ -57,16 +63,20 @@ class Row:
     @property
     def style(self) -> str:
         """Fruit style; every style meets every week."""
+        if self.source == "helios":
+            cultivars = list(HELD_OUT_CULTIVARS if self.seed in HELD_OUT_MESHES else DEVELOPMENT_CULTIVARS)
+            return cultivars[(self.seed - 1) % 100 % len(cultivars)]
         return list(STYLES)[(self.seed + self.seed // 3) % len(STYLES)]
 
     @property
     def name(self) -> str:
         """What its files are called."""
-        return f"{self.length:g}m-{self.seed}-week{self.week}-{self.style}"
+        source = "" if self.source == "own" else f"{self.source}-"
+        return f"{source}{self.length:g}m-{self.seed}-week{self.week}-{self.style}"
 
     def grow(self) -> PlantRow:
         """The truth."""
-        return grow_row(self.seed, self.length, self.week, self.style)
+        return grow_row(self.seed, self.length, self.week, self.style, source=self.source)
 
     def poses(self) -> Array:
         """(stations, 4, 4) true poses of the rig."""
