@@ -19,7 +19,7 @@ from greenhouse_gym.shapes.surfaces import NO_LEAF, SurfaceCloud
 MEASURES = (
     "coverage", "coverage^2", "log points", "rmse / mm", "alignment", "inside", "beyond", "crossing",
     "smaller bend", "larger bend", "log plane rmse / rmse", "filled", "contrast", "contrast^2",
-    "tone spread", "log radius",
+    "tone spread", "log radius", "patch's smaller bend", "patch's larger bend",
 )  # fmt: skip
 """Names of what `measures` gives."""
 
@@ -62,8 +62,24 @@ def _measures(fit: SphereFit, cloud: SurfaceCloud, tree: cKDTree, settings: Shap
     return [
         fit.coverage, fit.coverage**2, float(np.log(count)), 1e3 * fit.rmse, fit.alignment, inside, beyond, crossing,
         float(bends[0]), float(bends[1]), even, fit.coverage / (1.02 - middle), contrast, contrast**2,
-        float(high - low) / 0.1, float(np.log(fit.radius / 0.025)),
+        float(high - low) / 0.1, float(np.log(fit.radius / 0.025)), *_bends(unit[skin], cloud.normals[near[skin]]),
     ]  # fmt: skip
+
+
+def _bends(outward: Array, normals: Array) -> list[float]:
+    """How much the normals (k, 3) turn from one side of a patch to the other, both ways, less first; a ball's do by 1.
+
+    Args:
+        outward: (k, 3) unit vectors from the sphere's center to the points.
+        normals: (k, 3) their normals.
+    """
+    if len(outward) < 4:
+        return [0.0, 0.0]
+    away, turned = outward - outward.mean(axis=0), normals - normals.mean(axis=0)
+    across = np.linalg.svd(away, full_matrices=False)[2][:2].T  # the two directions in which the patch is widest
+    place = (away @ across).T @ (away @ across) + 1e-3 * len(away) * np.eye(2)
+    slope = np.linalg.solve(place, (away @ across).T @ (turned @ across))
+    return np.clip(np.linalg.eigvalsh((slope + slope.T) / 2), -1.0, _MOST_BEND).tolist()
 
 
 def company(fits: Sequence[SphereFit], tones: Array, sure: Sequence[SphereFit], settings: ShapeSettings) -> Array:

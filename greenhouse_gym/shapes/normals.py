@@ -19,6 +19,7 @@ _ROUNDS = 8  # in which neighbors agree upon a side
 _CLEAR_BULGE = 4e-4  # metres
 _ONE_SIDE = 0.03  # mean of the unit normals of what bulges clearly; less was seen from all sides
 _CELL = 0.010  # metres: what is thin and long is told at this size
+_ROD_REACH = 0.030  # metres
 _LONG = 4.0  # times as much as across must points vary along a rod
 
 
@@ -39,7 +40,7 @@ def estimate_normals(points: Array, settings: ShapeSettings) -> Array:
     inwards = (_outward(bare, points) * normals).sum(axis=1) < 0
     normals[inwards] *= -1.0
     cells, cell = voxel_means(bare, _CELL)
-    near = Neighborhoods(cells.points, 3 * settings.stem_radii[1])
+    near = Neighborhoods(cells.points, _ROD_REACH)
     variances, axes = np.linalg.eigh(near.covariances(cells.points, cells.points))
     on_rod = (variances[:, 2] > _LONG * variances[:, 1])[cell]
     axis, out = axes[cell[on_rod], :, 2], points[on_rod] - near.mean(cells.points)[cell[on_rod]]

@@ -33,7 +33,7 @@ class ShapeSettings:
     pipe_alignment: float = 0.95  # mean cosine between its points' normals and its own
     pipe_tilt: float = 0.22  # root mean square of its points' normals along its axis; 0.25 and more on a tomato
     pipe_outside: float = 0.5  # points just outside of it per point on it; a box's faces go on beyond their edge
-    stem_radii: tuple[float, float] = (0.003, 0.010)  # of main stems
+    stem_radii: tuple[float, float] = (0.003, 0.016)  # of main stems
     stem_slab: float = 0.03  # slice of height in which a main stem shows as a small disc
     stem_lean: float = 1.0  # metres sideways per metre up of the most slanted stem
     stem_gap: float = 0.30  # hidden part of a main stem that is bridged

@@ -16,6 +16,11 @@ from greenhouse_gym.shapes.settings import ShapeSettings
 
 _BESIDE_STEM = 0.014  # metres by which a disc may be wider: a string beside the stem, and noise
 _BESIDE_STRING = 0.006
+_NEAR = 0.004  # metres from a circle within which points count for it
+_FEWEST = 5  # points that make a circle
+_ROUNDS = 10
+_TAPERING = 8  # sections that tell how a stem tapers
+_ODD = 0.4  # share by which a section's radius may differ from the others' to count
 
 
 class Disc(NamedTuple):
@@ -79,9 +84,11 @@ def _upright(
         if height < settings.min_stem or len(chain) * settings.stem_slab < 0.5 * height:
             break
         sections = _sections(chain, points, normals)
-        radius = _chain_radius(sections, radii)
-        axis = _axis(chain, sections, radius, settings)
-        stems += [Stem(a, b, radius, kind=kind) for a, b in itertools.pairwise(axis)]
+        heights = np.array([disc.center[2] for disc in chain])
+        sizes = _chain_radii(sections, heights, radii)
+        axis = _axis(chain, sections, sizes, settings)
+        at = np.interp((axis[1:, 2] + axis[:-1, 2]) / 2, heights, sizes)
+        stems += [Stem(a, b, r, kind=kind) for (a, b), r in zip(itertools.pairwise(axis), at.tolist(), strict=True)]
         discs = [d for d in discs if _beside(d.center, axis) > 0.02]
     return stems
 
@@ -150,14 +157,39 @@ def _longest_chain(discs: list[Disc], settings: ShapeSettings) -> list[Disc]:
     return [discs[i] for i in reversed(chain)]
 
 
-def _chain_radius(sections: list[tuple[Array, Array]], radii: tuple[float, float]) -> float:
-    """The radius r for which ``point - r * normal`` scatters least within the sections (linear least squares)."""
-    spread = square = 0.0
-    for points, normals in sections:
-        p, n = points - points.mean(axis=0), normals - normals.mean(axis=0)
-        spread += float((p * n).sum())
-        square += float((n * n).sum())
-    return float(np.clip(spread / max(square, 1e-9), *radii))
+def _chain_radii(sections: list[tuple[Array, Array]], heights: Array, radii: tuple[float, float]) -> Array:
+    """The radius (k,) at each section of a chain: circles are fitted to all, and a stem tapers evenly."""
+    rounds = np.array([_circle(points, normals, None, radii)[2] for points, normals in sections])
+    middle = float(np.median(rounds))
+    if len(rounds) < _TAPERING:
+        return np.full(len(rounds), middle)
+    good = np.abs(rounds - middle) < _ODD * middle
+    slope, offset = np.polyfit(heights[good], rounds[good], 1) if good.sum() > _TAPERING / 2 else (0.0, middle)
+    return np.clip(offset + slope * heights, *np.clip([0.7 * middle, 1.4 * middle], *radii))
+
+
+def _circle(
+    points: Array, normals: Array, radius: float | None, radii: tuple[float, float]
+) -> tuple[float, float, float]:
+    """Center and radius of the circle through a section's points (n, 2), by robust least squares; or of one radius."""
+    turned = normals - normals.mean(axis=0)
+    first = float(((points - points.mean(axis=0)) * turned).sum() / max((turned**2).sum(), 1e-9))
+    size = float(np.clip(first, *radii)) if radius is None else radius
+    center = (points - size * normals).mean(axis=0)
+    for _ in range(_ROUNDS):
+        away = points - center
+        distance = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
+        unit, off = away / distance[:, None], distance - size
+        weight = np.clip(1 - (off / _NEAR) ** 2, 0.0, None) ** 2 * ((unit * normals).sum(axis=1) > 0.3)
+        if weight.sum() < _FEWEST:
+            break
+        jacobian = np.column_stack([-unit, -np.ones(len(unit))])
+        held = np.array([1e-3, 1e-3, 1e-3 if radius is None else 1e6])
+        step = np.linalg.solve(
+            jacobian.T @ (weight[:, None] * jacobian) + weight.sum() * np.diag(held), -jacobian.T @ (weight * off)
+        )
+        center, size = center + step[:2], float(np.clip(size + step[2], *radii))
+    return float(center[0]), float(center[1]), size
 
 
 def _sections(chain: list[Disc], points: Array, normals: Array) -> list[tuple[Array, Array]]:
@@ -175,10 +207,10 @@ def _along(vectors: Array, lean: Array) -> Array:
     return np.asarray(vectors[:, :2] - vectors[:, 2:] * lean)
 
 
-def _axis(chain: list[Disc], sections: list[tuple[Array, Array]], radius: float, settings: ShapeSettings) -> Array:
-    """Axis points (k, 3): the discs' points moved inwards by the radius, smoothed along the chain."""
+def _axis(chain: list[Disc], sections: list[tuple[Array, Array]], radii: Array, settings: ShapeSettings) -> Array:
+    """Axis points (k, 3): the middles of circles of known radii (k,), smoothed along the chain."""
     height = np.array([d.center[2] for d in chain])
-    middles = np.array([(points - radius * normals).mean(axis=0) for points, normals in sections])
+    middles = np.array([_circle(*own, r, (r, r))[:2] for own, r in zip(sections, radii.tolist(), strict=True)])
     line = np.polynomial.polynomial.polyfit(height, middles, 1)  # smoothing would bend the ends of a leaning stem
     straight = line[0] + height[:, None] * line[1]
     smooth = ndimage.median_filter(middles - straight, size=(3, 1), mode="nearest")
