@@ -10,13 +10,14 @@ import io
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import perfect_clouds
 from perfect_clouds import NOISE_FREE, perfect_cloud
 
 import greenhouse_gym
-from greenhouse_gym.accuracy import Visibility, VisibleRow, visible_row
+from greenhouse_gym.accuracy import Visibility, VisibleRow, align, visible_row
 from greenhouse_gym.capture import (
     SEED_RIG,
     Recording,
@@ -27,7 +28,7 @@ from greenhouse_gym.capture import (
 )
 from greenhouse_gym.capture.recordings import INDEX
 from greenhouse_gym.capture.simulated import walk
-from greenhouse_gym.geometry import Array
+from greenhouse_gym.geometry import Array, invert
 from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.plants import DEVELOPMENT_CULTIVARS, HELD_OUT_CULTIVARS, STYLES, PlantRow, grow_row
 from greenhouse_gym.reconstruction import RowCloud, load_row, reconstruct_row, save_row
@@ -116,6 +117,27 @@ def cloud_of(row: Row, cause: str, workdir: Path) -> RowCloud:
         file.parent.mkdir(parents=True, exist_ok=True)
         save_row(make(), file)
     return load_row(file)
+
+
+class Known(NamedTuple):
+    """The truth of a row, (stations, 4, 4) true poses, and the pose (4, 4) of a cloud's frame in the world."""
+
+    row: PlantRow
+    world_from_station: Array
+    world_from_row: Array
+
+
+def truth_of(row: Row, cloud: RowCloud, workdir: Path) -> Known:
+    """What is known of a row; for rows of meshes, whose growth takes long, it is read from beside the recording."""
+    if row.source == "own":
+        truth, poses = row.grow(), row.poses()
+        return Known(truth, poses, align(cloud, truth, poses))
+    recording = recording_of(row, workdir)
+    assert recording.truth is not None
+    poses = np.array([station.world_from_station for station in recording])
+    registered = np.flatnonzero(cloud.registered)
+    middle = registered[len(registered) // 2]
+    return Known(recording.truth, poses, poses[middle] @ invert(cloud.world_from_station[middle]))
 
 
 def visible_of(row: Row, workdir: Path) -> VisibleRow:

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from shape_confidence import calibration
 
 from greenhouse_gym.accuracy import (
     OCCLUSION_BANDS,
@@ -51,10 +52,14 @@ def pooled(records: Sequence[Record]) -> Figures:
             "peduncle and pedicel": _stem_figures(thin),
         },
         "coverage": _mean([record["coverage"] for record in records]),
-        "excess": _mean([record["excess"] for record in records]),
-        "collisions": _collision_figures([record["collisions"] for record in records]),
+        "excess": _mean([record["excess"] for record in records if "excess" in record]),
+        "collisions": _collision_figures([record["collisions"] for record in records if "collisions" in record]),
+        "small_tomatoes": _small([record["small_tomatoes"] for record in records]),
+        "calibration": calibration([record["confidence"] for record in records]),
+        "boxes": {name: _mean([r["boxes"][name] for r in records]) for name in records[0]["boxes"]},
         "primitives": {"mean": _mean(counts), "most": max(counts, default=0)},
         "seconds_per_metre": _mean([record["seconds_per_metre"] for record in records]),
+        "processor_seconds_per_metre": _mean([record["processor_seconds_per_metre"] for record in records]),
     }
 
 
@@ -87,11 +92,18 @@ def _stem_figures(stems: StemComparison) -> Figures:
 
 
 def _collision_figures(counts: Sequence[Mapping[str, int]]) -> Figures:
-    total = {name: sum(count[name] for count in counts) for name in counts[0]}
+    names = counts[0] if counts else ("missed", "free_in_shapes", "invented", "free_in_truth")
+    total = {name: sum(count[name] for count in counts) for name in names}
     return total | {
         "missed_share": total["missed"] / max(total["free_in_shapes"], 1),
         "invented_share": total["invented"] / max(total["free_in_truth"], 1),
     }
+
+
+def _small(records: Sequence[Mapping[str, int]]) -> Figures:
+    visible, found, false = (sum(record[name] for record in records) for name in ("visible", "found", "false"))
+    f1 = 2 * found / (visible + found + false) if visible else float("nan")
+    return {"visible": visible, "found": found, "false": false, "f1": f1}
 
 
 def tables(figures: Mapping[str, Figures]) -> str:
@@ -140,7 +152,13 @@ _GOALS = (
     ("collides in the shapes if free in the truth", "<= 5 %", lambda f: _percent(f["collisions"]["invented_share"])),
     ("primitives per scene, mean", "<= 300", lambda f: f"{f['primitives']['mean']:.0f}"),
     ("primitives per scene, most", "", lambda f: f"{f['primitives']['most']}"),
+    ("fruit below 24 mm: F1", ">= 0.80", lambda f: f"{f['small_tomatoes']['f1']:.3f}"),
+    ("true ones among confidence >= 0.8", ">= 90 %", lambda f: _percent(f["calibration"]["sure_and_true"])),
+    ("found fruit with its front in a box", "<= 1 %", lambda f: _percent(f["boxes"]["fronts_inside"])),
+    ("surface of boxes beyond 15 mm of all points", "<= 15 %", lambda f: _percent(f["boxes"]["empty_surface"])),
+    ("points beyond 15 mm of all shapes", "<= 3 %", lambda f: _percent(f["boxes"]["points_left_out"])),
     ("time per metre", "<= 6 s", lambda f: f"{f['seconds_per_metre']:.2f} s"),
+    ("processor time per metre", "", lambda f: f"{f['processor_seconds_per_metre']:.2f} s"),
 )  # fmt: skip
 
 

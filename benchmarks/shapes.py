@@ -1,6 +1,7 @@
 """How right extracted shapes are against the truth of simulated rows, from noisy recordings and from perfect clouds.
 
 python benchmarks/shapes.py --workdir rows
+python benchmarks/shapes.py --workdir rows --source helios [--held-out] --out benchmarks/results/shapes_helios.json
 
 Ten held-out rows: their seeds are used nowhere else; week and fruit style follow from the seed. Each is measured twice:
 on the cloud that `reconstruct_row` makes of a noisy recording, and on perfect images merged at their true poses, which
@@ -13,6 +14,11 @@ of the other side lies within 10 mm and runs within 30 degrees of it; stems coun
 be found, and what was hidden may be: tomatoes as a whole, stems and leaves in pieces of 2 cm, visible if some frame
 shows at least 30 % of the pixels that they alone would cover in it, after the cut at 60 cm and with a depth: the band
 along the image's side in which a stereo camera measures none shows nothing. Tomatoes are also counted with this band.
+
+Rows of Helios' plants (``--source helios``) are development rows unless ``--held-out`` is given, and are measured by
+the truth that lies beside their recordings; their clouds are placed by the true pose of the middle station. Instead of
+collisions, the boxes are measured: how much of their surface lies farther than 15 mm from all points, how many points
+lie farther than that from all shapes, and how many fruits found have their front in a box.
 
 Recordings, clouds and measurements are kept under --workdir, by a fingerprint of the sources that made them; started
 again, the benchmark goes on with what is missing.
@@ -34,14 +40,15 @@ from typing import Any, TypeVar
 
 import numpy as np
 from results_file import RESULTS, write_results
+from shape_boxes import box_figures
 from shape_collisions import compare_collisions
-from shape_rows import CAUSES, Row, cloud_of, sources, visible_of
+from shape_confidence import credited, small_tomatoes
+from shape_rows import CAUSES, HELD_OUT_MESHES, Row, cloud_of, recording_of, sources, truth_of, visible_of
 from shape_tables import pooled, tables
 
 from greenhouse_gym.accuracy import (
     StemComparison,
     TomatoComparison,
-    align,
     compare_stems,
     compare_tomatoes,
     coverage,
@@ -58,6 +65,7 @@ from greenhouse_gym.reconstruction import RowCloud
 from greenhouse_gym.shapes import RowShapes, extract_shapes
 
 HELD_OUT = range(401, 411)
+DEVELOPMENT_MESHES = range(501, 507)
 CONFIGURATIONS = 3000
 """Random arm configurations per row and cause."""
 
@@ -69,39 +77,46 @@ def measure(row: Row, cause: str, workdir: Path) -> dict[str, Any]:
     cloud = cloud_of(row, cause, workdir)
     visible = visible_of(row, workdir)
     open3d()  # its import is not counted
-    started = time.perf_counter()
+    started, worked = time.perf_counter(), time.process_time()
     shapes = extract_shapes(cloud.points, cloud.colors, cloud.normals)
-    seconds = time.perf_counter() - started
+    seconds, processor = time.perf_counter() - started, time.process_time() - worked
 
-    truth, poses = row.grow(), row.poses()
-    world_from_row = align(cloud, truth, poses)
-    placed = in_frame(shapes, world_from_row)
+    known = truth_of(row, cloud, workdir)
+    placed = in_frame(shapes, known.world_from_row)
     everything: list[Shape] = [*placed.tomatoes, *placed.stems, *placed.clutter]
-    points = transform(world_from_row, cloud.points)
-    stands = stand_positions(poses[:, 1, 3], BuildSettings())
+    points = transform(known.world_from_row, cloud.points)
     whole = visible.tomatoes._replace(in_image=visible.tomatoes.whole)  # beyond the image's edge counts as hidden
     colored = visible.tomatoes._replace(in_image=visible.tomatoes.in_color)  # the band without depth hides nothing
-    petioles = [shape for shape in truth.clutter if isinstance(shape, Capsule)]
-    unaligned = in_frame(shapes, poses[np.flatnonzero(cloud.registered)[0]])
-    return asdict(row) | {
+    petioles = [shape for shape in known.row.clutter if isinstance(shape, Capsule)]
+    unaligned = in_frame(shapes, known.world_from_station[np.flatnonzero(cloud.registered)[0]])
+    true = known.row.tomatoes
+    record = asdict(row) | {
         "cause": cause,
         "points": len(cloud),
         "shapes": {"tomatoes": len(shapes.tomatoes), "stems": len(shapes.stems), "clutter": len(shapes.clutter)},
-        "tomatoes": plain(compare_tomatoes(truth.tomatoes, visible.tomatoes, placed.tomatoes)),
-        "whole_tomatoes": plain(compare_tomatoes(truth.tomatoes, whole, placed.tomatoes)),
-        "colored_tomatoes": plain(compare_tomatoes(truth.tomatoes, colored, placed.tomatoes)),
-        "unaligned_center_error": match_tomatoes(truth.tomatoes, unaligned.tomatoes).center_errors.tolist(),
+        "tomatoes": plain(compare_tomatoes(true, visible.tomatoes, placed.tomatoes)),
+        "whole_tomatoes": plain(compare_tomatoes(true, whole, placed.tomatoes)),
+        "colored_tomatoes": plain(compare_tomatoes(true, colored, placed.tomatoes)),
+        "small_tomatoes": small_tomatoes(true, visible.tomatoes.visible, placed.tomatoes),
+        "confidence": [list(shapes.confidence), credited(true, placed.tomatoes)],
+        "unaligned_center_error": match_tomatoes(true, unaligned.tomatoes).center_errors.tolist(),
         "stems": {
-            kind: plain(compare_stems(truth.stems, visible.stems, petioles, placed.stems, kind)) for kind in STEM_KINDS
+            kind: plain(compare_stems(known.row.stems, visible.stems, petioles, placed.stems, kind))
+            for kind in STEM_KINDS
         },
         "coverage": coverage(points, everything),
-        "excess": excess(everything, truth),
-        "collisions": compare_collisions(
-            everything, truth, visible, points, stands, CONFIGURATIONS, row.seed
-        )._asdict(),
-        "primitives": primitives(row, cloud, shapes),
+        "boxes": box_figures(placed, points),
+        "primitives": primitives(row, cloud, shapes, workdir),
         "seconds_per_metre": seconds / row.length,
+        "processor_seconds_per_metre": processor / row.length,
     }
+    if row.source == "own":
+        stands = stand_positions(known.world_from_station[:, 1, 3], BuildSettings())
+        record["excess"] = excess(everything, known.row)
+        record["collisions"] = compare_collisions(
+            everything, known.row, visible, points, stands, CONFIGURATIONS, row.seed
+        )._asdict()
+    return record
 
 
 def in_frame(shapes: RowShapes, target_from_source: Array) -> RowShapes:
@@ -115,10 +130,10 @@ def in_frame(shapes: RowShapes, target_from_source: Array) -> RowShapes:
     )
 
 
-def primitives(row: Row, cloud: RowCloud, shapes: RowShapes) -> list[int]:
+def primitives(row: Row, cloud: RowCloud, shapes: RowShapes, workdir: Path) -> list[int]:
     """Number of primitives in each scene of a row, were it not capped."""
     settings = replace(BuildSettings(), primitives=10**9)
-    recording = row.simulate()
+    recording = recording_of(row, workdir)
     return [len(scene.obstacles) for scene in cut_scenes(cloud, shapes, recording, row.week, settings)]
 
 
@@ -144,21 +159,33 @@ def measured(row: Row, cause: str, workdir: Path) -> dict[str, Any]:
 def main() -> None:
     """Measure what is missing, write the results, print tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, nargs="+", default=list(HELD_OUT))
+    parser.add_argument("--source", choices=("own", "helios"), default="own", help="of the plants")
+    parser.add_argument("--held-out", action="store_true", help="the held-out rows of Helios' plants")
+    parser.add_argument("--seeds", type=int, nargs="+", help="by default the held-out own rows, or see above")
     parser.add_argument("--length", type=float, default=2.0, help="of each row, metres")
     parser.add_argument("--only", nargs="+", choices=CAUSES, default=list(CAUSES))
     parser.add_argument("--workdir", type=Path, help="where to keep everything that is made; by default none is kept")
     parser.add_argument("--out", type=Path, default=RESULTS / "shapes.json")
     arguments = parser.parse_args()
+    if arguments.seeds is None:
+        meshes = HELD_OUT_MESHES if arguments.held_out else DEVELOPMENT_MESHES
+        arguments.seeds = list(HELD_OUT if arguments.source == "own" else meshes)
     records = []
     with nullcontext(arguments.workdir) if arguments.workdir else tempfile.TemporaryDirectory() as folder:
         for seed, cause in product(arguments.seeds, arguments.only):
-            records.append(measured(Row(seed, arguments.length), cause, Path(folder)))
-            print(f"{Row(seed, arguments.length).name} {cause}: done", flush=True)
+            row = Row(seed, arguments.length, arguments.source)
+            records.append(measured(row, cause, Path(folder)))
+            print(f"{row.name} {cause}: done", flush=True)
     figures = {cause: pooled([r for r in records if r["cause"] == cause]) for cause in arguments.only}
     write_results(
         arguments.out,
-        {"seeds": arguments.seeds, "length": arguments.length, "figures": figures, "rows": per_row(records)},
+        {
+            "source": arguments.source,
+            "seeds": arguments.seeds,
+            "length": arguments.length,
+            "figures": figures,
+            "rows": per_row(records),
+        },
         ["open3d", "scipy"],
     )
     print(tables(figures))

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from greenhouse_gym.capture.raycast import RowRaycaster
+from greenhouse_gym.crop import Tomato
 from greenhouse_gym.geometry import Array, Box, Capsule, Shape, invert, pose, transform
 from greenhouse_gym.open3d_loader import open3d
 from greenhouse_gym.plants import PlantRow
@@ -137,6 +138,8 @@ def moved(shape: AnyShape, target_from_source: Array) -> AnyShape:
         return replace(shape, start=start, end=end)
     center = transform(target_from_source, shape.center[None])[0]
     if isinstance(shape, Box):
+        return replace(shape, center=center, rotation=target_from_source[:3, :3] @ shape.rotation)
+    if isinstance(shape, Tomato) and shape.rotation is not None:
         return replace(shape, center=center, rotation=target_from_source[:3, :3] @ shape.rotation)
     return replace(shape, center=center)
 

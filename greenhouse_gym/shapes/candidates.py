@@ -18,7 +18,7 @@ from greenhouse_gym.shapes.surfaces import NO_LEAF, SurfaceCloud
 
 MEASURES = (
     "coverage", "coverage^2", "log points", "rmse / mm", "alignment", "inside", "beyond", "crossing",
-    "smaller bend", "larger bend", "log plane rmse / rmse", "filled", "contrast", "contrast^2",
+    "smaller bend", "larger bend", "log plane rmse / rmse", "filled", "contrast",
     "tone spread", "log radius", "patch's smaller bend", "patch's larger bend",
 )  # fmt: skip
 """Names of what `measures` gives."""
@@ -27,6 +27,7 @@ COMPANY = ("larger", "smaller", "unlike neighbors", "neighbors", "gap / cm", "un
 """Names of what `company` gives."""
 
 _BEYOND = 0.010  # metres outside the shell: what goes on there is no part of a ball
+_MOST_CONTRAST = 0.5  # times 0.1 of redness: that fruit may be redder than leaves counts, not how much
 _MOST_BEND = 2.5  # times the sphere's own
 
 
@@ -46,9 +47,9 @@ def _measures(fit: SphereFit, cloud: SurfaceCloud, tree: cKDTree, settings: Shap
     cosine = (unit * cloud.normals[near]).sum(axis=1)
     skin = np.abs(residual) < shell
     on = skin & (cosine > 0.7)
-    count = max(np.count_nonzero(on), 1)
+    count = max(int(np.count_nonzero(on)), 1)
     inside, beyond, crossing = (
-        float(np.log1p(np.count_nonzero(which) / count))
+        float(np.log1p(int(np.count_nonzero(which)) / count))
         for which in (residual < -shell, residual > shell, skin & (cosine < 0.4))
     )
     if not on.any():
@@ -58,10 +59,12 @@ def _measures(fit: SphereFit, cloud: SurfaceCloud, tree: cKDTree, settings: Shap
     even = float(np.log((np.sqrt(max(spread[0], 0.0)) + 1e-4) / (fit.rmse + 1e-4)))
     middle = float(np.linalg.norm(unit[on].mean(axis=0)))  # 1 - |middle| of a cap is the share of the sphere it covers
     low, tone, high = np.quantile(cloud.tones[near[on]], (0.25, 0.5, 0.75))
-    contrast = float(np.clip((tone - cloud.leaf) / 0.1, -3.0, 3.0)) if cloud.leaf > NO_LEAF else 0.0
+    contrast = (
+        float(np.clip((tone - cloud.leaf) / 0.1, -_MOST_CONTRAST, _MOST_CONTRAST)) if cloud.leaf > NO_LEAF else 0.0
+    )
     return [
         fit.coverage, fit.coverage**2, float(np.log(count)), 1e3 * fit.rmse, fit.alignment, inside, beyond, crossing,
-        float(bends[0]), float(bends[1]), even, fit.coverage / (1.02 - middle), contrast, contrast**2,
+        float(bends[0]), float(bends[1]), even, fit.coverage / (1.02 - middle), contrast,
         float(high - low) / 0.1, float(np.log(fit.radius / 0.025)), *_bends(unit[skin], cloud.normals[near[skin]]),
     ]  # fmt: skip
 

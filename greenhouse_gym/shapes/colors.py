@@ -28,10 +28,9 @@ def could_be_fruit(cloud: SurfaceCloud, settings: ShapeSettings) -> Mask:
 
 
 def could_be_stem(cloud: SurfaceCloud, settings: ShapeSettings) -> Mask:
-    """Which points (n,) may lie on a main stem: redder than leaves, or bulging one way at least."""
-    return is_colorful(cloud.colors, settings) & (
-        _is_no_leaf(cloud, settings) | (cloud.bends[:, 1] > settings.stem_bend)
-    )
+    """Which points (n,) may lie on a main stem: redder than leaves, bulging one way at least, or long and thin."""
+    stem = _is_no_leaf(cloud, settings) | (cloud.bends[:, 1] > settings.stem_bend)
+    return is_colorful(cloud.colors, settings) & (stem | (cloud.lengths > settings.stem_length))
 
 
 def could_be_peduncle(cloud: SurfaceCloud, settings: ShapeSettings) -> Mask:

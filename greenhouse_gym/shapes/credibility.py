@@ -1,4 +1,4 @@
-"""How credible a sphere is as a tomato: logistic regressions on its measures, fitted by benchmarks/fit_credibility.py."""
+"""How credible a sphere is as a tomato: logistic regressions fitted by benchmarks/fit_credibility.py."""
 
 from __future__ import annotations
 
@@ -6,85 +6,22 @@ import numpy as np
 
 from greenhouse_gym.geometry import Array
 
-ALONE = np.array(
-    [
-        15.48,
-        -11.45,
-        -2.784,
-        1.865,
-        52.33,
-        -7.316,
-        -2.676,
-        5.273,
-        -0.4634,
-        -1.357,
-        5.674,
-        1.583,
-        2.837,
-        -0.6135,
-        0.1803,
-        1.311,
-        -46.89,
-    ]
-)
+ALONE = np.array([
+    12.54, -12.55, -1.977, 1.232, 55.67, -4.928, -2.524, 5.869, -1.454, -2.269, 5.039, 2.666, 9.603, 0.4137,
+    0.8649, 2.43, 1.074, -55.88,
+])  # fmt: skip
 """Weights of `candidates.MEASURES`, and the offset."""
 
-IN_ROW = np.array(
-    [
-        10.89,
-        -10.75,
-        -2.061,
-        0.9949,
-        34.75,
-        -5.089,
-        -2.032,
-        3.168,
-        0.2607,
-        -0.2124,
-        5.416,
-        1.009,
-        2.457,
-        -0.555,
-        0.06415,
-        0.9091,
-        -2.543,
-        0.7367,
-        -5.05,
-        0.4546,
-        -0.1035,
-        -0.2312,
-        -29.71,
-    ]
-)
+IN_ROW = np.array([
+    8.842, -12.19, -1.725, 0.8673, 33.56, -3.755, -2.227, 3.86, -0.3139, -1.537, 5.216, 2.584, 8.67, 0.01216,
+    -0.01269, 2.306, 1.209, -1.749, -0.1237, -4.176, 1.029, 0.08618, -0.2067, -34.66,
+])  # fmt: skip
 """Weights of `candidates.MEASURES` and `candidates.COMPANY` for spheres of the first look, and the offset."""
 
-BESIDE = np.array(
-    [
-        6.906,
-        5.971,
-        0.2582,
-        -1.991,
-        2.574,
-        -0.6021,
-        -1.029,
-        -0.5864,
-        -0.251,
-        -0.4601,
-        0.218,
-        0.04243,
-        1.193,
-        0.2884,
-        -0.225,
-        -0.8248,
-        1.317,
-        -1.174,
-        -0.3232,
-        1.341,
-        -0.1199,
-        -1.602,
-        -4.94,
-    ]
-)
+BESIDE = np.array([
+    7.782, 4.114, 0.2212, -1.816, 0.691, -0.5166, -1.089, -0.4197, -0.9973, -1.024, 0.177, 0.3515, 3.279,
+    1.353, -0.5578, 1.682, 0.3494, -0.5944, -1.618, -1.597, 0.9597, -0.3228, -0.4708, -2.969,
+])  # fmt: skip
 """Likewise for spheres of the second look, beside others that are sure."""
 
 

@@ -1,8 +1,8 @@
 """Fruit that is longer or flatter than a ball: spheroids fitted to what the spheres have found.
 
-From one side hardly anything tells how deep a fruit is. But the fruits of a row are of one cultivar, and some show their
-length and some their end: how long they are for their width is what explains all together best. Held fast, it lets each
-fruit's center, size and direction be refined.
+From one side hardly anything tells how deep a fruit is. But the fruits of a row are of one cultivar, and some show
+their length and some their end: how long they are for their width is what explains all together best. Held fast, it
+lets each fruit's center, size and direction be refined.
 """
 
 from __future__ import annotations

@@ -13,6 +13,7 @@ class ShapeSettings:
     leaf_contrast: float = 0.10  # of (R - G) / (R + G): what is redder than the leaves by this is none
     fruit_bend: float = 6.0  # 1/m: what bulges more both ways may be fruit, whatever its color
     stem_bend: float = 25.0  # likewise one way, and a main stem
+    stem_length: float = 4.0  # or what spreads so many times as much (a variance) along as across
     peduncle_bend: float = 40.0  # or a peduncle
     most_redness: float = 0.1  # of peduncles, which stay green
     least_saturation: float = 0.15  # of fruit and stems; gutters and strings are white
@@ -25,6 +26,7 @@ class ShapeSettings:
     skin_noise: float = 0.0015  # but a stem's may stand out this far
     skin_alignment: float = 0.8  # and the cosine between their normals and the sphere's is smaller
     min_confidence: float = 0.4  # of a tomato
+    least_bend: float = 0.35  # both ways, times that of the sphere, of one that nothing sure hangs beside
     truss_gap: float = 0.035  # between the skins of neighbours on one truss
     pipe_radii: tuple[float, float] = (0.014, 0.057)  # from 28 mm grow pipes to mains 114 mm across
     pipe_gap: float = 0.05  # hidden part of a pipe that is bridged

@@ -34,12 +34,14 @@ class SurfaceCloud(Cloud):
 
     Attributes:
         bends: (n, 2) its principal curvatures in 1/m, the smaller first; positive where it bulges.
+        lengths: (n,) how many times as much it spreads along as across, a ratio of variances.
         tones: (n,) its redness, smoothed over neighbors.
         leaf: Redness of the leaves in the middle, or `NO_LEAF` where there are none.
         spread: By how much that scatters (a standard deviation, by the quartiles).
     """
 
     bends: Array
+    lengths: Array
     tones: Array
     leaf: float
     spread: float
@@ -48,29 +50,38 @@ class SurfaceCloud(Cloud):
         """The points at ``rows``: indices or a mask."""
         return replace(
             self,
-            **{name: getattr(self, name)[rows] for name in ("points", "colors", "normals", "bends", "tones")},
+            **{
+                name: getattr(self, name)[rows] for name in ("points", "colors", "normals", "bends", "lengths", "tones")
+            },
         )
 
 
 def look_at_surfaces(cloud: Cloud, settings: ShapeSettings) -> SurfaceCloud:
     """Look at how a cloud, one point per voxel of ``settings.voxel``, bends around each point."""
     if not len(cloud):
-        return SurfaceCloud(cloud.points, cloud.colors, cloud.normals, np.zeros((0, 2)), np.zeros(0), NO_LEAF, 0.0)
+        return SurfaceCloud(
+            cloud.points, cloud.colors, cloud.normals, np.zeros((0, 2)), np.zeros(0), np.zeros(0), NO_LEAF, 0.0
+        )
     cells, cell = voxel_means(cloud, _CELL)
     near = Neighborhoods(cells.points, _REACH)
     # normals change linearly over a bent surface: the shape operator by least squares, within the tangent plane
     _, axes = np.linalg.eigh(near.moments(cells.normals, cells.normals))
     tangent = axes[:, :, :2]
-    place = _within(tangent, near.covariances(cells.points, cells.points)) + _SLACK * np.eye(2)
+    spread = near.covariances(cells.points, cells.points)
+    variances = np.linalg.eigvalsh(spread)
+    place = _within(tangent, spread) + _SLACK * np.eye(2)
     operator = np.linalg.solve(place, _within(tangent, near.covariances(cells.points, cells.normals)))
     bends = np.linalg.eigvalsh((operator + operator.transpose(0, 2, 1)) / 2)
     tones = near.mean(redness(cells.colors)[:, None])[:, 0]
     flat = (np.abs(bends).max(axis=1) < _FLAT) & is_colorful(cells.colors, settings)
-    leaf, spread = NO_LEAF, 0.0
+    leaf, scatter = NO_LEAF, 0.0
     if np.count_nonzero(flat) >= _FEWEST_FLAT:
         low, leaf, high = np.quantile(tones[flat], (0.25, 0.5, 0.75)).tolist()
-        spread = min((high - low) / 1.35, _MOST_SPREAD)
-    return SurfaceCloud(cloud.points, cloud.colors, cloud.normals, bends[cell], tones[cell], leaf, spread)
+        scatter = min((high - low) / 1.35, _MOST_SPREAD)
+    lengths = variances[:, 2] / (variances[:, 1] + _SLACK)
+    return SurfaceCloud(
+        cloud.points, cloud.colors, cloud.normals, bends[cell], lengths[cell], tones[cell], leaf, scatter
+    )
 
 
 def _within(tangent: Array, moments: Array) -> Array:

@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 
 from greenhouse_gym.crop import Tomato
 from greenhouse_gym.geometry import Array, Sphere
-from greenhouse_gym.shapes.candidates import company, measures
+from greenhouse_gym.shapes.candidates import COMPANY, MEASURES, company, measures
 from greenhouse_gym.shapes.colors import could_be_fruit, redness
 from greenhouse_gym.shapes.credibility import ALONE, BESIDE, IN_ROW, credibility
 from greenhouse_gym.shapes.ellipsoids import Spheroid, stretched
@@ -28,6 +28,10 @@ _SURE = 0.8
 """How credible a tomato must be for others to be looked for beside it."""
 
 
+_SMALLER_BEND = MEASURES.index("patch's smaller bend")
+_NEIGHBORS = len(MEASURES) + COMPANY.index("neighbors")
+
+
 class FoundTomatoes(NamedTuple):
     """Tomatoes found in a cloud, each with how credible it is, 0 to 1."""
 
@@ -38,7 +42,10 @@ class FoundTomatoes(NamedTuple):
 def find_tomatoes(cloud: SurfaceCloud, settings: ShapeSettings) -> FoundTomatoes:
     """Find tomatoes in a cloud with one point per voxel of ``settings.voxel``."""
     looks = look(cloud, settings)
-    credible = np.concatenate([credibility(looks.first, IN_ROW), credibility(looks.second, BESIDE)]).tolist()
+    alone = looks.first[:, _NEIGHBORS] == 0
+    unbent = looks.first[:, _SMALLER_BEND] < settings.least_bend
+    first = np.where(alone & unbent, 0.0, credibility(looks.first, IN_ROW))
+    credible = np.concatenate([first, credibility(looks.second, BESIDE)]).tolist()
     fits = [*looks.fits, *looks.beside]
     found = choose(fits, credible, len(looks.skin), settings.min_confidence)
     confidence = dict(zip(fits, credible, strict=True))

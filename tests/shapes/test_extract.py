@@ -319,7 +319,9 @@ def test_the_nearest_shape_is_the_one_that_distances_name(seed: int) -> None:
 def as_surface(colors: np.ndarray, bends: tuple[float, float] = (0.0, 0.0), leaf: float = NO_LEAF) -> SurfaceCloud:
     """Points of some colors that all bend alike, among leaves of one redness."""
     nothing = np.zeros((len(colors), 3))
-    return SurfaceCloud(nothing, colors, nothing, np.tile(bends, (len(colors), 1)), redness(colors), leaf, 0.01)
+    return SurfaceCloud(
+        nothing, colors, nothing, np.tile(bends, (len(colors), 1)), nothing[:, 0], redness(colors), leaf, 0.01
+    )
 
 
 def test_leaves_gutters_and_strings_are_neither_fruit_nor_stem() -> None:
