@@ -106,6 +106,8 @@ def _fewer(cloud: _Cloud, pieces: Sequence[_Piece], budget: int, settings: Shape
     It is always the two whose common box claims least beyond their own.
     """
     alive = dict(enumerate(pieces))
+    if len(alive) < 2:
+        return pieces
     centers = np.array([piece.bounds.center for piece in pieces])
     nearest = cKDTree(centers).query(centers, k=min(_NEIGHBORS, len(pieces)))[1]
     near: dict[int, set[int]] = {i: set() for i in alive}

@@ -86,7 +86,9 @@ def extract_shapes(
     green = green.select(stands_out(green.points, green.normals, tomatoes, settings))
     skin = cloud.points[nearest_shapes(cloud.points, tomatoes, settings.skin_noise).owner >= 0]
     cloud = _without(cloud, tomatoes, settings.shell)
-    woody, pale = cloud.select(could_be_stem(cloud, settings)), cloud.select(~is_colorful(cloud.colors, settings))
+    colorful = is_colorful(cloud.colors, settings)
+    # estimated normals do not tell well how thin things bend
+    woody, pale = cloud.select(colorful if normals is None else could_be_stem(cloud, settings)), cloud.select(~colorful)
     upright = (
         *find_main_stems(woody.points, woody.normals, settings),
         *find_strings(pale.points, pale.normals, settings),
