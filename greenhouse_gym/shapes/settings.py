@@ -73,7 +73,7 @@ class ShapeSettings:
 
 FINE_SHAPES = ShapeSettings(
     clutter_per_metre=250,
-    clutter_claim=0.0003,
+    clutter_claim=0.0,
     min_lump_cells=8,
     clutter_flat=0.002,
     clutter_margin=0.008,
