@@ -71,7 +71,7 @@ def look_at_surfaces(cloud: Cloud, settings: ShapeSettings) -> SurfaceCloud:
     variances = np.linalg.eigvalsh(spread)
     place = _within(tangent, spread) + _SLACK * np.eye(2)
     operator = np.linalg.solve(place, _within(tangent, near.covariances(cells.points, cells.normals)))
-    bends = np.linalg.eigvalsh((operator + operator.transpose(0, 2, 1)) / 2)
+    bends = np.asarray(np.linalg.eigvalsh((operator + operator.transpose(0, 2, 1)) / 2), dtype=np.float64)
     tones = near.mean(redness(cells.colors)[:, None])[:, 0]
     flat = (np.abs(bends).max(axis=1) < _FLAT) & is_colorful(cells.colors, settings)
     leaf, scatter = NO_LEAF, 0.0
