@@ -18,6 +18,7 @@ _BULGE = 4e-3  # metres by which a piece stands out that tells as much as a look
 _ROUNDS = 8  # in which neighbors agree upon a side
 _CLEAR_BULGE = 4e-4  # metres
 _ONE_SIDE = 0.03  # mean of the unit normals of what bulges clearly; less was seen from all sides
+_UNKNOWN_SIDE = np.array([-0.3, 0.0, 0.0])  # where nothing tells, the aisle is more likely
 _CELL = 0.010  # metres: what is thin and long is told at this size
 _ROD_REACH = 0.030  # metres
 _LONG = 4.0  # times as much as across must points vary along a rod
@@ -60,7 +61,7 @@ def _outward(bare: Cloud, points: Array) -> Array:
     clear = np.abs(bulge) > _CLEAR_BULGE
     side = (np.sign(bulge[clear])[:, None] * axes[clear]).sum(axis=0) / max(np.count_nonzero(clear), 1)
     length = float(np.linalg.norm(side))
-    view = side / length if length > _ONE_SIDE else np.zeros(3)
+    view = side / length if length > _ONE_SIDE else _UNKNOWN_SIDE
     out = (axes @ view + np.clip(bulge, -_BULGE / 2, _BULGE / 2) / _BULGE)[:, None] * axes
     for _ in range(_ROUNDS):
         out = near.mean(out)

@@ -85,7 +85,9 @@ def _upright(
             break
         sections = _sections(chain, points, normals)
         heights = np.array([disc.center[2] for disc in chain])
-        sizes = _chain_radii(sections, heights, radii)
+        sizes = _chain_radii(
+            [_upright_section(*own) for own in zip(sections, _leans(chain), strict=True)], heights, radii
+        )
         axis = _axis(chain, sections, sizes, settings)
         at = np.interp((axis[1:, 2] + axis[:-1, 2]) / 2, heights, sizes)
         stems += [Stem(a, b, r, kind=kind) for (a, b), r in zip(itertools.pairwise(axis), at.tolist(), strict=True)]
@@ -194,12 +196,25 @@ def _circle(
 
 def _sections(chain: list[Disc], points: Array, normals: Array) -> list[tuple[Array, Array]]:
     """For each disc its points (n, 2) and normals (n, 2), moved along the chain onto the middle of the slice."""
-    centers = np.array([d.center for d in chain])
-    leans = np.gradient(centers[:, :2], centers[:, 2], axis=0)
     return [
         (_along(points[d.rows] - [0.0, 0.0, d.center[2]], lean), _along(normals[d.rows], lean))
-        for d, lean in zip(chain, leans, strict=True)
+        for d, lean in zip(chain, _leans(chain), strict=True)
     ]
+
+
+def _leans(chain: list[Disc]) -> Array:
+    """How a chain leans (k, 2) at each of its discs."""
+    centers = np.array([d.center for d in chain])
+    return np.asarray(np.gradient(centers[:, :2], centers[:, 2], axis=0))
+
+
+def _upright_section(section: tuple[Array, Array], lean: Array) -> tuple[Array, Array]:
+    """A level section of what leans as one across its axis: an ellipse becomes a circle."""
+    slope = float(np.linalg.norm(lean))
+    if slope < 1e-6:
+        return section
+    shorter = np.eye(2) - (1 - 1 / np.hypot(1.0, slope)) * np.outer(lean, lean) / slope**2
+    return section[0] @ shorter, section[1]
 
 
 def _along(vectors: Array, lean: Array) -> Array:
