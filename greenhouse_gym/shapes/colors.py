@@ -40,9 +40,8 @@ def could_be_peduncle(cloud: SurfaceCloud, settings: ShapeSettings) -> Mask:
 
 
 def could_be_pipe(cloud: SurfaceCloud, settings: ShapeSettings) -> Mask:
-    """Which points (n,) may lie on a pipe: all but those of leaves, and in their color what bulges one way at least."""
-    plain = ~is_colorful(cloud.colors, settings) | _is_no_leaf(cloud, settings)
-    return plain | (cloud.bends[:, 1] > settings.pipe_bend)
+    """Which points (n,) may lie on a pipe: all but those of leaves."""
+    return ~is_colorful(cloud.colors, settings) | _is_no_leaf(cloud, settings)
 
 
 def is_colorful(colors: Array, settings: ShapeSettings) -> Mask:

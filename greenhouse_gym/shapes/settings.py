@@ -12,7 +12,6 @@ class ShapeSettings:
     voxel: float = 0.003  # the cloud is thinned out to this first
     leaf_contrast: float = 0.10  # of (R - G) / (R + G): what is redder than the leaves by this is none
     fruit_bend: float = 6.0  # 1/m: what bulges more both ways may be fruit, whatever its color
-    pipe_bend: float = 8.0  # likewise one way, and a pipe
     stem_bend: float = 25.0  # likewise one way, and a main stem
     stem_length: float = 4.0  # or what spreads so many times as much (a variance) along as across
     peduncle_bend: float = 40.0  # or a peduncle

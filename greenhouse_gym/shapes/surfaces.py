@@ -78,6 +78,8 @@ def look_at_surfaces(cloud: Cloud, settings: ShapeSettings) -> SurfaceCloud:
     if np.count_nonzero(flat) >= _FEWEST_FLAT:
         low, leaf, high = np.quantile(tones[flat], (0.25, 0.5, 0.75)).tolist()
         scatter = min((high - low) / 1.35, _MOST_SPREAD)
+        if leaf >= 0.0:  # redder than green: a table or a wall
+            leaf, scatter = NO_LEAF, 0.0
     lengths = variances[:, 2] / (variances[:, 1] + _SLACK)
     return SurfaceCloud(
         cloud.points, cloud.colors, cloud.normals, bends[cell], lengths[cell], tones[cell], leaf, scatter
