@@ -36,18 +36,25 @@ COLORS = ListedColormap(["0.55", "white", "#2e7d32"])  # unseen, empty, surface
 def draw(row: int, protocols: Sequence[str], starts: Sequence[str], unseen: str, options: Options, out: Path) -> None:
     """Draw two protocols' plans for one tomato, one above the other."""
     failed, held = _pair(row, protocols, starts, unseen, options)
-    figure, axes = plt.subplots(2, 3, figsize=(15, 9.5), constrained_layout=True)
-    for line, episode, protocol, start in zip(axes, (failed, held), protocols, starts, strict=True):
-        scene = next(s for s in scenes_in(folder_of(row, protocol, options)) if s.name == episode["scene"])
+    scenes = [
+        next(scene for scene in scenes_in(folder_of(row, protocol, options)) if scene.name == episode["scene"])
+        for episode, protocol in zip((failed, held), protocols, strict=True)
+    ]
+    known = all(scene.seen is not None for scene in scenes)  # scenes of an older version do not say what was seen
+    figure, axes = plt.subplots(2, 2 + known, figsize=(10 + 5 * known, 8), constrained_layout=True)
+    for line, scene, episode, protocol, start in zip(axes, scenes, (failed, held), protocols, starts, strict=True):
         path = _path(scene, episode["target"], start, unseen, options)
         until = _first_contact(scene, episode["target"], path, options)
         followed = path if until is None else path[: until + 1]
         line[0].imshow(picture_of_path(scene, options.robot, episode["target"], path, VIEW))
         line[0].set_title(f"{protocol}: planned on the scan")
-        _unseen_slice(line[1], scene, episode["target"], path, options.robot)
-        line[2].imshow(picture_of_path(_true(scene), options.robot, _nearest(scene, episode["target"]), followed, VIEW))
-        line[2].set_title(f"in the true row: {episode['outcome']}")
-        for axis in (line[0], line[2]):
+        if known:
+            _unseen_slice(line[1], scene, episode["target"], path, options.robot)
+        line[-1].imshow(
+            picture_of_path(_true(scene), options.robot, _nearest(scene, episode["target"]), followed, VIEW)
+        )
+        line[-1].set_title(f"in the true row: {episode['outcome']}")
+        for axis in (line[0], line[-1]):
             axis.axis("off")
     figure.savefig(out, dpi=80)
 
