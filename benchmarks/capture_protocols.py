@@ -29,9 +29,9 @@ from results_file import write_results
 from greenhouse_gym import ENV_IDS
 from greenhouse_gym.agents import Problem
 from greenhouse_gym.agents.planner_agent import PathFollower
-from greenhouse_gym.build import BuildSettings, cut_scenes, stand_poses
 from greenhouse_gym.capture import PROTOCOLS, Recording, get_protocol, simulate_protocol
 from greenhouse_gym.capture.simulated import photograph
+from greenhouse_gym.cutting import BuildSettings, cut_scenes, stand_poses
 from greenhouse_gym.envs.tomato_reach import TomatoReachEnv
 from greenhouse_gym.geometry import Array, pose, rotation_about
 from greenhouse_gym.paths import write_atomically

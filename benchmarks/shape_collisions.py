@@ -16,8 +16,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from greenhouse_gym.accuracy import VisibleRow, moved
-from greenhouse_gym.build import BuildSettings
 from greenhouse_gym.crop import Tomato
+from greenhouse_gym.cutting import BuildSettings
 from greenhouse_gym.geometry import Array, Box, Capsule, Shape, Sphere, distance_to_shapes, pose
 from greenhouse_gym.planning.collision import CollisionChecker
 from greenhouse_gym.plants import PlantRow

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from greenhouse_gym.build import BuildSettings, build_bank
+from greenhouse_gym.build import build_bank
 from greenhouse_gym.capture import simulate_recording
+from greenhouse_gym.cutting import BuildSettings
 from greenhouse_gym.plants import grow_row
 from greenhouse_gym.scene import SceneBank
 from greenhouse_gym.scene.bank import write_bank

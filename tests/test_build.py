@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from row_helpers import HALF, half_cloud, half_recording
 
-from greenhouse_gym import build
-from greenhouse_gym.build import BuildSettings, build_bank, cut_scenes, default_splits, level, stand_positions
+from greenhouse_gym import build, cutting
+from greenhouse_gym.build import build_bank, default_splits
 from greenhouse_gym.capture import Recording, RgbdFrame, Station, write_recording
 from greenhouse_gym.crop import Stem, Tomato
+from greenhouse_gym.cutting import BuildSettings, cut_scenes, level, stand_positions
 from greenhouse_gym.errors import FileWriteError, InvalidValueError, ReconstructionError
 from greenhouse_gym.geometry import Box, distance_to_shapes, pose, rotation_about, rotation_angle
 from greenhouse_gym.paths import exclusive
@@ -198,7 +199,7 @@ def test_truth_comes_by_the_pose_of_the_station_nearest_to_the_arm() -> None:
     there = pose(rotation_about([0.2, 0.1, 1.0], 0.7), [3.0, -2.0, 0.1])
     seen = made_up_shapes()
     moved_row = PlantRow(
-        *(tuple(build._moved(s, there) for s in part) for part in (seen.tomatoes, seen.stems, seen.clutter)), 2.0, 0
+        *(tuple(cutting._moved(s, there) for s in part) for part in (seen.tomatoes, seen.stems, seen.clutter)), 2.0, 0
     )
     known = replace(known_recording(there), truth=moved_row)
     for scene, plain in zip(cut_scenes(made_up_row(20), seen, known, 2, BuildSettings()), scenes_of(seen), strict=True):
@@ -206,8 +207,8 @@ def test_truth_comes_by_the_pose_of_the_station_nearest_to_the_arm() -> None:
         assert scene.truth is not None
         # what was found is exactly what is there, in this row; truth is not cut to the scene's width or number
         for found in scene.obstacles:
-            gap = distance_to_shapes(build._middle(found)[None], scene.truth.obstacles).min()
-            assert gap == pytest.approx(distance_to_shapes(build._middle(found)[None], [found])[0, 0], abs=3e-4)
+            gap = distance_to_shapes(cutting._middle(found)[None], scene.truth.obstacles).min()
+            assert gap == pytest.approx(distance_to_shapes(cutting._middle(found)[None], [found])[0, 0], abs=3e-4)
         assert len(scene.truth.obstacles) >= len(scene.obstacles)
         shoulder = np.array([[0.0, 0.0, 1.1]])
         assert distance_to_shapes(shoulder, scene.truth.obstacles).max() < BuildSettings().reach + 1e-3

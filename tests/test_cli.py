@@ -389,6 +389,7 @@ def test_resolved_settings_lie_beside_the_results(recording: Path, reconstructed
 
 def test_a_build_writes_its_settings(recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from greenhouse_gym import build
+    from greenhouse_gym.cutting import BuildSettings
     from greenhouse_gym.settings_files import resolve
 
     def stop(*_: object, **__: object) -> None:
@@ -402,9 +403,9 @@ def test_a_build_writes_its_settings(recording: Path, tmp_path: Path, monkeypatc
     monkeypatch.setattr(build, "build_bank", lambda *_, settings, **__: given.append(settings) or [])
     run("build", recording, "--out", tmp_path / "bank", "--set", "shapes.voxel=0.004", "--set", "width=1.5")
     (settings,) = given
-    assert isinstance(settings, build.BuildSettings)
+    assert isinstance(settings, BuildSettings)
     assert (settings.width, settings.shapes.voxel) == (1.5, 0.004)
-    assert resolve(build.BuildSettings(), tmp_path / "bank" / "settings.toml") == settings
+    assert resolve(BuildSettings(), tmp_path / "bank" / "settings.toml") == settings
 
 
 @pytest.mark.parametrize("name", ["reconstruct", "demo"])

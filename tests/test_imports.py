@@ -34,3 +34,10 @@ def test_nothing_but_posix_is_needed_to_plan_and_evaluate() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_shapes_need_no_opencv() -> None:
+    """A cloud from a laser scanner becomes shapes where only Open3D is installed."""
+    code = "import sys, greenhouse_gym.shapes; assert 'cv2' not in sys.modules"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

@@ -10,12 +10,12 @@ import cv2
 import numpy as np
 import pytest
 
-from greenhouse_gym.cli.pictures import save
-from greenhouse_gym.cli.report_page import report_page
 from greenhouse_gym.cli.results import typical_pair
-from greenhouse_gym.cli.svg import Axis, Series, axis_around, plot
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, RowReport, StationReport
 from greenhouse_gym.reconstruction.calibration import CalibrationReport
+from greenhouse_gym.reporting.pictures import save
+from greenhouse_gym.reporting.report_page import report_page
+from greenhouse_gym.reporting.svg import Axis, Series, axis_around, plot
 
 HOSTILE = "<script>alert('x')</script>\"&$name{0}"
 VOID = {"meta", "img"}

@@ -7,7 +7,7 @@ import pytest
 from row_helpers import half_cloud
 
 from greenhouse_gym.capture.images import read_color
-from greenhouse_gym.cli.pictures import seen_picture
+from greenhouse_gym.reporting.pictures import seen_picture
 
 
 @pytest.mark.xdist_group("row")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from greenhouse_gym.build import BuildSettings
+from greenhouse_gym.cutting import BuildSettings
 from greenhouse_gym.errors import FileFormatError, GreenhouseError, InvalidValueError, UnknownNameError
 from greenhouse_gym.reconstruction import ReconstructionSettings
 from greenhouse_gym.settings_files import as_toml, resolve

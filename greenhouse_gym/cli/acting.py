@@ -67,7 +67,7 @@ def plan(
     if not solved:
         raise typer.Exit(2)
     if picture is not None:
-        from greenhouse_gym.cli.pictures import save
+        from greenhouse_gym.reporting.pictures import save
 
         best = min(solved, key=lambda result: result.length)
         assert best.path is not None
@@ -193,7 +193,7 @@ def render(
     bank: Bank = "default",
 ) -> None:
     """Draw a scene with the arm at its start."""
-    from greenhouse_gym.cli.pictures import save
+    from greenhouse_gym.reporting.pictures import save
     from greenhouse_gym.robots import get_robot
     from greenhouse_gym.scene import SceneBank
     from greenhouse_gym.scene.render import picture_of_path

@@ -95,7 +95,7 @@ def _run(out: Path, seed: int, settings: DemoSettings) -> Report:
     curve = _train(out, seed, settings, report)
     evaluations = _compare(out, seed, settings, report)
     with report.stage("training curve") as results:
-        from greenhouse_gym.cli.pictures import training_curve
+        from greenhouse_gym.reporting.pictures import training_curve
 
         random_rate = evaluations[-1].success_rate
         steps, success = ([float(point[key]) for point in curve] for key in ("steps", "success_rate"))
@@ -124,10 +124,10 @@ def _simulate(out: Path, seed: int, settings: DemoSettings, report: Report) -> t
 
 def _reconstruct(out: Path, row: PlantRow, recording: Recording, report: Report) -> RowCloud:
     from greenhouse_gym.accuracy import distance_to_truth, drift
-    from greenhouse_gym.cli.pictures import registration_pictures, row_pictures
     from greenhouse_gym.reconstruction import ReconstructionSettings, save_row, simplify_points, triangulate
     from greenhouse_gym.reconstruction.row import merge_segment, remove_outliers
     from greenhouse_gym.reconstruction.walk import walk_through
+    from greenhouse_gym.reporting.pictures import registration_pictures, row_pictures
 
     settings = ReconstructionSettings()
     with report.stage("reconstruct") as results:
@@ -177,9 +177,9 @@ def true_poses(recording: Recording) -> np.ndarray[Any, np.dtype[np.float64]]:
 
 def _extract(out: Path, row: PlantRow, recording: Recording, cloud: RowCloud, report: Report) -> RowShapes:
     from greenhouse_gym.accuracy import match_tomatoes, visible_tomatoes
-    from greenhouse_gym.cli.overlay import shapes_over_photograph
-    from greenhouse_gym.cli.pictures import save, upright
     from greenhouse_gym.geometry import invert, transform
+    from greenhouse_gym.reporting.overlay import shapes_over_photograph
+    from greenhouse_gym.reporting.pictures import save, upright
     from greenhouse_gym.shapes import extract_shapes
 
     with report.stage("extract shapes") as results:
@@ -215,7 +215,7 @@ def _extract(out: Path, row: PlantRow, recording: Recording, cloud: RowCloud, re
 def _build(
     out: Path, recording: Recording, cloud: RowCloud, shapes: RowShapes, demo_settings: DemoSettings, report: Report
 ) -> SceneBank:
-    from greenhouse_gym.build import BuildSettings, cut_scenes
+    from greenhouse_gym.cutting import BuildSettings, cut_scenes
     from greenhouse_gym.planning import certify_targets
     from greenhouse_gym.scene.bank import write_bank
 
@@ -252,8 +252,8 @@ def _plan_to_every_tomato(out: Path, bank: SceneBank, report: Report) -> None:
 
 
 def _draw_the_arm(out: Path, recording: Recording, cloud: RowCloud, bank: SceneBank, report: Report) -> None:
-    from greenhouse_gym.cli.pictures import overview, save, splat, upright
     from greenhouse_gym.planning import resample
+    from greenhouse_gym.reporting.pictures import overview, save, splat, upright
     from greenhouse_gym.robots import get_robot
     from greenhouse_gym.scene.render import picture_of_path
 

@@ -26,7 +26,7 @@ def _reconstruction_settings() -> object:
 
 
 def _build_settings() -> object:
-    from greenhouse_gym.build import BuildSettings
+    from greenhouse_gym.cutting import BuildSettings
 
     return BuildSettings()
 
@@ -143,8 +143,9 @@ def build(
     from greenhouse_gym.extras import require_extras
 
     require_extras("reconstruct", "plan")
-    from greenhouse_gym.build import BuildSettings, build_bank
+    from greenhouse_gym.build import build_bank
     from greenhouse_gym.capture import open_recording
+    from greenhouse_gym.cutting import BuildSettings
     from greenhouse_gym.paths import write_atomically
     from greenhouse_gym.reconstruction import settings_for
     from greenhouse_gym.settings_files import as_toml, resolve

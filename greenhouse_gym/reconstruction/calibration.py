@@ -21,9 +21,9 @@ from scipy.spatial.transform import Rotation
 
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.capture.rig import Camera, Rig
+from greenhouse_gym.clouds import Cloud
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import Array, invert, pose, transform
-from greenhouse_gym.reconstruction.clouds import Cloud
 from greenhouse_gym.reconstruction.icp import tukey
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings
 from greenhouse_gym.reconstruction.views import Calibration, CameraView, view_camera

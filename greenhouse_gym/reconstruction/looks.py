@@ -9,9 +9,9 @@ from scipy.spatial import cKDTree
 
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.capture.rig import Rig
+from greenhouse_gym.clouds import Cloud, merge, voxel_means
 from greenhouse_gym.errors import InvalidValueError, ReconstructionError
 from greenhouse_gym.geometry import Array, invert
-from greenhouse_gym.reconstruction.clouds import Cloud, merge, voxel_means
 from greenhouse_gym.reconstruction.graph import Edge
 from greenhouse_gym.reconstruction.joining import register_near
 from greenhouse_gym.reconstruction.merging import lonely_points

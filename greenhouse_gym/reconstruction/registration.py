@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from greenhouse_gym.capture.rig import Camera
+from greenhouse_gym.clouds import merge, to_open3d
 from greenhouse_gym.geometry import Array, invert, pose, rotation_angle, transform
 from greenhouse_gym.open3d_loader import open3d
-from greenhouse_gym.reconstruction.clouds import merge, to_open3d
 from greenhouse_gym.reconstruction.foreground import foreground_problem
 from greenhouse_gym.reconstruction.icp import Alignment, align, assess
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings

@@ -12,8 +12,8 @@ import numpy.typing as npt
 
 from greenhouse_gym.capture.frames import RgbdFrame, Station
 from greenhouse_gym.capture.rig import Camera, Rig
+from greenhouse_gym.clouds import Cloud, PackedCloud, merge
 from greenhouse_gym.geometry import Array, transform
-from greenhouse_gym.reconstruction.clouds import Cloud, PackedCloud, merge
 from greenhouse_gym.reconstruction.foreground import foreground_mask
 from greenhouse_gym.reconstruction.normals import image_normals
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings

@@ -16,11 +16,11 @@ from time import perf_counter
 import numpy as np
 
 from greenhouse_gym.capture.recordings import Pass, Recording
+from greenhouse_gym.clouds import PackedCloud
 from greenhouse_gym.errors import FileFormatError, ReconstructionError
 from greenhouse_gym.extras import needs
 from greenhouse_gym.geometry import Array, transform
 from greenhouse_gym.reconstruction.calibration import CalibrationReport, calibrate
-from greenhouse_gym.reconstruction.clouds import PackedCloud
 from greenhouse_gym.reconstruction.diary import Diary, Entry
 from greenhouse_gym.reconstruction.foreground import foreground_problem
 from greenhouse_gym.reconstruction.graph import Edge

@@ -12,9 +12,9 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from greenhouse_gym.capture.exposure import exposure_failure
+from greenhouse_gym.clouds import Cloud, voxel_means
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.reconstruction.clouds import Cloud, voxel_means
 from greenhouse_gym.shapes.normals import estimate_normals
 from greenhouse_gym.shapes.settings import ShapeSettings
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from greenhouse_gym.clouds import Cloud
 from greenhouse_gym.crop import Stem, Tomato
 from greenhouse_gym.geometry import Box, Shape
-from greenhouse_gym.reconstruction.clouds import Cloud
 from greenhouse_gym.shapes.checks import Notes, checked, thinned
 from greenhouse_gym.shapes.clutter import cover
 from greenhouse_gym.shapes.colors import could_be_peduncle, could_be_pipe, could_be_stem, is_colorful
