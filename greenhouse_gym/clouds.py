@@ -11,6 +11,9 @@ import numpy.typing as npt
 from greenhouse_gym.geometry import Array, transform
 from greenhouse_gym.open3d_loader import open3d
 
+_BLACK, _BURNT = 0.03, 0.97  # all channels below, or above: nothing is left of a color
+_MOST_FAILED = 0.9  # share of the points that may be so
+
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
@@ -97,3 +100,15 @@ def merge(clouds: list[Cloud]) -> Cloud:
         np.concatenate([c.colors for c in clouds]),
         np.concatenate([c.normals for c in clouds]),
     )
+
+
+def exposure_failure(colors: npt.NDArray[np.floating]) -> str:
+    """How photographs failed whose points have these colors (n, 3), from 0 to 1: a phrase for a message, or ""."""
+    if not len(colors):
+        return ""
+    black, burnt = (colors < _BLACK).all(axis=1).mean(), (colors > _BURNT).all(axis=1).mean()
+    if black > _MOST_FAILED:
+        return f"{black:.0%} of the points are black: the photographs are underexposed"
+    if burnt > _MOST_FAILED:
+        return f"{burnt:.0%} of the points are burnt out to white: the photographs are overexposed"
+    return ""

@@ -11,10 +11,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.capture.exposure import exposure_failure
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.capture.rig import Rig
-from greenhouse_gym.clouds import Cloud
+from greenhouse_gym.clouds import Cloud, exposure_failure
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.reconstruction.graph import optimize
 from greenhouse_gym.reconstruction.merging import merge_stations, outliers

@@ -11,8 +11,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from greenhouse_gym.capture.exposure import exposure_failure
-from greenhouse_gym.clouds import Cloud, voxel_means
+from greenhouse_gym.clouds import Cloud, exposure_failure, voxel_means
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.shapes.normals import estimate_normals

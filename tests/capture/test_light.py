@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.capture import StereoDoubt, StereoNoise, sense_depth
-from greenhouse_gym.capture.exposure import exposure_failure
 from greenhouse_gym.capture.light import Light, Skin, draw_light, shade
 from greenhouse_gym.capture.raycast import RowRaycaster
 from greenhouse_gym.capture.rig import Intrinsics
 from greenhouse_gym.capture.sensor import doubtful, mix_edges
+from greenhouse_gym.clouds import exposure_failure
 from greenhouse_gym.crop import Stem
 from greenhouse_gym.geometry import pose
 from greenhouse_gym.plants import Organ, PlantRow
