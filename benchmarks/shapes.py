@@ -56,8 +56,8 @@ from greenhouse_gym.accuracy import (
     match_tomatoes,
     moved,
 )
-from greenhouse_gym.build import BuildSettings, cut_scenes, stand_positions
 from greenhouse_gym.crop import STEM_KINDS
+from greenhouse_gym.cutting import BuildSettings, cut_scenes, stand_positions
 from greenhouse_gym.geometry import Array, Capsule, Shape, transform
 from greenhouse_gym.open3d_loader import open3d
 from greenhouse_gym.paths import write_atomically

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from greenhouse_gym.clouds import Cloud, voxel_means
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.reconstruction.clouds import Cloud, voxel_means
 from greenhouse_gym.shapes.colors import is_colorful, redness
 from greenhouse_gym.shapes.neighborhoods import Neighborhoods
 from greenhouse_gym.shapes.settings import ShapeSettings
