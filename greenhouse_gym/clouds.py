@@ -79,16 +79,19 @@ def voxels(points: Array, size: float, offset: float = 0.0) -> npt.NDArray[np.in
     return np.asarray((cubes[:, 0] * extent[1] + cubes[:, 1]) * extent[2] + cubes[:, 2])
 
 
+def means_by_voxel(points: Array, voxel: float, *values: Array) -> tuple[list[Array], npt.NDArray[np.int64]]:
+    """The means of values (n, 3) of the points in each occupied cube, and the row of its mean for each point, (n,)."""
+    _, cube, count = np.unique(voxels(points, voxel), return_inverse=True, return_counts=True)
+    return [
+        np.column_stack([np.bincount(cube, each[:, k], len(count)) for k in range(3)]) / count[:, None]
+        for each in values
+    ], cube
+
+
 def voxel_means(cloud: Cloud, voxel: float) -> tuple[Cloud, npt.NDArray[np.int64]]:
     """The mean point of each occupied cube of ``voxel`` metres, and the row of its mean for each point, (n,)."""
-    _, cube, count = np.unique(voxels(cloud.points, voxel), return_inverse=True, return_counts=True)
-
-    def mean(values: Array) -> Array:
-        return np.column_stack([np.bincount(cube, values[:, k], len(count)) for k in range(3)]) / count[:, None]
-
-    normals = mean(cloud.normals)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    return Cloud(mean(cloud.points), mean(cloud.colors), normals), cube
+    (points, colors, normals), cube = means_by_voxel(cloud.points, voxel, cloud.points, cloud.colors, cloud.normals)
+    return Cloud(points, colors, normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)), cube
 
 
 def merge(clouds: list[Cloud]) -> Cloud:

@@ -296,7 +296,7 @@ class _Match:
             joint_length=path_length(way),
             tip_length=path_length(tips),
             clearance=smallest_clearance(compiled, model, target, way),
-            jerkiness=float(np.linalg.norm(np.diff(way, n=2, axis=0), axis=-1).mean()) if steps > 1 else 0.0,
+            roughness=float(np.linalg.norm(np.diff(way, n=2, axis=0), axis=-1).mean()) if steps > 1 else 0.0,
             total_reward=run.total_reward,
             distance=float(info["distance"]),
             status=str(getattr(run.agent, "status", "")),

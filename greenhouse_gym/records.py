@@ -29,7 +29,7 @@ class Record:
         tip_length: Way of the tip, metres.
         clearance: Smallest distance of the arm to any obstacle but the target, metres, at the ends of the actions;
             at most `CLEARANCE_RANGE`. Floor, cart and the arm itself do not count.
-        jerkiness: Mean norm of the change of the joint steps from action to action, radians; 0 is smoothest.
+        roughness: Mean norm of the change of the joint steps from action to action, radians; 0 is smoothest.
         total_reward: Sum of the rewards.
         distance: From the grasp point to the target's center at the end, metres.
         status: What the agent says of its plan; empty for agents that do not plan.
@@ -49,7 +49,7 @@ class Record:
     joint_length: float
     tip_length: float
     clearance: float
-    jerkiness: float
+    roughness: float
     total_reward: float
     distance: float
     status: str = ""
@@ -118,7 +118,7 @@ def comparison_table(evaluations: Sequence[Evaluation]) -> str:
     present = {r.difficulty for e in evaluations for r in e.records}
     difficulties = [d for d in DIFFICULTIES if d in present]
     heads = ["agent", "episodes", "success [95 %]", *difficulties, "collision", "planning s", "steps"]
-    heads += ["joints rad", "tip m", "clearance mm", "jerkiness rad"]
+    heads += ["joints rad", "tip m", "clearance mm", "roughness rad"]
     rows = [heads, ["---"] + ["---:"] * (len(heads) - 1)]
     for e in evaluations:
         low, high = e.success_interval
@@ -134,7 +134,7 @@ def comparison_table(evaluations: Sequence[Evaluation]) -> str:
                 f"{e.median('joint_length', solved_only=True):.2f}",
                 f"{e.median('tip_length', solved_only=True):.2f}",
                 f"{1000 * e.median('clearance', solved_only=True):.1f}",
-                f"{e.median('jerkiness', solved_only=True):.4f}",
+                f"{e.median('roughness', solved_only=True):.4f}",
             ]
         )
     notes = [f"{e.agent}: {e.error}" for e in evaluations if e.error]

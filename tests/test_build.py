@@ -329,7 +329,7 @@ def test_scenes_without_the_truth_that_a_recording_knows_are_built_anew(calls: C
 
 def test_another_version_rebuilds(calls: Calls, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     built(tmp_path)
-    monkeypatch.setattr(build, "version", lambda name: "99.0")
+    monkeypatch.setattr(cutting, "version", lambda name: "99.0")
     built(tmp_path)
     assert calls.reconstructed == ["a", "b", "a-1"] * 2
 

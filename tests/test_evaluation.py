@@ -65,7 +65,7 @@ def test_the_numbers_of_an_episode(evaluations: tuple[Evaluation, ...]) -> None:
         assert r.joint_length > 1.0
         assert 0.3 < r.tip_length < r.joint_length * 1.5
         assert r.planning_time > 0.001
-        assert 0 < r.jerkiness < 0.08
+        assert 0 < r.roughness < 0.08
         assert r.total_reward > 9.0
     for r in still.records:
         assert r.joint_length < 0.05
@@ -97,8 +97,8 @@ def test_wrong_encoders_change_observations_and_not_what_is_measured(bank: Scene
         evaluate(PlannerAgent(), bank=bank, problems=problems, randomization=Randomization(joint_offset=offset))
         for offset in (0.0, 0.2)
     )
-    measured = [(r.success, r.clearance, r.joint_length, r.tip_length, r.jerkiness) for r in right.records]
-    assert measured == [(r.success, r.clearance, r.joint_length, r.tip_length, r.jerkiness) for r in wrong.records]
+    measured = [(r.success, r.clearance, r.joint_length, r.tip_length, r.roughness) for r in right.records]
+    assert measured == [(r.success, r.clearance, r.joint_length, r.tip_length, r.roughness) for r in wrong.records]
     assert all(r.success and r.clearance > 0 for r in wrong.records)
 
 

@@ -242,7 +242,8 @@ def _plan_to_every_tomato(out: Path, bank: SceneBank, report: Report) -> None:
 
     with report.stage("plan to every tomato, follow each path") as results:
         problems = [(scene.name, k) for scene in bank for k in range(len(scene.tomatoes))]
-        planner = PlannerAgent("RRTConnect")
+        # the world it acts in is the reconstruction, in which nothing stands where nothing was seen
+        planner = PlannerAgent("RRTConnect", unseen="free")
         evaluation = evaluate(planner, "train", problems=problems, bank=str(bank.path))
         with_goal = [r for r in evaluation.records if r.status != "no_goal"]
         reached = sum(r.success for r in with_goal)
@@ -302,7 +303,7 @@ def _compare(out: Path, seed: int, settings: DemoSettings, report: Report) -> tu
 
     with report.stage("planner, policy and random agent on the same episodes") as results:
         policy = PolicyAgent.load(out / "ppo" / "policy.json")
-        agents: list[Agent] = [PlannerAgent("RRTConnect"), policy, RandomAgent()]
+        agents: list[Agent] = [PlannerAgent("RRTConnect", unseen="free"), policy, RandomAgent()]
         evaluations = compare(agents, "train", settings.episodes, seed + 1_000_000, bank=str(out / "bank"))
         table = comparison_table(evaluations)
         typer.echo(table)

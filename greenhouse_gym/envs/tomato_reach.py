@@ -12,7 +12,7 @@ from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 
 from greenhouse_gym.envs.episodes import DifficultyChoice
-from greenhouse_gym.envs.goals import goal_functions
+from greenhouse_gym.envs.hindsight import goal_functions
 from greenhouse_gym.envs.observations import Observed, select
 from greenhouse_gym.envs.settings import EnvSettings, settings_with
 from greenhouse_gym.envs.simulation import ReachSimulation, StepResult

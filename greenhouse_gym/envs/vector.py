@@ -14,7 +14,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from greenhouse_gym.envs.episodes import DifficultyChoice
-from greenhouse_gym.envs.goals import goal_functions
+from greenhouse_gym.envs.hindsight import goal_functions
 from greenhouse_gym.envs.observations import Observed, select
 from greenhouse_gym.envs.reach_task import Bools
 from greenhouse_gym.envs.settings import EnvSettings, check_whole, settings_with

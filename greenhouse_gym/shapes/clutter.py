@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
+from greenhouse_gym.clouds import means_by_voxel
 from greenhouse_gym.geometry import Array, Box
 from greenhouse_gym.shapes.evidence import nearest_shapes
 from greenhouse_gym.shapes.patches import flat_patches, lumps
@@ -136,12 +137,7 @@ def _fewer(cloud: _Cloud, pieces: Sequence[_Piece], budget: int, settings: Shape
 
 def _cells(points: Array, normals: Array, cell: float) -> tuple[Array, Array]:
     """Mean point (k, 3) and mean unit normal (k, 3) of the points in each cube of a grid."""
-    cubes, row = np.unique(np.floor(points / cell).astype(np.int64), axis=0, return_inverse=True)
-    share = 1.0 / np.bincount(row.ravel(), minlength=len(cubes))
-    means, facing = (
-        share[:, None] * np.stack([np.bincount(row.ravel(), values[:, k]) for k in range(3)], axis=1)
-        for values in (points, normals)
-    )
+    (means, facing), _ = means_by_voxel(points, cell, points, normals)
     return means, facing / np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-9)
 
 

@@ -18,6 +18,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
 
+from greenhouse_gym.clouds import means_by_voxel
 from greenhouse_gym.crop import Stem, StemKind, Tomato
 from greenhouse_gym.geometry import Array, closest_on_segments, distance_to_spheres
 from greenhouse_gym.shapes.evidence import nearest_shapes
@@ -60,7 +61,8 @@ def find_peduncles(
     if not len(points) or not tomatoes:
         return []
     # only the near side is seen; the axis lies behind it
-    nodes = _thinned(points - settings.peduncle_radius * normals, settings.path_step)
+    inside = points - settings.peduncle_radius * normals
+    (nodes,), _ = means_by_voxel(inside, settings.path_step, inside)
     crowd = cKDTree(nodes).query_ball_point(nodes, settings.path_crowd, return_length=True)
     nodes = nodes[crowd >= settings.min_path_crowd]
     tree = cKDTree(nodes)
@@ -72,13 +74,6 @@ def find_peduncles(
         if len(rows):
             stems += _trace(nodes[rows], fruits, main, settings)
     return stems
-
-
-def _thinned(points: Array, step: float) -> Array:
-    """The means (k, 3) of the points in each cube of a grid."""
-    cubes, row = np.unique(np.floor(points / step).astype(np.int64), axis=0, return_inverse=True)
-    sums = np.stack([np.bincount(row.ravel(), points[:, k], minlength=len(cubes)) for k in range(3)], axis=1)
-    return np.asarray(sums / np.bincount(row.ravel(), minlength=len(cubes))[:, None])
 
 
 def _trace(nodes: Array, fruits: list[Tomato], main: list[Stem], settings: ShapeSettings) -> list[Stem]:
