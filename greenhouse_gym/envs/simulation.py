@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import os
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -25,6 +24,7 @@ from greenhouse_gym.envs.stepping import Ids
 from greenhouse_gym.envs.worlds import World, room_for, worlds_of
 from greenhouse_gym.errors import InvalidValueError, NoEpisodeError
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.parallel import usable_cores
 from greenhouse_gym.robots import ROBOTS, get_robot
 from greenhouse_gym.scene import CompiledScene, Scene
 from greenhouse_gym.scene.field import NO_TOMATO
@@ -357,10 +357,3 @@ class ReachSimulation:
         noises = [None if drawn is None else drawn.noise for drawn in (self._disturbances[i] for i in chosen)]
         models = [physics.models[i] for i in chosen]
         return self._rig.photograph(models, physics.qpos[ids], frame, tip, tool, noises)
-
-
-def usable_cores() -> int:
-    """Cores this process may use, where the system tells; all of them elsewhere."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
