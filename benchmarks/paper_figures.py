@@ -42,13 +42,13 @@ from greenhouse_gym.reporting.pictures import BLUE, RED, Image, shifted_silhouet
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
-from greenhouse_gym.scene.render import Camera, default_camera, picture_of_path, render_scene
+from greenhouse_gym.scene.render import Viewpoint, default_camera, picture_of_path, render_scene
 from greenhouse_gym.shapes import RowShapes, extract_shapes
 
 STATIONS = 50
 ARM = "ur5e"  # its start is upright, as the paper's
 SETTINGS = ReconstructionSettings()
-WHOLE_ROW = Camera((-2.8, -1.3, 1.9), (0.35, 0.2, 1.0), 45.0)
+WHOLE_ROW = Viewpoint((-2.8, -1.3, 1.9), (0.35, 0.2, 1.0), 45.0)
 PAPER = {
     "stations": "50",
     "points of the row": "295,490",

@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.scene import CompiledScene, Scene, compile_scene
+from greenhouse_gym.scene import CompiledScene, compile_scene
+from greenhouse_gym.scene.surroundings import Surroundings
 
 _ROOMS = (16, 32, 64, 128, 256)
 """Obstacles that the smaller models have room for; the smallest that suffices is used."""
@@ -50,7 +51,7 @@ class RayCaster:
     def __init__(self, compiled: CompiledScene):
         self._obstacles = compiled.obstacle_geoms
         scene, capacity = compiled.scene, self._obstacles.stop - self._obstacles.start
-        empty = Scene(name="view", stand=scene.stand, provenance=scene.provenance)
+        empty = Surroundings(name="view", stand=scene.stand)
         rooms = [*(room for room in _ROOMS if room < capacity), capacity]
         models = [compile_scene(empty, compiled.robot, room).model for room in rooms]
         self._views = [(room, model, mujoco.MjData(model)) for room, model in zip(rooms, models, strict=True)]

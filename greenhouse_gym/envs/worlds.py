@@ -15,7 +15,7 @@ from greenhouse_gym.envs.stepping import drive_and_record
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, invert, pose, rotation_about, transform
 from greenhouse_gym.robots import Robot
-from greenhouse_gym.scene import CompiledScene, Scene, SceneBank, compile_scene
+from greenhouse_gym.scene import CompiledScene, Scene, SceneBank, Shapes, compile_scene
 from greenhouse_gym.scene.field import FieldStore, obstacle_field
 from greenhouse_gym.scene.mjcf import DEFAULT_CAPACITY, base_position
 from greenhouse_gym.scene.plant_motion import PlantMotion, moved_plants
@@ -185,7 +185,7 @@ class Worlds:
             )
 
 
-def _spheres(scene: Scene, scene_from_base: Array) -> Array:
+def _spheres(scene: Shapes, scene_from_base: Array) -> Array:
     """(t, 4) centers in the base frame and radii of the tomatoes, metres."""
     centers = np.array([tomato.center for tomato in scene.tomatoes]).reshape(-1, 3)
     radii = np.array([[tomato.radius] for tomato in scene.tomatoes]).reshape(-1, 1)

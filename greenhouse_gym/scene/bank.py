@@ -12,7 +12,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError, require_choice
 from greenhouse_gym.paths import checked_name, data_path, first_fault, inside, parsing, read_bytes, write_atomically
-from greenhouse_gym.scene.scene import Scene, SceneName
+from greenhouse_gym.scene.scene import Scene
+from greenhouse_gym.scene.surroundings import SceneName
 
 Split = Literal["train", "validation", "test"]
 SPLITS: tuple[str, ...] = get_args(Split)

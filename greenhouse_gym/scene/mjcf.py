@@ -18,7 +18,7 @@ from greenhouse_gym.geometry import Box, Capsule, Shape, Sphere
 from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.robots.robot import CUP_GEOM, TIP_SITE
 from greenhouse_gym.robots.start import CART_HALF_WIDTH, cart_drop
-from greenhouse_gym.scene.scene import Scene
+from greenhouse_gym.scene.surroundings import Surroundings
 
 DEFAULT_CAPACITY = 300
 """Obstacles a padded model has room for."""
@@ -55,7 +55,7 @@ class CompiledScene:
         cup_geom: Id of the geom that may touch the target, or -1.
     """
 
-    scene: Scene
+    scene: Surroundings
     robot: Robot
     model: mujoco.MjModel
     tip_site: int
@@ -76,7 +76,7 @@ class CompiledScene:
 
 
 def scene_spec(
-    scene: Scene, robot: str | Robot | None = None, capacity: int | None = None, target: int | None = None
+    scene: Surroundings, robot: str | Robot | None = None, capacity: int | None = None, target: int | None = None
 ) -> mujoco.MjSpec:
     """The scene, and the arm if one is named, as an editable MuJoCo specification.
 
@@ -134,7 +134,7 @@ def scene_spec(
 
 
 def compile_scene(
-    scene: Scene,
+    scene: Surroundings,
     robot: str | Robot = "ur5e",
     capacity: int | None = None,
     edit: Callable[[mujoco.MjSpec], None] | None = None,
@@ -168,16 +168,16 @@ def compile_scene(
     )
 
 
-def base_position(scene: Scene, robot: Robot) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+def base_position(scene: Surroundings, robot: Robot) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     """(3,) position of the arm's base in the scene, metres: below the shoulder at the height of the stand."""
     return np.asarray(scene.stand.position + [0.0, 0.0, scene.stand.shoulder_height - robot.shoulder_height])
 
 
-def _has_column(scene: Scene, robot: Robot) -> bool:
+def _has_column(scene: Surroundings, robot: Robot) -> bool:
     return bool(base_position(scene, robot)[2] - scene.stand.position[2] > 0.1)
 
 
-def _place_arm(spec: mujoco.MjSpec, scene: Scene, robot: Robot) -> None:
+def _place_arm(spec: mujoco.MjSpec, scene: Surroundings, robot: Robot) -> None:
     position = base_position(scene, robot)
     base = spec.worldbody.first_body()
     heading = np.array([np.cos(scene.stand.yaw / 2), 0.0, 0.0, np.sin(scene.stand.yaw / 2)])

@@ -22,9 +22,9 @@ from greenhouse_gym.scene.render import (
     KEY,
     KEY_LIGHT,
     SHADOW,
-    Camera,
     Image,
     Line,
+    Viewpoint,
     background_share,
     default_camera,
     sky_colors,
@@ -74,7 +74,7 @@ class OpenGLRenderer:
         self._area = mujoco.MjrRect(0, 0, width, height)
 
     def picture(
-        self, model: mujoco.MjModel, data: mujoco.MjData, camera: Camera | None = None, lines: Sequence[Line] = ()
+        self, model: mujoco.MjModel, data: mujoco.MjData, camera: Viewpoint | None = None, lines: Sequence[Line] = ()
     ) -> Image:
         """(h, w, 3) uint8; lines are hidden where something stands before them.
 
@@ -103,7 +103,7 @@ class OpenGLRenderer:
         self._context.free()
         self._gl.free()
 
-    def _draw(self, model: mujoco.MjModel, data: mujoco.MjData, camera: Camera, lines: Sequence[Line]) -> None:
+    def _draw(self, model: mujoco.MjModel, data: mujoco.MjData, camera: Viewpoint, lines: Sequence[Line]) -> None:
         self._gl.make_current()
         model.vis.global_.fovy = camera.field_of_view
         every = mujoco.mjtCatBit.mjCAT_ALL.value
@@ -118,7 +118,7 @@ _FORKED = "OpenGL does not work in a process that was forked from one that used 
 
 
 @lru_cache(maxsize=8)
-def _background(camera: Camera, width: int, height: int) -> tuple[Array, Array]:
+def _background(camera: Viewpoint, width: int, height: int) -> tuple[Array, Array]:
     """The sky (h, w, 3), 0 to 255, and the lengths of the rays per unit of depth (h, w)."""
     rays, stretch, _ = view_rays(camera, width, height)
     return 255.0 * sky_colors(rays), stretch
@@ -146,7 +146,7 @@ def _set_lights(scene: mujoco.MjvScene) -> None:
     scene.lights[len(lights) - 1].ambient[:] = AMBIENT  # with a light that has shadows it would be missing in them
 
 
-def free_camera(camera: Camera) -> mujoco.MjvCamera:
+def free_camera(camera: Viewpoint) -> mujoco.MjvCamera:
     """MuJoCo's free camera at the same place, looking the same way."""
     view = mujoco.MjvCamera()
     away = np.subtract(camera.look_at, camera.position)

@@ -25,7 +25,7 @@ from greenhouse_gym.geometry import (
     distance_to_spheres,
     rotation_about,
 )
-from greenhouse_gym.scene.scene import Shapes
+from greenhouse_gym.scene.surroundings import Shapes
 
 _WAVELENGTHS = (0.4, 1.2)  # metres, over which shifts change
 _WAVES = 6

@@ -17,7 +17,8 @@ from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, rotation_about
 from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.scene.mjcf import compile_scene
-from greenhouse_gym.scene.scene import Scene, Stand
+from greenhouse_gym.scene.scene import Scene
+from greenhouse_gym.scene.surroundings import Stand
 
 Image = npt.NDArray[np.uint8]
 
@@ -41,7 +42,7 @@ _ROWS_PER_TASK = 128
 
 
 @dataclass(frozen=True)
-class Camera:
+class Viewpoint:
     """A pinhole camera that keeps the horizon level.
 
     Attributes:
@@ -72,19 +73,19 @@ class Line:
     radius: float = 0.004
 
 
-def default_camera(stand: Stand | None = None) -> Camera:
+def default_camera(stand: Stand | None = None) -> Viewpoint:
     """From the aisle, beside and above the arm, so that the arm stands clear of the plants."""
     stand = stand or Stand()
     turn = rotation_about([0.0, 0.0, 1.0], stand.yaw)
     position = turn @ [-1.15, -1.9, 1.7] + stand.position
     look_at = turn @ [0.3, 0.05, 1.3] + stand.position
-    return Camera(tuple(position.tolist()), tuple(look_at.tolist()))
+    return Viewpoint(tuple(position.tolist()), tuple(look_at.tolist()))
 
 
 def render_scene(
     model: mujoco.MjModel,
     data: mujoco.MjData,
-    camera: Camera | None = None,
+    camera: Viewpoint | None = None,
     width: int = 640,
     height: int = 480,
     lines: Sequence[Line] = (),
@@ -132,7 +133,7 @@ def render_scene(
 
 
 def render_depth(
-    model: mujoco.MjModel, data: mujoco.MjData, camera: Camera | None = None, width: int = 640, height: int = 480
+    model: mujoco.MjModel, data: mujoco.MjData, camera: Viewpoint | None = None, width: int = 640, height: int = 480
 ) -> npt.NDArray[np.float32]:
     """Depth along the view, (height, width) metres, 0 where nothing is seen; the arguments are those of `render_scene`.
 
@@ -154,7 +155,7 @@ def picture(
     tip: npt.ArrayLike,
     target: npt.ArrayLike,
     trace: npt.ArrayLike = (),
-    camera: Camera | None = None,
+    camera: Viewpoint | None = None,
     width: int = 640,
     height: int = 480,
     samples: int = 2,
@@ -189,7 +190,7 @@ def picture_of_path(
     robot: str | Robot,
     target: int,
     joint_path: npt.ArrayLike,
-    camera: Camera | None = None,
+    camera: Viewpoint | None = None,
     width: int = 640,
     height: int = 480,
     samples: int = 2,
@@ -227,7 +228,7 @@ def picture_of_path(
     return picture(compiled.model, data, trace[0], center, trace, camera, width, height, samples)
 
 
-def view_rays(camera: Camera, width: int, height: int) -> tuple[Array, Array, float]:
+def view_rays(camera: Viewpoint, width: int, height: int) -> tuple[Array, Array, float]:
     """Unit rays (h, w, 3) in the scene, their lengths per unit of depth (h, w), and the focal length in pixels."""
     focal = float(height / (2 * np.tan(np.radians(camera.field_of_view) / 2)))
     u, v = np.meshgrid((np.arange(width) + 0.5 - width / 2) / focal, (np.arange(height) + 0.5 - height / 2) / focal)

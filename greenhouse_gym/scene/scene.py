@@ -3,25 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
-import numpy as np
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    PlainSerializer,
-    model_validator,
-)
+from pydantic import Field, model_validator
 
-from greenhouse_gym.crop import Stem, Tomato
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.geometry import Box, Capsule, Shape, Sphere, Vector
-from greenhouse_gym.paths import checked_name, parsing, read_bytes, write_atomically
-from greenhouse_gym.scene.packed import pack, unpack
+from greenhouse_gym.paths import parsing, read_bytes, write_atomically
 from greenhouse_gym.scene.seen import SeenSpace
+from greenhouse_gym.scene.surroundings import PackedShapes, Part, Surroundings
 
 if TYPE_CHECKING:
     from greenhouse_gym.robots import Robot
@@ -29,40 +18,8 @@ if TYPE_CHECKING:
 Difficulty = Literal["easy", "medium", "hard", "unreachable"]
 DIFFICULTIES: tuple[str, ...] = get_args(Difficulty)
 
-MOST_TOMATOES, MOST_SHAPES = 2000, 50_000
-"""The most tomatoes, and the most stems and the most pieces of clutter, that a scene may hold."""
 
-LARGEST = 100.0
-"""The largest coordinate or size in a scene, metres: single precision still resolves a hundredth of a millimetre."""
-
-SceneName = Annotated[str, AfterValidator(lambda name: checked_name("a scene", name))]
-
-
-class _Part(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class Stand(_Part):
-    """Where the arm stands in the scene frame.
-
-    Attributes:
-        position: (3,) point on the floor below the base axis, metres.
-        yaw: Heading about z, radians; 0 faces the plants (+x).
-        shoulder_height: Height of the shoulder joint above that point, metres.
-    """
-
-    position: Vector = Field(default_factory=lambda: [0.0, 0.0, 0.0], validate_default=True)
-    yaw: float = Field(default=0.0, ge=-100, le=100)
-    shoulder_height: float = Field(default=1.1, gt=0, le=10)
-
-    @model_validator(mode="after")
-    def _not_far(self) -> Stand:
-        if np.abs(self.position).max() > LARGEST:
-            raise InvalidValueError(f"position {self.position.tolist()} is farther than {LARGEST:g} m from the origin")
-        return self
-
-
-class Target(_Part):
+class Target(Part):
     """A tomato as a reaching target.
 
     Attributes:
@@ -79,7 +36,7 @@ class Target(_Part):
     witness: tuple[tuple[float, ...], ...] | None = None
 
 
-class Provenance(_Part):
+class Provenance(Part):
     """Where a scene comes from: recording, settings, package version, row, station, growth week."""
 
     row: str
@@ -91,52 +48,7 @@ class Provenance(_Part):
     package_version: str | None = None
 
 
-class Shapes(_Part):
-    """Tomatoes, stems and clutter in the scene frame: what stands around the arm."""
-
-    tomatoes: tuple[Tomato, ...] = Field(default=(), max_length=MOST_TOMATOES)
-    stems: tuple[Stem, ...] = Field(default=(), max_length=MOST_SHAPES)
-    clutter: tuple[Sphere | Capsule | Box, ...] = Field(default=(), max_length=MOST_SHAPES)
-
-    @model_validator(mode="after")
-    def _not_large(self) -> Self:
-        for kind in ("tomatoes", "stems", "clutter"):
-            for i, shape in enumerate(getattr(self, kind)):
-                lengths = [value for value in vars(shape).values() if isinstance(value, np.ndarray | float)]
-                if max(float(np.abs(value).max()) for value in lengths) > LARGEST:
-                    raise InvalidValueError(f"{kind}.{i} is larger, or farther away, than {LARGEST:g} m: {shape}")
-        return self
-
-    @property
-    def obstacles(self) -> tuple[Shape, ...]:
-        """All shapes in one order: tomatoes, stems, clutter."""
-        return (*self.tomatoes, *self.stems, *self.clutter)
-
-    def compact(self) -> Shapes:
-        """The shapes as a scene file keeps those of its truth: to 0.1 mm, the clutter sorted by kind."""
-        return _unpacked(_packed(self))
-
-
-def _packed(shapes: Shapes) -> dict[str, Any]:
-    return pack(shapes.tomatoes, shapes.stems, shapes.clutter)
-
-
-def _unpacked(value: Any) -> Any:
-    if isinstance(value, dict) and "rows" in value:
-        parts = unpack(value)
-        return Shapes(tomatoes=parts.tomatoes, stems=parts.stems, clutter=parts.clutter)
-    return value
-
-
-PackedShapes = Annotated[
-    Shapes,
-    BeforeValidator(_unpacked),
-    PlainSerializer(_packed, return_type=dict[str, Any], when_used="json"),
-]
-"""Shapes that a file keeps in tables (see `greenhouse_gym.scene.packed`), to 0.1 mm."""
-
-
-class Scene(Shapes):
+class Scene(Surroundings):
     """One place in a row with an arm in front of it.
 
     The frame is the world frame of the package: z up, y along the row, x from the aisle into the plants, origin on
@@ -149,8 +61,6 @@ class Scene(Shapes):
     """
 
     schema_version: Literal[1] = 1
-    name: SceneName
-    stand: Stand = Field(default_factory=Stand)
     targets: tuple[Target, ...] = ()
     provenance: Provenance
     truth: PackedShapes | None = None

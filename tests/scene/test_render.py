@@ -7,7 +7,7 @@ import pytest
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene, compile_scene
-from greenhouse_gym.scene.render import Camera, Line, picture_of_path, render_scene
+from greenhouse_gym.scene.render import Line, Viewpoint, picture_of_path, render_scene
 
 SMALL = {"width": 96, "height": 72, "samples": 1}
 
@@ -28,7 +28,7 @@ def is_red(image: np.ndarray) -> np.ndarray:
 
 
 def test_things_are_where_the_camera_model_says(ball: tuple[mujoco.MjModel, mujoco.MjData]) -> None:
-    camera = Camera((-2.0, 0.0, 0.0), (0.0, 0.0, 0.0), field_of_view=40.0)
+    camera = Viewpoint((-2.0, 0.0, 0.0), (0.0, 0.0, 0.0), field_of_view=40.0)
     image = render_scene(*ball, camera, 80, 60, samples=1).astype(int)
     green = (image[..., 1] > image[..., 0] + 20) & (image[..., 1] > image[..., 2] + 20)
     rows, columns = np.nonzero(green)
@@ -40,7 +40,7 @@ def test_things_are_where_the_camera_model_says(ball: tuple[mujoco.MjModel, mujo
 
 
 def test_lines_are_hidden_by_what_stands_before_them(ball: tuple[mujoco.MjModel, mujoco.MjData]) -> None:
-    camera = Camera((-2.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    camera = Viewpoint((-2.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     behind, before = ([[x, -0.5, 0.0], [x, 0.5, 0.0]] for x in (0.5, -0.5))
     pictures = [is_red(render_scene(*ball, camera, lines=[Line(p, (0.9, 0, 0))], **SMALL)) for p in (behind, before)]
     assert not pictures[0][30:42, 44:52].any()
@@ -49,7 +49,7 @@ def test_lines_are_hidden_by_what_stands_before_them(ball: tuple[mujoco.MjModel,
 
 
 def test_lines_beside_and_behind_the_camera_do_no_harm(ball: tuple[mujoco.MjModel, mujoco.MjData]) -> None:
-    camera = Camera((-2.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    camera = Viewpoint((-2.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     plain = render_scene(*ball, camera, **SMALL)
     for points in ([[-3, 0, 0], [-4, 1, 0]], [[0, 50, 0], [0, 60, 0]], [[-2, 0, 0], [-2, 0, 0]]):
         np.testing.assert_array_equal(render_scene(*ball, camera, lines=[Line(points, (1, 0, 0))], **SMALL), plain)
