@@ -23,7 +23,7 @@ from greenhouse_gym.envs import TomatoReachVectorEnv
 from greenhouse_gym.envs.actions import check_actions
 from greenhouse_gym.envs.observations import Observed, select
 from greenhouse_gym.envs.simulation import ReachSimulation
-from greenhouse_gym.errors import GreenhouseError, InvalidValueError
+from greenhouse_gym.errors import GreenhouseError, InvalidValueError, require_seed
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning import path_length
 from greenhouse_gym.planning.collision import CLEARANCE_RANGE, smallest_clearance
@@ -78,13 +78,14 @@ def evaluate(
             be changed.
 
     Raises:
-        InvalidValueError: No episodes, no agent, or an option that contradicts what the agent needs.
+        InvalidValueError: No episodes, no agent, a negative seed, or an option that contradicts what the agent needs.
         AgentError: The agent failed before it gave a single valid action.
     """
     for name, number in (("episodes", episodes), ("num_envs", num_envs)):
         if isinstance(number, bool) or not isinstance(number, (int, np.integer)) or number < 1:
             raise InvalidValueError(f"{name} must be a whole number from 1 up, got {number!r}")
     check_agent(agent)
+    require_seed(seed)
     for key, value in agent.env_options.items():
         if key in options and options[key] != value:
             raise InvalidValueError(f"agent {agent.name!r} needs {key}={value!r}, got {options[key]!r}")

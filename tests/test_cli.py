@@ -311,6 +311,11 @@ def test_other_commands_check_their_names(bank: SceneBank, tmp_path: Path) -> No
     assert isinstance(fails("build", tmp_path, "--out", tmp_path / "bank"), FileFormatError)
 
 
+def test_negative_seeds_are_told_of(bank: SceneBank, tmp_path: Path) -> None:
+    for arguments in (("compare", "still"), ("train", "ppo", "--out", tmp_path)):
+        assert "seed must be a whole number from 0 on" in str(fails(*arguments, "--bank", bank.path, "--seed", "-1"))
+
+
 def test_compare_prints_a_table(bank: SceneBank) -> None:
     printed = run("compare", "random", "still", "--bank", bank.path, "--split", "test", "--episodes", "2")
     assert "random" in printed

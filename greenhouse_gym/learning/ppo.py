@@ -15,7 +15,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TimeRemainingColumn
 
-from greenhouse_gym.errors import InvalidValueError, MissingDependencyError
+from greenhouse_gym.errors import InvalidValueError, MissingDependencyError, require_seed
 from greenhouse_gym.integrations.sb3 import make_sb3_vec_env
 from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.scene import SceneBank
@@ -110,6 +110,7 @@ def train_ppo(
         FileFormatError: The checkpoint is damaged.
         KeyboardInterrupt: The training was interrupted; what there was is written.
     """
+    require_seed(settings.seed)
     out = Path(out)
     described = json.loads(json.dumps(asdict(settings)))
     _check_folder(out, described, resume)

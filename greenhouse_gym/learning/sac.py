@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from greenhouse_gym.errors import MissingDependencyError
+from greenhouse_gym.errors import MissingDependencyError, require_seed
 from greenhouse_gym.evaluation import Evaluation, evaluate
 from greenhouse_gym.integrations.sb3 import Sb3Agent, make_sb3_vec_env
 
@@ -136,6 +136,7 @@ def train_sac(
     Returns:
         The Stable-Baselines3 model and the judgements.
     """
+    require_seed(settings.seed)
     model = make_sac(settings)
     report = _Report(settings, minutes, every, episodes, tell)
     try:

@@ -19,6 +19,7 @@ from greenhouse_gym.clouds import Cloud, voxel_means
 from greenhouse_gym.crop import Stem
 from greenhouse_gym.geometry import Array, frame_along
 from greenhouse_gym.shapes.neighborhoods import Neighborhoods
+from greenhouse_gym.shapes.robust import gauss_newton_step, tukey_weights
 from greenhouse_gym.shapes.settings import ShapeSettings
 
 _CELL = 0.010  # metres: pieces of surface are told apart at this size
@@ -157,7 +158,7 @@ def _refine(cylinder: Cylinder, near: Cloud, settings: ShapeSettings) -> Cylinde
     low, high = settings.pipe_radii
     for scale in _SCALES:
         along, outward, residual, alignment = _look(cylinder, near)
-        weight = np.clip(1 - (residual / (scale * settings.shell)) ** 2, 0, None) ** 2 * (alignment > 0.7)
+        weight = tukey_weights(residual, scale * settings.shell) * (alignment > 0.7)
         if np.count_nonzero(weight) < 30:
             return None
         middle = np.average(along, weights=weight)
@@ -166,9 +167,7 @@ def _refine(cylinder: Cylinder, near: Cloud, settings: ShapeSettings) -> Cylinde
         u = outward @ sideways
         jacobian = np.column_stack([-u, -along[:, None] * u, -np.ones(len(u))])
         length = np.average(along**2, weights=weight)
-        ridge = 1e-4 * weight.sum() * np.diag([1.0, 1.0, length, length, 1e-2])  # in case a direction tells nothing
-        matrix = jacobian.T @ (weight[:, None] * jacobian) + ridge
-        step = np.linalg.solve(matrix, -jacobian.T @ (weight * residual))
+        step = gauss_newton_step(jacobian, weight, residual, 1e-4 * np.array([1.0, 1.0, length, length, 1e-2]))
         axis = cylinder.axis + sideways @ step[2:4]
         cylinder = Cylinder(
             cylinder.origin + middle * cylinder.axis + sideways @ step[:2],

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from greenhouse_gym.geometry import Array, Sphere
+from greenhouse_gym.shapes.robust import gauss_newton_step, tukey_weights
 from greenhouse_gym.shapes.settings import ShapeSettings
 
 _ABOVE_PLANE = 1.2  # times the votes a plane gathers in one place a sphere must have
@@ -158,14 +159,11 @@ def _refine(cloud: Array, normals: Array, candidate: Array, settings: ShapeSetti
         distance = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
         unit = away / distance[:, None]
         residual = distance - radius
-        weight = np.clip(1 - (residual / (scale * shell)) ** 2, 0, None) ** 2
-        weight *= (unit * normals).sum(axis=1) > aligned
+        weight = tukey_weights(residual, scale * shell) * ((unit * normals).sum(axis=1) > aligned)
         if np.count_nonzero(weight) < trust.fewest:
             return None
         jacobian = np.column_stack([-unit, -np.ones(len(unit))])
-        damping = weight.sum() * np.diag([1e-3, 1e-3, 1e-3, trust.radius])
-        normal_matrix = jacobian.T @ (weight[:, None] * jacobian) + damping
-        step = np.linalg.solve(normal_matrix, -jacobian.T @ (weight * residual))
+        step = gauss_newton_step(jacobian, weight, residual, np.array([1e-3, 1e-3, 1e-3, trust.radius]))
         center, radius = center + step[:3], radius + float(step[3])
         if not settings.radii[0] * 0.9 <= radius <= settings.radii[1] * 1.1:
             return None

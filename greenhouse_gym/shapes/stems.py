@@ -12,6 +12,7 @@ from scipy import ndimage
 from greenhouse_gym.crop import Stem, StemKind
 from greenhouse_gym.geometry import Array, distance_to_capsules
 from greenhouse_gym.shapes.polylines import fitted
+from greenhouse_gym.shapes.robust import gauss_newton_step, tukey_weights
 from greenhouse_gym.shapes.settings import ShapeSettings
 
 _BESIDE_STEM = 0.014  # metres by which a disc may be wider: a string beside the stem, and noise
@@ -182,14 +183,12 @@ def _circle(
         away = points - center
         distance = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
         unit, off = away / distance[:, None], distance - size
-        weight = np.clip(1 - (off / _NEAR) ** 2, 0.0, None) ** 2 * ((unit * normals).sum(axis=1) > 0.3)
+        weight = tukey_weights(off, _NEAR) * ((unit * normals).sum(axis=1) > 0.3)
         if weight.sum() < _FEWEST:
             break
         jacobian = np.column_stack([-unit, -np.ones(len(unit))])
         held = np.array([1e-3, 1e-3, 1e-3 if radius is None else 1e6])
-        step = np.linalg.solve(
-            jacobian.T @ (weight[:, None] * jacobian) + weight.sum() * np.diag(held), -jacobian.T @ (weight * off)
-        )
+        step = gauss_newton_step(jacobian, weight, off, held)
         center, size = center + step[:2], float(np.clip(size + step[2], *radii))
     return float(center[0]), float(center[1]), size
 
