@@ -36,15 +36,16 @@ def build_bank(
     settings: BuildSettings | None = None,
     description: str = "",
     on_stage: Callable[[str], None] | None = None,
+    known: Sequence[Provenance | None] | None = None,
 ) -> SceneBank:
-    """Build a bank of scenes from recordings, one row each.
+    """Build a bank of scenes from recordings.
 
     An interrupted build goes on with the station, or the scene, at which it stopped: what is not finished lies in the
     folder ``unfinished`` until the manifest is written, last. What was made of other images, with other settings or by
     another version is made anew.
 
     Args:
-        recordings: One per row; their names become the rows' names.
+        recordings: Of one row each; their names become the rows' names.
         out: The bank's folder.
         name: The bank's name.
         splits: Split of each row; by default two thirds train, the rest validation and test in turn.
@@ -52,9 +53,12 @@ def build_bank(
         settings: All settings.
         description: A sentence on where the bank comes from.
         on_stage: Told what is being done, row by row.
+        known: Of each recording the row, its style and its source, where they are known. Recordings of one row, in
+            other weeks, name the same row, and go into the same split.
 
     Raises:
-        InvalidValueError: No recordings, two of one name, one that cannot be a file's, or lists of different lengths.
+        InvalidValueError: No recordings, two of one name, one that cannot be a file's, lists of different lengths, or a
+            row in two splits.
         FileWriteError: The folder cannot be written, or another process is building in it; told before any work.
         MissingDependencyError: OMPL, which certifies the targets, is not installed.
         ReconstructionError: A recording could not be turned into a row.
@@ -63,7 +67,9 @@ def build_bank(
     names = [checked_name("a recording to build of", recording.name) for recording in recordings]
     splits = default_splits(len(recordings)) if splits is None else splits
     weeks = [None] * len(recordings) if weeks is None else weeks
-    if not recordings or len(set(names)) != len(names) or not len(names) == len(splits) == len(weeks):
+    known = [None] * len(recordings) if known is None else known
+    same_length = len(names) == len(splits) == len(weeks) == len(known)
+    if not recordings or len(set(names)) != len(names) or not same_length:
         raise InvalidValueError(
             f"expected recordings with different names, each with a split and a week; got {names}, {splits}, {weeks}"
         )
@@ -72,9 +78,9 @@ def build_bank(
     folder = Path(out)
     scenes: list[tuple[Scene, str]] = []
     with exclusive(folder):
-        for recording, split, week in zip(recordings, splits, weeks, strict=True):
+        for recording, split, week, facts in zip(recordings, splits, weeks, known, strict=True):
             fitted = replace(settings, reconstruction=settings.reconstruction or settings_for(recording))
-            made = _row_of_scenes(folder, recording, week, fitted, report)
+            made = _row_of_scenes(folder, recording, week, facts, fitted, report)
             scenes += [(scene, split) for scene in made]
         bank = write_bank(folder, scenes, name, description)
         shutil.rmtree(folder / UNFINISHED, ignore_errors=True)
@@ -82,10 +88,15 @@ def build_bank(
 
 
 def _row_of_scenes(
-    folder: Path, recording: Recording, week: int | None, settings: BuildSettings, report: Callable[[str], None]
+    folder: Path,
+    recording: Recording,
+    week: int | None,
+    known: Provenance | None,
+    settings: BuildSettings,
+    report: Callable[[str], None],
 ) -> Sequence[Scene]:
     """The certified scenes of a recording, each saved in the bank's folder."""
-    origin = provenance_of(recording, week, settings)
+    origin = provenance_of(recording, week, settings, known)
     finished = _of_finished_bank(folder, origin)
     if finished:
         report(f"{recording.name}: {len(finished)} scenes already built")
@@ -129,12 +140,13 @@ def _cut_before(path: Path, origin: Provenance) -> list[Scene] | None:
 
 
 def _of_finished_bank(folder: Path, origin: Provenance) -> list[Scene]:
-    """The row's scenes in the bank that lies in the folder, if there is one and they were made in the same way."""
+    """The recording's scenes in the bank that lies in the folder, if there is one and they were made in the same way."""
     try:
         bank = SceneBank.open(folder)
-        found = [bank.scene(entry.name) for entry in bank.manifest.scenes if entry.row == origin.row]
+        of_row = [bank.scene(entry.name) for entry in bank.manifest.scenes if entry.row == origin.row]
     except GreenhouseError:
         return []
+    found = [scene for scene in of_row if scene.provenance.recording == origin.recording]
     return found if all(_same(scene, origin) for scene in found) else []
 
 

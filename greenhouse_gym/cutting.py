@@ -40,15 +40,26 @@ class BuildSettings:
     carving: CarvingSettings = field(default_factory=CarvingSettings)
 
 
-def provenance_of(recording: Recording, week: int | None, settings: BuildSettings) -> Provenance:
-    """Where all scenes of a recording come from."""
-    return Provenance(
-        row=recording.name,
-        week=week,
-        recording=recording.name,
-        recording_sha256=fingerprint(recording),
-        settings=_plain(settings),
-        package_version=version("greenhouse-gym"),
+def provenance_of(
+    recording: Recording, week: int | None, settings: BuildSettings, known: Provenance | None = None
+) -> Provenance:
+    """Where all scenes of a recording come from.
+
+    Args:
+        recording: The recording; without more knowledge its name is the row's.
+        week: Growth week, if known.
+        settings: All settings.
+        known: The row, its style and source, where they are known.
+    """
+    return (known or Provenance(row=recording.name)).model_copy(
+        update={
+            "week": week,
+            "protocol": recording.protocol,
+            "recording": recording.name,
+            "recording_sha256": fingerprint(recording),
+            "settings": _plain(settings),
+            "package_version": version("greenhouse-gym"),
+        }
     )
 
 

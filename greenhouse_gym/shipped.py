@@ -1,42 +1,134 @@
-"""The banks that ship with the package: which rows they are made of, and the one function that builds them."""
+"""The banks that ship with the package: which rows they are made of, and the one function that builds them.
+
+Every recording becomes a bank of its own, a part, in the folder ``parts``; the parts joined are ``default``, and some
+of its scenes are ``mini``. What an interrupted build has finished is not made again.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from greenhouse_gym.build import build_bank
-from greenhouse_gym.capture import simulate_recording
+from greenhouse_gym.capture import Recording, simulate_protocol
 from greenhouse_gym.cutting import BuildSettings
+from greenhouse_gym.paths import exclusive
 from greenhouse_gym.plants import grow_row
-from greenhouse_gym.scene import SceneBank
-from greenhouse_gym.scene.bank import write_bank
+from greenhouse_gym.scene import Provenance, SceneBank
+from greenhouse_gym.scene.bank import MANIFEST, write_bank
 
-ROW_LENGTH = 2.0  # m
-ROWS = tuple((seed, week) for week, seed in enumerate(range(100, 112)))
-"""Seed of each row and its growth week, weeks counted modulo 4."""
+ROW_LENGTH = 1.0  # m
+ROWS, FIRST_SEED, WEEKS = 48, 2000, 12
+PARTS = "parts"
 
-SPLITS = ("train",) * 8 + ("validation",) * 2 + ("test",) * 2
+SETTINGS = BuildSettings(spacing=0.2)
+"""Four stands on a row of this length."""
 
-DESCRIPTION = "Simulated recordings of grown cluster-tomato rows, reconstructed; seeds of the rows in their names."
+KINDS = (
+    ("own", "cluster", "cluster"),
+    ("helios", "beefsteak", "beefsteak"),
+    ("own", "cherry", "cherry"),
+    ("helios", "dense", "cluster"),
+    ("own", "beefsteak", "beefsteak"),
+    ("helios", "cherry", "cherry"),
+    ("own", "beefsteak", "beefsteak"),
+    ("helios", "bushy", "cluster"),
+)
+"""Source, cultivar and style of fruit of the rows, in turn: more than half of what is hard to reach between."""
+
+DESCRIPTION = (
+    "Simulated recordings of grown rows, reconstructed: three styles of fruit, plants of two sources, two capture "
+    "protocols, weeks 0 to 11. Source, cultivar and seed of a row are in its name; some rows were recorded in two weeks."
+)
 
 
-def build_shipped_banks(out: Path) -> tuple[SceneBank, SceneBank]:
-    """Build ``default`` (every row) and ``mini`` (four scenes of it) below a folder.
+@dataclass(frozen=True)
+class Shot:
+    """One recording of a row.
 
-    An interrupted build goes on where it stopped.
+    Attributes:
+        seed: Of the row.
+        week: Growth week.
+        source: Where the plants come from.
+        cultivar: As `grow_row` takes it for a style.
+        style: Of the fruit.
+        protocol: How the row is photographed.
+        split: Of the row.
     """
-    recordings = [
-        replace(simulate_recording(grow_row(seed, ROW_LENGTH, week % 4), seed), name=f"row-{seed}")
-        for seed, week in ROWS
-    ]
-    weeks = [week % 4 for _, week in ROWS]
-    default = build_bank(recordings, out / "default", "default", SPLITS, weeks, BuildSettings(), DESCRIPTION)
-    chosen = [*default.names("train")[:2], default.names("validation")[0], default.names("test")[0]]
-    mini = write_bank(
-        out / "mini",
-        [(default.scene(name), default.split_of(name)) for name in chosen],
-        name="mini",
-        description="Four scenes of the default bank, for tests.",
+
+    seed: int
+    week: int
+    source: str
+    cultivar: str
+    style: str
+    protocol: str
+    split: str
+
+    @property
+    def row(self) -> str:
+        """Name of the row, the same in all weeks."""
+        return f"{self.source}-{self.cultivar}-{self.seed}"
+
+    @property
+    def name(self) -> str:
+        """Name of the recording."""
+        return f"{self.row}-w{self.week:02d}"
+
+    def recording(self) -> Recording:
+        """The recording, simulated."""
+        row = grow_row(self.seed, ROW_LENGTH, self.week, self.cultivar, source=self.source)
+        # another walk and other noise in every week
+        return replace(simulate_protocol(row, 100 * self.seed + self.week, self.protocol), name=self.name)
+
+
+def shots() -> Iterator[Shot]:
+    """The recordings of the shipped bank, in an order in which any first part of them holds something of everything."""
+    for k in range(ROWS):
+        block, place = divmod(k, len(KINDS))
+        split = "test" if k % 5 == 4 else "validation" if k % 10 == 7 else "train"
+        protocols = ("paper", "upright-back") if (k + block) % 2 else ("upright-back", "paper")
+        first = Shot(FIRST_SEED + k, 5 * k % WEEKS, *KINDS[place], protocols[0], split)
+        yield first
+        if place % 4 == block % 4:
+            yield replace(first, week=(first.week + 3) % WEEKS, protocol=protocols[1])
+
+
+def build_part(shot: Shot, out: Path, report: Callable[[str], None] | None = None) -> Path:
+    """Build the bank of one recording below a folder, unless it is there already.
+
+    Returns:
+        Its folder.
+    """
+    known = Provenance(row=shot.row, style=shot.style, source=shot.source)
+    folder = out / PARTS / shot.name
+    build_bank(
+        [shot.recording()], folder, shot.name, [shot.split], [shot.week], SETTINGS, DESCRIPTION, report, known=[known]
     )
+    return folder
+
+
+def build_shipped_banks(out: Path, executor: Executor | None = None) -> tuple[SceneBank, SceneBank]:
+    """Build ``default`` (every recording) and ``mini`` (a scene of each kind of row) below a folder.
+
+    Args:
+        out: The folder; parts that are in it already are not built again.
+        executor: Where the recordings are worked on, such as `greenhouse_gym.parallel.processes` gives; here, one after
+            the other, when left out.
+    """
+    with exclusive(out):
+        for _ in completed(partial(build_part, out=out), list(shots()), executor):
+            pass
+        return join_parts(out)
+
+
+def join_parts(out: Path) -> tuple[SceneBank, SceneBank]:
+    """Join the parts that are finished below a folder, in their usual order, to ``default`` and ``mini``."""
+    parts = {shot: SceneBank.open(folder) for shot in shots() if (folder := out / PARTS / shot.name) and (folder / MANIFEST).exists()}
+    scenes = [(scene, shot.split) for shot, part in parts.items() for scene in part]
+    default = write_bank(out / "default", scenes, "default", DESCRIPTION)
+    small = [(part[1], shot.split) for shot, part in parts.items() if shot.seed < FIRST_SEED + len(KINDS)]
+    mini = write_bank(out / "mini", small[: len(KINDS)], "mini", "A scene of each kind of row of the default bank, for tests.")
     return default, mini

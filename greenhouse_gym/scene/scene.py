@@ -19,6 +19,11 @@ Difficulty = Literal["easy", "medium", "hard", "unreachable"]
 DIFFICULTIES: tuple[str, ...] = get_args(Difficulty)
 
 
+def _is_none(value: object) -> bool:
+    """What files leave out: so files written before a field existed stay as they are."""
+    return value is None
+
+
 class Target(Part):
     """A tomato as a reaching target.
 
@@ -28,20 +33,40 @@ class Target(Part):
         robot: The arm the certificate is for.
         witness: A checked collision-free joint path (k, joints) in radians from the arm's start to the target, or None
             where none was found.
+        goals: Number of distinct free goal configurations that were found, `greenhouse_gym.planning.certify.GOALS` at
+            most.
+        checks: Collision checks RRTConnect needed for a path, the median over some seeds; None where it failed for half
+            of them, and in banks that were built before this was noted.
+        clearance: Smallest distance of the arm to any obstacle but the target along the witness, metres.
+        unseen: Share of the tip's way along the witness on which some of the arm is in space that the scan did not see;
+            None where that is not known.
     """
 
     tomato: int = Field(ge=0)
     difficulty: Difficulty
     robot: str = "ur5e"
     witness: tuple[tuple[float, ...], ...] | None = None
+    goals: int | None = Field(default=None, ge=0, exclude_if=_is_none)
+    checks: int | None = Field(default=None, ge=0, exclude_if=_is_none)
+    clearance: float | None = Field(default=None, exclude_if=_is_none)
+    unseen: float | None = Field(default=None, ge=0, le=1, exclude_if=_is_none)
 
 
 class Provenance(Part):
-    """Where a scene comes from: recording, settings, package version, row, station, growth week."""
+    """Where a scene comes from: recording, settings, package version, row, station, growth week.
+
+    Attributes:
+        style: Fruit style, where it is known.
+        source: Where the plants come from, as `greenhouse_gym.plants.grow_row` has it, or "real".
+        protocol: How the row was photographed.
+    """
 
     row: str
     station: int | None = None
     week: int | None = None
+    style: str | None = Field(default=None, exclude_if=_is_none)
+    source: str | None = Field(default=None, exclude_if=_is_none)
+    protocol: str | None = Field(default=None, exclude_if=_is_none)
     recording: str | None = None
     recording_sha256: str | None = None
     settings: dict[str, Any] = Field(default_factory=dict)
