@@ -1,43 +1,57 @@
-"""Certificates for a scene's tomatoes: how hard each is to reach, with a path that proves it can be reached."""
+"""Certificates for a scene's tomatoes: how hard each is to reach, with a path that proves it can be reached.
+
+The rule, in collision checks, so that it does not depend on the machine:
+
+- easy: a straight joint motion to one of the goal configurations is free.
+- medium: RRTConnect needs no more than `HARD` checks, in the median over `SEEDS` runs.
+- hard: it needs more, or most runs find nothing within `MAX_CHECKS`.
+- unreachable: no goal configuration among `SAMPLES` random ones, or no run finds a path. Nothing is proven by that: with
+  a larger budget a path may be found.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.planning.collision import PROOF, CollisionChecker, planning_model
+from greenhouse_gym.planning.collision import PROOF, CollisionChecker, path_clearance, planning_model
 from greenhouse_gym.planning.goals import search_goals
+from greenhouse_gym.planning.proof import ProvingChecker
 from greenhouse_gym.planning.query import PlanResult, plan_with
-from greenhouse_gym.planning.unseen import depths_of, guarded
+from greenhouse_gym.planning.unseen import depths_of, guarded, unseen_ways
 from greenhouse_gym.robots import Robot, get_robot
-from greenhouse_gym.scene import DIFFICULTIES, Scene, Target
+from greenhouse_gym.scene import Scene, Target
 from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
 from greenhouse_gym.scene.scene import Difficulty
 
-EASY, MEDIUM = 500, 5_000
-"""Collision checks RRTConnect needs, in the median over `SEEDS` runs, for a target that is easy or medium at most."""
+GOALS, SAMPLES = 30, 10_000
+"""Goal configurations looked for, and random configurations after which the search for them ends."""
 
-MAX_CHECKS = 50_000
+HARD = 5_000
+"""Collision checks RRTConnect needs at most, in the median over the runs, for a target that is medium."""
+
+MAX_CHECKS = 30_000
 """Collision checks after which a run counts as failed."""
 
 SEEDS = 3
-"""Runs per target."""
+"""Runs per target; those that cannot change the rating any more are left out."""
 
 _TIME_LIMIT = 60.0  # seconds; far more than the checks take, so that they and not the machine decide
 _DECIMALS = 6  # of a witness, radians
+_COARSE = 0.05  # metres, at which a straight motion is looked at before it is proven
 
 
 def certify_targets(
     scene: Scene, robot: str | Robot = "ur5e", seed: int = 0, unseen: str | float = "free"
 ) -> tuple[Target, ...]:
-    """Rate every tomato of a scene as a target.
+    """Rate every tomato of a scene as a target, by the rule of this module.
 
-    "easy", "medium" and "hard" go by the collision checks that RRTConnect needs (`EASY`, `MEDIUM`). "unreachable" is a
-    tomato for which no goal configuration or no path was found. The witness is the shortest of the paths found,
-    rounded, and proven free after the rounding. Runs that cannot change the rating any more are left out.
+    The witness of an easy target is the shortest of the free straight motions; else it is the shortest of the paths
+    found. It is rounded, and proven free after the rounding.
 
     Args:
         scene: The scene; targets it already has are not looked at.
@@ -47,7 +61,8 @@ def certify_targets(
             first depth at which it can be reached.
 
     Returns:
-        A target for each tomato, in their order.
+        A target for each tomato, in their order. Where the scene says what was seen, they tell the share of the way of
+        their witness through unseen space.
     """
     arm, targets = get_robot(robot), dict[int, Target]()
     for depth in depths_of(unseen):
@@ -55,45 +70,81 @@ def certify_targets(
         for tomato in range(len(scene.tomatoes)):
             if tomato not in targets or targets[tomato].witness is None:
                 targets[tomato] = certify_target(compiled, tomato, seed)
-    return tuple(targets[tomato] for tomato in range(len(scene.tomatoes)))
+    return _with_unseen_shares(scene, arm, [targets[tomato] for tomato in range(len(scene.tomatoes))])
 
 
 def certify_target(compiled: CompiledScene, tomato: int, seed: int = 0) -> Target:
-    """Rate one tomato; see `certify_targets`."""
-    checker = CollisionChecker(planning_model(compiled, tomato))
-    goals = search_goals(compiled, checker, tomato, seed=seed)
-    results: list[PlanResult] = []
-    ratings: list[Difficulty] = []
-    while len(goals.configurations) and len(results) < SEEDS and not _decided(ratings):
-        seed_of_run = seed + len(results)
-        results.append(plan_with(compiled, checker, tomato, "RRTConnect", _TIME_LIMIT, MAX_CHECKS, goals, seed_of_run))
-        ratings.append(_rating(results[-1]))
-    witness = _witness(checker, compiled.robot, results)
-    if witness is None:
-        return Target(tomato=tomato, difficulty="unreachable", robot=compiled.robot.name)
-    difficulty = sorted(ratings, key=DIFFICULTIES.index)[len(ratings) // 2]
-    return Target(
-        tomato=tomato,
-        difficulty=difficulty,
-        robot=compiled.robot.name,
-        witness=tuple(tuple(configuration) for configuration in witness.tolist()),
+    """Rate one tomato; see `certify_targets`. The share through unseen space is left out."""
+    checker = ProvingChecker(planning_model(compiled, tomato))
+    goals = search_goals(compiled, checker, tomato, GOALS, seed=seed, budget=SAMPLES).configurations
+    found = _straight(checker, compiled.robot, goals) or _planned(checker, compiled, tomato, goals, seed)
+    target = Target(tomato=tomato, difficulty=found.difficulty, robot=compiled.robot.name, goals=len(goals))
+    if found.path is None:
+        return target
+    return target.model_copy(
+        update={
+            "witness": tuple(tuple(configuration) for configuration in found.path.tolist()),
+            "checks": found.checks,
+            "clearance": round(path_clearance(compiled, tomato, found.path), 4),
+        }
     )
 
 
-def _rating(result: PlanResult) -> Difficulty:
-    needed = result.checks if result.status == "solved" else math.inf
-    return "easy" if needed <= EASY else "medium" if needed <= MEDIUM else "hard"
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """A rating with its path, None where none was found, and the checks RRTConnect needed for one."""
+
+    difficulty: Difficulty
+    path: Array | None = None
+    checks: int | None = None
 
 
-def _decided(ratings: Sequence[Difficulty]) -> bool:
-    """Whether more than half of all runs agree, so that the others cannot change the median."""
-    return any(ratings.count(rating) > SEEDS // 2 for rating in ratings)
+def _straight(checker: CollisionChecker, robot: Robot, goals: Array) -> _Found | None:
+    """The shortest free straight motion to a goal, if there is one."""
+    for goal in sorted(goals, key=lambda end: float(np.linalg.norm(end - robot.start))):
+        if checker.motion_is_free(robot.start, goal, _COARSE):
+            path = _rounded(robot, np.stack([robot.start, goal]))
+            if checker.path_is_free(path, PROOF):
+                return _Found("easy", path)
+    return None
 
 
-def _witness(checker: CollisionChecker, robot: Robot, results: Sequence[PlanResult]) -> Array | None:
+def _planned(checker: CollisionChecker, compiled: CompiledScene, tomato: int, goals: Array, seed: int) -> _Found:
+    """What RRTConnect makes of a target."""
+    results: list[PlanResult] = []
+    while len(goals) and len(results) < SEEDS and not _decided(results):
+        own = seed + len(results)
+        results.append(plan_with(compiled, checker, tomato, "RRTConnect", _TIME_LIMIT, MAX_CHECKS, goals, own))
     for result in sorted(results, key=lambda r: r.length if r.path is not None else math.inf):
         if result.path is not None:
-            rounded = np.clip(result.path.round(_DECIMALS), robot.lower, robot.upper)
-            if checker.path_is_free(rounded, PROOF):
-                return rounded
-    return None
+            path = _rounded(compiled.robot, result.path)
+            if checker.path_is_free(path, PROOF):
+                needed = sorted(map(_needed, results))[len(results) // 2]
+                checks = None if math.isinf(needed) else int(needed)
+                return _Found("hard" if needed > HARD else "medium", path, checks)
+    return _Found("unreachable")
+
+
+def _needed(result: PlanResult) -> float:
+    return result.checks if result.status == "solved" else math.inf
+
+
+def _decided(results: Sequence[PlanResult]) -> bool:
+    """Whether more than half of all runs agree, so that the others cannot change the rating."""
+    much = sum(_needed(result) > HARD for result in results)
+    solved = any(result.path is not None for result in results)
+    return solved and max(much, len(results) - much) > SEEDS // 2
+
+
+def _rounded(robot: Robot, path: Array) -> Array:
+    return np.clip(path.round(_DECIMALS), robot.lower, robot.upper)
+
+
+def _with_unseen_shares(scene: Scene, robot: Robot, targets: Sequence[Target]) -> tuple[Target, ...]:
+    """The targets with the share of their witness's way through unseen space, where the scene says what was seen."""
+    paths = {target.tomato: np.array(target.witness) for target in targets if target.witness is not None}
+    if scene.seen is None or not paths:
+        return tuple(targets)
+    ways = dict(zip(paths, unseen_ways(scene, robot, list(paths.values())), strict=True))
+    shares = {tomato: round(unseen / max(way, 1e-9), 3) for tomato, (unseen, way) in ways.items()}
+    return tuple(target.model_copy(update={"unseen": shares.get(target.tomato)}) for target in targets)

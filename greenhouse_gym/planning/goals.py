@@ -150,8 +150,12 @@ def search_goals(
     min_difference: float = 0.01,
     seed: int = 0,
     approach: Approach | None = None,
+    budget: int = SAMPLE_BUDGET,
 ) -> Goals:
-    """As `goal_configurations`, for a scene compiled and a checker made already."""
+    """As `goal_configurations`, for a scene compiled and a checker made already.
+
+    The search ends after ``budget`` random configurations.
+    """
     if count < 1:
         raise InvalidValueError(f"count must be at least 1, got {count!r}")
     if not (threshold > 0 and min_difference >= 0):
@@ -163,7 +167,7 @@ def search_goals(
     rng = np.random.default_rng(require_seed(seed))
     accepted = np.empty((count, len(arm.joints)))
     found = samples = within = converged = duplicate = colliding = 0
-    while found < count and samples < SAMPLE_BUDGET:
+    while found < count and samples < budget:
         batch = rng.uniform(arm.lower, arm.upper, (_BATCH, len(arm.joints)))
         samples += _BATCH
         offset = tool_state(chain, batch, tomato.radius).point - tomato.center

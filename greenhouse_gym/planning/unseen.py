@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
@@ -12,7 +12,7 @@ from scipy.ndimage import distance_transform_edt
 from greenhouse_gym.errors import InvalidValueError, require_choice
 from greenhouse_gym.geometry import Array, Box, distance_to_shapes
 from greenhouse_gym.planning.collision import CollisionChecker, planning_model
-from greenhouse_gym.planning.kinematics import tool_chain, tool_state
+from greenhouse_gym.planning.kinematics import Chain, tool_chain, tool_state
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.mjcf import compile_scene
@@ -95,18 +95,29 @@ def guarded(scene: Scene, robot: Robot, start: npt.ArrayLike, depth: float = 0.0
 
 def unseen_way(scene: Scene, robot: Robot, path: Array) -> float:
     """Length of the tip's way along a path (k, joints) while some of the arm is in unseen space, metres."""
-    boxes = unseen_boxes(scene, robot, path[0])
+    return unseen_ways(scene, robot, [path])[0][0]
+
+
+def unseen_ways(scene: Scene, robot: Robot, paths: Sequence[Array]) -> list[tuple[float, float]]:
+    """The tip's way along paths (k, joints) from one start: while some of the arm is in unseen space, and all, metres."""
+    boxes = unseen_boxes(scene, robot, paths[0][0])
     alone = Scene(
         name=scene.name, tomatoes=scene.tomatoes, clutter=tuple(boxes), stand=scene.stand, provenance=scene.provenance
     )
     compiled = compile_scene(alone, robot)
     checker = CollisionChecker(planning_model(compiled, 0, margin=0.0, pairs=("clutter",)))
+    chain = tool_chain(compiled.model, compiled.tip_site)
+    return [_unseen_and_all(checker, chain, np.asarray(path)) for path in paths]
+
+
+def _unseen_and_all(checker: CollisionChecker, chain: Chain, path: Array) -> tuple[float, float]:
+    """As `unseen_ways`, by a checker to which unseen space is an obstacle."""
     way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(path, axis=0)) @ checker.reaches)])
     places = np.linspace(0.0, way[-1], 1 + int(np.ceil(way[-1] / _RESOLUTION)))
     between = np.stack([np.interp(places, way, joint) for joint in path.T], axis=-1)
     inside = np.array([not checker.is_free(q) for q in between])
-    tips = tool_state(tool_chain(compiled.model, compiled.tip_site), between, 0.0).point
-    return float(sum(np.linalg.norm(b - a) for k, (a, b) in enumerate(pairwise(tips)) if inside[k] or inside[k + 1]))
+    steps = np.linalg.norm(np.diff(tool_state(chain, between, 0.0).point, axis=0), axis=-1)
+    return float(steps[inside[:-1] | inside[1:]].sum()), float(steps.sum())
 
 
 def _boxes_around_arm(scene: Scene, robot: Robot, start: npt.ArrayLike) -> list[tuple[Array, Array, Array]]:
