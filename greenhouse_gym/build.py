@@ -140,7 +140,7 @@ def _cut_before(path: Path, origin: Provenance) -> list[Scene] | None:
 
 
 def _of_finished_bank(folder: Path, origin: Provenance) -> list[Scene]:
-    """The recording's scenes in the bank that lies in the folder, if there is one and they were made in the same way."""
+    """The recording's scenes in the bank in the folder, if there is one and they were made in the same way."""
     try:
         bank = SceneBank.open(folder)
         of_row = [bank.scene(entry.name) for entry in bank.manifest.scenes if entry.row == origin.row]

@@ -34,6 +34,7 @@ class BuildSettings:
     stem_distance: float = 0.60  # from the arm's base axis to the stem line
     reach: float = 1.35  # from the shoulder; what lies farther is left out
     primitives: int = 300  # most in a scene
+    leaves: float = 0.02  # how far from a leaf of meshes the boxes of its truth may lie
     robot: str = "ur5e"
     reconstruction: ReconstructionSettings | None = None  # by default what each recording's protocol needs
     shapes: ShapeSettings = field(default_factory=ShapeSettings)
@@ -216,7 +217,7 @@ def _truth_around(
             "its stations their world_from_station, or leave the truth out (remove truth.npz)"
         )
     frame = scene_from_row @ row.world_from_station[station] @ invert(true_from_station)
-    true = truth_of(recording.truth)
+    true = truth_of(recording.truth, settings.leaves)
     parts = ([_moved(shape, frame) for shape in part] for part in (true.tomatoes, true.stems, true.clutter))
     return _shapes(*(_within_reach(part, settings.reach) for part in parts)).compact()
 

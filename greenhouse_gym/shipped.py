@@ -10,11 +10,13 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import count
 from pathlib import Path
 
 from greenhouse_gym.build import build_bank
 from greenhouse_gym.capture import Recording, simulate_protocol
 from greenhouse_gym.cutting import BuildSettings
+from greenhouse_gym.parallel import completed
 from greenhouse_gym.paths import exclusive
 from greenhouse_gym.plants import grow_row
 from greenhouse_gym.scene import Provenance, SceneBank
@@ -41,7 +43,7 @@ KINDS = (
 
 DESCRIPTION = (
     "Simulated recordings of grown rows, reconstructed: three styles of fruit, plants of two sources, two capture "
-    "protocols, weeks 0 to 11. Source, cultivar and seed of a row are in its name; some rows were recorded in two weeks."
+    "protocols, weeks 0 to 11. Names tell a row's source, cultivar and seed, and the week; some rows come in two weeks."
 )
 
 
@@ -86,14 +88,14 @@ class Shot:
 
 def shots() -> Iterator[Shot]:
     """The recordings of the shipped bank, in an order in which any first part of them holds something of everything."""
+    made = count()
     for k in range(ROWS):
         block, place = divmod(k, len(KINDS))
         split = "test" if k % 5 == 4 else "validation" if k % 10 == 7 else "train"
-        protocols = ("paper", "upright-back") if (k + block) % 2 else ("upright-back", "paper")
-        first = Shot(FIRST_SEED + k, 5 * k % WEEKS, *KINDS[place], protocols[0], split)
-        yield first
-        if place % 4 == block % 4:
-            yield replace(first, week=(first.week + 3) % WEEKS, protocol=protocols[1])
+        again = place % 4 == block % 4  # rows recorded a second time, three weeks later
+        for week in (5 * k, 5 * k + 3)[: 1 + again]:
+            protocol = "upright-back" if next(made) % 4 == 1 else "paper"
+            yield Shot(FIRST_SEED + k, week % WEEKS, *KINDS[place], protocol, split)
 
 
 def build_part(shot: Shot, out: Path, report: Callable[[str], None] | None = None) -> Path:
@@ -126,9 +128,11 @@ def build_shipped_banks(out: Path, executor: Executor | None = None) -> tuple[Sc
 
 def join_parts(out: Path) -> tuple[SceneBank, SceneBank]:
     """Join the parts that are finished below a folder, in their usual order, to ``default`` and ``mini``."""
-    parts = {shot: SceneBank.open(folder) for shot in shots() if (folder := out / PARTS / shot.name) and (folder / MANIFEST).exists()}
+    folders = {shot: out / PARTS / shot.name for shot in shots()}
+    parts = {shot: SceneBank.open(folder) for shot, folder in folders.items() if (folder / MANIFEST).exists()}
     scenes = [(scene, shot.split) for shot, part in parts.items() for scene in part]
     default = write_bank(out / "default", scenes, "default", DESCRIPTION)
-    small = [(part[1], shot.split) for shot, part in parts.items() if shot.seed < FIRST_SEED + len(KINDS)]
-    mini = write_bank(out / "mini", small[: len(KINDS)], "mini", "A scene of each kind of row of the default bank, for tests.")
+    first = {shot.row: (part[1], shot.split) for shot, part in reversed(parts.items())}  # of a row's weeks the first
+    small = list(reversed(first.values()))[: len(KINDS)]
+    mini = write_bank(out / "mini", small, "mini", "A scene of each kind of row of the default bank, for tests.")
     return default, mini

@@ -5,8 +5,8 @@ The rule, in collision checks, so that it does not depend on the machine:
 - easy: a straight joint motion to one of the goal configurations is free.
 - medium: RRTConnect needs no more than `HARD` checks, in the median over `SEEDS` runs.
 - hard: it needs more, or most runs find nothing within `MAX_CHECKS`.
-- unreachable: no goal configuration among `SAMPLES` random ones, or no run finds a path. Nothing is proven by that: with
-  a larger budget a path may be found.
+- unreachable: no goal configuration among `SAMPLES` random ones, or no run finds a path. That is no proof: a larger
+  budget may find one.
 """
 
 from __future__ import annotations

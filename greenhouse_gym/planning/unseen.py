@@ -99,7 +99,7 @@ def unseen_way(scene: Scene, robot: Robot, path: Array) -> float:
 
 
 def unseen_ways(scene: Scene, robot: Robot, paths: Sequence[Array]) -> list[tuple[float, float]]:
-    """The tip's way along paths (k, joints) from one start: while some of the arm is in unseen space, and all, metres."""
+    """The tip's way along paths (k, joints) from one start, metres: with some of the arm in unseen space, and all."""
     boxes = unseen_boxes(scene, robot, paths[0][0])
     alone = Scene(
         name=scene.name, tomatoes=scene.tomatoes, clutter=tuple(boxes), stand=scene.stand, provenance=scene.provenance

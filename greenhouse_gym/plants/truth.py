@@ -11,28 +11,34 @@ import numpy as np
 from greenhouse_gym.geometry import Box, Capsule, Shape
 from greenhouse_gym.plants.organs import Organ
 from greenhouse_gym.plants.plant_row import PlantRow
-from greenhouse_gym.plants.thin import leaf_boxes
+from greenhouse_gym.plants.thin import TOLERANCE, leaf_boxes
 
 _THIN = ("leaf", "calyx", "flower")
 
 
 @lru_cache(maxsize=4)
-def truth_of(row: PlantRow) -> PlantRow:
+def truth_of(row: PlantRow, tolerance: float = TOLERANCE) -> PlantRow:
     """A row as shapes to collide with: capsules, spheres or ellipsoids, and thin boxes.
 
     A row of our own generator is made of such shapes already. Of a row of meshes, the fruit and stems are known as
     such; leaves, calyces and flowers are cut into thin boxes (`greenhouse_gym.plants.thin`), which takes about half a
     second each. The row behind, which no arm reaches, keeps its leaves as they are.
+
+    Args:
+        row: The row.
+        tolerance: How far from a leaf its boxes may lie, metres, as in `greenhouse_gym.plants.thin.leaf_boxes`. Twice
+            as much makes about a third as many boxes.
     """
     if not row.organs:
         return row
-    return replace(row, clutter=(*row.clutter, *(shape for organ in row.organs for shape in _clutter_of(organ))))
+    clutter = (shape for organ in row.organs for shape in _clutter_of(organ, tolerance))
+    return replace(row, clutter=(*row.clutter, *clutter))
 
 
-def _clutter_of(organ: Organ) -> list[Shape]:
+def _clutter_of(organ: Organ, tolerance: float) -> list[Shape]:
     """The shapes of an organ that is neither fruit nor stem; none of those that are."""
     if organ.kind in _THIN:
-        return list(leaf_boxes(organ.vertices, organ.triangles))
+        return list(leaf_boxes(organ.vertices, organ.triangles, tolerance))
     if organ.kind == "petiole" and organ.axis is not None:
         return [Capsule(a[:3], b[:3], max((a[3] + b[3]) / 2, 1e-4)) for a, b in pairwise(organ.axis)]
     if organ.kind == "gutter":

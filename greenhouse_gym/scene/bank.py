@@ -3,27 +3,42 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Literal, get_args, overload
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError, require_choice
 from greenhouse_gym.paths import checked_name, data_path, first_fault, inside, parsing, read_bytes, write_atomically
-from greenhouse_gym.scene.scene import Scene
-from greenhouse_gym.scene.surroundings import SceneName
+from greenhouse_gym.scene.scene import Difficulty, Scene
+from greenhouse_gym.scene.surroundings import Part, SceneName, SchemaVersion, is_none
 
 Split = Literal["train", "validation", "test"]
+Choice = str | int | Iterable[str | int] | None
+"""One value, several, or any."""
+
 SPLITS: tuple[str, ...] = get_args(Split)
 MANIFEST = "manifest.json"
 
 
-class Entry(BaseModel):
-    """One scene of a bank: file (relative to the manifest), checksum, row, growth week, split and size of its truth."""
+class Entry(Part):
+    """One scene of a bank.
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    Attributes:
+        name: Of the scene.
+        file: Relative to the manifest.
+        sha256: Checksum of the file.
+        row: Identity of the row; the same in all weeks.
+        week: Growth week.
+        split: Of the row.
+        truth: Number of shapes in the scene's truth.
+        style: Fruit style.
+        source: Where the plants come from.
+        protocol: How the row was photographed.
+        targets: How many targets the scene has of each difficulty.
+    """
 
     name: SceneName
     file: str
@@ -31,15 +46,17 @@ class Entry(BaseModel):
     row: str
     week: int | None
     split: Split
-    truth: int | None = Field(default=None, ge=0, exclude_if=lambda value: value is None)
+    truth: int | None = Field(default=None, ge=0, exclude_if=is_none)
+    style: str | None = Field(default=None, exclude_if=is_none)
+    source: str | None = Field(default=None, exclude_if=is_none)
+    protocol: str | None = Field(default=None, exclude_if=is_none)
+    targets: dict[Difficulty, int] | None = Field(default=None, exclude_if=is_none)
 
 
-class Manifest(BaseModel):
+class Manifest(Part):
     """What ``manifest.json`` holds. Scenes of one row never fall into two splits."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    schema_version: Literal[1] = 1
+    schema_version: SchemaVersion = 1
     name: str
     description: str = ""
     scenes: tuple[Entry, ...]
@@ -62,19 +79,20 @@ class SceneBank(Sequence[Scene]):
     """A sequence of scenes that are read when they are asked for and kept.
 
     Attributes:
-        path: The bank's folder.
+        path: The bank's folder; of joined banks, that of the first.
         manifest: What its manifest says.
     """
 
-    def __init__(self, path: Path, manifest: Manifest):
+    def __init__(self, path: Path, manifest: Manifest, homes: Mapping[str, SceneBank] | None = None):
         self.path = path
         self.manifest = manifest
+        self._homes = homes or {}  # of a part or a union of banks: where each scene is read
         self._entries = {entry.name: entry for entry in manifest.scenes}
         self._scenes: dict[str, Scene] = {}
 
     @classmethod
     def open(cls, bank: str | Path | SceneBank = "default") -> SceneBank:
-        """Open a shipped bank by name or any bank by its folder.
+        """Open a shipped bank by name or any bank by its folder; a `SceneBank` is given back as it is.
 
         Raises:
             UnknownNameError: Neither a shipped name nor a folder.
@@ -89,10 +107,89 @@ class SceneBank(Sequence[Scene]):
         folder = folder.resolve()
         return _opened(folder, read_bytes(folder / MANIFEST, "bank manifest"))
 
+    @classmethod
+    def join(cls, banks: Iterable[str | Path | SceneBank], name: str = "") -> SceneBank:
+        """Several banks as one; nothing is read or written but their manifests.
+
+        Args:
+            banks: Names, folders or banks.
+            name: Of the whole; by default the names of all.
+
+        Raises:
+            InvalidValueError: No banks; two scenes of one name; or a row that is in two splits.
+        """
+        opened = [cls.open(bank) for bank in banks]
+        if not opened:
+            raise InvalidValueError("expected at least one bank to join")
+        named = name or "+".join(bank.manifest.name for bank in opened)
+        entries = tuple(entry for bank in opened for entry in bank.manifest.scenes)
+        homes = {entry.name: bank for bank in opened for entry in bank.manifest.scenes}
+        places = ", ".join(str(bank.path) for bank in opened)
+        return cls(opened[0].path, _manifest(named, f"Joined of {places}", entries, places), homes)
+
+    def select(
+        self,
+        split: Choice = None,
+        row: Choice = None,
+        week: Choice = None,
+        style: Choice = None,
+        source: Choice = None,
+        protocol: Choice = None,
+        difficulty: Choice = None,
+    ) -> SceneBank:
+        """The scenes that are of all the given kinds, as a bank; splits stay what they are.
+
+        Args:
+            split: A split, or several.
+            row: Names of rows.
+            week: Growth weeks.
+            style: Fruit styles.
+            source: Where the plants come from.
+            protocol: Capture protocols; scenes that tell of none count as the paper's.
+            difficulty: Only scenes with at least one target of one of these.
+
+        Raises:
+            UnknownNameError: A value that no scene of the bank has; the choices are named.
+            InvalidValueError: No scene is of all these kinds.
+        """
+        asked = {"split": split, "row": row, "week": week, "style": style, "source": source, "protocol": protocol}
+        wanted = {
+            kind: _several(value) for kind, value in (*asked.items(), ("difficulty", difficulty)) if value is not None
+        }
+        kept = [(entry, self._kinds(entry)) for entry in self.manifest.scenes]
+        for kind, values in wanted.items():
+            known = {value for _, kinds in kept for value in kinds[kind]}
+            for value in values:
+                require_choice(kind, value, sorted(known))
+        chosen = tuple(entry for entry, kinds in kept if all(kinds[kind] & values for kind, values in wanted.items()))
+        if not chosen:
+            raise InvalidValueError(f"bank {self.path} has no scene with {_described(wanted)}")
+        description = f"{self.manifest.description} Selected: {_described(wanted)}."
+        manifest = _manifest(self.manifest.name, description, chosen, self.path)
+        return SceneBank(self.path, manifest, {entry.name: self for entry in chosen})
+
+    def difficulties(self, name: str) -> dict[Difficulty, int]:
+        """How many targets of each difficulty a scene has; only in old banks is the scene read for it."""
+        entry = self._entry(name)
+        return counted(self.scene(name)) if entry.targets is None else entry.targets
+
+    def _kinds(self, entry: Entry) -> dict[str, set[str]]:
+        """What a scene is, in the words of `select`."""
+        told = {
+            "split": entry.split,
+            "row": entry.row,
+            "week": entry.week,
+            "style": entry.style,
+            "source": entry.source,
+            "protocol": entry.protocol or "paper",
+        }
+        kinds = {kind: set() if value is None else {str(value)} for kind, value in told.items()}
+        return kinds | {"difficulty": {str(name) for name, count in self.difficulties(entry.name).items() if count}}
+
     @property
     def sha256(self) -> str:
         """The manifest's checksum, and so, through the checksums in it, that of all scenes."""
-        return hashlib.sha256(read_bytes(self.path / MANIFEST, "bank manifest")).hexdigest()
+        return hashlib.sha256(_as_file(self.manifest).encode()).hexdigest()
 
     def names(self, split: str | None = None) -> list[str]:
         """Names of the scenes, all of them or those of one split, in the manifest's order."""
@@ -116,6 +213,8 @@ class SceneBank(Sequence[Scene]):
             FileFormatError: Its file is missing, damaged, or not the one the manifest was written for.
         """
         entry = self._entry(name)
+        if name in self._homes:
+            return self._homes[name].scene(name)
         if name not in self._scenes:
             path = inside(self.path, entry.file, named_in=self.path / MANIFEST)
             content = read_bytes(path, "scene")
@@ -178,14 +277,40 @@ def write_bank(folder: str | Path, scenes: Iterable[tuple[Scene, str]], name: st
                 week=scene.provenance.week,
                 split=split,  # type: ignore[arg-type]
                 truth=None if scene.truth is None else len(scene.truth.obstacles),
+                style=scene.provenance.style,
+                source=scene.provenance.source,
+                protocol=scene.provenance.protocol,
+                targets=counted(scene),
             )
         )
         contents.append((folder / entries[-1].file, content))
-    try:
-        manifest = Manifest(name=name, description=description, scenes=tuple(entries))
-    except ValidationError as error:
-        raise InvalidValueError(f"{folder}: {first_fault(error)}") from error
+    manifest = _manifest(name, description, tuple(entries), folder)
     for path, content in contents:
         write_atomically(path, content)
-    write_atomically(folder / MANIFEST, manifest.model_dump_json(indent=1) + "\n")
+    write_atomically(folder / MANIFEST, _as_file(manifest))
     return SceneBank(folder, manifest)
+
+
+def counted(scene: Scene) -> dict[Difficulty, int]:
+    """How many targets of each difficulty a scene has, all of them named."""
+    return {name: sum(target.difficulty == name for target in scene.targets) for name in get_args(Difficulty)}
+
+
+def _as_file(manifest: Manifest) -> str:
+    return manifest.model_dump_json(indent=1) + "\n"
+
+
+def _manifest(name: str, description: str, entries: tuple[Entry, ...], where: object) -> Manifest:
+    """A manifest; ``where`` is named in the error."""
+    try:
+        return Manifest(name=name, description=description, scenes=entries)
+    except ValidationError as error:
+        raise InvalidValueError(f"{where}: {first_fault(error)}") from error
+
+
+def _several(choice: str | int | Iterable[str | int]) -> set[str]:
+    return {str(choice)} if isinstance(choice, str | int) else {str(value) for value in choice}
+
+
+def _described(wanted: Mapping[str, set[str]]) -> str:
+    return "; ".join(f"{kind} {' or '.join(sorted(values))}" for kind, values in wanted.items()) or "everything"

@@ -10,18 +10,13 @@ from pydantic import Field, model_validator
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.paths import parsing, read_bytes, write_atomically
 from greenhouse_gym.scene.seen import SeenSpace
-from greenhouse_gym.scene.surroundings import PackedShapes, Part, Surroundings
+from greenhouse_gym.scene.surroundings import PackedShapes, Part, SchemaVersion, Surroundings, is_none
 
 if TYPE_CHECKING:
     from greenhouse_gym.robots import Robot
 
 Difficulty = Literal["easy", "medium", "hard", "unreachable"]
 DIFFICULTIES: tuple[str, ...] = get_args(Difficulty)
-
-
-def _is_none(value: object) -> bool:
-    """What files leave out: so files written before a field existed stay as they are."""
-    return value is None
 
 
 class Target(Part):
@@ -35,8 +30,8 @@ class Target(Part):
             where none was found.
         goals: Number of distinct free goal configurations that were found, `greenhouse_gym.planning.certify.GOALS` at
             most.
-        checks: Collision checks RRTConnect needed for a path, the median over some seeds; None where it failed for half
-            of them, and in banks that were built before this was noted.
+        checks: Collision checks RRTConnect needed for a path, the median over some seeds; None where most of them
+            failed, for easy targets, which need no planner, and in banks that were built before this was noted.
         clearance: Smallest distance of the arm to any obstacle but the target along the witness, metres.
         unseen: Share of the tip's way along the witness on which some of the arm is in space that the scan did not see;
             None where that is not known.
@@ -46,10 +41,10 @@ class Target(Part):
     difficulty: Difficulty
     robot: str = "ur5e"
     witness: tuple[tuple[float, ...], ...] | None = None
-    goals: int | None = Field(default=None, ge=0, exclude_if=_is_none)
-    checks: int | None = Field(default=None, ge=0, exclude_if=_is_none)
-    clearance: float | None = Field(default=None, exclude_if=_is_none)
-    unseen: float | None = Field(default=None, ge=0, le=1, exclude_if=_is_none)
+    goals: int | None = Field(default=None, ge=0, exclude_if=is_none)
+    checks: int | None = Field(default=None, ge=0, exclude_if=is_none)
+    clearance: float | None = Field(default=None, exclude_if=is_none)
+    unseen: float | None = Field(default=None, ge=0, le=1, exclude_if=is_none)
 
 
 class Provenance(Part):
@@ -64,9 +59,9 @@ class Provenance(Part):
     row: str
     station: int | None = None
     week: int | None = None
-    style: str | None = Field(default=None, exclude_if=_is_none)
-    source: str | None = Field(default=None, exclude_if=_is_none)
-    protocol: str | None = Field(default=None, exclude_if=_is_none)
+    style: str | None = Field(default=None, exclude_if=is_none)
+    source: str | None = Field(default=None, exclude_if=is_none)
+    protocol: str | None = Field(default=None, exclude_if=is_none)
     recording: str | None = None
     recording_sha256: str | None = None
     settings: dict[str, Any] = Field(default_factory=dict)
@@ -85,7 +80,7 @@ class Scene(Surroundings):
             None where it is not known.
     """
 
-    schema_version: Literal[1] = 1
+    schema_version: SchemaVersion = 1
     targets: tuple[Target, ...] = ()
     provenance: Provenance
     truth: PackedShapes | None = None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import (
@@ -28,6 +28,23 @@ MOST_TOMATOES, MOST_SHAPES = 2000, 50_000
 
 LARGEST = 100.0
 """The largest coordinate or size in a scene, metres: single precision still resolves a hundredth of a millimetre."""
+
+
+def is_none(value: object) -> bool:
+    """What files leave out: so files written before a field existed stay as they are."""
+    return value is None
+
+
+def _not_newer(version: Any) -> Any:
+    if isinstance(version, int) and version > 1:
+        raise InvalidValueError(
+            f"written by a newer version of greenhouse-gym, in schema {version}; this one reads schema 1: update it"
+        )
+    return version
+
+
+SchemaVersion = Annotated[Literal[1], BeforeValidator(_not_newer)]
+"""Of scene files and manifests."""
 
 
 class Part(BaseModel):

@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.crop import Tomato
-from greenhouse_gym.planning import CollisionChecker, certify, certify_targets, planning_model
+from greenhouse_gym.planning import CollisionChecker, PlanResult, certify, certify_targets, planning_model
+from greenhouse_gym.planning.collision import path_clearance
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene, Target
 from greenhouse_gym.scene.mjcf import compile_scene
+from greenhouse_gym.scene.seen import EMPTY, UNSEEN, SeenSpace
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +28,30 @@ def test_every_tomato_is_rated(targets: tuple[Target, ...]) -> None:
     assert [t.tomato for t in targets] == [0, 1, 2]
     assert targets[0].difficulty == "easy"
     assert targets[1].difficulty in ("easy", "medium")
-    assert targets[2] == Target(tomato=2, difficulty="unreachable")
+    assert targets[2] == Target(tomato=2, difficulty="unreachable", goals=0)
+
+
+def test_certificates_tell_goals_checks_clearance_and_the_unseen(small: Scene, targets: tuple[Target, ...]) -> None:
+    """Made-up scenes do not say what was seen: half of the space before the arm is unseen here."""
+    states = np.full((14, 14, 12), EMPTY, np.uint8)
+    states[:, 7:] = UNSEEN
+    half = small.model_copy(update={"seen": SeenSpace.of(states, [-1.4, -1.4, 0.0], 0.2)})
+    compiled = compile_scene(small)
+    for plain, target in zip(targets, certify_targets(half), strict=True):
+        assert plain == target.model_copy(update={"unseen": None})
+        if target.witness is None:
+            assert (target.clearance, target.unseen) == (None, None)
+            continue
+        path = np.array(target.witness)
+        assert target.goals == certify.GOALS
+        assert target.clearance == pytest.approx(path_clearance(compiled, target.tomato, path), abs=1e-4)
+        assert (target.checks is None) == (target.difficulty == "easy")
+    left, right = (next(t for t in certify_targets(half) if t.tomato == k) for k in (0, 1))
+    assert left.unseen != right.unseen
+
+
+def test_an_easy_target_is_reached_by_one_straight_motion(targets: tuple[Target, ...]) -> None:
+    assert {len(target.witness) for target in targets if target.witness and target.difficulty == "easy"} == {2}
 
 
 def test_witnesses_are_free_and_end_at_the_target(small: Scene, targets: tuple[Target, ...]) -> None:
@@ -45,9 +70,27 @@ def test_same_seed_same_certificates_and_they_survive_the_file(small: Scene, tar
     assert Scene.model_validate_json(certified.model_dump_json()).targets == targets
 
 
-def test_the_checks_decide(small: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(certify, "EASY", 1)
-    monkeypatch.setattr(certify, "MEDIUM", 2)
-    assert certify_targets(small)[0].difficulty == "hard"
+def test_the_checks_decide_where_no_straight_motion_is_free(small: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(certify, "_straight", lambda *given: None)
+    compiled = compile_scene(small)
+    medium = certify.certify_target(compiled, 0)
+    assert medium.difficulty == "medium"
+    assert medium.checks is not None
+    assert 1 < medium.checks <= certify.HARD
+    monkeypatch.setattr(certify, "HARD", 1)
+    assert certify.certify_target(compiled, 0).difficulty == "hard"
     monkeypatch.setattr(certify, "MAX_CHECKS", 10)
-    assert certify_targets(small)[0].difficulty == "unreachable"
+    none = certify.certify_target(compiled, 0)
+    assert (none.difficulty, none.witness, none.goals) == ("unreachable", None, certify.GOALS)
+
+
+@pytest.mark.parametrize(
+    ("needed", "expected"),
+    [([100, 200], True), ([100], False), ([9000, None], True), ([None, None], False), ([100, 9000], False)],
+)
+def test_runs_end_when_the_others_cannot_change_the_rating(needed: list[int | None], expected: bool) -> None:
+    solved = [
+        PlanResult("solved", np.zeros((2, 6)), "RRTConnect", checks=n) if n else PlanResult("no_solution", None, "")
+        for n in needed
+    ]
+    assert certify._decided(solved) == expected

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -7,8 +8,9 @@ from typing import Any
 
 import pytest
 
+from greenhouse_gym.crop import Tomato
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError
-from greenhouse_gym.scene import Provenance, Scene, SceneBank
+from greenhouse_gym.scene import Provenance, Scene, SceneBank, Target
 from greenhouse_gym.scene import bank as bank_module
 from greenhouse_gym.scene.bank import MANIFEST, write_bank
 
@@ -165,3 +167,94 @@ def test_a_folder_without_a_manifest_or_with_half_of_one(folder: Path, tmp_path:
     (folder / MANIFEST).write_bytes(content[: len(content) // 2])
     with pytest.raises(FileFormatError, match="not a valid bank manifest"):
         reopened(folder)
+
+
+# -- parts and unions of banks ----------------------------------------------------------------------------------------
+
+
+def told(name: str, row: str, week: int, difficulty: str = "easy", **facts: str) -> Scene:
+    tomatoes = (Tomato([0.5, 0.0, 1.0], 0.03, truss=0),)
+    targets = (Target(tomato=0, difficulty=difficulty),)
+    provenance = Provenance(row=row, week=week, **facts)
+    return Scene(name=name, tomatoes=tomatoes, targets=targets, provenance=provenance)
+
+
+@pytest.fixture
+def varied(tmp_path: Path) -> SceneBank:
+    scenes = [
+        (told("a-0", "a", 1, style="cherry", source="own"), "train"),
+        (told("a-1", "a", 4, "hard", style="cherry", source="own", protocol="upright-back"), "train"),
+        (told("b-0", "b", 1, style="cluster", source="helios"), "validation"),
+        (told("c-0", "c", 2, "hard", style="cluster", source="helios"), "test"),
+    ]
+    return write_bank(tmp_path / "varied", scenes, name="varied")
+
+
+@pytest.mark.parametrize(
+    ("asked", "names"),
+    [
+        ({}, ["a-0", "a-1", "b-0", "c-0"]),
+        ({"split": ("train", "test")}, ["a-0", "a-1", "c-0"]),
+        ({"row": "a", "week": 4}, ["a-1"]),
+        ({"week": [1, 2]}, ["a-0", "b-0", "c-0"]),
+        ({"style": "cherry"}, ["a-0", "a-1"]),
+        ({"source": "helios", "difficulty": "hard"}, ["c-0"]),
+        ({"protocol": "paper"}, ["a-0", "b-0", "c-0"]),
+        ({"difficulty": ("easy", "hard")}, ["a-0", "a-1", "b-0", "c-0"]),
+    ],
+)
+def test_scenes_are_selected_by_what_they_are(varied: SceneBank, asked: dict[str, Any], names: list[str]) -> None:
+    chosen = reopened(varied.path).select(**asked)
+    assert chosen.names() == names
+    assert [scene.name for scene in chosen] == names
+    assert all(chosen.split_of(name) == varied.split_of(name) for name in names)
+
+
+def test_selecting_what_there_is_not(varied: SceneBank) -> None:
+    with pytest.raises(UnknownNameError, match=r"unknown style 'chery'\. Did you mean 'cherry'"):
+        varied.select(style="chery")
+    with pytest.raises(InvalidValueError, match="no scene with split test; source own"):
+        varied.select(split="test", source="own")
+
+
+def test_selecting_reads_no_scenes_unless_the_manifest_is_old(varied: SceneBank) -> None:
+    assert all(entry.targets == {"easy": 0, "medium": 0, "unreachable": 0} | entry.targets
+               for entry in varied.manifest.scenes)  # fmt: skip
+    change_manifest(varied.path, lambda data: [scene.pop("targets") for scene in data["scenes"]])
+    assert reopened(varied.path).select(difficulty="hard").names() == ["a-1", "c-0"]
+    for file in varied.path.glob("*-*.json"):
+        file.unlink()
+    assert varied.select(difficulty="hard").names() == ["a-1", "c-0"]
+
+
+def test_banks_join(varied: SceneBank, folder: Path, tmp_path: Path) -> None:
+    other = write_bank(tmp_path / "other", [(told("d-0", "d", 3), "test")], name="other")
+    both = SceneBank.join([varied.path, other])
+    assert both.names() == [*varied.names(), "d-0"]
+    assert both.names("test") == ["c-0", "d-0"]
+    assert [scene.name for scene in both] == both.names()
+    assert both.manifest.name == "varied+other"
+    assert both.select(week=3).names() == ["d-0"]
+    assert SceneBank.open(both) is both
+    assert len({both.sha256, varied.sha256, other.sha256, varied.select(week=1).sha256}) == 4
+    with pytest.raises(InvalidValueError, match="at least one bank"):
+        SceneBank.join([])
+
+
+def test_rows_stay_in_their_split_across_joined_banks(varied: SceneBank, tmp_path: Path) -> None:
+    leak = write_bank(tmp_path / "leak", [(told("a-9", "a", 9), "test")], name="leak")
+    with pytest.raises(InvalidValueError, match="row 'a' lies in two splits: train, test"):
+        SceneBank.join([varied, leak])
+    twice = write_bank(tmp_path / "twice", [(told("a-0", "z", 9), "test")], name="twice")
+    with pytest.raises(InvalidValueError, match="two scenes have the same name"):
+        SceneBank.join([varied, twice])
+
+
+def test_a_newer_schema_is_said_to_be_one(varied: SceneBank) -> None:
+    change_manifest(varied.path, lambda data: data.update(schema_version=2))
+    with pytest.raises(FileFormatError, match=r"written by a newer version.*schema 2.*update"):
+        reopened(varied.path)
+
+
+def test_a_checksum_is_that_of_the_manifest_file(varied: SceneBank) -> None:
+    assert varied.sha256 == hashlib.sha256((varied.path / MANIFEST).read_bytes()).hexdigest()
