@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pydantic import TypeAdapter
@@ -13,6 +14,7 @@ from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.cutting import BuildSettings, cut_scenes, provenance_of, what_was_seen
 from greenhouse_gym.errors import FileFormatError, GreenhouseError, InvalidValueError
 from greenhouse_gym.extras import require_extras
+from greenhouse_gym.parallel import completed, require_portable
 from greenhouse_gym.paths import checked_name, exclusive, parsing, read_bytes, write_atomically
 from greenhouse_gym.planning import certify_targets
 from greenhouse_gym.progress import CONSOLE
@@ -37,6 +39,7 @@ def build_bank(
     description: str = "",
     on_stage: Callable[[str], None] | None = None,
     known: Sequence[Provenance | None] | None = None,
+    executor: Executor | None = None,
 ) -> SceneBank:
     """Build a bank of scenes from recordings.
 
@@ -55,6 +58,8 @@ def build_bank(
         on_stage: Told what is being done, row by row.
         known: Of each recording the row, its style and its source, where they are known. Recordings of one row, in
             other weeks, name the same row, and go into the same split.
+        executor: Where rows are reconstructed and scenes certified; None does it here. Only this process writes files,
+            the same ones, but with an executor a row that is interrupted begins anew, not at its last station.
 
     Raises:
         InvalidValueError: No recordings, two of one name, one that cannot be a file's, lists of different lengths, or a
@@ -62,6 +67,7 @@ def build_bank(
         FileWriteError: The folder cannot be written, or another process is building in it; told before any work.
         MissingDependencyError: OMPL, which certifies the targets, is not installed.
         ReconstructionError: A recording could not be turned into a row.
+        WorkerLostError: A process of the executor died; what was built stays, and the same call goes on with it.
     """
     settings = settings or BuildSettings()
     names = [checked_name("a recording to build of", recording.name) for recording in recordings]
@@ -76,57 +82,119 @@ def build_bank(
     require_extras("reconstruct", "plan")
     report = on_stage or (lambda text: CONSOLE.print(text, highlight=False, markup=False))
     folder = Path(out)
-    scenes: list[tuple[Scene, str]] = []
+    rows = [
+        _Row(
+            recording, week, facts, replace(settings, reconstruction=settings.reconstruction or settings_for(recording))
+        )
+        for recording, week, facts in zip(recordings, weeks, known, strict=True)
+    ]
+    for recording in recordings:
+        require_portable(executor, f"recording {recording.name!r}", recording)
     with exclusive(folder):
-        for recording, split, week, facts in zip(recordings, splits, weeks, known, strict=True):
-            fitted = replace(settings, reconstruction=settings.reconstruction or settings_for(recording))
-            made = _row_of_scenes(folder, recording, week, facts, fitted, report)
-            scenes += [(scene, split) for scene in made]
-        bank = write_bank(folder, scenes, name, description)
+        scenes = _certified_scenes(folder, rows, report, executor)
+        bank = write_bank(
+            folder,
+            ((Scene.load(path), split) for name, split in zip(names, splits, strict=True) for path in scenes[name]),
+            name,
+            description,
+        )
         shutil.rmtree(folder / UNFINISHED, ignore_errors=True)
     return bank
 
 
-def _row_of_scenes(
-    folder: Path,
-    recording: Recording,
-    week: int | None,
-    known: Provenance | None,
-    settings: BuildSettings,
-    report: Callable[[str], None],
-) -> Sequence[Scene]:
-    """The certified scenes of a recording, each saved in the bank's folder."""
-    origin = provenance_of(recording, week, settings, known)
-    finished = _of_finished_bank(folder, origin)
-    if finished:
-        report(f"{recording.name}: {len(finished)} scenes already built")
-        return finished
-    notes = folder / UNFINISHED / recording.name
-    cut = _cut_before(notes / CUT, origin)
-    if cut is None:
-        report(f"{recording.name}: reconstructing {len(recording)} stations")
-        row = reconstruct_row(recording, settings.reconstruction, folder=notes)
-        report(f"{recording.name}: extracting shapes from {len(row)} points")
-        shapes = extract_shapes(row.points, row.colors, row.normals, settings.shapes)
-        cut = cut_scenes(row, shapes, recording, week, settings, origin)
-        write_atomically(notes / CUT, _SCENES.dump_json(cut))
+@dataclass(frozen=True)
+class _Row:
+    """A recording on its way to scenes; it can travel to another process, unless it has notes and a voice.
+
+    Attributes:
+        recording: The recording.
+        week: Its growth week, if known.
+        known: Its row, the row's style and source, where they are known.
+        settings: All settings.
+        origin: Where its scenes come from.
+        notes: Folder for what is known of an unfinished walk.
+        report: Told what is being done.
+    """
+
+    recording: Recording
+    week: int | None
+    known: Provenance | None
+    settings: BuildSettings
+    origin: Provenance | None = None
+    notes: Path | None = None
+    report: Callable[[str], None] | None = None
+
+    @property
+    def name(self) -> str:
+        return self.recording.name
+
+
+def _certified_scenes(
+    folder: Path, rows: Sequence[_Row], report: Callable[[str], None], executor: Executor | None
+) -> dict[str, list[Path]]:
+    """The files of the certified scenes of each recording, by its name and in their order."""
+    origins = dict(completed(_origin, rows, executor))
+    notes = {row.name: folder / UNFINISHED / row.name for row in rows}
+    scenes: dict[str, list[Path]] = {}
+    for row in rows:
+        if finished := _of_finished_bank(folder, origins[row.name]):
+            report(f"{row.name}: {len(finished)} scenes already built")
+            scenes[row.name] = [_file(folder, scene) for scene in finished]
+    unfinished = [replace(row, origin=origins[row.name]) for row in rows if row.name not in scenes]
+    uncut = [row for row in unfinished if _cut_before(notes[row.name] / CUT, origins[row.name]) is None]
+    if executor is None:
+        uncut = [replace(row, notes=notes[row.name], report=report) for row in uncut]
+    settings = {row.name: row.settings for row in rows}
+    for name, cut in completed(_cut, uncut, executor):
+        write_atomically(notes[name] / CUT, _SCENES.dump_json(cut))
         for scene in cut:
-            report(what_was_seen(scene, settings))
-    report(f"{recording.name}: certifying the targets of {len(cut)} scenes")
-    return [_certified(folder, scene, settings) for scene in cut]
+            report(what_was_seen(scene, settings[name]))
+
+    def uncertified() -> Iterator[tuple[Scene, str]]:
+        for row in unfinished:
+            cut = _cut_before(notes[row.name] / CUT, origins[row.name])
+            assert cut is not None  # it was written above, or found
+            report(f"{row.name}: certifying the targets of {len(cut)} scenes")
+            scenes[row.name] = [_file(folder, scene) for scene in cut]
+            yield from ((scene, row.settings.robot) for scene in cut if not _is_certified(folder, scene))
+
+    for scene in completed(_certified, uncertified(), executor):
+        scene.save(_file(folder, scene))
+    return scenes
 
 
-def _certified(folder: Path, scene: Scene, settings: BuildSettings) -> Scene:
-    """The scene with its targets: as an interrupted build left it in the folder, else certified now and saved there."""
-    path = folder / f"{scene.name}.json"
+def _origin(row: _Row) -> tuple[str, Provenance]:
+    return row.name, provenance_of(row.recording, row.week, row.settings, row.known)
+
+
+def _cut(row: _Row) -> tuple[str, list[Scene]]:
+    """The scenes of a row, without targets."""
+    report = row.report or (lambda text: None)
+    report(f"{row.name}: reconstructing {len(row.recording)} stations")
+    cloud = reconstruct_row(row.recording, row.settings.reconstruction, folder=row.notes)
+    report(f"{row.name}: extracting shapes from {len(cloud)} points")
+    shapes = extract_shapes(cloud.points, cloud.colors, cloud.normals, row.settings.shapes)
+    return row.name, cut_scenes(cloud, shapes, row.recording, row.week, row.settings, row.origin)
+
+
+def _certified(piece: tuple[Scene, str]) -> Scene:
+    """A scene with its targets, for the robot of that name."""
+    scene, robot = piece
+    return scene.model_copy(update={"targets": certify_targets(scene, robot, seed=0)})
+
+
+def _is_certified(folder: Path, scene: Scene) -> bool:
+    """Whether an interrupted build left the scene with its targets in the folder."""
     try:
-        found = Scene.load(path)
+        found = Scene.load(_file(folder, scene))
     except FileFormatError:
-        found = scene
-    if not found.targets or found.model_copy(update={"targets": ()}).model_dump_json() != scene.model_dump_json():
-        found = scene.model_copy(update={"targets": certify_targets(scene, settings.robot, seed=0)})
-        found.save(path)
-    return found
+        return False
+    same = found.model_copy(update={"targets": ()}).model_dump_json() == scene.model_dump_json()
+    return bool(found.targets) and same
+
+
+def _file(folder: Path, scene: Scene) -> Path:
+    return folder / f"{scene.name}.json"
 
 
 def _cut_before(path: Path, origin: Provenance) -> list[Scene] | None:

@@ -7,6 +7,7 @@ writes files. Without an executor the same work is done here, one piece after th
 from __future__ import annotations
 
 import os
+import pickle
 import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator
@@ -17,6 +18,7 @@ from concurrent.futures import (
     Executor,
     Future,
     ProcessPoolExecutor,
+    ThreadPoolExecutor,
     wait,
 )
 from contextlib import contextmanager
@@ -75,6 +77,25 @@ def completed(
     finally:
         for future in running:
             future.cancel()
+
+
+def require_portable(executor: Executor | None, what: str, thing: object) -> None:
+    """Raise an error unless a thing can travel to an executor's workers.
+
+    Args:
+        executor: The executor; threads and None ask for nothing.
+        what: What to call the thing.
+        thing: What is to travel.
+
+    Raises:
+        InvalidValueError: It cannot be pickled.
+    """
+    if executor is None or isinstance(executor, ThreadPoolExecutor):
+        return
+    try:
+        pickle.dumps(thing)
+    except Exception as error:  # whatever a part of it raises
+        raise InvalidValueError(f"{what} cannot be sent to another process ({error}); work without executor") from error
 
 
 def workers_of(executor: Executor) -> int:

@@ -1,11 +1,14 @@
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from parallel_helpers import Elsewhere
 from row_helpers import HALF, half_cloud, half_recording
 
 from greenhouse_gym import build, cutting
@@ -25,10 +28,14 @@ from greenhouse_gym.shapes import RowShapes, ShapeSettings, extract_shapes
 
 def recording(name: str = "row", stations: int = 20, shade: int = 0) -> Recording:
     """A recording that lies on no disk; its images tell it from others of its name."""
+    return Recording(name, HALF, stations, partial(of_one_shade, shade))
+
+
+def of_one_shade(shade: int, i: int) -> Station:
     intrinsics = HALF.cameras["middle"].intrinsics
     color = np.full((intrinsics.height, intrinsics.width, 3), shade, np.uint8)
     frame = RgbdFrame(color, np.zeros(color.shape[:2], np.float32), intrinsics)
-    return Recording(name, HALF, stations, lambda i: Station(dict.fromkeys(HALF.cameras, frame)))
+    return Station(dict.fromkeys(HALF.cameras, frame))
 
 
 def made_up_row(stations: int, tilt: float = 0.0, step: float = 0.1) -> RowCloud:
@@ -188,11 +195,12 @@ def true_row() -> PlantRow:
 def known_recording(world_from_row: np.ndarray | None) -> Recording:
     """A recording that knows its row, and where its stations stood but for the first, which it has half a metre off."""
 
-    def load(i: int) -> Station:
-        known = None if world_from_row is None else world_from_row @ made_up_row(20).world_from_station[i]
-        return Station({}, known if i or known is None else known @ pose(translation=[0.5, 0.0, 0.0]))
+    return replace(recording(), load=partial(station_without_images, world_from_row), truth=true_row())
 
-    return replace(recording(), load=load, truth=true_row())
+
+def station_without_images(world_from_row: np.ndarray | None, i: int) -> Station:
+    known = None if world_from_row is None else world_from_row @ made_up_row(20).world_from_station[i]
+    return Station({}, known if i or known is None else known @ pose(translation=[0.5, 0.0, 0.0]))
 
 
 def test_truth_comes_by_the_pose_of_the_station_nearest_to_the_arm() -> None:
@@ -325,6 +333,45 @@ def test_scenes_without_the_truth_that_a_recording_knows_are_built_anew(calls: C
     sizes = [len(scene.truth.obstacles) for scene in bank if scene.truth is not None]
     assert len(sizes) == 3
     assert bank.largest_truth() == SceneBank.open(tmp_path).largest_truth() == max(sizes)
+
+
+def files_in(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_rows_built_elsewhere_give_the_same_files(calls: Calls, tmp_path: Path) -> None:
+    rows = [*ROWS, known_recording(pose())]
+    elsewhere = Elsewhere()
+    for out, executor in (("here", None), ("there", elsewhere)):
+        built(tmp_path / out, rows, weeks=[0, 1, 2, None], executor=executor)
+    assert files_in(tmp_path / "there") == files_in(tmp_path / "here")
+    assert Counter(elsewhere.works) == {"_origin": 4, "_cut": 4, "_certified": 12}
+    built(tmp_path / "there", rows, weeks=[0, 1, 2, None], executor=elsewhere)
+    assert len(elsewhere.works) == 20 + 4
+
+
+def test_a_build_elsewhere_goes_on_with_the_scene_at_which_it_stopped(calls: Calls, tmp_path: Path) -> None:
+    calls.fail_at = "b-01"
+    with pytest.raises(KeyboardInterrupt):
+        built(tmp_path / "there", executor=Elsewhere())
+    assert calls.reconstructed == ["a", "b", "a-1"]
+    kept = {path.name for path in (tmp_path / "there").glob("*.json")}
+    assert kept
+    calls.fail_at = None
+    calls.certified.clear()
+    built(tmp_path / "there", executor=Elsewhere())
+    assert len(calls.reconstructed) == 3
+    assert len(calls.certified) == 9 - len(kept)
+    built(tmp_path / "here")
+    assert files_in(tmp_path / "there") == files_in(tmp_path / "here")
+
+
+def test_a_recording_that_cannot_travel_is_named_before_any_work(calls: Calls, tmp_path: Path) -> None:
+    row = replace(recording("a"), load=lambda i: of_one_shade(0, i))
+    with pytest.raises(InvalidValueError, match="recording 'a' cannot be sent to another process"):
+        built(tmp_path, [row], executor=Elsewhere())
+    assert calls.reconstructed == []
+    assert len(built(tmp_path, [row])) == 3
 
 
 def test_another_version_rebuilds(calls: Calls, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

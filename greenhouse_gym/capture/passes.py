@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Sequence
+from functools import partial
 from itertools import accumulate
 
 import numpy as np
@@ -35,16 +37,19 @@ def join_passes(passes: Sequence[Recording]) -> Recording:
     ends = list(accumulate(len(one) for one in passes))
     starts = [0, *ends[:-1]]
 
-    def load(i: int) -> Station:
-        k = next(k for k, end in enumerate(ends) if i < end)
-        station = passes[k][i - starts[k]]
-        known = station.world_from_station
-        return Station(station.frames, None if known is None else known @ pose(translation=[0.0, 0.0, lifts[k]]))
-
+    load = partial(_station, passes, starts, lifts)
     return Recording(
         first.name, first.rig, ends[-1], load, protocol=first.protocol, passes=tuple(map(Pass, starts, lifts)),
         truth=first.truth,
     )  # fmt: skip
+
+
+def _station(passes: Sequence[Recording], starts: Sequence[int], lifts: Sequence[float], i: int) -> Station:
+    """Station i of all passes, raised with its rig."""
+    k = bisect_right(starts, i) - 1
+    station = passes[k][i - starts[k]]
+    known = station.world_from_station
+    return Station(station.frames, None if known is None else known @ pose(translation=[0.0, 0.0, lifts[k]]))
 
 
 def _lift(first: Recording, later: Recording) -> float:

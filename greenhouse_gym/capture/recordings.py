@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
@@ -43,7 +44,8 @@ class Recording:
         name: What to call it in reports.
         rig: The cameras.
         size: Number of stations.
-        load: Gives station i; called anew at each access, nothing is kept.
+        load: Gives station i; called anew at each access, nothing is kept. What can be pickled can be worked on by
+            another process.
         folder: Where it lies on disk, or None for one that is simulated.
         protocol: Name of the `greenhouse_gym.capture.PROTOCOLS` it follows; None for the paper's, or where not known.
         passes: The walks along the row where there are several, each from about the same place; see `join_passes`.
@@ -158,20 +160,25 @@ def open_folder(path: str | Path) -> Recording:
         for i, matrix in enumerate(record.world_from_station for record in index.stations)
     ]
 
-    def load(i: int) -> Station:
-        color, depth = images[i]["color"], images[i]["depth"]
-        frames = {}
-        for name, camera in rig.cameras.items():
-            if name not in color or name not in depth:
-                raise FileFormatError(file, f"station {i} names no images for camera {name!r}")
-            frames[name] = read_frame(color[name], depth[name], camera)
-        return Station(frames, poses[i])
-
     passes = tuple(Pass(one.first, one.lift) for one in index.passes)
     truth = load_truth(folder / TRUTH)
     files = (file, *([folder / TRUTH] if truth else []),
              *(image for station in images for kind in station.values() for image in kind.values()))  # fmt: skip
+    load = partial(_station, file, rig, images, poses)
     return Recording(index.name, rig, len(index.stations), load, folder, index.protocol, passes, truth, files)
+
+
+def _station(
+    file: Path, rig: Rig, images: list[dict[str, dict[str, Path]]], poses: list[Array | None], i: int
+) -> Station:
+    """Station i of a folder, whose index is the file."""
+    color, depth = images[i]["color"], images[i]["depth"]
+    frames = {}
+    for name, camera in rig.cameras.items():
+        if name not in color or name not in depth:
+            raise FileFormatError(file, f"station {i} names no images for camera {name!r}")
+        frames[name] = read_frame(color[name], depth[name], camera)
+    return Station(frames, poses[i])
 
 
 def _camera(file: Path, name: str, record: CameraRecord) -> Camera:

@@ -111,6 +111,9 @@ class Rig:
             raise InvalidValueError(f"reference camera {self.reference!r} is not among {', '.join(self.cameras)}")
         object.__setattr__(self, "cameras", MappingProxyType(dict(self.cameras)))
 
+    def __reduce__(self) -> tuple[type[Rig], tuple[dict[str, Camera], str]]:
+        return Rig, (dict(self.cameras), self.reference)  # the view of the cameras cannot be pickled
+
 
 def three_camera_rig(
     intrinsics: Intrinsics = D435_DEPTH,

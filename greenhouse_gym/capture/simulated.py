@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -93,26 +95,44 @@ def photograph(
         light: As in `simulate_recording`.
     """
     settings = settings or WalkSettings()
-    again = (walk_number,) if walk_number else ()
-    biases = draw_biases(len(rig.cameras), np.random.default_rng([seed, 1]), settings.noise)
-    actual = misplaced(rig, seed, settings)
     light = light or draw_light(np.random.default_rng([seed, 4]))
-    caster = RowRaycaster.of(row, light)
+    load = _Photographs(row, seed, rig, poses, settings, walk_number, light)
+    return Recording(f"simulated-{seed}", rig, len(poses), load, truth=row)
 
-    def load(i: int) -> Station:
+
+@dataclass(frozen=True, eq=False)
+class _Photographs:
+    """Gives the stations of a simulated recording; the fields are as in `photograph`."""
+
+    row: PlantRow
+    seed: int
+    rig: Rig
+    poses: Array
+    settings: WalkSettings
+    walk_number: int
+    light: Light
+
+    @cached_property
+    def _caster(self) -> RowRaycaster:
+        return RowRaycaster.of(self.row, self.light)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _Photographs, tuple(getattr(self, one.name) for one in fields(self))  # without Open3D's scene
+
+    def __call__(self, i: int) -> Station:
+        seed, again = self.seed, (self.walk_number,) if self.walk_number else ()
+        biases = draw_biases(len(self.rig.cameras), np.random.default_rng([seed, 1]), self.settings.noise)
         frames = {}
-        for k, (name, camera) in enumerate(actual.cameras.items()):
+        for k, (name, camera) in enumerate(misplaced(self.rig, seed, self.settings).cameras.items()):
             rng = np.random.default_rng([seed, 2, i, k, *again])
             own = np.random.default_rng([seed, 5, i, k, *again])
-            at = replace(caster, light=light.at_station(own))
-            view = at.look(poses[i] @ camera.rig_from_camera, camera.intrinsics)
-            depth = _sensed(view, camera.intrinsics.fx, rng, own, settings, float(biases[k]))
-            noise = settings.color_noise * rng.standard_normal(view.color.shape, dtype=np.float32)
+            at = replace(self._caster, light=self.light.at_station(own))
+            view = at.look(self.poses[i] @ camera.rig_from_camera, camera.intrinsics)
+            depth = _sensed(view, camera.intrinsics.fx, rng, own, self.settings, float(biases[k]))
+            noise = self.settings.color_noise * rng.standard_normal(view.color.shape, dtype=np.float32)
             color = np.clip(view.color + noise, 0, 255).astype(np.uint8)
             frames[name] = RgbdFrame(color, depth, camera.intrinsics)
-        return Station(frames, poses[i])
-
-    return Recording(f"simulated-{seed}", rig, len(poses), load, truth=row)
+        return Station(frames, self.poses[i])
 
 
 def _sensed(

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from importlib.metadata import entry_points
 from pathlib import Path
 from types import MappingProxyType
@@ -97,7 +97,7 @@ def open_recording(path: str | Path, format: str | RecordingFormat | None = None
         recording = chosen.open(path)
     if not isinstance(recording, Recording) or recording.size < 1:
         raise FileFormatError(path, f"the format {chosen.name!r} found no stations in it (it gave {recording!r:.80})")
-    return replace(recording, load=lambda i: _station(recording, path, i, chosen.name))
+    return replace(recording, load=partial(_station, recording, path, chosen.name))
 
 
 def _recognized(path: Path) -> RecordingFormat:
@@ -128,7 +128,7 @@ def _checked(format: object, where: str) -> RecordingFormat:
     return format  # type: ignore[return-value]
 
 
-def _station(recording: Recording, path: Path, i: int, name: str) -> Station:
+def _station(recording: Recording, path: Path, name: str, i: int) -> Station:
     """Station i as the format's reader gives it, if it is one."""
     with parsing(f"{path}, station {i}", f"station of the format {name!r}"):
         station = recording.load(i)

@@ -7,6 +7,7 @@ reconstruction finds the same conventions as with a tripod.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -50,14 +51,17 @@ def single_camera(
     if not len(color) == len(depth) == len(poses):
         raise FileFormatError(folder, f"{len(color)} color images, {len(depth)} depth images, {len(poses)} poses")
     camera = Camera(intrinsics, _RIG_FROM_CAMERA, depth_scale)
-
-    def load(i: int) -> Station:
-        known = poses[i]
-        frame = read_frame(color[i], depth[i], camera)
-        return Station({"camera": frame}, None if known is None else known @ _RIG_FROM_CAMERA.T)
-
+    load = partial(_station, color, depth, camera, poses)
     rig = Rig({"camera": camera}, "camera")
     return Recording(folder.name, rig, len(color), load, folder, files=(*described_by, *color, *depth))
+
+
+def _station(
+    color: Sequence[Path], depth: Sequence[Path], camera: Camera, poses: Sequence[Array | None], i: int
+) -> Station:
+    known = poses[i]
+    frame = read_frame(color[i], depth[i], camera)
+    return Station({"camera": frame}, None if known is None else known @ _RIG_FROM_CAMERA.T)
 
 
 def read_numbers(path: Path, columns: int) -> Array:
