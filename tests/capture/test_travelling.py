@@ -30,7 +30,7 @@ def joined(folder: Path) -> Recording:
 
 
 def of_one_camera(folder: Path) -> Recording:
-    for kind, image in (("color", np.zeros((8, 8, 3), np.uint8)), ("depth", np.ones((8, 8), np.uint16))):
+    for kind, image in (("color", np.zeros((480, 640, 3), np.uint8)), ("depth", np.ones((480, 640), np.uint16))):
         (folder / kind).mkdir()
         for i in range(2):
             cv2.imwrite(str(folder / kind / f"{i}.png"), image)
