@@ -25,11 +25,15 @@ def read_arrays(content: bytes, most: int) -> dict[str, npt.NDArray[Any]]:
         unpacked = sum(member.file_size for member in archive.infolist())
         if unpacked > most:
             raise ValueError(f"unpacked it has {unpacked} bytes, at most {most} are read")
-        return {name.removesuffix(".npy"): _array(archive.read(name)) for name in archive.namelist()}
+        return {name.removesuffix(".npy"): read_array(archive.read(name)) for name in archive.namelist()}
 
 
-def _array(content: bytes) -> npt.NDArray[Any]:
-    """An array from the content of an ``.npy`` file whose header promises what is there."""
+def read_array(content: bytes) -> npt.NDArray[Any]:
+    """The array of an ``.npy`` file.
+
+    Raises:
+        ValueError: Its header promises something else than what is there.
+    """
     file = io.BytesIO(content)
     version = np.lib.format.read_magic(file)
     read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]

@@ -1,0 +1,166 @@
+"""Files of clouds as they are: points in the file's own unit and frame, colors and normals where it has them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from greenhouse_gym.array_files import read_array, read_arrays
+from greenhouse_gym.errors import FileFormatError
+from greenhouse_gym.extras import needs
+from greenhouse_gym.geometry import Array
+from greenhouse_gym.open3d_loader import open3d
+from greenhouse_gym.paths import MOST_BYTES, parsing, read_bytes
+
+MOST_POINTS = 20_000_000
+"""Of a file with more, only every second, third, ... point is used."""
+
+_FEWEST = 50  # points that can hold a shape
+_KIND = "cloud of points"
+
+
+@dataclass(frozen=True, eq=False)
+class RawCloud:
+    """What a file holds.
+
+    Attributes:
+        points: (n, 3) in the file's unit and frame, finite.
+        colors: (n, 3) RGB in [0, 1], or None where the file has none.
+        normals: (n, 3), of any length, or None where the file has none.
+        notes: What was left out, a sentence each.
+    """
+
+    points: Array
+    colors: Array | None = None
+    normals: Array | None = None
+    notes: tuple[str, ...] = ()
+
+
+def read_cloud(path: str | Path) -> RawCloud:
+    """Read a cloud from a file of one of `CLOUD_SUFFIXES`.
+
+    Organized clouds are read as well; rows without a finite position are left out, which ``notes`` says.
+
+    Raises:
+        FileFormatError: The file is missing, damaged, of no known kind, or holds too few points.
+        MissingDependencyError: A package that reads this kind of file is not installed.
+    """
+    path = Path(path)
+    read = CLOUD_SUFFIXES.get(path.suffix.lower())
+    if read is None:
+        raise FileFormatError(path, f"not a file of a cloud by its suffix; known are {', '.join(CLOUD_SUFFIXES)}")
+    if not path.is_file():
+        raise FileFormatError(path, "cannot be read (no such file)")
+    if path.stat().st_size > MOST_BYTES[_KIND]:
+        raise FileFormatError(path, f"too large for a {_KIND}: {path.stat().st_size} bytes")
+    with parsing(path, _KIND):
+        return _cleaned(path, *read(path))
+
+
+_Parts = tuple[npt.NDArray[Any], npt.NDArray[Any] | None, npt.NDArray[Any] | None]
+
+
+def _cleaned(
+    path: Path, points: npt.NDArray[Any], colors: npt.NDArray[Any] | None, normals: npt.NDArray[Any] | None
+) -> RawCloud:
+    notes = []
+    rows = [None if part is None else part.reshape(-1, 3) for part in (points, colors, normals)]
+    points = rows[0] if rows[0] is not None else points
+    total = len(points)
+    if every := total // (MOST_POINTS + 1):
+        rows = [None if part is None else part[:: every + 1] for part in rows]
+        notes.append(f"of {total} points one in {every + 1} is used")
+    for name, part in zip(("colors", "normals"), rows[1:], strict=True):
+        if part is not None and rows[0] is not None and len(part) != len(rows[0]):
+            raise FileFormatError(path, f"{len(part)} {name} for {len(rows[0])} points")
+    assert rows[0] is not None
+    kept = np.isfinite(rows[0]).all(axis=1)
+    if not kept.all():
+        notes.append(f"{np.count_nonzero(~kept)} of {len(kept)} points have no finite position and were left out")
+    if np.count_nonzero(kept) < _FEWEST:
+        count = np.count_nonzero(kept)
+        raise FileFormatError(path, f"holds {count} points, too few for a plant; expected at least {_FEWEST}")
+    found = rows[0][kept].astype(np.float64)
+    return RawCloud(
+        found,
+        None if rows[1] is None else _fractions(path, rows[1][kept]),
+        None if rows[2] is None else np.nan_to_num(rows[2][kept].astype(np.float64)),
+        tuple(notes),
+    )
+
+
+def _fractions(path: Path, colors: npt.NDArray[Any]) -> Array:
+    """Colors of any type as fractions of white."""
+    whole = np.issubdtype(colors.dtype, np.integer)
+    white = float(np.iinfo(colors.dtype).max) if whole else 255.0 if colors.max(initial=0.0) > 1.0 else 1.0
+    result = np.nan_to_num(colors.astype(np.float64)) / white
+    if result.min(initial=0.0) < 0.0 or result.max(initial=0.0) > 1.0:
+        raise FileFormatError(path, f"colors from {colors.min()} to {colors.max()}; expected 0 to 1, or 0 to 255")
+    return np.asarray(result)
+
+
+def _with_open3d(path: Path) -> _Parts:
+    cloud = open3d().t.io.read_point_cloud(str(path), remove_nan_points=False, remove_infinite_points=False)
+    if "positions" not in cloud.point:
+        raise FileFormatError(path, "damaged, or holds no points")
+    colors, normals = (cloud.point[name].numpy() if name in cloud.point else None for name in ("colors", "normals"))
+    return cloud.point["positions"].numpy(), colors, normals
+
+
+def _from_array(path: Path) -> _Parts:
+    """An array whose last axis holds x y z, then perhaps r g b, then perhaps the normal."""
+    return _columns(path, read_array(read_bytes(path, _KIND)))
+
+
+def _from_arrays(path: Path) -> _Parts:
+    arrays = read_arrays(read_bytes(path, _KIND), MOST_BYTES[_KIND])
+    if "points" not in arrays:
+        raise FileFormatError(path, f"expected the arrays points, colors and normals; it has {', '.join(arrays)}")
+    return arrays["points"], arrays.get("colors"), arrays.get("normals")
+
+
+def _from_text(path: Path) -> _Parts:
+    text = read_bytes(path, _KIND).decode().replace(",", " ").splitlines()
+    return _columns(path, np.loadtxt([line for line in text if line[:1] not in "#/"], ndmin=2))
+
+
+def _columns(path: Path, table: npt.NDArray[Any]) -> _Parts:
+    if table.ndim < 2 or table.shape[-1] not in (3, 6, 9):
+        raise FileFormatError(
+            path, f"an array of shape {table.shape}; expected 3, 6 or 9 columns: x y z, r g b, normal"
+        )
+    flat = table.reshape(-1, table.shape[-1])
+    return flat[:, :3], flat[:, 3:6] if flat.shape[1] > 3 else None, flat[:, 6:] if flat.shape[1] > 6 else None
+
+
+def _from_laser(path: Path) -> _Parts:
+    with needs("scans"):
+        import laspy
+    content = laspy.read(path)
+    colors = None
+    if "red" in content.point_format.dimension_names:
+        channels = np.column_stack([content.red, content.green, content.blue])
+        # 16 bits by the standard, 8 in many files
+        colors = channels if channels.max(initial=0) > 255 else channels.astype(np.uint8)
+    return np.asarray(content.xyz), colors if colors is not None and colors.any() else None, None
+
+
+CLOUD_SUFFIXES: Mapping[str, Callable[[Path], _Parts]] = MappingProxyType(
+    {
+        ".ply": _with_open3d,
+        ".pcd": _with_open3d,
+        ".npy": _from_array,
+        ".npz": _from_arrays,
+        ".xyz": _from_text,
+        ".txt": _from_text,
+        ".las": _from_laser,
+        ".laz": _from_laser,
+    }
+)
+"""The kinds of files that hold clouds, by their suffix, each with what reads it."""
