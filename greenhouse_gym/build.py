@@ -19,6 +19,7 @@ from greenhouse_gym.paths import checked_name, exclusive, parsing, read_bytes, w
 from greenhouse_gym.planning import certify_targets
 from greenhouse_gym.progress import CONSOLE
 from greenhouse_gym.reconstruction import reconstruct_row, settings_for
+from greenhouse_gym.scans import ScannedRow
 from greenhouse_gym.scene import Provenance, Scene, SceneBank
 from greenhouse_gym.scene.bank import write_bank
 from greenhouse_gym.shapes import extract_shapes
@@ -48,7 +49,7 @@ def build_bank(
     another version is made anew.
 
     Args:
-        recordings: Of one row each; their names become the rows' names.
+        recordings: Of one row each, or a `greenhouse_gym.scans.ScannedRow`; their names become the rows' names.
         out: The bank's folder.
         name: The bank's name.
         splits: Split of each row; by default two thirds train, the rest validation and test in turn.
@@ -170,6 +171,11 @@ def _origin(row: _Row) -> tuple[str, Provenance]:
 def _cut(row: _Row) -> tuple[str, list[Scene]]:
     """The scenes of a row, without targets."""
     report = row.report or (lambda text: None)
+    if isinstance(row.recording, ScannedRow):
+        for note in row.recording.scan.notes:
+            report(f"{row.name}: {note}")
+        found = row.recording.shapes
+        return row.name, cut_scenes(row.recording.row, found, row.recording, row.week, row.settings, row.origin)
     report(f"{row.name}: reconstructing {len(row.recording)} stations")
     cloud = reconstruct_row(row.recording, row.settings.reconstruction, folder=row.notes)
     report(f"{row.name}: extracting shapes from {len(cloud)} points")

@@ -8,7 +8,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from greenhouse_gym.cli import acting, arms, demo, sensing
+from greenhouse_gym.cli import acting, arms, demo, scans, sensing
 from greenhouse_gym.errors import GreenhouseError
 
 app = typer.Typer(
@@ -20,6 +20,7 @@ app = typer.Typer(
 app.command()(sensing.simulate)
 app.command()(sensing.reconstruct)
 app.command()(sensing.build)
+app.command()(scans.shapes)
 app.command()(sensing.formats)
 app.command("build-shipped")(sensing.build_shipped)
 app.command()(acting.plan)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from greenhouse_gym.cli.scans import Floor, SeenFrom, Units, Up, scanned
 from greenhouse_gym.cli.settings import Assignments, SettingsFile, shown
 from greenhouse_gym.progress import CONSOLE, progress
 
@@ -128,10 +129,15 @@ def _say(text: str, style: str | None = None) -> None:
 
 
 def build(
-    recordings: Annotated[list[Path], typer.Argument(help="Folders of recordings, one per row.")],
+    recordings: Annotated[list[Path], typer.Argument(help="Folders of recordings, or files of clouds, one per row.")],
     out: Out,
     name: Annotated[str, typer.Option(help="The bank's name; the folder's name by default.")] = "",
     format: Format = None,
+    cloud: Annotated[bool, typer.Option("--cloud", help="What is given are files of clouds, not recordings.")] = False,
+    units: Units = None,
+    up: Up = None,
+    seen_from: SeenFrom = None,
+    floor: Floor = None,
     settings: SettingsFile = None,
     assignments: Assignments = None,
     print_settings: Annotated[bool, shown(_build_settings)] = False,
@@ -150,7 +156,9 @@ def build(
     from greenhouse_gym.reconstruction import settings_for
     from greenhouse_gym.settings_files import as_toml, resolve
 
-    opened = [open_recording(path, format) for path in recordings]
+    opened = [
+        scanned(path, units, up, seen_from, floor) if cloud else open_recording(path, format) for path in recordings
+    ]
     needed = {settings_for(recording) for recording in opened}
     resolved = resolve(
         BuildSettings(reconstruction=needed.pop() if len(needed) == 1 else None), settings, assignments or ()

@@ -8,7 +8,7 @@ from typing import NoReturn
 import numpy as np
 
 from greenhouse_gym.capture.recordings import Recording
-from greenhouse_gym.capture.rig import SEED_RIG
+from greenhouse_gym.capture.rig import D435_DEPTH, Camera, Rig
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import pose
 from greenhouse_gym.plants.plant_row import STEM_LINE
@@ -77,13 +77,18 @@ def scanned_row(scan: Scan, floor: float | None = None, settings: ShapeSettings 
         RowReport((), warnings=notes, merged_points=len(points), points=len(points)),
     )  # fmt: skip
 
-    def load(_: int) -> NoReturn:
-        raise FileFormatError(scan.path or scan.name, "a scanned cloud has no images")
-
+    # the file's frame stands in for a camera's, so that another unit or another side up makes another row
+    frame = scan.row_from_file.copy()
+    frame[0, 3] = ahead
+    rig = Rig({"scan": Camera(D435_DEPTH, frame, scan.unit)}, "scan")
     return ScannedRow(
-        scan.name, SEED_RIG, count, load, scan.path.parent if scan.path else None,
+        scan.name, rig, count, _no_images, scan.path.parent if scan.path else None,
         files=(scan.path,) if scan.path else (), scan=replace(scan, notes=notes), row=row, shapes=shapes,
     )  # fmt: skip
+
+
+def _no_images(station: int) -> NoReturn:
+    raise FileFormatError(f"station {station}", "a scanned cloud has no images")
 
 
 def _lowered(shapes: RowShapes, floor: float) -> RowShapes:

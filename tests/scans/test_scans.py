@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -10,7 +11,11 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
 
+from greenhouse_gym import build
+from greenhouse_gym.capture.fingerprint import fingerprint
+from greenhouse_gym.cli import app
 from greenhouse_gym.crop import Stem, Tomato
 from greenhouse_gym.errors import FileFormatError, GreenhouseError, InvalidValueError, UnknownNameError
 from greenhouse_gym.geometry import Array, invert, pose, transform
@@ -19,6 +24,7 @@ from greenhouse_gym.scans import RawCloud, Scan, extract_from_scan, open_scan, r
 from greenhouse_gym.scans import row as row_module
 from greenhouse_gym.scans.frame import guess_unit
 from greenhouse_gym.scans.scan import fruit_stands_up
+from greenhouse_gym.scene import Shapes
 from greenhouse_gym.shapes import RowShapes
 
 GREEN, RED = np.array([0.36, 0.50, 0.22]), np.array([0.76, 0.10, 0.07])
@@ -294,3 +300,36 @@ def test_no_colors_is_said() -> None:
     scan = open_scan(RawCloud(points, None, normals))
     assert any(note.startswith("no colors") for note in scan.notes)
     assert (scan.cloud.colors == 0.5).all()
+
+
+# -- commands ---------------------------------------------------------------------------------------------------------
+
+
+def test_the_command_writes_shapes_and_what_it_assumed(tmp_path: Path) -> None:
+    few = plant()[0][:, 1] < 0.2
+    points, colors, normals = (part[few] for part in plant())
+    with_open3d(tmp_path / "c.ply", 1e3 * points, colors, normals)
+    arguments = ["shapes", str(tmp_path / "c.ply"), "--out", str(tmp_path / "out"), "--up", "0,0,1"]
+    done = CliRunner().invoke(app, arguments)
+    assert done.exit_code == 0, done.output
+    assert "units: taken as mm" in done.output
+    found = Shapes.model_validate_json((tmp_path / "out" / "shapes.json").read_text())
+    assert len(found.tomatoes) == 4
+    assert json.loads((tmp_path / "out" / "report.json").read_text())["unit"] == 0.001
+    assert len(read_cloud(tmp_path / "out" / "cloud.ply").points) > 1000
+    wrong = CliRunner().invoke(app, [*arguments[:-1], "0,0,up"])
+    assert "three numbers" in str(wrong.exception)
+
+
+def test_a_bank_is_built_of_a_scan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stems = (Stem([0.5, 0, 0.6], [0.5, 0, 1.6], 0.005, "main"),)
+    found = RowShapes((Tomato([0.46, 0.0, 1.0], 0.03, 0),), stems)
+    monkeypatch.setattr(row_module, "extract_from_scan", lambda scan, settings: (scan, found))
+    monkeypatch.setattr(build, "certify_targets", lambda scene, robot, seed: ())
+    points, colors, normals = plant()
+    rows = [scanned_row(open_scan(RawCloud(points, colors, normals), units="m", up=up)) for up in ("z", "-z")]
+    bank = build.build_bank(rows[:1], tmp_path / "bank", "scanned", on_stage=lambda text: None)
+    scene = bank[0]
+    assert scene.tomatoes[0].center[0] == pytest.approx(0.56)
+    assert scene.seen is None
+    assert fingerprint(rows[0]) != fingerprint(rows[1])

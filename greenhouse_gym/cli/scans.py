@@ -1,0 +1,94 @@
+"""Commands on clouds that were not recorded with this package's rig."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from greenhouse_gym.cli.settings import Assignments, SettingsFile, shown
+from greenhouse_gym.progress import CONSOLE
+
+if TYPE_CHECKING:
+    from greenhouse_gym.scans import Scan, ScannedRow
+
+Units = Annotated[str | None, typer.Option(help="Of the cloud: m, cm, mm or metres per unit; guessed when left out.")]
+Up = Annotated[str | None, typer.Option(help="What is up in the cloud: x, y, z, -x, -y, -z or a vector as 0,0.1,1.")]
+SeenFrom = Annotated[str | None, typer.Option(help="Where the cloud was seen from, in its own frame, as 0,0,1.2.")]
+Floor = Annotated[float | None, typer.Option(help="Height of the floor, metres; guessed when left out.")]
+
+
+def _shape_settings() -> object:
+    from greenhouse_gym.shapes import ShapeSettings
+
+    return ShapeSettings()
+
+
+def shapes(
+    cloud: Annotated[Path, typer.Argument(help="File of a cloud: ply, pcd, las, laz, npy, npz, xyz or txt.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder for the results.")],
+    units: Units = None,
+    up: Up = None,
+    seen_from: SeenFrom = None,
+    settings: SettingsFile = None,
+    assignments: Assignments = None,
+    print_settings: Annotated[bool, shown(_shape_settings)] = False,
+) -> None:
+    """Find tomatoes, stems and clutter in a cloud that comes from elsewhere; what had to be assumed is said.
+
+    Writes shapes.json (metres, z up), cloud.ply (the cloud in that frame) and report.json (what was assumed, and what
+    brings the file's points, times its unit, into that frame).
+    """
+    from greenhouse_gym.paths import write_atomically
+    from greenhouse_gym.reconstruction.surface import save_points
+    from greenhouse_gym.scans import extract_from_scan
+    from greenhouse_gym.scene import Shapes
+    from greenhouse_gym.settings_files import resolve
+    from greenhouse_gym.shapes import ShapeSettings
+
+    resolved = resolve(ShapeSettings(), settings, assignments or ())
+    scan, found = extract_from_scan(_opened(cloud, units, up, seen_from), resolved)
+    notes = [*scan.notes, *found.warnings]
+    for note in notes:
+        CONSOLE.print(note, markup=False, highlight=False, soft_wrap=True)
+    parts = Shapes(tomatoes=found.tomatoes, stems=found.stems, clutter=found.clutter)
+    write_atomically(out / "shapes.json", parts.model_dump_json(indent=1) + "\n")
+    report = {"unit": scan.unit, "row_from_file": scan.row_from_file.tolist(), "notes": notes}
+    write_atomically(out / "report.json", json.dumps(report | {"confidence": found.confidence}, indent=1) + "\n")
+    save_points(scan.cloud, out / "cloud.ply")
+    CONSOLE.print(
+        f"{len(found.tomatoes)} tomatoes, {len(found.stems)} pieces of stem, {len(found.clutter)} boxes: {out}"
+    )
+
+
+def scanned(cloud: Path, units: str | None, up: str | None, seen_from: str | None, floor: float | None) -> ScannedRow:
+    """A cloud as a row to build a bank of, from the texts of the options."""
+    from greenhouse_gym.scans import scanned_row
+
+    return scanned_row(_opened(cloud, units, up, seen_from), floor)
+
+
+def _opened(cloud: Path, units: str | None, up: str | None, seen_from: str | None) -> Scan:
+    from greenhouse_gym.scans import open_scan
+
+    return open_scan(
+        cloud, _number(units), _numbers("--up", up) if up and "," in up else up, _numbers("--seen-from", seen_from)
+    )
+
+
+def _number(text: str | None) -> str | float | None:
+    try:
+        return None if text is None else float(text)
+    except ValueError:
+        return text
+
+
+def _numbers(option: str, text: str | None) -> list[float] | None:
+    from greenhouse_gym.errors import InvalidValueError
+
+    try:
+        return None if text is None else [float(part) for part in text.split(",")]
+    except ValueError as error:
+        raise InvalidValueError(f"{option}: expected three numbers such as 0,0,1.2, got {text!r}") from error
