@@ -6,11 +6,13 @@ The same seed gives every agent the same episodes, however many are played side 
 from __future__ import annotations
 
 import copy
+import math
 import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from concurrent.futures import Executor
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -25,6 +27,7 @@ from greenhouse_gym.envs.observations import Observed, select
 from greenhouse_gym.envs.simulation import ReachSimulation
 from greenhouse_gym.errors import GreenhouseError, InvalidValueError, require_seed
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.parallel import completed, require_portable, workers_of
 from greenhouse_gym.planning import path_length
 from greenhouse_gym.planning.collision import CLEARANCE_RANGE, smallest_clearance
 from greenhouse_gym.planning.kinematics import tool_chain, tool_state
@@ -42,6 +45,9 @@ __all__ = [
 ]
 
 
+_PARTS = 4  # of an evaluation per worker: many enough that all end at about the same time
+
+
 class AgentError(GreenhouseError, RuntimeError):
     """An agent cannot be evaluated: it failed before it gave a single valid action."""
 
@@ -55,6 +61,7 @@ def evaluate(
     problems: Sequence[tuple[str, int]] | None = None,
     num_envs: int = 1,
     patience: float | None = None,
+    executor: Executor | None = None,
     **options: Any,
 ) -> Evaluation:
     """Run an agent over episodes drawn from a split.
@@ -74,12 +81,16 @@ def evaluate(
         num_envs: Episodes that are played side by side. Each gets a copy of the agent, unless that has ``act_many``;
             the records are the same, but for times.
         patience: Seconds the agent may take to prepare for an episode or to act; None waits for ever.
+        executor: Where the episodes are played, some at a time, each time by a new copy of the agent; None plays all of
+            them here. The records are the same, but for times.
         **options: Further keywords of the environment, such as ``bank`` or ``difficulty``; those the agent needs cannot
             be changed.
 
     Raises:
-        InvalidValueError: No episodes, no agent, a negative seed, or an option that contradicts what the agent needs.
-        AgentError: The agent failed before it gave a single valid action.
+        InvalidValueError: No episodes, no agent, a negative seed, an option that contradicts what the agent needs, or
+            an agent or option that cannot be sent to the executor's processes.
+        AgentError: The agent failed before it gave a single valid action; with an executor, in the first episode.
+        WorkerLostError: A process of the executor died.
     """
     for name, number in (("episodes", episodes), ("num_envs", num_envs)):
         if isinstance(number, bool) or not isinstance(number, (int, np.integer)) or number < 1:
@@ -92,21 +103,20 @@ def evaluate(
     chosen: list[dict[str, Any]] = [{}] * episodes
     if problems is not None:
         chosen = [{"scene": name, "target": k} for name, k in problems]
-    count = min(num_envs, max(1, len(chosen)))
-    env = TomatoReachVectorEnv(count, split=split, **{**options, **agent.env_options})
     show = sys.stderr.isatty() if progress is None else progress
-    try:
-        played = _Match(agent, env, deque(enumerate(chosen)), seed, patience)
-        ended = track(played.records(), description=agent.name, disable=not show, total=len(chosen))
-        return Evaluation(agent.name, tuple(record for _, record in sorted(ended)))
-    finally:
-        env.close()
+    whole = _Part(agent, split, tuple(enumerate(chosen)), seed, num_envs, patience, options)
+    played = whole.records() if executor is None else _played_by(executor, whole)
+    ended = sorted(track(played, description=agent.name, disable=not show, total=len(chosen)))
+    records = tuple(record for _, record in ended)
+    if executor is not None and records and records[0].failure and not records[0].steps:
+        raise _never_acted(agent, records[0].seed, records[0].failure)
+    return Evaluation(agent.name, records)
 
 
 def compare(
     agents: Iterable[Agent], split: str = "test", episodes: int = 200, seed: int = 0, **options: Any
 ) -> tuple[Evaluation, ...]:
-    """Run several agents on the same episodes; see `evaluate`.
+    """Run several agents on the same episodes, one agent after the other; see `evaluate`.
 
     An agent that cannot be evaluated gets an evaluation without records, with the error, and the others go on.
     """
@@ -118,6 +128,58 @@ def compare(
             return Evaluation(agent.name, (), str(error))
 
     return tuple(one(agent) for agent in agents)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Some of an evaluation's episodes; a part can travel.
+
+    Attributes:
+        agent: Who plays.
+        split: Where the episodes are drawn from.
+        chosen: Place and reset options of the episodes.
+        seed: Of the episode in place 0.
+        num_envs: Episodes that are played side by side.
+        patience: See `evaluate`.
+        options: Further keywords of the environment.
+        proven: Whether the agent is known to give valid actions.
+    """
+
+    agent: Agent
+    split: str
+    chosen: tuple[tuple[int, dict[str, Any]], ...]
+    seed: int
+    num_envs: int
+    patience: float | None
+    options: dict[str, Any]
+    proven: bool = False
+
+    def records(self) -> Iterator[tuple[int, Record]]:
+        """Places and records of the episodes, in the order in which they end."""
+        count = min(self.num_envs, max(1, len(self.chosen)))
+        env = TomatoReachVectorEnv(count, split=self.split, **{**self.options, **self.agent.env_options})
+        try:
+            yield from _Match(self.agent, env, deque(self.chosen), self.seed, self.patience, self.proven).records()
+        finally:
+            env.close()
+
+    def played(self) -> list[tuple[int, Record]]:
+        """All places and records at once."""
+        return list(self.records())
+
+
+def _played_by(executor: Executor, whole: _Part) -> Iterator[tuple[int, Record]]:
+    """Places and records of all episodes, played some at a time by an executor's workers."""
+    require_portable(executor, f"agent {whole.agent.name!r} with its options", whole)
+    chosen = whole.chosen
+    size = max(whole.num_envs, math.ceil(len(chosen) / (_PARTS * workers_of(executor))))
+    parts = (replace(whole, chosen=chosen[k : k + size], proven=True) for k in range(0, len(chosen), size))
+    for records in completed(_Part.played, parts, executor):
+        yield from records
+
+
+def _never_acted(agent: Agent, seed: int, failure: str) -> AgentError:
+    return AgentError(f"agent {agent.name!r} failed before its first action (seed {seed}): {failure}")
 
 
 @dataclass
@@ -154,6 +216,7 @@ class _Match:
         chosen: Place and reset options of the episodes.
         seed: Of the episode in place 0.
         patience: See `evaluate`.
+        proven: Whether the agent ever gave a valid action.
     """
 
     def __init__(
@@ -163,6 +226,7 @@ class _Match:
         chosen: deque[tuple[int, dict[str, Any]]],
         seed: int,
         patience: float | None,
+        proven: bool = False,
     ):
         self._agent, self._env, self._chosen, self._seed = agent, env, chosen, seed
         self._simulation: ReachSimulation = env.simulation
@@ -172,7 +236,7 @@ class _Match:
         if env.num_envs > 1 and self._shared is None:
             self._players = [_copy(agent) for _ in self._players]
         self._patience = Patience(patience)
-        self._proven = False  # whether the agent ever gave a valid action
+        self._proven = proven
 
     def records(self) -> Iterator[tuple[int, Record]]:
         """Places and records of all episodes, in the order in which they end."""
@@ -264,9 +328,7 @@ class _Match:
     def _fail(self, run: _Run, error: Exception) -> None:
         run.failure = f"{type(error).__name__}: {error}"
         if not self._proven:
-            raise AgentError(
-                f"agent {self._agent.name!r} failed before its first action (seed {run.problem.seed}): {run.failure}"
-            ) from error
+            raise _never_acted(self._agent, run.problem.seed, run.failure) from error
 
     def _ended(self, runs: list[_Run | None], i: int) -> Iterator[tuple[int, Record]]:
         """The record of a run whose agent failed."""

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from parallel_helpers import Elsewhere
 
 from greenhouse_gym.agents import PlannerAgent, Problem, RandomAgent, StillAgent, StraightLineAgent
 from greenhouse_gym.envs import Randomization
@@ -22,6 +23,7 @@ from greenhouse_gym.evaluation import (
     evaluate,
     wilson_interval,
 )
+from greenhouse_gym.parallel import processes
 from greenhouse_gym.scene import SceneBank
 from greenhouse_gym.scene.bank import write_bank
 
@@ -88,6 +90,24 @@ def test_side_by_side_gives_the_same_records(
     problems = [("made-up-0", 3), ("made-up-6", 11), ("made-up-0", 3), ("made-up-1", 2)]
     one, many = (evaluate(RandomAgent(), bank=bank, problems=problems, num_envs=n) for n in (1, 3))
     assert untimed(one) == untimed(many)
+
+
+def test_episodes_played_elsewhere_give_the_same_records(bank: SceneBank, evaluations: tuple[Evaluation, ...]) -> None:
+    elsewhere = Elsewhere()
+    there = compare(
+        [PlannerAgent(), StraightLineAgent()], episodes=12, seed=3, bank=bank, num_envs=2, executor=elsewhere
+    )
+    assert [untimed(evaluation) for evaluation in there] == [untimed(one) for one in evaluations[:2]]
+    assert len(elsewhere.works) == 2 * 6
+    problems = [("made-up-0", 3), ("made-up-6", 11), ("made-up-0", 3)]
+    here, there_too = (evaluate(RandomAgent(), bank=bank, problems=problems, executor=e) for e in (None, elsewhere))
+    assert untimed(here) == untimed(there_too)
+
+
+def test_processes_play_the_same_episodes(bank: SceneBank, evaluations: tuple[Evaluation, ...]) -> None:
+    with processes(1) as executor:
+        there = evaluate(RandomAgent(), episodes=12, seed=3, bank=bank, executor=executor)
+    assert untimed(there) == untimed(evaluations[2])
 
 
 def test_wrong_encoders_change_observations_and_not_what_is_measured(bank: SceneBank) -> None:
@@ -242,6 +262,31 @@ def test_an_agent_that_never_acts_is_an_error_and_the_comparison_goes_on(bank: S
     error, still = compare([never, StillAgent()], episodes=1, bank=bank)
     assert (error.records, len(still.records)) == ((), 1)
     assert "flawed: agent 'flawed' failed" in comparison_table([error, still])
+
+
+class Broken(StillAgent):
+    name = "broken"
+
+    def act(self, observation: Any) -> Any:
+        raise ZeroDivisionError
+
+
+def test_agents_that_fail_elsewhere_are_told_as_here(bank: SceneBank) -> None:
+    broken = Broken()
+    with pytest.raises(AgentError) as here:
+        evaluate(broken, episodes=4, bank=bank)
+    with pytest.raises(AgentError) as there:
+        evaluate(broken, episodes=4, bank=bank, executor=Elsewhere())
+    assert str(here.value) == str(there.value)
+    on_the_way = [evaluate(Flawed(raises, since=0), episodes=4, bank=bank, executor=e) for e in (None, Elsewhere())]
+    assert untimed(on_the_way[0]) == untimed(on_the_way[1])
+
+
+def test_an_agent_that_cannot_travel_is_named(bank: SceneBank) -> None:
+    agent = RandomAgent()
+    agent.memory = lambda: None  # type: ignore[attr-defined]
+    with pytest.raises(InvalidValueError, match="agent 'random' with its options cannot be sent to another process"):
+        evaluate(agent, episodes=4, bank=bank, executor=Elsewhere())
 
 
 def test_what_is_no_agent_is_named(bank: SceneBank) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Literal, get_args, overload
@@ -185,6 +185,9 @@ class SceneBank(Sequence[Scene]):
         }
         kinds = {kind: set() if value is None else {str(value)} for kind, value in told.items()}
         return kinds | {"difficulty": {str(name) for name, count in self.difficulties(entry.name).items() if count}}
+
+    def __reduce__(self) -> tuple[Callable[[Path], SceneBank], tuple[Path]]:
+        return SceneBank.open, (self.path,)  # a bank travels as its folder
 
     @property
     def sha256(self) -> str:
