@@ -7,7 +7,7 @@ EXTRAS := reconstruct,plan,train,viz,menagerie,plants,dev
 # the last two need real recordings, in the folder that GREENHOUSE_GYM_REAL_DATA names
 BENCHMARKS := reconstruction shapes planners throughput sac_her paper_figures $(if $(GREENHOUSE_GYM_REAL_DATA),orbit shapes_real)
 
-.PHONY: demo test test-ompl-2 lint bench clean
+.PHONY: demo test test-ompl-2 lint bench docs clean
 
 demo: $(VENV)/.installed
 	$(BIN)/greenhouse-gym demo --out demo
@@ -33,12 +33,20 @@ bench: $(VENV)/.installed
 	$(BIN)/python -m pytest -m slow
 	for name in $(BENCHMARKS); do $(BIN)/python benchmarks/$$name.py || exit 1; done
 
+# the site, in site/; strict: a warning, a dead link, or a page that loads anything from the network is an error
+docs: $(VENV)/.docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
 clean:
-	rm -rf $(VENV) .venv-ompl-2 demo runs
+	rm -rf $(VENV) .venv-ompl-2 demo runs site
 
 # torch comes first and pinned: whatever depends on it then finds it and does not pull CUDA packages
 $(VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt torch
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[$(EXTRAS)]"
+	touch $@
+
+$(VENV)/.docs: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[docs]"
 	touch $@

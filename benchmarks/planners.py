@@ -1,7 +1,7 @@
 """Planners over the targets of a bank, run by run, resumable, with budgets in collision checks.
 
     python benchmarks/planners.py --planners all --first-solution --budget 2000000   # all planners
-    python benchmarks/planners.py --planners RRTConnect --seeds 5 --out benchmarks/results/rrtconnect
+    python benchmarks/planners.py --planners RRTConnect SBL --seeds 3 --max-checks 20000 --out results-of-two
 
 Each run is added to OUT/runs.jsonl at once; runs that are there already are not repeated, so an interrupted benchmark
 goes on where it stopped and a further seed costs only that seed. From the runs come OUT/planners.json, planners.md,

@@ -299,7 +299,7 @@ def test_an_expected_error_is_one_line_and_status_1(tmp_path: Path) -> None:
 
 
 def test_usage_errors_and_help() -> None:
-    assert command("plan").returncode == 2
+    assert command("mount").returncode == 2
     shown = CliRunner().invoke(app, ["--help"]).output
     for name in ("simulate", "reconstruct", "build", "plan", "train", "compare", "render", "demo"):
         assert name in shown

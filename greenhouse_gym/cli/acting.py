@@ -26,8 +26,8 @@ def _training_settings() -> object:
 
 
 def plan(
-    scene: Annotated[str, typer.Option(help="Name of the scene in the bank.")],
-    target: Annotated[int, typer.Option(help="Index of the tomato in the scene.")],
+    scene: Annotated[str, typer.Option(help="Name of the scene in the bank; its first one by default.")] = "",
+    target: Annotated[int, typer.Option(help="Index of the tomato in the scene.")] = 0,
     planner: Annotated[str, typer.Option(help="A planner's name.")] = "RRTConnect",
     all_planners: Annotated[bool, typer.Option("--all", help="Every planner there is.")] = False,
     bank: Bank = "default",
@@ -51,7 +51,8 @@ def plan(
         time_limit = 5.0
     if all_planners and setting:
         raise InvalidValueError("--setting goes with one planner, not with --all")
-    chosen = SceneBank.open(bank).scene(scene)
+    opened = SceneBank.open(bank)
+    chosen = opened.scene(scene) if scene else opened[0]
     settings = None if all_planners else PLANNERS[planner].with_settings(**_settings(setting or []))
     goals = goal_configurations(chosen, target, robot, seed=seed)
     results = []

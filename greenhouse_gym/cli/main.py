@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from greenhouse_gym.cli import acting, arms, demo, scans, sensing
+from greenhouse_gym.cli.doctor import doctor
 from greenhouse_gym.errors import GreenhouseError
 
 app = typer.Typer(
@@ -30,6 +31,7 @@ app.command()(acting.train)
 app.command()(acting.compare)
 app.command()(acting.render)
 app.command()(demo.demo)
+app.command()(doctor)
 
 
 def main() -> None:

@@ -1,0 +1,134 @@
+"""The table of results in README.md, written anew from the files in benchmarks/results/.
+
+    python benchmarks/readme_table.py
+
+A file that is missing gives no row; figures of policies count only for the bank that is shipped now.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from results_file import RESULTS
+
+from greenhouse_gym.paths import write_atomically
+from greenhouse_gym.records import wilson_interval
+from greenhouse_gym.scene import SceneBank
+
+README = RESULTS.parent.parent / "README.md"
+BEGIN, END = "<!-- results -->", "<!-- end of results -->"
+USUAL = ("package", False, 5, 0.002)
+"""Method, whether stations are broken, length and error of the cameras, metres, of the rows that count."""
+
+UNSEEN = {"free": "unseen space taken as free", "avoid": "unseen space avoided", "forbid": "unseen space forbidden"}
+
+
+def read(name: str) -> Any:
+    """A results file; None where it is missing."""
+    path = RESULTS / name
+    return json.loads(path.read_text()) if path.is_file() else None
+
+
+def share(count: int, total: int) -> str:
+    """A share with its interval."""
+    low, high = wilson_interval(count, total)
+    return f"{count / total:.0%} [{low:.0%}, {high:.0%}]"
+
+
+def shapes(name: str, rows: str, command: str) -> Iterator[str]:
+    """Tomatoes found in held-out rows."""
+    if results := read(name):
+        found = results["figures"]["noisy"]["tomatoes"]["all"]
+        false = found["false"]
+        yield (
+            f"| visible tomatoes found, {len(results['seeds'])} {rows} | {share(found['found'], found['visible'])} of "
+            f"{found['visible']}, {false} false | `{command}` |"
+        )
+
+
+def plans(name: str, rows: str) -> Iterator[str]:
+    """Plans made on the scan and followed in the truth: of the protocol that reached most, and of the paper's."""
+    if not (results := read(name)):
+        return
+    usual = [f for f in results["figures"] if f["followed"]]
+    best = max(usual, key=lambda f: (f["reached"]["rate"], f["followed"]))
+    paper = max((f for f in usual if f["protocol"] == "paper"), key=lambda f: f["followed"], default=None)
+    for figure in (best, *([paper] if paper is not None and paper is not best else [])):
+        reached, collided = figure["reached"], figure["collided"]
+        low, high = reached["interval"]
+        unseen = UNSEEN.get(str(figure["unseen"]), f"at most {figure['unseen']} m into unseen space")
+        yield (
+            f"| plans that hold in the truth, {figure['rows']} {rows}, protocol {figure['protocol']}, {unseen} | "
+            f"{reached['rate']:.0%} [{low:.0%}, {high:.0%}] of {figure['followed']} reach, {collided['rate']:.0%} "
+            f"collide; {figure['targets'] - figure['followed']} of {figure['targets']} without a plan | "
+            f"`benchmarks/capture_protocols.py` |"
+        )
+
+
+def policies() -> Iterator[str]:
+    """Agents on the test rows."""
+    results, shipped = read("policies.json"), SceneBank.open("default").sha256
+    for agent, record in (results or {"agents": {}})["agents"].items():
+        if record["bank_sha256"] == shipped:
+            low, high = record["success_95"]
+            yield (
+                f"| {agent}, {record['episodes']} episodes of the test rows | {record['success']:.0%} [{low:.0%}, "
+                f"{high:.0%}] reach, {record['collision']:.0%} collide | `benchmarks/policies.py` |"
+            )
+
+
+def reconstruction() -> Iterator[str]:
+    """How straight and how near to the truth rows are."""
+    if results := read("reconstruction.json"):
+        rows = [m for m in results["measurements"] if (m["method"], m["broken"], m["length"], m["bias"]) == USUAL]
+        if rows:
+            drift = np.array([row["drift"] for row in rows])
+            mean = np.array([row["distance_mean"] for row in rows])
+            yield (
+                f"| drift of 5 m rows, cloud to truth; {len(rows)} own rows | {np.median(drift):.2%} (to "
+                f"{drift.max():.2%}), {1e3 * np.median(mean):.1f} mm (to {1e3 * mean.max():.1f}) | "
+                "`benchmarks/reconstruction.py` |"
+            )
+
+
+def throughput() -> Iterator[str]:
+    """Speed, beside another environment on the same machine."""
+    if results := read("throughput.json"):
+        ratio, rate = results["ratios"], results["per_second"]["vector environment"]
+        yield (
+            f"| steps per second of {results['num_envs']} simulations, two cores | "
+            f"{rate:,}, {ratio['vector environment / bare Batch.step']:.0%} of bare MuJoCo, "
+            f"{ratio['vector environment / FetchReach-v4 AsyncVectorEnv(8)']:.0f} times FetchReach-v4 | "
+            "`benchmarks/throughput.py` |"
+        )
+
+
+def table() -> str:
+    """All rows."""
+    rows = [
+        *shapes("shapes_helios.json", "held-out Helios rows", "benchmarks/shapes.py --source helios"),
+        *shapes("shapes.json", "held-out own rows", "benchmarks/shapes.py"),
+        *plans("capture_protocols_helios.json", "Helios row(s)"),
+        *plans("capture_protocols.json", "own row(s)"),
+        *policies(),
+        *reconstruction(),
+        *throughput(),
+    ]
+    return "\n".join(["| what | figure [95 %] | printed by |", "|---|---|---|", *rows])
+
+
+def main() -> None:
+    """Print the table and write it into README.md."""
+    text = README.read_text()
+    new = re.sub(f"(?s){BEGIN}.*{END}", f"{BEGIN}\n{table()}\n{END}", text)
+    print(table())
+    write_atomically(Path(README), new)
+
+
+if __name__ == "__main__":
+    main()

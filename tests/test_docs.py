@@ -1,0 +1,161 @@
+"""What README and the documentation tell a reader to type works: code runs, commands parse, files are valid."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+from typer.main import get_command
+
+from greenhouse_gym.capture.recordings import RecordingIndex
+from greenhouse_gym.cli import app
+from greenhouse_gym.scene import Scene, SceneBank
+from greenhouse_gym.scene.bank import Manifest
+
+ROOT = Path(__file__).parent.parent
+PAGES = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "SECURITY.md")]
+PAGES = [*filter(Path.exists, PAGES), *sorted((ROOT / "docs").rglob("*.md"))]
+SHELL = ("sh", "bash", "console", "shell")
+
+
+class Block(NamedTuple):
+    page: Path
+    language: str
+    title: str
+    code: str
+
+
+def blocks(page: Path) -> Iterator[Block]:
+    for language, title, code in re.findall(
+        r"^```(\w+)(?: title=\"(.*?)\")?\n(.*?)^```", page.read_text(), re.M | re.S
+    ):
+        yield Block(page, language, title, code)
+
+
+ALL = [block for page in PAGES for block in blocks(page)]
+
+
+def name(page: Path) -> str:
+    return page.relative_to(ROOT).as_posix()
+
+
+def python_of(page: Path) -> str:
+    """The Python of a page, in one piece; examples that it includes have tests of their own."""
+    return "\n".join(b.code for b in blocks(page) if b.language == "python" and "--8<--" not in b.code)
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if python_of(page)], ids=name)
+def test_code_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    exec(compile(python_of(page), name(page), "exec"), {"__name__": "__docs__"})
+
+
+def test_included_files_exist() -> None:
+    included = [(b.page, path) for b in ALL for path in re.findall(r"--8<-- \"(.*?)\"", b.code)]
+    assert included
+    for page, path in included:
+        assert (ROOT / path).is_file(), f"{name(page)}: {path}"
+
+
+def commands() -> Iterator[tuple[Path, list[str]]]:
+    """Command lines in blocks, each as its words."""
+    for block in ALL:
+        if block.language in SHELL:
+            for line in block.code.replace("\\\n", " ").splitlines():
+                for command in line.split("&&"):
+                    yield block.page, shlex.split(command, comments=True)
+
+
+def test_commands_parse() -> None:
+    """Names of commands and of options, and the values of options, are right; the files they name need not exist."""
+    known = get_command(app).commands  # type: ignore[attr-defined]
+    seen = set()
+    for page, words in commands():
+        where = f"{name(page)}: {' '.join(words)}"
+        if words[:1] != ["greenhouse-gym"]:
+            continue
+        assert words[1] in known, where
+        seen.add(words[1])
+        try:
+            known[words[1]].make_context(words[1], words[2:])
+        except Exception as error:
+            if type(error).__name__ != "Exit":  # --print-settings ends there
+                raise AssertionError(f"{where}: {error}") from error
+    assert {"render", "train", "compare", "plan", "build"} <= seen
+
+
+def test_commands_named_in_passing_exist() -> None:
+    known = get_command(app).commands  # type: ignore[attr-defined]
+    for page in PAGES:
+        for mentioned in re.findall(r"`greenhouse-gym ([^`]*)`", page.read_text()):
+            words = mentioned.split()
+            assert words[0] in known, f"{name(page)}: {mentioned}"
+            options = {option for parameter in known[words[0]].params for option in parameter.opts}
+            assert {word for word in words if word.startswith("--")} <= options, f"{name(page)}: {mentioned}"
+
+
+def test_scripts_targets_and_extras_exist() -> None:
+    targets = set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), re.M))
+    extras = set(tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"])
+    for page, words in commands():
+        where = f"{name(page)}: {' '.join(words)}"
+        if words[:1] == ["make"]:
+            assert set(words[1:]) <= targets, where
+        if words[:1] == ["python"] and words[1:2] != ["-m"]:
+            assert (ROOT / words[1]).is_file(), where
+        for named in re.findall(r"\[([\w,]+)\]", " ".join(words)) if words[:2] == ["pip", "install"] else []:
+            assert set(named.split(",")) <= extras, where
+
+
+def test_files_in_the_docs_are_valid() -> None:
+    kinds = {"recording.json": RecordingIndex, "scene.json": Scene, "manifest.json": Manifest}
+    read = set()
+    for block in ALL:
+        if block.language == "toml":
+            tomllib.loads(block.code)
+        if block.language == "json":
+            json.loads(block.code)
+            if block.title in kinds:
+                read.add(block.title)
+                kinds[block.title].model_validate_json(block.code)
+    assert read == set(kinds)
+
+
+def test_links_lead_to_files() -> None:
+    """Links between pages, to pictures and to files of the repository; the site's builder looks at anchors as well."""
+    dead = []
+    for page in PAGES:
+        text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.M | re.S)
+        for link in re.findall(r"\]\(([^)\s#]+)(?:#[^)]*)?\)", text):
+            if not re.match(r"https?:|mailto:", link) and not (page.parent / link).exists():
+                dead.append(f"{name(page)}: {link}")
+    assert dead == []
+
+
+def test_every_page_is_in_the_sites_navigation() -> None:
+    listed = set(re.findall(r"[\w/-]+\.md", (ROOT / "mkdocs.yml").read_text()))
+    assert listed == {page.relative_to(ROOT / "docs").as_posix() for page in (ROOT / "docs").rglob("*.md")}
+
+
+def test_scenes_named_in_the_docs_exist() -> None:
+    for page, words in commands():
+        if "--scene" in words and (scene := words[words.index("--scene") + 1]) != "NAME":
+            bank = words[words.index("--bank") + 1] if "--bank" in words else "default"
+            assert scene in SceneBank.open(bank).names(), name(page)
+
+
+def test_readme_is_short_and_says_what_the_package_is_about() -> None:
+    text = (ROOT / "README.md").read_text()
+    assert len(text.splitlines()) <= 110
+    assert "robot arm" in text.split("![")[0]
+
+
+def test_nothing_names_a_machines_paths() -> None:
+    for page in PAGES:
+        assert not re.search(r"(?<![\w.])/(work|home|root|tmp)/", page.read_text()), name(page)
