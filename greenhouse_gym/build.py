@@ -151,13 +151,13 @@ def _certified_scenes(
         for scene in cut:
             report(what_was_seen(scene, settings[name]))
 
-    def uncertified() -> Iterator[tuple[Scene, str]]:
+    def uncertified() -> Iterator[tuple[Scene, BuildSettings]]:
         for row in unfinished:
             cut = _cut_before(notes[row.name] / CUT, origins[row.name])
             assert cut is not None  # it was written above, or found
             report(f"{row.name}: certifying the targets of {len(cut)} scenes")
             scenes[row.name] = [_file(folder, scene) for scene in cut]
-            yield from ((scene, row.settings.robot) for scene in cut if not _is_certified(folder, scene))
+            yield from ((scene, row.settings) for scene in cut if not _is_certified(folder, scene))
 
     for scene in completed(_certified, uncertified(), executor):
         scene.save(_file(folder, scene))
@@ -183,10 +183,10 @@ def _cut(row: _Row) -> tuple[str, list[Scene]]:
     return row.name, cut_scenes(cloud, shapes, row.recording, row.week, row.settings, row.origin)
 
 
-def _certified(piece: tuple[Scene, str]) -> Scene:
-    """A scene with its targets, for the robot of that name."""
-    scene, robot = piece
-    return scene.model_copy(update={"targets": certify_targets(scene, robot, seed=0)})
+def _certified(piece: tuple[Scene, BuildSettings]) -> Scene:
+    """A scene with its targets."""
+    scene, settings = piece
+    return scene.model_copy(update={"targets": certify_targets(scene, settings.robot, most=settings.targets)})
 
 
 def _is_certified(folder: Path, scene: Scene) -> bool:

@@ -15,6 +15,7 @@ from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.crop import Stem, Tomato
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, Box, Capsule, Shape, Sphere, distance_to_shapes, invert, pose, transform
+from greenhouse_gym.packing import as_tables, from_tables, moved, near
 from greenhouse_gym.plants.truth import truth_of
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud
 from greenhouse_gym.reconstruction.seen import Carving, CarvingSettings, carve
@@ -34,6 +35,7 @@ class BuildSettings:
     stem_distance: float = 0.60  # from the arm's base axis to the stem line
     reach: float = 1.35  # from the shoulder; what lies farther is left out
     primitives: int = 300  # most in a scene
+    targets: int | None = None  # most in a scene, spread over their distances from the shoulder; None for every tomato
     leaves: float = 0.02  # how far from a leaf of meshes the boxes of its truth may lie
     robot: str = "ur5e"
     reconstruction: ReconstructionSettings | None = None  # by default what each recording's protocol needs
@@ -68,7 +70,7 @@ def what_was_seen(scene: Scene, settings: BuildSettings) -> str:
     """A line on how much of the space around an arm the scan saw."""
     if scene.seen is None:
         return f"{scene.name}: what the scan saw is not known"
-    shoulder = np.array([0.0, 0.0, Stand().shoulder_height])
+    shoulder = _shoulder()
     text = f"{scene.name}: {scene.seen.share(shoulder, settings.reach):.0%} of the space within reach was seen"
     plants = scene.seen.states[scene.seen.centers[..., 0] > settings.stem_distance / 2]
     above = scene.seen.centers[..., 2][scene.seen.centers[..., 0] > settings.stem_distance / 2]
@@ -143,17 +145,17 @@ def cut_scenes(
     for k, place in enumerate(places):
         shift = pose(translation=-place)
         station = int(numbers[np.argmin(np.abs(heads[:, 1] - place[1]))])
-        near = [
+        around = [
             _within_reach([_moved(shape, shift) for shape in part], settings.reach, settings.width)
             for part in (tomatoes, stems, clutter)
         ]
-        near = _at_most(near, settings.primitives)
+        around = _at_most(around, settings.primitives)
         scenes.append(
             Scene(
                 name=scene_name(recording, k),
-                tomatoes=tuple(s for s in near[0] if isinstance(s, Tomato)),
-                stems=tuple(s for s in near[1] if isinstance(s, Stem)),
-                clutter=tuple(near[2]),
+                tomatoes=tuple(s for s in around[0] if isinstance(s, Tomato)),
+                stems=tuple(s for s in around[1] if isinstance(s, Stem)),
+                clutter=tuple(around[2]),
                 stand=Stand(),
                 truth=None
                 if recording.truth is None
@@ -218,8 +220,9 @@ def _truth_around(
         )
     frame = scene_from_row @ row.world_from_station[station] @ invert(true_from_station)
     true = truth_of(recording.truth, settings.leaves)
-    parts = ([_moved(shape, frame) for shape in part] for part in (true.tomatoes, true.stems, true.clutter))
-    return _shapes(*(_within_reach(part, settings.reach) for part in parts)).compact()
+    tables = moved(as_tables(true.tomatoes, true.stems, true.clutter), frame)  # a row of meshes has thousands of shapes
+    parts = from_tables(near(tables, _shoulder(), settings.reach))
+    return _shapes(*(_within_reach(list(part), settings.reach) for part in parts)).compact()
 
 
 def _shapes(tomatoes: Sequence[Shape], stems: Sequence[Shape], clutter: Sequence[Shape]) -> Shapes:
@@ -237,12 +240,16 @@ def _stem_line(stems: Sequence[Shape], recording: Recording) -> float:
     return float(np.median(main)) if main else float(camera) + 0.5
 
 
+def _shoulder() -> Array:
+    """(3,) the shoulder in the frame of a scene, metres."""
+    return np.array([0.0, 0.0, Stand().shoulder_height])
+
+
 def _within_reach(shapes: list[Shape], reach: float, width: float = np.inf) -> list[Shape]:
     """The shapes within the arm's reach whose middles lie within a width along the row."""
     if not shapes:
         return []
-    shoulder = np.array([0.0, 0.0, Stand().shoulder_height])
-    distance = distance_to_shapes(shoulder[None], shapes)[0]
+    distance = distance_to_shapes(_shoulder()[None], shapes)[0]
     return [
         shape for shape, far in zip(shapes, distance, strict=True) if far < reach and abs(_middle(shape)[1]) < width / 2
     ]
@@ -256,7 +263,7 @@ def _at_most(parts: list[list[Shape]], most: int) -> list[list[Shape]]:
     everything = [shape for part in parts for shape in part]
     if len(everything) <= most:
         return parts
-    distance = distance_to_shapes(np.array([[0.0, 0.0, Stand().shoulder_height]]), everything)[0]
+    distance = distance_to_shapes(_shoulder()[None], everything)[0]
     pedicel = [isinstance(shape, Stem) and shape.kind == "pedicel" for shape in everything]
     keep = {id(everything[i]) for i in np.lexsort([distance, pedicel])[:most]}
     return [[shape for shape in part if id(shape) in keep] for part in parts]

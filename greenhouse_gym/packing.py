@@ -9,7 +9,7 @@ import numpy as np
 
 from greenhouse_gym.crop import STEM_KINDS, Stem, Tomato
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.geometry import Array, Box, Capsule, Shape, Sphere, quaternions_from, rotations_from
+from greenhouse_gym.geometry import Array, Box, Capsule, Shape, Sphere, quaternions_from, rotations_from, transform
 
 MOST_SHAPES = 300_000
 """Shapes that tables may hold in all; what claims more is not believed."""
@@ -36,6 +36,33 @@ class ShapeTables(NamedTuple):
 
 COLUMNS = ShapeTables(*("xxxrti" + "aaaqqqq", "xxxxxxrk", "xxxr", "xxxxxxr", "xxxaaaqqqq"))  # type: ignore[arg-type]
 """What each column of each table is: x, a, r lengths, t truss, i ripeness, k kind, q of a quaternion."""
+
+
+def moved(tables: ShapeTables, target_from_source: Array) -> ShapeTables:
+    """The same shapes in another frame."""
+    result = []
+    for table, columns in zip(tables, COLUMNS, strict=True):
+        table = table.copy()
+        for first in range(0, columns.count("x"), 3):
+            table[:, first : first + 3] = transform(target_from_source, table[:, first : first + 3])
+        if "q" in columns:
+            turned = np.flatnonzero(table[:, -4:].any(axis=1))
+            rotations = target_from_source[:3, :3] @ rotations_from(table[turned, -4:])
+            table[turned, -4:] = quaternions_from(rotations)
+        result.append(table)
+    return ShapeTables(*result)
+
+
+def near(tables: ShapeTables, point: Array, reach: float) -> ShapeTables:
+    """What may come within a distance of a point (3,), by balls around the shapes; metres."""
+    result = []
+    for table, columns in zip(tables, COLUMNS, strict=True):
+        ends = [table[:, first : first + 3] for first in range(0, columns.count("x"), 3)]
+        sizes = table[:, [k for k, column in enumerate(columns) if column in "ra"]]
+        around = np.linalg.norm(sizes, axis=1) + np.linalg.norm(ends[-1] - ends[0], axis=1) / 2
+        distance = np.linalg.norm((ends[0] + ends[-1]) / 2 - point, axis=1)
+        result.append(table[distance <= reach + around])
+    return ShapeTables(*result)
 
 
 class ShapeParts(NamedTuple):

@@ -26,8 +26,8 @@ ROW_LENGTH = 1.0  # m
 ROWS, FIRST_SEED, WEEKS = 48, 2000, 12
 PARTS = "parts"
 
-SETTINGS = BuildSettings(spacing=0.2)
-"""Four stands on a row of this length."""
+SETTINGS = BuildSettings(spacing=0.2, targets=40)
+"""Four stands on a row of this length; a cherry row would have more targets than all others together."""
 
 KINDS = (
     ("own", "cluster", "cluster"),

@@ -11,8 +11,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from greenhouse_gym.errors import FileFormatError, InvalidValueError
-from greenhouse_gym.geometry import Box, Capsule, quaternions_from, rotation_about, rotations_from
-from greenhouse_gym.packing import ShapeTables, as_tables, from_tables
+from greenhouse_gym.geometry import (
+    Box,
+    Capsule,
+    distance_to_shapes,
+    invert,
+    pose,
+    quaternions_from,
+    rotation_about,
+    rotations_from,
+    transform,
+)
+from greenhouse_gym.packing import ShapeTables, as_tables, from_tables, moved, near
 from greenhouse_gym.plants import grow_row
 from greenhouse_gym.scene import Scene, Shapes
 
@@ -47,6 +57,41 @@ def test_tables_keep_everything() -> None:
         for a, b in zip(one[1:], other[1:], strict=True):
             assert a == b or np.abs(np.array(a) - np.array(b)).max() < 1e-9
     assert from_tables(as_tables((), (), ())) == ((), (), ())
+
+
+def test_tables_move_as_their_shapes_do() -> None:
+    shapes = a_bit_of_everything()
+    frame = pose(rotation_about([1.0, 0.5, -2.0], 0.7), [1.0, 2.0, 3.0])
+    there = from_tables(moved(as_tables(shapes.tomatoes, shapes.stems, shapes.clutter), frame))
+    points = np.random.default_rng(0).uniform(-1, 2, (50, 3))
+    before, after = shapes.obstacles, [*there.tomatoes, *there.stems, *there.clutter]
+    order = [*range(len(before) - len(shapes.clutter))]
+    order += sorted(
+        range(len(order), len(before)), key=lambda k: ("Sphere", "Capsule", "Box").index(type(before[k]).__name__)
+    )
+    expected = distance_to_shapes(points, [before[k] for k in order])
+    np.testing.assert_allclose(distance_to_shapes(transform(frame, points), after), expected, atol=1e-9)
+    back = moved(moved(as_tables(*shapes_of(shapes)), frame), invert(frame))
+    for one, other in zip(back, as_tables(*shapes_of(shapes)), strict=True):
+        np.testing.assert_allclose(np.abs(one), np.abs(other), atol=1e-9)  # q and -q are one rotation
+
+
+def test_nothing_near_is_lost() -> None:
+    shapes = a_bit_of_everything()
+    tables = as_tables(*shapes_of(shapes))
+    for reach in (0.05, 0.3, 1.0):
+        point = np.array([0.5, 0.1, 1.0])
+        kept = from_tables(near(tables, point, reach))
+        count = sum(map(len, kept))
+        least = int((distance_to_shapes(point[None], shapes.obstacles)[0] < reach).sum())
+        assert least <= count <= len(shapes.obstacles)
+        found = distance_to_shapes(point[None], [*kept.tomatoes, *kept.stems, *kept.clutter])[0]
+        assert int((found < reach).sum()) == least
+    assert count < len(shapes.obstacles) or reach == 1.0
+
+
+def shapes_of(shapes: Shapes) -> tuple[Any, Any, Any]:
+    return shapes.tomatoes, shapes.stems, shapes.clutter
 
 
 def test_a_file_keeps_truth_to_a_tenth_of_a_millimetre_and_then_for_good(tmp_path: Path) -> None:

@@ -46,9 +46,13 @@ _COARSE = 0.05  # metres, at which a straight motion is looked at before it is p
 
 
 def certify_targets(
-    scene: Scene, robot: str | Robot = "ur5e", seed: int = 0, unseen: str | float = "free"
+    scene: Scene,
+    robot: str | Robot = "ur5e",
+    seed: int = 0,
+    unseen: str | float = "free",
+    most: int | None = None,
 ) -> tuple[Target, ...]:
-    """Rate every tomato of a scene as a target, by the rule of this module.
+    """Rate the tomatoes of a scene as targets, by the rule of this module.
 
     The witness of an easy target is the shortest of the free straight motions; else it is the shortest of the paths
     found. It is rounded, and proven free after the rounding.
@@ -59,18 +63,30 @@ def certify_targets(
         seed: Same seed, same result.
         unseen: What space that the scan did not see is for a witness, as `plan` takes it: a tomato is rated by the
             first depth at which it can be reached.
+        most: How many to rate, spread evenly over their distances from the shoulder; None for all.
 
     Returns:
-        A target for each tomato, in their order. Where the scene says what was seen, they tell the share of the way of
-        their witness through unseen space.
+        A target for each of these tomatoes, in their order. Where the scene says what was seen, they tell the share of
+        their witness's way through unseen space.
     """
     arm, targets = get_robot(robot), dict[int, Target]()
+    chosen = _spread(scene, most)
     for depth in depths_of(unseen):
         compiled = compile_scene(guarded(scene, arm, arm.start, depth), arm)
-        for tomato in range(len(scene.tomatoes)):
+        for tomato in chosen:
             if tomato not in targets or targets[tomato].witness is None:
                 targets[tomato] = certify_target(compiled, tomato, seed)
-    return _with_unseen_shares(scene, arm, [targets[tomato] for tomato in range(len(scene.tomatoes))])
+    return _with_unseen_shares(scene, arm, [targets[tomato] for tomato in chosen])
+
+
+def _spread(scene: Scene, most: int | None) -> list[int]:
+    """Tomatoes to rate, so many at most, near ones and far ones."""
+    count = len(scene.tomatoes)
+    if most is None or count <= most:
+        return list(range(count))
+    shoulder = scene.stand.position + [0.0, 0.0, scene.stand.shoulder_height]
+    by_distance = np.argsort([np.linalg.norm(tomato.center - shoulder) for tomato in scene.tomatoes], kind="stable")
+    return sorted(by_distance[np.linspace(0, count - 1, most).round().astype(int)].tolist())
 
 
 def certify_target(compiled: CompiledScene, tomato: int, seed: int = 0) -> Target:

@@ -50,6 +50,18 @@ def test_certificates_tell_goals_checks_clearance_and_the_unseen(small: Scene, t
     assert left.unseen != right.unseen
 
 
+def test_targets_are_spread_over_their_distances(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        certify, "certify_target", lambda compiled, tomato, seed: Target(tomato=tomato, difficulty="easy")
+    )
+    distance = [np.linalg.norm(tomato.center - [0.0, 0.0, 1.1]) for tomato in scene.tomatoes]
+    few = [target.tomato for target in certify_targets(scene, most=3)]
+    assert few == sorted(few)
+    assert {int(np.argmin(distance)), int(np.argmax(distance))} < set(few)
+    assert len(few) == 3
+    assert len(certify_targets(scene, most=100)) == len(scene.tomatoes)
+
+
 def test_an_easy_target_is_reached_by_one_straight_motion(targets: tuple[Target, ...]) -> None:
     assert {len(target.witness) for target in targets if target.witness and target.difficulty == "easy"} == {2}
 
