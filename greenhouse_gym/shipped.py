@@ -1,12 +1,12 @@
 """The banks that ship with the package: which rows they are made of, and the one function that builds them.
 
-Every recording becomes a bank of its own, a part, in the folder ``parts``; the parts joined are ``default``, and some
-of its scenes are ``mini``. What an interrupted build has finished is not made again.
+Every recording becomes a bank of its own, a part. All parts joined are ``default``, and some scenes of it are ``mini``.
+What an interrupted build has finished is not made again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -24,7 +24,6 @@ from greenhouse_gym.scene.bank import MANIFEST, write_bank
 
 ROW_LENGTH = 1.0  # m
 ROWS, FIRST_SEED, WEEKS = 48, 2000, 12
-PARTS = "parts"
 
 SETTINGS = BuildSettings(spacing=0.2, targets=40)
 """Four stands on a row of this length; a cherry row would have more targets than all others together."""
@@ -39,7 +38,7 @@ KINDS = (
     ("own", "beefsteak", "beefsteak"),
     ("helios", "bushy", "cluster"),
 )
-"""Source, cultivar and style of fruit of the rows, in turn: more than half of what is hard to reach between."""
+"""Source, cultivar and style of fruit of the rows, in turn: more than half of them hard to reach into."""
 
 DESCRIPTION = (
     "Simulated recordings of grown rows, reconstructed: three styles of fruit, plants of two sources, two capture "
@@ -98,41 +97,36 @@ def shots() -> Iterator[Shot]:
             yield Shot(FIRST_SEED + k, week % WEEKS, *KINDS[place], protocol, split)
 
 
-def build_part(shot: Shot, out: Path, report: Callable[[str], None] | None = None) -> Path:
-    """Build the bank of one recording below a folder, unless it is there already.
-
-    Returns:
-        Its folder.
-    """
+def build_part(shot: Shot, parts: Path) -> Path:
+    """Build the bank of one recording in a folder of its own below ``parts``, unless it is there; give that folder."""
     known = Provenance(row=shot.row, style=shot.style, source=shot.source)
-    folder = out / PARTS / shot.name
-    build_bank(
-        [shot.recording()], folder, shot.name, [shot.split], [shot.week], SETTINGS, DESCRIPTION, report, known=[known]
-    )
+    folder = parts / shot.name
+    build_bank([shot.recording()], folder, shot.name, [shot.split], [shot.week], SETTINGS, DESCRIPTION, known=[known])
     return folder
 
 
-def build_shipped_banks(out: Path, executor: Executor | None = None) -> tuple[SceneBank, SceneBank]:
+def build_shipped_banks(out: Path, parts: Path, executor: Executor | None = None) -> tuple[SceneBank, SceneBank]:
     """Build ``default`` (every recording) and ``mini`` (a scene of each kind of row) below a folder.
 
     Args:
-        out: The folder; parts that are in it already are not built again.
+        out: The folder.
+        parts: Folder of the parts; those that are in it already are not built again.
         executor: Where the recordings are worked on, such as `greenhouse_gym.parallel.processes` gives; here, one after
             the other, when left out.
     """
-    with exclusive(out):
-        for _ in completed(partial(build_part, out=out), list(shots()), executor):
+    with exclusive(parts):
+        for _ in completed(partial(build_part, parts=parts), shots(), executor):
             pass
-        return join_parts(out)
+        return join_parts(parts, out)
 
 
-def join_parts(out: Path) -> tuple[SceneBank, SceneBank]:
-    """Join the parts that are finished below a folder, in their usual order, to ``default`` and ``mini``."""
-    folders = {shot: out / PARTS / shot.name for shot in shots()}
-    parts = {shot: SceneBank.open(folder) for shot, folder in folders.items() if (folder / MANIFEST).exists()}
-    scenes = [(scene, shot.split) for shot, part in parts.items() for scene in part]
+def join_parts(parts: Path, out: Path) -> tuple[SceneBank, SceneBank]:
+    """Join the parts that are finished, in their usual order, to ``default`` and ``mini`` below a folder."""
+    folders = {shot: parts / shot.name for shot in shots()}
+    banks = {shot: SceneBank.open(folder) for shot, folder in folders.items() if (folder / MANIFEST).exists()}
+    scenes = [(scene, shot.split) for shot, bank in banks.items() for scene in bank]
     default = write_bank(out / "default", scenes, "default", DESCRIPTION)
-    first = {shot.row: (part[1], shot.split) for shot, part in reversed(parts.items())}  # of a row's weeks the first
+    first = {shot.row: (bank[1], shot.split) for shot, bank in reversed(banks.items())}  # of a row's weeks the first
     small = list(reversed(first.values()))[: len(KINDS)]
     mini = write_bank(out / "mini", small, "mini", "A scene of each kind of row of the default bank, for tests.")
     return default, mini

@@ -21,7 +21,7 @@ from greenhouse_gym.geometry import Box, distance_to_shapes, pose, rotation_abou
 from greenhouse_gym.paths import exclusive
 from greenhouse_gym.plants import PlantRow
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, RowReport
-from greenhouse_gym.scene import Scene, SceneBank, Target
+from greenhouse_gym.scene import Provenance, Scene, SceneBank, Target
 from greenhouse_gym.scene.bank import MANIFEST
 from greenhouse_gym.shapes import RowShapes, ShapeSettings, extract_shapes
 
@@ -248,11 +248,11 @@ class Calls:
         self.reconstructed.append(recording.name)
         return made_up_row(len(recording))
 
-    def certify(self, scene: Scene, robot: str, seed: int) -> tuple[Target, ...]:
+    def certify(self, scene: Scene, robot: str, most: int | None) -> tuple[Target, ...]:
         if scene.name == self.fail_at:
             raise KeyboardInterrupt
         self.certified.append(scene.name)
-        return tuple(Target(tomato=i, difficulty="easy", robot=robot) for i in range(len(scene.tomatoes)))
+        return tuple(Target(tomato=i, difficulty="easy", robot=robot) for i in range(len(scene.tomatoes))[:most])
 
 
 @pytest.fixture
@@ -276,6 +276,21 @@ def test_a_bank_of_three_rows(calls: Calls, tmp_path: Path) -> None:
     assert [bank.scene(f"{row}-00").provenance.week for row in ("a", "b", "a-1")] == [0, 1, 2]
     assert all(len(scene.targets) == len(scene.tomatoes) > 0 for scene in bank)
     assert SceneBank.open(tmp_path).manifest.description == "Made up."
+
+
+def test_recordings_of_one_row_in_several_weeks(calls: Calls, tmp_path: Path) -> None:
+    known = [Provenance(row=row, style="cherry", source="own") for row in ("x", "x", "y")]
+    options: dict[str, Any] = {"weeks": [2, 5, 2], "known": known, "settings": BuildSettings(targets=2)}
+    bank = built(tmp_path, splits=["train", "train", "test"], **options)
+    assert [(entry.row, entry.week, entry.split) for entry in bank.manifest.scenes[::3]] == [
+        ("x", 2, "train"), ("x", 5, "train"), ("y", 2, "test"),
+    ]  # fmt: skip
+    assert all((entry.style, entry.source) == ("cherry", "own") for entry in bank.manifest.scenes)
+    assert all(len(scene.targets) == 2 for scene in bank)
+    built(tmp_path, splits=["train", "train", "test"], **options)
+    assert calls.reconstructed == ["a", "b", "a-1"]
+    with pytest.raises(InvalidValueError, match="row 'x' lies in two splits"):
+        built(tmp_path / "leak", splits=["train", "test", "test"], **options)
 
 
 def test_a_finished_build_is_not_repeated_and_gives_the_same_files(calls: Calls, tmp_path: Path) -> None:
@@ -466,7 +481,7 @@ def test_a_bank_from_a_recording_on_disk(tmp_path: Path, monkeypatch: pytest.Mon
     """Every stage is the real one, but for the certificates."""
     from greenhouse_gym.capture import open_recording
 
-    monkeypatch.setattr(build, "certify_targets", lambda scene, robot, seed: ())
+    monkeypatch.setattr(build, "certify_targets", lambda scene, robot, most: ())
     opened = open_recording(write_recording(half_recording(), tmp_path / "recording"))
     bank = build_bank([opened], tmp_path / "bank", "real", on_stage=lambda text: None)
     (scene,) = bank

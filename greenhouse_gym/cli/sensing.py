@@ -180,9 +180,23 @@ def formats() -> None:
         _say(f"{known.name}: {known.description}")
 
 
-def build_shipped(out: Out = Path("scenes")) -> None:
-    """Build the banks that ship with the package, from simulated recordings: ``default``, and ``mini`` for tests."""
-    from greenhouse_gym.shipped import build_shipped_banks
+def build_shipped(
+    out: Out = Path("scenes"),
+    parts: Annotated[Path, typer.Option(help="Folder for the bank of each recording.")] = Path("runs/shipped"),
+    processes: Annotated[int | None, typer.Option(min=1, help="Recordings built side by side; one per core.")] = None,
+    finished_only: Annotated[bool, typer.Option("--finished-only", help="Join the parts there are.")] = False,
+) -> None:
+    """Build the banks that ship with the package, from simulated recordings: ``default``, and ``mini`` for tests.
 
-    for bank in build_shipped_banks(out):
+    An interrupted build goes on where it stopped.
+    """
+    from greenhouse_gym import parallel
+    from greenhouse_gym.shipped import build_shipped_banks, join_parts
+
+    if finished_only:
+        banks = join_parts(parts, out)
+    else:
+        with parallel.processes(processes) as executor:
+            banks = build_shipped_banks(out, parts, executor)
+    for bank in banks:
         CONSOLE.print(f"{bank.manifest.name}: {len(bank)} scenes in {bank.path}")
