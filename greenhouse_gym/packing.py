@@ -34,7 +34,7 @@ class ShapeTables(NamedTuple):
     boxes: Array
 
 
-COLUMNS = ShapeTables(*("xxxrti" + "aaaqqqq", "xxxxxxrk", "xxxr", "xxxxxxr", "xxxaaaqqqq"))  # type: ignore[arg-type]
+COLUMNS: tuple[str, ...] = ("xxxrti" + "aaaqqqq", "xxxxxxrk", "xxxr", "xxxxxxr", "xxxaaaqqqq")
 """What each column of each table is: x, a, r lengths, t truss, i ripeness, k kind, q of a quaternion."""
 
 
