@@ -44,6 +44,7 @@ class _JsonArray:
         )
 
 
+_UNITY = np.eye(3)
 _VECTOR, _MATRIX = _JsonArray((3,)), _JsonArray((3, 3))
 Vector: TypeAlias = Annotated[Array, _VECTOR]
 Rotation: TypeAlias = Annotated[Array, _MATRIX]
@@ -147,10 +148,10 @@ Shape: TypeAlias = Sphere | Capsule | Box
 def is_rotation(matrix: npt.ArrayLike, tolerance: float = 1e-5) -> bool:
     """Whether a (3, 3) matrix is orthonormal with determinant +1."""
     r = np.asarray(matrix, dtype=np.float64)
+    # allclose, which takes a fifth of a millisecond, says the same
     return bool(
         r.shape == (3, 3)
-        and np.isfinite(r).all()
-        and np.allclose(r @ r.T, np.eye(3), atol=tolerance)
+        and (np.abs(r @ r.T - _UNITY) <= tolerance + 1e-5 * _UNITY).all()  # of no entry that is not finite
         and np.linalg.det(r) > 0
     )
 

@@ -25,7 +25,7 @@ from greenhouse_gym.planning.query import PlanResult, plan_with
 from greenhouse_gym.planning.unseen import depths_of, guarded, unseen_ways
 from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.scene import Scene, Target
-from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
+from greenhouse_gym.scene.mjcf import CompiledScene
 from greenhouse_gym.scene.scene import Difficulty
 
 GOALS, SAMPLES = 30, 10_000
@@ -72,7 +72,7 @@ def certify_targets(
     arm, targets = get_robot(robot), dict[int, Target]()
     chosen = _spread(scene, most)
     for depth in depths_of(unseen):
-        compiled = compile_scene(guarded(scene, arm, arm.start, depth), arm)
+        compiled = guarded(scene, arm, arm.start, depth)
         for tomato in chosen:
             if tomato not in targets or targets[tomato].witness is None:
                 targets[tomato] = certify_target(compiled, tomato, seed)

@@ -19,7 +19,7 @@ from greenhouse_gym.planning.kinematics import Chain, tool_chain, tool_state
 from greenhouse_gym.planning.unseen import depths_of, guarded
 from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.scene import Scene
-from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
+from greenhouse_gym.scene.mjcf import CompiledScene
 
 SAMPLE_BUDGET = 40_000
 """Random configurations after which the search gives up."""
@@ -133,7 +133,7 @@ def goal_configurations(
     """
     arm = get_robot(robot)
     for depth in depths_of(unseen):
-        compiled = compile_scene(guarded(scene, arm, arm.start, depth), arm)
+        compiled = guarded(scene, arm, arm.start, depth)
         checker = CollisionChecker(planning_model(compiled, target))
         found = search_goals(compiled, checker, target, count, threshold, min_difference, seed, approach)
         if len(found.configurations):

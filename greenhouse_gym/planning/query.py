@@ -30,7 +30,7 @@ from greenhouse_gym.planning.unseen import depths_of, guarded, require_seen, uns
 from greenhouse_gym.planning.worker import WorkerCrashedError, WorkerFailedError, WorkerTimeoutError, shared_worker
 from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.scene import Scene
-from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
+from greenhouse_gym.scene.mjcf import CompiledScene
 
 Status = Literal[
     "solved",  # a path was found and proven free
@@ -45,6 +45,7 @@ Status = Literal[
 
 _COARSE = 0.05  # metres; for a guess
 _POOL = 240  # goal configurations of which those that keep out of unseen space are chosen
+_SHARE = 1 / 8  # of the time and checks left, for each try to keep out of unseen space but the last
 _SLOWEST = 0.001  # seconds that a check never takes, a hundred times what it does
 _LONGEST = 1e6  # seconds; what comes near the range of the system's clocks is cut to this
 
@@ -148,11 +149,12 @@ def plan(
         MissingDependencyError: OMPL is not installed.
     """
     arm, depths = get_robot(robot), depths_of(unseen)
-    compiled = compile_scene(scene, arm)
+    origin = arm.configuration(arm.start if start is None else start)
+    compiled = guarded(scene, arm, origin, math.inf)
     checker = CollisionChecker(planning_model(compiled, target, pairs=pairs))
     if unseen == "free":
         return plan_with(
-            compiled, checker, target, planner, time_limit, max_checks, goals, seed, start, settings, first_solution
+            compiled, checker, target, planner, time_limit, max_checks, goals, seed, origin, settings, first_solution
         )
     require_seen(scene)
     began = time.perf_counter()
@@ -160,22 +162,21 @@ def plan(
     if isinstance(goals, int | np.integer):
         searched = search_goals(compiled, checker, target, count=max(int(goals), _POOL), seed=seed)
         count, pool, statistics = int(goals), searched.configurations, searched.statistics
-    ends = pool.configurations if isinstance(pool, Goals) else np.asarray(pool, dtype=np.float64)
+    given = pool.configurations if isinstance(pool, Goals) else pool
+    ends = _configurations("goals", given, arm)
     goal_time = time.perf_counter() - began
-    origin = np.asarray(arm.start if start is None else start, dtype=np.float64)
     result = PlanResult("no_goal", None, planner)
     for k, depth in enumerate(depths):
         last = k == len(depths) - 1
-        around = compile_scene(guarded(scene, arm, origin, depth), arm)
+        around = guarded(scene, arm, origin, depth)
         careful = CollisionChecker(planning_model(around, target, pairs=pairs))
-        free = np.array([careful.is_free(end) for end in ends], dtype=np.bool_) if np.ndim(ends) == 2 else [True]
-        if not np.any(free):
+        free = ends[[careful.is_free(end) for end in ends]][: count or None]
+        if not len(free):
             continue
-        seconds = time_limit if last or time_limit is None else time_limit / 2
-        checks = max_checks if last or max_checks is None else max(1, max_checks // 2)
-        chosen = ends[free][: count or None] if np.ndim(ends) == 2 else ends
+        seconds = time_limit if last or time_limit is None else time_limit * _SHARE
+        checks = max_checks if last or max_checks is None else max(1, int(max_checks * _SHARE))
         result = plan_with(
-            around, careful, target, planner, seconds, checks, chosen, seed, start, settings, first_solution
+            around, careful, target, planner, seconds, checks, free, seed, origin, settings, first_solution
         )
         if result.path is not None:
             break

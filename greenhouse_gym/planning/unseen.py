@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
 
 import mujoco
 import numpy as np
@@ -15,8 +17,8 @@ from greenhouse_gym.planning.collision import CollisionChecker, planning_model
 from greenhouse_gym.planning.kinematics import Chain, tool_chain, tool_state
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene
-from greenhouse_gym.scene.mjcf import compile_scene
-from greenhouse_gym.scene.seen import UNSEEN, boxes_of, inside_boxes
+from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
+from greenhouse_gym.scene.seen import UNSEEN, Cells, boxes_of, inside_boxes
 
 UNSEEN_RULES = ("free", "avoid", "forbid")
 """What planners make of unseen space: nothing; a place to keep out of as far as can be; an obstacle."""
@@ -61,7 +63,8 @@ def require_seen(scene: Scene) -> None:
 def unseen_boxes(scene: Scene, robot: Robot, start: npt.ArrayLike, depth: float = 0.0) -> list[Box]:
     """Boxes over the unseen space within reach in which no arm may be.
 
-    Known, though not seen, is where the arm and its cart stand, and the inside of tomatoes.
+    Known, though not seen, is where the arm and its cart stand, and the inside of tomatoes. Beyond the reach the boxes
+    go on or end, as it takes fewer of them.
 
     Args:
         scene: The scene; it must know what was seen.
@@ -71,26 +74,13 @@ def unseen_boxes(scene: Scene, robot: Robot, start: npt.ArrayLike, depth: float 
     """
     require_seen(scene)
     assert scene.seen is not None
-    space = scene.seen
-    unseen = space.states == UNSEEN
-    if depth > 0:
-        unseen &= distance_transform_edt(unseen, sampling=space.voxel) > depth
-    shoulder = scene.stand.position + [0.0, 0.0, scene.stand.shoulder_height]
-    cells = np.argwhere(unseen)
-    centers = space.origin + (cells + 0.5) * space.voxel
-    known = np.linalg.norm(centers - shoulder, axis=1) > REACH
-    known |= inside_boxes(centers, _boxes_around_arm(scene, robot, start), space.voxel)
-    if scene.tomatoes:
-        known |= distance_to_shapes(centers, scene.tomatoes).min(axis=1) < 0
-    unseen[tuple(cells[known].T)] = False
-    return boxes_of(unseen, space.origin, space.voxel)
+    depths, beyond = _depths(_Kept(scene), robot, tuple(np.asarray(start, dtype=np.float64).tolist()))
+    return boxes_of((depths > depth) & ~beyond, scene.seen.origin, scene.seen.voxel, either_way=beyond)
 
 
-def guarded(scene: Scene, robot: Robot, start: npt.ArrayLike, depth: float = 0.0) -> Scene:
-    """A scene in which the unseen space of `unseen_boxes` is clutter, for planning."""
-    if np.isinf(depth):
-        return scene
-    return scene.model_copy(update={"clutter": (*scene.clutter, *unseen_boxes(scene, robot, start, depth))})
+def guarded(scene: Scene, robot: Robot, start: npt.ArrayLike, depth: float = 0.0) -> CompiledScene:
+    """A scene in which the unseen space of `unseen_boxes` is clutter, compiled for planning; the last ones are kept."""
+    return _guarded(_Kept(scene), robot, tuple(np.asarray(start, dtype=np.float64).tolist()), float(depth))
 
 
 def unseen_way(scene: Scene, robot: Robot, path: Array) -> float:
@@ -100,12 +90,12 @@ def unseen_way(scene: Scene, robot: Robot, path: Array) -> float:
 
 def unseen_ways(scene: Scene, robot: Robot, paths: Sequence[Array]) -> list[tuple[float, float]]:
     """The tip's way along paths (k, joints) from one start, metres: with some of the arm in unseen space, and all."""
-    boxes = unseen_boxes(scene, robot, paths[0][0])
-    alone = Scene(
-        name=scene.name, tomatoes=scene.tomatoes, clutter=tuple(boxes), stand=scene.stand, provenance=scene.provenance
-    )
-    compiled = compile_scene(alone, robot)
-    checker = CollisionChecker(planning_model(compiled, 0, margin=0.0, pairs=("clutter",)))
+    compiled = guarded(scene, robot, paths[0][0])
+    model = planning_model(compiled, 0, margin=0.0, pairs=("clutter",))
+    first = compiled.obstacle_geoms.start + len(scene.tomatoes) + len(scene.stems)
+    known = slice(first, first + len(scene.clutter))
+    model.geom_contype[known] = model.geom_conaffinity[known] = 0
+    checker = CollisionChecker(model)
     chain = tool_chain(compiled.model, compiled.tip_site)
     return [_unseen_and_all(checker, chain, np.asarray(path)) for path in paths]
 
@@ -118,6 +108,50 @@ def _unseen_and_all(checker: CollisionChecker, chain: Chain, path: Array) -> tup
     inside = np.array([not checker.is_free(q) for q in between])
     steps = np.linalg.norm(np.diff(tool_state(chain, between, 0.0).point, axis=0), axis=-1)
     return float(steps[inside[:-1] | inside[1:]].sum()), float(steps.sum())
+
+
+@dataclass(frozen=True, eq=False)
+class _Kept:
+    """A scene as a key, by its identity: scenes are never changed."""
+
+    scene: Scene
+
+    def __hash__(self) -> int:
+        return id(self.scene)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Kept) and self.scene is other.scene
+
+
+@lru_cache(maxsize=16)
+def _guarded(kept: _Kept, robot: Robot, start: tuple[float, ...], depth: float) -> CompiledScene:
+    scene = kept.scene
+    if np.isinf(depth):
+        return compile_scene(scene, robot)
+    boxes = unseen_boxes(scene, robot, start, depth)
+    return compile_scene(scene.model_copy(update={"clutter": (*scene.clutter, *boxes)}), robot)
+
+
+@lru_cache(maxsize=4)
+def _depths(kept: _Kept, robot: Robot, start: tuple[float, ...]) -> tuple[Array, Cells]:
+    """How deep each voxel (x, y, z) lies in unseen space, metres, 0 where it is known; and those beyond the reach."""
+    scene = kept.scene
+    assert scene.seen is not None
+    space = scene.seen
+    unseen = space.states == UNSEEN
+    if unseen.all():
+        depths = np.full(space.shape, np.inf)
+    else:
+        depths = np.asarray(distance_transform_edt(unseen, sampling=space.voxel))
+    shoulder = scene.stand.position + [0.0, 0.0, scene.stand.shoulder_height]
+    beyond = np.linalg.norm(space.centers - shoulder, axis=-1) > REACH
+    cells = np.argwhere(unseen & ~beyond)
+    centers = space.origin + (cells + 0.5) * space.voxel
+    known = inside_boxes(centers, _boxes_around_arm(scene, robot, start), space.voxel)
+    if scene.tomatoes:
+        known |= distance_to_shapes(centers, scene.tomatoes).min(axis=1) < 0
+    depths[tuple(cells[known].T)] = 0.0
+    return depths, beyond
 
 
 def _boxes_around_arm(scene: Scene, robot: Robot, start: npt.ArrayLike) -> list[tuple[Array, Array, Array]]:

@@ -20,6 +20,7 @@ UNSEEN, EMPTY, SURFACE = 0, 1, 2
 MOST_VOXELS = 5_000_000
 
 States = npt.NDArray[np.uint8]
+Cells = npt.NDArray[np.bool_]
 
 
 class SeenSpace(BaseModel):
@@ -90,28 +91,42 @@ class SeenSpace(BaseModel):
         return float((self.states[near] != UNSEEN).mean()) if near.any() else float("nan")
 
 
-def boxes_of(cells: npt.NDArray[np.bool_], origin: npt.ArrayLike, voxel: float) -> list[Box]:
-    """Few boxes that cover the marked cells (x, y, z) of a grid and nothing else.
+def boxes_of(cells: Cells, origin: npt.ArrayLike, voxel: float, either_way: Cells | None = None) -> list[Box]:
+    """Few boxes, none of which overlap, that cover the marked cells (x, y, z) of a grid.
 
-    Runs along z grow along y, then along x, as long as all of a side's cells are marked and not yet covered.
+    Runs along y, those that are alike beside each other along z, and then along x, make a box.
+
+    Args:
+        cells: The cells to cover.
+        origin: (3,) the grid's lower corner, metres.
+        voxel: Side of a cell, metres.
+        either_way: Cells that may be covered or not, whatever takes fewer boxes; no others are.
     """
-    left, corner = cells.copy(), np.asarray(origin, dtype=np.float64)
-    boxes = []
-    for start in np.argwhere(cells):
-        if not left[tuple(start)]:
-            continue
-        end = start + 1
-        for axis in (2, 1, 0):
-            while end[axis] < cells.shape[axis]:
-                side = [slice(a, b) for a, b in zip(start, end, strict=True)]
-                side[axis] = slice(end[axis], end[axis] + 1)
-                if not left[tuple(side)].all():
-                    break
-                end[axis] += 1
-        left[tuple(slice(a, b) for a, b in zip(start, end, strict=True))] = False
-        half = (end - start) * voxel / 2
-        boxes.append(Box(corner + start * voxel + half, half, np.eye(3)))
-    return boxes
+    allowed = cells if either_way is None else cells | either_way
+    edges = np.diff(np.pad(allowed, ((0, 0), (1, 1), (0, 0))).astype(np.int8), axis=1)
+    starts, ends = (np.argwhere(edges.transpose(0, 2, 1) == sign) for sign in (1, -1))  # in pairs: x, z, y
+    marked = np.cumsum(np.pad(cells, ((0, 0), (1, 0), (0, 0))), axis=1)
+    x, z, first, last = *starts.T, ends[:, 2]
+    needed = marked[x, last, z] > marked[x, first, z]
+    runs = np.column_stack([x, x + 1, first, last, z, z + 1])[needed]
+    for axis in (2, 0):
+        runs = _joined(runs, axis)
+    low, high = runs[:, ::2], runs[:, 1::2]
+    centers = np.asarray(origin, dtype=np.float64) + (low + high) * (voxel / 2)
+    return [Box(center, half, np.eye(3)) for center, half in zip(centers, (high - low) * (voxel / 2), strict=True)]
+
+
+def _joined(blocks: npt.NDArray[np.int64], axis: int) -> npt.NDArray[np.int64]:
+    """Blocks (n, 6), each two ends per axis, with those joined that are alike and follow each other along an axis."""
+    start, end = 2 * axis, 2 * axis + 1
+    alike = [column for column in range(6) if column not in (start, end)]
+    ordered = blocks[np.lexsort((blocks[:, start], *blocks[:, alike].T))]
+    here, before = ordered[1:], ordered[:-1]
+    new = (here[:, alike] != before[:, alike]).any(axis=1) | (here[:, start] != before[:, end])
+    bounds = np.flatnonzero(np.concatenate([[True], new, [True]])) if len(ordered) else np.zeros(1, np.int64)
+    joined = ordered[bounds[:-1]]
+    joined[:, end] = ordered[bounds[1:] - 1, end]
+    return joined
 
 
 def inside_boxes(points: Array, boxes: Sequence[tuple[Array, Array, Array]], margin: float) -> npt.NDArray[np.bool_]:

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.errors import InvalidValueError, UnknownNameError
+from greenhouse_gym.geometry import distance_to_shapes
 from greenhouse_gym.planning import goal_configurations, plan
 from greenhouse_gym.planning import goals as goals_module
 from greenhouse_gym.planning.collision import CollisionChecker, planning_model
 from greenhouse_gym.planning.unseen import REACH, depths_of, guarded, unseen_boxes, unseen_way
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene
-from greenhouse_gym.scene.mjcf import compile_scene
 from greenhouse_gym.scene.seen import EMPTY, UNSEEN, SeenSpace
 
 ARM = get_robot("ur5e")
@@ -42,11 +42,11 @@ def test_where_all_was_seen_nothing_changes(scene: Scene) -> None:
 
 def test_the_arms_own_place_and_what_no_arm_reaches_do_not_count(scene: Scene) -> None:
     nothing = seen_where(scene, 0.0)
-    compiled = compile_scene(guarded(nothing, ARM, ARM.start), ARM)
+    compiled = guarded(nothing, ARM, ARM.start)
     assert CollisionChecker(planning_model(compiled, TARGET)).is_free(ARM.start)
     boxes = unseen_boxes(nothing, ARM, ARM.start)
     shoulder = np.array([0.0, 0.0, 1.1])
-    assert all(np.linalg.norm(box.center - shoulder) < REACH for box in boxes)
+    assert distance_to_shapes(shoulder[None], boxes).max() < REACH
     deep = unseen_boxes(seen_where(scene, 1.2), ARM, ARM.start, depth=0.2)
     assert min(box.center[2] - box.half_extents[2] for box in deep) > 1.35
 
@@ -59,7 +59,7 @@ def test_forbidden_space_is_not_entered(scene: Scene) -> None:
     assert result.unseen_length == 0.0
     assert plan(partly, TARGET, goals=result.path[-1:], time_limit=30.0, max_checks=60_000).status == "solved"
     goals = goal_configurations(partly, TARGET, count=10, unseen="forbid").configurations
-    checker = CollisionChecker(planning_model(compile_scene(guarded(partly, ARM, ARM.start), ARM), TARGET))
+    checker = CollisionChecker(planning_model(guarded(partly, ARM, ARM.start), TARGET))
     assert len(goals) > 0
     assert all(checker.is_free(goal) for goal in goals)
 

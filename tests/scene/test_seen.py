@@ -82,6 +82,19 @@ def test_boxes_cover_the_marked_cells_and_no_others(share: float) -> None:
     assert len(boxes) == (1 if share == 1.0 else len(boxes))
 
 
+def test_cells_that_do_not_matter_make_boxes_fewer() -> None:
+    random = np.random.default_rng(2)
+    cells, either_way = random.random((2, 6, 7, 8)) < [[[[0.3]]], [[[0.5]]]]
+    either_way &= ~cells
+    boxes = boxes_of(cells, np.zeros(3), 1.0, either_way)
+    centers = np.argwhere(np.ones_like(cells)) + 0.5
+    inside = (distance_to_shapes(centers, boxes).min(axis=1) < 0).reshape(cells.shape)
+    assert inside[cells].all()
+    assert not inside[~cells & ~either_way].any()
+    ball = np.linalg.norm(np.argwhere(np.ones_like(cells)) - 3, axis=1).reshape(cells.shape) < 2.5
+    assert len(boxes_of(ball, np.zeros(3), 1.0, ~ball)) == 1 < len(boxes_of(ball, np.zeros(3), 1.0))
+
+
 def test_spaces_of_nothing_are_refused() -> None:
     with pytest.raises((InvalidValueError, ValueError), match="voxels"):
         SeenSpace.of(np.zeros((0, 3, 3), np.uint8), [0, 0, 0], 0.05)
