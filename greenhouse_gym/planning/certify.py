@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.planning.collision import PROOF, CollisionChecker, path_clearance, planning_model
+from greenhouse_gym.planning.collision import PROOF, CollisionChecker, arm_reaches, path_clearance, planning_model
 from greenhouse_gym.planning.goals import search_goals
 from greenhouse_gym.planning.proof import ProvingChecker
 from greenhouse_gym.planning.query import PlanResult, plan_with
@@ -91,7 +91,7 @@ def _spread(scene: Scene, most: int | None) -> list[int]:
 
 def certify_target(compiled: CompiledScene, tomato: int, seed: int = 0) -> Target:
     """Rate one tomato; see `certify_targets`. The share through unseen space is left out."""
-    checker = ProvingChecker(planning_model(compiled, tomato))
+    checker = ProvingChecker(planning_model(compiled, tomato), arm_reaches(compiled.robot))
     goals = search_goals(compiled, checker, tomato, GOALS, seed=seed, budget=SAMPLES).configurations
     found = _straight(checker, compiled.robot, goals) or _planned(checker, compiled, tomato, goals, seed)
     target = Target(tomato=tomato, difficulty=found.difficulty, robot=compiled.robot.name, goals=len(goals))

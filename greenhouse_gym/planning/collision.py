@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from greenhouse_gym.errors import InvalidValueError, require_choice
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene.mjcf import CompiledScene
 
 MARGIN = 0.005
@@ -63,6 +64,11 @@ def planning_model(
     return model
 
 
+def checker_of(compiled: CompiledScene, target: int, pairs: Collection[str] = COLLISION_PAIRS) -> CollisionChecker:
+    """The checker that planning for a target uses, with its margin."""
+    return CollisionChecker(planning_model(compiled, target, pairs=pairs), arm_reaches(compiled.robot))
+
+
 def _with_world_at_rest(model: mujoco.MjModel) -> mujoco.MjModel:
     """A copy whose kinematics leave out the geoms of the world body: MuJoCo places those once, when data are made.
 
@@ -100,7 +106,7 @@ def path_clearance(compiled: CompiledScene, target: int, path: npt.ArrayLike) ->
     than 1 cm, in metres; negative inside an obstacle.
     """
     points = np.asarray(path, dtype=np.float64)
-    way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(points, axis=0)) @ joint_reaches(compiled.model))])
+    way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(points, axis=0)) @ arm_reaches(compiled.robot))])
     places = np.linspace(0.0, way[-1], 1 + int(np.ceil(way[-1] / 0.01)))
     between = np.stack([np.interp(places, way, joint) for joint in points.T], axis=-1)
     return smallest_clearance(compiled, compiled.model, target, between)
@@ -240,6 +246,14 @@ def halving_order(steps: int) -> Array:
     shares: Array = (order / steps)[:, None]
     shares.setflags(write=False)
     return shares
+
+
+@lru_cache(maxsize=32)
+def arm_reaches(robot: Robot) -> Array:
+    """The `joint_reaches` of an arm, read-only: they are the same in all scenes."""
+    reaches = joint_reaches(robot.spec().compile())
+    reaches.setflags(write=False)
+    return reaches
 
 
 def joint_reaches(model: mujoco.MjModel) -> Array:

@@ -14,7 +14,7 @@ import numpy as np
 
 from greenhouse_gym.errors import InvalidValueError, require_seed
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.planning.collision import CollisionChecker, planning_model
+from greenhouse_gym.planning.collision import CollisionChecker, checker_of
 from greenhouse_gym.planning.kinematics import Chain, tool_chain, tool_state
 from greenhouse_gym.planning.unseen import depths_of, guarded
 from greenhouse_gym.robots import Robot, get_robot
@@ -23,6 +23,9 @@ from greenhouse_gym.scene.mjcf import CompiledScene
 
 SAMPLE_BUDGET = 40_000
 """Random configurations after which the search gives up."""
+
+CAREFUL_BUDGET = 5_000
+"""The same where the arm has to keep out of unseen space: of many tomatoes none is found, however long one looks."""
 
 TOLERANCE = 1e-3
 """Distance of the grasp point from the target's center at which inverse kinematics has converged, metres."""
@@ -134,11 +137,17 @@ def goal_configurations(
     arm = get_robot(robot)
     for depth in depths_of(unseen):
         compiled = guarded(scene, arm, arm.start, depth)
-        checker = CollisionChecker(planning_model(compiled, target))
-        found = search_goals(compiled, checker, target, count, threshold, min_difference, seed, approach)
+        checker = checker_of(compiled, target)
+        budget = sample_budget(depth)
+        found = search_goals(compiled, checker, target, count, threshold, min_difference, seed, approach, budget)
         if len(found.configurations):
             break
     return found
+
+
+def sample_budget(depth: float) -> int:
+    """Random configurations after which the search ends where the arm may go so deep into unseen space, metres."""
+    return SAMPLE_BUDGET if math.isinf(depth) else CAREFUL_BUDGET
 
 
 def search_goals(

@@ -17,11 +17,11 @@ from greenhouse_gym.planning.collision import (
     COLLISION_PAIRS,
     PROOF,
     CollisionChecker,
+    checker_of,
     path_clearance,
-    planning_model,
 )
 from greenhouse_gym.planning.exchange import Answer, Query
-from greenhouse_gym.planning.goals import Goals, GoalStatistics, search_goals
+from greenhouse_gym.planning.goals import Goals, GoalStatistics, sample_budget, search_goals
 from greenhouse_gym.planning.path import path_length
 from greenhouse_gym.planning.planner_settings import PlannerSettings
 from greenhouse_gym.planning.planners import PLANNERS, PlannerInfo
@@ -45,6 +45,9 @@ Status = Literal[
 
 _COARSE = 0.05  # metres; for a guess
 _POOL = 240  # goal configurations of which those that keep out of unseen space are chosen
+_CANDIDATES = (
+    4  # solutions of inverse kinematics looked at for each goal configuration, where unseen space is in the way
+)
 _SHARE = 1 / 8  # of the time and checks left, for each try to keep out of unseen space but the last
 _SLOWEST = 0.001  # seconds that a check never takes, a hundred times what it does
 _LONGEST = 1e6  # seconds; what comes near the range of the system's clocks is cut to this
@@ -137,10 +140,10 @@ def plan(
             so does LazyPRMstar in most cases, which is asked only when it checks something.
         pairs: What the arm is checked against, of `COLLISION_PAIRS`; all of it unless less is asked for.
         unseen: What space that the scan did not see is: "free", as if it were empty; "forbid", as if it were full, but
-            where the arm and its cart stand; "avoid", first forbidden, then entered no deeper than each of
-            `greenhouse_gym.planning.unseen.DEPTHS`, at last free. Each try gets half of the time and checks that are
-            left, the last all of them, and the result says how far the way through the unseen is. A number, metres,
-            is like "avoid" but goes no deeper than that.
+            where the arm and its cart stand; a number, entered no deeper than that many metres; "avoid", first
+            forbidden, then entered no deeper than each of `greenhouse_gym.planning.unseen.DEPTHS`, at last free. Each
+            of those tries gets an eighth of the time and checks that are left, the last all of them. Unless it is
+            "free", the result says how long the way through the unseen is.
 
     Raises:
         UnknownNameError: No such planner, arm or collision pair.
@@ -149,45 +152,46 @@ def plan(
         MissingDependencyError: OMPL is not installed.
     """
     arm, depths = get_robot(robot), depths_of(unseen)
-    origin = arm.configuration(arm.start if start is None else start)
-    compiled = guarded(scene, arm, origin, math.inf)
-    checker = CollisionChecker(planning_model(compiled, target, pairs=pairs))
-    if unseen == "free":
-        return plan_with(
-            compiled, checker, target, planner, time_limit, max_checks, goals, seed, origin, settings, first_solution
-        )
-    require_seen(scene)
+    if unseen != "free":
+        require_seen(scene)
+    _seconds(time_limit, max_checks)  # refuses limits that make no sense before anything is searched
+    origin = arm.configuration(start)
     began = time.perf_counter()
-    count, pool, statistics = 0, goals, None
+    statistics = None
     if isinstance(goals, int | np.integer):
-        searched = search_goals(compiled, checker, target, count=max(int(goals), _POOL), seed=seed)
-        count, pool, statistics = int(goals), searched.configurations, searched.statistics
-    given = pool.configurations if isinstance(pool, Goals) else pool
-    ends = _configurations("goals", given, arm)
+        count, widest = int(goals), guarded(scene, arm, origin, depths[-1])
+        checker = checker_of(widest, target, pairs)
+        pool = max(count, _POOL) if len(depths) > 1 else count
+        searched = search_goals(widest, checker, target, pool, seed=seed, budget=sample_budget(depths[-1]))
+        ends, statistics = searched.configurations, searched.statistics
+    else:
+        ends = _configurations("goals", goals.configurations if isinstance(goals, Goals) else goals, arm)
+        count = len(ends)
     goal_time = time.perf_counter() - began
-    result = PlanResult("no_goal", None, planner)
-    for k, depth in enumerate(depths):
-        last = k == len(depths) - 1
+    for depth in depths:
         around = guarded(scene, arm, origin, depth)
-        careful = CollisionChecker(planning_model(around, target, pairs=pairs))
-        free = ends[[careful.is_free(end) for end in ends]][: count or None]
-        if not len(free):
-            continue
-        seconds = time_limit if last or time_limit is None else time_limit * _SHARE
-        checks = max_checks if last or max_checks is None else max(1, int(max_checks * _SHARE))
+        checker = checker_of(around, target, pairs)
+        free = ends[[checker.is_free(end) for end in ends]][:count]
+        share = 1.0 if depth == depths[-1] else _SHARE
+        seconds = None if time_limit is None else time_limit * share
+        checks = None if max_checks is None else max(1, int(max_checks * share))
         result = plan_with(
-            around, careful, target, planner, seconds, checks, free, seed, origin, settings, first_solution
+            around, checker, target, planner, seconds, checks, free, seed, origin, settings, first_solution
         )
         if result.path is not None:
             break
         time_limit = None if time_limit is None else time_limit - min(time_limit / 2, result.planning_time)
         max_checks = None if max_checks is None else max(1, max_checks - result.checks)
     result = replace(result, goal_time=goal_time + result.goal_time, goals=statistics)
-    if result.path is None:
+    path = result.path
+    if path is None:
         return result
-    way = unseen_way(scene, arm, result.path)
+    result = replace(result, clearance=path_clearance(guarded(scene, arm, origin, math.inf), target, path))
+    if unseen == "free":
+        return result
+    way = unseen_way(scene, arm, path)
     message = f"the path must leave the seen space for {way:.2f} m" if way > 0 else ""
-    return replace(result, clearance=path_clearance(compiled, target, result.path), unseen_length=way, message=message)
+    return replace(result, unseen_length=way, message=message)
 
 
 def plan_with(
@@ -203,7 +207,7 @@ def plan_with(
     settings: PlannerSettings | None = None,
     first_solution: bool = False,
 ) -> PlanResult:
-    """As `plan`, for a scene compiled and a checker made already."""
+    """As `plan`, for a scene compiled and a checker made already; the path's clearance is not measured."""
     info = PLANNERS[planner]
     chosen = info.settings if settings is None else settings
     if type(chosen) is not type(info.settings):
@@ -246,9 +250,7 @@ def plan_with(
         optimizing=info.optimizing and not first_solution,
         seed=seed,
     )
-    result = _ask(info, chosen, checker, query)
-    clearance = math.nan if result.path is None else path_clearance(compiled, target, result.path)
-    return replace(result, clearance=clearance, goal_time=goal_time, goals=statistics)
+    return replace(_ask(info, chosen, checker, query), goal_time=goal_time, goals=statistics)
 
 
 def _seconds(time_limit: float | None, max_checks: int | None) -> float:

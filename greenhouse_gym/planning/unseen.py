@@ -13,7 +13,7 @@ from scipy.ndimage import distance_transform_edt
 
 from greenhouse_gym.errors import InvalidValueError, require_choice
 from greenhouse_gym.geometry import Array, Box, distance_to_shapes
-from greenhouse_gym.planning.collision import CollisionChecker, planning_model
+from greenhouse_gym.planning.collision import CollisionChecker, arm_reaches, planning_model
 from greenhouse_gym.planning.kinematics import Chain, tool_chain, tool_state
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene
@@ -24,12 +24,12 @@ UNSEEN_RULES = ("free", "avoid", "forbid")
 """What planners make of unseen space: nothing; a place to keep out of as far as can be; an obstacle."""
 
 DEPTHS = (0.0, 0.1, 0.15, 0.2, float("inf"))
-"""How deep a path may go into unseen space, metres: what "avoid" tries, one after the other."""
+"""How deep a path may go into unseen space, metres: what "avoid" tries, one after the other, the last without limit."""
 
 REACH = 1.35
 """Metres from the shoulder beyond which no arm comes, so that what was not seen there does not count."""
 
-_RESOLUTION = 0.01  # metres, at which a path's way through unseen space is measured
+_RESOLUTION = 0.02  # metres, at which a path's way through unseen space is measured
 
 
 def depths_of(rule: str | float) -> tuple[float, ...]:
@@ -44,7 +44,7 @@ def depths_of(rule: str | float) -> tuple[float, ...]:
         return named[require_choice("unseen", rule, UNSEEN_RULES)]
     if not rule >= 0:
         raise InvalidValueError(f"unseen must be a rule or a depth of 0 m or more, got {rule!r}")
-    return (*(depth for depth in DEPTHS if depth < rule), float(rule))
+    return (float(rule),)
 
 
 def require_seen(scene: Scene) -> None:
@@ -95,7 +95,7 @@ def unseen_ways(scene: Scene, robot: Robot, paths: Sequence[Array]) -> list[tupl
     first = compiled.obstacle_geoms.start + len(scene.tomatoes) + len(scene.stems)
     known = slice(first, first + len(scene.clutter))
     model.geom_contype[known] = model.geom_conaffinity[known] = 0
-    checker = CollisionChecker(model)
+    checker = CollisionChecker(model, arm_reaches(robot))
     chain = tool_chain(compiled.model, compiled.tip_site)
     return [_unseen_and_all(checker, chain, np.asarray(path)) for path in paths]
 

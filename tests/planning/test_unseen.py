@@ -1,14 +1,15 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from greenhouse_gym.errors import InvalidValueError, UnknownNameError
 from greenhouse_gym.geometry import distance_to_shapes
-from greenhouse_gym.planning import goal_configurations, plan
-from greenhouse_gym.planning import goals as goals_module
+from greenhouse_gym.planning import PlanResult, goal_configurations, plan, query
 from greenhouse_gym.planning.collision import CollisionChecker, planning_model
-from greenhouse_gym.planning.unseen import REACH, depths_of, guarded, unseen_boxes, unseen_way
+from greenhouse_gym.planning.unseen import DEPTHS, REACH, depths_of, guarded, unseen_boxes, unseen_way
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.seen import EMPTY, UNSEEN, SeenSpace
@@ -64,8 +65,7 @@ def test_forbidden_space_is_not_entered(scene: Scene) -> None:
     assert all(checker.is_free(goal) for goal in goals)
 
 
-def test_what_cannot_be_avoided_is_entered_and_said(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(goals_module, "SAMPLE_BUDGET", 2000)
+def test_what_cannot_be_avoided_is_entered_and_said(scene: Scene) -> None:
     nothing = seen_where(scene, 0.0)
     assert plan(nothing, TARGET, time_limit=5.0, unseen="forbid").status == "no_goal"
     assert len(goal_configurations(nothing, TARGET, count=3, unseen="forbid").configurations) == 0
@@ -78,7 +78,7 @@ def test_what_cannot_be_avoided_is_entered_and_said(scene: Scene, monkeypatch: p
 
 
 def test_a_number_bounds_the_depth(scene: Scene) -> None:
-    assert depths_of(0.12) == (0.0, 0.1, 0.12)
+    assert depths_of(0.12) == (0.12,)
     assert depths_of("avoid")[:2] == (0.0, 0.1)
     assert depths_of(0.0) == depths_of("forbid") == (0.0,)
     with pytest.raises(InvalidValueError, match="depth"):
@@ -87,6 +87,40 @@ def test_a_number_bounds_the_depth(scene: Scene) -> None:
     result = plan(slab, TARGET, time_limit=60.0, max_checks=60_000, unseen=0.15)
     assert result.status == "solved"
     assert result.goals is not None
+
+
+def test_a_start_may_be_named(scene: Scene) -> None:
+    partly = seen_where(scene, 1.7, aisle=0.3)
+    named = plan(partly, TARGET, time_limit=60.0, max_checks=20_000, start="folded", unseen="avoid")
+    assert named.path is not None
+    np.testing.assert_array_equal(named.path[0], ARM.starts["folded"])
+
+
+def test_tries_but_the_last_get_an_eighth(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    given = []
+
+    def fail(*arguments: Any, **named: Any) -> PlanResult:
+        given.append(arguments[4:6])
+        return PlanResult("no_solution", None, "RRTConnect", planning_time=arguments[4], checks=arguments[5])
+
+    monkeypatch.setattr(query, "plan_with", fail)
+    goals = [ARM.start]
+    assert (
+        plan(seen_where(scene, 0.0), TARGET, time_limit=8.0, max_checks=800, goals=goals, unseen="avoid").path is None
+    )
+    assert given[:2] == [(1.0, 100), (0.875, 87)]
+    assert len(given) == len(DEPTHS)
+    assert given[-1] == pytest.approx((8.0 * (7 / 8) ** 4, 800 * (7 / 8) ** 4), abs=3)
+    given.clear()
+    plan(seen_where(scene, 0.0), TARGET, time_limit=8.0, max_checks=800, goals=goals, unseen="forbid")
+    assert given == [(8.0, 800)]
+
+
+def test_a_scene_is_made_ready_once(scene: Scene) -> None:
+    partly = seen_where(scene, 1.7)
+    assert guarded(partly, ARM, ARM.start, 0.1) is guarded(partly, ARM, list(ARM.start), 0.1)
+    assert guarded(partly, ARM, ARM.start, 0.1) is not guarded(partly.model_copy(), ARM, ARM.start, 0.1)
+    assert guarded(partly, ARM, ARM.start, 0.1) is not guarded(partly, ARM, ARM.starts["folded"], 0.1)
 
 
 def test_scenes_that_do_not_know_are_refused(scene: Scene) -> None:

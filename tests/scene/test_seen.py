@@ -92,7 +92,7 @@ def test_cells_that_do_not_matter_make_boxes_fewer() -> None:
     assert inside[cells].all()
     assert not inside[~cells & ~either_way].any()
     ball = np.linalg.norm(np.argwhere(np.ones_like(cells)) - 3, axis=1).reshape(cells.shape) < 2.5
-    assert len(boxes_of(ball, np.zeros(3), 1.0, ~ball)) == 1 < len(boxes_of(ball, np.zeros(3), 1.0))
+    assert len(boxes_of(ball, np.zeros(3), 1.0, ~ball)) < len(boxes_of(ball, np.zeros(3), 1.0))
 
 
 def test_spaces_of_nothing_are_refused() -> None:
