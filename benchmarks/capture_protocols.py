@@ -32,10 +32,12 @@ from greenhouse_gym.agents.planner_agent import PathFollower
 from greenhouse_gym.capture import PROTOCOLS, Recording, get_protocol, simulate_protocol
 from greenhouse_gym.capture.simulated import photograph
 from greenhouse_gym.cutting import BuildSettings, cut_scenes, stand_poses
+from greenhouse_gym.envs import PlantMotion, Randomization
 from greenhouse_gym.envs.tomato_reach import TomatoReachEnv
 from greenhouse_gym.geometry import Array, pose, rotation_about
 from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.planning import plan
+from greenhouse_gym.planning.unseen import UNSEEN_RULES
 from greenhouse_gym.plants import CULTIVARS, STYLES, PlantRow, grow_row
 from greenhouse_gym.reconstruction import RowCloud, add_looks, reconstruct_row
 from greenhouse_gym.scene import Scene
@@ -67,6 +69,7 @@ class Options:
         checks: Its budget of collision checks.
         primitives: Most shapes in a scene.
         per_scene: Most targets of a scene, drawn by the row's seed.
+        moved: Whether the true plants have moved since they were scanned, in each episode elsewhere.
         workdir: Where scenes and episodes are kept.
     """
 
@@ -78,6 +81,7 @@ class Options:
     checks: int = 20_000
     primitives: int = 600
     per_scene: int = 20
+    moved: bool = False
     workdir: Path = Path("capture_protocols")
 
 
@@ -90,7 +94,7 @@ def main() -> None:
         "--protocols", nargs="+", default=list(PROTOCOLS), metavar="NAME[:START]",
         help="names, each with what the arm starts from: start (upright, if left out) or folded",
     )  # fmt: skip
-    parser.add_argument("--unseen", nargs="+", default=["free"], metavar="MODE", help="free, avoid, forbid")
+    parser.add_argument("--unseen", nargs="+", default=["free"], metavar="RULE", help="free, avoid, forbid, or a depth")
     parser.add_argument("--length", type=float, default=2.0, help="of a row, metres")
     parser.add_argument("--spacing", type=float, default=0.5, help="between the stands of the arm, metres")
     parser.add_argument("--robot", default="ur5e")
@@ -98,12 +102,15 @@ def main() -> None:
     parser.add_argument("--checks", type=int, default=20_000, help="collision checks of a plan")
     parser.add_argument("--primitives", type=int, default=600, help="most shapes in a scene")
     parser.add_argument("--per-scene", type=int, default=20, help="most targets of a scene")
+    parser.add_argument("--moved", action="store_true", help="follow in plants that moved since they were scanned")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--workdir", type=Path, default=Path("capture_protocols"))
     parser.add_argument("--only-finished", action="store_true", help="measure nothing, tell what is there")
     parser.add_argument("--out", type=Path, help="JSON file for the figures")
     a = parser.parse_args()
-    options = Options(a.source, a.length, a.spacing, a.robot, a.planner, a.checks, a.primitives, a.per_scene, a.workdir)
+    options = Options(
+        a.source, a.length, a.spacing, a.robot, a.planner, a.checks, a.primitives, a.per_scene, a.moved, a.workdir
+    )
     tasks = [(row, *_named(name), unseen) for row, name, unseen in product(a.rows, a.protocols, a.unseen)]
     if a.only_finished:
         tasks = [task for task in tasks if _episodes_file(*task, options).exists()]
@@ -115,8 +122,8 @@ def main() -> None:
         command = (
             f"benchmarks/capture_protocols.py --source {a.source} --rows {','.join(map(str, a.rows))} "
             f"--protocols {' '.join(a.protocols)} --unseen {' '.join(a.unseen)} --length {a.length:g} "
-            f"--spacing {a.spacing:g} --primitives {a.primitives} --checks {a.checks} "
-            f"--per-scene {a.per_scene}{' --only-finished' * a.only_finished}"
+            f"--spacing {a.spacing:g} --primitives {a.primitives} --planner {a.planner} --checks {a.checks} "
+            f"--per-scene {a.per_scene}{' --moved' * a.moved}{' --only-finished' * a.only_finished}"
         )
         rows = sorted({task[0] for task in tasks})
         figures = {"command": command, "source": a.source, "rows_measured": rows, "figures": summaries(episodes)}
@@ -140,12 +147,21 @@ def measure(seed: int, protocol: str, start: str, unseen: str, options: Options)
         scenes = scenes_of(seed, protocol, options)
         ends = round(ENDS / options.spacing)
         scenes = scenes[ends : len(scenes) - ends]
-        env = gymnasium.make(ENV_IDS[0], bank="mini", robot=options.robot, physics="truth", capacity=_room(scenes))
         about = {"source": options.source, "row": seed, "protocol": protocol, "unseen": unseen, "start": start}
-        found = [about | one for scene in scenes for one in reach_all(scene, env, unseen, start, seed, options)]
-        env.close()
-        write_atomically(file, json.dumps(found))
+        found = reach_in(scenes, unseen, start, seed, options)
+        write_atomically(file, json.dumps([about | episode for episode in found]))
     return episodes_of(seed, protocol, start, unseen, options)
+
+
+def reach_in(scenes: Sequence[Scene], unseen: str, start: str, seed: int, options: Options) -> list[dict[str, Any]]:
+    """All episodes of some scenes."""
+    env = gymnasium.make(
+        ENV_IDS[0], bank="mini", robot=options.robot, physics="truth", capacity=_room(scenes),
+        randomization=Randomization(plants=PlantMotion() if options.moved else None),
+    )  # fmt: skip
+    found = [episode for scene in scenes for episode in reach_all(scene, env, unseen, start, seed, options)]
+    env.close()
+    return found
 
 
 def folder_of(seed: int, protocol: str, options: Options) -> Path:
@@ -155,7 +171,8 @@ def folder_of(seed: int, protocol: str, options: Options) -> Path:
 
 
 def _episodes_file(seed: int, protocol: str, start: str, unseen: str, options: Options) -> Path:
-    name = f"{options.robot}-{options.planner}-{options.checks}-{options.per_scene}-{start}-{unseen}.json"
+    moved = "-moved" * options.moved
+    name = f"{options.robot}-{options.planner}-{options.checks}-{options.per_scene}-{start}-{unseen}{moved}.json"
     return folder_of(seed, protocol, options) / name
 
 
@@ -253,11 +270,11 @@ def reach(
     assert isinstance(reaching, TomatoReachEnv)
     planned = plan(
         scene, target, options.robot, options.planner, time_limit=120.0, max_checks=options.checks, start=start,
-        unseen=unseen,
+        unseen=unseen if unseen in UNSEEN_RULES else float(unseen),
     )  # fmt: skip
     if planned.path is None:
         return {"status": planned.status, "outcome": "no plan"}
-    env.reset(seed=0, options={"scene": scene, "target": target, "start": start})
+    env.reset(seed=target, options={"scene": scene, "target": target, "start": start})
     problem = Problem(scene, target, reaching.robot, reaching.start)
     follower = PathFollower(planned.path, problem, proven=True)
     for _ in range(len(follower.commands) + 20):

@@ -13,17 +13,20 @@ AISLE, BEHIND = 0.50, 0.75
 
 Episode = dict[str, Any]
 
+_CELL = ("source", "protocol", "unseen", "start")
+
 
 def summaries(episodes: Sequence[Episode]) -> list[dict[str, Any]]:
-    """Figures of each protocol and mode, in the order in which they first occur."""
+    """Figures of each source of plants, protocol and mode, in the order in which they first occur."""
     groups: dict[tuple[str, ...], list[Episode]] = {}
     for episode in episodes:
-        groups.setdefault(tuple(episode[key] for key in ("protocol", "unseen", "start")), []).append(episode)
+        groups.setdefault(tuple(episode[key] for key in _CELL), []).append(episode)
     result = []
-    for (protocol, unseen, start), group in groups.items():
-        free = {_task(e) for e in groups.get((protocol, "free", start), []) if e["outcome"] != "no plan"}
+    for cell, group in groups.items():
+        source, protocol, _, start = cell
+        free = {_task(e) for e in groups.get((source, protocol, "free", start), []) if e["outcome"] != "no plan"}
         refused = sum(e["outcome"] == "no plan" and _task(e) in free for e in group)
-        result.append(_summary(protocol, unseen, start, refused, group))
+        result.append(dict(zip(_CELL, cell, strict=True)) | _summary(refused, group))
     return result
 
 
@@ -31,16 +34,13 @@ def _task(episode: Episode) -> tuple[Any, ...]:
     return episode["source"], episode["row"], episode["scene"], episode["target"]
 
 
-def _summary(protocol: str, unseen: str, start: str, refused: int, episodes: Sequence[Episode]) -> dict[str, Any]:
+def _summary(refused: int, episodes: Sequence[Episode]) -> dict[str, Any]:
     followed = [e for e in episodes if e["outcome"] != "no plan"]
     counts = Counter(e["outcome"] for e in followed)
     scenes = {(e["row"], e["scene"]): e["true_within_reach"] for e in episodes}
     seen = {(e["row"], e["scene"]): e["seen"] for e in episodes if e["seen"] is not None}
     planned_for = {(e["row"], e["scene"], e["match"]) for e in followed if e["match"] is not None}
     return {
-        "protocol": protocol,
-        "unseen": unseen,
-        "start": start,
         "rows": len({e["row"] for e in episodes}),
         "targets": len(episodes),
         "followed": len(followed),
@@ -83,14 +83,15 @@ def _part(episode: Episode) -> str:
 def table(rows: Sequence[dict[str, Any]]) -> str:
     """The figures as Markdown."""
     lines = [
-        "| protocol | unseen | start | followed | reached [95 %] | collided [95 %] | refused | planned "
+        "| plants | protocol | unseen | start | followed | reached [95 %] | collided [95 %] | refused | planned "
         "| of true fruit | seen | hit |",
-        "|---|---|---|---:|---:|---:|---:|---:|---:|---:|---|",
+        "|---|---|---|---|---:|---:|---:|---:|---:|---:|---:|---|",
     ]
     for row in rows:
         hit = ", ".join(f"{count} {what}" for what, count in row["hit"].items())
         lines.append(
-            f"| {row['protocol']} | {row['unseen']} | {row['start']} | {row['followed']} | {_text(row['reached'])} | "
+            f"| {row['source']} | {row['protocol']} | {row['unseen']} | {row['start']} | "
+            f"{row['followed']} | {_text(row['reached'])} | "
             f"{_text(row['collided'])} | {_text(row['refused'], False)} | "
             f"{_text(row['planned_share_of_targets'], False)} | {row['planned_share_of_true_tomatoes']:.0%} | "
             f"{'-' if row['seen_share_of_reach'] is None else format(row['seen_share_of_reach'], '.0%')} | {hit} |"
