@@ -7,11 +7,10 @@ lets each fruit's center, size and direction be refined.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
 
 from greenhouse_gym.geometry import Array, frame_along
@@ -21,6 +20,7 @@ from greenhouse_gym.shapes.surfaces import SurfaceCloud
 
 _FRAMES = [frame_along(axis) for axis in even_directions(26) if axis[2] > 0]  # whose axes are tried first
 _MOST_POINTS = 120  # a fit looks at
+_FEWEST_POINTS = 8  # with fewer it stays a ball
 _NOISE = 0.0015  # metres: points farther off count less
 _ALIGNED = 0.5  # least cosine between normals and the sphere's
 _WELL_SEEN = 0.22  # share of a sphere that must show to tell how long a fruit is
@@ -30,6 +30,8 @@ _LEAST = 0.06  # of it below which fruit is round
 _SAVED = 0.06  # share of the cost of round fruit that other fruit must save
 _TRIED = 12  # fruits that are asked
 _LEAN = 1.5  # standard deviation of an axis from the vertical, a tangent: fruit hangs more upright than not
+_ROUNDS = 12
+_STEP = 1e-5  # of the parameters, for slopes
 _SIZE = 0.15  # standard deviation of a width from the sphere's, a logarithm
 
 
@@ -71,7 +73,9 @@ def stretched(fits: Sequence[SphereFit], cloud: SurfaceCloud, settings: ShapeSet
     if len(seen) < _FEWEST_SEEN:
         return None
     asked = seen[:: max(1, len(seen) // _TRIED)]
-    costs = np.array([sum(_fit(fits[k], skins[k], stretch)[1] for k in asked) for stretch in _STRETCHES])
+    tried = np.repeat(_STRETCHES, len(asked))
+    each = _fit([fits[k] for k in asked] * len(_STRETCHES), [skins[k] for k in asked] * len(_STRETCHES), tried)[1]
+    costs = each.reshape(len(_STRETCHES), -1).sum(axis=1)
     best = int(np.argmin(costs))
     stretch = float(_STRETCHES[best])
     if 0 < best < len(costs) - 1:  # the vertex of the parabola through the three lowest
@@ -80,7 +84,7 @@ def stretched(fits: Sequence[SphereFit], cloud: SurfaceCloud, settings: ShapeSet
     round_cost = float(np.interp(0.0, _STRETCHES, costs))
     if abs(stretch) < _LEAST or costs[best] > (1 - _SAVED) * round_cost:
         return None
-    return [_fit(fit, skin, stretch)[0] for fit, skin in zip(fits, skins, strict=True)]
+    return _fit(fits, skins, np.full(len(fits), stretch))[0]
 
 
 def _skins(fits: Sequence[SphereFit], cloud: SurfaceCloud, settings: ShapeSettings) -> list[Array]:
@@ -102,40 +106,89 @@ def _skins(fits: Sequence[SphereFit], cloud: SurfaceCloud, settings: ShapeSettin
     return skins
 
 
-def _fit(fit: SphereFit, skin: Array, stretch: float) -> tuple[Spheroid, float]:
-    """The spheroid of one stretch with least robust distances from points (k, 3), and their cost."""
-    start = Spheroid(fit.center, fit.radius * np.exp(-stretch / 3), stretch, np.array([0.0, 0.0, 1.0]))
-    if len(skin) < 8:
-        return start, 0.0
-    weight = 0.3 * np.sqrt(len(skin))
-    fits = []
-    for frame in _FRAMES:
+class _Seen(NamedTuple):
+    """Spheres (k,) to be refined as spheroids, and the skin of each.
 
-        def spheroid(x: Array, frame: Array = frame) -> Spheroid:
-            axis = frame @ [x[4], x[5], 1.0]
-            return Spheroid(
-                fit.center + 0.01 * x[:3], start.width * float(np.exp(x[3])), stretch, axis / np.linalg.norm(axis)
-            )
+    Attributes:
+        centers: (k, 3) metres.
+        widths: (k,) at first, metres.
+        stretches: (k,) that are held.
+        points: (k, n, 3) metres, filled up where a skin has fewer.
+        real: (k, n) 1 for points, 0 for what only fills up.
+        frames: (k, 3, 3) whose last column is the axis at first.
+    """
 
-        def cost(x: Array, spheroid: Callable[[Array], Spheroid] = spheroid) -> Array:
-            one = spheroid(x)
-            off = _distances(one, skin) / _NOISE
-            off /= np.sqrt(1 + off**2 / 8)  # what is far off counts little more than what is not near
-            lean = np.hypot(*one.axis[:2]) / max(abs(one.axis[2]), 0.2)
-            return np.append(off, weight * np.array([lean / _LEAN, x[3] / _SIZE]))
+    centers: Array
+    widths: Array
+    stretches: Array
+    points: Array
+    real: Array
+    frames: Array
 
-        fits.append((float((cost(np.zeros(6)) ** 2).sum()), spheroid, cost))
-    _, spheroid, cost = min(fits, key=lambda f: f[0])
-    found = least_squares(cost, np.zeros(6), max_nfev=15)
-    return spheroid(found.x), 2 * float(found.cost)
+    def axes(self, x: Array) -> Array:
+        """(k, 3) along the spheroids at parameters (k, 6): moved by centimetres, log of the width, two tilts."""
+        axes = (self.frames @ np.column_stack([x[:, 4:], np.ones(len(x))])[:, :, None])[:, :, 0]
+        return np.asarray(axes / np.linalg.norm(axes, axis=1, keepdims=True))
+
+    def residuals(self, x: Array) -> Array:
+        """(k, n + 2): robust distances of the points, then how far it leans and has grown, at parameters (k, 6)."""
+        axes = self.axes(x)
+        width = (self.widths * np.exp(x[:, 3]))[:, None]
+        off = _distances(self.points - (self.centers + 0.01 * x[:, :3])[:, None], axes, width, self.stretches) / _NOISE
+        off *= self.real / np.sqrt(1 + off**2 / 8)  # what is far off counts little more than what is not near
+        lean = np.hypot(axes[:, 0], axes[:, 1]) / np.maximum(np.abs(axes[:, 2]), 0.2)
+        weight = 0.3 * np.sqrt(self.real.sum(axis=1))
+        return np.column_stack([off, weight * lean / _LEAN, weight * x[:, 3] / _SIZE])
 
 
-def _distances(spheroid: Spheroid, points: Array) -> Array:
-    """Signed distances (n,) of points (n, 3) from a spheroid, to first order."""
-    local = points - spheroid.center
-    along = local @ spheroid.axis
-    across = np.sqrt(np.maximum((local * local).sum(axis=1) - along**2, 1e-12))
-    long = spheroid.width * np.exp(spheroid.stretch)
-    level = np.sqrt((across / spheroid.width) ** 2 + (along / long) ** 2)
-    slope = np.sqrt((across / spheroid.width**2) ** 2 + (along / long**2) ** 2) / np.maximum(level, 1e-6)
+def _fit(fits: Sequence[SphereFit], skins: Sequence[Array], stretches: Array) -> tuple[list[Spheroid], Array]:
+    """The spheroids of given stretches (k,) with least robust distances from their skins, and their costs (k,).
+
+    All are refined at once by the method of Levenberg and Marquardt.
+    """
+    many = max((len(skin) for skin in skins), default=0)
+    points, real = np.zeros((len(fits), max(many, 1), 3)), np.zeros((len(fits), max(many, 1)))
+    for k, skin in enumerate(skins):
+        if len(skin) >= _FEWEST_POINTS:
+            points[k, : len(skin)], real[k, : len(skin)] = skin, 1.0
+    centers, radii = np.array([f.center for f in fits]).reshape(-1, 3), np.array([f.radius for f in fits])
+    points[real == 0] = np.repeat(centers, (real == 0).sum(axis=1), axis=0)
+    seen = _Seen(
+        centers, radii * np.exp(-stretches / 3), stretches, points, real, np.tile(_FRAMES[0], (len(fits), 1, 1))
+    )
+    x = np.zeros((len(fits), 6))
+    tried = [
+        (seen._replace(frames=np.tile(frame, (len(fits), 1, 1))).residuals(x) ** 2).sum(axis=1) for frame in _FRAMES
+    ]
+    seen = seen._replace(frames=np.array(_FRAMES)[np.argmin(tried, axis=0)])
+    residuals = seen.residuals(x)
+    damping = np.full(len(fits), 1e-3)
+    for _ in range(_ROUNDS):
+        slopes = np.stack([(seen.residuals(x + step) - residuals) / _STEP for step in _STEP * np.eye(6)], axis=2)
+        normal = slopes.transpose(0, 2, 1) @ slopes
+        held = damping[:, None, None] * normal * np.eye(6) + 1e-6 * np.eye(6)
+        moved = x - np.linalg.solve(normal + held, slopes.transpose(0, 2, 1) @ residuals[:, :, None])[:, :, 0]
+        after = seen.residuals(moved)
+        better = (after**2).sum(axis=1) < (residuals**2).sum(axis=1)
+        x, residuals = np.where(better[:, None], moved, x), np.where(better[:, None], after, residuals)
+        damping = np.where(better, damping / 5, 5 * damping)
+    widths = seen.widths * np.exp(x[:, 3])
+    spheroids = map(Spheroid, centers + 0.01 * x[:, :3], widths.tolist(), stretches.tolist(), seen.axes(x))
+    return list(spheroids), np.asarray((residuals**2).sum(axis=1))
+
+
+def _distances(points: Array, axes: Array, widths: Array, stretches: Array) -> Array:
+    """Signed distances (k, n) of points (k, n, 3) from spheroids around the origin, to first order.
+
+    Args:
+        points: (k, n, 3) metres.
+        axes: (k, 3) unit vectors.
+        widths: (k, 1) radii across the axes, metres.
+        stretches: (k,) logs of the radii along the axes over the widths.
+    """
+    along = (points @ axes[:, :, None])[:, :, 0]
+    across = np.sqrt(np.maximum((points * points).sum(axis=2) - along**2, 1e-12))
+    long = widths * np.exp(stretches)[:, None]
+    level = np.sqrt((across / widths) ** 2 + (along / long) ** 2)
+    slope = np.sqrt((across / widths**2) ** 2 + (along / long**2) ** 2) / np.maximum(level, 1e-6)
     return np.asarray((level - 1) / np.maximum(slope, 1e-6))
