@@ -19,8 +19,8 @@ IN_ROW = np.array([
 """Weights of `candidates.MEASURES` and `candidates.COMPANY` for spheres of the first look, and the offset."""
 
 BESIDE = np.array([
-    7.782, 4.114, 0.2212, -1.816, 0.691, -0.5166, -1.089, -0.4197, -0.9973, -1.024, 0.177, 0.3515, 3.279,
-    1.353, -0.5578, 1.682, 0.3494, -0.5944, -1.618, -1.597, 0.9597, -0.3228, -0.4708, -2.969,
+    8.507, 8.044, 0.1609, -2.289, 2.605, -0.5358, -1.057, -0.4775, -0.6429, -0.5045, 0.3081, 0.3803, 3.79,
+    0.6909, -0.773, 0.02517, -0.4492, -1.034, -1.841, -6.552, 0.5026, -0.5502, -0.6841, -1.945,
 ])  # fmt: skip
 """Likewise for spheres of the second look, beside others that are sure."""
 

@@ -82,8 +82,7 @@ def extract_shapes(
     pipes = find_pipes(cloud.select(could_be_pipe(cloud, settings)), settings)
     cloud = _without(cloud, pipes, settings.shell)
     tomatoes, confidence = find_tomatoes(cloud, settings)
-    green = cloud.select(could_be_peduncle(cloud, settings))
-    green = green.select(stands_out(green.points, green.normals, tomatoes, settings))
+    surface = cloud
     skin = cloud.points[nearest_shapes(cloud.points, tomatoes, settings.skin_noise).owner >= 0]
     cloud = _without(cloud, tomatoes, settings.shell)
     colorful = is_colorful(cloud.colors, settings)
@@ -96,6 +95,10 @@ def extract_shapes(
     main = [stem for stem in upright if stem.kind == "main"]
     if not main:
         _say_if_not_upright(woody, settings, notes)
+    on_main = nearest_shapes(woody.points, main, settings.shell).owner >= 0
+    stem_tone = float(np.median(woody.tones[on_main])) if on_main.any() else cloud.leaf
+    green = surface.select(could_be_peduncle(surface, stem_tone, settings))
+    green = green.select(stands_out(green.points, green.normals, tomatoes, settings))
     green = _without(green, main, settings.stem_margin)
     hanging = find_peduncles(green.points, green.normals, tomatoes, main, settings)
     stems = (*upright, *hanging, *pipes)

@@ -246,8 +246,16 @@ def test_a_stem_on_the_skin_stands_out() -> None:
 
 def test_ripe_skin_is_no_peduncle_and_gray_may_be() -> None:
     colors = np.array([RIPENESS_COLORS[-1], [0.45, 0.6, 0.3]])
-    np.testing.assert_array_equal(could_be_peduncle(as_surface(colors), SETTINGS), [False, True])
-    assert could_be_peduncle(as_surface(np.full((4, 3), 0.5)), SETTINGS).all()
+    np.testing.assert_array_equal(could_be_peduncle(as_surface(colors), NO_LEAF, SETTINGS), [False, True])
+    assert could_be_peduncle(as_surface(np.full((4, 3), 0.5)), NO_LEAF, SETTINGS).all()
+
+
+def test_what_is_as_thin_as_a_peduncle_but_has_the_color_of_leaves_is_an_edge_of_one() -> None:
+    leaf, stem = np.array([0.40, 0.62, 0.30]), np.array([0.45, 0.61, 0.30])
+    tones = redness(np.array([leaf, stem])).tolist()
+    edges = as_surface(np.array([leaf, stem]), bends=(0.0, 60.0), leaf=tones[0])
+    np.testing.assert_array_equal(could_be_peduncle(edges, tones[1], SETTINGS), [False, True])
+    assert could_be_peduncle(edges, tones[0], SETTINGS).all()  # nothing tells stems from leaves
 
 
 @pytest.mark.parametrize("tolerance", [0.001, 0.01])
