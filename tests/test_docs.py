@@ -138,9 +138,10 @@ def test_links_lead_to_files() -> None:
     assert dead == []
 
 
-def test_every_page_is_in_the_sites_navigation() -> None:
-    listed = set(re.findall(r"[\w/-]+\.md", (ROOT / "mkdocs.yml").read_text()))
-    assert listed == {page.relative_to(ROOT / "docs").as_posix() for page in (ROOT / "docs").rglob("*.md")}
+def test_the_sites_navigation_leads_to_pages() -> None:
+    """The site's builder tells of pages that it does not lead to."""
+    listed = re.findall(r"[\w/-]+\.md", (ROOT / "mkdocs.yml").read_text())
+    assert [page for page in listed if not (ROOT / "docs" / page).is_file()] == []
 
 
 def test_scenes_named_in_the_docs_exist() -> None:

@@ -3,6 +3,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import tarfile
 import zipfile
 from pathlib import Path
 
@@ -23,7 +24,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def unpacked(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("site")
+    folder = tmp_path_factory.mktemp("site") / "Grünes Haus π"
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(folder)
     return folder
@@ -31,7 +32,7 @@ def unpacked(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def run(code: str, unpacked: Path, cwd: Path) -> str:
     """Run code that finds the package in the unpacked wheel only, from a folder that has nothing to do with it."""
-    environment = {**os.environ, "PYTHONPATH": str(unpacked)}
+    environment = {**os.environ, "PYTHONPATH": str(unpacked), "PYTHONDONTWRITEBYTECODE": "1"}
     command = [sys.executable, "-c", code]
     done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, env=environment, check=False)
     assert done.returncode == 0, done.stderr
@@ -77,6 +78,58 @@ def test_an_installed_package_uses_its_own_data(unpacked: Path, tmp_path: Path) 
     assert Path(module).is_relative_to(unpacked)
     assert Path(bank) == (unpacked / "greenhouse_gym" / "_scenes" / "mini").resolve()
     assert int(count) == 4
+
+
+def test_an_installed_package_plans_and_writes_nothing_beside_itself(unpacked: Path, tmp_path: Path) -> None:
+    """It may lie in a folder that cannot be written; this one has spaces and other letters in its path."""
+    code = (
+        "from greenhouse_gym.planning import plan\n"
+        "from greenhouse_gym.robots import get_robot, load_robot\n"
+        "from greenhouse_gym.scene import SceneBank\n"
+        "scene = SceneBank.open('mini')[0]\n"
+        "arm = load_robot(get_robot('ur5e').path)\n"
+        "print(plan(scene, 0, robot=arm, planner='RRTConnect', max_checks=20_000, goals=10).status)\n"
+        "scene.save('Szene é.json')\n"
+    )
+    before = sorted(unpacked.rglob("*"))
+    assert run(code, unpacked, tmp_path).strip() == "solved"
+    assert (tmp_path / "Szene é.json").is_file()
+    assert sorted(unpacked.rglob("*")) == before
+
+
+def test_the_source_distribution_is_whole(tmp_path: Path) -> None:
+    """Data, licence, tests and documentation, and no more than a mail would carry."""
+    command = [sys.executable, "-m", "build", "--sdist", "--no-isolation", "--outdir", str(tmp_path), str(ROOT)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    (built,) = tmp_path.glob("*.tar.gz")
+    assert built.stat().st_size < 30e6
+    with tarfile.open(built) as archive:
+        held = {name.partition("/")[2] for name in archive.getnames()}
+    wanted = {"LICENSE", "README.md", "CITATION.cff", "Makefile", "constraints.txt", "docs/index.md"}
+    wanted |= {"scenes/default/manifest.json", "training/policies/ppo-ur5e.safetensors", "tests/test_package.py"}
+    assert wanted <= held
+    assert not [name for name in held if name.startswith((".venv", "site/", "demo/", "runs/"))]
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_the_wheel_installs_into_a_fresh_environment(wheel: Path, tmp_path: Path) -> None:
+    """By the package index that pip is set up with, into a folder with spaces and other letters in its path."""
+    home = tmp_path / "Grünes Haus π"
+    subprocess.run([sys.executable, "-m", "venv", home], check=True)
+    python = home / "bin" / "python"
+    constraints = ["--constraint", str(ROOT / "constraints.txt")]
+    subprocess.run([python, "-m", "pip", "install", "--quiet", *constraints, wheel], check=True)
+    program = home / "bin" / "greenhouse-gym"
+    code = "from greenhouse_gym.cli import main; main()"  # the program's first line would hold the path, with its space
+    assert program.is_file()
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
+    for arguments in (["doctor"], ["compare", "random", "still", "--bank", "mini", "--episodes", "2"]):
+        done = subprocess.run(
+            [python, "-c", code, *arguments], capture_output=True, text=True, cwd=tmp_path, env=environment, check=False
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
 
 
 def test_the_banks_scenes_are_whole() -> None:
