@@ -10,6 +10,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from greenhouse_gym.envs.window import WINDOW, SceneWindow
 from greenhouse_gym.errors import InvalidValueError, require_choice
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
@@ -25,7 +26,7 @@ DifficultyChoice: TypeAlias = str | Iterable[str] | Mapping[str, float]
 """One difficulty, several, or a weight for each."""
 
 _DRAWS = 64
-_KEPT = 1000
+_KEPT = 300
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +48,8 @@ class Episode:
 
 class EpisodeSampler:
     """Draws episodes from one split of a bank: a scene, then one of its targets of the wanted difficulties.
+
+    Of a large bank few scenes are drawn from at a time; see `greenhouse_gym.envs.window`.
 
     An arm that a scene has no ratings for gets the targets that are rated for other arms, as `UNRATED` ones.
 
@@ -70,12 +73,22 @@ class EpisodeSampler:
             raise InvalidValueError(
                 f"bank {self.bank.path} has no scene in split {split!r}; choices: {', '.join(filled) or '(none)'}"
             )
+        self._window = SceneWindow(self._names)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> EpisodeSampler:
         """A sampler whose difficulties are its own; the bank is shared."""
         twin = copy.copy(self)
-        twin._kept = {}
+        twin._kept, twin._window = {}, copy.copy(self._window)
         return twin
+
+    @property
+    def at_a_time(self) -> int | None:
+        """How many scenes of a large bank are drawn from at a time; None where all are."""
+        return None if self._window.whole else WINDOW
+
+    def restart(self, seed: int) -> None:
+        """Draw the scenes of a large bank in the order of a seed from now on; of others nothing changes."""
+        self._window.restart(seed)
 
     def set_difficulty(self, difficulty: DifficultyChoice) -> None:
         """Draw targets of these difficulties from the next episode on.
@@ -126,7 +139,7 @@ class EpisodeSampler:
     def _draw_scene(self, random: np.random.Generator, names: tuple[str, ...]) -> tuple[Scene, list[Target]]:
         # Drawing again when a scene has no fitting target keeps scenes equally likely without reading them all.
         for _ in range(_DRAWS):
-            scene = self.bank.scene(self._names[int(random.integers(len(self._names)))])
+            scene = self.bank.scene(self._window.draw(random))
             if fitting := self._fitting(scene, names):
                 return scene, fitting
         scenes = [scene for scene in map(self.bank.scene, self._names) if self._fitting(scene, names)]

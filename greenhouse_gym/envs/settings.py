@@ -34,7 +34,8 @@ class EnvSettings:
     """What an environment is made of; every field is also a keyword of ``gymnasium.make`` and ``make_vec``.
 
     Attributes:
-        bank: Name of a shipped bank, folder of one, or a `SceneBank`.
+        bank: Name of a shipped bank, folder of one, or a `SceneBank`. Of a split of more than 300 scenes few are drawn
+            from at a time (`greenhouse_gym.envs.window`), in an order that the seed of a reset begins anew.
         split: "train", "validation" or "test".
         robot: Name of a shipped arm ("ur5e", "iiwa14"), an MJCF file, or a `Robot` of `load_robot`.
         observation: "state", "goal", "depth", "points", "rgb", "rgbd", settings of the last four, or your own

@@ -165,7 +165,7 @@ class ReachSimulation:
 
     def _world(self, scene: Scene, moved: int | None) -> World:
         """The world of an episode; ``moved`` is the seed of how the plants moved, or None."""
-        world, motion = self.worlds.world(scene), self.randomization.plants
+        world, motion = self.worlds.world(scene, self.sampler.at_a_time), self.randomization.plants
         return world if motion is None or moved is None else self.worlds.moved(world, motion, moved)
 
     def _begin(self, i: int, episode: Episode, world: World, disturbance: Disturbance) -> None:

@@ -214,6 +214,8 @@ class TomatoReachEnv(gymnasium.Env[Observed, npt.NDArray[np.float32]]):
     ) -> tuple[Observed, dict[str, Any]]:
         """Begin an episode; the class docstring lists the options."""
         super().reset(seed=seed)
+        if seed is not None:
+            self.simulation.sampler.restart(seed)
         self.simulation.reset(_ONLY, [self.np_random], [options])
         self._over = False
         self._tip_trace = [self._tip()] if self._viewer else []

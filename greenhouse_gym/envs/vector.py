@@ -208,9 +208,11 @@ class TomatoReachVectorEnv(VectorEnv[Observed, npt.NDArray[np.float32], npt.NDAr
             seeds = list(seed)
         if len(seeds) != self.num_envs:
             raise InvalidValueError(f"expected {self.num_envs} seeds, got {len(seeds)}")
-        for i in chosen:
-            if seeds[i] is not None:
-                self._random[i], _ = seeding.np_random(seeds[i])
+        given = {int(i): seed for i in chosen if (seed := seeds[i]) is not None}
+        for i, own in given.items():
+            self._random[i], _ = seeding.np_random(own)
+        if given:
+            self.simulation.sampler.restart(next(iter(given.values())))
 
 
 def _mode(mode: AutoresetMode | str) -> AutoresetMode:

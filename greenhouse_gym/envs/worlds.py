@@ -12,6 +12,7 @@ import numpy as np
 
 from greenhouse_gym.envs.reach_task import SUBSTEPS
 from greenhouse_gym.envs.stepping import drive_and_record
+from greenhouse_gym.envs.window import LARGEST_WHOLE
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, invert, pose, rotation_about, transform
 from greenhouse_gym.robots import Robot
@@ -22,7 +23,7 @@ from greenhouse_gym.scene.plant_motion import PlantMotion, moved_plants
 
 _ROUND = 100
 
-KEPT = 300
+KEPT = LARGEST_WHOLE
 """Worlds of one kind that are kept ready; each takes about 3 MB."""
 
 KINDS_KEPT = 8
@@ -102,7 +103,8 @@ class World:
 class Worlds:
     """The worlds of one robot and kind of physics in this process, each scene compiled once while it is in use.
 
-    The last `KEPT` worlds are kept; older ones live on only as long as a simulation runs in them.
+    The last `KEPT` worlds are kept, or as many as are asked for; older ones live on only as long as a simulation runs
+    in them.
 
     Args:
         robot: The arm.
@@ -122,8 +124,12 @@ class Worlds:
         self._alive: weakref.WeakValueDictionary[int, World] = weakref.WeakValueDictionary()
         self._kept: OrderedDict[int, World] = OrderedDict()
 
-    def world(self, scene: Scene) -> World:
+    def world(self, scene: Scene, keep: int | None = None) -> World:
         """The world of a scene.
+
+        Args:
+            scene: The scene.
+            keep: Worlds that are to be kept, those asked for last; `KEPT` by default.
 
         Raises:
             InvalidValueError: The scene has more obstacles than fit, or no truth where the physics are to run on it.
@@ -135,7 +141,7 @@ class Worlds:
             weakref.finalize(world, self.fields.remove, world.field)
         self._kept[key] = world
         self._kept.move_to_end(key)
-        if len(self._kept) > KEPT:
+        while len(self._kept) > (KEPT if keep is None else keep):
             self._kept.popitem(last=False)
         return world
 

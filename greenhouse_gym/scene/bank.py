@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Literal, get_args, overload
+from typing import Any, Literal, get_args, overload
 
 from pydantic import Field, ValidationError, model_validator
 
@@ -21,6 +22,9 @@ Choice = str | int | Iterable[str | int] | None
 
 SPLITS: tuple[str, ...] = get_args(Split)
 MANIFEST = "manifest.json"
+
+SCENES_KEPT = 300
+"""Scenes of a bank that are kept in memory, those asked for last; each takes about 0.2 MB."""
 
 
 class Entry(Part):
@@ -76,7 +80,7 @@ class Manifest(Part):
 
 
 class SceneBank(Sequence[Scene]):
-    """A sequence of scenes that are read when they are asked for and kept.
+    """A sequence of scenes that are read when they are asked for; those asked for last are kept.
 
     Attributes:
         path: The bank's folder; of joined banks, that of the first.
@@ -88,7 +92,7 @@ class SceneBank(Sequence[Scene]):
         self.manifest = manifest
         self._homes = homes or {}  # of a part or a union of banks: where each scene is read
         self._entries = {entry.name: entry for entry in manifest.scenes}
-        self._scenes: dict[str, Scene] = {}
+        self._scenes: OrderedDict[str, Scene] = OrderedDict()
 
     @classmethod
     def open(cls, bank: str | Path | SceneBank = "default") -> SceneBank:
@@ -186,8 +190,9 @@ class SceneBank(Sequence[Scene]):
         kinds = {kind: set() if value is None else {str(value)} for kind, value in told.items()}
         return kinds | {"difficulty": {str(name) for name, count in self.difficulties(entry.name).items() if count}}
 
-    def __reduce__(self) -> tuple[Callable[[Path], SceneBank], tuple[Path]]:
-        return SceneBank.open, (self.path,)  # a bank travels as its folder
+    def __reduce__(self) -> tuple[Callable[..., SceneBank], tuple[Any, ...]]:
+        # a bank travels as its folder, a part or a union of banks as its entries and the folders of those
+        return (SceneBank, (self.path, self.manifest, self._homes)) if self._homes else (SceneBank.open, (self.path,))
 
     @property
     def sha256(self) -> str:
@@ -225,6 +230,9 @@ class SceneBank(Sequence[Scene]):
             if hashlib.sha256(content).hexdigest() != entry.sha256:
                 raise FileFormatError(path, f"checksum differs from the one in {self.path / MANIFEST}")
             self._scenes[name] = scene
+            if len(self._scenes) > SCENES_KEPT:
+                self._scenes.popitem(last=False)
+        self._scenes.move_to_end(name)
         return self._scenes[name]
 
     def _entry(self, name: str) -> Entry:
