@@ -7,6 +7,7 @@ strange number somewhere else.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from inspect import signature
 from typing import Any
 
@@ -31,6 +32,7 @@ from greenhouse_gym.robots import Robot
 
 OBSERVATIONS: Mapping[str, Callable[[Robot], Sight]] = {
     "state": StateObservation,
+    "state_seen": partial(StateObservation, unseen=True),
     "goal": GoalObservation,
     "depth": DepthObservation(),
     "points": PointsObservation(),
@@ -95,7 +97,9 @@ class _Checked(Sight):
             if not isinstance(box, spaces.Box):
                 raise InvalidValueError(f"{self._name}{_at(key)}: its space must be made of boxes, got {box}")
         self._boxes = boxes
-        for name in ("layout", "cameras", "sees_arm", "sees_color", "target_is_obstacle", "has_goals"):
+        for name in (
+            "layout", "cameras", "sees_arm", "sees_color", "asks_what_was_seen", "target_is_obstacle", "has_goals",
+        ):  # fmt: skip
             setattr(self, name, getattr(own, name, getattr(Sight, name)))
         goals = ("achieved_goal", "desired_goal")
         if self.has_goals and not all(key in boxes and boxes[key].shape == (3,) for key in goals):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -58,12 +58,21 @@ class EpisodeSampler:
         split: One of "train", "validation", "test".
         robot: The arm.
         difficulty: One difficulty, several, or weights: the difficulty is drawn by weight then, before the scene.
+        start: Where the arm starts, as the reset's option; its own start when left out.
     """
 
-    def __init__(self, bank: str | Path | SceneBank, split: str, robot: Robot, difficulty: DifficultyChoice):
+    def __init__(
+        self,
+        bank: str | Path | SceneBank,
+        split: str,
+        robot: Robot,
+        difficulty: DifficultyChoice,
+        start: str | Sequence[float] | None = None,
+    ):
         self.bank = SceneBank.open(bank)
         self.split = require_choice("split", split, SPLITS)
         self.robot = robot
+        self._usual_start = self._start(start)
         # kept with its scene, so that the scene's identity stays its own
         self._kept: dict[tuple[int, tuple[str, ...]], tuple[Scene, list[Target]]] = {}
         self.set_difficulty(difficulty)
@@ -117,7 +126,7 @@ class EpisodeSampler:
         for key in options:
             require_choice("reset option", key, OPTIONS)
         wanted = self._wanted if options.get("difficulty") is None else parse_difficulty(options["difficulty"])
-        start = self._start(options.get("start"))
+        start = self._usual_start if options.get("start") is None else self._start(options["start"])
         scene, tomato = options.get("scene"), options.get("target")
         if scene is None and tomato is not None:
             raise InvalidValueError("the reset option 'target' needs the option 'scene'")

@@ -60,6 +60,7 @@ class Sight(ABC):
         cameras: What takes images for it; all of one size.
         sees_arm: Whether the arm is in the depth images.
         sees_color: Whether there are color images, too.
+        asks_what_was_seen: Whether it tells which places the scan saw; all scenes must then say so.
         target_is_obstacle: Whether the clearances count the target too.
         has_goals: Whether it is a goal environment's.
     """
@@ -69,6 +70,7 @@ class Sight(ABC):
     cameras: tuple[DepthCamera, ...] = ()
     sees_arm: bool = False
     sees_color: bool = False
+    asks_what_was_seen: bool = False
     target_is_obstacle: bool = False
     has_goals: bool = False
 
@@ -97,6 +99,7 @@ _GROUPS: dict[str, tuple[Callable[[Situation], npt.NDArray[Any]], Callable[[Robo
         lambda s: s.obstacle.reshape(len(s.obstacle), -1),
         lambda r: _around(1.0, 3 * len(r.probes)),
     ),
+    "unseen": (lambda s: ~s.seen, lambda r: (np.zeros(len(r.probes)), np.ones(len(r.probes)))),
 }
 
 
@@ -132,17 +135,23 @@ class Vector:
         return result
 
 
-class StateObservation(Sight):
-    """Joints, target and clearances as one vector; `TomatoReachEnv` documents every index."""
+_STATE = (
+    "joint_position", "joint_velocity", "command_error", "grasp_offset", "target_position", "clearance",
+    "obstacle_direction",
+)  # fmt: skip
 
-    def __init__(self, robot: Robot):
-        self._vector = Vector(
-            robot,
-            (
-                "joint_position", "joint_velocity", "command_error", "grasp_offset", "target_position", "clearance",
-                "obstacle_direction",
-            ),
-        )  # fmt: skip
+
+class StateObservation(Sight):
+    """Joints, target and clearances as one vector; `TomatoReachEnv` documents every index.
+
+    Args:
+        robot: The arm.
+        unseen: Whether it ends with a 1 for every probe point at a place that the scan did not see, and a 0 for others.
+    """
+
+    def __init__(self, robot: Robot, unseen: bool = False):
+        self._vector = Vector(robot, (*_STATE, "unseen") if unseen else _STATE)
+        self.asks_what_was_seen = unseen
         self.space = self._vector.space
         self.layout = self._vector.layout
 

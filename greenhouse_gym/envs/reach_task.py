@@ -77,6 +77,7 @@ class Situation(NamedTuple):
         obstacle: (n, k, 3) unit vectors from the probe points towards that obstacle, zero where it is far.
         touched: (n,) whether anything was touched in any substep since the last situation.
         success: (n,) whether the grasp point is at the target and nothing was touched.
+        seen: (n, k) whether the scan saw the places of the probe points; k is 0 unless the observation asks for it.
         depth: (n, c, h, w) depth along the view, metres, of c cameras; 0 where there is no reading; c is 0 without any.
         color: (n, c, h, w, 3) what the cameras see, 0 to 255; c is 0 unless the observation asks for it.
         views: (n, c, 4, 4) poses of the cameras, base_from_camera.
@@ -94,6 +95,7 @@ class Situation(NamedTuple):
     obstacle: Float32
     touched: Bools
     success: Bools
+    seen: Bools
     depth: Float32
     color: Bytes
     views: Array

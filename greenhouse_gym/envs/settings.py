@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -38,8 +38,8 @@ class EnvSettings:
             from at a time (`greenhouse_gym.envs.window`), in an order that the seed of a reset begins anew.
         split: "train", "validation" or "test".
         robot: Name of a shipped arm ("ur5e", "iiwa14"), an MJCF file, or a `Robot` of `load_robot`.
-        observation: "state", "goal", "depth", "points", "rgb", "rgbd", settings of the last four, or your own
-            `Observation`.
+        observation: "state", "state_seen", "goal", "depth", "points", "rgb", "rgbd", settings of the last four, or your
+            own `Observation`.
         action: "joint", "joint_velocity", "tip_velocity", or your own `ActionRule`.
         reward: "dense", "sparse", a `DenseReward` or `SparseReward` with other figures, or your own function from a
             `Transition` to terms.
@@ -52,6 +52,8 @@ class EnvSettings:
         capacity: Obstacles a scene may have; 300, or as many as a truth of the bank needs, when left out.
         success_radius: How near the grasp point must come to the target's center, metres.
         step_limit: Steps after which an episode is truncated.
+        start: Where the arm starts: the name of one of the arm's starts, such as "folded", or a joint angle for each
+            joint, radians; upright, as the arm has it, when left out. A reset may choose another.
         rate: Actions per second, such that 10 ms are a whole part of the time from one to the next: 100, 50, 25, 20,
             10 and so on. Joint actions ask for the same speed at every rate.
     """
@@ -69,6 +71,7 @@ class EnvSettings:
     success_radius: float = SUCCESS_RADIUS
     step_limit: int = STEP_LIMIT
     rate: float = RATE
+    start: str | Sequence[float] | None = None
 
     def __post_init__(self) -> None:
         _check_kind("bank", self.bank, (str, Path, SceneBank), "a bank's name, folder or SceneBank")
@@ -82,6 +85,8 @@ class EnvSettings:
         check_whole("step_limit", self.step_limit, 1)
         if not _is_number(self.success_radius) or not 0 < self.success_radius <= 1:
             raise InvalidValueError(f"success_radius must be metres above 0 up to 1, got {self.success_radius!r}")
+        if self.start is not None and not isinstance(self.start, str):
+            object.__setattr__(self, "start", _numbers("start", self.start))
         if not _is_number(self.rate) or not 0.1 <= self.rate <= 1 / TIMESTEP or not _divides(self.rate):
             raise InvalidValueError(
                 f"rate must be {1 / TIMESTEP:g} actions per second over a whole number (100, 50, 25, 20, 10, ...), got "
@@ -130,6 +135,13 @@ def check_whole(name: str, value: Any, lowest: int, highest: int | None = None) 
 def _check_kind(name: str, value: Any, kinds: type | tuple[type, ...], expected: str) -> None:
     if not isinstance(value, kinds):
         raise InvalidValueError(f"{name} must be {expected}, got {value!r}")
+
+
+def _numbers(name: str, value: Any) -> tuple[float, ...]:
+    try:
+        return tuple(float(number) for number in value)
+    except (TypeError, ValueError) as error:
+        raise InvalidValueError(f"{name} must be a name or numbers, got {value!r}") from error
 
 
 def _is_number(value: Any) -> bool:

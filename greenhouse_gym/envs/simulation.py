@@ -28,6 +28,7 @@ from greenhouse_gym.parallel import usable_cores
 from greenhouse_gym.robots import ROBOTS, get_robot
 from greenhouse_gym.scene import CompiledScene, Scene
 from greenhouse_gym.scene.field import NO_TOMATO
+from greenhouse_gym.scene.seen import required
 
 STEP_INFOS = ("previous_goal", "effort")
 """Keys of the info that a step has and a reset has not, beside the reward's terms."""
@@ -72,7 +73,7 @@ class ReachSimulation:
     def __init__(self, count: int, settings: EnvSettings, threads: int = 0):
         self.settings = settings
         self.robot = robot = get_robot(settings.robot)
-        self.sampler = EpisodeSampler(settings.bank, settings.split, robot, settings.difficulty)
+        self.sampler = EpisodeSampler(settings.bank, settings.split, robot, settings.difficulty, settings.start)
         self.observe = make_observation(settings.observation, robot)
         self._pace = pace_of(settings.rate)
         self.action_rule = make_action(settings.action, robot, self._pace.interval)
@@ -142,6 +143,9 @@ class ReachSimulation:
             options: Options of the reset for each of the n simulations.
         """
         episodes = [self.sampler.draw(random[i], options[i]) for i in ids]
+        if self.observe.asks_what_was_seen:
+            for episode in episodes:
+                required(episode.scene.seen, episode.scene.name, "the observation", 'observe the "state" alone')
         disturbances = [draw_disturbance(self.randomization, len(self.robot.joints), random[i]) for i in ids]
         worlds = [
             self._world(episode.scene, disturbance.plants)
@@ -337,10 +341,23 @@ class ReachSimulation:
             obstacle=direction,
             touched=touched,
             success=(away < self.settings.success_radius) & ~touched,
+            seen=self._seen_at(ids, sites[:, 1:]),
             depth=pictures.depth,
             color=pictures.color,
             views=pictures.views,
         )
+
+    def _seen_at(self, ids: Ids | slice, probes: Array) -> Bools:
+        """Whether the scan saw the places (n, k, 3) of the probe points, where the observation asks for it."""
+        if not self.observe.asks_what_was_seen:
+            return np.empty((len(probes), 0), dtype=np.bool_)
+        seen = np.empty(probes.shape[:2], dtype=np.bool_)
+        for k, i in enumerate(np.arange(self.count)[ids]):
+            episode = self._episodes[i]
+            assert episode is not None
+            assert episode.scene.seen is not None
+            seen[k] = episode.scene.seen(probes[k])
+        return seen
 
     def _photograph(self, ids: Ids | slice, frame: Array, tip: Array, tool: Array) -> Pictures:
         """What the cameras of some simulations see."""

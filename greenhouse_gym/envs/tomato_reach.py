@@ -68,7 +68,8 @@ class TomatoReachEnv(gymnasium.Env[Observed, npt.NDArray[np.float32]]):
 
     Obstacles here are stems, clutter and all tomatoes but the target, not the floor, the cart or the arm itself.
     They are read from a distance field with nodes 2 cm apart (error within 5 cm of an obstacle: mean 1 mm, 95 % within
-    4 mm, at most 12 mm). Values beyond a bound are clipped to it. The other kinds are `Dict` spaces:
+    4 mm, at most 12 mm). Values beyond a bound are clipped to it. ``state_seen`` goes on with a number for each probe
+    point, 1 where the scan did not see its place and 0 where it did. The other kinds are `Dict` spaces:
 
     | ``observation`` | key | shape, type | meaning |
     |---|---|---|---|
@@ -148,7 +149,7 @@ class TomatoReachEnv(gymnasium.Env[Observed, npt.NDArray[np.float32]]):
             window); or None. The straight line from tip to target is red, the tip's trace pink.
         **fields: Fields of `EnvSettings`, which documents them: ``bank``, ``split``, ``robot``, ``observation``,
             ``action``, ``reward``, ``difficulty``, ``physics``, ``randomization``, ``capacity``, ``success_radius``,
-            ``step_limit`` and ``rate``. They take the place of what ``settings`` says.
+            ``step_limit``, ``rate`` and ``start``. They take the place of what ``settings`` says.
 
     Raises:
         UnknownNameError: A name is not among the choices; the message lists them.

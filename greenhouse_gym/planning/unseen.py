@@ -18,7 +18,7 @@ from greenhouse_gym.planning.kinematics import Chain, tool_chain, tool_state
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
-from greenhouse_gym.scene.seen import UNSEEN, Cells, boxes_of, inside_boxes
+from greenhouse_gym.scene.seen import UNSEEN, Cells, SeenSpace, boxes_of, inside_boxes, required
 
 UNSEEN_RULES = ("free", "avoid", "forbid")
 """What planners make of unseen space: nothing; a place to keep out of as far as can be; an obstacle."""
@@ -47,17 +47,13 @@ def depths_of(rule: str | float) -> tuple[float, ...]:
     return (float(rule),)
 
 
-def require_seen(scene: Scene) -> None:
-    """Raise an error unless a scene knows what was seen.
+def require_seen(scene: Scene) -> SeenSpace:
+    """What a scan saw of a scene's space.
 
     Raises:
-        InvalidValueError: It does not; the message says what helps.
+        InvalidValueError: The scene does not say; the message tells what helps.
     """
-    if scene.seen is None:
-        raise InvalidValueError(
-            f'scene {scene.name!r} does not say what was seen of its space, which unseen="avoid" and "forbid" need: '
-            'build it from its recording with this version, or plan with unseen="free"'
-        )
+    return required(scene.seen, scene.name, 'unseen="avoid", "forbid" or a depth', 'plan with unseen="free"')
 
 
 def unseen_boxes(scene: Scene, robot: Robot, start: npt.ArrayLike, depth: float = 0.0) -> list[Box]:
@@ -72,10 +68,9 @@ def unseen_boxes(scene: Scene, robot: Robot, start: npt.ArrayLike, depth: float 
         start: (joints,) where it stands, radians.
         depth: How far from seen space unseen space is still allowed, metres.
     """
-    require_seen(scene)
-    assert scene.seen is not None
+    space = require_seen(scene)
     depths, beyond = _depths(_Kept(scene), robot, tuple(np.asarray(start, dtype=np.float64).tolist()))
-    return boxes_of((depths > depth) & ~beyond, scene.seen.origin, scene.seen.voxel, either_way=beyond)
+    return boxes_of((depths > depth) & ~beyond, space.origin, space.voxel, either_way=beyond)
 
 
 def guarded(scene: Scene, robot: Robot, start: npt.ArrayLike, depth: float = 0.0) -> CompiledScene:
@@ -136,8 +131,7 @@ def _guarded(kept: _Kept, robot: Robot, start: tuple[float, ...], depth: float) 
 def _depths(kept: _Kept, robot: Robot, start: tuple[float, ...]) -> tuple[Array, Cells]:
     """How deep each voxel (x, y, z) lies in unseen space, metres, 0 where it is known; and those beyond the reach."""
     scene = kept.scene
-    assert scene.seen is not None
-    space = scene.seen
+    space = require_seen(scene)
     unseen = space.states == UNSEEN
     if unseen.all():
         depths = np.full(space.shape, np.inf)

@@ -91,6 +91,20 @@ class SeenSpace(BaseModel):
         return float((self.states[near] != UNSEEN).mean()) if near.any() else float("nan")
 
 
+def required(space: SeenSpace | None, scene: str, asked_by: str, instead: str) -> SeenSpace:
+    """What a scan saw of a scene's space, where something asks for it.
+
+    Raises:
+        InvalidValueError: The scene does not say; the message tells what helps.
+    """
+    if space is None:
+        raise InvalidValueError(
+            f"scene {scene!r} does not say what was seen of its space, which {asked_by} needs: build it from its "
+            f"recording with this version, or {instead}"
+        )
+    return space
+
+
 def boxes_of(cells: Cells, origin: npt.ArrayLike, voxel: float, either_way: Cells | None = None) -> list[Box]:
     """Few boxes, none of which overlap, that cover the marked cells (x, y, z) of a grid.
 
