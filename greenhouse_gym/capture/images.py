@@ -31,6 +31,11 @@ def read_depth(path: str | Path) -> npt.NDArray[np.uint16]:
     return np.asarray(image, dtype=np.uint16)
 
 
+def read_image(path: str | Path) -> npt.NDArray[np.generic]:
+    """An image file as it is, color as BGR: also kinds that only strangers write, PNM and TIFF."""
+    return _decode(Path(path), cv2.IMREAD_UNCHANGED, foreign=True)
+
+
 def encode_png(image: npt.NDArray[np.uint8] | npt.NDArray[np.uint16]) -> bytes:
     """An image, (height, width) or (height, width, 3) RGB, as the bytes of a PNG file."""
     stored = image[..., ::-1] if image.ndim == 3 else image
@@ -40,12 +45,14 @@ def encode_png(image: npt.NDArray[np.uint8] | npt.NDArray[np.uint16]) -> bytes:
     return buffer.tobytes()
 
 
-def _decode(path: Path, mode: int) -> npt.NDArray[np.generic]:
+def _decode(path: Path, mode: int, foreign: bool = False) -> npt.NDArray[np.generic]:
     data = read_bytes(path, "image")
     if data.startswith(b"\x89PNG\r\n\x1a\n"):
         kind, size, whole = "PNG", _png_size(data), data.endswith(b"IEND\xaeB`\x82")
     elif data.startswith(b"\xff\xd8"):
         kind, size, whole = "JPEG", _jpeg_size(data), b"\xff\xd9" in data[-64:]
+    elif foreign and data[:2] in (b"P5", b"P6", b"II", b"MM"):
+        kind, size, whole = ("PNM" if data[:1] == b"P" else "TIFF"), (1, 1), True
     else:
         raise FileFormatError(path, f"neither a PNG nor a JPEG file ({len(data)} bytes)")
     if not whole or size is None:

@@ -51,6 +51,7 @@ class Recording:
         passes: The walks along the row where there are several, each from about the same place; see `join_passes`.
         truth: The row that was photographed, in the frame of the stations' poses, where it is simulated: its shapes to
             collide with. A real row has none.
+        notes: What was left out or assumed when it was read, a sentence each.
         files: What it is read from; none for one that is simulated. A change in them makes it another recording.
     """
 
@@ -63,6 +64,7 @@ class Recording:
     passes: tuple[Pass, ...] = (Pass(0, 0.0),)
     truth: PlantRow | None = None
     files: tuple[Path, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return self.size

@@ -57,9 +57,12 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / "recording"
 
 
-def test_the_package_knows_three_formats() -> None:
+OWN = ["greenhouse", "calibrated", "open3d", "tum", "scannet", "described"]
+
+
+def test_the_package_knows_its_formats() -> None:
     formats = recording_formats()
-    assert list(formats)[:3] == ["greenhouse", "calibrated", "open3d"]
+    assert list(formats)[: len(OWN)] == OWN
     assert all(known.description for known in formats.values())
 
 
@@ -80,7 +83,7 @@ def test_an_object_can_be_the_format(folder: Path) -> None:
 
 def test_a_package_can_bring_a_format(folder: Path, installed: Any) -> None:
     installed(mine=mine())
-    assert list(recording_formats())[3:] == ["mine"]
+    assert list(recording_formats())[len(OWN) :] == ["mine"]
     assert len(open_recording(folder)) == len(open_recording(folder, format="mine")) == 2
 
 

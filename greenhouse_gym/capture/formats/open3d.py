@@ -14,7 +14,7 @@ from greenhouse_gym.geometry import Array
 from greenhouse_gym.paths import parsing, read_bytes
 
 name = "open3d"
-description = "the folders color/ and depth/, optionally camera*.json and trajectory.log"
+description = "the folders color/ and depth/, optionally camera*.json or intrinsic.json, and trajectory.log"
 
 PRIMESENSE = Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5)
 """What Open3D assumes for RGB-D folders that carry no intrinsics."""
@@ -31,7 +31,8 @@ class _CameraFile(BaseModel):
 def recognises(path: Path) -> bool:
     """Whether the folder, or ``RGBD`` in it, has images in both of its folders, and no index of another format."""
     folder = _inner(path)
-    return not (folder / INDEX).exists() and (folder / "depth").is_dir() and bool(_color_images(folder))
+    described = any((folder / other).exists() for other in (INDEX, "cameras.yaml", "intrinsic"))
+    return not described and (folder / "depth").is_dir() and bool(_color_images(folder))
 
 
 def open(path: Path) -> Recording:
@@ -42,7 +43,8 @@ def open(path: Path) -> Recording:
     """
     folder = _inner(path)
     color = _color_images(folder)
-    cameras, trajectory = sorted(folder.glob("camera*.json"))[:1], folder / "trajectory.log"
+    cameras = [*sorted(folder.glob("camera*.json")), *sorted(folder.glob("intrinsic*.json"))][:1]
+    trajectory = folder / "trajectory.log"
     described_by = [*cameras, *([trajectory] if trajectory.exists() else [])]
     poses = _poses(trajectory, len(color)) if trajectory.exists() else [None] * len(color)
     return single_camera(

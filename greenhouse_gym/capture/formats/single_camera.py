@@ -19,7 +19,8 @@ from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import Array, pose
 from greenhouse_gym.paths import parsing, read_bytes
 
-_RIG_FROM_CAMERA = pose(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]))
+RIG_FROM_CAMERA = pose(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]))
+"""Where the camera of a rig of one stands in the rig's frame."""
 
 
 def single_camera(
@@ -50,7 +51,7 @@ def single_camera(
         raise FileFormatError(folder, "holds no color images")
     if not len(color) == len(depth) == len(poses):
         raise FileFormatError(folder, f"{len(color)} color images, {len(depth)} depth images, {len(poses)} poses")
-    camera = Camera(intrinsics, _RIG_FROM_CAMERA, depth_scale)
+    camera = Camera(intrinsics, RIG_FROM_CAMERA, depth_scale)
     load = partial(_station, color, depth, camera, poses)
     rig = Rig({"camera": camera}, "camera")
     return Recording(folder.name, rig, len(color), load, folder, files=(*described_by, *color, *depth))
@@ -61,18 +62,18 @@ def _station(
 ) -> Station:
     known = poses[i]
     frame = read_frame(color[i], depth[i], camera)
-    return Station({"camera": frame}, None if known is None else known @ _RIG_FROM_CAMERA.T)
+    return Station({"camera": frame}, None if known is None else known @ RIG_FROM_CAMERA.T)
 
 
 def read_numbers(path: Path, columns: int) -> Array:
-    """A text file of numbers (lines, columns), lines without any left out.
+    """A text file of numbers (lines, columns), lines without any, and those that begin with #, left out.
 
     Raises:
         FileFormatError: The file cannot be read, or holds something else.
     """
     with parsing(path, f"file of {columns} numbers a line"):
         lines = [line.split() for line in read_bytes(path, "trajectory").decode().splitlines()]
-        rows = np.array([list(map(float, line)) for line in lines if line])
+        rows = np.array([list(map(float, line)) for line in lines if line and line[0][0] != "#"])
         if rows.ndim != 2 or rows.shape[1] != columns:
             raise ValueError(f"shape {rows.shape}")
         if not np.isfinite(rows).all():

@@ -1,0 +1,159 @@
+"""Plain folders of images, described by a small file ``cameras.yaml`` beside them.
+
+color: rgb/*.jpg               # sorted by name, as many as depth images
+depth: depth/*.npy             # PNG, PGM or TIFF of 16 bits, fractions in TIFF or NPY
+depth_scale: 0.001             # metres per unit of whole numbers; fractions are metres
+intrinsics: {width: 1280, height: 720, fx: 915.1, fy: 915.2, cx: 640.3, cy: 358.8, distortion: [0.1, -0.2, 0, 0]}
+depth_intrinsics: {...}        # where depth is not aligned to color
+color_from_depth: [[...], ...] # 4x4, metres
+poses: poses.txt               # world from camera: lines of "id tx ty tz qx qy qz qw" in the images' order
+reference: middle              # only with several cameras
+cameras:                       # instead of the first six: each with the same keys and where it stands on the rig
+middle: {color: ..., depth: ..., intrinsics: {...}, rig_from_camera: [[...], ...]}
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import Annotated, TypeAlias
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from greenhouse_gym.capture.formats.pairs import Lens, Pair, read_units
+from greenhouse_gym.capture.formats.single_camera import RIG_FROM_CAMERA
+from greenhouse_gym.capture.formats.videos import CAMERA, poses_by_time, read_any_color, station_pose
+from greenhouse_gym.capture.frames import Station
+from greenhouse_gym.capture.recordings import Recording, checked_pose
+from greenhouse_gym.capture.rig import Camera, Intrinsics, Rig
+from greenhouse_gym.errors import FileFormatError
+from greenhouse_gym.extras import needs
+from greenhouse_gym.geometry import Array
+from greenhouse_gym.paths import inside, parsing, read_bytes
+
+with needs("reconstruct"):
+    import yaml
+
+name = "described"
+description = "any folders of color and depth images, described by a file cameras.yaml"
+
+INDEX = "cameras.yaml"
+
+Images: TypeAlias = Mapping[str, tuple[list[Path], list[Path]]]
+Matrix = Annotated[list[list[float]], Field(min_length=4, max_length=4)]
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+
+class _Lens(_Part):
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: list[float] = []
+
+    def lens(self) -> Lens:
+        return Lens(Intrinsics(**self.model_dump(exclude={"distortion"})), tuple(self.distortion))
+
+
+class _Camera(_Part):
+    color: str
+    depth: str
+    intrinsics: _Lens
+    depth_scale: Annotated[float, Field(gt=0)] = 0.001
+    depth_intrinsics: _Lens | None = None
+    color_from_depth: Matrix | None = None
+    rig_from_camera: Matrix | None = None
+
+
+class _Several(_Part):
+    cameras: Annotated[dict[str, _Camera], Field(min_length=1)]
+    reference: str
+    poses: str | None = None
+
+
+class _Single(_Camera):
+    poses: str | None = None
+
+
+def recognises(path: Path) -> bool:
+    """Whether the folder has a description."""
+    return (path / INDEX).is_file()
+
+
+def open(path: Path) -> Recording:
+    """Open such a folder.
+
+    Raises:
+        FileFormatError: The description is damaged or does not fit the files. Images are checked when their station is
+            read.
+    """
+    file = path / INDEX
+    with parsing(file, "description of cameras"):
+        content = yaml.safe_load(read_bytes(file, "settings"))
+        if not isinstance(content, dict):
+            raise ValueError("expected keys with their values")
+        if "cameras" in content:
+            several = _Several.model_validate(content)
+            cameras, reference, poses = several.cameras, several.reference, several.poses
+        else:
+            single = _Single.model_validate(content)
+            cameras, reference, poses = {CAMERA: single}, CAMERA, single.poses
+        pairs = {name: _pair(file, camera) for name, camera in cameras.items()}
+        rig = Rig({name: _placed(file, name, camera, pairs[name]) for name, camera in cameras.items()}, reference)
+    images = {name: (_images(path, camera.color), _images(path, camera.depth)) for name, camera in cameras.items()}
+    counts = {f"{name} {kind}": len(found) for name, both in images.items()
+              for kind, found in zip(("color", "depth"), both, strict=True)}  # fmt: skip
+    if len(set(counts.values())) > 1 or not min(counts.values()):
+        counted = ", ".join(f"{count} of {what}" for what, count in counts.items())
+        raise FileFormatError(file, f"expected equally many images of each kind, found {counted}")
+    size = min(counts.values())
+    known: list[Array | None] = [None] * size
+    if poses is not None:
+        by_number = poses_by_time(inside(path, poses, named_in=file))[1]
+        if len(by_number) != size:
+            raise FileFormatError(path / poses, f"{len(by_number)} poses for {size} images")
+        known = [by_number[k] if cameras.keys() != {CAMERA} else station_pose(by_number[k]) for k in range(size)]
+    files = (file, *(image for both in images.values() for found in both for image in found))
+    return Recording(path.name, rig, size, partial(_station, pairs, images, tuple(known)), path, files=files)
+
+
+def _station(
+    pairs: Mapping[str, Pair],
+    images: Mapping[str, tuple[list[Path], list[Path]]],
+    poses: tuple[Array | None, ...],
+    i: int,
+) -> Station:
+    frames = {
+        name: pair.frame(read_any_color(images[name][0][i]), read_units(images[name][1][i]), images[name][0][i])
+        for name, pair in pairs.items()
+    }
+    return Station(frames, poses[i])
+
+
+def _pair(file: Path, camera: _Camera) -> Pair:
+    between = camera.color_from_depth
+    return Pair(
+        camera.intrinsics.lens(),
+        None if camera.depth_intrinsics is None else camera.depth_intrinsics.lens(),
+        np.eye(4) if between is None else checked_pose(file, "color_from_depth", between),
+        camera.depth_scale,
+    )
+
+
+def _placed(file: Path, name: str, camera: _Camera, pair: Pair) -> Camera:
+    there = camera.rig_from_camera
+    stands = RIG_FROM_CAMERA if there is None else checked_pose(file, f"{name}: rig_from_camera", there)
+    return Camera(pair.color.intrinsics, stands, camera.depth_scale)
+
+
+def _images(folder: Path, pattern: str) -> list[Path]:
+    if Path(pattern).is_absolute() or ".." in Path(pattern).parts:
+        raise FileFormatError(folder / INDEX, f"the pattern {pattern!r} leads out of the folder")
+    return sorted(folder.glob(pattern))
