@@ -346,6 +346,8 @@ def test_the_demo_runs_whole(tmp_path: Path) -> None:
     assert results["stations"] == results["stations_registered"] == 6
     assert results["targets_with_goal"] >= 3
     assert results["targets_reached"] >= 0.9 * results["targets_with_goal"]
+    assert results["plans_followed_in_truth"] + results["refused"] == 3
+    assert results["held_in_truth"] <= results["plans_followed_in_truth"]
     assert results["cloud_to_truth_mean"] < 0.004
     assert results["drift"] < 0.03
     assert results["visible_tomatoes_found"] >= 0.75 * results["visible_tomatoes"]

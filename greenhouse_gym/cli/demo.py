@@ -38,9 +38,10 @@ class DemoSettings:
     training_seconds: float = 240.0
     episodes: int = 100  # per agent
     scene_width: float = 1.6  # m
+    followed: int = 16  # plans followed in the true row
 
 
-QUICK = DemoSettings(length=0.6, training_steps=20_000, training_seconds=15.0, episodes=5, scene_width=0.4)
+QUICK = DemoSettings(length=0.6, training_steps=20_000, training_seconds=15.0, episodes=5, scene_width=0.4, followed=3)
 
 
 @dataclass
@@ -91,6 +92,7 @@ def _run(out: Path, seed: int, settings: DemoSettings) -> Report:
     shapes = _extract(out, row, recording, cloud, report)
     bank = _build(out, recording, cloud, shapes, settings, report)
     _plan_to_every_tomato(out, bank, report)
+    _follow_in_the_true_row(bank, settings, report)
     _draw_the_arm(out, recording, cloud, bank, report)
     curve = _train(out, seed, settings, report)
     evaluations = _compare(out, seed, settings, report)
@@ -250,6 +252,22 @@ def _plan_to_every_tomato(out: Path, bank: SceneBank, report: Report) -> None:
         share = reached / max(len(with_goal), 1)
         results.append(f"{reached} of {len(with_goal)} tomatoes with a goal configuration reached ({share:.1%})")
         report.figures |= {"targets_with_goal": len(with_goal), "targets_reached": reached}
+
+
+def _follow_in_the_true_row(bank: SceneBank, settings: DemoSettings, report: Report) -> None:
+    from greenhouse_gym.agents import PlannerAgent
+    from greenhouse_gym.evaluation import evaluate
+
+    with report.stage("plan with care for what was not seen, follow in the true row") as results:
+        problems = [(scene.name, target.tomato) for scene in bank for target in scene.targets if target.witness]
+        chosen = np.linspace(0, len(problems) - 1, min(settings.followed, len(problems))).round().astype(int)
+        planner = PlannerAgent("RRTConnect", time_limit=None, max_checks=10_000)
+        tried = [problems[k] for k in chosen]
+        evaluation = evaluate(planner, "train", problems=tried, bank=str(bank.path), physics="truth", start="folded")
+        planned = [r for r in evaluation.records if r.status == "solved"]
+        held, refused = sum(r.success for r in planned), len(evaluation.records) - len(planned)
+        results.append(f"{held} of {len(planned)} held in the true row, {refused} refused")
+        report.figures |= {"plans_followed_in_truth": len(planned), "held_in_truth": held, "refused": refused}
 
 
 def _draw_the_arm(out: Path, recording: Recording, cloud: RowCloud, bank: SceneBank, report: Report) -> None:
