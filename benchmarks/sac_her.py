@@ -3,7 +3,7 @@
 python benchmarks/sac_her.py
 
 Trains with the default settings for some minutes of processor time and writes the curve to results/sac_her.json. What
-counts are episodes of the test split, whose rows were not trained on, judged without the policy's noise.
+counts are episodes of the validation split, whose rows were not trained on, judged without the policy's noise.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ def main() -> None:
 
     def note(progress: SacProgress) -> None:
         row = {name: getattr(progress, name) for name in ("steps", "updates", "seconds")}
-        curve.append({**row, "train": shares(progress.train), "test": shares(progress.test)})
+        curve.append({**row, "train": shares(progress.train), "validation": shares(progress.validation)})
         print(curve[-1], flush=True)
         write_results(arguments.out, figures, ("stable-baselines3", "torch", "mujoco"))
 
-    for split in ("train", "test"):
+    for split in ("train", "validation"):
         result = evaluate(
             RandomAgent(), split, arguments.episodes, seed=10_000, num_envs=settings.num_envs, bank=settings.bank,
             difficulty=settings.difficulty, threads=1,

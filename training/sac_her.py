@@ -2,8 +2,8 @@
 
 python training/sac_her.py --bank mini --minutes 16
 
-Prints, every so many steps, the shares of success and collision over episodes of the training and the test split, with
-the processor time spent so far; at last those of random actions. It stops after so many minutes of processor time.
+Prints, every so many steps, the shares of success and collision over episodes of the training and the validation split,
+with the processor time spent so far; at last those of random actions. It stops after so many minutes of processor time.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def main() -> None:
 def line(progress: SacProgress) -> str:
     """One line of the curve."""
     told = f"{progress.steps:,} steps, {progress.updates:,} updates, {progress.seconds:.0f} s of processor time"
-    return "; ".join([told, shares("train", progress.train), shares("test", progress.test)])
+    return "; ".join([told, shares("train", progress.train), shares("validation", progress.validation)])
 
 
 def shares(split: str, result: Evaluation) -> str:

@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 from greenhouse_gym.agents.agent import Agent, Problem
 from greenhouse_gym.agents.baselines import RandomAgent, StillAgent, StraightLineAgent
+from greenhouse_gym.agents.guide import GuidedAgent
 from greenhouse_gym.agents.planner_agent import PlannerAgent
+from greenhouse_gym.agents.resolved_rate import ResolvedRateAgent
 
 if TYPE_CHECKING:
     from greenhouse_gym.agents.hybrid import HybridAgent
@@ -16,11 +18,13 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Agent",
+    "GuidedAgent",
     "HybridAgent",
     "PlannerAgent",
     "PolicyAgent",
     "Problem",
     "RandomAgent",
+    "ResolvedRateAgent",
     "ShieldedAgent",
     "StillAgent",
     "StraightLineAgent",

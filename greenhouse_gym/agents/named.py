@@ -8,15 +8,19 @@ from types import ModuleType
 
 from greenhouse_gym.agents.agent import Agent, check_agent
 from greenhouse_gym.agents.baselines import RandomAgent, StillAgent, StraightLineAgent
+from greenhouse_gym.agents.guide import GuidedAgent
 from greenhouse_gym.agents.hybrid import HybridAgent
 from greenhouse_gym.agents.planner_agent import PlannerAgent
 from greenhouse_gym.agents.policy import described_at
 from greenhouse_gym.agents.policy_agent import PolicyAgent, shipped_policies
+from greenhouse_gym.agents.resolved_rate import ResolvedRateAgent
 from greenhouse_gym.agents.shield import ShieldedAgent
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, MissingDependencyError, UnknownNameError
 from greenhouse_gym.planning import PAPER_PLANNERS, PLANNERS
 
-_NAMED: tuple[type[Agent], ...] = (RandomAgent, StillAgent, StraightLineAgent, HybridAgent, ShieldedAgent)
+_NAMED: tuple[type[Agent], ...] = (
+    RandomAgent, StillAgent, StraightLineAgent, ResolvedRateAgent, GuidedAgent, HybridAgent, ShieldedAgent,
+)  # fmt: skip
 SIMPLE = {agent.name: agent for agent in _NAMED}
 """Agents that need nothing but a name."""
 

@@ -119,10 +119,10 @@ def _plan_table(results: Sequence[PlanResult]) -> str:
 
 
 def train(
-    algorithm: Annotated[str, typer.Argument(help="ppo")],
+    algorithm: Annotated[str, typer.Argument(help="ppo, or bc-then-ppo: imitation of a teacher first.")],
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/ppo"),
     bank: Bank = "default",
-    steps: Annotated[int, typer.Option(help="Environment steps.")] = 2_000_000,
+    steps: Annotated[int, typer.Option(help="Environment steps of PPO.")] = 2_000_000,
     seed: int = 0,
     resume: Annotated[bool, typer.Option(help="Go on from the checkpoint in the folder.")] = False,
     settings: SettingsFile = None,
@@ -130,17 +130,29 @@ def train(
     print_settings: Annotated[bool, shown(_training_settings)] = False,
 ) -> None:
     """Train a policy. Settings of a file and of --set replace what --bank, --steps and --seed say."""
+    from dataclasses import replace
+
     from greenhouse_gym.errors import require_choice
-    from greenhouse_gym.learning import PpoSettings, train_ppo
+    from greenhouse_gym.learning import BcThenPpoSettings, PpoSettings, train_bc_then_ppo, train_ppo
     from greenhouse_gym.paths import write_atomically
     from greenhouse_gym.settings_files import as_toml, resolve
 
-    require_choice("algorithm", algorithm, ["ppo"])
-    given = PpoSettings(bank=bank, total_steps=steps, seed=seed)
-    resolved = resolve(given, settings, assignments or ())
-    policy = train_ppo(resolved, out, resume=resume)
-    write_atomically(out / "settings.toml", as_toml(resolved))
+    require_choice("algorithm", algorithm, ["ppo", "bc-then-ppo"])
+    if algorithm == "ppo":
+        plain = resolve(PpoSettings(bank=bank, total_steps=steps, seed=seed), settings, assignments or ())
+        policy, resolved = train_ppo(plain, out, resume=resume), as_toml(plain)
+    else:
+        usual = BcThenPpoSettings()
+        both = replace(usual, ppo=replace(usual.ppo, bank=bank, total_steps=steps, seed=seed))
+        both = resolve(both, settings, assignments or ())
+        policy, resolved = train_bc_then_ppo(both, out, resume=resume, tell=_told), as_toml(both)
+    write_atomically(out / "settings.toml", resolved)
     CONSOLE.print(f"policy in {policy}")
+
+
+def _told(steps: int, figures: dict[str, float]) -> None:
+    shown_figures = ", ".join(f"{name} {value:.3g}" for name, value in figures.items())
+    CONSOLE.print(f"{steps:,} steps of imitation: {shown_figures}", highlight=False)
 
 
 def compare(

@@ -18,6 +18,7 @@ from gymnasium import spaces
 from greenhouse_gym.envs.actions import ACTIONS, ActionChoice, ActionRule, ToolMotion
 from greenhouse_gym.envs.images import DepthObservation, PointsObservation, RgbObservation
 from greenhouse_gym.envs.observations import (
+    ApproachObservation,
     GoalObservation,
     ObservationChoice,
     Observed,
@@ -33,6 +34,7 @@ from greenhouse_gym.robots import Robot
 OBSERVATIONS: Mapping[str, Callable[[Robot], Sight]] = {
     "state": StateObservation,
     "state_seen": partial(StateObservation, unseen=True),
+    "approach": ApproachObservation,
     "goal": GoalObservation,
     "depth": DepthObservation(),
     "points": PointsObservation(),

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from greenhouse_gym.envs.actions import max_lead
+from greenhouse_gym.envs.approach import ROOM
 from greenhouse_gym.envs.cameras import DepthCamera
 from greenhouse_gym.envs.reach_task import Float32, Situation
 from greenhouse_gym.errors import InvalidValueError
@@ -100,6 +101,7 @@ _GROUPS: dict[str, tuple[Callable[[Situation], npt.NDArray[Any]], Callable[[Robo
         lambda r: _around(1.0, 3 * len(r.probes)),
     ),
     "unseen": (lambda s: ~s.seen, lambda r: (np.zeros(len(r.probes)), np.ones(len(r.probes)))),
+    "room": (lambda s: s.room, lambda r: (np.full(ROOM, MIN_CLEARANCE), np.full(ROOM, MAX_DISTANCE))),
 }
 
 
@@ -154,6 +156,18 @@ class StateObservation(Sight):
         self.asks_what_was_seen = unseen
         self.space = self._vector.space
         self.layout = self._vector.layout
+
+    def __call__(self, situation: Situation) -> Observed:
+        """Observations (n, size)."""
+        return self._vector(situation)
+
+
+class ApproachObservation(Sight):
+    """As `StateObservation`, and from where the target can be approached: the room on rays away from it."""
+
+    def __init__(self, robot: Robot):
+        self._vector = Vector(robot, (*_STATE, "room"))
+        self.space, self.layout = self._vector.space, self._vector.layout
 
     def __call__(self, situation: Situation) -> Observed:
         """Observations (n, size)."""

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.envs.actions import CommandLimits, check_actions, squared_norm
+from greenhouse_gym.envs.approach import ROOM, room_around
 from greenhouse_gym.envs.cameras import CameraRig, Pictures, no_pictures
 from greenhouse_gym.envs.choices import make_action, make_observation, make_reward
 from greenhouse_gym.envs.episodes import Episode, EpisodeSampler
@@ -116,6 +117,7 @@ class ReachSimulation:
         self._target = np.zeros((count, 3))  # as told, in the base frame
         self._goal = np.zeros((count, 3))  # what counts, in the base frame
         self._radius = np.zeros((count, 1))
+        self._room = np.zeros((count, ROOM), dtype=np.float32)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> ReachSimulation:
         """The same state, to go on from independently; what is never changed is shared."""
@@ -186,6 +188,7 @@ class ReachSimulation:
         self._target[i] = world.tomatoes[episode.target, :3] + disturbance.target
         self._goal[i], self._radius[i] = world.goal(episode.target)
         self._ignored[i] = NO_TOMATO if self.observe.target_is_obstacle else episode.target
+        self._room[i] = room_around(self.worlds.fields, world.field, self._ignored[i], self._target[i])
 
     def close(self) -> None:
         """Free the simulations; the next reset makes new ones."""
@@ -339,6 +342,7 @@ class ReachSimulation:
             distance=away,
             clearance=distance - self._probe_radii,
             obstacle=direction,
+            room=self._room[ids].copy(),
             touched=touched,
             success=(away < self.settings.success_radius) & ~touched,
             seen=self._seen_at(ids, sites[:, 1:]),

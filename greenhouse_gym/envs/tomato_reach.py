@@ -73,6 +73,7 @@ class TomatoReachEnv(gymnasium.Env[Observed, npt.NDArray[np.float32]]):
 
     | ``observation`` | key | shape, type | meaning |
     |---|---|---|---|
+    | ``approach`` | (a vector) | (3 j + 6 + 4 k + 48,) float32 | as ``state``, then the room around the target, m |
     | ``goal`` | ``achieved_goal`` | (3,) float64 | grasp point, m |
     | | ``desired_goal`` | (3,) float64 | the target's center, m |
     | | ``observation`` | (3 j + 6 + 4 k,) float32 | as ``state``, but see below |
@@ -85,10 +86,12 @@ class TomatoReachEnv(gymnasium.Env[Observed, npt.NDArray[np.float32]]):
     | ``rgbd`` | ``depth``, ``rgb``, ``state`` | | as above |
 
     In ``goal``, tip position (m) and tool axis (unit vector) stand for offset and target, and the clearances count the
-    target as an obstacle, so that nothing in it depends on the target. ``depth`` comes from a camera beside the flange
-    that looks along the tool; ``points`` is what a camera on a mast beside the arm sees of the plants, one per pixel.
-    `DepthObservation`, `PointsObservation` and `RgbObservation` in place of the name choose the camera ("wrist" or
-    "mast"), its size and its opening.
+    target as an obstacle, so that nothing in it depends on the target. The room around the target is the distance to
+    obstacles on 24 rays from its center towards the arm's side (azimuths by `AZIMUTHS`, within each elevations by
+    `ELEVATIONS`), for each ray the smallest at 5 to 13 cm, where the tool would be, and at 18 to 30 cm, of the wrist.
+    ``depth`` comes from a camera beside the flange that looks along the tool; ``points`` is what a camera on a mast
+    beside the arm sees of the plants, one per pixel. `DepthObservation`, `PointsObservation` and `RgbObservation` in
+    place of the name choose the camera ("wrist" or "mast"), its size and its opening.
 
     **Your own.** ``observation``, ``action`` and ``reward`` also take objects from outside: see `Observation`,
     `ActionRule` and `Transition`, and the folder ``examples``. They get arrays of n simulations, of which the single

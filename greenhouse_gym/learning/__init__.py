@@ -1,7 +1,16 @@
-"""Training: PPO, SAC with hindsight replay, checkpoints, and policy files."""
+"""Training: PPO, imitation of a teacher before it, SAC with hindsight replay, checkpoints, and policy files."""
 
+from greenhouse_gym.learning.bc_then_ppo import BcThenPpoSettings, train_bc_then_ppo
 from greenhouse_gym.learning.policies import save_policy
 from greenhouse_gym.learning.ppo import PpoSettings, train_ppo
 from greenhouse_gym.learning.sac import SacSettings, train_sac
 
-__all__ = ["PpoSettings", "SacSettings", "save_policy", "train_ppo", "train_sac"]
+__all__ = [
+    "BcThenPpoSettings",
+    "PpoSettings",
+    "SacSettings",
+    "save_policy",
+    "train_bc_then_ppo",
+    "train_ppo",
+    "train_sac",
+]

@@ -15,7 +15,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TimeRemainingColumn
 
-from greenhouse_gym.errors import InvalidValueError, MissingDependencyError, require_seed
+from greenhouse_gym.errors import InvalidValueError, MissingDependencyError, require_choice, require_seed
 from greenhouse_gym.integrations.sb3 import make_sb3_vec_env
 from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.scene import SceneBank
@@ -32,6 +32,9 @@ try:
 except ImportError as error:  # pragma: no cover - depends on the installation
     raise MissingDependencyError("stable-baselines3", "train") from error
 
+ACTIVATIONS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
+"""Activations by name."""
+
 WINDOW = 10
 """Rollouts that a point of the learning curve averages over."""
 
@@ -44,6 +47,7 @@ class PpoSettings:
         bank: Name or folder of the scene bank.
         split: Split to train on.
         robot: The arm.
+        observation: "state" or "approach".
         difficulty: Difficulties of the targets.
         total_steps: Steps of all simulations together.
         num_envs: Simulations.
@@ -56,6 +60,9 @@ class PpoSettings:
         clip_range: Of the probability ratio.
         log_std: Initial logarithm of the action noise.
         hidden: Sizes of the hidden layers, of actor and critic each.
+        activation: Between the layers, "tanh" or "relu".
+        critic_rollouts: Rollouts at the beginning from which the critic alone learns: a policy that can do something
+            already is not to be judged by a critic that knows nothing.
         seed: Of scenes, weights and noise.
         threads: Threads of the simulation; 0 uses all cores. The network has one: with more, its many small products
             wait for each other, on a busy machine most of the time.
@@ -64,6 +71,7 @@ class PpoSettings:
     bank: str = "default"
     split: str = "train"
     robot: str = "ur5e"
+    observation: str = "state"
     difficulty: tuple[str, ...] = ("easy", "medium", "hard")
     total_steps: int = 2_000_000
     num_envs: int = 128
@@ -76,6 +84,8 @@ class PpoSettings:
     clip_range: float = 0.2
     log_std: float = -0.7
     hidden: tuple[int, ...] = (256, 256)
+    activation: str = "tanh"
+    critic_rollouts: int = 0
     seed: int = 0
     threads: int = 0
 
@@ -87,6 +97,7 @@ def train_ppo(
     resume: bool = False,
     time_limit: float | None = None,
     checkpoint_seconds: float = 60.0,
+    prepare: Callable[[Any], None] | None = None,
 ) -> Path:
     """Train a policy.
 
@@ -100,6 +111,7 @@ def train_ppo(
         resume: Go on from the checkpoint in ``out``; otherwise ``out`` must not hold one.
         time_limit: Stop after this many seconds, as if interrupted.
         checkpoint_seconds: Time between checkpoints.
+        prepare: Gets the untrained model of a training that is not resumed, to put something into it.
 
     Returns:
         The path of the policy's JSON file.
@@ -117,21 +129,24 @@ def train_ppo(
     torch.set_num_threads(1)
     env = make_sb3_vec_env(
         settings.num_envs, bank=settings.bank, split=settings.split, robot=settings.robot,
-        difficulty=settings.difficulty, threads=settings.threads, seed=settings.seed,
+        observation=settings.observation, difficulty=settings.difficulty, threads=settings.threads, seed=settings.seed,
     )  # fmt: skip
-    model = _model(settings, env)
+    model = make_ppo(settings, env)
     rows: list[dict[str, float]] = []
     if resume:
         load_checkpoint(model, out)
         rows = [row for row in _read_curve(out) if row["steps"] <= model.num_timesteps]
         env.seed(settings.seed + model.num_timesteps)
+    elif prepare is not None:
+        prepare(model)
     notes = {"settings": described, "bank_sha256": SceneBank.open(settings.bank).sha256}
     write_atomically(out / "settings.json", json.dumps(described, indent=1) + "\n")
     report = _Report(out, settings, described, rows, time_limit, checkpoint_seconds)
     try:
         if model.num_timesteps < settings.total_steps:
             remaining = settings.total_steps - model.num_timesteps
-            model.learn(remaining, callback=report, reset_num_timesteps=not resume)
+            callbacks = [report, _CriticFirst(0 if resume else settings.critic_rollouts)]
+            model.learn(remaining, callback=callbacks, reset_num_timesteps=not resume)
     except KeyboardInterrupt:
         report.say(f"interrupted after {model.num_timesteps} steps; resume goes on from here")
         save_policy(model, out / "policy", notes)
@@ -160,7 +175,8 @@ def _check_folder(out: Path, described: dict[str, Any], resume: bool) -> None:
         raise InvalidValueError(f"the checkpoint in {out} was made with other settings: {', '.join(different)}")
 
 
-def _model(settings: PpoSettings, env: Any) -> Any:
+def make_ppo(settings: PpoSettings, env: Any) -> Any:
+    """The Stable-Baselines3 model, untrained, on an environment of `make_sb3_vec_env`."""
     layout = env.get_attr("simulation")[0].observe.layout
     return PPO(
         "MlpPolicy",
@@ -174,6 +190,7 @@ def _model(settings: PpoSettings, env: Any) -> Any:
         clip_range=settings.clip_range,
         policy_kwargs={
             "net_arch": list(settings.hidden),
+            "activation_fn": ACTIVATIONS[require_choice("activation", settings.activation, ACTIVATIONS)],
             "log_std_init": settings.log_std,
             "features_extractor_class": ScaledObservation,
             "features_extractor_kwargs": {"layout": layout},
@@ -181,6 +198,23 @@ def _model(settings: PpoSettings, env: Any) -> Any:
         seed=settings.seed,
         device="cpu",
     )
+
+
+class _CriticFirst(BaseCallback):  # type: ignore[misc]
+    """Keeps the actor as it is during the first rollouts."""
+
+    def __init__(self, rollouts: int):
+        super().__init__()
+        self.left = rollouts
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_rollout_start(self) -> None:
+        for name, parameter in self.model.policy.named_parameters():
+            if "value" not in name:
+                parameter.requires_grad = self.left <= 0
+        self.left -= 1
 
 
 class _Report(BaseCallback):  # type: ignore[misc]

@@ -76,14 +76,14 @@ class SacProgress:
         updates: Gradient steps.
         seconds: Processor time of the training, without that of the judging.
         train: Episodes of the training split.
-        test: Episodes of the test split, whose rows are not trained on.
+        validation: Episodes of the validation split, whose rows are not trained on. The test split is for the end.
     """
 
     steps: int
     updates: int
     seconds: float
     train: Evaluation
-    test: Evaluation
+    validation: Evaluation
 
 
 def make_sac(settings: SacSettings) -> Any:
@@ -174,8 +174,8 @@ class _Report(BaseCallback):  # type: ignore[misc]
         seconds = time.process_time() - self._began - self._judging
         if self.num_timesteps >= self._next:
             self._next += self._every
-            train, test = (self._judge(split) for split in ("train", "test"))
-            self.curve.append(SacProgress(self.num_timesteps, self.model._n_updates, round(seconds, 1), train, test))
+            shown = [self._judge(split) for split in ("train", "validation")]
+            self.curve.append(SacProgress(self.num_timesteps, self.model._n_updates, round(seconds, 1), *shown))
             self._tell(self.curve[-1])
             self._judging = time.process_time() - self._began - seconds
         return self._limit is None or seconds < self._limit

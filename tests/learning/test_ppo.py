@@ -24,7 +24,7 @@ from greenhouse_gym.errors import FileFormatError, InvalidValueError
 from greenhouse_gym.integrations.sb3 import make_sb3_vec_env
 from greenhouse_gym.learning.checkpoints import NAME, load_checkpoint, save_checkpoint
 from greenhouse_gym.learning.policies import save_policy
-from greenhouse_gym.learning.ppo import PpoSettings, _model, train_ppo
+from greenhouse_gym.learning.ppo import PpoSettings, make_ppo, train_ppo
 from greenhouse_gym.scene import SceneBank
 
 
@@ -105,7 +105,7 @@ def test_an_interrupted_command_keeps_what_it_has_and_says_so(settings: PpoSetti
 
 def test_checkpoints_restore_weights_and_optimizer(settings: PpoSettings, tmp_path: Path) -> None:
     env = make_sb3_vec_env(4, bank=settings.bank, seed=0)
-    model, fresh = _model(settings, env), _model(PpoSettings(**{**vars(settings), "seed": 9}), env)
+    model, fresh = make_ppo(settings, env), make_ppo(PpoSettings(**{**vars(settings), "seed": 9}), env)
     model.learn(64)
     save_checkpoint(model, tmp_path, {"settings": {}})
     load_checkpoint(fresh, tmp_path)
@@ -133,7 +133,7 @@ def _with_header(header: bytes) -> bytes:
 
 
 def test_mutants_of_a_checkpoint_are_loaded_or_refused(settings: PpoSettings, tmp_path: Path) -> None:
-    model = _model(PpoSettings(**{**vars(settings), "hidden": (4,)}), make_sb3_vec_env(1, bank=settings.bank))
+    model = make_ppo(PpoSettings(**{**vars(settings), "hidden": (4,)}), make_sb3_vec_env(1, bank=settings.bank))
     whole, rng = save_checkpoint(model, tmp_path, {"settings": {}}).read_bytes(), random.Random(0)
     header = 8 + int.from_bytes(whole[:8], "little")
     refused = 0
@@ -153,7 +153,7 @@ def test_mutants_of_a_checkpoint_are_loaded_or_refused(settings: PpoSettings, tm
 
 def test_the_saved_policy_acts_as_the_model(settings: PpoSettings, bank: SceneBank, tmp_path: Path) -> None:
     env = make_sb3_vec_env(4, bank=bank, seed=0)
-    model = _model(settings, env)
+    model = make_ppo(settings, env)
     model.learn(32)
     agent = PolicyAgent.load(save_policy(model, tmp_path / "mine"))
     assert agent.name == "mine"

@@ -25,7 +25,11 @@ def test_training_is_judged_now_and_then(settings: SacSettings) -> None:
     assert [row.steps for row in curve] == [500, 1000]
     assert [row.updates for row in curve] == [0, 24]
     assert 0 < curve[0].seconds < curve[1].seconds
-    assert all(len(row.test.records) == 4 and row.test.median("steps") > 0 for row in curve)
+    validation = set(SceneBank.open(settings.bank).names("validation"))
+    assert {record.scene for row in curve for record in row.validation.records} <= validation, (
+        "the test split is for the end"
+    )
+    assert all(len(row.validation.records) == 4 and row.validation.median("steps") > 0 for row in curve)
     assert model.num_timesteps == 1000
 
 
@@ -52,6 +56,6 @@ def test_an_unknown_reward_is_refused(settings: SacSettings) -> None:
 def test_it_learns_to_reach_without_touching() -> None:
     """Some five minutes of one core: random actions reach 0 % (and collide seldom, for they hardly get anywhere)."""
     _, (first, last) = train_sac(SacSettings(threads=1), 40_000, every=20_000, episodes=128)
-    for before, after in ((first.train, last.train), (first.test, last.test)):
+    for before, after in ((first.train, last.train), (first.validation, last.validation)):
         assert after.success_rate > max(before.success_rate, 0.05)
     assert last.train.collision_rate < first.train.collision_rate

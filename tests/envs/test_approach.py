@@ -1,0 +1,50 @@
+"""The room around the target in ``observation="approach"``."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from greenhouse_gym.crop import Tomato
+from greenhouse_gym.envs import TomatoReachEnv
+from greenhouse_gym.envs.approach import AZIMUTHS, ELEVATIONS, FAR, NEAR, ROOM
+from greenhouse_gym.geometry import Sphere
+from greenhouse_gym.scene import Provenance, Scene, SceneBank, Target
+from greenhouse_gym.scene.field import MAX_DISTANCE
+from greenhouse_gym.scene.mjcf import base_position
+
+TARGET = np.array([0.55, 0.1, 1.3])
+
+
+def seen(*clutter: Sphere) -> np.ndarray:
+    scene = Scene(
+        name="one-tomato", tomatoes=(Tomato(TARGET, 0.03, truss=0),), clutter=clutter,
+        targets=(Target(tomato=0, difficulty="easy"),), provenance=Provenance(row="made-up"),
+    )  # fmt: skip
+    env = TomatoReachEnv(bank="mini", observation="approach")
+    observation, _ = env.reset(options={"scene": scene, "target": 0})
+    assert env.observation_space.contains(observation)
+    assert base_position(scene, env.unwrapped.simulation.robot)[1] == 0  # type: ignore[attr-defined]
+    env.close()
+    return np.asarray(observation[-ROOM:].reshape(len(AZIMUTHS), len(ELEVATIONS), 2))
+
+
+def test_there_is_room_all_round_where_nothing_stands() -> None:
+    assert (seen() == MAX_DISTANCE).all(), "the target is no obstacle to itself"
+
+
+@pytest.mark.parametrize(("azimuth", "elevation"), [(0, 1), (5, 2)])
+@pytest.mark.parametrize(("part", "distances"), [(0, NEAR), (1, FAR)])
+def test_what_stands_on_a_ray_is_seen_on_that_ray(
+    azimuth: int, elevation: int, part: int, distances: tuple[float, ...]
+) -> None:
+    a, e = AZIMUTHS[azimuth], ELEVATIONS[elevation]
+    ray = np.array([-np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+    room = seen(Sphere(TARGET + distances[1] * ray, 0.02))
+    assert np.unravel_index(room[..., part].argmin(), room.shape[:2]) == (azimuth, elevation)
+    assert room[azimuth, elevation, part] < 0.0, "within the obstacle, as far as a grid of 2 cm tells"
+
+
+def test_it_begins_as_the_state_does(bank: SceneBank) -> None:
+    state, approach = (TomatoReachEnv(bank=bank, observation=kind).reset(seed=4)[0] for kind in ("state", "approach"))
+    np.testing.assert_array_equal(approach[: len(state)], state)
