@@ -134,10 +134,10 @@ def imitate(
             action = np.where((leads & known)[:, None], label, own)
             action = action + settings.noise * random.normal(size=action.shape)
             seen, _, terminated, truncated, infos = env.step(action)
-            for i in np.flatnonzero(terminated | truncated):
+            for i in np.flatnonzero(terminated | truncated).tolist():
                 if not leads[i]:
                     ended, won = ended + 1, won + bool(infos["final_info"]["is_success"][i])
-                teachers.begin(int(i))
+                teachers.begin(i)
                 leads[i] = random.random() < share
         collected = time.perf_counter() - began
         rate = settings.learning_rate * (0.1 + 0.9 * (1 - k / rounds))
