@@ -1,4 +1,4 @@
-"""The one way in which ``.npz`` files of strangers are read: sizes are compared before anything is allocated."""
+"""How ``.npz`` files from strangers are read: their sizes are checked before anything is allocated."""
 
 from __future__ import annotations
 

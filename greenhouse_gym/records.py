@@ -22,7 +22,7 @@ class Record:
         success: The target was reached and nothing was touched.
         collision: Something was touched.
         contact: Names of the geoms that touched, the arm's first; empty without a collision.
-        steps: Actions taken, 20 a second.
+        steps: Actions taken.
         planning_time: Seconds the agent took at the episode's start.
         action_time: Seconds the agent took per action, on average.
         joint_length: Way of the joints, radians (Euclidean norm).

@@ -37,10 +37,10 @@ def plan(
     ] = None,
     max_checks: Annotated[int | None, typer.Option(help="Collision checks after which a planner stops.")] = None,
     setting: Annotated[list[str] | None, typer.Option(help="A setting of the planner, as range=0.5.")] = None,
-    seed: int = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the goal search and the planner.")] = 0,
     picture: Annotated[Path | None, typer.Option(help="PNG file for a picture of the shortest path.")] = None,
 ) -> None:
-    """Plan a path to a tomato, with one planner or with all on the same goals; a table, and a picture if asked for."""
+    """Plan a path to a tomato with one planner, or with all of them on the same goals, and print a table."""
     from greenhouse_gym.errors import InvalidValueError
     from greenhouse_gym.planning import PLANNERS, goal_configurations, resample
     from greenhouse_gym.planning import plan as plan_path
@@ -80,7 +80,7 @@ def _settings(texts: Sequence[str]) -> dict[str, bool | int | float]:
     """Settings from texts such as range=0.5.
 
     Raises:
-        InvalidValueError: A text is none.
+        InvalidValueError: A text is no setting.
     """
     from greenhouse_gym.errors import InvalidValueError
 
@@ -123,7 +123,7 @@ def train(
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/ppo"),
     bank: Bank = "default",
     steps: Annotated[int, typer.Option(help="Environment steps of PPO.")] = 2_000_000,
-    seed: int = 0,
+    seed: Annotated[int, typer.Option(help="Seed of scenes, weights and noise.")] = 0,
     resume: Annotated[bool, typer.Option(help="Go on from the checkpoint in the folder.")] = False,
     settings: SettingsFile = None,
     assignments: Assignments = None,
@@ -167,14 +167,14 @@ def compare(
     agents: Annotated[str, typer.Option(help="The same, separated by commas.")] = "",
     bank: Bank = "default",
     split: Annotated[str, typer.Option(help="train, validation or test.")] = "test",
-    episodes: int = 100,
-    seed: int = 0,
+    episodes: Annotated[int, typer.Option(help="Episodes of each agent.")] = 100,
+    seed: Annotated[int, typer.Option(help="Seed of the first episode; the next ones count on from it.")] = 0,
     robot: Annotated[str, typer.Option(help="Name or file of the arm; by default what each agent needs.")] = "",
     difficulty: Annotated[str, typer.Option(help="Difficulties of the targets, separated by commas.")] = "",
     num_envs: Annotated[int, typer.Option(help="Episodes played side by side.")] = 1,
     patience: Annotated[float, typer.Option(help="Seconds an agent may take for one answer.")] = 120.0,
 ) -> None:
-    """Run agents on the same episodes and print one table; by default a planner, the shipped policy and chance.
+    """Run agents on the same episodes and print one table; by default a planner, the shipped policy and a random one.
 
     Interrupted, it prints the table of the agents it has been through.
     """

@@ -1,4 +1,4 @@
-"""A procedural high-wire tomato row with known truth."""
+"""Rows of tomato plants with known truth: procedural ones, and plants grown by Helios."""
 
 from greenhouse_gym.plants.cultivars import CULTIVARS, DEVELOPMENT_CULTIVARS, HELD_OUT_CULTIVARS, Cultivar
 from greenhouse_gym.plants.organs import Organ

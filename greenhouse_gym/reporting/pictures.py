@@ -116,7 +116,7 @@ def registration_pictures(
     settings: ReconstructionSettings,
     out: Path,
 ) -> list[Path]:
-    """Two images 10 cm apart, their foreground, the overlay at the best shift, clouds before and after ICP."""
+    """Images of two neighboring stations, their foreground, the best shift, and the clouds before and after ICP."""
     one, two = (view_station(recording[i], calibration, settings) for i in (first, second))
     views = (one.reference, two.reference)
     paths = [
