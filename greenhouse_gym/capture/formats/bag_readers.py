@@ -1,0 +1,68 @@
+"""What opens a bag: the package rosbags, and for RealSense's newer recordings, a lone database, a reader of our own."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Collection, Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from greenhouse_gym.extras import needs
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic of a database."""
+
+    number: int
+    topic: str
+    msgtype: str
+
+
+class Database:
+    """A ROS 2 bag's database without its ``metadata.yaml``, with the part of rosbags' reader that is used here."""
+
+    def __init__(self, connection: sqlite3.Connection):
+        from rosbags.typesys import Stores, get_typestore
+
+        self._connection = connection
+        self._types = get_typestore(Stores.ROS2_HUMBLE)
+        found = connection.execute("SELECT id, name, type FROM topics ORDER BY id").fetchall()
+        self.connections = [Topic(*row) for row in found]
+
+    def messages(
+        self, connections: Collection[Topic] = (), start: int | None = None, stop: int | None = None
+    ) -> Iterator[tuple[Topic, int, bytes]]:
+        """The topic, the time and the content of messages from ``start`` to before ``stop``, in the order of time."""
+        wanted = {topic.number: topic for topic in connections or self.connections}
+        marks = ",".join("?" * len(wanted))
+        rows = self._connection.execute(
+            f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({marks}) "
+            "AND timestamp >= ? AND timestamp < ? ORDER BY timestamp, id",
+            [*wanted, start or 0, 2**63 - 1 if stop is None else stop],
+        )
+        for number, at, content in rows:
+            yield wanted[number], at, content
+
+    def deserialize(self, content: bytes, kind: str) -> Any:
+        """A message."""
+        return self._types.deserialize_cdr(content, kind)
+
+
+@contextmanager
+def opened(bag: Path) -> Iterator[Any]:
+    """A reader of a bag: of the file of a ROS 1 bag, the folder of a ROS 2 bag, or a lone database.
+
+    Raises:
+        MissingDependencyError: The extra ``bags`` is not installed.
+    """
+    with needs("bags"):
+        from rosbags.highlevel import AnyReader
+    if bag.suffix.lower() == ".db3":
+        with closing(sqlite3.connect(f"file:{bag.resolve()}?mode=ro", uri=True)) as connection:
+            yield Database(connection)
+    else:
+        with AnyReader([bag]) as reader:
+            yield reader

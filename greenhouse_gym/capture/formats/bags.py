@@ -1,0 +1,220 @@
+"""Bags of ROS 1 and ROS 2, and those of RealSense's recorder, which are ROS 1 bags with topics of their own.
+
+The bag is gone through once for the times of its images; an image is read when its station is asked for, so memory is
+that of one station however long the bag. A color and a depth image belong together by their time stamps.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from greenhouse_gym.capture.formats.bag_readers import opened
+from greenhouse_gym.capture.formats.messages import POSES, between, extrinsics_of, image_of, lens_of, pose_of, poses_of
+from greenhouse_gym.capture.formats.pairs import Pair
+from greenhouse_gym.capture.formats.single_camera import RIG_FROM_CAMERA
+from greenhouse_gym.capture.formats.topics import CameraTopics, cameras_of
+from greenhouse_gym.capture.formats.videos import nearest_in_time
+from greenhouse_gym.capture.frames import RgbdFrame, Station
+from greenhouse_gym.capture.recordings import Recording
+from greenhouse_gym.capture.rig import Camera, Rig
+from greenhouse_gym.errors import FileFormatError
+from greenhouse_gym.geometry import Array, invert
+from greenhouse_gym.paths import parsing
+
+name = "bag"
+description = "a ROS 1 .bag (RealSense's too), a ROS 2 .mcap or .db3 with its metadata.yaml, or their folder"
+
+_SUFFIXES = (".bag", ".mcap", ".db3")
+_STATIC = "/tf_static"
+_TOGETHER = 0.025  # s within which images are of one moment
+_POSED = 0.05  # s within which a pose is that of an image
+
+
+@dataclass(frozen=True)
+class Message:
+    """Where a message is found: its topic, the time the bag has it at, and the time it was made, nanoseconds."""
+
+    topic: str
+    at: int
+    stamp: int
+
+
+def recognises(path: Path) -> bool:
+    """Whether it is such a file, or a folder with one and its ``metadata.yaml``."""
+    if path.is_file():
+        return path.suffix.lower() in _SUFFIXES
+    return (path / "metadata.yaml").is_file() and any(file.suffix in _SUFFIXES for file in path.iterdir())
+
+
+def open(path: Path) -> Recording:
+    """Open a bag: a station for each moment of which every camera has a color and a depth image.
+
+    Raises:
+        FileFormatError: The bag is damaged, lacks images or their CameraInfo, or its cameras' clocks run apart.
+        MissingDependencyError: The extra ``bags`` is not installed.
+    """
+    bag = _bag(path)
+    with parsing(path, "bag"), opened(bag) as reader:
+        types = {connection.topic: connection.msgtype for connection in reader.connections}
+        cameras = cameras_of(path, types)
+        moments, singles = _index(reader, cameras, types)
+        pairs = {name: _pair(path, topics, singles) for name, topics in cameras.items()}
+        posed = _poses(reader, types)
+    stations, notes = _stations(path, cameras, moments)
+    rig = Rig(
+        {name: Camera(pair.color.intrinsics, RIG_FROM_CAMERA, pair.depth_scale) for name, pair in pairs.items()},
+        sorted(pairs)[len(pairs) // 2],
+    )
+    poses = [_nearest_pose(station, posed) for station in stations]
+    for camera, topics in cameras.items():
+        if pairs[camera].depth is not None and _color_from_depth(topics, singles) is None:
+            notes.append(f"{camera}: the bag does not say how depth and color stand; taken as at one place")
+    load = partial(_station, bag, pairs, tuple(stations), tuple(poses))
+    files = (bag,) if bag.is_file() else tuple(sorted(file for file in bag.iterdir() if file.is_file()))
+    folder = bag.parent if bag.is_file() else bag
+    return Recording(path.stem, rig, len(stations), load, folder, files=files, notes=tuple(notes))
+
+
+def _bag(path: Path) -> Path:
+    """What the reader opens: the file of a ROS 1 bag or of RealSense's recorder, the folder of a ROS 2 bag."""
+    if path.suffix.lower() in (".bag", ".db3") or path.is_dir():
+        return path
+    if not (path.parent / "metadata.yaml").is_file():
+        raise FileFormatError(path, "has no metadata.yaml beside it; make one by: ros2 bag reindex FOLDER")
+    return path.parent
+
+
+def _index(
+    reader: Any, cameras: Mapping[str, CameraTopics], types: Mapping[str, str]
+) -> tuple[dict[str, list[Message]], dict[str, Any]]:
+    """All images by topic, and the first message of each topic that is told once."""
+    images = {topic for topics in cameras.values() for topic in (topics.color, topics.depth)}
+    once = {topic for topics in cameras.values() for topic in topics.once if topic in types} | {_STATIC}
+    wanted = [connection for connection in reader.connections if connection.topic in images | once]
+    found: dict[str, list[Message]] = {topic: [] for topic in images}
+    singles: dict[str, Any] = {}
+    for connection, at, raw in reader.messages(connections=wanted):
+        if connection.topic in images:
+            found[connection.topic].append(Message(connection.topic, at, _stamp(raw, at)))
+        elif connection.topic == _STATIC:
+            singles.setdefault(_STATIC, []).append(reader.deserialize(raw, connection.msgtype))
+        elif connection.topic not in singles:
+            singles[connection.topic] = reader.deserialize(raw, connection.msgtype)
+    return found, singles
+
+
+def _stamp(raw: bytes, at: int) -> int:
+    """When an image was taken: seconds and nanoseconds stand at the same place of every header."""
+    seconds, nanoseconds = struct.unpack_from("<Ii", raw, 4)
+    return int(seconds) * 10**9 + int(nanoseconds) if seconds else at
+
+
+def _pair(path: Path, topics: CameraTopics, singles: Mapping[str, Any]) -> Pair:
+    for topic in (topics.color_info, topics.depth_info):
+        if topic not in singles:
+            raise FileFormatError(path, f"has no CameraInfo on {topic}, which its images need")
+    color, depth = (lens_of(path, topic, singles[topic]) for topic in (topics.color_info, topics.depth_info))
+    scale = float(singles[topics.units].data) if topics.units in singles else 0.001
+    apart = _color_from_depth(topics, singles)
+    same = color.intrinsics == depth.intrinsics and (apart is None or np.allclose(apart, np.eye(4), atol=1e-6))
+    return Pair(color, None if same else depth, np.eye(4) if apart is None else apart, scale)
+
+
+def _color_from_depth(topics: CameraTopics, singles: Mapping[str, Any]) -> Array | None:
+    """How the two cameras stand, (4, 4), by /tf_static or by what RealSense's older recorder tells; else None."""
+    if topics.color_place in singles and topics.depth_place in singles:  # of one frame of the device in each camera
+        return extrinsics_of(singles[topics.color_place]) @ invert(extrinsics_of(singles[topics.depth_place]))
+    frames = [singles[topic].header.frame_id for topic in (topics.color_info, topics.depth_info)]
+    return between(poses_of(singles.get(_STATIC, [])), frames[0], frames[1])
+
+
+def _stations(
+    path: Path, cameras: Mapping[str, CameraTopics], found: Mapping[str, Sequence[Message]]
+) -> tuple[list[dict[str, tuple[Message, Message]]], list[str]]:
+    """For each moment the color and the depth message of every camera; and what was left out."""
+    for topics in cameras.values():
+        for topic in (topics.color, topics.depth):
+            if not found[topic]:
+                raise FileFormatError(path, f"has no images on {topic}")
+    first = min(cameras.values(), key=lambda topics: len(found[topics.color])).color
+    times = _seconds(found[first])
+    partners = {
+        topic: nearest_in_time(times, _seconds(found[topic]), _TOGETHER)
+        for topics in cameras.values()
+        for topic in (topics.color, topics.depth)
+    }
+    whole = np.flatnonzero(np.all([partner >= 0 for partner in partners.values()], axis=0))
+    if not len(whole):
+        spans = ", ".join(f"{topic} {_span(messages)}" for topic, messages in found.items())
+        raise FileFormatError(path, f"no moment has images of all cameras; do their clocks run apart? {spans}")
+    notes = []
+    if len(whole) < len(times):
+        lost = {t: int((partner < 0).sum()) for t, partner in partners.items() if (partner < 0).any()}
+        told = ", ".join(f"{count} on {topic}" for topic, count in lost.items())
+        notes.append(f"{len(times) - len(whole)} of {len(times)} moments lack an image ({told}) and were left out")
+    stations = [
+        {
+            camera: (found[topics.color][partners[topics.color][k]], found[topics.depth][partners[topics.depth][k]])
+            for camera, topics in cameras.items()
+        }
+        for k in whole
+    ]
+    return stations, notes
+
+
+def _seconds(messages: Iterable[Message]) -> Array:
+    return np.array([message.stamp for message in messages], dtype=np.float64) / 1e9
+
+
+def _span(messages: Sequence[Message]) -> str:
+    return f"{messages[0].stamp / 1e9:.3f} to {messages[-1].stamp / 1e9:.3f} s" if messages else "never"
+
+
+def _poses(reader: Any, types: Mapping[str, str]) -> tuple[Array, Array]:
+    """Times (n,) and poses (n, 4, 4) of the first topic that tells where the camera is, if there is one."""
+    topic = next((topic for topic, kind in sorted(types.items()) if kind in POSES), None)
+    wanted = [connection for connection in reader.connections if connection.topic == topic]
+    if not wanted:
+        return np.zeros(0), np.zeros((0, 4, 4))
+    told = [
+        (_stamp(raw, at) / 1e9, pose_of(reader.deserialize(raw, connection.msgtype)))
+        for connection, at, raw in reader.messages(connections=wanted)
+    ]
+    told.sort(key=lambda each: each[0])
+    return np.array([time for time, _ in told]), np.array([place for _, place in told])
+
+
+def _nearest_pose(station: Mapping[str, tuple[Message, Message]], posed: tuple[Array, Array]) -> Array | None:
+    stamp = next(iter(station.values()))[0].stamp / 1e9
+    near = int(nearest_in_time(np.array([stamp]), posed[0], _POSED)[0])
+    return None if near < 0 else posed[1][near]
+
+
+def _station(
+    bag: Path,
+    pairs: Mapping[str, Pair],
+    stations: Sequence[Mapping[str, tuple[Message, Message]]],
+    poses: Sequence[Array | None],
+    i: int,
+) -> Station:
+    frames: dict[str, RgbdFrame] = {}
+    with opened(bag) as reader:
+        for camera, both in stations[i].items():
+            color, depth = (_read(reader, message) for message in both)
+            frames[camera] = pairs[camera].frame(color, depth, f"{bag}, {both[0].topic} at {both[0].stamp} ns")
+    return Station(frames, poses[i])
+
+
+def _read(reader: Any, message: Message) -> Any:
+    wanted = [connection for connection in reader.connections if connection.topic == message.topic]
+    for connection, _, raw in reader.messages(connections=wanted, start=message.at, stop=message.at + 1):
+        if _stamp(raw, message.at) == message.stamp:
+            return image_of(message.topic, reader.deserialize(raw, connection.msgtype))
+    raise FileFormatError(message.topic, f"the image at {message.stamp} ns is not there any more")
