@@ -21,7 +21,7 @@ from greenhouse_gym.records import wilson_interval
 from greenhouse_gym.scene import SceneBank
 
 README = RESULTS.parent.parent / "README.md"
-BEGIN, END = "<!-- results -->", "<!-- end of results -->"
+BEGIN, END = "<!-- --8<-- [start:results] -->", "<!-- --8<-- [end:results] -->"
 USUAL = ("package", False, 5, 0.002)
 """Method, whether stations are broken, length and error of the cameras, metres, of the rows that count."""
 
@@ -51,22 +51,22 @@ def shapes(name: str, rows: str, command: str) -> Iterator[str]:
         )
 
 
-def plans(name: str, rows: str) -> Iterator[str]:
-    """Plans made on the scan and followed in the truth: of the protocol that reached most, and of the paper's."""
+def plans(name: str, rows: str, command: str) -> Iterator[str]:
+    """Plans made on the scan and followed in the truth: the way that holds best, and the paper's for comparison."""
     if not (results := read(name)):
         return
-    usual = [f for f in results["figures"] if f["followed"]]
-    best = max(usual, key=lambda f: (f["reached"]["rate"], f["followed"]))
-    paper = max((f for f in usual if f["protocol"] == "paper"), key=lambda f: f["followed"], default=None)
-    for figure in (best, *([paper] if paper is not None and paper is not best else [])):
+    followed = [figure for figure in results["figures"] if figure["followed"]]
+    best = max(followed, key=lambda figure: float(figure["reached"]["interval"][0]))
+    free = [figure for figure in followed if figure["unseen"] == "free"]
+    plain = [figure for figure in free if figure["protocol"] == "paper"] or free
+    for figure in [best, *(figure for figure in plain[:1] if figure is not best)]:
         reached, collided = figure["reached"], figure["collided"]
         low, high = reached["interval"]
-        unseen = UNSEEN.get(str(figure["unseen"]), f"at most {figure['unseen']} m into unseen space")
+        unseen = UNSEEN.get(str(figure["unseen"]), f"at most {figure['unseen']} m deep into unseen space")
         yield (
             f"| plans that hold in the truth, {figure['rows']} {rows}, protocol {figure['protocol']}, {unseen} | "
             f"{reached['rate']:.0%} [{low:.0%}, {high:.0%}] of {figure['followed']} reach, {collided['rate']:.0%} "
-            f"collide; {figure['targets'] - figure['followed']} of {figure['targets']} without a plan | "
-            f"`benchmarks/capture_protocols.py` |"
+            f"collide; {figure['targets'] - figure['followed']} of {figure['targets']} have no plan | `{command}` |"
         )
 
 
@@ -113,8 +113,9 @@ def table() -> str:
     rows = [
         *shapes("shapes_helios.json", "held-out Helios rows", "benchmarks/shapes.py --source helios"),
         *shapes("shapes.json", "held-out own rows", "benchmarks/shapes.py"),
-        *plans("capture_protocols_helios.json", "Helios row(s)"),
-        *plans("capture_protocols.json", "own row(s)"),
+        *plans("capture_protocols_helios.json", "Helios row(s)", "benchmarks/capture_protocols.py --source helios"),
+        *plans("capture_protocols.json", "own row(s)", "benchmarks/capture_protocols.py"),
+        *plans("careful_plans.json", "rows of the shipped bank", "benchmarks/careful_plans.py"),
         *policies(),
         *reconstruction(),
         *throughput(),
@@ -125,7 +126,7 @@ def table() -> str:
 def main() -> None:
     """Print the table and write it into README.md."""
     text = README.read_text()
-    new = re.sub(f"(?s){BEGIN}.*{END}", f"{BEGIN}\n{table()}\n{END}", text)
+    new = re.sub(f"(?s){re.escape(BEGIN)}.*{re.escape(END)}", f"{BEGIN}\n\n{table()}\n\n{END}", text)
     print(table())
     write_atomically(Path(README), new)
 
