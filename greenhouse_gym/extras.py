@@ -15,6 +15,7 @@ MODULES: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "plan": ("ompl",),
         "train": ("stable_baselines3", "torch", "safetensors"),
         "viz": ("matplotlib", "moviepy"),
+        "cluster": ("ray",),
     }
 )
 """What extras that commands need bring, by the names that are imported."""

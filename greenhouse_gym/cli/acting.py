@@ -11,6 +11,7 @@ import typer
 from rich.progress import track
 
 from greenhouse_gym.cli.settings import Assignments, SettingsFile, shown
+from greenhouse_gym.cli.spread import Address, Backend, Workers, spread
 from greenhouse_gym.progress import CONSOLE
 
 if TYPE_CHECKING:
@@ -173,10 +174,14 @@ def compare(
     difficulty: Annotated[str, typer.Option(help="Difficulties of the targets, separated by commas.")] = "",
     num_envs: Annotated[int, typer.Option(help="Episodes played side by side.")] = 1,
     patience: Annotated[float, typer.Option(help="Seconds an agent may take for one answer.")] = 120.0,
+    backend: Backend = None,
+    workers: Workers = None,
+    address: Address = "local",
 ) -> None:
     """Run agents on the same episodes and print one table; by default a planner, the shipped policy and a random one.
 
-    Interrupted, it prints the table of the agents it has been through.
+    Interrupted, it prints the table of the agents it has been through. The work is spread only where that is asked for:
+    processes side by side disturb each other's seconds.
     """
     from greenhouse_gym.agents.named import make_agent
     from greenhouse_gym.evaluation import Evaluation, comparison_table
@@ -188,8 +193,9 @@ def compare(
     options |= {key: value for key, value in (("robot", robot), ("difficulty", _parts(difficulty))) if value}
     evaluations: list[Evaluation] = []
     try:
-        for agent in chosen:
-            evaluations += run([agent], split, episodes, seed, **options)
+        with spread(backend, workers, address) as executor:
+            for agent in chosen:
+                evaluations += run([agent], split, episodes, seed, executor=executor, **options)
     finally:
         if evaluations:
             typer.echo(comparison_table(evaluations), nl=False)

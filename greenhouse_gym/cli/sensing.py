@@ -10,6 +10,7 @@ import typer
 
 from greenhouse_gym.cli.scans import Floor, SeenFrom, Units, Up, scanned
 from greenhouse_gym.cli.settings import Assignments, SettingsFile, shown
+from greenhouse_gym.cli.spread import Address, Backend, Workers, spread
 from greenhouse_gym.progress import CONSOLE, progress
 
 if TYPE_CHECKING:
@@ -141,6 +142,9 @@ def build(
     settings: SettingsFile = None,
     assignments: Assignments = None,
     print_settings: Annotated[bool, shown(_build_settings)] = False,
+    backend: Backend = None,
+    workers: Workers = None,
+    address: Address = "local",
 ) -> None:
     """Build a bank of scenes from recordings; an interrupted build goes on where it stopped.
 
@@ -164,7 +168,8 @@ def build(
         BuildSettings(reconstruction=needed.pop() if len(needed) == 1 else None), settings, assignments or ()
     )
     try:
-        bank = build_bank(opened, out, name or out.resolve().name, settings=resolved)
+        with spread(backend, workers, address, len(opened)) as executor:
+            bank = build_bank(opened, out, name or out.resolve().name, settings=resolved, executor=executor)
     except KeyboardInterrupt:
         _say(f"interrupted: what is done is kept in {out}; give the same command again to go on")
         raise typer.Exit(130) from None

@@ -160,7 +160,7 @@ class EpisodeSampler:
     def _fitting(self, scene: Scene, names: tuple[str, ...]) -> list[Target]:
         key = (id(scene), names)
         if key not in self._kept:
-            if len(self._kept) > _KEPT:
+            if len(self._kept) >= (self.at_a_time or _KEPT):
                 self._kept.clear()
             mine = [target for target in scene.targets if target.robot == self.robot.name]
             rated = mine or list({target.tomato: target for target in scene.targets}.values())

@@ -14,7 +14,7 @@ import numpy as np
 LARGEST_WHOLE = 300
 """A split with no more scenes is drawn from as a whole."""
 
-WINDOW = 128
+WINDOW = 96
 """Scenes of a larger one that are drawn from at a time."""
 
 FIRST = 64

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import weakref
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import lru_cache
@@ -23,8 +24,8 @@ Choice = str | int | Iterable[str | int] | None
 SPLITS: tuple[str, ...] = get_args(Split)
 MANIFEST = "manifest.json"
 
-SCENES_KEPT = 300
-"""Scenes of a bank that are kept in memory, those asked for last; each takes about 0.2 MB."""
+SCENES_KEPT = 32
+"""Scenes of a bank that are kept in memory, those asked for last, beside those that somebody else keeps."""
 
 
 class Entry(Part):
@@ -92,6 +93,7 @@ class SceneBank(Sequence[Scene]):
         self.manifest = manifest
         self._homes = homes or {}  # of a part or a union of banks: where each scene is read
         self._entries = {entry.name: entry for entry in manifest.scenes}
+        self._alive: weakref.WeakValueDictionary[str, Scene] = weakref.WeakValueDictionary()
         self._scenes: OrderedDict[str, Scene] = OrderedDict()
 
     @classmethod
@@ -223,17 +225,19 @@ class SceneBank(Sequence[Scene]):
         entry = self._entry(name)
         if name in self._homes:
             return self._homes[name].scene(name)
-        if name not in self._scenes:
+        scene = self._alive.get(name)
+        if scene is None:
             path = inside(self.path, entry.file, named_in=self.path / MANIFEST)
             content = read_bytes(path, "scene")
             scene = Scene.parse(content, path)
             if hashlib.sha256(content).hexdigest() != entry.sha256:
                 raise FileFormatError(path, f"checksum differs from the one in {self.path / MANIFEST}")
-            self._scenes[name] = scene
-            if len(self._scenes) > SCENES_KEPT:
-                self._scenes.popitem(last=False)
+            self._alive[name] = scene
+        self._scenes[name] = scene
         self._scenes.move_to_end(name)
-        return self._scenes[name]
+        if len(self._scenes) > SCENES_KEPT:
+            self._scenes.popitem(last=False)
+        return scene
 
     def _entry(self, name: str) -> Entry:
         if name not in self._entries:

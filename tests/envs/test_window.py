@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import gc
 import pickle
+import weakref
 from collections import Counter
 from pathlib import Path
 
@@ -116,11 +117,12 @@ def test_a_bank_keeps_the_scenes_that_were_asked_for_last(
 ) -> None:
     monkeypatch.setattr(bank_module, "SCENES_KEPT", 3)
     opened = SceneBank(bank.path, bank.manifest)
-    first, second, *_ = (opened.scene(name) for name in bank.names()[:3])
-    assert opened.scene(first.name) is first
-    opened.scene(bank.names()[3])
-    assert opened.scene(first.name) is first
-    assert opened.scene(second.name) is not second
+    first = opened.scene(bank.names()[0])
+    forgotten = weakref.ref(opened.scene(bank.names()[1]))
+    for name in bank.names()[2:6]:
+        opened.scene(name)
+    assert opened.scene(first.name) is first  # somebody keeps it
+    assert forgotten() is None
     assert len(opened._scenes) == 3
 
 

@@ -1,0 +1,25 @@
+"""Work spread over the cores of one machine or of many, with the same results as on one."""
+
+from greenhouse_gym.parallel.backends import BACKENDS, executor_for, idle_cores
+from greenhouse_gym.parallel.ray_executor import RayExecutor
+from greenhouse_gym.parallel.spreading import (
+    WorkerLostError,
+    completed,
+    processes,
+    require_portable,
+    usable_cores,
+    workers_of,
+)
+
+__all__ = [
+    "BACKENDS",
+    "RayExecutor",
+    "WorkerLostError",
+    "completed",
+    "executor_for",
+    "idle_cores",
+    "processes",
+    "require_portable",
+    "usable_cores",
+    "workers_of",
+]

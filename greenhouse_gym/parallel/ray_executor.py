@@ -1,0 +1,205 @@
+"""Ray as an executor: the cores of a cluster behind the interface of `concurrent.futures`."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import platform
+import socket
+import sys
+from collections.abc import Callable
+from concurrent.futures import Executor, Future, InvalidStateError, wait
+from contextlib import suppress
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from types import TracebackType
+from typing import Any, TypeVar
+
+from greenhouse_gym import __version__
+from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.extras import needs
+from greenhouse_gym.parallel.spreading import WorkerLostError
+
+Result = TypeVar("Result")
+
+_PATIENCE = 5.0  # seconds until an address at which nothing answers is given up
+
+
+class RayExecutor(Executor):
+    """Works on the cores of a Ray cluster; use it in a ``with`` block.
+
+    What a worker needs travels by pickle, as with processes: functions of modules, which each node must have, in the
+    same version of this package. Each piece of work is begun in the caller's working folder where a node sees that, so
+    relative paths mean the same. What a lost node was at work on is done again by another.
+
+    Args:
+        address: "local" for the cores of this machine alone, "HOST:PORT" of a cluster's head, or "auto" for the cluster
+            this machine belongs to. A process that has joined one already stays in it.
+        cpus: Cores that each piece of work takes.
+        memory: Bytes that each takes; Ray begins no more at a time than fit. None to not count.
+        retries: How often a piece is begun anew when its node or process dies.
+        workers: With "local", how many cores to use; None for all.
+
+    Raises:
+        MissingDependencyError: Ray is not installed.
+        InvalidValueError: Nothing answers at the address, or the cluster runs another version of Python or Ray.
+    """
+
+    def __init__(
+        self,
+        address: str = "local",
+        cpus: float = 1,
+        memory: int | None = None,
+        retries: int = 3,
+        workers: int | None = None,
+    ):
+        with needs("cluster"):
+            self._ray: Any = import_module("ray")
+        if address not in ("local", "auto"):
+            _check_listens(address)
+        self._owns = not self._ray.is_initialized()
+        if self._owns:
+            _join(self._ray, address, workers)
+        elif address not in ("local", "auto"):
+            raise InvalidValueError(f"this process is in a Ray cluster already: leave it before joining {address}")
+        options = {"num_cpus": cpus, "max_retries": retries, "retry_exceptions": False}
+        self._call = self._ray.remote(_call).options(**options, **({} if memory is None else {"memory": memory}))
+        self._max_workers = max(1, int(self._ray.cluster_resources().get("CPU", 1) // cpus))
+        self._futures: set[Future[Any]] = set()
+        self._open = True
+
+    def submit(self, fn: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:
+        """Have a worker call a function of a module.
+
+        Raises:
+            RuntimeError: The executor was shut down.
+        """
+        if not self._open:
+            raise RuntimeError("cannot schedule new futures after shutdown")
+        # Not protocol 5, which leaves arrays where the message happens to lie, and products of them in the last bits.
+        message = self._ray.cloudpickle.dumps((fn, args, kwargs), protocol=4)
+        reference = self._call.remote(message, str(Path.cwd()), sys.path, __version__)
+        future: Future[Result] = _RayFuture(self._ray, reference)
+        self._futures.add(future)
+        future.add_done_callback(self._futures.discard)
+        reference.future().add_done_callback(partial(_settle, future))
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Take no more work; leave the cluster if this executor joined it.
+
+        Args:
+            wait: Whether to wait for what was handed out.
+            cancel_futures: Whether to stop that instead, what is being worked on included.
+        """
+        self._open = False
+        if cancel_futures:
+            for future in list(self._futures):
+                future.cancel()
+        if wait:
+            _wait(list(self._futures))
+        if self._owns and self._ray.is_initialized():
+            self._ray.shutdown()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.shutdown(cancel_futures=kind is not None)
+
+
+class _RayFuture(Future[Result]):
+    """A future whose cancellation stops the work, however far it is."""
+
+    def __init__(self, ray: Any, reference: Any):
+        super().__init__()
+        self._ray, self._reference = ray, reference
+
+    def cancel(self) -> bool:
+        canceled = super().cancel()
+        if canceled:
+            with suppress(Exception):  # the cluster may be gone
+                self._ray.cancel(self._reference, force=True)
+        return canceled
+
+
+def _wait(futures: list[Future[Any]]) -> None:
+    wait(futures)
+
+
+def _join(ray: Any, address: str, workers: int | None) -> None:
+    """Start a cluster of this machine's cores, or join one.
+
+    Raises:
+        InvalidValueError: That is not possible.
+    """
+    own = (
+        {"num_cpus": workers, "include_dashboard": False, "_system_config": {"worker_niceness": 0}}
+        if address == "local"
+        else {}
+    )
+    try:
+        ray.init(address=address, log_to_driver=False, logging_level="warning", configure_logging=True, **own)
+    except (ConnectionError, RuntimeError, ValueError) as error:
+        first = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+        raise InvalidValueError(f"no Ray cluster can be joined at {address!r}: {first}") from error
+
+
+def _check_listens(address: str) -> None:
+    host, _, port = address.rpartition(":")
+    if not host or not port.isdecimal():
+        raise InvalidValueError(f'address must be "local", "auto" or HOST:PORT, got {address!r}')
+    try:
+        socket.create_connection((host, int(port)), _PATIENCE).close()
+    except OSError as error:
+        raise InvalidValueError(
+            f"nothing listens at {address} ({error}): expected the head of a Ray cluster"
+        ) from error
+
+
+def _call(message: bytes, folder: str, path: list[str], version: str) -> tuple[bool, bytes]:
+    """Do a piece of work on a node: whether it went well, and the pickled result or error.
+
+    Args:
+        message: The pickled function and its arguments.
+        folder: The caller's working folder.
+        path: Where the caller looks for modules.
+        version: The caller's version of this package.
+    """
+    try:
+        if version != __version__:
+            raise InvalidValueError(
+                f"node {platform.node()} has greenhouse-gym {__version__}, the head {version}: install the same on all"
+            )
+        if Path(folder).is_dir():
+            os.chdir(folder)
+        sys.path += [entry for entry in path if entry not in sys.path]
+        function, arguments, keywords = pickle.loads(message)
+        return True, pickle.dumps(function(*arguments, **keywords))
+    except Exception as error:
+        return False, pickle.dumps(error)
+
+
+def _settle(future: Future[Any], done: Future[tuple[bool, bytes]]) -> None:
+    """Tell a caller's future what Ray's has come to."""
+    with suppress(InvalidStateError):  # it was canceled meanwhile
+        try:
+            went_well, message = done.result()
+        except BaseException as error:
+            future.set_exception(WorkerLostError(f"a piece of work was lost: {_reason(error)}"))
+            return
+        try:
+            result = pickle.loads(message)
+        except Exception as error:
+            future.set_exception(error)
+            return
+        if went_well:
+            future.set_result(result)
+        else:
+            future.set_exception(result)
+
+
+def _reason(error: BaseException) -> str:
+    """Ray's error in one line, without its traceback."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return f"{type(error).__name__}: {(lines or ['no reason given'])[0][:300]}"
