@@ -8,7 +8,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from greenhouse_gym.cli import acting, arms, demo, scans, sensing
+from greenhouse_gym.cli import acting, arms, bank, demo, scans, sensing
 from greenhouse_gym.cli.doctor import doctor
 from greenhouse_gym.errors import GreenhouseError
 
@@ -32,6 +32,7 @@ app.command()(acting.compare)
 app.command()(acting.render)
 app.command()(demo.demo)
 app.command()(doctor)
+app.add_typer(bank.app, name="bank")
 
 
 def main() -> None:

@@ -1,0 +1,5 @@
+"""Scenes for other people's simulators and planners: MJCF, URDF, SDF, MoveIt, meshes, and sets of planning problems."""
+
+from greenhouse_gym.export.files import FORMATS, export_scene
+
+__all__ = ["FORMATS", "export_scene"]

@@ -1,0 +1,106 @@
+"""The shapes of a scene as named primitives with poses: what all exports are made of."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from typing import Literal, NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from greenhouse_gym.crop import Stem, Tomato
+from greenhouse_gym.geometry import Array, Box, Capsule, Shape, frame_along, pose
+from greenhouse_gym.scene.surroundings import Shapes
+
+Kind = Literal["sphere", "ellipsoid", "capsule", "cylinder", "box"]
+Color = tuple[float, float, float]
+
+RED, GREEN_FRUIT, STEM, CLUTTER = (0.85, 0.13, 0.10), (0.45, 0.60, 0.20), (0.33, 0.48, 0.20), (0.25, 0.50, 0.22)
+
+
+class Primitive(NamedTuple):
+    """A shape with a pose; lengths in metres.
+
+    Attributes:
+        name: Its own among those of a scene.
+        kind: What it is.
+        size: (radius,) of a sphere; the semi-axes of an ellipsoid; (radius, length without caps) of a capsule, (radius,
+            length) of a cylinder, both along z; the half extents of a box.
+        pose: (4, 4) where it is, in the frame of its world or link.
+        color: RGB in [0, 1].
+    """
+
+    name: str
+    kind: Kind
+    size: tuple[float, ...]
+    pose: Array
+    color: Color
+
+    @property
+    def position(self) -> Array:
+        """(3,) metres."""
+        return self.pose[:3, 3]
+
+    @property
+    def quaternion(self) -> Array:
+        """(4,) x, y, z, w."""
+        return Rotation.from_matrix(self.pose[:3, :3]).as_quat()
+
+    @property
+    def roll_pitch_yaw(self) -> Array:
+        """(3,) radians about the fixed x, y and z axes, one after the other."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of gimbal lock: any of the angles that give the rotation will do
+            return Rotation.from_matrix(self.pose[:3, :3]).as_euler("xyz")
+
+    def moved(self, target_from_source: Array) -> Primitive:
+        """The primitive in another frame."""
+        return self._replace(pose=target_from_source @ self.pose)
+
+
+def primitives(shapes: Shapes) -> list[Primitive]:
+    """Tomatoes, stems and clutter of a scene, or of its truth, in their order and under the names of its MJCF."""
+    found = [_primitive(f"tomato_{k}", tomato, _fruit_color(tomato)) for k, tomato in enumerate(shapes.tomatoes)]
+    found += [_primitive(f"stem_{k}_{stem.kind}", stem, STEM) for k, stem in enumerate(shapes.stems)]
+    return found + [_primitive(f"clutter_{k}", shape, CLUTTER) for k, shape in enumerate(shapes.clutter)]
+
+
+def _fruit_color(tomato: Tomato) -> Color:
+    ripe = 1.0 if tomato.ripeness is None else tomato.ripeness
+    red, green, blue = (ripe * r + (1 - ripe) * g for r, g in zip(RED, GREEN_FRUIT, strict=True))
+    return red, green, blue
+
+
+def _primitive(name: str, shape: Shape | Stem, color: Color) -> Primitive:
+    if isinstance(shape, Box):
+        return Primitive(name, "box", tuple(shape.half_extents.tolist()), pose(shape.rotation, shape.center), color)
+    if isinstance(shape, Capsule):
+        middle = (shape.start + shape.end) / 2
+        if shape.length < 1e-6:
+            return Primitive(name, "sphere", (shape.radius,), pose(translation=middle), color)
+        frame = frame_along(shape.end - shape.start)
+        return Primitive(name, "capsule", (shape.radius, shape.length), pose(frame, middle), color)
+    if (ellipsoid := shape.ellipsoid) is not None:
+        turned = pose(ellipsoid.rotation, ellipsoid.center)
+        return Primitive(name, "ellipsoid", tuple(np.asarray(ellipsoid.semi_axes).tolist()), turned, color)
+    return Primitive(name, "sphere", (shape.radius,), pose(translation=shape.center), color)
+
+
+def without_capsules(primitive: Primitive) -> Iterator[Primitive]:
+    """The same shape, exactly, for formats without capsules: a cylinder and a sphere at each end."""
+    if primitive.kind != "capsule":
+        yield primitive
+        return
+    radius, length = primitive.size
+    yield primitive._replace(kind="cylinder")
+    for k, along in enumerate((-length / 2, length / 2)):
+        end = primitive.pose @ pose(translation=[0.0, 0.0, along])
+        yield primitive._replace(name=f"{primitive.name}_end_{k}", kind="sphere", size=(radius,), pose=end)
+
+
+def without_ellipsoids(primitive: Primitive) -> Primitive:
+    """For formats without ellipsoids: the sphere around one; all else as it is."""
+    if primitive.kind != "ellipsoid":
+        return primitive
+    return primitive._replace(kind="sphere", size=(max(primitive.size),))

@@ -1,0 +1,186 @@
+"""Planning problems, a start, goals and obstacles each, as VAMP, robometrics and MotionBenchMaker keep them.
+
+Everything is in the frame of the arm's base, and the tomato that is to be reached is no obstacle: its cup may touch it.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+
+from greenhouse_gym.export.moveit import FRAME, scene_message
+from greenhouse_gym.export.primitives import Primitive, primitives, without_ellipsoids
+from greenhouse_gym.export.xml import arm_pose
+from greenhouse_gym.geometry import Array, invert, pose, quaternions_from
+from greenhouse_gym.paths import write_atomically
+from greenhouse_gym.planning import goal_configurations
+from greenhouse_gym.robots import Robot
+from greenhouse_gym.scene import Scene
+from greenhouse_gym.scene.mjcf import compile_scene
+
+GOALS = 10
+"""Goal configurations of a problem, beside the end of the target's witness."""
+
+
+class Problem(NamedTuple):
+    """One problem, in the frame of the arm's base.
+
+    Attributes:
+        name: Of scene and tomato.
+        difficulty: Of the target.
+        start: (joints,) radians.
+        goals: (k, joints) radians; none for a target that is unreachable.
+        target: (3,) center of the tomato, metres.
+        tip: (4, 4) pose of the tip at the first goal; z is the tool's axis.
+        obstacles: All shapes but the target.
+    """
+
+    name: str
+    difficulty: str
+    start: Array
+    goals: Array
+    target: Array
+    tip: Array
+    obstacles: list[Primitive]
+
+
+def problems(scene: Scene, robot: Robot) -> Iterator[Problem]:
+    """The problems of a scene, one for each of its targets that are rated for the arm."""
+    base_from_scene = invert(arm_pose(scene, robot))
+    compiled = compile_scene(scene, robot)
+    data = mujoco.MjData(compiled.model)
+    shapes = [part.moved(base_from_scene) for part in primitives(scene)]
+    for target in scene.targets:
+        if target.robot != robot.name:
+            continue
+        goals = np.empty((0, len(robot.joints)))
+        if target.witness is not None:
+            found = goal_configurations(scene, target.tomato, robot, GOALS).configurations
+            goals = np.concatenate([[target.witness[-1]], found])
+            data.qpos[:] = goals[0]
+            mujoco.mj_kinematics(compiled.model, data)
+        turn, place = data.site_xmat[compiled.tip_site].reshape(3, 3), data.site_xpos[compiled.tip_site]
+        tip = base_from_scene @ pose(turn, place)
+        tomato = shapes[target.tomato]
+        others = [part for part in shapes if part is not tomato]
+        name = f"{scene.name}-{target.tomato:03d}"
+        yield Problem(name, target.difficulty, robot.start, goals, tomato.position, tip, others)
+
+
+def vamp(scene: Scene, robot: Robot) -> bytes:
+    """JSON for ``vamp.problem_dict_to_vamp``: spheres, cylinders that VAMP takes as capsules, and boxes.
+
+    Stems stay what they are. Unreachable targets are in it, with ``valid`` false.
+    """
+    sets = [
+        {
+            "problem": scene.name,
+            "name": problem.name,
+            "difficulty": problem.difficulty,
+            "valid": len(problem.goals) > 0,
+            "start": problem.start.tolist(),
+            "goals": problem.goals.tolist(),
+            "target": problem.target.tolist(),
+            **_by_kind([without_ellipsoids(part) for part in problem.obstacles]),
+        }
+        for problem in problems(scene, robot)
+    ]
+    data = {"robot": robot.name, "joints": list(robot.joints), "problems": {scene.name: sets}}
+    return (json.dumps(data) + "\n").encode()
+
+
+def _by_kind(parts: Sequence[Primitive]) -> dict[str, list[dict[str, Any]]]:
+    found: dict[str, list[dict[str, Any]]] = {"sphere": [], "cylinder": [], "box": []}
+    for part in parts:
+        place = {
+            "name": part.name,
+            "position": part.position.tolist(),
+            "orientation_euler_xyz": part.roll_pitch_yaw.tolist(),
+            "orientation_quat_xyzw": part.quaternion.tolist(),
+        }
+        if part.kind == "sphere":
+            found["sphere"].append(place | {"radius": part.size[0]})
+        elif part.kind == "box":
+            found["box"].append(place | {"half_extents": list(part.size)})
+        else:
+            found["cylinder"].append(place | {"radius": part.size[0], "length": part.size[1]})
+    return found
+
+
+def robometrics(scene: Scene, robot: Robot) -> bytes:
+    """YAML with the keys of robometrics' data sets, the reachable targets alone.
+
+    It has cuboids and cylinders only, so spheres and capsules become the cylinders around them: that closes a little of
+    the free space, at worst that of a goal.
+    """
+    sets = [
+        {
+            "collision_buffer_ik": 0.0,
+            "goal_ik": problem.goals.tolist(),
+            "goal_pose": {
+                "frame": "tip",
+                "position_xyz": problem.tip[:3, 3].tolist(),
+                "quaternion_wxyz": quaternions_from(problem.tip[:3, :3])[0].tolist(),
+            },
+            "obstacles": _cuboids_and_cylinders(problem.obstacles),
+            "start": problem.start.tolist(),
+            "world_frame": FRAME,
+        }
+        for problem in problems(scene, robot)
+        if len(problem.goals)
+    ]
+    return _yaml({scene.name: sets})
+
+
+def _cuboids_and_cylinders(parts: Sequence[Primitive]) -> dict[str, dict[str, Any]]:
+    found: dict[str, dict[str, Any]] = {"cuboid": {}, "cylinder": {}}
+    for part in map(without_ellipsoids, parts):
+        x, y, z, w = part.quaternion.tolist()
+        place = {"pose": [*part.position.tolist(), w, x, y, z]}
+        if part.kind == "box":
+            found["cuboid"][part.name] = place | {"dims": [2 * half for half in part.size]}
+        else:
+            radius, length = (*part.size, 0.0)[:2]
+            found["cylinder"][part.name] = place | {"radius": radius, "height": length + 2 * radius}
+    return found
+
+
+def motion_bench_maker(scene: Scene, robot: Robot, folder: Path) -> list[Path]:
+    """MotionBenchMaker's pairs of files: ``scene0001.yaml`` and ``request0001.yaml``, the reachable targets alone.
+
+    Returns:
+        The files, below the folder.
+    """
+    files = []
+    reachable = (problem for problem in problems(scene, robot) if len(problem.goals))
+    for number, problem in enumerate(reachable, start=1):
+        request = {
+            "group_name": robot.name,
+            "start_state": {"joint_state": {"name": list(robot.joints), "position": problem.start.tolist()}},
+            "goal_constraints": [
+                {"name": problem.name, "joint_constraints": _joints(robot, goal)} for goal in problem.goals
+            ],
+        }
+        message = scene_message(problem.name, problem.obstacles)
+        files.append(write_atomically(folder / f"scene{number:04d}.yaml", _yaml(message)))
+        files.append(write_atomically(folder / f"request{number:04d}.yaml", _yaml(request)))
+    return files
+
+
+def _joints(robot: Robot, goal: Array) -> list[dict[str, Any]]:
+    return [
+        {"joint_name": name, "position": value, "tolerance_above": 1e-4, "tolerance_below": 1e-4, "weight": 1.0}
+        for name, value in zip(robot.joints, goal.tolist(), strict=True)
+    ]
+
+
+def _yaml(data: Any) -> bytes:
+    """JSON that is YAML as well: YAML 1.1 takes numbers such as 1e-05, without a point, for words."""
+    text = re.sub(r"-?\d+(?:\.\d+)?e-?\d+", lambda found: f"{float(found[0]):.12f}", json.dumps(data))
+    return (text + "\n").encode()

@@ -1,0 +1,175 @@
+"""What is in a bank, in numbers: by split, style, source and difficulty."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from greenhouse_gym.scene.bank import SPLITS, SceneBank
+from greenhouse_gym.scene.scene import DIFFICULTIES, Scene
+
+REACH = 1.35
+"""Metres around the shoulder in which the share of seen space is told."""
+
+
+@dataclass(frozen=True)
+class BankStatistics:
+    """A bank in numbers.
+
+    Attributes:
+        name: Of the bank.
+        sha256: Checksum of its manifest, and so of everything in it.
+        scenes: Number of scenes.
+        rows: Number of rows.
+        recordings: Number of recordings.
+        megabytes: Of the scene files.
+        splits: Scenes and rows of each split.
+        kinds: Scenes of each style, source, protocol and week; what is not told is "unknown".
+        difficulties: Targets of each difficulty.
+        difficulties_of: The same, for each style and source.
+        per_scene: Tomatoes, shapes and targets of a scene, in the mean.
+        truth: Scenes with truth, and shapes in it in the mean.
+        seen: Scenes that know what was seen, and the mean share of the space within reach that was.
+        checks: Median collision checks of RRTConnect for medium and hard targets.
+        clearance: Median clearance of the witnesses, metres.
+        unseen: Median share of the witnesses' ways through unseen space.
+    """
+
+    name: str
+    sha256: str
+    scenes: int
+    rows: int
+    recordings: int
+    megabytes: float
+    splits: dict[str, tuple[int, int]]
+    kinds: dict[str, dict[str, int]]
+    difficulties: dict[str, int]
+    difficulties_of: dict[str, dict[str, int]]
+    per_scene: dict[str, float]
+    truth: tuple[int, float]
+    seen: tuple[int, float]
+    checks: dict[str, float]
+    clearance: float
+    unseen: float
+
+
+def bank_statistics(bank: SceneBank) -> BankStatistics:
+    """Count what is in a bank; every scene is read.
+
+    Raises:
+        FileFormatError: A scene is missing, damaged or not the one that the manifest means.
+    """
+    entries, scenes = bank.manifest.scenes, list(bank)
+    targets = [target for scene in scenes for target in scene.targets]
+    kinds = ("style", "source", "protocol", "week")
+    by_kind: dict[str, Counter[str]] = {}
+    for scene in scenes:
+        for kind in ("style", "source"):
+            name = getattr(scene.provenance, kind) or "unknown"
+            by_kind.setdefault(name, Counter()).update(target.difficulty for target in scene.targets)
+    shares = [_seen_share(scene) for scene in scenes if scene.seen is not None]
+    true = [len(scene.truth.obstacles) for scene in scenes if scene.truth is not None]
+    return BankStatistics(
+        name=bank.manifest.name,
+        sha256=bank.sha256,
+        scenes=len(scenes),
+        rows=len({entry.row for entry in entries}),
+        recordings=len({scene.provenance.recording or scene.name for scene in scenes}),
+        megabytes=sum(len(scene.model_dump_json()) + 1 for scene in scenes) / 1e6,
+        splits={
+            split: (len(bank.names(split)), len({entry.row for entry in entries if entry.split == split}))
+            for split in SPLITS
+        },
+        kinds={kind: dict(sorted(Counter(_told(getattr(entry, kind)) for entry in entries).items())) for kind in kinds},
+        difficulties={name: sum(target.difficulty == name for target in targets) for name in DIFFICULTIES},
+        difficulties_of={
+            name: {difficulty: found[difficulty] for difficulty in DIFFICULTIES} for name, found in by_kind.items()
+        },
+        per_scene={
+            "tomatoes": _mean([len(scene.tomatoes) for scene in scenes]),
+            "shapes": _mean([len(scene.obstacles) for scene in scenes]),
+            "targets": _mean([len(scene.targets) for scene in scenes]),
+        },
+        truth=(len(true), _mean(true)),
+        seen=(len(shares), _mean(shares)),
+        checks={
+            name: _median([t.checks for t in targets if t.difficulty == name and t.checks is not None])
+            for name in ("medium", "hard")
+        },
+        clearance=_median([t.clearance for t in targets if t.clearance is not None]),
+        unseen=_median([t.unseen for t in targets if t.unseen is not None]),
+    )
+
+
+def _told(value: object) -> str:
+    return "unknown" if value is None else f"{value:02d}" if isinstance(value, int) else str(value)
+
+
+def _mean(values: list[int] | list[float]) -> float:
+    return float(np.mean(values)) if values else float("nan")
+
+
+def _median(values: list[int] | list[float]) -> float:
+    return float(np.median(values)) if values else float("nan")
+
+
+def as_markdown(found: BankStatistics) -> str:
+    """The statistics as tables."""
+    total = max(sum(found.difficulties.values()), 1)
+    lines = [
+        f"{found.scenes} scenes of {found.recordings} recordings of {found.rows} rows, {total} targets, "
+        f"{found.megabytes:.1f} MB",
+        "",
+        f"Checksum of the manifest (SHA-256): `{found.sha256}`",
+        "",
+        *_table(
+            ["split", "scenes", "rows"],
+            [[split, str(scenes), str(rows)] for split, (scenes, rows) in found.splits.items()],
+        ),
+        "",
+        *_table(
+            ["kind", "scenes of each"],
+            [[kind, ", ".join(f"{name} {count}" for name, count in of.items())] for kind, of in found.kinds.items()],
+        ),
+        "",
+        *_table(
+            ["targets", *DIFFICULTIES],
+            [
+                _shares("all", found.difficulties),
+                *(_shares(name, counts) for name, counts in found.difficulties_of.items()),
+            ],
+        ),
+        "",
+        *_table(
+            ["figure", "value"],
+            [
+                *([f"{name} in a scene, mean", f"{mean:.1f}"] for name, mean in found.per_scene.items()),
+                ["scenes with truth; shapes in it, mean", f"{found.truth[0]}; {found.truth[1]:.0f}"],
+                [
+                    "scenes that know what was seen; seen share within reach, mean",
+                    f"{found.seen[0]}; {found.seen[1]:.0%}",
+                ],
+                *([f"checks of RRTConnect, {name}, median", f"{value:.0f}"] for name, value in found.checks.items()),
+                ["clearance of the witnesses, median", f"{1000 * found.clearance:.1f} mm"],
+                ["share of the witnesses' ways through unseen space, median", f"{found.unseen:.0%}"],
+            ],
+        ),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _shares(name: str, counts: dict[str, int]) -> list[str]:
+    total = max(sum(counts.values()), 1)
+    return [name, *(f"{counts[difficulty]} ({counts[difficulty] / total:.1%})" for difficulty in DIFFICULTIES)]
+
+
+def _table(heads: list[str], rows: list[list[str]]) -> list[str]:
+    return ["| " + " | ".join(row) + " |" for row in (heads, ["---"] * len(heads), *rows)]
+
+
+def _seen_share(scene: Scene) -> float:
+    """Share of the space within `REACH` of the shoulder that was seen."""
+    assert scene.seen is not None
+    return scene.seen.share(scene.stand.position + [0.0, 0.0, scene.stand.shoulder_height], REACH)
