@@ -95,13 +95,14 @@ def main() -> None:
     built = ""
     if statistics.recordings < recordings:
         built = (
-            f"The recipe names {recordings} recordings of {shipped.ROWS} rows; {statistics.recordings} of them are here "
-            "so far, and the same command goes on with the others."
+            f"The recipe names {recordings} recordings of {shipped.ROWS} rows; {statistics.recordings} of them are "
+            "here so far, and the same command goes on with the others."
         )
     card = CARD.substitute(
         rows=statistics.rows, length=shipped.ROW_LENGTH, spacing=settings.spacing, progress=built,
         primitives=settings.primitives, width=settings.width, reach=settings.reach,
-        leaves=f"{1000 * settings.leaves:g}", targets=settings.targets, goals=certify.GOALS, hard=certify.HARD, seeds=certify.SEEDS, most=certify.MAX_CHECKS,
+        leaves=f"{1000 * settings.leaves:g}", targets=settings.targets, goals=certify.GOALS,
+        hard=certify.HARD, seeds=certify.SEEDS, most=certify.MAX_CHECKS,
         samples=certify.SAMPLES, default=as_markdown(statistics), mini=as_markdown(bank_statistics(mini)),
     )  # fmt: skip
     draw(default, folder / PICTURE)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from greenhouse_gym.crop import STEM_KINDS, Stem, Tomato
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, Box, Capsule, Shape, Sphere, quaternions_from, rotations_from, transform
+
+Made = TypeVar("Made", Stem, Sphere, Capsule, Box)
 
 MOST_SHAPES = 300_000
 """Shapes that tables may hold in all; what claims more is not believed."""
@@ -107,15 +109,34 @@ def from_tables(tables: ShapeTables) -> ShapeParts:
     kinds = tables.stems[:, 7]
     if not np.isin(kinds, np.arange(len(STEM_KINDS))).all():
         raise InvalidValueError(f"stems: the kinds are numbers below {len(STEM_KINDS)}, got {np.unique(kinds)}")
+    sizes = {"stems": (6, 7), "spheres": (3, 4), "capsules": (6, 7), "boxes": (3, 6)}
+    for name, (first, end) in sizes.items():
+        if not (getattr(tables, name)[:, first:end] > 0).all():
+            raise InvalidValueError(f"{name}: expected positive sizes")
+    tables = ShapeTables(*(table.copy() for table in tables))
     turns = rotations_from(tables.boxes[:, 6:])
-    clutter: list[Sphere | Capsule | Box] = [Sphere(row[:3], row[3]) for row in tables.spheres]
-    clutter += [Capsule(row[:3], row[3:6], row[6]) for row in tables.capsules]
-    clutter += [Box(row[:3], row[3:6], turn) for row, turn in zip(tables.boxes, turns, strict=True)]
+    for table in (*tables, turns):
+        table.setflags(write=False)  # shapes do not change, and these are views
     stems = tuple(
-        Stem(row[:3], row[3:6], row[6], kind=STEM_KINDS[int(row[7])])  # type: ignore[arg-type]
+        _made(Stem, start=row[:3], end=row[3:6], radius=float(row[6]), kind=STEM_KINDS[int(row[7])])
         for row in tables.stems
     )
+    clutter: list[Sphere | Capsule | Box] = [
+        *(_made(Sphere, center=row[:3], radius=float(row[3])) for row in tables.spheres),
+        *(_made(Capsule, start=row[:3], end=row[3:6], radius=float(row[6])) for row in tables.capsules),
+        *(
+            _made(Box, center=row[:3], half_extents=row[3:6], rotation=turn)
+            for row, turn in zip(tables.boxes, turns, strict=True)
+        ),
+    ]
     return ShapeParts(tuple(map(_tomato, tables.tomatoes)), stems, tuple(clutter))
+
+
+def _made(shape_type: type[Made], **values: Any) -> Made:
+    """A shape of values that were checked for all of a table at once: one by one takes ten times as long."""
+    shape = object.__new__(shape_type)
+    shape.__dict__.update(values)
+    return shape
 
 
 def _tomato_row(t: Tomato) -> list[float]:

@@ -146,7 +146,7 @@ def test_the_banks_scenes_are_whole() -> None:
     assert not rows["train"] & rows["validation"]
     for scene in bank:
         assert len(scene.obstacles) <= 300
-        assert len(scene.targets) == len(scene.tomatoes)
+        assert 0 < len(scene.targets) <= len(scene.tomatoes)
     reachable = [target for scene in bank for target in scene.targets if target.difficulty != "unreachable"]
     assert all(target.witness for target in reachable)
     assert {target.difficulty for target in reachable} == {"easy", "medium", "hard"}

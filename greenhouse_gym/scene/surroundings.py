@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -82,11 +83,11 @@ class Shapes(Part):
 
     @model_validator(mode="after")
     def _not_large(self) -> Self:
-        for kind in ("tomatoes", "stems", "clutter"):
-            for i, shape in enumerate(getattr(self, kind)):
-                lengths = [value for value in vars(shape).values() if isinstance(value, np.ndarray | float)]
-                if max(float(np.abs(value).max()) for value in lengths) > LARGEST:
-                    raise InvalidValueError(f"{kind}.{i} is larger, or farther away, than {LARGEST:g} m: {shape}")
+        if _largest(self.obstacles) > LARGEST:
+            for kind in ("tomatoes", "stems", "clutter"):
+                for i, shape in enumerate(getattr(self, kind)):
+                    if _largest([shape]) > LARGEST:
+                        raise InvalidValueError(f"{kind}.{i} is larger, or farther away, than {LARGEST:g} m: {shape}")
         return self
 
     @property
@@ -97,6 +98,12 @@ class Shapes(Part):
     def compact(self) -> Shapes:
         """The shapes as a scene file keeps those of its truth: to 0.1 mm, the clutter sorted by kind."""
         return _unpacked(_packed(self))
+
+
+def _largest(shapes: Sequence[Shape]) -> float:
+    """The largest number in shapes: a coordinate or a size, metres, if it is large."""
+    numbers = [v for shape in shapes for v in vars(shape).values() if isinstance(v, np.ndarray | float)]
+    return float(np.abs(np.concatenate([np.ravel(number) for number in numbers])).max()) if numbers else 0.0
 
 
 def _packed(shapes: Shapes) -> dict[str, Any]:
