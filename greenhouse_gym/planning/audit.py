@@ -9,8 +9,9 @@ import numpy as np
 
 from greenhouse_gym.errors import FileFormatError, UnknownNameError
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.planning.collision import CollisionChecker, planning_model
+from greenhouse_gym.planning.collision import planning_model
 from greenhouse_gym.planning.kinematics import tool_chain, tool_state
+from greenhouse_gym.planning.proof import ProvingChecker
 from greenhouse_gym.scene import Scene, SceneBank, Target
 from greenhouse_gym.scene.bank import Entry, counted
 from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
@@ -92,7 +93,7 @@ def _fault(compiled: CompiledScene, target: Target, path: Array) -> str:
         return "the witness does not begin at the arm's start"
     if ((path < robot.lower - _SAME) | (path > robot.upper + _SAME)).any():
         return "the witness leaves the joints' limits"
-    if not CollisionChecker(planning_model(compiled, target.tomato, margin=0.0)).path_is_free(path, STEP):
+    if not ProvingChecker(planning_model(compiled, target.tomato, margin=0.0)).path_is_free(path, STEP):
         return "the witness touches something"
     grasp = tool_state(tool_chain(compiled.model, compiled.tip_site), path[-1:], tomato.radius).point[0]
     return "" if np.linalg.norm(grasp - tomato.center) <= _AT_GOAL else "the witness does not end at the tomato"

@@ -1,0 +1,95 @@
+"""Seconds that the scenes of the shipped bank take, by stage, for some of its recordings; on one core.
+
+python benchmarks/bank_build.py own-cluster-2000-w00 helios-beefsteak-2001-w05
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from pathlib import Path
+
+from results_file import RESULTS, write_results
+
+from greenhouse_gym import shipped
+from greenhouse_gym.cutting import cut_scenes, provenance_of
+from greenhouse_gym.planning import certify_targets
+from greenhouse_gym.reconstruction import reconstruct_row, settings_for
+from greenhouse_gym.scene import SceneBank
+from greenhouse_gym.shapes import extract_shapes
+
+
+class Clock:
+    """Seconds of processor time, this process's and its planner's, and of the wall, since it was last asked."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, dict[str, float]] = {}
+        self._last = self._now()
+
+    def _now(self) -> tuple[float, float]:
+        return sum(os.times()[:4]), time.perf_counter()
+
+    def lap(self, stage: str) -> None:
+        """Note what a stage took."""
+        now = self._now()
+        self.seconds[stage] = {
+            "processor": round(now[0] - self._last[0], 1),
+            "wall": round(now[1] - self._last[1], 1),
+        }
+        self._last = now
+
+
+def build(shot: shipped.Shot) -> dict[str, object]:
+    """Build the scenes of a recording, stage by stage."""
+    clock, settings = Clock(), shipped.SETTINGS
+    recording = shot.recording()
+    clock.lap("grow")
+    origin = provenance_of(recording, shot.week, settings)
+    row = reconstruct_row(recording, settings_for(recording))
+    clock.lap("simulate and reconstruct")
+    shapes = extract_shapes(row.points, row.colors, row.normals, settings.shapes)
+    clock.lap("shapes")
+    scenes = cut_scenes(row, shapes, recording, shot.week, settings, origin)
+    clock.lap("cut, truth, seen space")
+    targets = [len(certify_targets(scene, settings.robot, most=settings.targets)) for scene in scenes]
+    clock.lap("certify")
+    per_scene = sum(stage["processor"] for stage in clock.seconds.values()) / len(scenes)
+    return {
+        "stages": clock.seconds,
+        "scenes": len(scenes),
+        "targets": targets,
+        "seconds per scene": round(per_scene, 1),
+    }
+
+
+def opening() -> dict[str, float]:
+    """Seconds of processor time for opening the default bank, and for the first environment and its reset."""
+    began = time.process_time()
+    SceneBank.open("default")
+    opened = time.process_time()
+    import gymnasium
+
+    import greenhouse_gym  # noqa: F401
+
+    imported = time.process_time()
+    gymnasium.make("TomatoReach-v0").reset(seed=0)
+    return {"open": round(opened - began, 3), "first make and reset": round(time.process_time() - imported, 3)}
+
+
+def main() -> None:
+    """Build the recordings named and write the results."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("recordings", nargs="+")
+    parser.add_argument("--out", type=Path, default=RESULTS / "bank_build.json")
+    arguments = parser.parse_args()
+    results: dict[str, object] = {"opening the default bank": opening()}
+    for shot in shipped.shots():
+        if shot.name in arguments.recordings:
+            results[shot.name] = build(shot)
+            print(shot.name, results[shot.name], flush=True)
+    write_results(arguments.out, results, ["mujoco", "ompl", "open3d"])
+
+
+if __name__ == "__main__":
+    main()
