@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 from collections import Counter
 from collections.abc import Sequence
 from html import escape
@@ -58,7 +59,7 @@ class _Page(Template):
     """Only these three are places to fill: JavaScript has uses of its own for dollar signs."""
 
     idpattern = "title|facts|data"
-    flags = 0
+    flags = re.NOFLAG
 
 
 def _facts(scene: Scene) -> list[tuple[str, str]]:
