@@ -29,6 +29,8 @@ _TOLERATED = 0.15  # share of a box's surface that may be empty
 _OPEN = 2e-4  # square metres of empty surface that a point weighs that a box holds though it should not
 _MOST_SPLIT = 3  # times the wanted number of boxes are made before they are joined
 _NEIGHBORS = 6  # of which a box may be joined with one, itself counted
+_HELD, _FEWEST_HELD = 0.001, 3  # metres inside a box, and so many, that points must be to be cut out of it
+_MOST_CUTS = 3  # one after the other, of one box
 _CUTS = (0.3, 0.4, 0.5, 0.6, 0.7)  # where along its axes a box may be split
 
 
@@ -81,7 +83,8 @@ def cover(
     )
     found += [_boxed(cloud, missed[rows], settings) for rows in lumps(centers[missed], settings)]
     pieces = _exact(cloud, found, _MOST_SPLIT * budget, settings)
-    return [Box(*piece.bounds) for piece in _fewer(cloud, pieces, budget, settings)]
+    fewer = [part for piece in _fewer(cloud, pieces, budget, settings) for part in _cut_clear(cloud, piece, settings)]
+    return [Box(*piece.bounds) for piece in fewer]
 
 
 def _exact(cloud: _Cloud, pieces: Sequence[_Piece], most: int, settings: ShapeSettings) -> list[_Piece]:
@@ -133,6 +136,33 @@ def _fewer(cloud: _Cloud, pieces: Sequence[_Piece], budget: int, settings: Shape
             near[other].add(new)
             heapq.heappush(heap, joined(other, new))
     return alive.values()
+
+
+def _cut_clear(cloud: _Cloud, piece: _Piece, settings: ShapeSettings, cuts: int = _MOST_CUTS) -> list[_Piece]:
+    """A piece in parts whose boxes end before the points that they should not hold, or as it is if all are small.
+
+    It is cut across an axis, at the first or last of these points, where most is left on the clear side.
+    """
+    held = _held(cloud, piece.bounds)
+    if len(held) < _FEWEST_HELD or not cuts:
+        return [piece]
+    local = (cloud.centers[piece.rows] - piece.bounds.center) @ piece.bounds.rotation
+    sides = [*(local < held.min(axis=0)).T, *(local > held.max(axis=0)).T]
+    clear = max(sides, key=np.count_nonzero)
+    parts = [
+        part
+        for rows in (piece.rows[clear], piece.rows[~clear])
+        if len(rows) >= settings.min_lump_cells
+        for part in _cut_clear(cloud, _boxed(cloud, rows, settings), settings, cuts - 1)
+    ]
+    return parts if clear.any() and parts else [piece]
+
+
+def _held(cloud: _Cloud, box: _Bounds) -> Array:
+    """The points (k, 3) well inside a box, in its frame, that it should not hold."""
+    near = cloud.open.query_ball_point(box.center, float(np.linalg.norm(box.half_extents))) if cloud.open.n else []
+    local = (cloud.open.data[near] - box.center) @ box.rotation
+    return np.asarray(local[(np.abs(local) < box.half_extents - _HELD).all(axis=1)])
 
 
 def _cells(points: Array, normals: Array, cell: float) -> tuple[Array, Array]:

@@ -56,7 +56,7 @@ class ShapeSettings:
     pedicel_reach: float = 0.008  # from the last point of a pedicel to the skin
     axis_tolerance: float = 0.009  # a chain of capsules may be this far from the traced axis
     upright_tolerance: float = 0.008  # likewise for main stems and strings
-    clutter_per_metre: int = 110  # boxes at most
+    clutter_per_metre: int = 85  # boxes at most
     clutter_claim: float = 0.003  # square metres of empty surface at which two boxes still become one
     clutter_cell: float = 0.005  # boxes are looked for among the cells of this size that hold points
     clutter_facing: float = 0.9  # cosine between the normals of neighbors on one smooth patch

@@ -22,6 +22,9 @@ _FEWEST = 5  # points that make a circle
 _ROUNDS = 10
 _TAPERING = 8  # sections that tell how a stem tapers
 _ODD = 0.4  # share by which a section's radius may differ from the others' to count
+_ON_CIRCLE, _ROUND = 0.002, 0.45  # metres from a circle within which this share of a section's points makes it round
+_FEWEST_ROUND = 1 / 3  # share of a chain's sections; of fewer the surface was not seen, but something hairy or blurred
+_THINNED = 0.0004  # metres by which smooth depths and means over voxels make stems thinner, on rows of both generators
 
 
 class Disc(NamedTuple):
@@ -86,10 +89,9 @@ def _upright(
             break
         sections = _sections(chain, points, normals)
         heights = np.array([disc.center[2] for disc in chain])
-        sizes = _chain_radii(
-            [_upright_section(*own) for own in zip(sections, _leans(chain), strict=True)], heights, radii
-        )
-        axis = _axis(chain, sections, sizes, settings)
+        upright = [_upright_section(*own) for own in zip(sections, _leans(chain), strict=True)]
+        sizes, is_round = _chain_radii(upright, heights, radii)
+        axis = _axis(chain, sections, sizes if is_round else None, settings)
         at = np.interp((axis[1:, 2] + axis[:-1, 2]) / 2, heights, sizes)
         stems += [Stem(a, b, r, kind=kind) for (a, b), r in zip(itertools.pairwise(axis), at.tolist(), strict=True)]
         discs = [d for d in discs if _beside(d.center, axis) > 0.02]
@@ -116,7 +118,7 @@ def _discs(points: Array, normals: Array, widest: float, settings: ShapeSettings
                 continue
             disc = _disc(int(k), part, points, settings)
             section = _along(points[part] - disc.center, disc.lean)
-            if np.ptp(np.quantile(section, (0.05, 0.95), axis=0), axis=0).max() <= widest:  # but for a few stray points
+            if _extent(section)[1].max() <= widest:
                 discs.append(disc)
     return discs
 
@@ -160,15 +162,38 @@ def _longest_chain(discs: list[Disc], settings: ShapeSettings) -> list[Disc]:
     return [discs[i] for i in reversed(chain)]
 
 
-def _chain_radii(sections: list[tuple[Array, Array]], heights: Array, radii: tuple[float, float]) -> Array:
-    """The radius (k,) at each section of a chain: circles are fitted to all, and a stem tapers evenly."""
-    rounds = np.array([_circle(points, normals, None, radii)[2] for points, normals in sections])
+def _chain_radii(sections: list[tuple[Array, Array]], heights: Array, radii: tuple[float, float]) -> tuple[Array, bool]:
+    """The radius (k,) at each section of a chain, and whether circles tell it.
+
+    Circles are fitted to all sections, and a stem tapers evenly. Of what is not round the radius is half its width.
+    """
+    circles = [_circle(points, normals, None, radii) for points, normals in sections]
+    is_round = np.array([_share_on(*own) > _ROUND for own in zip(sections, circles, strict=True)])
+    if np.count_nonzero(is_round) < _FEWEST_ROUND * len(sections):
+        widths = [_extent(points)[1].mean() for points, _ in sections]
+        return np.full(len(sections), np.clip(np.median(widths) / 2, *radii)), False
+    rounds, at = np.array([circle[2] for circle in circles])[is_round] + _THINNED, heights[is_round]
     middle = float(np.median(rounds))
     if len(rounds) < _TAPERING:
-        return np.full(len(rounds), middle)
+        return np.full(len(sections), np.clip(middle, *radii)), True
     good = np.abs(rounds - middle) < _ODD * middle
-    slope, offset = np.polyfit(heights[good], rounds[good], 1) if good.sum() > _TAPERING / 2 else (0.0, middle)
-    return np.clip(offset + slope * heights, *np.clip([0.7 * middle, 1.4 * middle], *radii))
+    slope, offset = np.polyfit(at[good], rounds[good], 1) if good.sum() > _TAPERING / 2 else (0.0, middle)
+    return np.clip(offset + slope * heights, *np.clip([0.7 * middle, 1.4 * middle], *radii)), True
+
+
+def _share_on(section: tuple[Array, Array], circle: tuple[float, float, float]) -> float:
+    """The share of a section's points that lie on a circle and face away from its center."""
+    points, normals = section
+    away = points - circle[:2]
+    distance = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
+    facing = (away * normals).sum(axis=1) > 0.3 * distance
+    return float(np.mean(facing & (np.abs(distance - circle[2]) < _ON_CIRCLE)))
+
+
+def _extent(points: Array) -> tuple[Array, Array]:
+    """Middle (2,) and widths (2,) of points (n, 2), but for a few stray ones."""
+    low, high = np.quantile(points, (0.05, 0.95), axis=0)
+    return (low + high) / 2, high - low
 
 
 def _circle(
@@ -221,10 +246,15 @@ def _along(vectors: Array, lean: Array) -> Array:
     return np.asarray(vectors[:, :2] - vectors[:, 2:] * lean)
 
 
-def _axis(chain: list[Disc], sections: list[tuple[Array, Array]], radii: Array, settings: ShapeSettings) -> Array:
-    """Axis points (k, 3): the middles of circles of known radii (k,), smoothed along the chain."""
+def _axis(
+    chain: list[Disc], sections: list[tuple[Array, Array]], radii: Array | None, settings: ShapeSettings
+) -> Array:
+    """Axis points (k, 3): the middles of circles of known radii (k,), or of sections, smoothed along the chain."""
     height = np.array([d.center[2] for d in chain])
-    middles = np.array([_circle(*own, r, (r, r))[:2] for own, r in zip(sections, radii.tolist(), strict=True)])
+    if radii is None:
+        middles = np.array([_extent(points)[0] for points, _ in sections])
+    else:
+        middles = np.array([_circle(*own, r, (r, r))[:2] for own, r in zip(sections, radii.tolist(), strict=True)])
     line = np.polynomial.polynomial.polyfit(height, middles, 1)  # smoothing would bend the ends of a leaning stem
     straight = line[0] + height[:, None] * line[1]
     smooth = ndimage.median_filter(middles - straight, size=(3, 1), mode="nearest")
