@@ -13,7 +13,7 @@ from greenhouse_gym.crop import Stem, Tomato
 from greenhouse_gym.geometry import Box, Shape
 from greenhouse_gym.shapes.checks import Notes, checked, thinned
 from greenhouse_gym.shapes.clutter import cover
-from greenhouse_gym.shapes.colors import could_be_peduncle, could_be_pipe, could_be_stem, is_colorful
+from greenhouse_gym.shapes.colors import could_be_peduncle, could_be_pipe, could_be_stem, is_colorful, redness
 from greenhouse_gym.shapes.evidence import Evidence, nearest_shapes
 from greenhouse_gym.shapes.peduncles import find_peduncles, stands_out
 from greenhouse_gym.shapes.pipes import find_pipes
@@ -110,7 +110,8 @@ def extract_shapes(
 
 
 def _say_if_not_upright(woody: Cloud, settings: ShapeSettings, notes: Notes) -> None:
-    """Look for main stems with another axis up, where there are none with z."""
+    """Look for main stems with another axis up, where there are none with z; edges of tables are not green."""
+    woody = woody.select(redness(woody.colors) <= 0.0)
     for up, order in (("y", [0, 2, 1]), ("x", [2, 1, 0])):
         lying = find_main_stems(woody.points[:, order], woody.normals[:, order], settings)
         if sum(stem.length for stem in lying) > _LYING:

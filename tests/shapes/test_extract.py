@@ -554,6 +554,35 @@ def test_a_cloud_that_lies_on_its_side_is_said_to() -> None:
     assert shapes.warnings
 
 
+def test_the_edge_of_a_table_is_no_stem_that_lies() -> None:
+    points, _, normals = cylinder(0.5, 0.2, 0.6, 1.5, 0.006)
+    brown = np.tile([0.50, 0.36, 0.22], (len(points), 1))
+    assert not extract_shapes(points[:, [0, 2, 1]], brown, normals[:, [0, 2, 1]]).warnings
+
+
+def test_plum_fruit_becomes_ellipsoids_of_its_length() -> None:
+    semi_axes = np.array([0.020, 0.020, 0.026])
+    centers = [(0.45 + 0.005 * (k % 2), 0.1 + 0.07 * k, 1.1) for k in range(8)]
+    parts = []
+    for k, center in enumerate(centers):
+        points, colors, _ = half_sphere(center, 0.020, k)
+        unit = (points - center) / 0.020
+        normals = unit / semi_axes / np.linalg.norm(unit / semi_axes, axis=1, keepdims=True)
+        parts.append((center + unit * semi_axes, colors, normals))
+    shapes = extract_shapes(*together(*parts))
+    assert len(shapes.tomatoes) == len(centers)
+    for tomato in shapes.tomatoes:
+        assert tomato.semi_axes is not None
+        np.testing.assert_allclose(np.sort(tomato.semi_axes), semi_axes, rtol=0.1)
+        assert abs(tomato.rotation[2, int(np.argmax(tomato.semi_axes))]) > 0.97
+        assert np.linalg.norm(np.array(centers) - tomato.center, axis=1).min() < 0.003
+
+
+def test_round_fruit_stays_round() -> None:
+    parts = [half_sphere((0.45, 0.1 + 0.07 * k, 1.1), 0.025, k) for k in range(8)]
+    assert [tomato.semi_axes for tomato in extract_shapes(*together(*parts)).tomatoes] == [None] * 8
+
+
 def test_colors_of_bytes_are_refused() -> None:
     points, colors, normals = half_sphere((0.45, 0.2, 1.1), 0.03)
     with pytest.raises(InvalidValueError, match="colors must be between 0 and 1"):
