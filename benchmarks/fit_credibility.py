@@ -1,6 +1,6 @@
 """Fit the weights by which shape extraction tells fruit from leaves, and print them for `shapes/credibility.py`.
 
-python benchmarks/fit_credibility.py --workdir rows --own 302 --helios 501 502 504 505 506
+python benchmarks/fit_credibility.py --workdir rows --own 302 --helios 501 502 503 504 505 506
 
 Candidates of both looks at development rows of both generators are labelled by the truth: a sphere is right if its
 center lies within half a radius of a fruit's and its size within a third; what is nearly so counts for neither side.
@@ -95,7 +95,7 @@ def main() -> None:
     """Fit, print the weights and how they fare across generators."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--workdir", type=Path, required=True)
-    parser.add_argument("--own", type=int, nargs="*", default=[302, 303])
+    parser.add_argument("--own", type=int, nargs="*", default=[302])
     parser.add_argument("--helios", type=int, nargs="*", default=[501, 502, 503, 504, 505, 506])
     parser.add_argument("--length", type=float, default=1.0)
     arguments = parser.parse_args()
@@ -108,7 +108,7 @@ def main() -> None:
     first, second = [f for f, _ in found.values()], [s for _, s in found.values()]
     np.set_printoptions(precision=4, suppress=True, linewidth=110)
     print("ALONE", fitted(first, len(MEASURES)), "IN_ROW", fitted(first), "BESIDE", fitted(second), sep="\n")
-    for name in ("all", "own", "helios"):
+    for name in ("all", *(source for source, seeds in rows.items() if seeds)):
         weights = fitted([f for row, (f, _) in found.items() if name in ("all", row.source)])
         print(name, {row.name: round(area(f, weights), 4) for row, (f, _) in found.items()})
 
