@@ -1,0 +1,123 @@
+"""Rig files: where each camera stands on the rig, as ``calibrate`` writes them and ``import`` reads them.
+
+reference: middle
+cameras:
+middle: {rig_from_camera: [[...], [...], [...], [0, 0, 0, 1]], depth_error: 0.001}
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from greenhouse_gym.capture.frames import Station
+from greenhouse_gym.capture.recordings import Recording, checked_pose
+from greenhouse_gym.capture.rig import Rig
+from greenhouse_gym.errors import FileFormatError, InvalidValueError
+from greenhouse_gym.extras import needs
+from greenhouse_gym.geometry import Array
+from greenhouse_gym.paths import parsing, read_bytes, write_atomically
+
+with needs("reconstruct"):
+    import yaml
+
+
+@dataclass(frozen=True, eq=False)
+class Mounting:
+    """How the cameras of a rig are mounted, whatever their lenses.
+
+    Attributes:
+        rig_from_camera: (4, 4) pose of each camera in the rig frame, metres.
+        reference: The camera whose silhouettes align the stations.
+        depth_error: Relative depth error by camera, where known: it reports ``(1 + error)`` times the depth.
+    """
+
+    rig_from_camera: Mapping[str, Array]
+    reference: str
+    depth_error: Mapping[str, float] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, rig: Rig) -> Mounting:
+        """That of a rig."""
+        return cls({name: camera.rig_from_camera for name, camera in rig.cameras.items()}, rig.reference)
+
+
+class _Camera(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    rig_from_camera: Annotated[list[list[float]], Field(min_length=4, max_length=4)]
+    depth_error: Annotated[float, Field(gt=-0.5, lt=0.5)] = 0.0
+
+
+class _File(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    reference: str
+    cameras: Annotated[dict[str, _Camera], Field(min_length=1)]
+
+
+def load_mounting(path: str | Path) -> Mounting:
+    """Read a rig file.
+
+    Raises:
+        FileFormatError: It is missing, damaged, or its reference is none of its cameras.
+    """
+    path = Path(path)
+    with parsing(path, "rig file"):
+        file = _File.model_validate(yaml.safe_load(read_bytes(path, "settings")))
+    if file.reference not in file.cameras:
+        raise FileFormatError(path, f"reference {file.reference!r} is none of its cameras {', '.join(file.cameras)}")
+    return Mounting(
+        {
+            name: checked_pose(path, f"{name}: rig_from_camera", camera.rig_from_camera)
+            for name, camera in file.cameras.items()
+        },
+        file.reference,
+        {name: camera.depth_error for name, camera in file.cameras.items() if camera.depth_error},
+    )
+
+
+def save_mounting(mounting: Mounting, path: str | Path) -> Path:
+    """Write a rig file."""
+    cameras = {
+        name: {"rig_from_camera": np.round(place, 9).tolist(), "depth_error": mounting.depth_error.get(name, 0.0)}
+        for name, place in mounting.rig_from_camera.items()
+    }
+    text = yaml.safe_dump(
+        {"reference": mounting.reference, "cameras": cameras}, sort_keys=False, default_flow_style=None
+    )
+    return write_atomically(path, text)
+
+
+def mounted(recording: Recording, mounting: Mounting) -> Recording:
+    """The recording with its cameras where a rig file says; cameras that the file does not name are left out.
+
+    Raises:
+        InvalidValueError: The recording lacks a camera of the file.
+    """
+    missing = mounting.rig_from_camera.keys() - recording.rig.cameras.keys()
+    if missing:
+        raise InvalidValueError(
+            f"the rig file has the camera {', '.join(sorted(missing))}; recording {recording.name!r} has "
+            f"{', '.join(recording.rig.cameras)}"
+        )
+    cameras = {
+        name: replace(recording.rig.cameras[name], rig_from_camera=place)
+        for name, place in mounting.rig_from_camera.items()
+    }
+    return replace(recording, rig=Rig(cameras, mounting.reference), load=_Kept(recording, tuple(cameras)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Kept:
+    """Reads a station of a recording with some of its cameras only."""
+
+    recording: Recording
+    names: tuple[str, ...]
+
+    def __call__(self, i: int) -> Station:
+        station = self.recording[i]
+        return replace(station, frames={name: station.frames[name] for name in self.names})

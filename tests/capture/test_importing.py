@@ -1,0 +1,117 @@
+"""Videos become stations, and recordings get a verdict in words."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from greenhouse_gym.capture import Intrinsics, Recording, RgbdFrame, Station, open_recording, write_recording
+from greenhouse_gym.capture.formats.pairs import Lens, Pair
+from greenhouse_gym.capture.formats.stations import choose_stations, motion
+from greenhouse_gym.capture.formats.videos import rig_of
+from greenhouse_gym.capture.inspection import inspect_recording
+from greenhouse_gym.cli import app
+from greenhouse_gym.errors import FileFormatError
+
+K = Intrinsics(320, 240, 250.0, 250.0, 159.5, 119.5)
+DISTANCE = 0.6
+STEP = 0.02  # m from frame to frame
+
+
+@cache
+def texture() -> np.ndarray:
+    random = np.random.default_rng(0)
+    coarse = random.integers(30, 220, (60, 300, 3)).astype(np.uint8)
+    return np.asarray(cv2.resize(coarse, (1500, 240), interpolation=cv2.INTER_CUBIC))
+
+
+def frame(i: int, blurred: bool = False, gray: float = 1.0, distance: float = DISTANCE) -> RgbdFrame:
+    """A textured wall that goes by at 2 cm a frame."""
+    start = round(i * STEP * K.fx / DISTANCE)
+    color = texture()[:, start : start + K.width]
+    color = cv2.blur(color, (15, 15)) if blurred else color
+    shade = np.clip(color * gray, 0, 255).astype(np.uint8)
+    return RgbdFrame(shade, np.full((K.height, K.width), distance, np.float32), K)
+
+
+def video(count: int = 40, still: bool = False, unreadable: int = -1, **look: float) -> Recording:
+    def load(i: int) -> Station:
+        if i == unreadable:
+            raise FileFormatError("image", "is damaged")
+        blurred = i % 5 == 0 and i > 0 and not look
+        return Station({"camera": frame(0 if still else i, blurred, **look)})
+
+    return Recording("video", rig_of(Pair(Lens(K))), count, load)
+
+
+def test_a_motion_is_told_by_what_the_images_show() -> None:
+    assert motion(frame(0), frame(2)) == pytest.approx(0.04, abs=0.002)
+    assert motion(frame(0), frame(0)) == pytest.approx(0.0, abs=1e-4)
+    assert motion(frame(0, gray=0.0), frame(1)) is None
+
+
+def test_stations_are_ten_centimetres_apart_and_sharp() -> None:
+    found = choose_stations(video(), 0.10)
+    assert found.path[-1] == pytest.approx(39 * STEP, rel=0.05)
+    steps = np.diff(np.array(found.frames)) * STEP
+    assert len(found.frames) in (8, 9)
+    assert np.all((steps > 0.05) & (steps < 0.15))
+    assert all(i % 5 or i == 0 for i in found.frames)
+
+
+def test_a_video_without_motion_has_one_station_and_a_damaged_frame_is_left_out() -> None:
+    assert len(choose_stations(video(20, still=True)).frames) == 1
+    found = choose_stations(video(20, unreadable=10))
+    assert found.unreadable == (10,)
+    assert 10 not in found.frames
+
+
+STATIONS = replace(video(), size=6, load=lambda i: Station({"camera": frame(5 * i + 1)}))
+
+
+def test_a_good_recording_is_called_good() -> None:
+    found = inspect_recording(STATIONS)
+    assert found.good_for_registration
+    assert not found.good_for_small_fruit
+    assert "a pixel of camera camera is 2.4 mm wide" in found.verdict[1]
+    assert np.median(found.steps) == pytest.approx(0.10, abs=0.01)
+    assert found.overlap == pytest.approx(1 - 0.1 / (0.6 * 240 / 250), abs=0.05)
+    assert sum(found.histogram) == pytest.approx(1.0)
+
+
+FAULTS = {
+    "too dark": video(6, gray=0.15),
+    "overexposed": video(6, gray=30.0),
+    "next to nothing": video(6, distance=2.5),
+    "hardly moves": video(6, still=True),
+    "share": replace(video(), size=4, load=lambda i: Station({"camera": frame(15 * i + 1)})),
+}
+
+
+@pytest.mark.parametrize("what", FAULTS)
+def test_what_is_wrong_is_said(what: str) -> None:
+    found = inspect_recording(FAULTS[what])
+    assert not found.good_for_registration
+    assert what in found.verdict[0]
+
+
+def test_import_writes_a_recording_a_report_and_a_picture(tmp_path: Path) -> None:
+    write_recording(video(12), tmp_path / "video")
+    done = CliRunner().invoke(app, ["import", str(tmp_path / "video"), "--out", str(tmp_path / "walk")])
+    assert done.exit_code == 0, done.output
+    assert "good enough for registration" in done.output
+    assert 2 <= len(open_recording(tmp_path / "walk")) <= 4
+    report = json.loads((tmp_path / "walk" / "import.json").read_text())
+    assert report["good_for_registration"]
+    assert report["cameras"]["camera"]["distance"] == pytest.approx(0.6, abs=0.01)
+    assert (tmp_path / "walk" / "import.png").read_bytes().startswith(b"\x89PNG")
+    every = CliRunner().invoke(app, ["import", str(tmp_path / "video"), "--out", str(tmp_path / "all"), "--step", "0"])
+    assert every.exit_code == 0
+    assert len(open_recording(tmp_path / "all")) == 12
