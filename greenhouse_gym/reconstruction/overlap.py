@@ -19,7 +19,7 @@ _STATIONS = 8
 
 
 class OverlapCalibration(NamedTuple):
-    """What the overlap of the cameras told: where they stand, against the rig as it was, and the gap that is left, m."""
+    """What the overlap told: where the cameras stand, how far off they were (rad, m), and the gap that is left, m."""
 
     mounting: Mounting
     turned: dict[str, float]
@@ -47,7 +47,7 @@ def calibrate_from_overlap(recording: Recording) -> OverlapCalibration:
         for name, camera in recording.rig.cameras.items()
     }
     return OverlapCalibration(
-        Mounting({name: camera.rig_from_camera for name, camera in current.rig.cameras.items()}, recording.rig.reference, bias),
+        replace(Mounting.of(current.rig), depth_error=bias),
         {name: float(rotation_angle(each[:3, :3])) for name, each in apart.items()},
         {name: float(np.linalg.norm(each[:3, 3])) for name, each in apart.items()},
         gap,
