@@ -7,7 +7,7 @@ The runs at a target are added to OUT/runs.jsonl at once; runs that are there al
 interrupted benchmark goes on where it stopped and a further seed costs only that seed. From the runs come
 OUT/planners.json, planners.md, two plots and planners.db, an SQLite file in the schema of OMPL's benchmarks, which
 Planner Arena opens. Times are over all runs, failed ones included. Planners that go on improving their paths use all of
-their checks, unless ``--first-solution`` has them stop at the first; a run with it tells how soon, one without how good.
+their checks, unless ``--first-solution`` has them stop at the first: runs with it tell how soon, others how good.
 
 What ends a run is the number of its checks, and what leaves a planner out of further seeds is the sum of them, so a
 machine with other work on it gives the same paths; only the seconds differ, and the rate of bare checks, measured
