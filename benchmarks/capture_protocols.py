@@ -36,7 +36,7 @@ from greenhouse_gym.envs import PlantMotion, Randomization
 from greenhouse_gym.envs.tomato_reach import TomatoReachEnv
 from greenhouse_gym.geometry import Array, pose, rotation_about
 from greenhouse_gym.paths import write_atomically
-from greenhouse_gym.planning import plan
+from greenhouse_gym.planning import PlanResult, plan
 from greenhouse_gym.planning.unseen import UNSEEN_RULES
 from greenhouse_gym.plants import CULTIVARS, STYLES, PlantRow, grow_row
 from greenhouse_gym.reconstruction import RowCloud, add_looks, reconstruct_row
@@ -262,16 +262,21 @@ def reach_all(
     return result
 
 
+def plan_of(scene: Scene, target: int, unseen: str, start: str, options: Options) -> PlanResult:
+    """The plan of an episode; the checks and not the clock end its search."""
+    return plan(
+        scene, target, options.robot, options.planner, time_limit=120.0, max_checks=options.checks, start=start,
+        unseen=unseen if unseen in UNSEEN_RULES else float(unseen),
+    )  # fmt: skip
+
+
 def reach(
     scene: Scene, target: int, env: gymnasium.Env[Any, Any], unseen: str, start: str, options: Options
 ) -> dict[str, Any]:
     """One episode: a plan on the reconstruction, followed in the truth."""
     reaching = env.unwrapped
     assert isinstance(reaching, TomatoReachEnv)
-    planned = plan(
-        scene, target, options.robot, options.planner, time_limit=120.0, max_checks=options.checks, start=start,
-        unseen=unseen if unseen in UNSEEN_RULES else float(unseen),
-    )  # fmt: skip
+    planned = plan_of(scene, target, unseen, start, options)
     if planned.path is None:
         return {"status": planned.status, "outcome": "no plan"}
     env.reset(seed=target, options={"scene": scene, "target": target, "start": start})

@@ -1,84 +1,101 @@
 """The scan, what it left unseen, and the true row: with a path that did not hold beside one that did.
 
     python benchmarks/capture_protocols_picture.py --row 711 --workdir capture_protocols
+    python benchmarks/capture_protocols_picture.py --bank default --split validation --workdir careful_plans
 
-Takes scenes and episodes that `capture_protocols.py` left in --workdir: a tomato that the first protocol's plan did not
-reach in the truth and the second one's did.
+Takes scenes and episodes that `capture_protocols.py` or, with --bank, `careful_plans.py` left in --workdir: a tomato
+that the first protocol's plan (or the one for which unseen space is free) did not reach in the truth and the second
+one's (or the one that keeps out of it) did.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-from capture_protocols import Options, episodes_of, folder_of, scenes_in
+from capture_protocols import Options, episodes_of, folder_of, plan_of, scenes_in
+from capture_protocols_summary import Episode
+from careful_plans import file_of
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 
 from greenhouse_gym.agents import Problem
 from greenhouse_gym.agents.planner_agent import PathFollower
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.planning import CollisionChecker, plan
+from greenhouse_gym.planning import CollisionChecker, resample
 from greenhouse_gym.planning.collision import planning_model
 from greenhouse_gym.planning.kinematics import tool_chain, tool_state
 from greenhouse_gym.robots import get_robot
-from greenhouse_gym.scene import Scene, compile_scene
+from greenhouse_gym.scene import Scene, SceneBank, compile_scene
 from greenhouse_gym.scene.render import Viewpoint, picture_of_path
 
 VIEW = Viewpoint((-0.75, -1.7, 1.75), (0.25, 0.0, 1.25))
 COLORS = ListedColormap(["0.55", "white", "#2e7d32"])  # unseen, empty, surface
 
 
-def draw(row: int, protocols: Sequence[str], starts: Sequence[str], unseen: str, options: Options, out: Path) -> None:
-    """Draw two protocols' plans for one tomato, one above the other."""
-    failed, held = _pair(row, protocols, starts, unseen, options)
-    scenes = [
-        next(scene for scene in scenes_in(folder_of(row, protocol, options)) if scene.name == episode["scene"])
-        for episode, protocol in zip((failed, held), protocols, strict=True)
-    ]
-    known = all(scene.seen is not None for scene in scenes)  # scenes of an older version do not say what was seen
-    figure, axes = plt.subplots(2, 2 + known, figsize=(10 + 5 * known, 8), constrained_layout=True)
-    for line, scene, episode, protocol, start in zip(axes, scenes, (failed, held), protocols, starts, strict=True):
-        path = _path(scene, episode["target"], start, unseen, options)
-        until = _first_contact(scene, episode["target"], path, options)
+def draw(cases: Sequence[tuple[Scene, Episode]], options: Options, out: Path) -> None:
+    """Draw plans for one tomato, each with what became of it in the truth, one above the other."""
+    known = all(scene.seen is not None for scene, _ in cases)  # scenes of an older version do not say what was seen
+    figure, axes = plt.subplots(len(cases), 2 + known, figsize=(10 + 5 * known, 8), constrained_layout=True)
+    for line, (scene, episode) in zip(axes, cases, strict=True):
+        target = episode["target"]
+        path = _path(scene, episode, options)
+        until = _first_contact(scene, target, path, options)
         followed = path if until is None else path[: until + 1]
-        line[0].imshow(picture_of_path(scene, options.robot, episode["target"], path, VIEW))
-        line[0].set_title(f"{protocol}: planned on the scan")
+        line[0].imshow(picture_of_path(scene, options.robot, target, path, VIEW))
+        line[0].set_title(f"{episode['protocol']}, unseen {episode['unseen']}: planned on the scan")
         if known:
-            _unseen_slice(line[1], scene, episode["target"], path, options.robot)
-        line[-1].imshow(
-            picture_of_path(_true(scene), options.robot, _nearest(scene, episode["target"]), followed, VIEW)
-        )
+            _unseen_slice(line[1], scene, target, path, options.robot)
+        line[-1].imshow(picture_of_path(_true(scene), options.robot, _nearest(scene, target), followed, VIEW))
         line[-1].set_title(f"in the true row: {episode['outcome']}")
         for axis in (line[0], line[-1]):
             axis.axis("off")
     figure.savefig(out, dpi=80)
 
 
-def _pair(
+def of_protocols(
     row: int, protocols: Sequence[str], starts: Sequence[str], unseen: str, options: Options
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """A tomato that the first protocol's plan did not reach, and the second one's did."""
+) -> list[tuple[Scene, Episode]]:
+    """Scenes and episodes of a tomato that the first protocol's plan did not reach, and the second one's did."""
     first, second = (episodes_of(row, p, s, unseen, options) for p, s in zip(protocols, starts, strict=True))
-    leaves = [e for e in first if e["outcome"] == "collided" and any(c.startswith("clutter") for c in e["contact"])]
     held = {(e["scene"], e["match"]): e for e in second if e["outcome"] == "reached" and e["match"] is not None}
-    for episode in leaves:
+    for episode in filter(_hit_a_leaf, first):
         for key, other in held.items():
             if key[0] == episode["scene"] and np.allclose(episode["place"], other["place"], atol=0.05):
-                return episode, other
+                folders = [folder_of(row, protocol, options) for protocol in protocols]
+                scenes = [next(s for s in scenes_in(folder) if s.name == key[0]) for folder in folders]
+                return list(zip(scenes, (episode, other), strict=True))
     raise SystemExit(f"row {row}: no tomato that {protocols[0]} missed and {protocols[1]} reached; try another row")
 
 
-def _path(scene: Scene, target: int, start: str, unseen: str, options: Options) -> Array:
+def of_bank(bank: SceneBank, split: str, careful: str, options: Options) -> list[tuple[Scene, Episode]]:
+    """A scene, twice, with the episodes of a tomato that only the careful plan reached."""
+    for name in bank.names(split):
+        free, kept_out = (
+            json.loads(file_of(name, "folded", unseen, options).read_text()) for unseen in ("free", careful)
+        )
+        held = {e["target"]: e for e in kept_out if e["outcome"] == "reached"}
+        for episode in filter(_hit_a_leaf, free):
+            if episode["target"] in held:
+                return [(bank.scene(name), episode), (bank.scene(name), held[episode["target"]])]
+    raise SystemExit(f"split {split}: no tomato that only the careful plan reached; try another split")
+
+
+def _hit_a_leaf(episode: Episode) -> bool:
+    return episode["outcome"] == "collided" and any(c.startswith("clutter") for c in episode["contact"])
+
+
+def _path(scene: Scene, episode: Episode, options: Options) -> Array:
     """The commands of an episode, planned again."""
-    robot = get_robot(options.robot)
-    found = plan(scene, target, robot, options.planner, 120.0, options.checks, start=start, unseen=unseen)
+    robot, target, start = get_robot(options.robot), episode["target"], episode["start"]
+    found = plan_of(scene, target, episode["unseen"], start, options)
     assert found.path is not None
-    return PathFollower(found.path, Problem(scene, target, robot, robot.starts[start]), proven=True).commands
+    commands = PathFollower(found.path, Problem(scene, target, robot, robot.starts[start]), proven=True).commands
+    return resample(commands, 0.01)  # radians: leaves are thin
 
 
 def _true(scene: Scene) -> Scene:
@@ -140,12 +157,22 @@ def main() -> None:
     parser.add_argument("--per-scene", type=int, default=20)
     parser.add_argument("--protocols", nargs=2, default=["paper", "upright-back"])
     parser.add_argument("--starts", nargs=2, default=["start", "folded"])
-    parser.add_argument("--unseen", default="free")
+    parser.add_argument("--unseen", help="how plans treated unseen space: free, or with --bank 0.15, if left out")
+    parser.add_argument("--checks", type=int, default=20_000)
+    parser.add_argument("--bank")
+    parser.add_argument("--split", default="validation", help="of the bank")
     parser.add_argument("--workdir", type=Path, default=Path("capture_protocols"))
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "capture_protocols.png")
     a = parser.parse_args()
-    options = Options(source=a.source, length=a.length, spacing=a.spacing, per_scene=a.per_scene, workdir=a.workdir)
-    draw(a.row, a.protocols, a.starts, a.unseen, options, a.out)
+    options = Options(
+        source=a.source, length=a.length, spacing=a.spacing, checks=a.checks, per_scene=a.per_scene,
+        workdir=a.workdir if a.bank is None else a.workdir / a.bank,
+    )  # fmt: skip
+    if a.bank is None:
+        cases = of_protocols(a.row, a.protocols, a.starts, a.unseen or "free", options)
+    else:
+        cases = of_bank(SceneBank.open(a.bank), a.split, a.unseen or "0.15", options)
+    draw(cases, options, a.out)
 
 
 if __name__ == "__main__":

@@ -46,7 +46,7 @@ def main() -> None:
     names = [name for split in a.split for name in bank.names(split)]
     episodes: list[dict[str, Any]] = []
     for unseen, start, name in product(a.unseen, a.starts, names):
-        file = _file(name, start, unseen, options)
+        file = file_of(name, start, unseen, options)
         if not file.exists():
             if a.only_finished:
                 continue
@@ -65,7 +65,8 @@ def main() -> None:
         write_results(a.out, figures, ["mujoco", "ompl"])
 
 
-def _file(name: str, start: str, unseen: str, options: Options) -> Path:
+def file_of(name: str, start: str, unseen: str, options: Options) -> Path:
+    """Where the episodes of a scene are kept."""
     moved = "-moved" * options.moved
     return (
         options.workdir / name / f"{options.planner}-{options.checks}-{options.per_scene}-{start}-{unseen}{moved}.json"
