@@ -39,6 +39,7 @@ MOST_BYTES = MappingProxyType(
         "cloud of points": 16 * 2**30,
         "policy": 2**30,
         "checkpoint": 4 * 2**30,
+        "leaderboard entry": 2**28,
     }
 )
 """The most bytes a file of each kind may have; what is larger is refused before it is read."""

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import mean, median
 
+from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.scene import DIFFICULTIES
 
 
@@ -98,6 +99,53 @@ class Evaluation:
         """Median of a number of the records, over all episodes or the successful ones; nan where there are none."""
         values = [float(getattr(r, field)) for r in self.records if r.success or not solved_only]
         return median(values) if values else math.nan
+
+
+@dataclass(frozen=True)
+class Pairing:
+    """How two agents did on the same episodes.
+
+    Attributes:
+        first: Name of the first agent.
+        second: Name of the second agent.
+        episodes: Episodes that both played.
+        only_first: Episodes in which the first alone succeeded.
+        only_second: Episodes in which the second alone succeeded.
+        p_value: Of McNemar's exact test: how likely a difference like this is if the agents are equally good.
+    """
+
+    first: str
+    second: str
+    episodes: int
+    only_first: int
+    only_second: int
+    p_value: float
+
+    def __str__(self) -> str:
+        verdict = "differ" if self.p_value < 0.05 else "may be equally good"
+        return (
+            f"{self.first} and {self.second} {verdict}: alone successful in {self.only_first} and {self.only_second} "
+            f"of {self.episodes} episodes, McNemar p = {self.p_value:.2g}"
+        )
+
+
+def pairing(first: Evaluation, second: Evaluation) -> Pairing:
+    """Compare two agents by McNemar's exact test (1947) on the episodes that both played.
+
+    Raises:
+        InvalidValueError: They played no episode in common.
+    """
+    theirs = {(r.seed, r.scene, r.target): r.success for r in second.records}
+    both = [(r.success, theirs[key]) for r in first.records if (key := (r.seed, r.scene, r.target)) in theirs]
+    if not both:
+        raise InvalidValueError(f"{first.agent} and {second.agent} played no episode in common")
+    ours, others = both.count((True, False)), both.count((False, True))
+    p_value = 1.0
+    if ours + others:
+        from scipy.stats import binomtest  # takes a second
+
+        p_value = float(binomtest(ours, ours + others).pvalue)
+    return Pairing(first.agent, second.agent, len(both), ours, others, p_value)
 
 
 def wilson_interval(successes: int, trials: int) -> tuple[float, float]:

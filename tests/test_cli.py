@@ -326,12 +326,22 @@ def test_compare_takes_agents_of_every_kind(bank: SceneBank) -> None:
     own = f"{ROOT}/examples/own_agent.py:ReachForIt,greenhouse_gym.agents:StillAgent"
     arguments = ("--bank", bank.path, "--episodes", "2", "--robot", "ur5e", "--difficulty", "easy,medium")
     rows = run("compare", "random", "--agents", own, "--num-envs", "2", *arguments).splitlines()
-    assert [row.split("|")[1].strip() for row in rows[2:]] == ["random", "reach for it", "still"]
+    assert [row.split("|")[1].strip() for row in rows[2:5]] == ["random", "reach for it", "still"]
+    assert [row.split()[0] for row in rows[5:]] == ["random", "random", "reach"], "a paired test for every two agents"
+    assert all("McNemar p = " in row for row in rows[5:])
     told = str(fails("compare", "RRTConect", *arguments))
     assert "unknown agent 'RRTConect'. Did you mean 'RRTConnect'?" in told
     assert all(name in told for name in ("straight-line", "ppo-ur5e", "file.py:Class"))
     assert "iiwa14" in str(fails("compare", "ppo-ur5e", "--bank", bank.path, "--robot", "iiwa14"))
     assert "'simple'" in str(fails("compare", "still", "--bank", bank.path, "--difficulty", "simple"))
+
+
+def test_compare_on_tracks() -> None:
+    arguments = ("--bank", "mini", "--split", "validation", "--episodes", "1")
+    printed = run("compare", "still", *arguments, "--track", "truth,moved")
+    assert [line for line in printed.splitlines() if line.startswith("track")] == ["track truth", "track moved"]
+    assert printed.count("| still |") == 2
+    assert "reconstruction, truth, moved" in str(fails("compare", "still", "--track", "rumor"))
 
 
 @pytest.mark.timeout(600)

@@ -1,17 +1,16 @@
-"""Commands on scenes: plan, train, compare, render."""
+"""Commands on scenes: plan, train, render."""
 
 from __future__ import annotations
 
 import ast
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.progress import track
 
 from greenhouse_gym.cli.settings import Assignments, SettingsFile, shown
-from greenhouse_gym.cli.spread import Address, Backend, Workers, spread
 from greenhouse_gym.progress import CONSOLE
 
 if TYPE_CHECKING:
@@ -156,52 +155,8 @@ def _told(steps: int, figures: dict[str, float]) -> None:
     CONSOLE.print(f"{steps:,} steps of imitation: {shown_figures}", highlight=False)
 
 
-def compare(
-    names: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="[AGENTS]...",
-            help="Planners, policies (names or files), random, still, straight-line, or your own as file.py:Class or "
-            "module:Class.",
-        ),
-    ] = None,
-    agents: Annotated[str, typer.Option(help="The same, separated by commas.")] = "",
-    bank: Bank = "default",
-    split: Annotated[str, typer.Option(help="train, validation or test.")] = "test",
-    episodes: Annotated[int, typer.Option(help="Episodes of each agent.")] = 100,
-    seed: Annotated[int, typer.Option(help="Seed of the first episode; the next ones count on from it.")] = 0,
-    robot: Annotated[str, typer.Option(help="Name or file of the arm; by default what each agent needs.")] = "",
-    difficulty: Annotated[str, typer.Option(help="Difficulties of the targets, separated by commas.")] = "",
-    num_envs: Annotated[int, typer.Option(help="Episodes played side by side.")] = 1,
-    patience: Annotated[float, typer.Option(help="Seconds an agent may take for one answer.")] = 120.0,
-    backend: Backend = None,
-    workers: Workers = None,
-    address: Address = "local",
-) -> None:
-    """Run agents on the same episodes and print one table; by default a planner, the shipped policy and a random one.
-
-    Interrupted, it prints the table of the agents it has been through. The work is spread only where that is asked for:
-    processes side by side disturb each other's seconds.
-    """
-    from greenhouse_gym.agents.named import make_agent
-    from greenhouse_gym.evaluation import Evaluation, comparison_table
-    from greenhouse_gym.evaluation import compare as run
-
-    asked = [*(names or ()), *_parts(agents)]
-    chosen = [make_agent(name) for name in asked or ("RRTConnect", "ppo-ur5e", "random")]
-    options: dict[str, Any] = {"bank": bank, "num_envs": num_envs, "patience": patience}
-    options |= {key: value for key, value in (("robot", robot), ("difficulty", _parts(difficulty))) if value}
-    evaluations: list[Evaluation] = []
-    try:
-        with spread(backend, workers, address) as executor:
-            for agent in chosen:
-                evaluations += run([agent], split, episodes, seed, executor=executor, **options)
-    finally:
-        if evaluations:
-            typer.echo(comparison_table(evaluations), nl=False)
-
-
-def _parts(text: str) -> tuple[str, ...]:
+def parts(text: str) -> tuple[str, ...]:
+    """The parts of a list that is separated by commas."""
     return tuple(part.strip() for part in text.split(",") if part.strip())
 
 

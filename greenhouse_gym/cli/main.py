@@ -8,7 +8,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from greenhouse_gym.cli import acting, arms, bank, demo, importing, scans, sensing
+from greenhouse_gym.cli import acting, arms, bank, comparing, demo, importing, scans, sensing
 from greenhouse_gym.cli.doctor import doctor
 from greenhouse_gym.errors import GreenhouseError
 
@@ -30,7 +30,11 @@ app.command()(acting.plan)
 app.command()(arms.mount)
 app.command()(arms.rate)
 app.command()(acting.train)
-app.command()(acting.compare)
+app.command()(comparing.compare)
+app.command()(comparing.submit)
+app.command()(comparing.leaderboard)
+app.command()(comparing.demonstrations)
+app.command()(comparing.watch)
 app.command()(acting.render)
 app.command()(demo.demo)
 app.command()(doctor)

@@ -1,7 +1,7 @@
 """Training: PPO, imitation of a teacher before it, SAC with hindsight replay, checkpoints, and policy files."""
 
 from greenhouse_gym.learning.bc_then_ppo import BcThenPpoSettings, train_bc_then_ppo
-from greenhouse_gym.learning.policies import save_policy
+from greenhouse_gym.learning.policies import load_into, save_policy
 from greenhouse_gym.learning.ppo import PpoSettings, train_ppo
 from greenhouse_gym.learning.sac import SacSettings, train_sac
 
@@ -9,6 +9,7 @@ __all__ = [
     "BcThenPpoSettings",
     "PpoSettings",
     "SacSettings",
+    "load_into",
     "save_policy",
     "train_bc_then_ppo",
     "train_ppo",

@@ -60,6 +60,37 @@ def policy_of(
     )
 
 
+def load_into(model: Any, policy: Policy) -> None:
+    """Put a policy's weights into the actor of an untrained model of `make_ppo`, to train on from there.
+
+    Args:
+        model: The model of Stable-Baselines3.
+        policy: Of the same arm, observation and hidden layers.
+
+    Raises:
+        InvalidValueError: Its network or observation is another.
+    """
+    import torch
+
+    actor = model.policy
+    layers = [*(layer for layer in actor.mlp_extractor.policy_net if hasattr(layer, "in_features")), actor.action_net]
+    theirs = [tuple(weight.shape) for weight in policy.weights]
+    ours = [tuple(layer.weight.shape) for layer in layers]
+    activation = _ACTIVATION_NAMES.get(actor.activation_fn.__name__)
+    if theirs != ours or policy.activation != activation:
+        raise InvalidValueError(
+            f"the policy has layers of {theirs} with {policy.activation}, the model {ours} with {activation}"
+        )
+    extractor = actor.pi_features_extractor
+    for name in ("center", "scale"):
+        if not np.array_equal(getattr(policy, name), getattr(extractor, name).numpy()):
+            raise InvalidValueError(f"the policy scales its observation otherwise than the model: {name} differs")
+    with torch.no_grad():
+        for layer, weight, bias in zip(layers, policy.weights, policy.biases, strict=True):
+            layer.weight.copy_(torch.as_tensor(weight))
+            layer.bias.copy_(torch.as_tensor(bias))
+
+
 def save_policy(model: Any, path: str | Path, training: Mapping[str, Any] | None = None) -> Path:
     """Write a Stable-Baselines3 model trained on `make_sb3_vec_env` as a policy file.
 

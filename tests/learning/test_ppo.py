@@ -23,7 +23,7 @@ from greenhouse_gym.agents.policy_agent import PolicyAgent
 from greenhouse_gym.errors import FileFormatError, InvalidValueError
 from greenhouse_gym.integrations.sb3 import make_sb3_vec_env
 from greenhouse_gym.learning.checkpoints import NAME, load_checkpoint, save_checkpoint
-from greenhouse_gym.learning.policies import save_policy
+from greenhouse_gym.learning.policies import load_into, save_policy
 from greenhouse_gym.learning.ppo import PpoSettings, make_ppo, train_ppo
 from greenhouse_gym.scene import SceneBank
 
@@ -177,3 +177,15 @@ def test_what_a_policy_file_cannot_hold_is_said(bank: SceneBank, tmp_path: Path)
     with pytest.raises(InvalidValueError, match="no environment of this package"):
         save_policy(elsewhere, tmp_path / "p")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_policy_goes_back_into_a_model(bank: SceneBank) -> None:
+    policy = PolicyAgent.load("ppo-ur5e").policy
+    env = make_sb3_vec_env(2, bank=bank, threads=1)
+    model = make_ppo(PpoSettings(num_envs=2, rollout_steps=8, batch_size=16), env)
+    load_into(model, policy)
+    observations = env.reset()
+    np.testing.assert_allclose(model.predict(observations, deterministic=True)[0], policy(observations), atol=1e-5)
+    with pytest.raises(InvalidValueError, match="relu"):
+        load_into(make_ppo(PpoSettings(num_envs=2, rollout_steps=8, batch_size=16, activation="relu"), env), policy)
+    env.close()

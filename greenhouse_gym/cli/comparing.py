@@ -1,0 +1,139 @@
+"""Commands on agents: compare, submit, demonstrations, watch."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from greenhouse_gym.cli.acting import Bank
+from greenhouse_gym.cli.acting import parts as _parts
+from greenhouse_gym.cli.spread import Address, Backend, Workers, spread
+from greenhouse_gym.progress import CONSOLE
+
+
+def compare(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[AGENTS]...",
+            help="Planners, policies (names or files), random, still, straight-line, or your own as file.py:Class or "
+            "module:Class.",
+        ),
+    ] = None,
+    agents: Annotated[str, typer.Option(help="The same, separated by commas.")] = "",
+    bank: Bank = "default",
+    split: Annotated[str, typer.Option(help="train, validation or test.")] = "test",
+    episodes: Annotated[int, typer.Option(help="Episodes of each agent.")] = 100,
+    seed: Annotated[int, typer.Option(help="Seed of the first episode; the next ones count on from it.")] = 0,
+    robot: Annotated[str, typer.Option(help="Name or file of the arm; by default what each agent needs.")] = "",
+    difficulty: Annotated[str, typer.Option(help="Difficulties of the targets, separated by commas.")] = "",
+    track: Annotated[
+        str, typer.Option(help="What is touched, separated by commas: reconstruction, truth, moved.")
+    ] = "reconstruction",
+    num_envs: Annotated[int, typer.Option(help="Episodes played side by side.")] = 1,
+    patience: Annotated[float, typer.Option(help="Seconds an agent may take for one answer.")] = 120.0,
+    backend: Backend = None,
+    workers: Workers = None,
+    address: Address = "local",
+) -> None:
+    """Run agents on the same episodes and print a table for each track.
+
+    By default a planner, the shipped policy and a random one.
+    Below each table stands whether the agents differ by more than chance, by McNemar's test on the same episodes.
+    Interrupted, it prints the table of the agents it has been through. The work is spread only where that is asked for:
+    processes side by side disturb each other's seconds.
+    """
+    from greenhouse_gym.agents.named import make_agent
+    from greenhouse_gym.errors import require_choice
+    from greenhouse_gym.evaluation import Evaluation, comparison_table
+    from greenhouse_gym.evaluation import compare as run
+    from greenhouse_gym.leaderboard import TRACKS
+    from greenhouse_gym.records import pairing
+
+    asked = [*(names or ()), *_parts(agents)]
+    tracks = [require_choice("track", name, TRACKS) for name in _parts(track)]
+    chosen = [make_agent(name) for name in asked or ("RRTConnect", "ppo-ur5e", "random")]
+    shared: dict[str, Any] = {"bank": bank, "num_envs": num_envs, "patience": patience}
+    shared |= {key: value for key, value in (("robot", robot), ("difficulty", _parts(difficulty))) if value}
+    for name in tracks:
+        evaluations: list[Evaluation] = []
+        try:
+            with spread(backend, workers, address) as executor:
+                for agent in chosen:
+                    options = {**shared, **TRACKS[name]}
+                    evaluations += run([agent], split, episodes, seed, executor=executor, **options)
+        finally:
+            if evaluations:
+                if len(tracks) > 1:
+                    typer.echo(f"\ntrack {name}\n")
+                typer.echo(comparison_table(evaluations), nl=False)
+                for first, second in combinations((e for e in evaluations if not e.error), 2):
+                    typer.echo(str(pairing(first, second)))
+
+
+def submit(
+    agent: Annotated[str, typer.Argument(help="An agent, as `compare` takes it.")],
+    out: Annotated[Path, typer.Option(help="Folder of the entries.")] = Path("benchmarks/leaderboard"),
+    track: Annotated[str, typer.Option(help="Tracks, separated by commas.")] = "reconstruction,truth,moved",
+    episodes: Annotated[int, typer.Option(min=1, help="Fewer than the protocol's make no entry, but a try.")] = 1000,
+    num_envs: Annotated[int, typer.Option(help="Episodes played side by side; times are then not those of one.")] = 1,
+    note: Annotated[str, typer.Option(help="What else there is to say, such as training and seeds.")] = "",
+) -> None:
+    """Play the episodes of protocol v1 and write the leaderboard's entry (docs/leaderboard.md)."""
+    from dataclasses import replace
+
+    from greenhouse_gym.agents.named import make_agent
+    from greenhouse_gym.leaderboard import V1, leaderboard_table, read_entry
+    from greenhouse_gym.leaderboard import submit as play
+
+    path = play(make_agent(agent), agent, out, _parts(track), replace(V1, episodes=episodes), num_envs, note)
+    typer.echo(leaderboard_table([read_entry(path)]), nl=False)
+    CONSOLE.print(f"entry in {path}")
+
+
+def leaderboard(
+    folder: Annotated[Path, typer.Argument(help="Folder of the entries.")] = Path("benchmarks/leaderboard"),
+) -> None:
+    """Print the table of all entries of a folder."""
+    from greenhouse_gym.leaderboard import leaderboard_table, read_entry
+
+    typer.echo(leaderboard_table([read_entry(path) for path in sorted(folder.glob("*.json"))]), nl=False)
+
+
+def demonstrations(
+    out: Annotated[Path, typer.Option(help="Folder of Minari data sets.")] = Path("demonstrations"),
+    agent: Annotated[str, typer.Option(help="Who acts, as `compare` takes it.")] = "guide",
+    bank: Bank = "default",
+    split: Annotated[str, typer.Option(help="train or validation.")] = "train",
+    observation: Annotated[str, typer.Option(help="What is observed, where the agent does not care.")] = "state",
+    episodes: Annotated[int, typer.Option(min=1, help="How many are played; the successful ones are kept.")] = 100,
+    seed: Annotated[int, typer.Option(help="Seed of the first episode.")] = 0,
+) -> None:
+    """Let an agent act and keep its successful episodes as a Minari data set."""
+    from greenhouse_gym.agents.demonstrations import record_demonstrations
+    from greenhouse_gym.agents.named import make_agent
+    from greenhouse_gym.progress import progress
+
+    player = make_agent(agent)
+    options = {"bank": bank, "observation": observation, **player.env_options}
+    with progress("episodes", episodes) as done:
+        name = record_demonstrations(player, out, episodes, seed, split, tell=done, **options)
+    CONSOLE.print(f"data set {name} in {out}: MINARI_DATASETS_PATH={out} and minari.load_dataset({name!r})")
+
+
+def watch(
+    agent: Annotated[str, typer.Option(help="Who acts, as `compare` takes it.")] = "ppo-ur5e",
+    out: Annotated[Path, typer.Option(help="MP4 file.")] = Path("episode.mp4"),
+    bank: Bank = "default",
+    split: Annotated[str, typer.Option(help="train, validation or test.")] = "validation",
+    seed: Annotated[int, typer.Option(help="Seed of the first episode.")] = 0,
+) -> None:
+    """Film one episode of an agent."""
+    from greenhouse_gym.agents.named import make_agent
+    from greenhouse_gym.reporting.film import film
+
+    success = film(make_agent(agent), out, bank=bank, split=split, seed=seed)
+    CONSOLE.print(f"{'a success' if success else 'no success'}, in {out}")

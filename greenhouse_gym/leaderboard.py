@@ -1,0 +1,204 @@
+"""A comparison under frozen rules, kept as files that anyone can check: entries, their table, and their replay."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from importlib.metadata import version
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict
+
+from greenhouse_gym.agents import Agent
+from greenhouse_gym.envs.randomization import Randomization
+from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.evaluation import evaluate
+from greenhouse_gym.paths import parsing, read_bytes, write_atomically
+from greenhouse_gym.records import Evaluation, Record
+from greenhouse_gym.scene import SceneBank
+from greenhouse_gym.scene.plant_motion import PlantMotion
+
+TRACKS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
+    {
+        "reconstruction": {},
+        "truth": {"physics": "truth"},
+        "moved": {"physics": "truth", "randomization": Randomization(plants=PlantMotion())},
+    }
+)
+"""What is touched, beside what is told: the reconstruction itself, the true row, or that after the plants moved."""
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """The rules of a comparison.
+
+    Attributes:
+        version: Their name.
+        bank: The bank of scenes.
+        split: Its split.
+        episodes: How many, on each track.
+        seed: Of the first; episode i has the seed ``seed + i``.
+        difficulty: Difficulties of the targets, as frequent as the scenes have them.
+        patience: Seconds an agent may take for one answer.
+    """
+
+    version: str = "v1"
+    bank: str = "default"
+    split: str = "test"
+    episodes: int = 1000
+    seed: int = 0
+    difficulty: tuple[str, ...] = ("easy", "medium", "hard")
+    patience: float = 120.0
+
+
+V1 = Protocol()
+"""The rules in force."""
+
+_DIGITS = 6
+
+
+class Entry(BaseModel):
+    """An agent's entry: the rules, what it ran on, and a record per episode.
+
+    Attributes:
+        agent: Its name, as `make_agent` takes it.
+        note: What else there is to say, such as how it was trained and on how many seeds.
+        protocol: The rules.
+        bank_sha256: Of the bank's manifest.
+        versions: Of the packages that decide the numbers.
+        machine: What it ran on, for the times.
+        tracks: Per track, the values of each field of `greenhouse_gym.records.Record`, in the episodes' order.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    schema_version: Literal[1] = 1
+    agent: str
+    note: str = ""
+    protocol: dict[str, Any]
+    bank_sha256: str
+    versions: dict[str, str]
+    machine: dict[str, str]
+    tracks: dict[str, dict[str, list[Any]]]
+
+    def evaluation(self, track: str) -> Evaluation:
+        """The records of a track."""
+        columns = self.tracks[track]
+        rows = zip(*(columns[field.name] for field in fields(Record)), strict=True)
+        records = (Record(*row) for row in rows)
+        return Evaluation(self.agent, tuple(replace(record, contact=tuple(record.contact)) for record in records))
+
+
+def submit(
+    agent: Agent,
+    name: str,
+    out: str | Path,
+    tracks: Sequence[str] = tuple(TRACKS),
+    protocol: Protocol = V1,
+    num_envs: int = 1,
+    note: str = "",
+) -> Path:
+    """Play the episodes of a protocol and write the entry, after each track what there is by then.
+
+    Args:
+        agent: The agent.
+        name: What `make_agent` makes it from; the file is called after it.
+        out: Folder of the entries.
+        tracks: Of `TRACKS`.
+        protocol: The rules.
+        num_envs: Episodes played side by side; only times depend on it.
+        note: What else there is to say.
+
+    Returns:
+        The entry's file.
+
+    Raises:
+        InvalidValueError: No track, or an unknown one.
+    """
+    if not tracks or not set(tracks) <= set(TRACKS):
+        raise InvalidValueError(f"tracks must be some of {', '.join(TRACKS)}, got {', '.join(tracks) or 'none'}")
+    path = Path(out) / f"{Path(name).name.replace(':', '-').removesuffix('.json')}.json"
+    entry = Entry(
+        agent=name,
+        note=note,
+        protocol=json.loads(json.dumps(asdict(protocol))),
+        bank_sha256=SceneBank.open(protocol.bank).sha256,
+        versions={package: version(package) for package in ("greenhouse-gym", "mujoco", "numpy")},
+        machine={"processor": platform.machine(), "cores": str(os.cpu_count()), "python": platform.python_version()},
+        tracks={},
+    )
+    for track in tracks:
+        played = _play(agent, protocol, track, protocol.episodes, num_envs)
+        entry = entry.model_copy(update={"tracks": {**entry.tracks, track: _columns(played.records)}})
+        write_atomically(path, entry.model_dump_json() + "\n")
+    return path
+
+
+def read_entry(path: str | Path) -> Entry:
+    """An entry from its file.
+
+    Raises:
+        FileFormatError: It is missing or damaged.
+    """
+    with parsing(path, "leaderboard entry"):
+        return Entry.model_validate_json(read_bytes(path, "leaderboard entry"))
+
+
+def is_current(entry: Entry) -> bool:
+    """Whether the bank is still the one that an entry was played on."""
+    return entry.bank_sha256 == SceneBank.open(str(entry.protocol["bank"])).sha256
+
+
+def replay(entry: Entry, agent: Agent, track: str, episodes: int = 10) -> list[tuple[Record, Record]]:
+    """Play an entry's first episodes again: pairs of the record that it has and the one that comes out now."""
+    protocol = Protocol(**{**entry.protocol, "difficulty": tuple(entry.protocol["difficulty"])})
+    now = _play(agent, protocol, track, episodes, 1).records
+    return list(zip(entry.evaluation(track).records[:episodes], now, strict=True))
+
+
+def leaderboard_table(entries: Sequence[Entry]) -> str:
+    """A Markdown table of entries, the best on the first track first; those of another bank stand apart, below."""
+    heads = ["agent", "track", "episodes", "success [95 %]", "collision", "first motion ms", "action ms", "steps"]
+    rows = [heads, ["---", "---"] + ["---:"] * (len(heads) - 2)]
+    ranked = sorted(entries, key=lambda e: -max((e.evaluation(t).success_rate for t in list(e.tracks)[:1]), default=0))
+    for entry in (entry for entry in ranked if is_current(entry)):
+        for track in entry.tracks:
+            e = entry.evaluation(track)
+            low, high = e.success_interval
+            rows.append(
+                [
+                    entry.agent,
+                    track,
+                    str(len(e.records)),
+                    f"{e.success_rate:.1%} [{low:.1%}, {high:.1%}]",
+                    f"{e.collision_rate:.1%}",
+                    f"{1e3 * (e.median('planning_time') + e.median('action_time')):.1f}",
+                    f"{1e3 * e.median('action_time'):.2f}",
+                    f"{e.median('steps', solved_only=True):.0f}",
+                ]
+            )
+    table = "".join("| " + " | ".join(row) + " |\n" for row in rows)
+    stale = [entry.agent for entry in ranked if not is_current(entry)]
+    return table + (f"\nPlayed on an earlier bank, to be submitted again: {', '.join(stale)}.\n" if stale else "")
+
+
+def _play(agent: Agent, protocol: Protocol, track: str, episodes: int, num_envs: int) -> Evaluation:
+    options = {"bank": protocol.bank, "difficulty": protocol.difficulty, **TRACKS[track]}
+    return evaluate(
+        agent, protocol.split, episodes, protocol.seed, num_envs=num_envs, patience=protocol.patience, **options
+    )
+
+
+def _columns(records: Sequence[Record]) -> dict[str, list[Any]]:
+    return {field.name: [_plain(getattr(record, field.name)) for record in records] for field in fields(Record)}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, float):
+        return round(value, _DIGITS)
+    return list(value) if isinstance(value, tuple) else value

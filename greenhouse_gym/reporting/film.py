@@ -1,0 +1,50 @@
+"""Episodes as films."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from gymnasium.wrappers import RecordVideo
+
+from greenhouse_gym.agents import Agent, Problem
+from greenhouse_gym.agents.agent import check_agent
+from greenhouse_gym.envs import TomatoReachEnv
+from greenhouse_gym.extras import require_extras
+from greenhouse_gym.paths import write_atomically
+
+
+def film(agent: Agent, out: str | Path, seed: int = 0, **options: Any) -> bool:
+    """Film an agent's episode as MP4.
+
+    Args:
+        agent: The agent; its ``env_options`` say which environment it needs.
+        out: The file.
+        seed: Of the episode, as `greenhouse_gym.evaluation.evaluate` counts them.
+        **options: Further keywords of the environment.
+
+    Returns:
+        Whether it ended in a success.
+
+    Raises:
+        MissingDependencyError: The extra ``viz`` is not installed.
+    """
+    require_extras("viz")
+    check_agent(agent)
+    env = TomatoReachEnv(render_mode="rgb_array", **{**options, **agent.env_options})
+    with tempfile.TemporaryDirectory() as folder:
+        recorder: Any = RecordVideo(env, folder, name_prefix="film", disable_logger=True)
+        try:
+            observation, info = recorder.reset(seed=seed)
+            rule, interval = env.simulation.action_rule, env.simulation.interval
+            agent.reset(Problem(env.scene, env.target, env.robot, env.start, seed, rule, interval))
+            over = False
+            while not over:
+                observation, _, terminated, truncated, info = recorder.step(agent.act(observation))
+                over = terminated or truncated
+        finally:
+            recorder.close()
+        [made] = Path(folder).glob("*.mp4")
+        write_atomically(out, made.read_bytes())
+    return bool(info["is_success"])
