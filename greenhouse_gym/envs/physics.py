@@ -155,7 +155,11 @@ class Physics:
             mujoco.mj_step1(model, data)
         contact = data.contact[int(np.argmin(data.contact.dist))]
         geoms = sorted((int(contact.geom1), int(contact.geom2)), key=lambda g: model.geom_bodyid[g], reverse=True)
-        names = tuple(name_of(model, g) for g in geoms)
+        world = self._worlds[i]
+        assert world is not None
+        names = tuple(
+            name_of(world.compiled.model, g) for g in geoms
+        )  # the simulation's own has the first scene's names
         return Contact(names, of_arm_alone=bool(model.geom_bodyid[geoms[1]] > 0))
 
 
