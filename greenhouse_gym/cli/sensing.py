@@ -61,6 +61,7 @@ def reconstruct(
     points: Annotated[int, typer.Option(min=4, help="Points the cloud is simplified to before it is meshed.")] = 10_000,
     faces: Annotated[int, typer.Option(min=1, help="Most faces of the mesh.")] = 18_000,
     format: Format = None,
+    poses: Annotated[str | None, typer.Option(help="Of the stations: estimate, given or refine.")] = None,
     settings: SettingsFile = None,
     assignments: Assignments = None,
     print_settings: Annotated[bool, shown(_reconstruction_settings)] = False,
@@ -77,7 +78,10 @@ def reconstruct(
 
     require_choice("meshing method", method, METHODS)
     opened = open_recording(recording, format)
-    resolved = resolve(settings_for(opened), settings, assignments or ())
+    fitting = settings_for(opened)
+    _say_what_fits(fitting)
+    wanted = [*(assignments or ()), *([f"poses={poses}"] if poses else [])]
+    resolved = resolve(fitting, settings, wanted)
     with exclusive(out):
         _reconstruct(opened, resolved, out, method, points, faces)
 
@@ -122,6 +126,18 @@ def _reconstruct(
         _say(f"warning: {warning}", style="red")
     registered, cloud = sum(row.registered.sum() for row in rows), sum(map(len, rows))
     _say(f"{registered} of {len(opened)} stations, {cloud} points, {len(mesh.triangles)} faces: {out / 'report.html'}")
+
+
+def _say_what_fits(settings: ReconstructionSettings) -> None:
+    """Say which settings the recording itself made different from the defaults."""
+    from dataclasses import asdict
+
+    from greenhouse_gym.reconstruction import ReconstructionSettings
+
+    usual = asdict(ReconstructionSettings())
+    for name, value in asdict(settings).items():
+        if value != usual[name]:
+            _say(f"from the recording: {name} = {value} instead of {usual[name]}; --set {name}=... overrides it")
 
 
 def _say(text: str, style: str | None = None) -> None:

@@ -30,14 +30,27 @@ def foreground_mask(
     return (depth > _NEAREST) & (depth < _cut(camera, front, 2.0 * farthest))
 
 
+def forward_distance(depth: npt.NDArray[np.float32], camera: Camera) -> npt.NDArray[np.float32]:
+    """How far ahead of a camera, along its rig's forward axis, each reading (height, width) is, metres."""
+    return np.asarray(depth * _forward(camera), dtype=np.float32)
+
+
+@lru_cache(maxsize=32)
+def _forward(camera: Camera) -> npt.NDArray[np.floating]:
+    """(height, width) share of each pixel's depth that goes forward."""
+    k = camera.intrinsics
+    x, y = (np.arange(k.width) - k.cx) / k.fx, (np.arange(k.height) - k.cy) / k.fy
+    return np.asarray(
+        camera.rig_from_camera[0, 0] * x[None, :]
+        + camera.rig_from_camera[0, 1] * y[:, None]
+        + camera.rig_from_camera[0, 2]
+    )
+
+
 @lru_cache(maxsize=32)
 def _cut(camera: Camera, front: float, longest: float) -> npt.NDArray[np.float32]:
     """(height, width) depth at which each pixel's ray leaves the slab x < ``front`` of the rig frame."""
-    k = camera.intrinsics
-    x, y = (np.arange(k.width) - k.cx) / k.fx, (np.arange(k.height) - k.cy) / k.fy
-    forward = camera.rig_from_camera[0, 0] * x[None, :] + camera.rig_from_camera[0, 1] * y[:, None]
-    forward += camera.rig_from_camera[0, 2]
-    depth = (front - camera.rig_from_camera[0, 3]) / np.maximum(forward, 1e-6)
+    depth = (front - camera.rig_from_camera[0, 3]) / np.maximum(_forward(camera), 1e-6)
     return np.minimum(depth, longest).astype(np.float32)
 
 

@@ -34,8 +34,8 @@ class Alignment:
         fitness: Share of those with a partner.
         contradicted: Share of those that have none, and that the first station sees through.
         rmse: Root mean square distance of partners along their normals, metres.
-        stiffness: Least share of the partners' normals along any direction, 0 to 1/3: near 0 the stations can slide
-            along each other.
+        held: (6,) how much each independent motion would move partners along their normals, a share, the least first;
+            see `held`. Near 0 the stations can slide or turn along each other.
         information: (6, 6) rotation then translation, in the first station's frame, for the pose graph.
     """
 
@@ -44,16 +44,24 @@ class Alignment:
     fitness: float
     contradicted: float
     rmse: float
-    stiffness: float
+    held: Array
     information: Array
 
 
 class Partners(NamedTuple):
-    """Pairs of points: ``row`` (k,) of the moved cloud, ``residual`` (k,) metres along ``axes`` (k, 3)."""
+    """Pairs of points.
+
+    Attributes:
+        row: (k,) of the moved cloud.
+        residual: (k,) metres along ``axes``.
+        axes: (k, 3) means of both normals.
+        facing: (k, 3) normals at the partners.
+    """
 
     row: npt.NDArray[np.int64]
     residual: Array
     axes: Array
+    facing: Array
 
 
 def align(first: StationView, second: Cloud, start: Array, settings: ReconstructionSettings) -> Alignment:
@@ -102,7 +110,7 @@ def assess(first: StationView, second: Cloud, first_from_second: Array, settings
     overlap = np.count_nonzero(seen)
     if len(found.row) < 6:
         share = overlap / max(len(moved), 1)
-        return Alignment(first_from_second, share, 0.0, 0.0, float("nan"), 0.0, np.eye(6))
+        return Alignment(first_from_second, share, 0.0, 0.0, float("nan"), np.zeros(6), np.eye(6))
     weight = tukey(found.residual)
     jacobian = np.column_stack([np.cross(moved.points[found.row], found.axes), found.axes])
     rmse = float(np.sqrt(np.mean(found.residual**2)))
@@ -113,28 +121,50 @@ def assess(first: StationView, second: Cloud, first_from_second: Array, settings
         fitness=np.count_nonzero(matched) / overlap,
         contradicted=np.count_nonzero(through & ~matched) / overlap,
         rmse=rmse,
-        stiffness=float(np.linalg.eigvalsh(found.axes.T @ found.axes)[0] / len(found.row)),
+        held=held(moved.points[found.row], moved.normals[found.row], found.facing, weight),
         information=information,
     )
 
 
+def held(points: Array, normals: Array, facing: Array, weight: Array) -> Array:
+    """By how much each independent motion shows, as a share of the mean square motion of the points: (6,), least first.
+
+    These are the eigenvalues of the registration's information, lengths counted in radii of the points. Each entry
+    multiplies the normal that one station measured with the one that the other did, so that the noise of normals, which
+    makes any flat wall look as if it held a motion along itself, cancels.
+
+    Args:
+        points: (k, 3) of partners, in one frame.
+        normals: (k, 3) as one station measured them.
+        facing: (k, 3) as the other did.
+        weight: (k,).
+    """
+    center = points.mean(axis=0)
+    radius = max(float(np.sqrt(((points - center) ** 2).sum(axis=1).mean())), 1e-9)
+    one, two = (np.column_stack([np.cross((points - center) / radius, n), n]) for n in (normals, facing))
+    information = (one * weight[:, None]).T @ two / max(float(weight.sum()), 1e-9)
+    return np.asarray(np.linalg.eigvalsh((information + information.T) / 2))
+
+
 def partners(first: StationView, moved: Cloud, settings: ReconstructionSettings) -> Partners:
     """What the first station measured where the points of a cloud in its frame fall, if near and facing alike."""
-    rows, residuals, axes = [], [], []
+    rows, residuals, axes, facing = [], [], [], []
     for view in first.cameras.values():
         row, v, u = view.camera.intrinsics.project(transform(invert(view.camera.rig_from_camera), moved.points))
         shown = view.foreground[v, u]
         row, v, u = row[shown], v[shown], u[shown]
         apart = moved.points[row] - view.points(v, u)
-        axis = moved.normals[row] + view.normals[v, u]
+        other = view.normals[v, u].astype(np.float64)
+        axis = moved.normals[row] + other
         # unit normals: |a + b|^2 = 2 + 2 a . b
         squared = (axis**2).sum(axis=1)
         near = ((apart**2).sum(axis=1) < settings.fine_distance**2) & (squared > 2 + 2 * settings.facing)
         axis = axis[near] / np.sqrt(squared[near])[:, None]
         rows.append(row[near])
         axes.append(axis)
+        facing.append(other[near])
         residuals.append((apart[near] * axis).sum(axis=1))
-    return Partners(np.concatenate(rows), np.concatenate(residuals), np.concatenate(axes))
+    return Partners(*map(np.concatenate, (rows, residuals, axes, facing)))
 
 
 def _seen(first: StationView, points: Array, margin: float) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:

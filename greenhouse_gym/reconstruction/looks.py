@@ -12,11 +12,12 @@ from greenhouse_gym.capture.rig import Rig
 from greenhouse_gym.clouds import Cloud, merge, voxel_means
 from greenhouse_gym.errors import InvalidValueError, ReconstructionError
 from greenhouse_gym.geometry import Array, invert
+from greenhouse_gym.reconstruction.fitting import settings_for
 from greenhouse_gym.reconstruction.graph import Edge
 from greenhouse_gym.reconstruction.joining import register_near
 from greenhouse_gym.reconstruction.merging import lonely_points
 from greenhouse_gym.reconstruction.row import Look, RowCloud
-from greenhouse_gym.reconstruction.settings import ReconstructionSettings, settings_for
+from greenhouse_gym.reconstruction.settings import ReconstructionSettings
 from greenhouse_gym.reconstruction.views import Calibration, view_station
 
 _NEAREST = 3  # stations of the row that a look is registered to, one after the other, until one convinces

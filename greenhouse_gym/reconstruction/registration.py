@@ -16,7 +16,7 @@ from greenhouse_gym.reconstruction.settings import ReconstructionSettings
 from greenhouse_gym.reconstruction.shift import Shift, along, best_shifts, overlap
 from greenhouse_gym.reconstruction.views import CameraView, StationView
 
-_STIFFNESS = 0.01  # share of normals along the direction least held; a plane with the sensor's noise stays below
+_HELD = (0.003, 0.05)  # of the two motions least held; a wall or table leaves three loose, a pole two, a row none
 
 
 class Registration(NamedTuple):
@@ -154,8 +154,9 @@ def unconvincing(found: Alignment, settings: ReconstructionSettings) -> str:
         return f"inlier RMSE {1e3 * found.rmse:.1f} mm above {1e3 * settings.max_rmse:.1f} mm"
     if found.contradicted > settings.max_contradicted:
         return f"{found.contradicted:.0%} stands where the other station sees through"
-    if found.stiffness < _STIFFNESS:
-        return "the surfaces are too even to tell how far it moved"
+    if found.held[0] < _HELD[0] or found.held[1] < _HELD[1]:
+        loose = max(1, int((found.held < _HELD[1]).sum()))
+        return f"the surfaces are too even to tell how far it moved: {loose} of 6 ways to move hardly change the images"
     return ""
 
 

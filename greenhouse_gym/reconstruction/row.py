@@ -14,11 +14,13 @@ import numpy.typing as npt
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.capture.rig import Rig
 from greenhouse_gym.clouds import Cloud, exposure_failure
+from greenhouse_gym.errors import require_choice
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.reconstruction.fitting import settings_for
 from greenhouse_gym.reconstruction.graph import optimize
 from greenhouse_gym.reconstruction.merging import merge_stations, outliers
 from greenhouse_gym.reconstruction.report import RowReport
-from greenhouse_gym.reconstruction.settings import ReconstructionSettings, settings_for
+from greenhouse_gym.reconstruction.settings import POSES, ReconstructionSettings
 from greenhouse_gym.reconstruction.views import Screen
 from greenhouse_gym.reconstruction.walk import Walk, walk_through
 
@@ -70,6 +72,7 @@ def reconstruct_row(
     settings: ReconstructionSettings | None = None,
     on_station: Callable[[int], None] | None = None,
     folder: str | Path | None = None,
+    poses: str | None = None,
 ) -> RowCloud:
     """Turn a recording into one metric cloud of the row, as the paper does, and some steps beyond.
 
@@ -86,10 +89,16 @@ def reconstruct_row(
         settings: All settings; by default what the recording's protocol needs, the paper's values where it names none.
         on_station: Called with the number of each station when it is done (for progress bars).
         folder: Where to note what was registered, so that an interrupted reconstruction goes on from there.
+        poses: "estimate" finds where the stations stood; "given" believes the recording, for rigs on rails and cameras
+            on arms; "refine" corrects what it says by what was seen. By default what the settings say.
 
     Raises:
+        UnknownNameError: There is no such way to pose the stations.
         ReconstructionError: Too few stations could be registered; the message gives the reasons.
     """
+    settings = settings or settings_for(recording)
+    if poses is not None:
+        settings = replace(settings, poses=require_choice("way to pose stations", poses, POSES))  # type: ignore[arg-type]
     return reconstruct_segments(recording, settings, on_station, folder, most=1)[0]
 
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 from greenhouse_gym.capture.protocols import PROTOCOLS, Protocol
-from greenhouse_gym.capture.recordings import Recording
-from greenhouse_gym.errors import require_choice
+
+Poses = Literal["estimate", "given", "refine"]
+POSES: tuple[str, ...] = get_args(Poses)
 
 
 @dataclass(frozen=True)
@@ -17,8 +19,9 @@ class ReconstructionSettings:
     foreground: float = 0.60  # m, the paper's cut
     min_foreground: float = 0.01  # share of the reference image that must be foreground
     max_foreground: float = 0.98  # share beyond which silhouettes say nothing
-    normal_window: int = 7  # px, side of the window a normal is fitted in
+    normal_window: int = 7  # px at the D435's 424 px of focal length, side of the window a normal is fitted in
     # where registration starts
+    poses: Poses = "estimate"  # of the stations: found, believed, or corrected
     shift_step: int = 2  # px, "a few pixels at a time"
     shifts_tried: int = 3  # the best ones, until ICP convinces from one
     max_shift_difference: float = 0.9  # share of the foreground that may differ at the best shift; ICP decides
@@ -64,15 +67,3 @@ class ReconstructionSettings:
             fine_distance=usual.fine_distance * farther,
             max_rmse=usual.max_rmse * farther,
         )
-
-
-def settings_for(recording: Recording) -> ReconstructionSettings:
-    """The settings that fit the protocol a recording says it follows; the paper's where it names none.
-
-    Raises:
-        UnknownNameError: The recording names a protocol that does not exist.
-    """
-    if recording.protocol is None:
-        return ReconstructionSettings()
-    kind = f"protocol of recording {recording.name!r}:"
-    return ReconstructionSettings.of(PROTOCOLS[require_choice(kind, recording.protocol, PROTOCOLS)])

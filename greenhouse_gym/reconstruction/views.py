@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.capture.frames import RgbdFrame, Station
-from greenhouse_gym.capture.rig import Camera, Rig
+from greenhouse_gym.capture.rig import D435_DEPTH, Camera, Rig
 from greenhouse_gym.clouds import Cloud, PackedCloud, merge
 from greenhouse_gym.geometry import Array, transform
 from greenhouse_gym.reconstruction.foreground import foreground_mask
@@ -90,11 +90,13 @@ class StationView:
         cameras: By name.
         reference: The camera whose silhouettes align the stations.
         sample: Some of the foreground in the rig frame, for ICP to move.
+        world_from_station: (4, 4) pose of the rig frame as the recording gives it; None where it does not.
     """
 
     cameras: Mapping[str, CameraView]
     reference: CameraView
     sample: Cloud
+    world_from_station: Array | None = None
 
     def cloud(self) -> PackedCloud:
         """Every other pixel of the foreground of all cameras, as on a checkerboard, in the rig frame.
@@ -112,13 +114,19 @@ class StationView:
         return PackedCloud(np.concatenate(points), np.concatenate(colors), np.concatenate(normals))
 
 
+def _window(camera: Camera, settings: ReconstructionSettings) -> int:
+    """Side in pixels of the window a normal is fitted in: as wide an angle as with the D435's depth mode, if finer."""
+    wider = camera.intrinsics.fx / D435_DEPTH.fx
+    return settings.normal_window if wider <= 1 else 2 * int(settings.normal_window * wider / 2) + 1
+
+
 def view_camera(frame: RgbdFrame, name: str, calibration: Calibration, settings: ReconstructionSettings) -> CameraView:
     """What one image shows, the camera's depth error taken out."""
     camera = calibration.rig.cameras[name]
     depth = np.nan_to_num(frame.depth, posinf=0.0, neginf=0.0) / np.float32(1.0 + calibration.bias.get(name, 0.0))
     mask = foreground_mask(depth, camera, calibration.rig, settings.foreground)
     normals = np.zeros((*depth.shape, 3), dtype=np.float32)
-    in_camera = image_normals(depth, mask, camera.intrinsics, settings.normal_window)
+    in_camera = image_normals(depth, mask, camera.intrinsics, _window(camera, settings))
     normals.reshape(-1, 3)[np.flatnonzero(mask)] = in_camera @ camera.rig_from_camera[:3, :3].T
     return CameraView(camera, frame.color, depth, mask, normals)
 
@@ -132,4 +140,5 @@ def view_station(station: Station, calibration: Calibration, settings: Reconstru
         cameras,
         cameras[calibration.rig.reference],
         merge([view.sample(int(share[name]) // every) for name, view in cameras.items()]),
+        station.world_from_station,
     )

@@ -23,6 +23,7 @@ from greenhouse_gym.geometry import Array, transform
 from greenhouse_gym.reconstruction.calibration import CalibrationReport, calibrate
 from greenhouse_gym.reconstruction.diary import Diary, Entry
 from greenhouse_gym.reconstruction.foreground import foreground_problem
+from greenhouse_gym.reconstruction.given import place_as_given
 from greenhouse_gym.reconstruction.graph import Edge
 from greenhouse_gym.reconstruction.joining import join_segments, pass_of
 from greenhouse_gym.reconstruction.registration import Registration, refine, register
@@ -83,6 +84,7 @@ def walk_through(
         ReconstructionError: Too few stations could be registered; the message gives the reasons.
     """
     started = perf_counter()
+    estimated = settings.poses == "estimate"
     calibration, calibrated = calibrate(recording, settings)
     calibrated_at = perf_counter()
     diary = Diary.open(folder, recording, settings)
@@ -105,17 +107,21 @@ def walk_through(
             if isinstance(view, str):
                 entry = Entry(StationReport(i, False, reason=view))
             else:
-                near = _near(segments, i, recording.passes, settings)
+                near = _near(segments, i, recording.passes, settings) if estimated else [*segments.values()]
                 kept = [station for segment in near for station in segment[-max(settings.links, default=1) :]]
                 views = {  # memory grows with the clouds, not with the images; read again after an interruption
                     k: views[k] if k in views else view_station(recording[k], calibration, settings) for k in kept
                 }
-                entry = _place(i, view, near, views, edges, settings)
+                if estimated:
+                    entry = _place(i, view, near, views, edges, settings)
+                else:
+                    report, given = place_as_given(i, view, near[0] if near else (), views, settings)
+                    entry = Entry(report, given, view.cloud(), _screens(view))
                 views[i] = view
             diary.write(entry)
             note(entry)
     kept_segments = _conclude(diary.entries, segments, recording.name, settings)
-    if len(recording.passes) > 1:
+    if estimated and len(recording.passes) > 1:
         kept_segments, between = join_segments(recording, calibration, kept_segments, edges, settings)
         edges.update(between)
     number = {station: k for k, segment in enumerate(kept_segments) for station in segment}
@@ -178,7 +184,7 @@ def _place(
 ) -> Entry:
     """Register station ``i`` to the last station of a segment and to those before; else it begins its own segment."""
     cloud = view.cloud()
-    screens = {name: camera.screen() for name, camera in view.cameras.items()}
+    screens = _screens(view)
     blind = tuple(name for name, camera in view.cameras.items() if not camera.foreground.any())
     refused = StationReport(i, True, segment=i, blind=blind)
     for segment in near:
@@ -194,6 +200,10 @@ def _place(
         if refused.against is None:
             refused = report
     return Entry(refused, {}, cloud, screens)
+
+
+def _screens(view: StationView) -> dict[str, Screen]:
+    return {name: camera.screen() for name, camera in view.cameras.items()}
 
 
 def _pace(segment: list[int], edges: Mapping[tuple[int, int], Edge], view: StationView) -> float:
