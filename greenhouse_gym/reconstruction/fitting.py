@@ -41,11 +41,12 @@ def settings_for(recording: Recording) -> ReconstructionSettings:
     Raises:
         UnknownNameError: The recording names a protocol that does not exist.
     """
+    if recording.protocol is not None:
+        require_choice(f"protocol of recording {recording.name!r}:", recording.protocol, PROTOCOLS)
     frames = _frames(recording)
     camera = recording.rig.cameras[recording.rig.reference]
     if recording.protocol is not None:
-        kind = f"protocol of recording {recording.name!r}:"
-        settings = ReconstructionSettings.of(PROTOCOLS[require_choice(kind, recording.protocol, PROTOCOLS)])
+        settings = ReconstructionSettings.of(PROTOCOLS[recording.protocol])
     else:
         settings = ReconstructionSettings()
         settings = replace(settings, foreground=foreground_cut(frames, camera, settings.foreground))
@@ -60,9 +61,9 @@ def settings_for(recording: Recording) -> ReconstructionSettings:
 def _frames(recording: Recording) -> list[RgbdFrame]:
     """The reference camera's images at a few stations spread over a recording; those that can be read."""
     frames = []
-    for i in np.unique(np.linspace(0, len(recording) - 1, _LOOKED_AT).round().astype(int)):
+    for i in sorted({k * (len(recording) - 1) // max(1, _LOOKED_AT - 1) for k in range(_LOOKED_AT) if len(recording)}):
         try:
-            frames.append(recording[int(i)].frames[recording.rig.reference])
+            frames.append(recording[i].frames[recording.rig.reference])
         except FileFormatError:
             continue  # the walk through the recording reports it
     return frames
