@@ -12,7 +12,7 @@ from greenhouse_gym.capture.rig_file import Mounting
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import invert, rotation_angle
 from greenhouse_gym.reconstruction.calibration import calibrate
-from greenhouse_gym.reconstruction.settings import settings_for
+from greenhouse_gym.reconstruction.fitting import settings_for
 
 _REACHES = (0.03, 0.015, 0.005)  # m within which surfaces are taken as one, ever nearer
 _STATIONS = 8

@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from row_helpers import HALF, from_stations, half_recording, with_depth
 
-from greenhouse_gym.capture import PROTOCOLS, RgbdFrame, sense_depth, simulate_protocol
+from greenhouse_gym.capture import PROTOCOLS, RgbdFrame, Rig, sense_depth, simulate_protocol
+from greenhouse_gym.geometry import invert, pose, rotation_about, rotation_angle
 from greenhouse_gym.plants import grow_row
 from greenhouse_gym.reconstruction import ReconstructionSettings, settings_for
 from greenhouse_gym.reconstruction.fitting import foreground_cut, sensor_noise
+from greenhouse_gym.reconstruction.overlap import calibrate_from_overlap
 
 CAMERA = HALF.cameras["middle"]
 
@@ -64,3 +66,16 @@ def test_noisier_readings_widen_what_is_accepted() -> None:
     found = settings_for(from_stations(noisy, half_recording()))
     assert 0.010 < found.fine_distance < 0.016
     assert 0.005 < found.max_rmse < 0.008
+
+
+def test_a_camera_knocked_by_three_degrees_is_found_without_a_board() -> None:
+    there = HALF.cameras["last"].rig_from_camera
+    turn = rotation_about([0.3, 1.0, 0.2], np.deg2rad(3.0))
+    knocked = replace(HALF.cameras["last"], rig_from_camera=pose(turn @ there[:3, :3], there[:3, 3] + [0, 0.005, 0]))
+    rig = Rig({**HALF.cameras, "last": knocked}, HALF.reference)
+    found = calibrate_from_overlap(replace(half_recording(), rig=rig))
+    assert np.degrees(found.turned["last"]) == pytest.approx(3.0, abs=0.3)
+    for name, camera in HALF.cameras.items():
+        apart = invert(camera.rig_from_camera) @ found.mounting.rig_from_camera[name]
+        assert np.degrees(rotation_angle(apart[:3, :3])) < 0.5
+        assert np.linalg.norm(apart[:3, 3]) < 0.005
