@@ -1,7 +1,7 @@
 """Where the foreground's cut is put by the depths of a recording alone, on every protocol's rig and on real sets.
 
-A simulated cut is right if it lies behind the stems by 5 cm or more and before the next row. Of real sets, in the folder
-that GREENHOUSE_GYM_REAL_DATA names, it is shown what the cut keeps. The noise of the readings is told as well.
+A simulated cut is right if it lies behind the stems by 5 cm or more and before the next row. Of real sets, in the
+folder that GREENHOUSE_GYM_REAL_DATA names, it is shown what the cut keeps. The noise of the readings is told as well.
 
     python benchmarks/foreground_cuts.py
 """
