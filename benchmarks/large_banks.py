@@ -33,7 +33,7 @@ from greenhouse_gym.parallel import processes
 from greenhouse_gym.scene import SceneBank
 from greenhouse_gym.scene.bank import MANIFEST
 
-SIMULATIONS, ROUNDS, STEPS = 64, 20, 50
+SIMULATIONS, STEPS = 64, 50
 
 
 def main() -> None:
@@ -42,13 +42,15 @@ def main() -> None:
     parser.add_argument("--scenes", type=int, default=20_000)
     parser.add_argument("--few", type=int, default=36)
     parser.add_argument("--resets", type=int, default=100_000)
+    parser.add_argument("--rounds", type=int, default=20, help=f"of {STEPS} steps on each bank")
     parser.add_argument("--out", type=Path, default=RESULTS / "large_banks.json")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         few = copies_of_mini(Path(temporary) / "few", arguments.few)
         many = copies_of_mini(Path(temporary) / "many", arguments.scenes)
-        result = measure(few, many, arguments.resets)
-    command = f"benchmarks/large_banks.py --scenes {arguments.scenes} --few {arguments.few} --resets {arguments.resets}"
+        result = measure(few, many, arguments.resets, arguments.rounds)
+    command = f"benchmarks/large_banks.py --scenes {arguments.scenes} --few {arguments.few} "
+    command += f"--resets {arguments.resets} --rounds {arguments.rounds}"
     write_results(arguments.out, {"command": command, **result}, ["mujoco"])
     for name, value in result.items():
         print(f"{name}: {value}")
@@ -74,7 +76,7 @@ def copies_of_mini(folder: Path, count: int) -> Path:
     return folder
 
 
-def measure(few: Path, many: Path, resets: int) -> dict[str, Any]:
+def measure(few: Path, many: Path, resets: int, rounds: int) -> dict[str, Any]:
     """All figures."""
     opening = seconds(lambda: SceneBank.open(many))
     making = seconds(lambda: gym.make(greenhouse_gym.ENV_IDS[0], bank=many).close())
@@ -94,7 +96,7 @@ def measure(few: Path, many: Path, resets: int) -> dict[str, Any]:
             env.reset()
     rates: dict[str, list[float]] = {name: [] for name in envs}
     ended = dict.fromkeys(envs, 0)
-    for turn in range(ROUNDS):
+    for turn in range(rounds):
         for name in sorted(envs, reverse=bool(turn % 2)):
             env, spent = envs[name], 0.0
             for _ in range(STEPS):

@@ -5,13 +5,17 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from concurrent.futures import Executor
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from test_parallel import alive, asleep, killed, spoiled, squared, unknown, wait_until
 
+from greenhouse_gym.agents import RandomAgent
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError
+from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.parallel import RayExecutor, WorkerLostError, completed, workers_of
+from greenhouse_gym.scene import SceneBank
 
 pytestmark = pytest.mark.xdist_group("ray")
 
@@ -60,6 +64,12 @@ def test_a_canceled_piece_of_work_really_ends(cluster: Executor, tmp_path: Path)
     assert future.cancel()
     (pid,) = (int(path.name) for path in tmp_path.iterdir())
     wait_until(lambda: not alive(pid))
+
+
+def test_agents_play_the_same_episodes_on_ray(cluster: Executor, bank: SceneBank) -> None:
+    here, there = (evaluate(RandomAgent(), episodes=3, bank=bank, executor=e) for e in (None, cluster))
+    untimed = {"planning_time": 0.0, "action_time": 0.0}
+    assert [replace(r, **untimed) for r in there.records] == [replace(r, **untimed) for r in here.records]
 
 
 def test_addresses_at_which_nothing_listens_are_told() -> None:
