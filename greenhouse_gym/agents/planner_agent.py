@@ -13,10 +13,18 @@ from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.envs.actions import INTERVAL, joint_steps
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning import PLANNERS, PlannerSettings, PlanResult, follow_path, free_commands, plan
-from greenhouse_gym.scene import compile_scene
+from greenhouse_gym.scene import Scene, compile_scene
 
 CAREFUL = 0.15
 """How deep planned paths enter unseen space by default, metres: the leaves that paths hit hang deeper in it."""
+
+SEEN_ENOUGH = ("upright-back",)
+"""Protocols that see the leaves in the aisle: plans held there without care, and with it many tomatoes had none."""
+
+
+def usual_care(scene: Scene) -> str | float:
+    """What space that the scan did not see is by default, as `greenhouse_gym.planning.plan` takes it."""
+    return "free" if scene.seen is None or scene.provenance.protocol in SEEN_ENOUGH else CAREFUL
 
 
 class PathFollower:
@@ -63,7 +71,8 @@ class PlannerAgent:
         name: Shown in tables; the planner's name when left out.
         settings: The planner's settings; its usual ones when left out.
         unseen: What space that the scan did not see is, as `greenhouse_gym.planning.plan` takes it. When left out, it
-            is entered no deeper than `CAREFUL` where a scene says what was seen, and free where it does not.
+            is entered no deeper than `CAREFUL`, but free where a scene does not say what was seen, and where its
+            protocol is one of `SEEN_ENOUGH`.
 
     Attributes:
         result: The last episode's plan, or None before the first.
@@ -97,11 +106,10 @@ class PlannerAgent:
 
     def reset(self, problem: Problem) -> None:
         """Plan."""
-        careful = "free" if problem.scene.seen is None else CAREFUL
         self.result = plan(
             problem.scene, problem.target, problem.robot, self.planner, self.time_limit, self.max_checks, self.goals,
             seed=problem.seed, start=problem.start, settings=self.settings,
-            unseen=careful if self.unseen is None else self.unseen,
+            unseen=usual_care(problem.scene) if self.unseen is None else self.unseen,
         )  # fmt: skip
         if self.result.path is None:
             self._follower = PathFollower(problem.start[None], problem)
