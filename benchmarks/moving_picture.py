@@ -1,6 +1,6 @@
 """The moving picture of README: an arm reaches for a tomato; left the reconstruction it plans in, right the true row.
 
-    python benchmarks/moving_picture.py --scene row-110-00 --target 12
+    python benchmarks/moving_picture.py --scene own-cluster-2024-w00-01 --target 15
 
 The episode is played with ``physics="truth"``, so the arm moves as it does among the true plants. It must reach the
 tomato; else the script says how the episode ended and draws nothing. Writes benchmarks/results/reaching.gif.
@@ -91,7 +91,7 @@ class Panel:
 def main() -> None:
     """Play, draw, write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scene", default="row-110-00")
+    parser.add_argument("--scene", default="own-cluster-2024-w00-01")
     parser.add_argument("--target", type=int, default=12)
     arguments = parser.parse_args()
     bank = SceneBank.open("default")

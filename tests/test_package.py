@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import hashlib
 import os
 import subprocess
 import sys
@@ -77,7 +78,7 @@ def test_an_installed_package_uses_its_own_data(unpacked: Path, tmp_path: Path) 
     module, bank, count = run(code, unpacked, tmp_path).splitlines()
     assert Path(module).is_relative_to(unpacked)
     assert Path(bank) == (unpacked / "greenhouse_gym" / "_scenes" / "mini").resolve()
-    assert int(count) == 4
+    assert int(count) == 8
 
 
 def test_an_installed_package_plans_and_writes_nothing_beside_itself(unpacked: Path, tmp_path: Path) -> None:
@@ -133,24 +134,30 @@ def test_the_wheel_installs_into_a_fresh_environment(wheel: Path, tmp_path: Path
 
 
 def test_the_banks_scenes_are_whole() -> None:
-    """Every scene opens with its checksum, has reachable targets, and no row lies in two splits."""
-    from greenhouse_gym.scene import SceneBank
+    """Every file of `default` is the manifest's, no row lies in two splits; the scenes of `mini` are read."""
+    from greenhouse_gym.scene import DIFFICULTIES, SceneBank
+    from greenhouse_gym.scene.bank import SPLITS
 
-    bank = SceneBank.open("default")
-    rows = {
-        split: {bank.scene(name).provenance.row for name in bank.names(split)}
-        for split in ("train", "validation", "test")
-    }
+    bank, mini = SceneBank.open("default"), SceneBank.open("mini")
+    rows = {split: {entry.row for entry in bank.manifest.scenes if entry.split == split} for split in SPLITS}
     assert all(rows.values())
     assert not rows["train"] & rows["test"]
     assert not rows["train"] & rows["validation"]
-    for scene in bank:
+    for entry in bank.manifest.scenes:
+        assert hashlib.sha256((bank.path / entry.file).read_bytes()).hexdigest() == entry.sha256
+        assert entry.truth
+        assert entry.targets
+        assert sum(entry.targets.values()) > 0
+    assert set(mini.names()) <= set(bank.names())
+    targets = []
+    for scene in mini:
         assert len(scene.obstacles) <= 300
         assert 0 < len(scene.targets) <= len(scene.tomatoes)
-    reachable = [target for scene in bank for target in scene.targets if target.difficulty != "unreachable"]
-    assert all(target.witness for target in reachable)
-    assert {target.difficulty for target in reachable} == {"easy", "medium", "hard"}
-    assert set(SceneBank.open("mini").names()) <= set(bank.names())
+        assert scene.truth is not None
+        assert scene.seen is not None
+        targets += scene.targets
+    assert all((target.witness is None) == (target.difficulty == "unreachable") for target in targets)
+    assert {target.difficulty for target in targets} == set(DIFFICULTIES)
 
 
 def test_versions_agree() -> None:
