@@ -16,7 +16,7 @@ MODULES: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "train": ("stable_baselines3", "torch", "safetensors"),
         "viz": ("matplotlib", "moviepy"),
         "cluster": ("ray",),
-        "data": ("minari", "h5py"),
+        "data": ("minari",),
     }
 )
 """What extras that commands need bring, by the names that are imported."""
