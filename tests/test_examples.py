@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import runpy
 from pathlib import Path
 
@@ -20,15 +21,25 @@ OWN = ("own_agent", "own_learner")
 MAIN = ("own_planner", "own_robot")
 
 
-@pytest.mark.parametrize("name", [*OWN, *MAIN, "own_reader"])
+@pytest.mark.parametrize("name", sorted(path.stem for path in EXAMPLES.glob("own_*.py")))
 def test_a_stranger_writes_twenty_lines_at_most(name: str) -> None:
+    """And the documentation says how many."""
     text = (EXAMPLES / f"{name}.py").read_text()
     # without comments, docstrings and blank lines
     tree = ast.parse(text)
     for node in ast.walk(tree):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node):
             node.body = node.body[1:] or [ast.Pass()]
-    assert len([line for line in ast.unparse(tree).splitlines() if line.strip()]) <= 20
+    lines = len([line for line in ast.unparse(tree).splitlines() if line.strip()])
+    assert lines <= 20
+    table = (EXAMPLES.parent / "docs" / "extending.md").read_text()
+    assert re.search(rf"\| {lines} \|[^\n]*`examples/{name}\.py`", table), lines
+
+
+@pytest.mark.parametrize("name", ["own_action", "own_observation", "own_reward"])
+def test_own_parts_of_an_environment_run(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
+    assert re.search(r"\d\.\d", capsys.readouterr().out)
 
 
 def test_own_agent_and_policy_play() -> None:
