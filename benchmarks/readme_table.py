@@ -64,7 +64,7 @@ def plans(name: str, rows: str, command: str) -> Iterator[str]:
         low, high = reached["interval"]
         unseen = UNSEEN.get(str(figure["unseen"]), f"at most {figure['unseen']} m deep into unseen space")
         yield (
-            f"| plans that hold in the truth, {figure['rows']} {rows}, protocol {figure['protocol']}, {unseen} | "
+            f"| plans that hold in the truth, {figure['rows']} {rows}{'s' * (figure['rows'] > 1)}, protocol {figure['protocol']}, {unseen} | "
             f"{reached['rate']:.0%} [{low:.0%}, {high:.0%}] of {figure['followed']} reach, {collided['rate']:.0%} "
             f"collide; {figure['targets'] - figure['followed']} of {figure['targets']} have no plan | `{command}` |"
         )
@@ -116,9 +116,9 @@ def table() -> str:
     rows = [
         *shapes("shapes_helios.json", "held-out Helios rows", "benchmarks/shapes.py --source helios"),
         *shapes("shapes.json", "held-out own rows", "benchmarks/shapes.py"),
-        *plans("capture_protocols_helios.json", "Helios row(s)", "benchmarks/capture_protocols.py --source helios"),
-        *plans("capture_protocols.json", "own row(s)", "benchmarks/capture_protocols.py"),
-        *plans("careful_plans.json", "rows of the shipped bank", "benchmarks/careful_plans.py"),
+        *plans("capture_protocols_helios.json", "Helios row", "benchmarks/capture_protocols.py --source helios"),
+        *plans("capture_protocols.json", "own row", "benchmarks/capture_protocols.py"),
+        *plans("careful_plans.json", "held-out own row", "benchmarks/careful_plans.py"),
         *policies(),
         *reconstruction(),
         *throughput(),
