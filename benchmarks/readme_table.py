@@ -62,9 +62,10 @@ def plans(name: str, rows: str, command: str) -> Iterator[str]:
     for figure in [best, *(figure for figure in plain[:1] if figure is not best)]:
         reached, collided = figure["reached"], figure["collided"]
         low, high = reached["interval"]
+        where = f"{figure['rows']} {rows}{'s' * (figure['rows'] > 1)}, protocol {figure['protocol']}"
         unseen = UNSEEN.get(str(figure["unseen"]), f"at most {figure['unseen']} m deep into unseen space")
         yield (
-            f"| plans that hold in the truth, {figure['rows']} {rows}{'s' * (figure['rows'] > 1)}, protocol {figure['protocol']}, {unseen} | "
+            f"| plans that hold in the truth, {where}, {unseen} | "
             f"{reached['rate']:.0%} [{low:.0%}, {high:.0%}] of {figure['followed']} reach, {collided['rate']:.0%} "
             f"collide; {figure['targets'] - figure['followed']} of {figure['targets']} have no plan | `{command}` |"
         )
