@@ -17,8 +17,9 @@ import pytest
 from greenhouse_gym.capture import Recording, open_recording
 from greenhouse_gym.errors import ReconstructionError
 from greenhouse_gym.geometry import Array, invert, rotation_angle
-from greenhouse_gym.reconstruction import ReconstructionSettings
-from greenhouse_gym.reconstruction.registration import Registration, register
+from greenhouse_gym.reconstruction import ReconstructionSettings, registration, settings_for
+from greenhouse_gym.reconstruction.icp import align
+from greenhouse_gym.reconstruction.registration import Registration, register, unconvincing
 from greenhouse_gym.reconstruction.views import Calibration, StationView, view_station
 from greenhouse_gym.reconstruction.walk import walk_through
 
@@ -92,8 +93,27 @@ def test_no_wrong_motion_is_accepted(foreground: float, steps: int) -> None:
     assert any(is_wrong(r.first_from_second, true_motion(*pair)) for pair, r in found.items())  # so they were refused
 
 
-def test_it_is_the_checks_that_refuse_wrong_motions() -> None:
+def test_the_geometry_alone_refuses_wrong_motions(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With settings that take nearly any motion for true; without looking at the geometry, wrong ones are accepted."""
+    found = registrations(CREDULOUS)
+    assert not accepted(found)
+    assert any("too even" in each.reason for each in found.values())
+    monkeypatch.setattr(registration, "_HELD", (-1.0, -1.0))
     assert wrong_ones(accepted(registrations(CREDULOUS)))
+
+
+def test_a_right_motion_in_a_room_is_accepted() -> None:
+    """Frames 2 m from the walls, with the noise of that distance; nothing is set but what a hand-held camera may do."""
+    recording = open_recording(FOLDER / "open3d_rgbd")
+    settings = settings_for(recording)
+    first, last = (view_station(recording[i], Calibration(recording.rig), settings) for i in (0, 4))
+    poses = [recording[i].world_from_station for i in (0, 4)]
+    assert poses[0] is not None
+    assert poses[1] is not None
+    true = invert(poses[0]) @ poses[1]
+    found = align(first, last.sample, true, settings)
+    assert unconvincing(found, settings) == ""
+    assert np.linalg.norm(found.first_from_second[:3, 3] - true[:3, 3]) < 0.005
 
 
 def test_the_walk_accepts_no_wrong_motion_either() -> None:
