@@ -82,8 +82,9 @@ def measure(few: Path, many: Path, resets: int, rounds: int) -> dict[str, Any]:
     making = seconds(lambda: gym.make(greenhouse_gym.ENV_IDS[0], bank=many).close())
     banks = {"few": few, "many": many}
     envs = {
-        name: TomatoReachVectorEnv(SIMULATIONS, bank=bank, autoreset_mode="SameStep", threads=1)
-        for name, bank in banks.items()
+        # other capacities, so that neither takes the room of the other's worlds, which environments of a kind share
+        name: TomatoReachVectorEnv(SIMULATIONS, bank=bank, autoreset_mode="SameStep", threads=1, capacity=300 + k)
+        for k, (name, bank) in enumerate(banks.items())
     }
     policy = PolicyAgent.load("ppo-ur5e")
     observations = {}
