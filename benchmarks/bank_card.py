@@ -6,6 +6,7 @@ python benchmarks/bank_card.py
 from __future__ import annotations
 
 import argparse
+from collections import Counter
 from pathlib import Path
 from string import Template
 
@@ -15,7 +16,7 @@ import numpy as np
 from greenhouse_gym.paths import data_path, write_atomically
 from greenhouse_gym.planning import certify
 from greenhouse_gym.scene import DIFFICULTIES, SceneBank
-from greenhouse_gym.scene.bank_statistics import as_markdown, bank_statistics
+from greenhouse_gym.scene.bank import SPLITS
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
@@ -89,49 +90,72 @@ def main() -> None:
     from greenhouse_gym import shipped
 
     default, mini = (SceneBank.open(folder / name) for name in ("default", "mini"))
-    statistics = bank_statistics(default)
+    entries = default.manifest.scenes
+    rows, made = len({entry.row for entry in entries}), len({entry.name.rsplit("-", 1)[0] for entry in entries})
     recordings = len(list(shipped.shots()))
     settings = shipped.SETTINGS
     built = ""
-    if statistics.recordings < recordings:
+    if made < recordings:
         built = (
-            f"The recipe names {recordings} recordings of {shipped.ROWS} rows; {statistics.recordings} of them are "
+            f"The recipe names {recordings} recordings of {shipped.ROWS} rows; {made} of them are "
             "here so far, and the same command goes on with the others."
         )
     card = CARD.substitute(
-        rows=statistics.rows, length=shipped.ROW_LENGTH, spacing=settings.spacing, progress=built,
+        rows=rows, length=shipped.ROW_LENGTH, spacing=settings.spacing, progress=built,
         primitives=settings.primitives, width=settings.width, reach=settings.reach,
         leaves=f"{1000 * settings.leaves:g}", targets=settings.targets, goals=certify.GOALS,
         hard=certify.HARD, seeds=certify.SEEDS, most=certify.MAX_CHECKS,
-        samples=certify.SAMPLES, default=as_markdown(statistics), mini=as_markdown(bank_statistics(mini)),
+        samples=certify.SAMPLES, default=tables(default), mini=tables(mini),
     )  # fmt: skip
-    draw(default, folder / PICTURE)
+    draw(shares(default), folder / PICTURE)
     write_atomically(folder / "README.md", card)
 
 
-def draw(bank: SceneBank, path: Path) -> None:
-    """Targets by difficulty for each style and source, and the checks that RRTConnect needed."""
-    figure, (bars, checks) = plt.subplots(1, 2, figsize=(10, 3.6), dpi=80)
-    kinds = sorted({(scene.provenance.source or "", scene.provenance.style or "") for scene in bank})
-    counts = {kind: dict.fromkeys(DIFFICULTIES, 0) for kind in kinds}
-    needed: list[int] = []
-    for scene in bank:
-        for target in scene.targets:
-            counts[scene.provenance.source or "", scene.provenance.style or ""][target.difficulty] += 1
-            needed += [target.checks] if target.checks else []
+def shares(bank: SceneBank) -> dict[str, Counter[str]]:
+    """Targets of each difficulty, of all and of each style and source, as the manifest tells them."""
+    found: dict[str, Counter[str]] = {}
+    for entry in bank.manifest.scenes:
+        for kind in ("all", entry.style or "unknown", entry.source or "unknown", entry.protocol or "paper"):
+            found.setdefault(kind, Counter()).update(
+                {str(name): count for name, count in (entry.targets or {}).items()}
+            )
+    return found
+
+
+def tables(bank: SceneBank) -> str:
+    """The bank in numbers; `greenhouse-gym bank info` reads the scenes and tells more."""
+    entries = bank.manifest.scenes
+    lines = [
+        f"{len(entries)} scenes of {len({entry.row for entry in entries})} rows, "
+        f"{sum((bank.path / entry.file).stat().st_size for entry in entries) / 1e6:.1f} MB",
+        "",
+        f"Checksum of the manifest (SHA-256): `{bank.sha256}`",
+        "",
+        "| split | scenes | rows |",
+        "| --- | --- | --- |",
+    ]
+    for split in SPLITS:
+        mine = [entry.row for entry in entries if entry.split == split]
+        lines.append(f"| {split} | {len(mine)} | {len(set(mine))} |")
+    lines += ["", "| targets | " + " | ".join(DIFFICULTIES) + " |", "| --- " * 5 + "|"]
+    for kind, counts in shares(bank).items():
+        of = [f"{counts[name]} ({counts[name] / max(sum(counts.values()), 1):.1%})" for name in DIFFICULTIES]
+        lines.append(f"| {kind} | {' | '.join(of)} |")
+    return "\n".join(lines) + "\n"
+
+
+def draw(found: dict[str, Counter[str]], path: Path) -> None:
+    """Share of each difficulty among the targets of each style and source."""
+    figure, bars = plt.subplots(figsize=(7, 3.4), dpi=80)
+    kinds = sorted(found)
     bottom = np.zeros(len(kinds))
     for difficulty in DIFFICULTIES:
-        share = np.array([counts[kind][difficulty] / sum(counts[kind].values()) for kind in kinds])
-        bars.bar([" ".join(kind) for kind in kinds], share, bottom=bottom, color=COLORS[difficulty], label=difficulty)
+        counts = [found[kind] for kind in kinds]
+        share = np.array([count[difficulty] / max(sum(count.values()), 1) for count in counts])
+        bars.bar(kinds, share, bottom=bottom, color=COLORS[difficulty], label=difficulty)
         bottom += share
     bars.set_ylabel("share of the targets")
-    bars.tick_params(axis="x", rotation=25)
     bars.legend(fontsize=8, loc="lower left")
-    checks.hist(needed, bins=np.geomspace(50, certify.MAX_CHECKS, 30), color="#5b7fa6")
-    checks.axvline(certify.HARD, color=COLORS["hard"])
-    checks.set_xscale("log")
-    checks.set_xlabel("collision checks of RRTConnect, medium and hard targets")
-    checks.set_ylabel("targets")
     figure.tight_layout()
     figure.savefig(path)
 
