@@ -72,18 +72,18 @@ def plans(name: str, rows: str, command: str) -> Iterator[str]:
 
 
 def policies() -> Iterator[str]:
-    """Agents on the test rows of the bank that is shipped."""
+    """Agents on the test rows; of a bank before the shipped one, the shipped policy alone, and that is said."""
     results, shipped = read("policies.json"), SceneBank.open("default").sha256
     agents = (results or {"agents": {}})["agents"]
     current = {name: record for name, record in agents.items() if record["bank_sha256"] == shipped}
-    for name, record in current.items():
+    former = {name: record for name, record in agents.items() if name.startswith("ppo-ur5e")}
+    for name, record in (current or former).items():
         low, high = record["success_95"]
+        rows = "the test rows" if current else "test rows of the bank before the shipped one"
         yield (
-            f"| {name}, {record['episodes']} episodes of the test rows | {record['success']:.0%} [{low:.0%}, "
-            f"{high:.0%}] reach, {record['collision']:.0%} collide | `benchmarks/policies.py` |"
+            f"| {name}, {record['episodes']} episodes of {rows} | {record['success']:.1%} [{low:.1%}, {high:.1%}] "
+            f"reach, {record['collision']:.0%} collide | `benchmarks/policies.py` |"
         )
-    if not current:
-        yield "| agents on the test rows | not measured yet on the bank that is shipped | `benchmarks/policies.py` |"
 
 
 def reconstruction() -> Iterator[str]:
