@@ -63,9 +63,11 @@ def _frames(recording: Recording) -> list[RgbdFrame]:
     frames = []
     for i in sorted({k * (len(recording) - 1) // max(1, _LOOKED_AT - 1) for k in range(_LOOKED_AT) if len(recording)}):
         try:
-            frames.append(recording[i].frames[recording.rig.reference])
+            frame = recording[i].frames.get(recording.rig.reference)
         except FileFormatError:
             continue  # the walk through the recording reports it
+        if frame is not None:
+            frames.append(frame)
     return frames
 
 
