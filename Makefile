@@ -3,7 +3,7 @@
 PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
-EXTRAS := reconstruct,plan,train,viz,menagerie,plants,cluster,dev
+EXTRAS := all,dev
 # the last two need real recordings, in the folder that GREENHOUSE_GYM_REAL_DATA names
 BENCHMARKS := reconstruction shapes planners throughput sac_her paper_figures $(if $(GREENHOUSE_GYM_REAL_DATA),orbit shapes_real)
 
