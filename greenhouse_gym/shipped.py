@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import count
 from pathlib import Path
 
 from greenhouse_gym.build import build_bank
@@ -25,7 +24,7 @@ from greenhouse_gym.scene.bank import MANIFEST, write_bank
 ROW_LENGTH = 1.0  # m
 ROWS, FIRST_SEED, WEEKS = 48, 2000, 12
 
-SETTINGS = BuildSettings(spacing=0.2, targets=40)
+SETTINGS = BuildSettings(spacing=0.2, targets=72)
 """Four stands on a row of this length; a cherry row would have more targets than all others together."""
 
 KINDS = (
@@ -35,10 +34,13 @@ KINDS = (
     ("helios", "dense", "cluster"),
     ("own", "beefsteak", "beefsteak"),
     ("helios", "cherry", "cherry"),
-    ("own", "beefsteak", "beefsteak"),
+    ("helios", "cherry", "cherry"),
     ("helios", "bushy", "cluster"),
 )
 """Source, cultivar and style of fruit of the rows, in turn: more than half of them hard to reach into."""
+
+PROTOCOLS = ("paper", "upright-back")
+"""How rows are photographed: in turn, so that each kind is seen both ways, and a row of two weeks as well."""
 
 DESCRIPTION = (
     "Simulated recordings of grown rows, reconstructed: three styles of fruit, plants of two sources, two capture "
@@ -87,14 +89,13 @@ class Shot:
 
 def shots() -> Iterator[Shot]:
     """The recordings of the shipped bank, in an order in which any first part of them holds something of everything."""
-    made = count()
     for k in range(ROWS):
         block, place = divmod(k, len(KINDS))
         split = "test" if k % 5 == 4 else "validation" if k % 10 == 7 else "train"
         again = place % 4 == block % 4  # rows recorded a second time, three weeks later
-        for week in (5 * k, 5 * k + 3)[: 1 + again]:
-            protocol = "upright-back" if next(made) % 4 == 1 else "paper"
-            yield Shot(FIRST_SEED + k, week % WEEKS, *KINDS[place], protocol, split)
+        for visit in range(1 + again):
+            week, protocol = (5 * k + 3 * visit) % WEEKS, PROTOCOLS[(block + place + visit) % len(PROTOCOLS)]
+            yield Shot(FIRST_SEED + k, week, *KINDS[place], protocol, split)
 
 
 def build_part(shot: Shot, parts: Path) -> Path:
