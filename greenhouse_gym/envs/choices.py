@@ -100,7 +100,8 @@ class _Checked(Sight):
                 raise InvalidValueError(f"{self._name}{_at(key)}: its space must be made of boxes, got {box}")
         self._boxes = boxes
         for name in (
-            "layout", "cameras", "sees_arm", "sees_color", "asks_what_was_seen", "target_is_obstacle", "has_goals",
+            "layout", "cameras", "sees_arm", "sees_color", "asks_what_was_seen", "asks_for_room",
+            "target_is_obstacle", "has_goals",
         ):  # fmt: skip
             setattr(self, name, getattr(own, name, getattr(Sight, name)))
         goals = ("achieved_goal", "desired_goal")

@@ -62,6 +62,7 @@ class Sight(ABC):
         sees_arm: Whether the arm is in the depth images.
         sees_color: Whether there are color images, too.
         asks_what_was_seen: Whether it tells which places the scan saw; all scenes must then say so.
+        asks_for_room: Whether it tells how much room there is around the target.
         target_is_obstacle: Whether the clearances count the target too.
         has_goals: Whether it is a goal environment's.
     """
@@ -72,6 +73,7 @@ class Sight(ABC):
     sees_arm: bool = False
     sees_color: bool = False
     asks_what_was_seen: bool = False
+    asks_for_room: bool = False
     target_is_obstacle: bool = False
     has_goals: bool = False
 
@@ -164,6 +166,8 @@ class StateObservation(Sight):
 
 class ApproachObservation(Sight):
     """As `StateObservation`, and from where the target can be approached: the room on rays away from it."""
+
+    asks_for_room = True
 
     def __init__(self, robot: Robot):
         self._vector = Vector(robot, (*_STATE, "room"))

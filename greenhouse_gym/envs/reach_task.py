@@ -75,7 +75,8 @@ class Situation(NamedTuple):
         distance: (n,) from the grasp point to the center of what has to be reached, metres.
         clearance: (n, k) from the arm's surface at its probe points to the nearest obstacle, metres.
         obstacle: (n, k, 3) unit vectors from the probe points towards that obstacle, zero where it is far.
-        room: (n, `ROOM`) distance to obstacles on rays away from the target, near and far, see `room_around`, metres.
+        room: (n, `ROOM`) distance to obstacles on rays away from the target, near and far, see `room_around`, metres;
+            (n, 0) unless the observation asks for it.
         touched: (n,) whether anything was touched in any substep since the last situation.
         success: (n,) whether the grasp point is at the target and nothing was touched.
         seen: (n, k) whether the scan saw the places of the probe points; k is 0 unless the observation asks for it.

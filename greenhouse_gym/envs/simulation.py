@@ -117,7 +117,7 @@ class ReachSimulation:
         self._target = np.zeros((count, 3))  # as told, in the base frame
         self._goal = np.zeros((count, 3))  # what counts, in the base frame
         self._radius = np.zeros((count, 1))
-        self._room = np.zeros((count, ROOM), dtype=np.float32)
+        self._room = np.empty((count, ROOM if self.observe.asks_for_room else 0), dtype=np.float32)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> ReachSimulation:
         """The same state, to go on from independently; what is never changed is shared."""
@@ -188,7 +188,8 @@ class ReachSimulation:
         self._target[i] = world.tomatoes[episode.target, :3] + disturbance.target
         self._goal[i], self._radius[i] = world.goal(episode.target)
         self._ignored[i] = NO_TOMATO if self.observe.target_is_obstacle else episode.target
-        self._room[i] = room_around(self.worlds.fields, world.field, self._ignored[i], self._target[i])
+        if self.observe.asks_for_room:
+            self._room[i] = room_around(self.worlds.fields, world.field, self._ignored[i], self._target[i])
 
     def close(self) -> None:
         """Free the simulations; the next reset makes new ones."""

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import gymnasium
 import numpy as np
 import pytest
 
 from greenhouse_gym.crop import Tomato
 from greenhouse_gym.envs import TomatoReachEnv
 from greenhouse_gym.envs.approach import AZIMUTHS, ELEVATIONS, FAR, NEAR, ROOM
+from greenhouse_gym.envs.reach_task import Situation
 from greenhouse_gym.geometry import Sphere
 from greenhouse_gym.scene import Provenance, Scene, SceneBank, Target
 from greenhouse_gym.scene.field import MAX_DISTANCE
@@ -48,3 +50,18 @@ def test_what_stands_on_a_ray_is_seen_on_that_ray(
 def test_it_begins_as_the_state_does(bank: SceneBank) -> None:
     state, approach = (TomatoReachEnv(bank=bank, observation=kind).reset(seed=4)[0] for kind in ("state", "approach"))
     np.testing.assert_array_equal(approach[: len(state)], state)
+
+
+@pytest.mark.parametrize(("asks", "numbers"), [(True, ROOM), (False, 0)])
+def test_the_room_is_looked_at_where_it_is_asked_for(asks: bool, numbers: int) -> None:
+    class Wide:
+        space = gymnasium.spaces.Box(0.0, 100.0, (1,), dtype=np.float32)
+        asks_for_room = asks
+
+        def __call__(self, situation: Situation) -> np.ndarray:
+            return np.full((len(situation.joints), 1), situation.room.shape[1], dtype=np.float32)
+
+    env = TomatoReachEnv(bank="mini", observation=Wide())
+    assert env.reset(seed=0)[0].tolist() == [numbers]
+    assert env.step(env.action_space.sample())[0].tolist() == [numbers]
+    env.close()
