@@ -17,7 +17,7 @@ from greenhouse_gym.extras import require_extras
 from greenhouse_gym.parallel import completed, require_portable
 from greenhouse_gym.paths import checked_name, exclusive, parsing, read_bytes, write_atomically
 from greenhouse_gym.planning import certify_targets
-from greenhouse_gym.progress import CONSOLE
+from greenhouse_gym.progress import say
 from greenhouse_gym.reconstruction import reconstruct_row, settings_for
 from greenhouse_gym.scans import ScannedRow
 from greenhouse_gym.scene import Provenance, Scene, SceneBank
@@ -81,7 +81,7 @@ def build_bank(
             f"expected recordings with different names, each with a split and a week; got {names}, {splits}, {weeks}"
         )
     require_extras("reconstruct", "plan")
-    report = on_stage or (lambda text: CONSOLE.print(text, highlight=False, markup=False))
+    report = on_stage or say
     folder = Path(out)
     rows = [
         _Row(

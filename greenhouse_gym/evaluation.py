@@ -87,14 +87,16 @@ def evaluate(
             be changed.
 
     Raises:
-        InvalidValueError: No episodes, no agent, a negative seed, an option that contradicts what the agent needs, or
-            an agent or option that cannot be sent to the executor's processes.
+        InvalidValueError: No episodes, no agent, no patience, a negative seed, an option that contradicts what the
+            agent needs, or an agent or option that cannot be sent to the executor's processes.
         AgentError: The agent failed before it gave a single valid action; with an executor, in the first episode.
         WorkerLostError: A process of the executor died.
     """
     for name, number in (("episodes", episodes), ("num_envs", num_envs)):
         if isinstance(number, bool) or not isinstance(number, (int, np.integer)) or number < 1:
             raise InvalidValueError(f"{name} must be a whole number from 1 up, got {number!r}")
+    if patience is not None and not patience > 0:
+        raise InvalidValueError(f"patience must be a positive number of seconds, or None, got {patience!r}")
     check_agent(agent)
     require_seed(seed)
     for key, value in agent.env_options.items():

@@ -13,6 +13,11 @@ CONSOLE = Console()
 _SECONDS_BETWEEN_LINES = 10.0
 
 
+def say(text: str, style: str | None = None) -> None:
+    """Print a line as it is: brackets in names, paths and reasons are no markup, and nothing breaks a long path."""
+    CONSOLE.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
+
+
 @contextmanager
 def progress(what: str, total: int) -> Iterator[Callable[[int], None]]:
     """Show how far a piece of work is.
@@ -37,6 +42,6 @@ def progress(what: str, total: int) -> Iterator[Callable[[int], None]]:
         now = perf_counter()
         if done >= total or now - last >= _SECONDS_BETWEEN_LINES:
             last = now
-            CONSOLE.print(f"{what}: {done} of {total}, {now - started:.0f} s", highlight=False)
+            say(f"{what}: {done} of {total}, {now - started:.0f} s")
 
     yield report

@@ -291,6 +291,7 @@ def test_plan_to_what_cannot_be_reached_exits_with_2(bank: SceneBank, tmp_path: 
 def test_an_expected_error_is_one_line_and_status_1(tmp_path: Path) -> None:
     """Also a long one, and one with brackets, as paths and extras have them."""
     folder = tmp_path / f"[bold]{'very-' * 20}long[" / "[/]"
+    folder.mkdir(parents=True)
     done = command("reconstruct", folder, "--out", tmp_path / "out")
     assert done.returncode == 1
     assert done.stdout == ""
@@ -309,6 +310,45 @@ def test_other_commands_check_their_names(bank: SceneBank, tmp_path: Path) -> No
     assert "ppo" in str(fails("train", "dqn", "--bank", bank.path, "--out", tmp_path))
     assert isinstance(fails("compare", "random", "--bank", "no-such-bank"), UnknownNameError)
     assert isinstance(fails("build", tmp_path, "--out", tmp_path / "bank"), FileFormatError)
+
+
+@pytest.mark.parametrize("command", ["reconstruct", "build", "import", "calibrate"])
+@pytest.mark.parametrize("options", [(), ("--format", "open3d")])
+def test_a_recording_that_is_not_there_is_told(tmp_path: Path, command: str, options: tuple[str, ...]) -> None:
+    missing = tmp_path / "Gewächshaus 7"
+    error = fails(command, missing, "--out", tmp_path / "out", *options)
+    assert str(error) == f"{missing}: there is no such folder or file"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("compare", "{}/policy.json"), "policy.json: there is no such file; expected a policy's description"),
+        (("compare", "{}/mine.py:Mine"), "mine.py: there is no such file; expected Python code"),
+        (("mount", "{}/arm.xml", "--out", "{}/out.xml"), "arm.xml: there is no such file; expected an arm's MJCF file"),
+        (("compare", "still", "--robot", "{}/arm.xml", "--bank", "mini"), "arm.xml: there is no such file"),
+        (("leaderboard", "{}"), "holds no entry; `greenhouse-gym submit` writes one"),
+        (("compare", "still", "--bank", "mini", "--patience", "-1"), "patience must be a positive number of seconds"),
+    ],
+)
+def test_what_is_not_there_is_told(tmp_path: Path, arguments: tuple[str, ...], told: str) -> None:
+    assert told in str(fails(*(argument.format(tmp_path) for argument in arguments)))
+
+
+def test_weeks_are_listed_as_numbers(tmp_path: Path) -> None:
+    error = fails("bank", "filter", "default", "--out", tmp_path / "out", "--week", "99")
+    assert isinstance(error, UnknownNameError)
+    assert list(error.choices) == sorted(error.choices, key=int)
+
+
+def test_a_group_of_commands_alone_prints_its_help() -> None:
+    for group in ((), ("bank",)):
+        assert "Commands" in CliRunner().invoke(app, group).output
+
+
+def test_paths_are_printed_as_they_are(tmp_path: Path) -> None:
+    folder = tmp_path / "[bold] Gewächshaus 7"
+    assert f"in {folder / 'scene.html'}\n" in run("bank", "show", "mini", "--out", folder / "scene.html")
 
 
 def test_negative_seeds_are_told_of(bank: SceneBank, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from greenhouse_gym.accuracy.shares import share
 from greenhouse_gym.crop import Stem
 from greenhouse_gym.geometry import Array, Capsule, closest_on_segments
 
@@ -50,17 +51,17 @@ class StemComparison:
     @property
     def recall(self) -> float:
         """Share of the visible length by a found stem of any kind."""
-        return _share(self.found, self.visible)
+        return share(self.found, self.visible)
 
     @property
     def recall_as_such(self) -> float:
         """Share of the visible length by a found stem of the same kind."""
-        return _share(self.found_as_such, self.visible)
+        return share(self.found_as_such, self.visible)
 
     @property
     def false_share(self) -> float:
         """Share of the extracted length by no true stem."""
-        return _share(self.false, self.extracted)
+        return share(self.false, self.extracted)
 
 
 class _Samples(NamedTuple):
@@ -153,7 +154,3 @@ def _nearest(places: _Samples, stems: Sequence[Capsule], chunk: int = 2000) -> t
         index[rows] = gap.argmin(axis=1)
         distance[rows] = gap.min(axis=1)
     return distance, index
-
-
-def _share(part: float, whole: float) -> float:
-    return part / whole if whole else float("nan")

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import linear_sum_assignment
 
+from greenhouse_gym.accuracy.shares import share
 from greenhouse_gym.accuracy.visibility import Visibility
 from greenhouse_gym.crop import Tomato
 from greenhouse_gym.geometry import Array
@@ -84,19 +85,19 @@ class TomatoComparison:
     @property
     def recall(self) -> float:
         """Share of the visible tomatoes that were found."""
-        return _share(int(np.count_nonzero(self.found)), len(self.found))
+        return share(int(np.count_nonzero(self.found)), len(self.found))
 
     @property
     def precision(self) -> float:
         """Share of the found tomatoes that are true; those that match a hidden tomato count for neither side."""
         true = int(np.count_nonzero(self.found))
-        return _share(true, true + len(self.false))
+        return share(true, true + len(self.false))
 
     @property
     def f1(self) -> float:
         """Harmonic mean of precision and recall."""
         true = int(np.count_nonzero(self.found))
-        return _share(2 * true, len(self.found) + true + len(self.false))
+        return share(2 * true, len(self.found) + true + len(self.false))
 
     def of_ripeness(self, low: float, high: float) -> TomatoComparison:
         """Those from a true ripeness on up to below another, and the false ones that claim it; without trusses."""
@@ -179,7 +180,3 @@ def _trusses_right(
 
 def _ripeness(tomato: Tomato) -> float:
     return np.nan if tomato.ripeness is None else tomato.ripeness
-
-
-def _share(part: float, whole: float) -> float:
-    return part / whole if whole else float("nan")

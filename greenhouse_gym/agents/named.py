@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+from pathlib import Path
 from types import ModuleType
 
 from greenhouse_gym.agents.agent import Agent, check_agent
@@ -34,7 +35,7 @@ def make_agent(name: str) -> Agent:
 
     Raises:
         UnknownNameError: There is no such agent; the message lists those of every kind.
-        FileFormatError: The file of one's own agent cannot be run.
+        FileFormatError: The file of a policy or of one's own agent is missing, or cannot be run.
         InvalidValueError: What it names is no agent.
         MissingDependencyError: It is a planner, and OMPL is not installed.
     """
@@ -45,6 +46,8 @@ def make_agent(name: str) -> Agent:
         return _own_agent(module, attribute)
     if name in shipped_policies() or described_at(name).is_file():
         return PolicyAgent.load(name)
+    if name.endswith(".json"):
+        raise FileFormatError(name, "there is no such file; expected a policy's description")
     try:
         planners = tuple(PLANNERS)  # starts the planning process: only now
     except MissingDependencyError:
@@ -79,6 +82,8 @@ def _from_path(module: str) -> ModuleType:
 
 
 def _from_file(file: str) -> ModuleType:
+    if not Path(file).is_file():
+        raise FileFormatError(file, "there is no such file; expected Python code with an agent")
     spec = importlib.util.spec_from_file_location("own_agent", file)
     assert spec is not None
     assert spec.loader is not None

@@ -12,9 +12,9 @@ from scipy.spatial import cKDTree
 from greenhouse_gym.capture.light import Skin
 from greenhouse_gym.geometry import Array, Box, Capsule, Shape
 from greenhouse_gym.plants import Organ, PlantRow
+from greenhouse_gym.plants.organs import THIN_KINDS
 
 _SHINE = {"fruit": 0.35, "leaf": 0.06, "calyx": 0.04, "pipe": 0.3, "gutter": 0.1}
-_THIN = ("leaf", "calyx", "flower")
 _SPACING = 0.005  # m between the points that stand for a shape
 
 
@@ -38,7 +38,7 @@ def mesh_of(row: PlantRow) -> RowMesh:
             vertices.append(organ.vertices)
             triangles.append(organ.triangles + count)
             colors.append(organ.colors)
-            thin.append(np.full(len(own), organ.kind in _THIN))
+            thin.append(np.full(len(own), organ.kind in THIN_KINDS))
             shine.append(np.full(len(own), _SHINE.get(organ.kind, 0.02), dtype=np.float32))
             owner.append(own)
             count += len(organ.vertices)

@@ -15,6 +15,7 @@ from greenhouse_gym.capture.rig import Intrinsics
 from greenhouse_gym.geometry import Array, Box, Capsule, Shape, Sphere, frame_along, invert
 from greenhouse_gym.open3d_loader import open3d
 from greenhouse_gym.plants import PlantRow
+from greenhouse_gym.plants.plant_row import GUTTER_COLOR
 
 _STEM_COLORS = {
     "main": (0.36, 0.50, 0.22),
@@ -24,7 +25,6 @@ _STEM_COLORS = {
     "pipe": (0.80, 0.80, 0.80),
 }
 _LEAF_COLOR = (0.20, 0.42, 0.16)
-_GUTTER_COLOR = (0.90, 0.90, 0.88)
 _BACKGROUND = (0.75, 0.80, 0.82)
 RIPENESS_COLORS = np.array([[0.46, 0.58, 0.24], [0.72, 0.62, 0.20], [0.86, 0.42, 0.12], [0.76, 0.10, 0.07]])
 """Skin color (RGB, 0-1) at ripeness 0, 1/3, 2/3 and 1."""
@@ -94,7 +94,7 @@ class RowRaycaster:
             shapes += [*row.tomatoes, *row.stems, *row.clutter]
             colors += [_ripeness_color(1.0 if t.ripeness is None else t.ripeness) for t in row.tomatoes]
             colors += [np.array(_STEM_COLORS[stem.kind]) for stem in row.stems]
-            colors += [np.array(_GUTTER_COLOR if _is_gutter(shape) else _LEAF_COLOR) for shape in row.clutter]
+            colors += [np.array(GUTTER_COLOR if _is_gutter(shape) else _LEAF_COLOR) for shape in row.clutter]
             if row.behind is None:
                 break
             row = row.behind

@@ -11,7 +11,7 @@ import typer
 from rich.progress import track
 
 from greenhouse_gym.cli.settings import Assignments, SettingsFile, shown
-from greenhouse_gym.progress import CONSOLE
+from greenhouse_gym.progress import CONSOLE, say
 
 if TYPE_CHECKING:
     from greenhouse_gym.planning import PlanResult
@@ -73,7 +73,7 @@ def plan(
         best = min(solved, key=lambda result: result.length)
         assert best.path is not None
         save(picture_of_path(chosen, robot, target, resample(best.path, 0.03)), picture)
-        CONSOLE.print(f"{best.planner}'s path in {picture}")
+        say(f"{best.planner}'s path in {picture}")
 
 
 def _settings(texts: Sequence[str]) -> dict[str, bool | int | float]:
@@ -147,12 +147,12 @@ def train(
         both = resolve(both, settings, assignments or ())
         policy, resolved = train_bc_then_ppo(both, out, resume=resume, tell=_told), as_toml(both)
     write_atomically(out / "settings.toml", resolved)
-    CONSOLE.print(f"policy in {policy}")
+    say(f"policy in {policy}")
 
 
 def _told(steps: int, figures: dict[str, float]) -> None:
     shown_figures = ", ".join(f"{name} {value:.3g}" for name, value in figures.items())
-    CONSOLE.print(f"{steps:,} steps of imitation: {shown_figures}", highlight=False)
+    say(f"{steps:,} steps of imitation: {shown_figures}")
 
 
 def parts(text: str) -> tuple[str, ...]:
@@ -175,4 +175,4 @@ def render(
     arm = get_robot("ur5e")
     opened = SceneBank.open(bank)
     save(picture_of_path(opened.scene(scene) if scene else opened[0], arm, target, arm.start[None]), out)
-    CONSOLE.print(f"picture in {out}")
+    say(f"picture in {out}")

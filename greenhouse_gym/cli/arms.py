@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from greenhouse_gym.progress import CONSOLE, progress
+from greenhouse_gym.progress import progress, say
 
 
 def mount(
@@ -21,7 +21,7 @@ def mount(
 
     robot = get_robot(mount_tool(arm, out, flange))
     start = ", ".join(f"{name} {value:.2f}" for name, value in zip(robot.joints, robot.start, strict=True))
-    CONSOLE.print(f"{out}: starts at {start}", highlight=False)
+    say(f"{out}: starts at {start}")
 
 
 def rate(
@@ -42,4 +42,4 @@ def rate(
     mine = [target for scene in rated for target in scene.targets if target.robot == arm.name]
     counts = Counter(target.difficulty for target in mine)
     found = ", ".join(f"{count} {difficulty}" for difficulty, count in counts.most_common())
-    CONSOLE.print(f"{len(rated)} scenes in {out}, targets for {arm.name}: {found}", highlight=False)
+    say(f"{len(rated)} scenes in {out}, targets for {arm.name}: {found}")

@@ -7,12 +7,14 @@ from typing import Annotated, Any
 
 import typer
 
-from greenhouse_gym.progress import CONSOLE, progress
+from greenhouse_gym.progress import progress, say
 
 Bank = Annotated[str, typer.Argument(help="A shipped bank's name or a bank's folder.")]
 Several = Annotated[list[str] | None, typer.Option(help="May be given several times; all if left out.")]
 
-app = typer.Typer(help="Look at banks of scenes, check them, take parts of them, write them for others.")
+app = typer.Typer(
+    help="Look at banks of scenes, check them, take parts of them, write them for others.", no_args_is_help=True
+)
 
 
 @app.command()
@@ -44,7 +46,7 @@ def check(
     if faults:
         raise typer.Exit(1)
     what = "files, manifest and witnesses" if witnesses else "files and manifest"
-    CONSOLE.print(f"{opened.path}: {len(opened)} scenes; {what} are right", markup=False, highlight=False)
+    say(f"{opened.path}: {len(opened)} scenes; {what} are right")
 
 
 @app.command()
@@ -63,7 +65,7 @@ def show(
     opened = SceneBank.open(bank)
     chosen = opened.scene(scene) if scene else opened[0]
     write_atomically(out, scene_page(chosen, get_robot(robot)))
-    CONSOLE.print(f"{chosen.name} in {out}", markup=False, highlight=False)
+    say(f"{chosen.name} in {out}")
 
 
 @app.command("filter")
@@ -97,7 +99,7 @@ def filter_(
     with exclusive(out):
         scenes = [(scene, chosen.split_of(scene.name)) for scene in chosen]
         made = write_bank(out, scenes, name or out.resolve().name, chosen.manifest.description)
-    CONSOLE.print(f"{len(made)} of {len(opened)} scenes in {out}", markup=False, highlight=False)
+    say(f"{len(made)} of {len(opened)} scenes in {out}")
 
 
 @app.command()
@@ -126,4 +128,4 @@ def export(
         for done, name in enumerate(names, start=1):
             files += len(export_scene(opened.scene(name), format, out, arm, truth))
             report(done)
-    CONSOLE.print(f"{files} files in {out}", markup=False, highlight=False)
+    say(f"{files} files in {out}")

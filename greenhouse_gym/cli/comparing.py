@@ -11,7 +11,7 @@ import typer
 from greenhouse_gym.cli.acting import Bank
 from greenhouse_gym.cli.acting import parts as _parts
 from greenhouse_gym.cli.spread import Address, Backend, Workers, spread
-from greenhouse_gym.progress import CONSOLE
+from greenhouse_gym.progress import say
 
 
 def compare(
@@ -91,16 +91,20 @@ def submit(
 
     path = play(make_agent(agent), agent, out, _parts(track), replace(V1, episodes=episodes), num_envs, note)
     typer.echo(leaderboard_table([read_entry(path)]), nl=False)
-    CONSOLE.print(f"entry in {path}")
+    say(f"entry in {path}")
 
 
 def leaderboard(
     folder: Annotated[Path, typer.Argument(help="Folder of the entries.")] = Path("benchmarks/leaderboard"),
 ) -> None:
     """Print the table of all entries of a folder."""
+    from greenhouse_gym.errors import FileFormatError
     from greenhouse_gym.leaderboard import leaderboard_table, read_entry
 
-    typer.echo(leaderboard_table([read_entry(path) for path in sorted(folder.glob("*.json"))]), nl=False)
+    entries = [read_entry(path) for path in sorted(folder.glob("*.json"))]
+    if not entries:
+        raise FileFormatError(folder, "holds no entry; `greenhouse-gym submit` writes one")
+    typer.echo(leaderboard_table(entries), nl=False)
 
 
 def demonstrations(
@@ -121,7 +125,7 @@ def demonstrations(
     options = {"bank": bank, "observation": observation, **player.env_options}
     with progress("episodes", episodes) as done:
         name = record_demonstrations(player, out, episodes, seed, split, tell=done, **options)
-    CONSOLE.print(f"data set {name} in {out}: MINARI_DATASETS_PATH={out} and minari.load_dataset({name!r})")
+    say(f"data set {name} in {out}: MINARI_DATASETS_PATH={out} and minari.load_dataset({name!r})")
 
 
 def watch(
@@ -136,4 +140,4 @@ def watch(
     from greenhouse_gym.reporting.film import film
 
     success = film(make_agent(agent), out, bank=bank, split=split, seed=seed)
-    CONSOLE.print(f"{'a success' if success else 'no success'}, in {out}")
+    say(f"{'a success' if success else 'no success'}, in {out}")

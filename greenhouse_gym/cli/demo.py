@@ -18,7 +18,7 @@ from rich.table import Table
 
 from greenhouse_gym.extras import require_extras
 from greenhouse_gym.paths import exclusive, write_atomically
-from greenhouse_gym.progress import CONSOLE, progress
+from greenhouse_gym.progress import CONSOLE, progress, say
 
 if TYPE_CHECKING:
     from greenhouse_gym.capture import Recording
@@ -104,7 +104,7 @@ def _run(out: Path, seed: int, settings: DemoSettings) -> Report:
     CONSOLE.print(report.table())
     report.figures["seconds"] = {name: round(seconds, 1) for name, seconds, _ in report.stages}
     write_atomically(out / "results.json", json.dumps(report.figures, indent=1) + "\n")
-    CONSOLE.print(f"pictures and results.json in {out}")
+    say(f"pictures and results.json in {out}")
     return report
 
 

@@ -18,7 +18,7 @@ from greenhouse_gym import __version__
 from greenhouse_gym.errors import GreenhouseError
 from greenhouse_gym.extras import MODULES
 from greenhouse_gym.paths import data_path
-from greenhouse_gym.progress import CONSOLE
+from greenhouse_gym.progress import CONSOLE, say
 
 NOT_FOR_USERS = ("all", "dev", "docs")
 """Extras that gather others, or that only those need who work on the package itself."""
@@ -47,9 +47,9 @@ def doctor() -> None:
     for finding in findings():
         broken |= finding.state == "broken"
         CONSOLE.print(f"{finding.state:8}", style=colors[finding.state], end="", highlight=False)
-        CONSOLE.print(f"{finding.what}: {finding.told}", markup=False, highlight=False, soft_wrap=True)
+        say(f"{finding.what}: {finding.told}")
         if finding.advice:
-            CONSOLE.print(f"{'':8}-> {finding.advice}", markup=False, highlight=False, soft_wrap=True)
+            say(f"{'':8}-> {finding.advice}")
     if broken:
         raise typer.Exit(1)
 

@@ -1,4 +1,4 @@
-"""Commands from a real rig to a recording: import, calibrate, record."""
+"""Commands from a real rig to a recording: import, calibrate."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from greenhouse_gym.cli.sensing import Format
-from greenhouse_gym.progress import CONSOLE, progress
+from greenhouse_gym.progress import progress, say
 
 if TYPE_CHECKING:
     from greenhouse_gym.capture import Recording
@@ -58,8 +58,8 @@ def import_(
     write_atomically(out / "import.json", json.dumps(report, indent=1) + "\n")
     write_atomically(out / "import.png", encode_png(overview(open_recording(out))))
     for line in (*notes, *found.verdict):
-        _say(line)
-    _say(f"{len(opened)} stations in {out}")
+        say(line)
+    say(f"{len(opened)} stations in {out}")
 
 
 def calibrate(
@@ -88,18 +88,18 @@ def calibrate(
         told = calibrate_from_boards(opened, opened.rig, Board(int(across), int(down), square, marker, dictionary))
         mounting, turned, shifted = told.mounting, told.turned, told.shifted
         for name, pixels in told.residual.items():
-            _say(f"{name}: board seen {told.moments[name]} times, corners {pixels:.2f} px off")
+            say(f"{name}: board seen {told.moments[name]} times, corners {pixels:.2f} px off")
     else:
         mounting, turned, shifted, gap = calibrate_from_overlap(opened)
-        _say(f"surfaces that two cameras see are {1e3 * gap:.2f} mm apart in the median")
+        say(f"surfaces that two cameras see are {1e3 * gap:.2f} mm apart in the median")
     for name in mounting.rig_from_camera:
         depth = mounting.depth_error.get(name, 0.0)
         text = f"{name}: turned by {turned[name] * 57.29578:.2f} degrees and shifted by {1e3 * shifted[name]:.1f} mm"
-        _say(f"{text} against the rig as it was; depth {100 * depth:+.2f} %")
+        say(f"{text} against the rig as it was; depth {100 * depth:+.2f} %")
         if turned[name] > 0.035 or shifted[name] > 0.02:
-            _say(f"{name} is not where it was: was it knocked, or is the rig file another rig's?", style="red")
+            say(f"{name} is not where it was: was it knocked, or is the rig file another rig's?", style="red")
     save_mounting(mounting, out)
-    _say(f"written to {out}")
+    say(f"written to {out}")
 
 
 def _on_rig(opened: Recording, rig: Path | None) -> Recording:
@@ -114,7 +114,3 @@ def _on_rig(opened: Recording, rig: Path | None) -> Recording:
         names = ", ".join(opened.rig.cameras)
         raise InvalidValueError(f"where the cameras {names} stand is not known: give --rig, a file of calibrate's")
     return opened
-
-
-def _say(text: str, style: str | None = None) -> None:
-    CONSOLE.print(text, style=style, markup=False, highlight=False, soft_wrap=True)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from greenhouse_gym.cli.settings import Assignments, SettingsFile, shown
-from greenhouse_gym.progress import CONSOLE
+from greenhouse_gym.progress import say
 
 if TYPE_CHECKING:
     from greenhouse_gym.scans import Scan, ScannedRow
@@ -52,15 +52,13 @@ def shapes(
     scan, found = extract_from_scan(_opened(cloud, units, up, seen_from), resolved)
     notes = [*scan.notes, *found.warnings]
     for note in notes:
-        CONSOLE.print(note, markup=False, highlight=False, soft_wrap=True)
+        say(note)
     parts = Shapes(tomatoes=found.tomatoes, stems=found.stems, clutter=found.clutter)
     write_atomically(out / "shapes.json", parts.model_dump_json(indent=1) + "\n")
     report = {"unit": scan.unit, "row_from_file": scan.row_from_file.tolist(), "notes": notes}
     write_atomically(out / "report.json", json.dumps(report | {"confidence": found.confidence}, indent=1) + "\n")
     save_points(scan.cloud, out / "cloud.ply")
-    CONSOLE.print(
-        f"{len(found.tomatoes)} tomatoes, {len(found.stems)} pieces of stem, {len(found.clutter)} boxes: {out}"
-    )
+    say(f"{len(found.tomatoes)} tomatoes, {len(found.stems)} pieces of stem, {len(found.clutter)} boxes: {out}")
 
 
 def scanned(cloud: Path, units: str | None, up: str | None, seen_from: str | None, floor: float | None) -> ScannedRow:

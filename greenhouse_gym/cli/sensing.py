@@ -11,7 +11,7 @@ import typer
 from greenhouse_gym.cli.scans import Floor, SeenFrom, Units, Up, scanned
 from greenhouse_gym.cli.settings import Assignments, SettingsFile, shown
 from greenhouse_gym.cli.spread import Address, Backend, Workers, spread
-from greenhouse_gym.progress import CONSOLE, progress
+from greenhouse_gym.progress import CONSOLE, progress, say
 
 if TYPE_CHECKING:
     from greenhouse_gym.capture import Recording
@@ -51,7 +51,7 @@ def simulate(
     recording = simulate_protocol(grow_row(seed, length, week, style, source=source), seed, protocol)
     with progress("stations", len(recording)) as done:
         write_recording(recording, out, lambda i: done(i + 1))
-    CONSOLE.print(f"{len(recording)} stations in {out}")
+    say(f"{len(recording)} stations in {out}")
 
 
 def reconstruct(
@@ -100,7 +100,7 @@ def _reconstruct(
         raise FileFormatError(notes, "holds no notes of a reconstruction; choose another folder or remove it")
     noted = len(Diary.open(notes, opened, settings).entries)
     if noted:
-        _say(f"going on after station {noted - 1}")
+        say(f"going on after station {noted - 1}")
     try:
         with progress("stations", len(opened)) as done:
             walk = walk_through(opened, settings, lambda i: done(i + 1), notes)
@@ -113,7 +113,7 @@ def _reconstruct(
     except KeyboardInterrupt:
         noted = len(Diary.open(notes, opened, settings).entries)
         kept = f"{noted} of {len(opened)} stations are kept in {notes}"
-        _say(f"interrupted: {kept}; give the same command again to go on")
+        say(f"interrupted: {kept}; give the same command again to go on")
         raise typer.Exit(130) from None
     except ReconstructionError:
         shutil.rmtree(notes)
@@ -121,11 +121,11 @@ def _reconstruct(
     for station in rows[0].report.stations:
         if station.reason:
             fate = "begins a new segment" if station.registered else "skipped"
-            _say(f"station {station.station} {fate}: {station.reason}")
+            say(f"station {station.station} {fate}: {station.reason}")
     for warning in rows[0].report.warnings:
-        _say(f"warning: {warning}", style="red")
+        say(f"warning: {warning}", style="red")
     registered, cloud = sum(row.registered.sum() for row in rows), sum(map(len, rows))
-    _say(f"{registered} of {len(opened)} stations, {cloud} points, {len(mesh.triangles)} faces: {out / 'report.html'}")
+    say(f"{registered} of {len(opened)} stations, {cloud} points, {len(mesh.triangles)} faces: {out / 'report.html'}")
 
 
 def _say_what_fits(settings: ReconstructionSettings) -> None:
@@ -137,12 +137,7 @@ def _say_what_fits(settings: ReconstructionSettings) -> None:
     usual = asdict(ReconstructionSettings())
     for name, value in asdict(settings).items():
         if value != usual[name]:
-            _say(f"from the recording: {name} = {value} instead of {usual[name]}; --set {name}=... overrides it")
-
-
-def _say(text: str, style: str | None = None) -> None:
-    """Print a line as it is: brackets in names and reasons are no markup."""
-    CONSOLE.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
+            say(f"from the recording: {name} = {value} instead of {usual[name]}; --set {name}=... overrides it")
 
 
 def build(
@@ -187,10 +182,10 @@ def build(
         with spread(backend, workers, address, len(opened)) as executor:
             bank = build_bank(opened, out, name or out.resolve().name, settings=resolved, executor=executor)
     except KeyboardInterrupt:
-        _say(f"interrupted: what is done is kept in {out}; give the same command again to go on")
+        say(f"interrupted: what is done is kept in {out}; give the same command again to go on")
         raise typer.Exit(130) from None
     write_atomically(out / "settings.toml", as_toml(resolved))
-    _say(f"{len(bank)} scenes in {out}")
+    say(f"{len(bank)} scenes in {out}")
 
 
 def formats() -> None:
@@ -198,7 +193,7 @@ def formats() -> None:
     from greenhouse_gym.capture import recording_formats
 
     for known in recording_formats().values():
-        _say(f"{known.name}: {known.description}")
+        say(f"{known.name}: {known.description}")
 
 
 def build_shipped(
@@ -220,4 +215,4 @@ def build_shipped(
         with parallel.processes(processes) as executor:
             banks = build_shipped_banks(out, parts, executor)
     for bank in banks:
-        CONSOLE.print(f"{bank.manifest.name}: {len(bank)} scenes in {bank.path}")
+        say(f"{bank.manifest.name}: {len(bank)} scenes in {bank.path}")

@@ -20,13 +20,10 @@ from greenhouse_gym.errors import InvalidValueError, UnknownKeywordError, requir
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import SceneBank
 from greenhouse_gym.scene.bank import SPLITS
-from greenhouse_gym.scene.mjcf import TIMESTEP
+from greenhouse_gym.scene.mjcf import MOST_CAPACITY, TIMESTEP
 
 PHYSICS = ("reconstruction", "truth")
 """What may be simulated."""
-
-MAX_CAPACITY = 20_000
-"""No model has room for more obstacles than this."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +78,7 @@ class EnvSettings:
         require_choice("physics", self.physics, PHYSICS)
         parse_difficulty(self.difficulty)
         if self.capacity is not None:
-            check_whole("capacity", self.capacity, 1, MAX_CAPACITY)
+            check_whole("capacity", self.capacity, 1, MOST_CAPACITY)
         check_whole("step_limit", self.step_limit, 1)
         if not _is_number(self.success_radius) or not 0 < self.success_radius <= 1:
             raise InvalidValueError(f"success_radius must be metres above 0 up to 1, got {self.success_radius!r}")

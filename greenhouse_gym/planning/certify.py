@@ -18,7 +18,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.planning.collision import PROOF, CollisionChecker, arm_reaches, path_clearance, planning_model
+from greenhouse_gym.planning.collision import (
+    COARSE,
+    PROOF,
+    CollisionChecker,
+    arm_reaches,
+    path_clearance,
+    planning_model,
+)
 from greenhouse_gym.planning.goals import search_goals
 from greenhouse_gym.planning.proof import ProvingChecker
 from greenhouse_gym.planning.query import PlanResult, plan_with
@@ -42,7 +49,6 @@ SEEDS = 3
 
 _TIME_LIMIT = 60.0  # seconds; far more than the checks take, so that they and not the machine decide
 _DECIMALS = 6  # of a witness, radians
-_COARSE = 0.05  # metres, at which a straight motion is looked at before it is proven
 
 
 def certify_targets(
@@ -118,7 +124,7 @@ class _Found:
 def _straight(checker: CollisionChecker, robot: Robot, goals: Array) -> _Found | None:
     """The shortest free straight motion to a goal, if there is one."""
     for goal in sorted(goals, key=lambda end: float(np.linalg.norm(end - robot.start))):
-        if checker.motion_is_free(robot.start, goal, _COARSE):
+        if checker.motion_is_free(robot.start, goal, COARSE):
             path = _rounded(robot, np.stack([robot.start, goal]))
             if checker.path_is_free(path, PROOF):
                 return _Found("easy", path)

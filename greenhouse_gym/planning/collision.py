@@ -29,6 +29,15 @@ MARGIN = 0.005
 PROOF = 2 * MARGIN
 """Resolution at which a path counts as proven free, metres."""
 
+RESOLUTIONS = (6 * PROOF, 3 * PROOF, PROOF)
+"""Resolutions at which planners check motions, metres; the next is used when a path of the one before is not free.
+
+The first misses a collision in one search out of thirty, and needs half the checks of one that would miss none.
+"""
+
+COARSE = 0.05
+"""Resolution at which a motion is looked at before anything is proven about it, metres."""
+
 
 COLLISION_PAIRS = ("tomatoes", "stems", "clutter", "stand", "self")
 """What an arm can be checked against; the stand is the floor and the cart."""

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.planning.collision import PROOF, CollisionChecker
+from greenhouse_gym.planning.collision import PROOF, RESOLUTIONS, CollisionChecker
 from greenhouse_gym.planning.exchange import Answer, Outcome, Query
 from greenhouse_gym.planning.ompl_binding import (
     Ompl,
@@ -34,12 +34,6 @@ from greenhouse_gym.planning.ompl_binding import (
 )
 from greenhouse_gym.planning.ompl_unbound import JOINING, THREADED
 from greenhouse_gym.planning.proof import ProvingChecker
-
-RESOLUTIONS = (6 * PROOF, 3 * PROOF, PROOF)
-"""Resolutions at which motions are checked, metres: each follows where a path of the one before cannot be proven free.
-
-The first misses something in one search of thirty, and needs half the checks of one that would miss nothing.
-"""
 
 LOOK = 0.001
 """Seconds between two looks at the cost of the best path so far, while it is improved."""

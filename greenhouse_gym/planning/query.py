@@ -14,6 +14,7 @@ import numpy.typing as npt
 from greenhouse_gym.errors import InvalidValueError, require_seed
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning.collision import (
+    COARSE,
     COLLISION_PAIRS,
     PROOF,
     CollisionChecker,
@@ -43,7 +44,6 @@ Status = Literal[
     "invalid",  # the planner's path does not lead from the start to a goal, or is not free
 ]
 
-_COARSE = 0.05  # metres; for a guess
 _POOL = 240  # goal configurations of which those that keep out of unseen space are chosen
 _CANDIDATES = (
     4  # solutions of inverse kinematics looked at for each goal configuration, where unseen space is in the way
@@ -232,7 +232,7 @@ def plan_with(
         ends = ends[[checker.is_free(end) for end in ends]]
     if info.single_goal and len(ends):
         # the way back to the start is free the longest: cheaper to reach than the nearest, and than a random one
-        ends = ends[np.argmax([checker.free_share(end, origin, _COARSE) for end in ends])][None]
+        ends = ends[np.argmax([checker.free_share(end, origin, COARSE) for end in ends])][None]
     goal_time = time.perf_counter() - began
     if not len(ends):
         return PlanResult("no_goal", None, planner, goal_time=goal_time, goals=statistics)

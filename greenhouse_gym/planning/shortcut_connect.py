@@ -14,13 +14,10 @@ from itertools import pairwise
 import numpy as np
 
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.planning.collision import PROOF
+from greenhouse_gym.planning.collision import PROOF, RESOLUTIONS
 from greenhouse_gym.planning.path import path_length
 from greenhouse_gym.planning.planner_settings import PlannerSettings
 from greenhouse_gym.planning.registered import PlanningProblem
-
-RESOLUTIONS = (6 * PROOF, 3 * PROOF, PROOF)
-"""At which motions are searched, metres: the next where a path of the one before cannot be proven free."""
 
 _NEAREST = 8  # goals that are tried by a straight motion before anything is searched
 _NODES = 4000  # of a search, after which it gives up

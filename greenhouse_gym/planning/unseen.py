@@ -18,16 +18,13 @@ from greenhouse_gym.planning.kinematics import Chain, tool_chain, tool_state
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
-from greenhouse_gym.scene.seen import UNSEEN, Cells, SeenSpace, boxes_of, inside_boxes, required
+from greenhouse_gym.scene.seen import REACH, UNSEEN, Cells, SeenSpace, boxes_of, inside_boxes, required
 
 UNSEEN_RULES = ("free", "avoid", "forbid")
 """What planners make of unseen space: nothing; a place to keep out of as far as can be; an obstacle."""
 
 DEPTHS = (0.0, 0.1, 0.15, 0.2, float("inf"))
 """How deep a path may go into unseen space, metres: what "avoid" tries, one after the other, the last without limit."""
-
-REACH = 1.35
-"""Metres from the shoulder beyond which no arm comes, so that what was not seen there does not count."""
 
 _RESOLUTION = 0.02  # metres, at which a path's way through unseen space is measured
 

@@ -19,6 +19,9 @@ OrganKind = Literal[
 ]
 ORGAN_KINDS: tuple[str, ...] = get_args(OrganKind)
 
+THIN_KINDS = ("leaf", "calyx", "flower")
+"""Kinds of organs that are sheets: light comes through them, and thin boxes stand for them."""
+
 
 @dataclass(frozen=True, eq=False)
 class Organ:

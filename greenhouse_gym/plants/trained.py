@@ -22,6 +22,7 @@ from greenhouse_gym.plants.fruiting import TrussPlace, grow_mesh_truss
 from greenhouse_gym.plants.helios import Vine, grow_vine
 from greenhouse_gym.plants.organs import Organ, stems_of, tube_organ
 from greenhouse_gym.plants.plant_row import (
+    GUTTER_COLOR,
     GUTTER_HEIGHT,
     HIGHEST_TRUSS,
     LOWEST_TRUSS,
@@ -46,7 +47,6 @@ SHOOT_LEAF = 0.5
 _STEM_COLOR = (0.42, 0.52, 0.27)
 _STRING_COLOR = (0.85, 0.84, 0.78)
 _PIPE_COLOR = (0.80, 0.80, 0.80)
-_GUTTER_COLOR = (0.90, 0.90, 0.88)
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,7 @@ def _fixtures(x: float, length: float) -> list[Organ]:
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     triangles = np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
     vertices = corners + [x, 0.0, GUTTER_HEIGHT]
-    return [*organs, Organ("gutter", vertices, triangles, np.tile(_GUTTER_COLOR, (12, 1)))]
+    return [*organs, Organ("gutter", vertices, triangles, np.tile(GUTTER_COLOR, (12, 1)))]
 
 
 def _grow_plant(

@@ -9,11 +9,9 @@ from itertools import pairwise
 import numpy as np
 
 from greenhouse_gym.geometry import Box, Capsule, Shape
-from greenhouse_gym.plants.organs import Organ
+from greenhouse_gym.plants.organs import THIN_KINDS, Organ
 from greenhouse_gym.plants.plant_row import PlantRow
 from greenhouse_gym.plants.thin import TOLERANCE, leaf_boxes
-
-_THIN = ("leaf", "calyx", "flower")
 
 
 @lru_cache(maxsize=4)
@@ -37,7 +35,7 @@ def truth_of(row: PlantRow, tolerance: float = TOLERANCE) -> PlantRow:
 
 def _clutter_of(organ: Organ, tolerance: float) -> list[Shape]:
     """The shapes of an organ that is neither fruit nor stem; none of those that are."""
-    if organ.kind in _THIN:
+    if organ.kind in THIN_KINDS:
         return list(leaf_boxes(organ.vertices, organ.triangles, tolerance))
     if organ.kind == "petiole" and organ.axis is not None:
         return [Capsule(a[:3], b[:3], max((a[3] + b[3]) / 2, 1e-4)) for a, b in pairwise(organ.axis)]

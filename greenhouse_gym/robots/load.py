@@ -181,6 +181,8 @@ def read_spec(path: Path) -> mujoco.MjSpec:
     Raises:
         FileFormatError: MuJoCo cannot load or compile it.
     """
+    if not path.is_file():
+        raise FileFormatError(path, "there is no such file; expected an arm's MJCF file")
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         spec.compile()

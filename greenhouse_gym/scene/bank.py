@@ -166,7 +166,7 @@ class SceneBank(Sequence[Scene]):
         for kind, values in wanted.items():
             known = {value for _, kinds in kept for value in kinds[kind]}
             for value in values:
-                require_choice(kind, value, sorted(known))
+                require_choice(kind, value, sorted(known, key=int) if kind == "week" else sorted(known))
         chosen = tuple(entry for entry, kinds in kept if all(kinds[kind] & values for kind, values in wanted.items()))
         if not chosen:
             raise InvalidValueError(f"bank {self.path} has no scene with {_described(wanted)}")

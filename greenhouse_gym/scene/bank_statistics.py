@@ -9,9 +9,7 @@ import numpy as np
 
 from greenhouse_gym.scene.bank import SPLITS, SceneBank
 from greenhouse_gym.scene.scene import DIFFICULTIES, Scene
-
-REACH = 1.35
-"""Metres around the shoulder in which the share of seen space is told."""
+from greenhouse_gym.scene.seen import REACH
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,9 @@ from greenhouse_gym.scene.packed import compressed, decompressed
 UNSEEN, EMPTY, SURFACE = 0, 1, 2
 """What a voxel is."""
 
+REACH = 1.35
+"""Distance from the shoulder beyond which no arm reaches, metres; whether space was seen matters only within it."""
+
 MOST_VOXELS = 5_000_000
 
 States = npt.NDArray[np.uint8]

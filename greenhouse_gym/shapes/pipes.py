@@ -19,7 +19,7 @@ from greenhouse_gym.clouds import Cloud, voxel_means
 from greenhouse_gym.crop import Stem
 from greenhouse_gym.geometry import Array, frame_along
 from greenhouse_gym.shapes.neighborhoods import Neighborhoods
-from greenhouse_gym.shapes.robust import gauss_newton_step, tukey_weights
+from greenhouse_gym.shapes.robust import SCALES, gauss_newton_step, tukey_weights
 from greenhouse_gym.shapes.settings import ShapeSettings
 
 _CELL = 0.010  # metres: pieces of surface are told apart at this size
@@ -27,7 +27,6 @@ _REACH = 0.030  # and looked at together with those this near
 _LEAST_SPREAD = 0.05  # of a piece's normals, a variance: flatter ones tell no radius
 _MOST_TILT = 0.12  # share of that spread that there may be along the axis
 _MOST_SCATTER = 0.005  # metres by which the centers of a piece's points may scatter
-_SCALES = (3.0, 3.0, 2.0, 2.0, 1.5, 1.5, 1.0, 1.0)  # of the shell within which points count, iteration by iteration
 _ROW_ARC = np.deg2rad(60.0)  # of the round that a centimetre of a pipe must show to count as seen
 _GROWTH_STEPS = 8  # each doubles the length looked at
 
@@ -156,7 +155,7 @@ def _look(cylinder: Cylinder, cloud: Cloud) -> _Around:
 def _refine(cylinder: Cylinder, near: Cloud, settings: ShapeSettings) -> Cylinder | None:
     """Gauss-Newton with Tukey weights on ``distance - radius``; points whose normals look away do not count."""
     low, high = settings.pipe_radii
-    for scale in _SCALES:
+    for scale in SCALES:
         along, outward, residual, alignment = _look(cylinder, near)
         weight = tukey_weights(residual, scale * settings.shell) * (alignment > 0.7)
         if np.count_nonzero(weight) < 30:

@@ -6,6 +6,9 @@ import numpy as np
 
 from greenhouse_gym.geometry import Array
 
+SCALES = (3.0, 3.0, 2.0, 2.0, 1.5, 1.5, 1.0, 1.0)
+"""The shell within which points count in each iteration of a fit, as a multiple of the last one's."""
+
 
 def tukey_weights(residual: Array, scale: float) -> Array:
     """Tukey's biweight (Beaton and Tukey, 1974) of residuals (n,): 1 where there is none, 0 beyond ``scale``."""

@@ -16,12 +16,11 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from greenhouse_gym.geometry import Array, Sphere
-from greenhouse_gym.shapes.robust import gauss_newton_step, tukey_weights
+from greenhouse_gym.shapes.robust import SCALES, gauss_newton_step, tukey_weights
 from greenhouse_gym.shapes.settings import ShapeSettings
 
 _ABOVE_PLANE = 1.2  # times the votes a plane gathers in one place a sphere must have
 _MOST_POINTS = 300  # a fit looks at
-_SCALES = (3.0, 3.0, 2.0, 2.0, 1.5, 1.5, 1.0, 1.0)  # of the shell within which points count, iteration by iteration
 _DIRECTIONS = 100  # a sphere's coverage is counted in
 
 
@@ -44,7 +43,7 @@ class Trust(NamedTuple):
 IN_NORMALS = Trust((0.7, 0.7, 0.7, 0.7, 0.7, 0.7, 0.85, 0.85), on=0.7, radius=1e-5, fewest=10)
 """The normals are right, the size is unknown."""
 
-IN_SIZE = Trust((-0.2,) * len(_SCALES), on=-1.0, radius=1e3, fewest=8)
+IN_SIZE = Trust((-0.2,) * len(SCALES), on=-1.0, radius=1e3, fewest=8)
 """The size is known, the normals may be wrong."""
 
 
@@ -154,7 +153,7 @@ def _refine(cloud: Array, normals: Array, candidate: Array, settings: ShapeSetti
     cloud, normals = cloud[::stride], normals[::stride]
     center, radius = candidate[:3], float(candidate[3])
     shell = shell_of(radius, settings)
-    for scale, aligned in zip(_SCALES, trust.aligned, strict=True):
+    for scale, aligned in zip(SCALES, trust.aligned, strict=True):
         away = cloud - center
         distance = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
         unit = away / distance[:, None]

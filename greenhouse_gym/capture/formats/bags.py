@@ -20,7 +20,7 @@ from greenhouse_gym.capture.formats.messages import POSES, between, extrinsics_o
 from greenhouse_gym.capture.formats.pairs import Pair
 from greenhouse_gym.capture.formats.single_camera import RIG_FROM_CAMERA
 from greenhouse_gym.capture.formats.topics import CameraTopics, cameras_of
-from greenhouse_gym.capture.formats.videos import nearest_in_time
+from greenhouse_gym.capture.formats.videos import POSED_WITHIN, nearest_in_time
 from greenhouse_gym.capture.frames import RgbdFrame, Station
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.capture.rig import Camera, Rig
@@ -34,7 +34,6 @@ description = "a ROS 1 .bag (RealSense's too), a ROS 2 .mcap or .db3 with its me
 _SUFFIXES = (".bag", ".mcap", ".db3")
 _STATIC = "/tf_static"
 _TOGETHER = 0.025  # s within which images are of one moment
-_POSED = 0.05  # s within which a pose is that of an image
 
 
 @dataclass(frozen=True)
@@ -193,7 +192,7 @@ def _poses(reader: Any, types: Mapping[str, str]) -> tuple[Array, Array]:
 
 def _nearest_pose(station: Mapping[str, tuple[Message, Message]], posed: tuple[Array, Array]) -> Array | None:
     stamp = next(iter(station.values()))[0].stamp / 1e9
-    near = int(nearest_in_time(np.array([stamp]), posed[0], _POSED)[0])
+    near = int(nearest_in_time(np.array([stamp]), posed[0], POSED_WITHIN)[0])
     return None if near < 0 else posed[1][near]
 
 

@@ -23,8 +23,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from greenhouse_gym.capture.formats.pairs import Lens, Pair, read_units
-from greenhouse_gym.capture.formats.single_camera import RIG_FROM_CAMERA
-from greenhouse_gym.capture.formats.videos import CAMERA, poses_by_time, read_any_color, station_pose
+from greenhouse_gym.capture.formats.single_camera import CAMERA, RIG_FROM_CAMERA
+from greenhouse_gym.capture.formats.videos import poses_by_time, read_any_color, station_pose
 from greenhouse_gym.capture.frames import Station
 from greenhouse_gym.capture.recordings import Recording, checked_pose
 from greenhouse_gym.capture.rig import Camera, Intrinsics, Rig

@@ -46,6 +46,7 @@ class RecordingFormat(Protocol):
 
 
 _OWN: tuple[RecordingFormat, ...] = (own, calibrated, open3d, tum, scannet, described, bags)
+_MISSING = "there is no such folder or file"
 
 
 @cache
@@ -91,6 +92,8 @@ def open_recording(path: str | Path, format: str | RecordingFormat | None = None
         if format not in known:
             raise UnknownNameError("recording format", format, known)
         chosen = known[format]
+        if chosen in _OWN and not path.exists():
+            raise FileFormatError(path, _MISSING)
     else:
         chosen = _checked(format, "the format that was given")
     with parsing(path, f"recording of the format {chosen.name!r}"):
@@ -112,6 +115,8 @@ def _recognized(path: Path) -> RecordingFormat:
     if fitting:
         names = ", ".join(known.name for known in fitting)
         raise FileFormatError(path, f"several formats recognize it: {names}; name the one that is meant")
+    if not path.exists():
+        raise FileFormatError(path, _MISSING)
     kinds = "; ".join(f"{known.name}: {known.description}" for known in formats.values())
     raise FileFormatError(path, f"not a recording of a known format ({kinds})")
 

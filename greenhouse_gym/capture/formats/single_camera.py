@@ -22,6 +22,9 @@ from greenhouse_gym.paths import parsing, read_bytes
 RIG_FROM_CAMERA = pose(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]))
 """Where the camera of a rig of one stands in the rig's frame."""
 
+CAMERA = "camera"
+"""The name of that camera."""
+
 
 def single_camera(
     folder: Path,
@@ -53,7 +56,7 @@ def single_camera(
         raise FileFormatError(folder, f"{len(color)} color images, {len(depth)} depth images, {len(poses)} poses")
     camera = Camera(intrinsics, RIG_FROM_CAMERA, depth_scale)
     load = partial(_station, color, depth, camera, poses)
-    rig = Rig({"camera": camera}, "camera")
+    rig = Rig({CAMERA: camera}, CAMERA)
     return Recording(folder.name, rig, len(color), load, folder, files=(*described_by, *color, *depth))
 
 
@@ -62,7 +65,7 @@ def _station(
 ) -> Station:
     known = poses[i]
     frame = read_frame(color[i], depth[i], camera)
-    return Station({"camera": frame}, None if known is None else known @ RIG_FROM_CAMERA.T)
+    return Station({CAMERA: frame}, None if known is None else known @ RIG_FROM_CAMERA.T)
 
 
 def read_numbers(path: Path, columns: int) -> Array:

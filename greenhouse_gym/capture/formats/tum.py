@@ -8,7 +8,13 @@ import numpy as np
 
 from greenhouse_gym.capture.formats.pairs import Lens, Pair
 from greenhouse_gym.capture.formats.single_camera import read_numbers
-from greenhouse_gym.capture.formats.videos import nearest_in_time, poses_by_time, read_any_color, video
+from greenhouse_gym.capture.formats.videos import (
+    POSED_WITHIN,
+    nearest_in_time,
+    poses_by_time,
+    read_any_color,
+    video,
+)
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.capture.rig import Intrinsics
 from greenhouse_gym.errors import FileFormatError
@@ -20,7 +26,6 @@ description = "rgb.txt and depth.txt as of TUM and ETH3D, optionally groundtruth
 
 _SCALE = 1 / 5000
 _TOGETHER = 0.02  # s within which two images are a pair
-_POSED = 0.05  # s within which a pose is that of an image
 _CAMERAS = {
     "freiburg1": (517.3, 516.5, 318.6, 255.3),
     "freiburg2": (520.9, 521.0, 325.1, 249.7),
@@ -47,7 +52,7 @@ def open(path: Path) -> Recording:
     notes = [f"{len(color) - len(paired)} of {len(color)} color images have no depth image at their time"]
     truth, calibration = path / "groundtruth.txt", path / "calibration.txt"
     times, poses = poses_by_time(truth) if truth.exists() else (np.zeros(0), np.zeros((0, 4, 4)))
-    posed = nearest_in_time(color_times[paired], times, _POSED)
+    posed = nearest_in_time(color_times[paired], times, POSED_WITHIN)
     known: list[Array | None] = [poses[k] if k >= 0 else None for k in posed]
     if not calibration.exists() and not any(label in path.name for label in _CAMERAS):
         notes.append("no calibration.txt: taken as 640x480 with a focal length of 525 pixels")

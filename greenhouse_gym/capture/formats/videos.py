@@ -12,7 +12,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from greenhouse_gym.capture.formats.pairs import Pair, read_units
-from greenhouse_gym.capture.formats.single_camera import RIG_FROM_CAMERA, read_numbers
+from greenhouse_gym.capture.formats.single_camera import CAMERA, RIG_FROM_CAMERA, read_numbers
 from greenhouse_gym.capture.frames import Station
 from greenhouse_gym.capture.images import read_image
 from greenhouse_gym.capture.recordings import Recording
@@ -24,8 +24,8 @@ from greenhouse_gym.geometry import Array, pose
 with needs("reconstruct"):
     import cv2
 
-CAMERA = "camera"
-"""What the only camera of a recording is called."""
+POSED_WITHIN = 0.05
+"""Time between an image and a pose, in seconds, up to which the pose is taken as the image's."""
 
 
 def rig_of(pair: Pair) -> Rig:
