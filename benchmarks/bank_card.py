@@ -76,9 +76,9 @@ $mini
 - At most $primitives shapes are kept; in dense rows and cherry rows the farthest are left out.
 - Boxes of Helios' leaves claim up to $leaves mm around a leaf, so the truth is a little stricter than the plants.
 
-## Splits, licence, citing
+## Splits, license, citing
 
-Train and tune on `train`, choose on `validation`, report on `test` once. The data are under the package's licence
+Train and tune on `train`, choose on `validation`, report on `test` once. The data are under the package's license
 (MIT); cite the package and its version, with the checksum above.""")
 
 

@@ -2,7 +2,7 @@
 
 python benchmarks/fit_credibility.py --workdir rows --own 302 --helios 501 502 503 504 505 506
 
-Candidates of both looks at development rows of both generators are labelled by the truth: a sphere is right if its
+Candidates of both looks at development rows of both generators are labeled by the truth: a sphere is right if its
 center lies within half a radius of a fruit's and its size within a third; what is nearly so counts for neither side.
 With only one of the generators given, its weights can be reported on the other: the area under the curve (AUC) of each
 row is printed for weights of all, of own and of Helios rows.
@@ -33,14 +33,14 @@ from greenhouse_gym.shapes.tomatoes import look
 _RIDGE = 2.0
 
 
-class Labelled(NamedTuple):
+class Labeled(NamedTuple):
     """Measures (k, m) of candidates and which of them (k,) are fruit."""
 
     measures: Array
     right: npt.NDArray[np.bool_]
 
 
-def labelled(fits: Sequence[SphereFit], measures: Array, true: Sequence[Tomato]) -> Labelled:
+def labeled(fits: Sequence[SphereFit], measures: Array, true: Sequence[Tomato]) -> Labeled:
     """Candidates with their labels, without those that are nearly right."""
     centers, radii = np.array([t.center for t in true]), np.array([t.radius for t in true])
     away = np.linalg.norm(np.array([f.center for f in fits]).reshape(-1, 1, 3) - centers, axis=-1) / radii
@@ -48,10 +48,10 @@ def labelled(fits: Sequence[SphereFit], measures: Array, true: Sequence[Tomato])
     away = away[np.arange(len(fits)), nearest]
     sized = np.abs(np.log(np.array([f.radius for f in fits]) / radii[nearest])) < 0.35
     clear = ~(sized & (away >= 0.5) & (away < 1.0))
-    return Labelled(measures[clear], (sized & (away < 0.5))[clear])
+    return Labeled(measures[clear], (sized & (away < 0.5))[clear])
 
 
-def looks_at(row: Row, workdir: Path) -> tuple[Labelled, Labelled]:
+def looks_at(row: Row, workdir: Path) -> tuple[Labeled, Labeled]:
     """The candidates of the first and of the second look at a row."""
     cloud, settings = cloud_of(row, "noisy", workdir), ShapeSettings()
     known = truth_of(row, cloud, workdir)
@@ -59,10 +59,10 @@ def looks_at(row: Row, workdir: Path) -> tuple[Labelled, Labelled]:
     whole = Cloud(transform(known.world_from_row, cloud.points), cloud.colors, cloud.normals @ turn.T)
     looks = look(look_at_surfaces(thinned(whole, True, settings, Notes()), settings), settings)
     true = known.row.tomatoes
-    return labelled(looks.fits, looks.first, true), labelled(looks.beside, looks.second, true)
+    return labeled(looks.fits, looks.first, true), labeled(looks.beside, looks.second, true)
 
 
-def fitted(parts: Sequence[Labelled], columns: int | None = None) -> Array:
+def fitted(parts: Sequence[Labeled], columns: int | None = None) -> Array:
     """Weights and offset by ridge logistic regression (Newton's method) on standardized measures."""
     measures = np.concatenate([part.measures for part in parts])[:, :columns]
     right = np.concatenate([part.right for part in parts])
@@ -84,7 +84,7 @@ def fitted(parts: Sequence[Labelled], columns: int | None = None) -> Array:
     return np.append(scaled, weights[-1] - scaled @ mean)
 
 
-def area(part: Labelled, weights: Array) -> float:
+def area(part: Labeled, weights: Array) -> float:
     """Area under the curve of true against false positives."""
     rank = credibility(part.measures, weights).argsort().argsort()
     count = int(part.right.sum())

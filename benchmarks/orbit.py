@@ -49,7 +49,7 @@ def main() -> None:
 
 
 def measure(recording: Recording, settings: ReconstructionSettings) -> dict[str, Any]:
-    """All pairs of neighbours, and the whole walk, with one foreground."""
+    """All pairs of neighbors, and the whole walk, with one foreground."""
     stations = list(recording)
     views = [view_station(station, Calibration(recording.rig), settings) for station in stations]
     poses = np.array([station.world_from_station for station in stations], dtype=np.float64)

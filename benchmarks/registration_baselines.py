@@ -22,7 +22,7 @@ from greenhouse_gym.reconstruction.shift import along, best_shifts, overlap
 FOREGROUND = 0.60  # m, the paper's cut
 STEP = 0.10  # m along the row, nominal
 VOXEL = 0.002  # m, the merged cloud
-OUTLIER_NEIGHBOURS, OUTLIER_RADIUS = 8, 0.006  # points, m
+OUTLIER_NEIGHBORS, OUTLIER_RADIUS = 8, 0.006  # points, m
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,11 +180,11 @@ def _foreground(station: Station, rig: Rig) -> Array:
 
 
 def _row(stations: list[Array], poses: Array) -> BaselineRow:
-    """Merge the registered stations and remove what has few neighbours."""
+    """Merge the registered stations and remove what has few neighbors."""
     registered = np.isfinite(poses[:, 0, 0])
     poses = invert(poses[np.flatnonzero(registered)[0]]) @ poses
     points = _thinned(np.concatenate([transform(poses[i], stations[i]) for i in np.flatnonzero(registered)]))
-    kept, _ = _cloud(points).remove_radius_outlier(OUTLIER_NEIGHBOURS, OUTLIER_RADIUS)
+    kept, _ = _cloud(points).remove_radius_outlier(OUTLIER_NEIGHBORS, OUTLIER_RADIUS)
     return BaselineRow(np.array(kept.points), registered, poses)
 
 

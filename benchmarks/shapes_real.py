@@ -4,7 +4,7 @@ GREENHOUSE_GYM_REAL_DATA=folder python benchmarks/shapes_real.py --pictures pict
 
 No setting is changed for them. Tables are as large as they were; seedlings, some centimetres high, are brought to the
 height of a piece of a grown plant, and their figures are metres at that height. A seedling's main stem is what its
-skeleton shows from the lowest node to the first fork, or the line through the points labelled so. The data come from
+skeleton shows from the lowest node to the first fork, or the line through the points labeled so. The data come from
 others and stay where they are: without the folder nothing is measured, and pictures are drawn only where they are asked
 for.
 """
@@ -44,7 +44,7 @@ Figures = dict[str, Any]
 
 
 def measure_table(scene: TableScene, pictures: Path | None) -> tuple[dict[str, Figures], Figures]:
-    """Radius and axis of each can and mug against its labelled points, and what else was found on the table."""
+    """Radius and axis of each can and mug against its labeled points, and what else was found on the table."""
     shapes = extract_shapes(scene.points, scene.colors, scene.normals)
     if pictures:
         outlined = draw_outlines(scene.photograph, [*shapes.tomatoes, *shapes.stems], KINECT, scene.camera_from_world)
@@ -63,7 +63,7 @@ def measure_table(scene: TableScene, pictures: Path | None) -> tuple[dict[str, F
 
 
 def measure_can(points: Array, stems: Sequence[Stem]) -> Figures:
-    """How a labelled can's points (n, 3) lie around the stem that explains most of them, if there is one."""
+    """How a labeled can's points (n, 3) lie around the stem that explains most of them, if there is one."""
     reference = fit_cylinder(points)
     explained = [np.abs(distance_to_nearest(points, [stem])) < 0.01 for stem in stems]
     best = max(range(len(stems)), key=lambda i: int(explained[i].sum()), default=-1)
@@ -94,7 +94,7 @@ def direction(capsule: Capsule) -> Array:
 
 
 def fit_cylinder(points: Array) -> Capsule:
-    """The cylinder around labelled points (n, 3): robust least squares of distance to axis minus radius.
+    """The cylinder around labeled points (n, 3): robust least squares of distance to axis minus radius.
 
     Started from several directions, since the points show one side of it and maybe an end.
     """
@@ -179,7 +179,7 @@ def to_first_fork(edges: Array) -> Array:
 
 
 def false_length(stems: Sequence[Stem], points: Array) -> float:
-    """Share of the stems' length farther than `COVERED_WITHIN` outside of labelled points (n, 3)."""
+    """Share of the stems' length farther than `COVERED_WITHIN` outside of labeled points (n, 3)."""
     if not stems:
         return float("nan")
     tree = cKDTree(points)

@@ -1,4 +1,4 @@
-"""The real clouds that shapes_real.py measures: tables with labelled cans and mugs, scanned tomato seedlings."""
+"""The real clouds that shapes_real.py measures: tables with labeled cans and mugs, scanned tomato seedlings."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ CYLINDERS = {
 """Labels of the cans and of the outsides of the mugs; the tins, wider than high, and the bowls are none."""
 
 JUNCTION, MAIN, STALK = 2, 7, 9
-"""Classes of the labelled seedlings' points: where leaves leave the stem, the main stem, the leaves' stalks."""
+"""Classes of the labeled seedlings' points: where leaves leave the stem, the main stem, the leaves' stalks."""
 
 _GREEN = np.array([0.35, 0.5, 0.2])
 
@@ -77,7 +77,7 @@ class Seedling:
 
 
 def read_table(folder: Path, name: str) -> TableScene:
-    """Read one of the `CYLINDERS` tables; up is the normal of what is labelled as table."""
+    """Read one of the `CYLINDERS` tables; up is the normal of what is labeled as table."""
     cloud = open3d().t.io.read_point_cloud(str(Path(folder) / "cylinders" / f"{name}.pcd"))
     points = cloud.point["positions"].numpy().astype(np.float64)
     seen = np.isfinite(points).all(axis=1) & (np.nan_to_num(points[:, 2]) > 0.1)

@@ -99,7 +99,7 @@ def test_an_installed_package_plans_and_writes_nothing_beside_itself(unpacked: P
 
 
 def test_the_source_distribution_is_whole(tmp_path: Path) -> None:
-    """Data, licence, tests and documentation, and no more than a mail would carry."""
+    """Data, license, tests and documentation, and no more than a mail would carry."""
     command = [sys.executable, "-m", "build", "--sdist", "--no-isolation", "--outdir", str(tmp_path), str(ROOT)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr

@@ -57,7 +57,7 @@ def test_a_can_is_measured_by_the_stem_that_explains_it(real: Any) -> None:
     assert not real.measure_can(half_can(), [])["found"]
 
 
-def test_false_length_is_what_lies_away_from_labelled_points(real: Any) -> None:
+def test_false_length_is_what_lies_away_from_labeled_points(real: Any) -> None:
     points = half_can()
     assert real.false_length([upright()], points) == 0.0
     assert real.false_length([Stem([0, 0, 0], [0, 0, 0.12], 0.01, "main"), upright()], points) == pytest.approx(0.5)

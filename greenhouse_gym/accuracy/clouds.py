@@ -69,7 +69,7 @@ def distance_to_truth(row: ReconstructedRow, truth: PlantRow, world_from_first: 
         row: The reconstructed row.
         truth: The grown row.
         world_from_first: (4, 4) true pose of the first registered station.
-        samples: About as many points are looked at.
+        samples: About how many points are looked at.
     """
     return distance_to_surface(transform(world_from_first, row.points), truth, samples)
 
@@ -98,7 +98,7 @@ def place_by_windows(
         truth: The grown row.
         world_from_station: (stations, 4, 4) true poses.
         window: Longest window, metres; the row's extent is split evenly.
-        samples: About as many points of each window are aligned.
+        samples: About how many points of each window are aligned.
 
     Returns:
         (n, 3) metres, in the order of the row's points.

@@ -32,7 +32,7 @@ def excess(shapes: Sequence[Shape], truth: PlantRow, samples: int = 20_000, seed
         shapes: In the world.
         truth: The grown row.
         samples: Points on all surfaces together, spread evenly by area.
-        seed: Of the sample.
+        seed: Seed of the sample.
     """
     points = outer_samples(shapes, samples, np.random.default_rng(seed))
     if not len(points):

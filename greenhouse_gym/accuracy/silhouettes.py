@@ -60,12 +60,12 @@ class Outlines:
         return cls(points, radii, axes)
 
     def seen_from(self, camera_from_world: Array) -> Outlines:
-        """The same in a camera's frame."""
+        """These outlines in a camera's frame."""
         points = transform(camera_from_world, self.points.reshape(-1, 3)).reshape(-1, 8, 3)
         return Outlines(points, self.radii, camera_from_world[:3, :3] @ self.axes)
 
     def in_view(self, k: Intrinsics, farthest: float, of: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
-        """Which of some of them (n,) may show on an image: nearer than ``farthest`` metres, none around the camera."""
+        """Which of the objects ``of`` (n,) may show: nearer than ``farthest`` metres, and none around the camera."""
         z = self.points[..., 2]
         ahead = of & (z.min(axis=1) > 2 * self.radii + 0.01) & (z.min(axis=1) < farthest)
         u, v, margin = _projected(np.where(ahead[:, None, None], self.points, [0.0, 0.0, 1.0]), self.radii[:, None], k)
@@ -74,7 +74,7 @@ class Outlines:
         return np.flatnonzero(ahead & across & down)
 
     def silhouette(self, i: int, k: Intrinsics) -> Silhouette:
-        """What the ``i``-th of them covers of an image, in the camera's frame; it must lie in front of the camera."""
+        """What object ``i`` covers of an image; it is in the camera's frame, and lies in front of the camera."""
         points, radius = self.points[i], float(self.radii[i])
         u, v, margin = _projected(points, radius, k)
         spans = [(int(np.floor((w - margin).min())), int(np.ceil((w + margin).max())) + 1) for w in (v, u)]

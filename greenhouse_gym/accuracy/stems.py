@@ -17,7 +17,7 @@ AXIS_DISTANCE = 0.010
 """Metres that two axes may lie apart to count as the same stem."""
 
 AXIS_ANGLE = float(np.deg2rad(30.0))
-"""Radians that they may be turned against each other."""
+"""Radians that such axes may be turned against each other."""
 
 SPACING = 0.005
 """Metres of axis that one sample stands for, at most."""
@@ -29,11 +29,11 @@ class StemComparison:
 
     Attributes:
         visible: True length that was visible.
-        found: Of it, what lies by a found stem of any kind.
-        found_as_such: Of it, what lies by a found stem of the same kind.
+        found: Part of the visible length that lies by a found stem of any kind.
+        found_as_such: Part of the visible length that lies by a found stem of the same kind.
         extracted: Length found as this kind.
-        false: Of it, what lies by no true stem of any kind.
-        on_petioles: Of what is false, what lies by another true capsule: a leaf's stalk.
+        false: Part of the extracted length that lies by no true stem of any kind.
+        on_petioles: Part of the false length that lies by another true capsule: a leaf's stalk.
         axis_error: (k,) metres from samples of the visible true axes to the nearest found axis of the same kind, where
             found as such.
         radius_error: (k,) relative, unsigned, at the same places.
@@ -80,7 +80,7 @@ def compare_stems(
 
     Args:
         true: All stems of the row, of every kind.
-        visible: Those, or the parts of those, that were visible.
+        visible: The stems, or parts of stems, that were visible.
         others: Capsules of the row that are no stems: the stalks of leaves.
         found: Stems found, in the frame of the true ones.
         kind: The kind of interest.

@@ -53,8 +53,8 @@ RIPENESS_BANDS = {"green": (0.0, 1 / 3), "turning": (1 / 3, 2 / 3), "ripe": (2 /
 """Ripeness by name, from the lower bound up to below the upper one."""
 
 OCCLUSION_BANDS = {"cut off": (0.0, 0.3), "half hidden": (0.3, 0.6), "partly hidden": (0.6, 0.9), "free": (0.9, np.inf)}
-"""Share of a tomato's silhouette that was seen, by name, likewise; less than 0.3 is seen of those that the edge of the
-image cuts off."""
+"""Shares of a tomato's silhouette that were seen, by name, from the lower bound up to below the upper one; of fruit
+that the edge of the image cuts off, less than 0.3 is seen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,12 +100,12 @@ class TomatoComparison:
         return share(2 * true, len(self.found) + true + len(self.false))
 
     def of_ripeness(self, low: float, high: float) -> TomatoComparison:
-        """Those from a true ripeness on up to below another, and the false ones that claim it; without trusses."""
+        """The tomatoes from a ripeness on up to below another, and the false ones that claim it; without trusses."""
         claimed = (self.false >= low) & (self.false < high)
         return self._select((self.ripeness >= low) & (self.ripeness < high), self.false[claimed])
 
     def of_share(self, low: float, high: float) -> TomatoComparison:
-        """Those of which a share between two bounds was seen; without false ones and trusses."""
+        """The tomatoes of which a share between two bounds was seen; without false ones and trusses."""
         return self._select((self.share >= low) & (self.share < high), np.zeros(0))
 
     def _select(self, rows: npt.NDArray[np.bool_], false: Array) -> TomatoComparison:
@@ -123,8 +123,8 @@ def compare_tomatoes(true: Sequence[Tomato], visibility: Visibility, found: Sequ
 
     Args:
         true: All n tomatoes of the row.
-        visibility: Of each of them.
-        found: In the frame of the true ones.
+        visibility: Visibility of each of them.
+        found: The found tomatoes, in the frame of the true ones.
     """
     visible: npt.NDArray[np.int64] = np.flatnonzero(visibility.visible)
     hidden = np.flatnonzero(~visibility.visible)

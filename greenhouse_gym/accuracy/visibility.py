@@ -25,7 +25,8 @@ FOREGROUND = 0.60
 """Metres in front of the reference camera, along the rig's forward axis, beyond which nothing counts as seen."""
 
 LONGEST_PIECE = 0.02
-"""Metres; stems and leaves are cut into such pieces, so that a hidden part is not taken for a visible one."""
+"""Length of the pieces that stems and leaves are cut into, metres, so that a hidden part is not taken for a visible
+one."""
 
 Part = TypeVar("Part", bound=Shape)
 

@@ -1,4 +1,4 @@
-"""Where cameras stand on a rig, from a ChArUco board that neighbours see at the same moments."""
+"""Where cameras stand on a rig, from a ChArUco board that neighbors see at the same moments."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ def _depth_ratios(frame: RgbdFrame, sighting: Sighting) -> list[float]:
 
 
 def _chained(moments: Sequence[Mapping[str, Sighting]], rig: Rig) -> dict[str, Array]:
-    """Reference from camera for every camera, from one neighbour to the next, by the median of all moments."""
+    """Reference from camera for every camera, from one neighbor to the next, by the median of all moments."""
     known = {rig.reference: np.eye(4)}
     while len(known) < len(rig.cameras):
         best: tuple[int, str, Array] | None = None

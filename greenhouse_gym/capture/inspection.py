@@ -29,9 +29,9 @@ class CameraFigures:
 
     Attributes:
         missing: Share of pixels without depth.
-        gray: Of the plants' pixels, 0 to 255.
+        gray: Median gray of the plants' pixels, 0 to 255.
         clipped: Share of the plants' pixels that are burnt out.
-        distance: Of the plants, metres; 0 where nothing is near.
+        distance: Distance of the plants, metres; 0 where nothing is near.
         near: Share of the image that is near enough to be plants.
         sharpness: Variance of the Laplacian.
         pixel: Metres across a pixel at the plants.
@@ -54,8 +54,8 @@ class Inspection:
         stations: Number of stations.
         looked_at: How many of them were looked at.
         unreadable: Numbers of those that could not be read.
-        cameras: By name.
-        steps: Metres between neighbouring stations that were looked at; only where that could be told.
+        cameras: The figures of each camera, by its name.
+        steps: Metres between neighboring stations that were looked at; only where that could be told.
         overlap: Share of an image that the next station shows as well, the median; None if not known.
         histogram: Share of all readings in each 10 cm of distance, from 0 to 3 m.
         good_for_registration: Whether the stations can be expected to fit together.
@@ -76,7 +76,7 @@ class Inspection:
 
 
 def inspect_recording(recording: Recording) -> Inspection:
-    """Look at up to 24 stations, neighbours in pairs, spread over a recording."""
+    """Look at up to 24 stations, neighbors in pairs, spread over a recording."""
     pairs = max(1, min(_LOOKED_AT, len(recording)) // 2)
     starts = np.unique(np.linspace(0, max(0, len(recording) - 2), pairs).round().astype(int)).tolist()
     figures: dict[str, list[CameraFigures]] = {name: [] for name in recording.rig.cameras}
@@ -163,7 +163,7 @@ def _faults(
         bad.append("the camera hardly moves from station to station: choose fewer frames, or walk on")
     if overlap is not None and overlap < _OVERLAP:
         bad.append(
-            f"neighbouring stations share {overlap:.0%} of an image, {_OVERLAP:.0%} or more needed: smaller steps"
+            f"neighboring stations share {overlap:.0%} of an image, {_OVERLAP:.0%} or more needed: smaller steps"
         )
     if blurred:
         hints.append(f"{blurred} images are blurred: stand still, walk slower, or expose shorter")

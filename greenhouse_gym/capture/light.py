@@ -133,9 +133,9 @@ def shade(
     """Coded colors (n, 3), not yet clipped, of points on triangles (n,), and what highlights add (n,), linear.
 
     Args:
-        skin: Of the mesh.
-        light: That falls on it.
-        triangles: (n,).
+        skin: How the mesh looks.
+        light: The light that falls on it.
+        triangles: (n,) the triangles that the points lie on.
         normals: (n, 3) outward unit normals.
         directions: (n, 3) rays from the camera, of any length.
         sunlit: (n,) whether nothing stands between a point and the sun.

@@ -128,7 +128,7 @@ def three_camera_rig(
     Args:
         intrinsics: The same for all three.
         beam: ``"level"``: the beam lies along the row; ``"upright"``: it stands.
-        spacing: Distance between neighbours on the beam, metres.
+        spacing: Distance between neighbors on the beam, metres.
         inward: Angle by which the outer cameras turn to the middle, radians.
         height: Height of the middle camera above the floor, metres.
         portrait: Images lie on their side, so that what stands still in the row moves along the image's vertical.

@@ -43,7 +43,7 @@ class Mounting:
 
     @classmethod
     def of(cls, rig: Rig) -> Mounting:
-        """That of a rig."""
+        """How the cameras of a rig are mounted."""
         return cls({name: camera.rig_from_camera for name, camera in rig.cameras.items()}, rig.reference)
 
 

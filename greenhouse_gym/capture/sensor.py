@@ -27,7 +27,7 @@ class StereoNoise:
     edge_dropout: float = 0.35  # share of pixels without a reading beside a depth edge
     fatten: int = 1  # px by which near things grow over far ones
     min_range: float = 0.17  # m
-    max_range: float = 3.0  # m; farther readings are not modelled
+    max_range: float = 3.0  # m; farther readings are not modeled
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ def doubtful(
         glare: (h, w) what highlights add, as a share of full white.
         fx: Focal length, pixels.
         doubt: The figures.
-        baseline: Of the two imagers, metres.
+        baseline: Distance between the two imagers, metres.
     """
     seen = np.where(np.isfinite(depth) & (depth > 0), depth, np.inf)
     lost = np.where(_thin(fx * baseline / seen, doubt.thin_width), doubt.thin_dropout, 0.0)
@@ -131,7 +131,7 @@ def sense_depth(
 
 
 def _grow_near(depth: Array) -> Array:
-    """Every pixel takes the nearest depth of itself and its left and right neighbours."""
+    """Every pixel takes the nearest depth of itself and its left and right neighbors."""
     grown = depth.copy()
     grown[:, 1:] = np.minimum(grown[:, 1:], depth[:, :-1])
     grown[:, :-1] = np.minimum(grown[:, :-1], depth[:, 1:])
@@ -175,7 +175,7 @@ def _thin(disparity: Array, width: int) -> npt.NDArray[np.bool_]:
 
 
 def _smooth_noise(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
-    """Unit normal noise that neighbours partly share, as block matching makes it."""
+    """Unit normal noise that neighbors partly share, as block matching makes it."""
     white = rng.standard_normal((shape[0] + 2, shape[1] + 2))
     rows = white[:-2] + white[1:-1] + white[2:]
     return (rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:]) / 3.0

@@ -29,14 +29,14 @@ def plan(
     scene: Annotated[str, typer.Option(help="Name of the scene in the bank; its first one by default.")] = "",
     target: Annotated[int, typer.Option(help="Index of the tomato in the scene.")] = 0,
     planner: Annotated[str, typer.Option(help="A planner's name.")] = "RRTConnect",
-    all_planners: Annotated[bool, typer.Option("--all", help="Every planner there is.")] = False,
+    all_planners: Annotated[bool, typer.Option("--all", help="Run every planner there is.")] = False,
     bank: Bank = "default",
     robot: Annotated[str, typer.Option(help="Name or file of the arm.")] = "ur5e",
     time_limit: Annotated[
-        float | None, typer.Option(help="Seconds per planner; 5 where its checks are not limited either.")
+        float | None, typer.Option(help="Seconds per planner; 5 unless --max-checks limits it.")
     ] = None,
     max_checks: Annotated[int | None, typer.Option(help="Collision checks after which a planner stops.")] = None,
-    setting: Annotated[list[str] | None, typer.Option(help="A setting of the planner, as range=0.5.")] = None,
+    setting: Annotated[list[str] | None, typer.Option(help="A setting of the planner, such as range=0.5.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the goal search and the planner.")] = 0,
     picture: Annotated[Path | None, typer.Option(help="PNG file for a picture of the shortest path.")] = None,
 ) -> None:
@@ -124,12 +124,12 @@ def train(
     bank: Bank = "default",
     steps: Annotated[int, typer.Option(help="Environment steps of PPO.")] = 2_000_000,
     seed: Annotated[int, typer.Option(help="Seed of scenes, weights and noise.")] = 0,
-    resume: Annotated[bool, typer.Option(help="Go on from the checkpoint in the folder.")] = False,
+    resume: Annotated[bool, typer.Option(help="Go on from the checkpoint in the folder of results.")] = False,
     settings: SettingsFile = None,
     assignments: Assignments = None,
     print_settings: Annotated[bool, shown(_training_settings)] = False,
 ) -> None:
-    """Train a policy. Settings of a file and of --set replace what --bank, --steps and --seed say."""
+    """Train a policy. Settings from a file and from --set replace what --bank, --steps and --seed say."""
     from dataclasses import replace
 
     from greenhouse_gym.errors import require_choice
@@ -162,8 +162,8 @@ def parts(text: str) -> tuple[str, ...]:
 
 def render(
     scene: Annotated[str, typer.Option(help="Name of the scene in the bank; its first one by default.")] = "",
-    out: Annotated[Path, typer.Option(help="PNG file.")] = Path("scene.png"),
-    target: Annotated[int, typer.Option(help="Index of the tomato the red line goes to.")] = 0,
+    out: Annotated[Path, typer.Option(help="PNG file to write.")] = Path("scene.png"),
+    target: Annotated[int, typer.Option(help="Index of the tomato that the red line leads to.")] = 0,
     bank: Bank = "default",
 ) -> None:
     """Draw a scene with the arm at its start."""

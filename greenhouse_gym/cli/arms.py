@@ -14,7 +14,9 @@ from greenhouse_gym.progress import progress, say
 def mount(
     arm: Annotated[Path, typer.Argument(help="The arm's MJCF file, without a tool.")],
     out: Annotated[Path, typer.Option(help="The file to write.")],
-    flange: Annotated[str | None, typer.Option(help="Name of the site at the flange; usual ones are found.")] = None,
+    flange: Annotated[
+        str | None, typer.Option(help="Name of the site at the flange; the usual ones are found.")
+    ] = None,
 ) -> None:
     """Write an arm's file anew with the package's gripper at its flange and a start that is free."""
     from greenhouse_gym.robots import get_robot, mount_tool
@@ -29,9 +31,9 @@ def rate(
     robot: Annotated[str, typer.Option(help="Name or file of the arm.")],
     out: Annotated[Path, typer.Option(help="Folder of the new bank.")],
     seed: Annotated[int, typer.Option(help="Seed of the goal searches and planners.")] = 0,
-    per_scene: Annotated[int | None, typer.Option(min=1, help="Tomatoes of each scene, the nearest; else all.")] = None,
+    per_scene: Annotated[int | None, typer.Option(min=1, help="Rate the nearest ones of each scene only.")] = None,
 ) -> None:
-    """Rate the targets of a bank for another arm and write a bank beside it; goes on where it was interrupted."""
+    """Rate the targets of a bank for another arm and write a bank beside it; an interrupted run goes on."""
     from greenhouse_gym.planning.rate import rate_bank
     from greenhouse_gym.robots import get_robot
     from greenhouse_gym.scene import SceneBank

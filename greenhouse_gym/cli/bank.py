@@ -10,7 +10,7 @@ import typer
 from greenhouse_gym.progress import progress, say
 
 Bank = Annotated[str, typer.Argument(help="A shipped bank's name or a bank's folder.")]
-Several = Annotated[list[str] | None, typer.Option(help="May be given several times; all if left out.")]
+Several = Annotated[list[str] | None, typer.Option(help="May be given several times; all when left out.")]
 
 app = typer.Typer(
     help="Look at banks of scenes, check them, take parts of them, write them for others.", no_args_is_help=True
@@ -34,7 +34,7 @@ def check(
     bank: Bank = "default",
     witnesses: Annotated[bool, typer.Option(help="Replay every witness in the simulator's world.")] = True,
 ) -> None:
-    """Check a bank's files, checksums, manifest and witnesses; exit status 1 and a line for each fault."""
+    """Check a bank's files, checksums, manifest and witnesses; each fault is a line, and the exit status is then 1."""
     from greenhouse_gym.planning.audit import faults_of
     from greenhouse_gym.scene import SceneBank
 
@@ -82,7 +82,7 @@ def filter_(
     protocol: Several = None,
     difficulty: Several = None,
 ) -> None:
-    """Write the scenes of some kinds as a new bank; of several banks together with --join."""
+    """Write the scenes of some kinds as a new bank; with --join, those of several banks together."""
     from greenhouse_gym.errors import InvalidValueError
     from greenhouse_gym.paths import exclusive
     from greenhouse_gym.scene import SceneBank
@@ -107,13 +107,13 @@ def export(
     bank: Bank,
     format: Annotated[
         str,
-        typer.Option(help="mjcf, urdf, sdf, moveit, ply, obj, stl, vamp, robometrics or motionbenchmaker."),
+        typer.Option(help="One of mjcf, urdf, sdf, moveit, ply, obj, stl, vamp, robometrics, motionbenchmaker."),
     ],
     out: Annotated[Path, typer.Option(help="Folder for the files.")],
     scene: Several = None,
     robot: Annotated[str, typer.Option(help="Name or file of the arm.")] = "ur5e",
     truth: Annotated[
-        bool, typer.Option("--truth", help="What really stands there, as moveit, ply, obj or stl.")
+        bool, typer.Option("--truth", help="Write what really stands there, as moveit, ply, obj or stl.")
     ] = False,
 ) -> None:
     """Write scenes in the formats of other simulators and planners."""

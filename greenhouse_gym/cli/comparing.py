@@ -1,4 +1,4 @@
-"""Commands on agents: compare, submit, demonstrations, watch."""
+"""Commands on agents: compare, submit, leaderboard, demonstrations, watch."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ def compare(
         list[str] | None,
         typer.Argument(
             metavar="[AGENTS]...",
-            help="Planners, policies (names or files), random, still, straight-line, or your own as file.py:Class or "
-            "module:Class.",
+            help="Planners, policies (names or files), random, still, straight-line, resolved-rate, guide, hybrid, "
+            "shielded, or your own as file.py:Class or module:Class.",
         ),
     ] = None,
-    agents: Annotated[str, typer.Option(help="The same, separated by commas.")] = "",
+    agents: Annotated[str, typer.Option(help="Further agents, separated by commas.")] = "",
     bank: Bank = "default",
     split: Annotated[str, typer.Option(help="train, validation or test.")] = "test",
     episodes: Annotated[int, typer.Option(help="Episodes of each agent.")] = 100,
@@ -41,10 +41,10 @@ def compare(
 ) -> None:
     """Run agents on the same episodes and print a table for each track.
 
-    By default a planner, the shipped policy and a random one.
-    Below each table stands whether the agents differ by more than chance, by McNemar's test on the same episodes.
-    Interrupted, it prints the table of the agents it has been through. The work is spread only where that is asked for:
-    processes side by side disturb each other's seconds.
+    By default these are a planner, the shipped policy and a random agent. Lines below each table tell whether the
+    agents differ by more than chance, by McNemar's test on the same episodes. A run that is interrupted prints the
+    table of the agents it has finished. The work is spread over processes only where that is asked for, because
+    processes side by side disturb each other's times.
     """
     from greenhouse_gym.agents.named import make_agent
     from greenhouse_gym.errors import require_choice
@@ -78,9 +78,13 @@ def submit(
     agent: Annotated[str, typer.Argument(help="An agent, as `compare` takes it.")],
     out: Annotated[Path, typer.Option(help="Folder of the entries.")] = Path("benchmarks/leaderboard"),
     track: Annotated[str, typer.Option(help="Tracks, separated by commas.")] = "reconstruction,truth,moved",
-    episodes: Annotated[int, typer.Option(min=1, help="Fewer than the protocol's make no entry, but a try.")] = 1000,
-    num_envs: Annotated[int, typer.Option(help="Episodes played side by side; times are then not those of one.")] = 1,
-    note: Annotated[str, typer.Option(help="What else there is to say, such as training and seeds.")] = "",
+    episodes: Annotated[
+        int, typer.Option(min=1, help="Fewer than the protocol asks for make a trial, no entry.")
+    ] = 1000,
+    num_envs: Annotated[
+        int, typer.Option(help="Episodes side by side; above 1, times are not those of one alone.")
+    ] = 1,
+    note: Annotated[str, typer.Option(help="What else there is to say, such as how it was trained.")] = "",
 ) -> None:
     """Play the episodes of protocol v1 and write the leaderboard's entry (docs/leaderboard.md)."""
     from dataclasses import replace
@@ -112,7 +116,7 @@ def demonstrations(
     agent: Annotated[str, typer.Option(help="Who acts, as `compare` takes it.")] = "guide",
     bank: Bank = "default",
     split: Annotated[str, typer.Option(help="train or validation.")] = "train",
-    observation: Annotated[str, typer.Option(help="What is observed, where the agent does not care.")] = "state",
+    observation: Annotated[str, typer.Option(help="What is observed, unless the agent says so itself.")] = "state",
     episodes: Annotated[int, typer.Option(min=1, help="How many are played; the successful ones are kept.")] = 100,
     seed: Annotated[int, typer.Option(help="Seed of the first episode.")] = 0,
 ) -> None:
@@ -130,7 +134,7 @@ def demonstrations(
 
 def watch(
     agent: Annotated[str, typer.Option(help="Who acts, as `compare` takes it.")] = "ppo-ur5e",
-    out: Annotated[Path, typer.Option(help="MP4 file.")] = Path("episode.mp4"),
+    out: Annotated[Path, typer.Option(help="MP4 file to write.")] = Path("episode.mp4"),
     bank: Bank = "default",
     split: Annotated[str, typer.Option(help="train, validation or test.")] = "validation",
     seed: Annotated[int, typer.Option(help="Seed of the first episode.")] = 0,

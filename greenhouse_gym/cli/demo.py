@@ -71,7 +71,7 @@ class Report:
 def demo(
     out: Annotated[Path, typer.Option(help="Folder for pictures and results.")] = Path("demo"),
     seed: Annotated[int, typer.Option(min=0, help="Seed of everything.")] = 1,
-    quick: Annotated[bool, typer.Option("--quick", help="A much smaller run, as the tests do it.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Make a much smaller run, as the tests do.")] = False,
 ) -> None:
     """Simulate a row, reconstruct it, build a bank, plan, train, compare; about five minutes on two cores."""
     run_demo(out, seed, QUICK if quick else DemoSettings())

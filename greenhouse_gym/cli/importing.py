@@ -15,7 +15,9 @@ from greenhouse_gym.progress import progress, say
 if TYPE_CHECKING:
     from greenhouse_gym.capture import Recording
 
-RigFile = Annotated[Path | None, typer.Option("--rig", help="Where the cameras stand: a rig file of calibrate's.")]
+RigFile = Annotated[
+    Path | None, typer.Option("--rig", help="Where the cameras stand: a rig file that calibrate wrote.")
+]
 
 
 def import_(
@@ -68,7 +70,7 @@ def calibrate(
     rig: RigFile = None,
     format: Format = None,
     board: Annotated[bool, typer.Option("--board/--no-board", help="Whether a ChArUco board was shown.")] = True,
-    squares: Annotated[str, typer.Option(help="Squares of the board, as 8x6.")] = "8x6",
+    squares: Annotated[str, typer.Option(help="Columns and rows of squares on the board, such as 8x6.")] = "8x6",
     square: Annotated[float, typer.Option(help="Side of a square, metres.")] = 0.030,
     marker: Annotated[float, typer.Option(help="Side of a marker, metres.")] = 0.022,
     dictionary: Annotated[str, typer.Option(help="OpenCV's dictionary of the markers.")] = "DICT_5X5_100",
@@ -112,5 +114,7 @@ def _on_rig(opened: Recording, rig: Path | None) -> Recording:
     places = {camera.rig_from_camera.tobytes() for camera in cameras}
     if len(places) < len(cameras):
         names = ", ".join(opened.rig.cameras)
-        raise InvalidValueError(f"where the cameras {names} stand is not known: give --rig, a file of calibrate's")
+        raise InvalidValueError(
+            f"where the cameras {names} stand is not known: give --rig, a file that calibrate wrote"
+        )
     return opened

@@ -14,9 +14,11 @@ from greenhouse_gym.progress import say
 if TYPE_CHECKING:
     from greenhouse_gym.scans import Scan, ScannedRow
 
-Units = Annotated[str | None, typer.Option(help="Of the cloud: m, cm, mm or metres per unit; guessed when left out.")]
-Up = Annotated[str | None, typer.Option(help="What is up in the cloud: x, y, z, -x, -y, -z or a vector as 0,0.1,1.")]
-SeenFrom = Annotated[str | None, typer.Option(help="Where the cloud was seen from, in its own frame, as 0,0,1.2.")]
+Units = Annotated[str | None, typer.Option(help="Unit of the cloud: m, cm, mm or a number of metres; else guessed.")]
+Up = Annotated[
+    str | None, typer.Option(help="What is up in the cloud: x, y, z, -x, -y, -z or a vector such as 0,0.1,1.")
+]
+SeenFrom = Annotated[str | None, typer.Option(help="Where the cloud was seen from, in its own frame, such as 0,0,1.2.")]
 Floor = Annotated[float | None, typer.Option(help="Height of the floor, metres; guessed when left out.")]
 
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from greenhouse_gym.reconstruction import ReconstructionSettings
 
 Out = Annotated[Path, typer.Option("--out", help="Folder for the results.")]
-Format = Annotated[str | None, typer.Option("--format", help="The recording's format; found out when left out.")]
+Format = Annotated[str | None, typer.Option("--format", help="Format of the recording; found out when left out.")]
 
 
 def _reconstruction_settings() -> object:
@@ -41,7 +41,7 @@ def simulate(
     style: Annotated[str, typer.Option(help="Fruit style: cluster, beefsteak or cherry; Helios has more.")] = "cluster",
     source: Annotated[str, typer.Option(help="Where plants come from: own or helios (extra plants).")] = "own",
     protocol: Annotated[
-        str, typer.Option(help="How the row is photographed: paper, upright-back and others.")
+        str, typer.Option(help="How the row is photographed: paper, upright, back, upright-back, two-passes or wrist.")
     ] = "paper",
 ) -> None:
     """Grow a row and photograph it with a simulated rig."""
@@ -58,17 +58,19 @@ def reconstruct(
     recording: Annotated[Path, typer.Argument(help="Folder of the recording.")],
     out: Out,
     method: Annotated[str, typer.Option(help="How to mesh: ball_pivoting, poisson or alpha_shape.")] = "ball_pivoting",
-    points: Annotated[int, typer.Option(min=4, help="Points the cloud is simplified to before it is meshed.")] = 10_000,
-    faces: Annotated[int, typer.Option(min=1, help="Most faces of the mesh.")] = 18_000,
+    points: Annotated[int, typer.Option(min=4, help="Points that the cloud is simplified to before meshing.")] = 10_000,
+    faces: Annotated[int, typer.Option(min=1, help="Largest number of faces of the mesh.")] = 18_000,
     format: Format = None,
-    poses: Annotated[str | None, typer.Option(help="Of the stations: estimate, given or refine.")] = None,
+    poses: Annotated[
+        str | None, typer.Option(help="What to do for the stations' poses: estimate, given or refine.")
+    ] = None,
     settings: SettingsFile = None,
     assignments: Assignments = None,
     print_settings: Annotated[bool, shown(_reconstruction_settings)] = False,
 ) -> None:
     """Turn a recording into a cloud and a mesh, with a report; an interrupted run goes on where it stopped.
 
-    Notes of the way are kept in the folder "walk" beside the results until all results are written.
+    What is done so far is kept in the folder "walk" beside the results until all results are written.
     """
     from greenhouse_gym.capture import open_recording
     from greenhouse_gym.errors import require_choice
@@ -145,7 +147,7 @@ def build(
     out: Out,
     name: Annotated[str, typer.Option(help="The bank's name; the folder's name by default.")] = "",
     format: Format = None,
-    cloud: Annotated[bool, typer.Option("--cloud", help="What is given are files of clouds, not recordings.")] = False,
+    cloud: Annotated[bool, typer.Option("--cloud", help="The arguments are files of clouds, not recordings.")] = False,
     units: Units = None,
     up: Up = None,
     seen_from: SeenFrom = None,
@@ -159,7 +161,7 @@ def build(
 ) -> None:
     """Build a bank of scenes from recordings; an interrupted build goes on where it stopped.
 
-    What the settings leave open in reconstruction is what the recordings' protocol needs.
+    Settings of the reconstruction that are not given are those that the recordings' protocol needs.
     """
     from greenhouse_gym.extras import require_extras
 
@@ -199,8 +201,12 @@ def formats() -> None:
 def build_shipped(
     out: Out = Path("scenes"),
     parts: Annotated[Path, typer.Option(help="Folder for the bank of each recording.")] = Path("runs/shipped"),
-    processes: Annotated[int | None, typer.Option(min=1, help="Recordings built side by side; one per core.")] = None,
-    finished_only: Annotated[bool, typer.Option("--finished-only", help="Join the parts there are.")] = False,
+    processes: Annotated[
+        int | None, typer.Option(min=1, help="Recordings built side by side; one per core by default.")
+    ] = None,
+    finished_only: Annotated[
+        bool, typer.Option("--finished-only", help="Only join the parts that are finished.")
+    ] = False,
 ) -> None:
     """Build the banks that ship with the package, from simulated recordings: ``default``, and ``mini`` for tests.
 

@@ -10,7 +10,8 @@ import typer
 
 SettingsFile = Annotated[Path | None, typer.Option("--settings", help="TOML or JSON file of settings.")]
 Assignments = Annotated[
-    list[str] | None, typer.Option("--set", help="A setting, as voxel=0.004; again for another.", show_default=False)
+    list[str] | None,
+    typer.Option("--set", help="A setting such as voxel=0.004; may be given again.", show_default=False),
 ]
 
 

@@ -12,7 +12,9 @@ if TYPE_CHECKING:
 
 Backend = Annotated[
     str | None,
-    typer.Option(help="Where the work is done: serial, processes or ray. With the same results.", show_default=False),
+    typer.Option(
+        help="Where the work is done: serial, processes or ray; the results are the same.", show_default=False
+    ),
 ]
 Address = Annotated[str, typer.Option(help="With ray: local, auto, or HOST:PORT of a cluster's head.")]
 Workers = Annotated[

@@ -21,7 +21,7 @@ TIP_SPEED, TIP_TURN = 0.5, 1.6
 """What a tip action of 1 asks for: metres per second, radians per second."""
 
 DAMPING = 0.05
-"""Of the least squares that turn tip velocities into joint velocities: near singular configurations the tip slows."""
+"""Damping of the least squares from tip to joint velocities: near singular configurations the tip slows."""
 
 
 class ToolMotion(NamedTuple):
@@ -94,7 +94,7 @@ class JointIncrements:
         self.peak = joint_steps(robot, pace_of(1 / interval))
 
     def __call__(self, action: Array, situation: Situation, motion: ToolMotion) -> Array:
-        """The action times the step."""
+        """The wished changes: the action times the step."""
         return self.peak * action
 
 
@@ -106,7 +106,7 @@ class JointVelocities:
         self.peak = robot.velocity_limits * interval
 
     def __call__(self, action: Array, situation: Situation, motion: ToolMotion) -> Array:
-        """The action times the way at full speed."""
+        """The wished changes: the action times the way that a joint goes at full speed."""
         return self.peak * action
 
 
@@ -162,7 +162,7 @@ class CommandLimits:
 
     Args:
         robot: The arm.
-        rule: What wishes; its ``peak`` (j,), where it has one, is the most it may ask of each joint, radians.
+        rule: The kind of action; its ``peak`` (j,), where it has one, is the most it may ask of each joint, radians.
         pace: How the time goes.
     """
 

@@ -11,13 +11,14 @@ from greenhouse_gym.geometry import Array
 from greenhouse_gym.scene.field import FieldStore
 
 AZIMUTHS, ELEVATIONS = np.radians([-80, -48, -16, 16, 48, 80]), np.radians([-50, -17, 17, 50])
-"""Of the rays, from the target towards the arm's side of the plants; the first azimuth lies to the arm's right."""
+"""Directions of the rays from the target toward the arm's side of the plants, radians; the first azimuth is on the
+arm's right."""
 
 NEAR, FAR = (0.05, 0.09, 0.13), (0.18, 0.24, 0.30)
 """Distances from the target's center, metres, at which the tool and the wrist would be."""
 
 ROOM = 2 * len(AZIMUTHS) * len(ELEVATIONS)
-"""Numbers that `room_around` gives."""
+"""How many numbers `room_around` gives."""
 
 
 def _rays() -> Array:
@@ -36,9 +37,9 @@ def room_around(fields: FieldStore, slot: int, ignored: int, target: Array) -> F
 
     Args:
         fields: The distance fields.
-        slot: The scene's.
+        slot: The slot of the scene's field.
         ignored: Index of the target, which is no obstacle, or `NO_TOMATO`.
-        target: (3,) its center in the frame of the arm's base, metres.
+        target: (3,) the target's center in the frame of the arm's base, metres.
     """
     points = (target + _POINTS).reshape(1, -1, 3)
     distance, _ = fields.lookup(np.array([slot]), np.array([ignored]), points)

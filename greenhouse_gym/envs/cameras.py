@@ -94,12 +94,12 @@ class Pictures(NamedTuple):
     views: Array
 
     def first(self, count: int) -> Pictures:
-        """Those of the first so many simulations."""
+        """The pictures of the first ``count`` simulations."""
         return self if count == len(self.depth) else Pictures._make(values[:count] for values in self)
 
 
 def no_pictures(count: int) -> Pictures:
-    """What no camera sees."""
+    """Pictures of no camera at all."""
     return Pictures(
         np.empty((count, 0, 0, 0), np.float32), np.empty((count, 0, 0, 0, 3), np.uint8), np.empty((count, 0, 4, 4))
     )
@@ -110,7 +110,7 @@ class CameraRig:
 
     Args:
         cameras: The cameras; all of one size.
-        compiled: Any of the scenes.
+        compiled: Any of the scenes, since all have one layout.
         threads: Threads that cast rays.
         sees_arm: Whether the arm is in the depth images; otherwise its pixels give no reading.
         sees_color: Whether there are color images, too, in which the arm always is.

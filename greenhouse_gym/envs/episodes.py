@@ -96,7 +96,7 @@ class EpisodeSampler:
         return None if self._window.whole else WINDOW
 
     def restart(self, seed: int) -> None:
-        """Draw the scenes of a large bank in the order of a seed from now on; of others nothing changes."""
+        """From now on, draw the scenes of a large bank in the order of a seed; a small bank stays as it is."""
         self._window.restart(seed)
 
     def set_difficulty(self, difficulty: DifficultyChoice) -> None:

@@ -19,7 +19,7 @@ _BODY = ("joint_position", "joint_velocity", "command_error", "grasp_offset", "t
 
 
 class _WithImages(Sight, ABC):
-    """The arm's own state and the target's place; below, what one camera sees is put beside it."""
+    """The arm's own state and the target's place; subclasses put beside it what one camera sees."""
 
     def __init__(self, robot: Robot, camera: DepthCamera, images: dict[str, spaces.Space[Any]]):
         self._vector = Vector(robot, _BODY)

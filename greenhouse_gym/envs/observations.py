@@ -116,7 +116,7 @@ class Vector:
 
     Args:
         robot: The arm.
-        names: Of the groups, in order.
+        names: Names of the groups, in order.
 
     Attributes:
         layout: Name of each group with its number of entries.
@@ -165,7 +165,7 @@ class StateObservation(Sight):
 
 
 class ApproachObservation(Sight):
-    """As `StateObservation`, and from where the target can be approached: the room on rays away from it."""
+    """The vector of `StateObservation`, then the room on rays away from the target: how it can be approached."""
 
     asks_for_room = True
 

@@ -157,14 +157,13 @@ class Physics:
         geoms = sorted((int(contact.geom1), int(contact.geom2)), key=lambda g: model.geom_bodyid[g], reverse=True)
         world = self._worlds[i]
         assert world is not None
-        names = tuple(
-            name_of(world.compiled.model, g) for g in geoms
-        )  # the simulation's own has the first scene's names
+        # The simulation's own model has the names of the first scene, so they are read from the world's.
+        names = tuple(name_of(world.compiled.model, g) for g in geoms)
         return Contact(names, of_arm_alone=bool(model.geom_bodyid[geoms[1]] > 0))
 
 
 def name_of(model: mujoco.MjModel, geom: int) -> str:
-    """A geom's name; for one without a name that of the body it belongs to, as arms of other makers have them."""
+    """A geom's name, or that of its body where it has none, as in files of other makers' arms."""
     return str(model.geom(geom).name or model.body(model.geom_bodyid[geom]).name or f"geom {geom}")
 
 

@@ -1,4 +1,4 @@
-"""Domain randomisation: what an episode gets wrong on purpose, off by default and drawn from the episode's seed."""
+"""Domain randomization: what an episode gets wrong on purpose, off by default and drawn from the episode's seed."""
 
 from __future__ import annotations
 
@@ -47,15 +47,15 @@ class Randomization:
 
 
 NO_RANDOMIZATION = Randomization()
-"""Everything is as it is told."""
+"""Nothing is randomized: everything is as it is told."""
 
 
 class Disturbance(NamedTuple):
     """What was drawn for an episode.
 
     Attributes:
-        shift: (2,) of the base, metres.
-        yaw: Of the base, radians.
+        shift: (2,) shift of the base, metres.
+        yaw: Turn of the base, radians.
         joints: (j,) added to the observed joint positions, radians.
         target: (3,) added to the observed target, metres.
         noise: Generator of the depth images' noise, or None.
@@ -71,7 +71,7 @@ class Disturbance(NamedTuple):
 
 
 def draw_disturbance(settings: Randomization, joints: int, random: np.random.Generator) -> Disturbance:
-    """Draw an episode's disturbance; a switch that is off draws nothing, so seeds keep their meaning."""
+    """Draw an episode's disturbance; what is off draws nothing, so that seeds keep their meaning."""
 
     def uniform(size: float, shape: int) -> Array:
         return random.uniform(-size, size, shape) if size else np.zeros(shape)
@@ -87,7 +87,7 @@ def draw_disturbance(settings: Randomization, joints: int, random: np.random.Gen
 
 
 def displace_base(model: mujoco.MjModel, heading: Array, shift: Array, yaw: float) -> None:
-    """Move the arm of a freshly loaded model on its stand; ``heading`` (2,) is cosine and sine of the stand's."""
+    """Move the arm of a freshly loaded model on its stand; ``heading`` (2,) is the stand's, as cosine and sine."""
     cosine, sine = heading
     model.body_pos[1, 0] += cosine * shift[0] - sine * shift[1]
     model.body_pos[1, 1] += sine * shift[0] + cosine * shift[1]

@@ -28,14 +28,14 @@ RATE = 20
 """Actions per second, unless the settings say otherwise."""
 
 SUBSTEPS = 5
-"""Physics steps of 10 ms per action at that rate."""
+"""Physics steps of 10 ms per action at the usual rate."""
 
 ACTION_STEP = 0.08
-"""What an action of 1 adds to a joint's command at that rate, radians."""
+"""What an action of 1 adds to a joint's command at the usual rate, radians."""
 
 MAX_LEAD = 0.2
-"""How far a command may lie from the measured joint at that rate, radians; at full speed the arm follows 0.1 rad
-behind."""
+"""How far a command may lie from the measured joint at the usual rate, radians; at full speed the arm follows 0.1 rad
+behind its commands."""
 
 
 class Pace(NamedTuple):

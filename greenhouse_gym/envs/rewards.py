@@ -21,7 +21,7 @@ class Transition:
 
     Attributes:
         before: (n,) distance from the grasp point to its goal before the step, metres.
-        after: (n,) the same after it.
+        after: (n,) that distance after the step.
         touched: (n,) whether anything was touched in the step, which ends the episode.
         success: (n,) whether the grasp point arrived and nothing was touched, which ends the episode.
         effort: (n,) sum of the squares of the action's entries.
@@ -72,11 +72,11 @@ Reward: TypeAlias = Callable[[Transition], Terms]
 
 @dataclass(frozen=True)
 class SparseReward:
-    """Paid at the end only.
+    """A reward that is paid only at the end of an episode.
 
     Attributes:
-        success: For a success.
-        collision: For a collision.
+        success: What a success is worth.
+        collision: What a collision is worth.
     """
 
     success: float = 1.0
@@ -95,17 +95,17 @@ class SparseReward:
 
 @dataclass(frozen=True)
 class DenseReward:
-    """Paid for progress, too.
+    """A reward that is also paid for progress.
 
     From one start, every success returns more than any crash: progress telescopes to the same 4 d in both, and time
     and effort cost at most 8.2 (with 7 joints) of the 11 between them.
 
     Attributes:
-        success: For a success.
-        collision: For a collision.
-        progress: Per metre that the grasp point came nearer to its goal.
-        time: Per step.
-        effort: Times the sum of the squares of the action's entries.
+        success: What a success is worth.
+        collision: What a collision is worth.
+        progress: What each metre is worth by which the grasp point came nearer to its goal.
+        time: What each step is worth.
+        effort: What the sum of the squares of the action's entries is multiplied by.
     """
 
     success: float = 10.0

@@ -107,9 +107,8 @@ class ReachSimulation:
         self._disturbances: list[Disturbance | None] = [None] * count
         self._names = {key: np.full(count, "", dtype=object) for key in ("scene", "difficulty")}
         self._contact, self._self_collision = np.full(count, None, dtype=object), np.zeros(count, dtype=np.bool_)
-        self._counts = {
-            key: np.zeros(count, dtype=np.int64) for key in ("steps", "slowed", "limited", "target")
-        }  # of the episode so far; the target's index is kept with them
+        # Counts of the episode so far; the target's index is kept with them.
+        self._counts = {key: np.zeros(count, dtype=np.int64) for key in ("steps", "slowed", "limited", "target")}
         self._joint_offset = np.zeros((count, len(robot.joints)))
         self._field, self._ignored = np.zeros((2, count), dtype=np.int64)
         self._frame = np.zeros((count, 5))  # base position and cosine, sine of its heading
@@ -140,7 +139,7 @@ class ReachSimulation:
         An error leaves all as it was.
 
         Args:
-            ids: Which.
+            ids: Indices of these simulations.
             random: A generator for each of the n simulations.
             options: Options of the reset for each of the n simulations.
         """

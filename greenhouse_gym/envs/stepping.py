@@ -52,7 +52,7 @@ class Stepper(Protocol):
         qpos: (n, j) joint positions, radians; all arrays are live.
         qvel: (n, j) joint velocities, rad/s.
         command: (n, j) commanded positions, radians.
-        speed: (n, j) how fast they move, rad/s.
+        speed: (n, j) how fast the commands move, rad/s.
         warmstart: (n, j) what the solver of contacts and limits begins with.
         site_xpos: (n, sites, 3) positions of the sites, metres.
         site_xmat: (n, sites, 9) their frames.
@@ -71,10 +71,10 @@ class Stepper(Protocol):
     xaxis: Array
 
     def place(self, ids: Ids, configurations: Array) -> Bools:
-        """Put some arms, whose models may have been edited, at rest at configurations; which of them touch anything."""
+        """Put some arms, whose models may have been edited, at rest at configurations; tell which touch anything."""
 
     def run(self) -> Bools:
-        """Make the physics steps of an action; (n,) which touched anything in them, or where they stood before."""
+        """Make the physics steps of an action; tell (n,) which touched anything in them, or where they stood before."""
 
 
 class OneStepper:

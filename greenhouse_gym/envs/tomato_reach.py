@@ -85,7 +85,7 @@ class TomatoReachEnv(gymnasium.Env[Observed, npt.NDArray[np.float32]]):
     | | ``state`` | (3 j + 6,) float32 | as in ``depth`` |
     | ``rgbd`` | ``depth``, ``rgb``, ``state`` | | as above |
 
-    In ``goal``, tip position (m) and tool axis (unit vector) stand for offset and target, and the clearances count the
+    In ``goal``, tip position (m) and tool axis (unit vector) replace offset and target, and the clearances count the
     target as an obstacle, so that nothing in it depends on the target. The room around the target is the distance to
     obstacles on 24 rays from its center towards the arm's side (azimuths by `AZIMUTHS`, within each elevations by
     `ELEVATIONS`), for each ray the smallest at 5 to 13 cm, where the tool would be, and at 18 to 30 cm, of the wrist.

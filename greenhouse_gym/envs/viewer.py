@@ -53,7 +53,7 @@ class Viewer:
             data: Its state.
             stand: Where the arm stands.
             tip: (3,) where the red line begins, metres.
-            target: (3,) where it ends.
+            target: (3,) where the red line ends, metres.
             trace: Points (3,) the tip went through, in pink.
 
         Raises:

@@ -12,16 +12,16 @@ from collections.abc import Sequence
 import numpy as np
 
 LARGEST_WHOLE = 300
-"""A split with no more scenes is drawn from as a whole."""
+"""A split with no more scenes than this is drawn from as a whole."""
 
 WINDOW = 96
-"""Scenes of a larger one that are drawn from at a time."""
+"""How many scenes of a larger split are drawn from at a time."""
 
 FIRST = 64
-"""Scenes that a window begins with, so that the first episodes need not wait for all of it."""
+"""How many scenes a window begins with, so that the first episodes need not wait for all of them."""
 
 DRAWS_PER_SCENE = 256
-"""Draws after which the next scene comes into the window; about as often each is drawn before it leaves."""
+"""After so many draws the next scene comes into the window; each is drawn about as often before it leaves."""
 
 
 class SceneWindow:

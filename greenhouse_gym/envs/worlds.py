@@ -24,10 +24,10 @@ from greenhouse_gym.scene.plant_motion import PlantMotion, moved_plants
 _ROUND = 100
 
 KEPT = LARGEST_WHOLE
-"""Worlds of one kind that are kept ready; each takes about 3 MB, and its scene 1 MB."""
+"""How many worlds of one kind are kept ready; each takes about 3 MB, and its scene 1 MB."""
 
 KINDS_KEPT = 8
-"""Kinds of worlds (arm, physics, capacity, rate) whose worlds are kept ready for the next environment."""
+"""How many kinds of worlds (arm, physics, capacity, rate) are kept ready for the next environment."""
 
 _SCENE_FIELDS = (
     # The bounding-volume tree goes with the geoms: with a stale tree MuJoCo misses contacts.
@@ -129,7 +129,7 @@ class Worlds:
 
         Args:
             scene: The scene.
-            keep: Worlds that are to be kept, those asked for last; `KEPT` by default.
+            keep: How many worlds are to be kept, those asked for last; `KEPT` by default.
 
         Raises:
             InvalidValueError: The scene has more obstacles than fit, or no truth where the physics are to run on it.

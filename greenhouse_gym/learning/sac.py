@@ -129,12 +129,12 @@ def train_sac(
         settings: The settings.
         total_steps: Steps of all simulations together.
         minutes: Of processor time, after which it stops earlier.
-        every: Steps from one judgement to the next.
-        episodes: Per judgement and split; the same ones each time.
-        tell: Gets each judgement at once.
+        every: Steps from one judgment to the next.
+        episodes: Per judgment and split; the same ones each time.
+        tell: Gets each judgment at once.
 
     Returns:
-        The Stable-Baselines3 model and the judgements.
+        The Stable-Baselines3 model and the judgments.
     """
     require_seed(settings.seed)
     model = make_sac(settings)

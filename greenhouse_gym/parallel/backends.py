@@ -22,7 +22,7 @@ def executor_for(backend: str, workers: int | None = None, address: str = "local
     Args:
         backend: One of `BACKENDS`.
         workers: Processes on this machine; None for one per core. Another machine's cluster has its own number.
-        address: Of the Ray cluster, as `RayExecutor` takes it.
+        address: Address of the Ray cluster, as `RayExecutor` takes it.
 
     Yields:
         The executor; None for "serial".

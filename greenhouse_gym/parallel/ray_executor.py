@@ -37,7 +37,7 @@ class RayExecutor(Executor):
         address: "local" for the cores of this machine alone, "HOST:PORT" of a cluster's head, or "auto" for the cluster
             this machine belongs to. A process that has joined one already stays in it.
         cpus: Cores that each piece of work takes.
-        memory: Bytes that each takes; Ray begins no more at a time than fit. None to not count.
+        memory: Bytes that each takes; Ray begins no more at a time than fit. With None, memory is not counted.
         retries: How often a piece is begun anew when its node or process dies.
         workers: With "local", how many cores to use; None for all.
 

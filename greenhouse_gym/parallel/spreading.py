@@ -33,7 +33,7 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 _WAITING = (
-    2  # pieces that are handed out per worker, the one at work included: none runs dry, and few are to be canceled
+    2  # pieces that are handed out per worker, the one at work included: so none runs dry, and few have to be canceled
 )
 
 

@@ -48,7 +48,7 @@ SEEDS = 3
 """Runs per target; those that cannot change the rating any more are left out."""
 
 _TIME_LIMIT = 60.0  # seconds; far more than the checks take, so that they and not the machine decide
-_DECIMALS = 6  # of a witness, radians
+_DECIMALS = 6  # to which a witness is rounded, radians
 
 
 def certify_targets(

@@ -1,6 +1,6 @@
 """Goal configurations: arm configurations with the grasp point on the target's center and nothing touched.
 
-Method: the randomised forward kinematics search of "Simulation of a robotics operation" in the paper this package
+Method: the randomized forward kinematics search of "Simulation of a robotics operation" in the paper this package
 follows, random configurations with the grasp point within a threshold of the target, brought onto it by inverse
 kinematics (damped least squares; Wampler 1986), without near-duplicates. Everything runs on batches.
 """
@@ -22,10 +22,10 @@ from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.mjcf import CompiledScene
 
 SAMPLE_BUDGET = 40_000
-"""Random configurations after which the search gives up."""
+"""After so many random configurations the search gives up."""
 
 CAREFUL_BUDGET = 5_000
-"""The same where the arm has to keep out of unseen space: of many tomatoes none is found, however long one looks."""
+"""The same where the arm keeps out of unseen space: for many tomatoes nothing is found, however long the search."""
 
 TOLERANCE = 1e-3
 """Distance of the grasp point from the target's center at which inverse kinematics has converged, metres."""
@@ -207,8 +207,8 @@ def inverse_kinematics(
         guesses: (m, n) configurations, radians.
         point: (3,) where the grasp point shall be, metres, world frame.
         ahead: Distance of the grasp point from the tip along the tool axis, metres.
-        arm: Whose limits hold.
-        approach: Into which cone the tool axis shall come, too.
+        arm: The arm whose limits hold.
+        approach: The cone that the tool axis is to come into as well; None where any direction will do.
 
     Returns:
         (k, n) the k <= m configurations that converged to `TOLERANCE`, in the order of their guesses.

@@ -42,9 +42,9 @@ class Ompl:
     """The installed OMPL.
 
     Attributes:
-        base: Its module of that name.
-        geometric: Its module of that name.
-        util: Its module of that name.
+        base: Its module ``base``.
+        geometric: Its module ``geometric``.
+        util: Its module ``util``.
         library: The file of its C++ library where that is 1.7.0's, else None.
         version: 1 or 2.
     """

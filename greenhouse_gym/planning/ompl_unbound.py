@@ -40,10 +40,10 @@ _SETTERS: dict[str, dict[str, tuple[str, Any]]] = {
 }
 
 UNBOUND = tuple(_SETTERS)
-"""Names of these planners."""
+"""Names of the planners that are called here."""
 
 THREADED = ("CForest", "pRRT", "pSBL")
-"""Those that check from threads of their own."""
+"""The ones of them that check from threads of their own."""
 
 JOINING = {"BiTRRT": 0.08}
 """Fineness (radians) to give a planner that joins its trees only over ten times that, whatever is free beyond."""
@@ -63,7 +63,7 @@ class UnboundPlanner:
         timed: Makes OMPL's termination condition for a number of seconds.
         name: One of `UNBOUND`.
         definition: OMPL's problem definition.
-        settings: By OMPL's names.
+        settings: Its settings, by OMPL's names.
 
     Raises:
         ValueError: The planner does not know a setting.
@@ -113,7 +113,7 @@ class UnboundPlanner:
             self._termination.terminate()
 
     def best_cost(self) -> None:
-        """These planners do not tell."""
+        """None, since these planners do not tell it."""
 
     def read_data(self, data: Any) -> None:
         """Fill OMPL's planner data."""

@@ -66,7 +66,7 @@ def serve(handle: int, memory_limit: int, caller: int) -> None:
         "parameters": lambda name: planner_parameters(ompl, name),
         "solve": lambda query: solve(ompl, query),
         "sleep": time.sleep,  # stands in for a planner that ignores its time limit
-        "fill": lambda size: len(bytearray(size)),  # and for one that takes all memory
+        "fill": lambda size: len(bytearray(size)),  # stands in for a planner that takes all memory
     }
     while True:
         try:

@@ -30,7 +30,7 @@ def path_length(path: npt.ArrayLike) -> float:
 
 
 def resample(path: npt.ArrayLike, step: float) -> Array:
-    """Points (m, n) on a path (k, n), its corners among them, no two neighbours farther apart than ``step`` anywhere.
+    """Points (m, n) on a path (k, n), its corners among them, no two neighbors farther apart than ``step`` anywhere.
 
     Args:
         path: The polyline.

@@ -79,10 +79,10 @@ class BiTRRTSettings(RangeSettings):
     """BiTRRT."""
 
     cost_threshold: float = math.inf  # states that cost more are refused
-    frontier_node_ratio: float = 0.1  # of frontier to other nodes
+    frontier_node_ratio: float = 0.1  # ratio of frontier nodes to other nodes
     frontier_threshold: float = 0.0  # distance from which a node is at the frontier; 0: OMPL's choice
     init_temperature: float = 100.0  # higher lets more costly motions pass
-    temp_change_factor: float = 0.1  # by which the temperature rises and falls
+    temp_change_factor: float = 0.1  # factor by which the temperature rises and falls
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ class RewiredTreeSettings(BiasedRangeSettings):
     """What the relatives of RRT* have in common."""
 
     number_sampling_attempts: int = 100  # to find an informed sample
-    rewire_factor: float = 1.1  # of the least number or radius of neighbors
+    rewire_factor: float = 1.1  # multiple of the least number or radius of neighbors
     use_k_nearest: bool = True  # a number of neighbors instead of a radius
 
 
@@ -112,7 +112,7 @@ class RRTsharpSettings(RewiredTreeSettings):
 
     informed_sampling: bool = False  # only where the path can still get shorter
     rejection_variant: int = 0  # 0 to 3: how samples are refused
-    rejection_variant_alpha: float = 1.0  # weight of that
+    rejection_variant_alpha: float = 1.0  # weight of the cost in refusing samples
     sample_rejection: bool = False  # refuse samples that cannot help
     update_children: bool = True  # pass improvements on at once
 
@@ -152,7 +152,7 @@ class RRTstarSettings(InformedRRTstarSettings):
     pruned_measure: bool = False  # count neighbors by the pruned space
     sample_rejection: bool = False  # refuse samples that cannot help
     tree_pruning: bool = False  # remove what cannot help
-    use_admissible_heuristic: bool = True  # for pruning
+    use_admissible_heuristic: bool = True  # prune by a heuristic that never overestimates
 
 
 @dataclass(frozen=True)
@@ -169,8 +169,8 @@ class KPIECESettings(BiasedRangeSettings):
     """KPIECE1."""
 
     border_fraction: float = 0.9  # share of the growth that starts at border cells
-    failed_expansion_score_factor: float = 0.5  # by which a cell's score falls after a failure
-    min_valid_path_fraction: float = 0.2  # of a motion that must be free to be kept in part
+    failed_expansion_score_factor: float = 0.5  # factor by which a cell's score falls after a failure
+    min_valid_path_fraction: float = 0.2  # share of a motion that must be free to be kept in part
 
 
 @dataclass(frozen=True)
@@ -178,14 +178,14 @@ class LBKPIECESettings(RangeSettings):
     """LBKPIECE1."""
 
     border_fraction: float = 0.9  # share of the growth that starts at border cells
-    min_valid_path_fraction: float = 0.5  # of a motion that must be free to be kept in part
+    min_valid_path_fraction: float = 0.5  # share of a motion that must be free to be kept in part
 
 
 @dataclass(frozen=True)
 class BKPIECESettings(LBKPIECESettings):
     """BKPIECE1."""
 
-    failed_expansion_score_factor: float = 0.5  # by which a cell's score falls after a failure
+    failed_expansion_score_factor: float = 0.5  # factor by which a cell's score falls after a failure
 
 
 @dataclass(frozen=True)
@@ -193,11 +193,11 @@ class STRIDESettings(BiasedRangeSettings):
     """STRIDE."""
 
     degree: int = 16  # children of a node of the neighbor structure
-    estimated_dimension: float = 6.0  # of the free space
-    max_degree: int = 18  # of a node of the neighbor structure
-    max_pts_per_leaf: int = 6  # of the neighbor structure
-    min_degree: int = 12  # of a node of the neighbor structure
-    min_valid_path_fraction: float = 0.2  # of a motion that must be free to be kept in part
+    estimated_dimension: float = 6.0  # dimension of the free space
+    max_degree: int = 18  # most children of such a node
+    max_pts_per_leaf: int = 6  # most points in a leaf of that structure
+    min_degree: int = 12  # fewest children of such a node
+    min_valid_path_fraction: float = 0.2  # share of a motion that must be free to be kept in part
     use_projected_distance: bool = False  # distances in a projection
 
 
@@ -205,7 +205,7 @@ class STRIDESettings(BiasedRangeSettings):
 class RoadmapSettings(PlannerSettings):
     """PRM."""
 
-    max_nearest_neighbors: int = 0  # a node is joined to; 0: OMPL's choice
+    max_nearest_neighbors: int = 0  # nodes that a node is joined to; 0: OMPL's choice
 
 
 @dataclass(frozen=True)
@@ -217,17 +217,17 @@ class LazyPRMSettings(RoadmapSettings, RangeSettings):
 class SPARSSettings(PlannerSettings):
     """SPARS."""
 
-    dense_delta_fraction: float = 0.001  # of the space: distance of interfaces
-    max_failures: int = 1000  # in a row, after which the roadmap counts as complete
-    sparse_delta_fraction: float = 0.25  # of the space: what a guard sees
-    stretch_factor: float = 3.0  # by which paths may be longer than in the dense roadmap
+    dense_delta_fraction: float = 0.001  # distance of interfaces, as a share of the space
+    max_failures: int = 1000  # failures in a row after which the roadmap counts as complete
+    sparse_delta_fraction: float = 0.25  # distance that a guard sees, as a share of the space
+    stretch_factor: float = 3.0  # factor by which paths may be longer than in the dense roadmap
 
 
 @dataclass(frozen=True)
 class SPARStwoSettings(SPARSSettings):
     """SPARStwo."""
 
-    max_failures: int = 5000  # in a row, after which the roadmap counts as complete
+    max_failures: int = 5000  # failures in a row after which the roadmap counts as complete
 
 
 @dataclass(frozen=True)
@@ -237,8 +237,8 @@ class FMTSettings(PlannerSettings):
     cache_cc: bool = True  # remember collision checks
     extended_fmt: bool = True  # more samples where the first do not do
     heuristics: bool = False  # prefer what is near the goal
-    num_samples: int = 1000  # in the first batch
-    radius_multiplier: float = 1.1  # of the least radius of neighbors
+    num_samples: int = 1000  # samples in the first batch
+    radius_multiplier: float = 1.1  # multiple of the least radius of neighbors
     use_k_nearest: bool = True  # a number of neighbors instead of a radius
 
 
@@ -251,16 +251,16 @@ class BFMTSettings(PlannerSettings):
     extended_fmt: bool = True  # more samples where the first do not do; OMPL 1.7.0 dies of that in a run out of ten
     heuristics: bool = True  # prefer what is near the other tree
     nearest_k: bool = True  # a number of neighbors instead of a radius
-    num_samples: int = 1000  # in the first batch
+    num_samples: int = 1000  # samples in the first batch
     optimality: bool = True  # end at the best meeting of the trees, not at the first
-    radius_multiplier: float = 1.0  # of the least radius of neighbors
+    radius_multiplier: float = 1.0  # multiple of the least radius of neighbors
 
 
 @dataclass(frozen=True)
 class BatchSettings(PlannerSettings):
     """What the planners that search batches of samples have in common."""
 
-    rewire_factor: float = 1.1  # of the least number or radius of neighbors
+    rewire_factor: float = 1.1  # multiple of the least number or radius of neighbors
     use_graph_pruning: bool = True  # remove what cannot help
     use_k_nearest: bool = True  # a number of neighbors instead of a radius
 
@@ -269,12 +269,12 @@ class BatchSettings(PlannerSettings):
 class BITstarSettings(BatchSettings):
     """BITstar."""
 
-    delay_rewiring_to_first_solution: bool = False  # improve the tree only then
-    drop_unconnected_samples_on_prune: bool = False  # when pruning
+    delay_rewiring_to_first_solution: bool = False  # improve the tree only once there is a path
+    drop_unconnected_samples_on_prune: bool = False  # forget samples without a connection when pruning
     find_approximate_solutions: bool = False  # ends near a goal count, too
     prune_threshold_as_fractional_cost_change: float = 0.05  # improvement from which samples are pruned
-    samples_per_batch: int = 100  # samples
-    stop_on_each_solution_improvement: bool = False  # return from the search then
+    samples_per_batch: int = 100  # samples drawn at once
+    stop_on_each_solution_improvement: bool = False  # return from the search at each better path
     use_just_in_time_sampling: bool = False  # samples only where the search gets
     use_strict_queue_ordering: bool = True  # keep the queue exact
 
@@ -283,18 +283,18 @@ class BITstarSettings(BatchSettings):
 class ABITstarSettings(BITstarSettings):
     """ABITstar."""
 
-    inflation_scaling_parameter: float = 10.0  # by which the inflation falls
-    initial_inflation_factor: float = 1_000_000.0  # of the heuristic
-    truncation_scaling_parameter: float = 5.0  # by which the truncation falls
+    inflation_scaling_parameter: float = 10.0  # how fast the inflation falls
+    initial_inflation_factor: float = 1_000_000.0  # factor of the heuristic at first
+    truncation_scaling_parameter: float = 5.0  # how fast the truncation falls
 
 
 @dataclass(frozen=True)
 class AITstarSettings(BatchSettings):
     """AITstar."""
 
-    rewire_factor: float = 1.0  # of the least number or radius of neighbors
+    rewire_factor: float = 1.0  # multiple of the least number or radius of neighbors
     find_approximate_solutions: bool = True  # ends near a goal count, too
-    samples_per_batch: int = 100  # samples
+    samples_per_batch: int = 100  # samples drawn at once
     set_max_num_goals: int = 10  # goals looked at
 
 
@@ -302,8 +302,8 @@ class AITstarSettings(BatchSettings):
 class EITstarSettings(BatchSettings):
     """EITstar."""
 
-    rewire_factor: float = 1.001  # of the least number or radius of neighbors
-    batch_size: int = 100  # samples
+    rewire_factor: float = 1.001  # multiple of the least number or radius of neighbors
+    batch_size: int = 100  # samples drawn at once
     find_approximate_solutions: bool = True  # ends near a goal count, too
     set_max_num_goals: int = 1  # goals looked at
 

@@ -24,7 +24,7 @@ from greenhouse_gym.planning.proof import ProvingChecker
 
 
 class OutOfBudget(GreenhouseError):  # noqa: N818
-    """The search has used up its time or its checks; a planner lets it pass."""
+    """The search has used up its time or its checks; a planner lets this error pass."""
 
 
 class PlannerFailedError(GreenhouseError):

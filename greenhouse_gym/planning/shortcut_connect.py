@@ -20,8 +20,8 @@ from greenhouse_gym.planning.planner_settings import PlannerSettings
 from greenhouse_gym.planning.registered import PlanningProblem
 
 _NEAREST = 8  # goals that are tried by a straight motion before anything is searched
-_NODES = 4000  # of a search, after which it gives up
-_DRAWS = 200  # of 32 samples each, after which no shorter way is believed in
+_NODES = 4000  # after which a search gives up
+_DRAWS = 200  # draws of 32 samples each, after which no shorter way is believed in
 _GAIN = 0.01  # share of its length by which a path must get shorter for a search to have brought something
 
 

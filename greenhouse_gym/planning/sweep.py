@@ -34,7 +34,7 @@ Run = dict[str, Any]
 """What was asked of a planner and what came of it, as a line of ``runs.jsonl``."""
 
 _KEYS = ("planner", "scene", "scene_hash", "target", "seed", "max_checks", "time_limit", "first_solution")
-_STEPS = 20  # of the cost's improvement that are noted, about
+_STEPS = 20  # about as many steps of the cost's improvement are noted
 
 
 @dataclass(frozen=True)
@@ -169,7 +169,7 @@ def _made(piece: _Piece) -> list[Run]:
 
 
 def measure(scene: Scene, wanted: Run, goals: Goals, goal_seconds: float) -> Run:
-    """One run."""
+    """Run a planner once, and note what came of it."""
     result = plan(
         scene, wanted["target"], planner=wanted["planner"], time_limit=wanted["time_limit"],
         max_checks=wanted["max_checks"], goals=goals, seed=wanted["seed"], first_solution=wanted["first_solution"],

@@ -10,7 +10,7 @@ from greenhouse_gym.planning.collision import MARGIN, CollisionChecker, planning
 from greenhouse_gym.planning.path import CORNER_TOLERANCE, follow_path
 from greenhouse_gym.scene.mjcf import CompiledScene
 
-_HALVINGS = 4  # of the corner tolerance
+_HALVINGS = 4  # how often the corner tolerance is halved, at most
 
 
 def free_commands(

@@ -16,7 +16,7 @@ class Cultivar:
 
     Sizes of fruit and numbers per truss are published ones; a crop with a leaf area index of 3 and 1.6 m between rows
     carries 4.8 m2 of leaf per metre of row on two lines over two metres of height. The default is what one line carries
-    of this between 1.15 m, above the ripe trusses, and 2.4 m, up to where plants are modelled.
+    of this between 1.15 m, above the ripe trusses, and 2.4 m, up to where plants are modeled.
 
     Attributes:
         model: Helios' plant model, ``"tomato"`` or ``"cherrytomato"``: the form of leaves and trusses.

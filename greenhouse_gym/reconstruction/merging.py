@@ -34,7 +34,7 @@ class Merged:
         cloud: One point per voxel.
         station: (n,) number of the station each point was first seen from.
         seen_by: (n,) number of stations that saw something within about the outlier radius.
-        lonely: (n,) bool, fewer neighbours within the outlier radius than wanted.
+        lonely: (n,) bool, fewer neighbors within the outlier radius than wanted.
     """
 
     cloud: Cloud
@@ -91,7 +91,7 @@ def _merge_points(cloud: Cloud, station: npt.NDArray[np.int32], settings: Recons
     np.minimum.at(first_seen, row, station)
     seen_by = np.zeros(len(means), dtype=np.int32)
     stations = int(station.max(initial=0)) + 1
-    for offset in (0.0, 0.5):  # two grids, so that no neighbour is missed for lying across a cube's face
+    for offset in (0.0, 0.5):  # two grids, so that no neighbor is missed for lying across a cube's face
         cube = voxels(cloud.points, 1.5 * settings.outlier_radius, offset)
         cubes, count = np.unique(np.unique(cube * stations + station) // stations, return_counts=True)
         np.maximum.at(seen_by, row, count[np.searchsorted(cubes, cube)].astype(np.int32))
@@ -99,12 +99,12 @@ def _merge_points(cloud: Cloud, station: npt.NDArray[np.int32], settings: Recons
 
 
 def lonely_points(points: Array, settings: ReconstructionSettings) -> npt.NDArray[np.bool_]:
-    """Points (n,) with too few neighbours; only those in thinly filled cubes are looked at closely."""
+    """Points (n,) with too few neighbors; only those in thinly filled cubes are looked at closely."""
     lonely = np.zeros(len(points), dtype=bool)
     cubes, count = np.unique(voxels(points, settings.outlier_radius), return_inverse=True, return_counts=True)[1:]
     thin = np.flatnonzero(count[cubes] <= settings.outlier_neighbours)
-    neighbours = cKDTree(points).query_ball_point(points[thin], settings.outlier_radius, return_length=True)
-    lonely[thin[neighbours <= settings.outlier_neighbours]] = True  # a point is its own neighbour
+    neighbors = cKDTree(points).query_ball_point(points[thin], settings.outlier_radius, return_length=True)
+    lonely[thin[neighbors <= settings.outlier_neighbours]] = True  # a point is its own neighbor
     return lonely
 
 
@@ -119,7 +119,7 @@ def outliers(
     rig: Rig,
     settings: ReconstructionSettings,
 ) -> npt.NDArray[np.bool_]:
-    """Points (n,) that do not overlap: too few neighbours, or seen by few stations while others see through the place.
+    """Points (n,) that do not overlap: too few neighbors, or seen by few stations while others see through the place.
 
     The second is what the paper's radius outlier removal is after: it takes away what a wrongly registered station
     brought, and what was in front of the cameras for a moment. What others could not see, or only one station looked

@@ -57,7 +57,7 @@ class ReconstructionSettings:
     def of(cls, protocol: Protocol) -> ReconstructionSettings:
         """What a protocol needs: the cut behind its plants, and room for the noise of its distance.
 
-        A stereo camera's noise grows with the square of the distance; neighbouring pixels share it, so partners are
+        A stereo camera's noise grows with the square of the distance; neighboring pixels share it, so partners are
         looked for and believed in proportion to the distance.
         """
         usual = cls()

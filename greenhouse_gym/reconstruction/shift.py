@@ -59,7 +59,7 @@ def best_shifts(
         count: Most shifts wanted.
 
     Returns:
-        Shifts that differ less than their neighbours, the best first; none where no try left any foreground.
+        Shifts that differ less than their neighbors, the best first; none where no try left any foreground.
     """
     tried: list[Shift] = []
     tries = list(range(shortest, min(longest, first.shape[axis] - 1) + 1, step))

@@ -101,7 +101,7 @@ class StationView:
     def cloud(self) -> PackedCloud:
         """Every other pixel of the foreground of all cameras, as on a checkerboard, in the rig frame.
 
-        Stereo matching shares its noise among neighbours, so the other half would say little more.
+        Stereo matching shares its noise among neighbors, so the other half would say little more.
         """
         points, colors, normals = [], [], []
         for view in self.cameras.values():

@@ -90,7 +90,7 @@ def _read_once(path: Path, fingerprint: str) -> Robot:
 
 
 def _fingerprint(path: Path) -> str:
-    """Checksum of an MJCF file and of those that it includes; of one that cannot be read, whatever."""
+    """Checksum of an MJCF file and of those that it includes; empty for one that cannot be read."""
     try:
         text = path.read_bytes()
         included = [node.get("file", "") for node in ElementTree.fromstring(text).iter("include")]

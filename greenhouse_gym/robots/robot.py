@@ -43,7 +43,7 @@ class Robot:
         tip: Name of the tip's site in the file; `spec` calls it ``tip``.
         sliding: (n,) which joints slide.
         lag: Time by which the arm lags behind its commands, seconds.
-        foot: How far the arm reaches below its base where the base is, metres.
+        foot: How far base and first link reach below the origin of the base, metres.
     """
 
     name: str

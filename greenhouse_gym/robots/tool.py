@@ -14,7 +14,7 @@ from greenhouse_gym.robots.load import FLANGE_SITES, choose, load_robot, read_sp
 from greenhouse_gym.robots.prepare import CUP_GEOM, PROBE_PREFIX, TIP_SITE
 
 LENGTH, RADIUS = 0.16, 0.012
-"""Of the gripper from the flange to the tip, and of its rod and cup, metres."""
+"""Length of the gripper from the flange to the tip, and radius of its rod and cup, metres."""
 
 _ROD, _CUP = (0.005, 0.123), (0.132, 0.148)  # metres from the flange: ends of the capsules' axes
 

@@ -19,7 +19,7 @@ from greenhouse_gym.open3d_loader import open3d
 from greenhouse_gym.paths import MOST_BYTES, parsing, read_bytes
 
 MOST_POINTS = 20_000_000
-"""Of a file with more, only every second, third, ... point is used."""
+"""The most points of a file that are used; of a larger one it is only every second, third, ... point."""
 
 _FEWEST = 50  # points that can hold a shape
 _KIND = "cloud of points"

@@ -17,9 +17,9 @@ UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 """Metres of each unit that is tried."""
 
 _EXTENT, _SPACING = 2.0, 0.0015  # m, of a row that was scanned, and between points of a scan
-_DECADES = 0.5  # one sigma of both
+_DECADES = 0.5  # one sigma of both, in powers of ten
 _RARE = {"cm": 3.0}  # what speaks against a unit from the start
-_UNSURE = 4.0  # by so little one unit fits better than another
+_UNSURE = 4.0  # a unit that fits better than the next by less is not sure
 _SAMPLES = 2000
 _ROD_REACH = 0.03  # m
 _ROD = 0.8  # 1 - ratio of the second to the first variance
@@ -29,7 +29,7 @@ _LONG = 1.3  # times as long as deep must a cloud be for its longer side to be t
 
 
 class Guess(NamedTuple):
-    """What was found out, and how sure that is: a sentence to tell."""
+    """What was found out, and a sentence on how sure that is."""
 
     value: Array
     said: str

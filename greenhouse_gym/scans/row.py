@@ -43,7 +43,7 @@ def scanned_row(scan: Scan, floor: float | None = None, settings: ShapeSettings 
         scan: The scan.
         floor: Height of the floor in the scan's frame, metres. By default 0 where that is plausible, else so far below
             the fruit, or the cloud's middle, that it hangs before the arm's shoulder.
-        settings: Of shape extraction.
+        settings: Settings of shape extraction.
 
     Raises:
         FileFormatError: Nothing was found in it.

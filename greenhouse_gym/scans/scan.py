@@ -37,13 +37,13 @@ class Scan:
     """A cloud that was not recorded with this package's rig.
 
     Attributes:
-        name: Of its file.
+        name: Name of its file.
         cloud: One point per 2 mm voxel, metres, z up, y along the row, x away from who looked.
         row_from_file: (4, 4) what brings points of the file, times ``unit``, into that frame.
         unit: Metres of one unit of the file.
         notes: What was assumed and left out, a sentence each.
         up_given: Whether somebody said which way is up.
-        path: Where it was read from.
+        path: The file that it was read from.
     """
 
     name: str

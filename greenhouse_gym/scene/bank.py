@@ -25,19 +25,19 @@ SPLITS: tuple[str, ...] = get_args(Split)
 MANIFEST = "manifest.json"
 
 SCENES_KEPT = 32
-"""Scenes of a bank that are kept in memory, those asked for last, beside those that somebody else keeps."""
+"""How many scenes of a bank are kept in memory: those asked for last, beside those that are in use elsewhere."""
 
 
 class Entry(Part):
     """One scene of a bank.
 
     Attributes:
-        name: Of the scene.
-        file: Relative to the manifest.
+        name: Name of the scene.
+        file: Its file, relative to the manifest.
         sha256: Checksum of the file.
         row: Identity of the row; the same in all weeks.
         week: Growth week.
-        split: Of the row.
+        split: Split of the row.
         truth: Number of shapes in the scene's truth.
         style: Fruit style.
         source: Where the plants come from.
@@ -119,7 +119,7 @@ class SceneBank(Sequence[Scene]):
 
         Args:
             banks: Names, folders or banks.
-            name: Of the whole; by default the names of all.
+            name: Name of the joined bank; by default the names of all banks.
 
         Raises:
             InvalidValueError: No banks; two scenes of one name; or a row that is in two splits.

@@ -17,18 +17,18 @@ class BankStatistics:
     """A bank in numbers.
 
     Attributes:
-        name: Of the bank.
+        name: Name of the bank.
         sha256: Checksum of its manifest, and so of everything in it.
         scenes: Number of scenes.
         rows: Number of rows.
         recordings: Number of recordings.
-        megabytes: Of the scene files.
+        megabytes: Size of the scene files together.
         splits: Scenes and rows of each split.
         kinds: Scenes of each style, source, protocol and week; what is not told is "unknown".
         difficulties: Targets of each difficulty.
-        difficulties_of: The same, for each style and source.
-        per_scene: Tomatoes, shapes and targets of a scene, in the mean.
-        truth: Scenes with truth, and shapes in it in the mean.
+        difficulties_of: Targets of each difficulty, for each style and source.
+        per_scene: Mean numbers of tomatoes, shapes and targets of a scene.
+        truth: Scenes with truth, and the mean number of shapes in it.
         seen: Scenes that know what was seen, and the mean share of the space within reach that was.
         checks: Median collision checks of RRTConnect for medium and hard targets.
         clearance: Median clearance of the witnesses, metres.

@@ -258,7 +258,7 @@ class FieldStore:
         along_y = np.concatenate([along_z[0] + y * slope, slope[:, :1]], axis=1)  # x; value, slopes z and y
         slope = along_y[1] - along_y[0]
         value, slope_z, slope_y = along_y[0] + x * slope
-        # The lengths of both at once: of the slopes, and of the way from outside the grid to it.
+        # Two lengths at once: that of the slopes, and that of the way from outside the grid to it.
         ways = np.concatenate([slope[0], slope_y, slope_z, (position - inside).reshape(-1)]).reshape(2, 3, -1)
         length, beyond = _norm(ways.swapaxes(0, 1))
         slopes, distance = ways[0], value + _CELL * beyond

@@ -21,10 +21,10 @@ from greenhouse_gym.robots.start import CART_HALF_WIDTH, cart_drop
 from greenhouse_gym.scene.surroundings import Surroundings
 
 DEFAULT_CAPACITY = 300
-"""Obstacles a padded model has room for."""
+"""Number of obstacles that a padded model has room for."""
 
 MOST_CAPACITY = 20_000
-"""The most it may be given; every padded geom costs memory and time in every simulation."""
+"""The largest such number that is allowed; every padded geom costs memory and time in every simulation."""
 
 ARM_AND_CUP, ARM_ONLY = 3, 1
 """Collision masks of an obstacle, and of the target (which the cup may touch)."""

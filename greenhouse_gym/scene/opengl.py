@@ -33,7 +33,7 @@ from greenhouse_gym.scene.render import (
 
 _MAX_GEOMS = 4000
 _AT_THE_PLANTS = np.array([0.5, 0.0, 1.0])
-_processes: set[int] = set()  # in which there has been a context
+_processes: set[int] = set()  # ids of the processes in which there has been a context
 _left_behind: list[Any] = []  # contexts of the process this one was forked from, which it must not even free
 
 

@@ -39,10 +39,10 @@ class PlantMotion:
     """How far plants move, each figure one standard deviation.
 
     Attributes:
-        truss_turn: Of a truss about the vertical through its root, radians.
-        truss_swing: Of a truss about horizontal axes through its root, radians.
-        stem_shift: Of stems and all that hangs on them, metres along each horizontal axis.
-        leaf_shift: Of leaves beside that, metres along each axis.
+        truss_turn: Turn of a truss about the vertical through its root, radians.
+        truss_swing: Swing of a truss about horizontal axes through its root, radians.
+        stem_shift: Shift of stems and of all that hangs on them, metres along each horizontal axis.
+        leaf_shift: Shift of leaves in addition to that, metres along each axis.
     """
 
     truss_turn: float = 0.10

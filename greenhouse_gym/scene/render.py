@@ -31,7 +31,7 @@ FILL_LIGHT = np.array([-0.5, 0.8, 0.3]) / np.linalg.norm([-0.5, 0.8, 0.3])
 """The direction of a light without shadows."""
 
 AMBIENT, KEY, FILL, ABOVE = 0.48, 0.5, 0.16, 0.08
-"""How bright they are, and the light from everywhere and from above."""
+"""Brightness of the light from everywhere, of the key and the fill light, and of the light from above."""
 
 SHADOW = 0.12
 """Share of the key light that falls into its shadows."""
@@ -96,7 +96,7 @@ def render_scene(
     Args:
         model: The model; geoms without opacity are not seen.
         data: Its state, with current kinematics.
-        camera: Where from; `default_camera` when left out.
+        camera: Where the picture is taken from; `default_camera` when left out.
         width: Pixels.
         height: Pixels.
         lines: Drawn into the picture, hidden where something stands before them.

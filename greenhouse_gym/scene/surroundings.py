@@ -32,7 +32,7 @@ LARGEST = 100.0
 
 
 def is_none(value: object) -> bool:
-    """What files leave out: so files written before a field existed stay as they are."""
+    """Whether a value is None: files leave such fields out, so that older files stay as they are."""
     return value is None
 
 
@@ -45,7 +45,7 @@ def _not_newer(version: Any) -> Any:
 
 
 SchemaVersion = Annotated[Literal[1], BeforeValidator(_not_newer)]
-"""Of scene files and manifests."""
+"""The version of the schema that scene files and manifests carry."""
 
 
 class Part(BaseModel):

@@ -27,7 +27,7 @@ class ShapeSettings:
     skin_alignment: float = 0.8  # and the cosine between their normals and the sphere's is smaller
     min_confidence: float = 0.4  # of a tomato
     least_bend: float = 0.35  # both ways, times that of the sphere, of one that nothing sure hangs beside
-    truss_gap: float = 0.035  # between the skins of neighbours on one truss
+    truss_gap: float = 0.035  # between the skins of neighbors on one truss
     pipe_radii: tuple[float, float] = (0.014, 0.057)  # from 28 mm grow pipes to mains 114 mm across
     pipe_gap: float = 0.05  # hidden part of a pipe that is bridged
     pipe_arc: float = 1.75  # radians of its round that must show; the near side alone shows about 2.2

@@ -79,7 +79,7 @@ def test_the_open3d_frames_open() -> None:
         assert len(frame.points()) == len(depth)
 
 
-def test_neighbouring_open3d_frames_overlap_through_their_poses() -> None:
+def test_neighboring_open3d_frames_overlap_through_their_poses() -> None:
     recording = open_recording(FOLDER / "open3d_rgbd")
     clouds = []
     for i in (0, 1):

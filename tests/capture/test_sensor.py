@@ -36,7 +36,7 @@ def test_spread_is_the_documented_one(depth: float, sigma: float) -> None:
     assert valid.mean() == pytest.approx(depth, rel=0.002)
 
 
-def test_neighbours_share_part_of_the_noise() -> None:
+def test_neighbors_share_part_of_the_noise() -> None:
     noise = StereoNoise(dropout=0.0, edge_dropout=0.0)
     error = sense(wall(0.5), noise)[:, 60:] - 0.5
     beside = np.corrcoef(error[:, 1:].ravel(), error[:, :-1].ravel())[0, 1]

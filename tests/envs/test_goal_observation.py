@@ -100,7 +100,7 @@ def test_hindsight_replay_relabels_with_collisions_kept(bank: SceneBank) -> None
     model.learn(600)
     batch = model.replay_buffer.sample(2000)
     rewards = batch.rewards.numpy().ravel()
-    assert set(np.unique(rewards)) == {-1.0, 0.0, 1.0}  # relabelled successes, and crashes still
+    assert set(np.unique(rewards)) == {-1.0, 0.0, 1.0}  # relabeled successes, and crashes still
     at_goal = np.linalg.norm(batch.next_observations["achieved_goal"] - batch.next_observations["desired_goal"], axis=1)
     assert ((rewards == 1) <= (at_goal < 0.0201)).all()
     single = gymnasium.make("TomatoReach-v0", bank=bank, observation="goal", disable_env_checker=True)

@@ -50,7 +50,7 @@ def test_every_station_is_registered() -> None:
     np.testing.assert_array_equal(row.world_from_station[0], np.eye(4))
 
 
-def test_neighbouring_stations_are_registered_to_3_mm_and_a_third_of_a_degree() -> None:
+def test_neighboring_stations_are_registered_to_3_mm_and_a_third_of_a_degree() -> None:
     poses, true = full_cloud().world_from_station, true_poses(full_recording())
     for i in range(4):
         estimated = invert(poses[i]) @ poses[i + 1]

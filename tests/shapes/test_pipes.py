@@ -9,12 +9,12 @@ from greenhouse_gym.shapes import ShapeSettings, extract_shapes
 from greenhouse_gym.shapes.pipes import find_pipes
 
 SETTINGS = ShapeSettings()
-GREY, LEAF, RED = [0.7, 0.7, 0.72], [0.20, 0.42, 0.16], [0.76, 0.10, 0.07]
+GRAY, LEAF, RED = [0.7, 0.7, 0.72], [0.20, 0.42, 0.16], [0.76, 0.10, 0.07]
 VIEW = np.array([-1.0, 0.0, 0.0])
 """Towards the camera."""
 
 
-def seen(points: Array, normals: Array, seed: int, color: list[float] = GREY, noise: float = 0.001) -> Cloud:
+def seen(points: Array, normals: Array, seed: int, color: list[float] = GRAY, noise: float = 0.001) -> Cloud:
     """What a camera far away sees of a surface: the side towards it, not too slanted, noisy."""
     random = np.random.default_rng(seed)
     facing = normals @ VIEW > 0.2

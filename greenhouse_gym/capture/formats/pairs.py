@@ -56,7 +56,7 @@ class Pair:
         """One frame of a color image (h, w, 3) and a depth image (h', w') in its own units.
 
         Raises:
-            FileFormatError: An image is not of its lens' size; ``named`` is what to call it.
+            FileFormatError: An image is not of its lens's size; ``named`` is what to call it.
         """
         own = self.depth or self.color
         for what, image, lens in (("color", color, self.color), ("depth", depth, own)):

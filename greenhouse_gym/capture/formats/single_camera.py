@@ -39,7 +39,7 @@ def single_camera(
 
     Args:
         folder: Where it lies; its name becomes the recording's.
-        intrinsics: The camera's.
+        intrinsics: The camera's intrinsics.
         color: The color images, one per station.
         depth: The depth images, as many.
         world_from_camera: (4, 4) true pose of the camera at each station, or None where it is not known.
