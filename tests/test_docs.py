@@ -13,8 +13,11 @@ from typing import NamedTuple
 import pytest
 from typer.main import get_command
 
+from greenhouse_gym.capture import open_recording
 from greenhouse_gym.capture.recordings import RecordingIndex
+from greenhouse_gym.capture.rig_file import load_mounting
 from greenhouse_gym.cli import app
+from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.scene import Scene, SceneBank
 from greenhouse_gym.scene.bank import Manifest
 
@@ -125,6 +128,29 @@ def test_files_in_the_docs_are_valid() -> None:
                 read.add(block.title)
                 kinds[block.title].model_validate_json(block.code)
     assert read == set(kinds)
+
+
+def test_yaml_in_the_docs_is_valid(tmp_path: Path) -> None:
+    """Rig files are read, and descriptions of folders are opened as far as their images, which are not there."""
+    found = [block for block in ALL if block.language == "yaml"]
+    assert len(found) == 2
+    for block in found:
+        file = tmp_path / "cameras.yaml"
+        file.write_text(block.code)
+        if "rig_from_camera" in block.code:
+            assert load_mounting(file).reference == "middle"
+        else:
+            with pytest.raises(FileFormatError, match=r"found 0 of camera color, 0 of camera depth|no color"):
+                open_recording(tmp_path)
+
+
+def test_every_block_says_what_it_is() -> None:
+    """A block without a language would be hidden from these tests."""
+    for page in PAGES:
+        fences = re.findall(r"^```(.*)$", page.read_text(), re.M)[::2]
+        assert all(re.fullmatch(r"(python|sh|json|toml|yaml|text)( title=\".*\")?", fence) for fence in fences), name(
+            page
+        )
 
 
 def test_links_lead_to_files() -> None:
