@@ -27,6 +27,7 @@ from greenhouse_gym.paths import inside, parsing, read_bytes, write_atomically
 from greenhouse_gym.plants.row import PlantRow
 
 INDEX = "recording.json"
+_COARSEST = 0.001  # m, unit of depth that is written
 
 
 class Pass(NamedTuple):
@@ -52,6 +53,8 @@ class Recording:
         truth: The row that was photographed, in the frame of the stations' poses, where it is simulated: its shapes to
             collide with. A real row has none.
         notes: What was left out or assumed when it was read, a sentence each.
+        of_camera: Whether poses were told of a single camera, around which a rig's frame was made up: a rig file then
+            moves that frame, and the camera stays where it was.
         files: What it is read from; none for one that is simulated. A change in them makes it another recording.
     """
 
@@ -65,6 +68,7 @@ class Recording:
     truth: PlantRow | None = None
     files: tuple[Path, ...] = ()
     notes: tuple[str, ...] = ()
+    of_camera: bool = False
 
     def __len__(self) -> int:
         return self.size
@@ -76,6 +80,11 @@ class Recording:
 
     def __iter__(self) -> Iterator[Station]:
         return (self.load(index) for index in range(self.size))
+
+    def frame(self, index: int, camera: str) -> RgbdFrame:
+        """One camera's image of a station; only that is read where ``load`` has a method ``camera(index, name)``."""
+        alone = getattr(self.load, "camera", None)
+        return self.load(index).frames[camera] if alone is None else alone(index, camera)
 
 
 class _Model(BaseModel):
@@ -211,7 +220,7 @@ def write_recording(recording: Recording, path: str | Path, on_station: Callable
     """Write a recording in the package's folder format, station by station, the index last.
 
     Each file is put in place whole, and the index comes last, so an interrupted write leaves no half recording behind.
-    Depth is stored in units of the camera's depth scale, as uint16.
+    Depth is stored as uint16 in units of the camera's depth scale, or of a millimetre where that is finer.
 
     Args:
         recording: Any recording, also a simulated one.
@@ -224,13 +233,13 @@ def write_recording(recording: Recording, path: str | Path, on_station: Callable
     folder = Path(path)
     if (folder / INDEX).exists():
         raise FileFormatError(folder / INDEX, "already holds a recording; choose another folder or remove it")
+    scales = {name: min(camera.depth_scale, _COARSEST) for name, camera in recording.rig.cameras.items()}
     stations = []
     for i in range(len(recording)):
         names = {kind: {c: f"{kind}/{c}/{i:06d}.png" for c in recording.rig.cameras} for kind in ("color", "depth")}
         station = recording[i]
         for camera_name, frame in station.frames.items():
-            scale = recording.rig.cameras[camera_name].depth_scale
-            units = np.clip(np.rint(frame.depth / scale), 0, np.iinfo(np.uint16).max).astype(np.uint16)
+            units = np.clip(np.rint(frame.depth / scales[camera_name]), 0, np.iinfo(np.uint16).max).astype(np.uint16)
             for kind, image in (("color", frame.color), ("depth", units)):
                 write_atomically(folder / names[kind][camera_name], encode_png(image))
         world_from_station = station.world_from_station
@@ -247,7 +256,7 @@ def write_recording(recording: Recording, path: str | Path, on_station: Callable
         name: CameraRecord(
             **vars(camera.intrinsics),
             rig_from_camera=camera.rig_from_camera.tolist(),
-            depth_scale=camera.depth_scale,
+            depth_scale=scales[name],
         )
         for name, camera in recording.rig.cameras.items()
     }

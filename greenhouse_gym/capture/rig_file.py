@@ -15,12 +15,12 @@ from typing import Annotated
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from greenhouse_gym.capture.frames import Station
+from greenhouse_gym.capture.frames import RgbdFrame, Station
 from greenhouse_gym.capture.recordings import Recording, checked_pose
 from greenhouse_gym.capture.rig import Rig
 from greenhouse_gym.errors import FileFormatError, InvalidValueError
 from greenhouse_gym.extras import needs
-from greenhouse_gym.geometry import Array
+from greenhouse_gym.geometry import Array, invert
 from greenhouse_gym.paths import parsing, read_bytes, write_atomically
 
 with needs("reconstruct"):
@@ -108,16 +108,28 @@ def mounted(recording: Recording, mounting: Mounting) -> Recording:
         name: replace(recording.rig.cameras[name], rig_from_camera=place)
         for name, place in mounting.rig_from_camera.items()
     }
-    return replace(recording, rig=Rig(cameras, mounting.reference), load=_Kept(recording, tuple(cameras)))
+    rig = Rig(cameras, mounting.reference)
+    moved = None
+    if recording.of_camera:
+        (camera,) = recording.rig.cameras
+        moved = recording.rig.cameras[camera].rig_from_camera @ invert(cameras[camera].rig_from_camera)
+    return replace(recording, rig=rig, load=_Kept(recording, tuple(cameras), moved), of_camera=False)
 
 
 @dataclass(frozen=True, eq=False)
 class _Kept:
-    """Reads a station of a recording with some of its cameras only."""
+    """Reads a station of a recording with some of its cameras only, and with another frame of the rig."""
 
     recording: Recording
     names: tuple[str, ...]
+    old_from_new: Array | None
 
     def __call__(self, i: int) -> Station:
         station = self.recording[i]
-        return replace(station, frames={name: station.frames[name] for name in self.names})
+        known = station.world_from_station
+        if known is not None and self.old_from_new is not None:
+            known = known @ self.old_from_new
+        return Station({name: station.frames[name] for name in self.names}, known)
+
+    def camera(self, i: int, name: str) -> RgbdFrame:
+        return self.recording.frame(i, name)

@@ -2,109 +2,35 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
-import cv2
 import numpy as np
 import pytest
-from row_helpers import HALF, half_recording
+from bag_writer import FRAME, MCAP, ROS1, SQLITE, START, K, Writer
+from row_helpers import half_recording
 
 from greenhouse_gym.capture import Recording, RgbdFrame, open_recording
 from greenhouse_gym.errors import FileFormatError
-from greenhouse_gym.geometry import Array, pose
+from greenhouse_gym.geometry import pose
 
 rosbags = pytest.importorskip("rosbags.highlevel")
 pytestmark = pytest.mark.xdist_group("row")
-
-K = HALF.cameras["middle"].intrinsics
-ROS1, MCAP, SQLITE = "ros1", "mcap", "sqlite"
-START = 1_700_000_000 * 10**9
 
 
 def frames() -> list[RgbdFrame]:
     return [half_recording()[i].frames["middle"] for i in range(3)]
 
 
-class Writer:
-    """A bag by rosbags' writers, of any of its containers, under one interface."""
-
-    def __init__(self, path: Path, container: str):
-        from rosbags.rosbag1 import Writer as Writer1
-        from rosbags.rosbag2 import StoragePlugin
-        from rosbags.rosbag2 import Writer as Writer2
-        from rosbags.typesys import Stores, get_typestore
-
-        self.ros1 = container == ROS1
-        self.store = get_typestore(Stores.ROS1_NOETIC if self.ros1 else Stores.ROS2_HUMBLE)
-        plugin = StoragePlugin.MCAP if container == MCAP else StoragePlugin.SQLITE3
-        self.writer: Any = Writer1(path) if self.ros1 else Writer2(path, version=9, storage_plugin=plugin)
-        self.connections: dict[str, Any] = {}
-
-    def __enter__(self) -> Writer:
-        self.writer.open()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.writer.close()
-
-    def make(self, kind: str, **fields: Any) -> Any:
-        return self.store.types[kind](**fields)
-
-    def header(self, stamp: int, frame: str = "camera") -> Any:
-        time = self.make("builtin_interfaces/msg/Time", sec=stamp // 10**9, nanosec=stamp % 10**9)
-        return self.make("std_msgs/msg/Header", stamp=time, frame_id=frame, **({"seq": 0} if self.ros1 else {}))
-
-    def put(self, topic: str, kind: str, at: int, **fields: Any) -> None:
-        if topic not in self.connections:
-            self.connections[topic] = self.writer.add_connection(topic, kind, typestore=self.store)
-        message = self.make(kind, **fields)
-        serialize = self.store.serialize_ros1 if self.ros1 else self.store.serialize_cdr
-        self.writer.write(self.connections[topic], at, serialize(message, kind))
-
-    def image(self, topic: str, image: np.ndarray, encoding: str, stamp: int, at: int | None = None) -> None:
-        self.put(
-            topic, "sensor_msgs/msg/Image", at or stamp, header=self.header(stamp), height=image.shape[0],
-            width=image.shape[1], encoding=encoding, is_bigendian=0, step=image.strides[0],
-            data=np.frombuffer(np.ascontiguousarray(image).tobytes(), np.uint8),
-        )  # fmt: skip
-
-    def compressed(self, topic: str, image: np.ndarray, format: str, stamp: int, before: bytes = b"") -> None:
-        content = before + cv2.imencode(".png", image)[1].tobytes()
-        self.put(
-            topic, "sensor_msgs/msg/CompressedImage", stamp, header=self.header(stamp), format=format,
-            data=np.frombuffer(content, np.uint8),
-        )  # fmt: skip
-
-    def info(self, topic: str, at: int, frame: str = "camera", matrix: Array = K.matrix) -> None:
-        region = self.make(
-            "sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
-        )
-        lower = {"d": np.zeros(5), "k": matrix.ravel(), "r": np.eye(3).ravel(), "p": np.zeros(12)}
-        self.put(
-            topic, "sensor_msgs/msg/CameraInfo", at, header=self.header(at, frame), height=K.height, width=K.width,
-            distortion_model="plumb_bob", binning_x=0, binning_y=0, roi=region,
-            **{(name.upper() if self.ros1 else name): value for name, value in lower.items()},
-        )  # fmt: skip
-
-
 def stamps(count: int = 3) -> list[int]:
-    return [START + i * 33_000_000 for i in range(count)]
+    return [START + i * FRAME for i in range(count)]
 
 
 def as_usual(path: Path, container: str, prefix: str = "/camera", late: int = 0) -> None:
     with Writer(path, container) as bag:
-        write_camera(bag, prefix, late)
-
-
-def write_camera(bag: Writer, prefix: str, late: int = 0) -> None:
-    for frame, stamp in zip(frames(), stamps(), strict=True):
-        bag.info(f"{prefix}/color/camera_info", stamp)
-        bag.info(f"{prefix}/aligned_depth_to_color/camera_info", stamp)
-        bag.image(f"{prefix}/color/image_raw", frame.color, "rgb8", stamp)
-        depth = np.rint(frame.depth * 1000).astype(np.uint16)
-        bag.image(f"{prefix}/aligned_depth_to_color/image_raw", depth, "16UC1", stamp + late, stamp + 5_000_000)
+        bag.camera(prefix, frames(), late)
 
 
 def assert_equal(recording: Recording, camera: str = "camera", expected: Sequence[RgbdFrame] = ()) -> None:
@@ -154,18 +80,7 @@ def test_compressed_depth(tmp_path: Path) -> None:
 
 def test_a_realsense_bag_of_ros_1_with_its_own_units(tmp_path: Path) -> None:
     with Writer(tmp_path / "rs.bag", ROS1) as bag:
-        bag.put("/device_0/sensor_0/option/Depth_Units/value", "std_msgs/msg/Float32", START, data=0.0001)
-        place = {
-            "translation": bag.make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0),
-            "rotation": bag.make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
-        }
-        for stream in ("sensor_0/Depth_0", "sensor_1/Color_0"):
-            bag.info(f"/device_0/{stream}/info/camera_info", START)
-            bag.put(f"/device_0/{stream}/tf/0", "geometry_msgs/msg/Transform", START, **place)
-        for frame, stamp in zip(frames(), stamps(), strict=True):
-            units = np.rint(frame.depth * 10_000).astype(np.uint16)
-            bag.image("/device_0/sensor_0/Depth_0/image/data", units, "mono16", stamp)
-            bag.image("/device_0/sensor_1/Color_0/image/data", frame.color, "rgb8", stamp)
+        bag.realsense("device_0", frames(), 0.0001)
     recording = open_recording(tmp_path / "rs.bag")
     assert recording.rig.cameras["device_0"].depth_scale == pytest.approx(0.0001)
     assert_equal(recording, "device_0")
@@ -173,19 +88,16 @@ def test_a_realsense_bag_of_ros_1_with_its_own_units(tmp_path: Path) -> None:
 
 def test_poses_of_odometry_become_those_of_the_stations(tmp_path: Path) -> None:
     with Writer(tmp_path / "walk.bag", ROS1) as bag:
-        write_camera(bag, "/camera")
+        bag.camera("/camera", frames())
         for i, stamp in enumerate(stamps()):
-            point = bag.make("geometry_msgs/msg/Point", x=0.0, y=0.1 * i, z=0.0)
-            turn = bag.make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
-            there = bag.make("geometry_msgs/msg/Pose", position=point, orientation=turn)
-            bag.put("/odom", "geometry_msgs/msg/PoseStamped", stamp, header=bag.header(stamp + 1000), pose=there)
+            bag.pose("/odom", pose(translation=[0.0, 0.1 * i, 0.0]), stamp + 1000)
     for i, station in enumerate(open_recording(tmp_path / "walk.bag")):
         np.testing.assert_allclose(station.world_from_station, pose(translation=[0.0, 0.1 * i, 0.0]), atol=1e-9)
 
 
 def test_several_cameras_are_matched_by_their_stamps_and_drops_are_told(tmp_path: Path) -> None:
     with Writer(tmp_path / "walk.bag", ROS1) as bag:
-        write_camera(bag, "/left")
+        bag.camera("/left", frames())
         for k, (frame, stamp) in enumerate(zip(frames(), stamps(), strict=True)):
             for kind in ("color", "depth"):
                 bag.info(f"/right/{kind}/camera_info", stamp)
@@ -260,3 +172,27 @@ def test_depth_of_another_lens_is_aligned_by_the_static_transforms(tmp_path: Pat
     row = depth[K.height // 2]
     assert row[int(edge) - 2] == pytest.approx(0.5)
     assert row[int(edge) + 3] == pytest.approx(1.0)
+
+
+def test_one_camera_is_read_without_the_others(tmp_path: Path) -> None:
+    with Writer(tmp_path / "walk.bag", ROS1) as bag:
+        bag.camera("/left", frames())
+        for stamp in stamps():
+            bag.image("/right/color/image_raw", frames()[0].color, "bayer_rggb8", stamp)
+            bag.image("/right/depth/image_raw", frames()[0].depth, "32FC1", stamp)
+            for kind in ("color", "depth"):
+                bag.info(f"/right/{kind}/camera_info", stamp)
+    recording = open_recording(tmp_path / "walk.bag")
+    np.testing.assert_array_equal(recording.frame(1, "left").color, frames()[1].color)
+    with pytest.raises(FileFormatError, match="bayer_rggb8"):
+        recording[1]
+
+
+def test_an_open_bag_is_read_by_threads_and_travels(tmp_path: Path) -> None:
+    as_usual(tmp_path / "walk", SQLITE)
+    recording = open_recording(tmp_path / "walk" / "walk.db3")
+    with ThreadPoolExecutor(2) as pool:
+        found = list(pool.map(lambda i: recording[i].frames["camera"], [2, 0, 1]))
+    for frame, i in zip(found, (2, 0, 1), strict=True):
+        np.testing.assert_array_equal(frame.color, frames()[i].color)
+    assert_equal(pickle.loads(pickle.dumps(recording)))

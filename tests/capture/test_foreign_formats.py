@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from layouts import LAYOUTS, Walk, save, walk_of
 from row_helpers import HALF, half_recording
 from scipy.spatial.transform import Rotation
 
-from greenhouse_gym.capture import Intrinsics, Recording, RgbdFrame, open_recording
+from greenhouse_gym.capture import Intrinsics, Recording, open_recording
 from greenhouse_gym.capture.formats.pairs import Lens, Pair, aligned, read_units
 from greenhouse_gym.capture.formats.videos import nearest_in_time
 from greenhouse_gym.errors import FileFormatError
@@ -25,112 +25,23 @@ K = CAMERA.intrinsics
 STATIONS = 3
 
 
-def frames() -> list[RgbdFrame]:
-    return [half_recording()[i].frames["middle"] for i in range(STATIONS)]
-
-
-def poses() -> list[Array]:
-    """World from camera of each frame."""
-    found = [half_recording()[i].world_from_station for i in range(STATIONS)]
-    return [place @ CAMERA.rig_from_camera for place in found if place is not None]
-
-
-def save(path: Path, image: np.ndarray) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if path.suffix == ".npy":
-        np.save(path, image)
-    else:
-        assert cv2.imwrite(str(path), image[..., ::-1] if image.ndim == 3 else image)
-
-
-def units(depth: np.ndarray, scale: float) -> np.ndarray:
-    return np.rint(depth / scale).astype(np.uint16)
-
-
-def line(time: float, place: Array) -> str:
-    numbers = [time, *place[:3, 3], *Rotation.from_matrix(place[:3, :3]).as_quat()]
-    return " ".join(f"{x:.9f}" for x in numbers)
-
-
-def as_tum(folder: Path) -> None:
-    lists: dict[str, list[str]] = {"rgb": ["# color"], "depth": ["# depth"], "truth": ["# time tx ty tz qx qy qz qw"]}
-    for i, (frame, place) in enumerate(zip(frames(), poses(), strict=True)):
-        save(folder / f"rgb/{i}.png", frame.color)
-        save(folder / f"depth/{i}.png", units(frame.depth, 1 / 5000))
-        lists["rgb"].append(f"{100 + i:.6f} rgb/{i}.png")
-        lists["depth"].append(f"{100.011 + i:.6f} depth/{i}.png")
-        lists["truth"].append(line(100.004 + i, place))
-    for name, file in (("rgb", "rgb.txt"), ("depth", "depth.txt"), ("truth", "groundtruth.txt")):
-        (folder / file).write_text("\n".join(lists[name]) + "\n")
-    (folder / "calibration.txt").write_text(f"{K.fx} {K.fy} {K.cx} {K.cy}\n")
-
-
-def as_scannet(folder: Path) -> None:
-    for i, (frame, place) in enumerate(zip(frames(), poses(), strict=True)):
-        save(folder / f"color/{i}.png", frame.color)
-        save(folder / f"depth/{i}.png", units(frame.depth, 0.001))
-        (folder / "pose").mkdir(exist_ok=True)
-        np.savetxt(folder / f"pose/{i}.txt", place)
-    for kind in ("color", "depth"):
-        (folder / "intrinsic").mkdir(exist_ok=True)
-        matrix = np.eye(4)
-        matrix[:3, :3] = K.matrix
-        np.savetxt(folder / f"intrinsic/intrinsic_{kind}.txt", matrix)
-
-
-def as_open3d_recorder(folder: Path) -> None:
-    log = []
-    for i, (frame, place) in enumerate(zip(frames(), poses(), strict=True)):
-        save(folder / f"color/{i:05d}.png", frame.color)
-        save(folder / f"depth/{i:05d}.png", units(frame.depth, 0.001))
-        log += [f"{i} {i} {i + 1}", *(" ".join(map(repr, row)) for row in place.tolist())]
-    (folder / "trajectory.log").write_text("\n".join(log))
-    camera = {
-        "width": K.width,
-        "height": K.height,
-        "intrinsic_matrix": K.matrix.T.ravel().tolist(),
-        "depth_scale": 1000,
-    }
-    (folder / "intrinsic.json").write_text(json.dumps(camera))
-
-
-def as_described(suffix: str, scale: float) -> Callable[[Path], None]:
-    def write(folder: Path) -> None:
-        for i, frame in enumerate(frames()):
-            save(folder / f"c/{i}.jpg.png", frame.color)
-            save(folder / f"d/{i}{suffix}", units(frame.depth, scale) if scale else frame.depth)
-        lines = [line(i, place) for i, place in enumerate(poses())]
-        (folder / "poses.txt").write_text("\n".join(lines))
-        intrinsics = {name: getattr(K, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
-        content = {"color": "c/*.png", "depth": f"d/*{suffix}", "depth_scale": scale or 1.0, "intrinsics": intrinsics}
-        (folder / "cameras.yaml").write_text(json.dumps(content | {"poses": "poses.txt"}))  # JSON is YAML
-
-    return write
-
-
-FORMATS: dict[str, tuple[str, Callable[[Path], None]]] = {
-    "tum": ("tum", as_tum),
-    "scannet": ("scannet", as_scannet),
-    "open3d": ("open3d", as_open3d_recorder),
-    "png of 0.2 mm": ("described", as_described(".png", 0.0002)),
-    "npy of metres": ("described", as_described(".npy", 0.0)),
-    "npy of units": ("described", as_described(".npy", 0.001)),
-    "tiff of metres": ("described", as_described(".tiff", 0.0)),
-}
+def walk() -> Walk:
+    whole = walk_of(half_recording(), "middle")
+    return Walk(whole.frames[:STATIONS], whole.world_from_camera[:STATIONS])
 
 
 def written(name: str, folder: Path) -> Recording:
     folder.mkdir(parents=True, exist_ok=True)
-    FORMATS[name][1](folder)
+    LAYOUTS[name][1](folder, walk())
     return open_recording(folder)
 
 
-@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("name", LAYOUTS)
 def test_a_walk_in_a_layout_of_others_is_read_back(tmp_path: Path, name: str) -> None:
     recording = written(name, tmp_path / "walk")
     assert len(recording) == STATIONS
-    assert open_recording(tmp_path / "walk", format=FORMATS[name][0]).size == STATIONS
-    for station, frame, place in zip(recording, frames(), poses(), strict=True):
+    assert open_recording(tmp_path / "walk", format=LAYOUTS[name][0]).size == STATIONS
+    for station, frame, place in zip(recording, *walk(), strict=True):
         found = station.frames["camera"]
         np.testing.assert_array_equal(found.color, frame.color)
         np.testing.assert_allclose(found.depth, frame.depth, atol=1e-6)

@@ -32,7 +32,7 @@ def texture() -> np.ndarray:
     return np.asarray(cv2.resize(coarse, (1500, 240), interpolation=cv2.INTER_CUBIC))
 
 
-def frame(i: int, blurred: bool = False, gray: float = 1.0, distance: float = DISTANCE) -> RgbdFrame:
+def frame(i: float, blurred: bool = False, gray: float = 1.0, distance: float = DISTANCE) -> RgbdFrame:
     """A textured wall that goes by at 2 cm a frame."""
     start = round(i * STEP * K.fx / DISTANCE)
     color = texture()[:, start : start + K.width]
@@ -64,6 +64,19 @@ def test_stations_are_ten_centimetres_apart_and_sharp() -> None:
     assert len(found.frames) in (8, 9)
     assert np.all((steps > 0.05) & (steps < 0.15))
     assert all(i % 5 or i == 0 for i in found.frames)
+
+
+def test_few_frames_of_a_slow_walk_are_looked_at() -> None:
+    seen: list[int] = []
+
+    def load(i: int) -> Station:
+        seen.append(i)
+        return Station({"camera": frame(i / 10)})  # 2 mm a frame
+
+    found = choose_stations(replace(video(), size=200, load=load), 0.10)
+    assert found.path[-1] == pytest.approx(0.4, rel=0.05)
+    assert np.allclose(np.array(found.frames) * 0.002, 0.1 * np.arange(len(found.frames)), atol=0.03)
+    assert len(set(seen)) < 100
 
 
 def test_a_video_without_motion_has_one_station_and_a_damaged_frame_is_left_out() -> None:

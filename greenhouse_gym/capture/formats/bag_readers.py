@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import sqlite3
+import weakref
 from collections.abc import Collection, Iterator
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 from greenhouse_gym.extras import needs
@@ -61,8 +64,36 @@ def opened(bag: Path) -> Iterator[Any]:
     with needs("bags"):
         from rosbags.highlevel import AnyReader
     if bag.suffix.lower() == ".db3":
-        with closing(sqlite3.connect(f"file:{bag.resolve()}?mode=ro", uri=True)) as connection:
+        source = f"file:{bag.resolve()}?mode=ro"
+        with closing(sqlite3.connect(source, uri=True, check_same_thread=False)) as connection:
             yield Database(connection)
     else:
         with AnyReader([bag]) as reader:
             yield reader
+
+
+class OpenBag:
+    """A bag that stays open from one reading to the next, since its index is long; by one thread at a time.
+
+    It is closed with the last reference to it. Another process, which gets it pickled or by a fork, opens it anew.
+    """
+
+    def __init__(self, bag: Path):
+        self.bag = bag
+        self._lock = Lock()
+        self._reader: Any = None
+        self._process = 0
+
+    def __reduce__(self) -> tuple[type[OpenBag], tuple[Path]]:
+        return OpenBag, (self.bag,)
+
+    @contextmanager
+    def reader(self) -> Iterator[Any]:
+        """The reader of `opened`."""
+        with self._lock:
+            if self._process != os.getpid():
+                kept = ExitStack()
+                self._reader = kept.enter_context(opened(self.bag))
+                self._process = os.getpid()
+                weakref.finalize(self, kept.close)
+            yield self._reader

@@ -1,7 +1,7 @@
 """Bags of ROS 1 and ROS 2, and those of RealSense's recorder, which are ROS 1 bags with topics of their own.
 
-The bag is gone through once for the times of its images; an image is read when its station is asked for, so memory is
-that of one station however long the bag. A color and a depth image belong together by their time stamps.
+The bag is gone through once for the times of its images; an image is read when it is asked for, so memory is that of
+one station however long the bag. A color and a depth image belong together by their time stamps.
 """
 
 from __future__ import annotations
@@ -9,13 +9,12 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from greenhouse_gym.capture.formats.bag_readers import opened
+from greenhouse_gym.capture.formats.bag_readers import OpenBag, opened
 from greenhouse_gym.capture.formats.messages import POSES, between, extrinsics_of, image_of, lens_of, pose_of, poses_of
 from greenhouse_gym.capture.formats.pairs import Pair
 from greenhouse_gym.capture.formats.single_camera import RIG_FROM_CAMERA
@@ -75,7 +74,7 @@ def open(path: Path) -> Recording:
     for camera, topics in cameras.items():
         if pairs[camera].depth is not None and _color_from_depth(topics, singles) is None:
             notes.append(f"{camera}: the bag does not say how depth and color stand; taken as at one place")
-    load = partial(_station, bag, pairs, tuple(stations), tuple(poses))
+    load = _Stations(OpenBag(bag), pairs, tuple(stations), tuple(poses))
     files = (bag,) if bag.is_file() else tuple(sorted(file for file in bag.iterdir() if file.is_file()))
     folder = bag.parent if bag.is_file() else bag
     return Recording(path.stem, rig, len(stations), load, folder, files=files, notes=tuple(notes))
@@ -106,7 +105,7 @@ def _index(
             singles.setdefault(_STATIC, []).append(reader.deserialize(raw, connection.msgtype))
         elif connection.topic not in singles:
             singles[connection.topic] = reader.deserialize(raw, connection.msgtype)
-    return found, singles
+    return {topic: sorted(messages, key=lambda each: each.stamp) for topic, messages in found.items()}, singles
 
 
 def _stamp(raw: bytes, at: int) -> int:
@@ -196,19 +195,23 @@ def _nearest_pose(station: Mapping[str, tuple[Message, Message]], posed: tuple[A
     return None if near < 0 else posed[1][near]
 
 
-def _station(
-    bag: Path,
-    pairs: Mapping[str, Pair],
-    stations: Sequence[Mapping[str, tuple[Message, Message]]],
-    poses: Sequence[Array | None],
-    i: int,
-) -> Station:
-    frames: dict[str, RgbdFrame] = {}
-    with opened(bag) as reader:
-        for camera, both in stations[i].items():
+@dataclass(frozen=True, eq=False)
+class _Stations:
+    """Reads stations, or one camera's images of them."""
+
+    bag: OpenBag
+    pairs: Mapping[str, Pair]
+    stations: Sequence[Mapping[str, tuple[Message, Message]]]
+    poses: Sequence[Array | None]
+
+    def __call__(self, i: int) -> Station:
+        return Station({name: self.camera(i, name) for name in self.stations[i]}, self.poses[i])
+
+    def camera(self, i: int, name: str) -> RgbdFrame:
+        both = self.stations[i][name]
+        with self.bag.reader() as reader:
             color, depth = (_read(reader, message) for message in both)
-            frames[camera] = pairs[camera].frame(color, depth, f"{bag}, {both[0].topic} at {both[0].stamp} ns")
-    return Station(frames, poses[i])
+        return self.pairs[name].frame(color, depth, f"{self.bag.bag}, {both[0].topic} at {both[0].stamp} ns")
 
 
 def _read(reader: Any, message: Message) -> Any:

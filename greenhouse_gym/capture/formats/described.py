@@ -114,14 +114,16 @@ def open(path: Path) -> Recording:
         counted = ", ".join(f"{count} of {what}" for what, count in counts.items())
         raise FileFormatError(file, f"expected equally many images of each kind, found {counted}")
     size = min(counts.values())
+    alone = cameras.keys() == {CAMERA} and cameras[CAMERA].rig_from_camera is None
     known: list[Array | None] = [None] * size
     if poses is not None:
         by_number = poses_by_time(inside(path, poses, named_in=file))[1]
         if len(by_number) != size:
             raise FileFormatError(path / poses, f"{len(by_number)} poses for {size} images")
-        known = [by_number[k] if cameras.keys() != {CAMERA} else station_pose(by_number[k]) for k in range(size)]
+        known = [station_pose(place) if alone else place for place in by_number]
     files = (file, *(image for both in images.values() for found in both for image in found))
-    return Recording(path.name, rig, size, partial(_station, pairs, images, tuple(known)), path, files=files)
+    load = partial(_station, pairs, images, tuple(known))
+    return Recording(path.name, rig, size, load, path, files=files, of_camera=alone)
 
 
 def _station(

@@ -99,16 +99,20 @@ def aligned(
     A pixel of a coarser depth image covers several of the color image: as many as its size asks for.
     """
     rows, columns = np.nonzero(depth > 0)
-    result = np.full(color.height * color.width, np.inf, dtype=np.float32)
+    z = depth[rows, columns].astype(np.float64)
+    x, y, z = transform(color_from_depth, own.back_project(rows, columns, z)).T
+    ahead = z > 1e-6
+    x, y, z = x[ahead], y[ahead], z[ahead]
     finer = max(1, int(np.ceil(color.fx / own.fx)))
     steps = (np.arange(finer) + 0.5) / finer - 0.5
-    z = depth[rows, columns].astype(np.float64)
-    for down in steps:
-        for right in steps:
-            beside = np.column_stack([(columns + right - own.cx) / own.fx * z, (rows + down - own.cy) / own.fy * z, z])
-            moved = transform(color_from_depth, beside)
-            kept, v, u = color.project(moved)
-            np.minimum.at(result, v * color.width + u, moved[kept, 2].astype(np.float32))
+    across = [np.rint(x / z * color.fx + color.cx + step * color.fx / own.fx).astype(np.int32) for step in steps]
+    down = [np.rint(y / z * color.fy + color.cy + step * color.fy / own.fy).astype(np.int32) for step in steps]
+    result = np.full(color.height * color.width, np.inf, dtype=np.float32)
+    metres = z.astype(np.float32)
+    for v in down:
+        for u in across:
+            inside = (u >= 0) & (u < color.width) & (v >= 0) & (v < color.height)
+            np.minimum.at(result, v[inside] * color.width + u[inside], metres[inside])
     result[~np.isfinite(result)] = 0.0
     return result.reshape(color.height, color.width)
 

@@ -10,8 +10,8 @@ package that brings one names it among its entry points:
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
-from functools import cache, partial
+from dataclasses import dataclass, replace
+from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
 from types import MappingProxyType
@@ -100,7 +100,7 @@ def open_recording(path: str | Path, format: str | RecordingFormat | None = None
         recording = chosen.open(path)
     if not isinstance(recording, Recording) or recording.size < 1:
         raise FileFormatError(path, f"the format {chosen.name!r} found no stations in it (it gave {recording!r:.80})")
-    return replace(recording, load=partial(_station, recording, path, chosen.name))
+    return replace(recording, load=_Checked(recording, path, chosen.name))
 
 
 def _recognized(path: Path) -> RecordingFormat:
@@ -133,12 +133,27 @@ def _checked(format: object, where: str) -> RecordingFormat:
     return format  # type: ignore[return-value]
 
 
-def _station(recording: Recording, path: Path, name: str, i: int) -> Station:
-    """Station i as the format's reader gives it, if it is one."""
-    with parsing(f"{path}, station {i}", f"station of the format {name!r}"):
-        station = recording.load(i)
-        if not isinstance(station, Station) or set(station.frames) != set(recording.rig.cameras):
-            raise InvalidValueError(f"expected a frame of each camera ({', '.join(recording.rig.cameras)})")
-        if not all(isinstance(frame, RgbdFrame) for frame in station.frames.values()):
-            raise InvalidValueError("expected an RgbdFrame of each camera")
-    return station
+@dataclass(frozen=True, eq=False)
+class _Checked:
+    """Stations as a format's reader gives them, if they are some."""
+
+    recording: Recording
+    path: Path
+    name: str
+
+    def __call__(self, i: int) -> Station:
+        cameras = self.recording.rig.cameras
+        with parsing(f"{self.path}, station {i}", f"station of the format {self.name!r}"):
+            station = self.recording.load(i)
+            if not isinstance(station, Station) or set(station.frames) != set(cameras):
+                raise InvalidValueError(f"expected a frame of each camera ({', '.join(cameras)})")
+            if not all(isinstance(frame, RgbdFrame) for frame in station.frames.values()):
+                raise InvalidValueError("expected an RgbdFrame of each camera")
+        return station
+
+    def camera(self, i: int, name: str) -> RgbdFrame:
+        with parsing(f"{self.path}, station {i}", f"station of the format {self.name!r}"):
+            frame = self.recording.frame(i, name)
+            if not isinstance(frame, RgbdFrame):
+                raise InvalidValueError("expected an RgbdFrame of each camera")
+        return frame

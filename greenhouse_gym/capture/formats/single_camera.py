@@ -57,7 +57,8 @@ def single_camera(
     camera = Camera(intrinsics, RIG_FROM_CAMERA, depth_scale)
     load = partial(_station, color, depth, camera, poses)
     rig = Rig({CAMERA: camera}, CAMERA)
-    return Recording(folder.name, rig, len(color), load, folder, files=(*described_by, *color, *depth))
+    files = (*described_by, *color, *depth)
+    return Recording(folder.name, rig, len(color), load, folder, files=files, of_camera=True)
 
 
 def _station(

@@ -12,6 +12,7 @@ from greenhouse_gym.capture.frames import RgbdFrame
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.extras import needs
+from greenhouse_gym.geometry import Array
 
 with needs("reconstruct"):
     import cv2
@@ -20,6 +21,10 @@ _CORNERS = 400
 _FEWEST = 20  # corners that tell a motion
 _NEAR = 1.5  # m; what is farther away tells little of how far the camera went
 _AROUND = 0.25  # of the step, within which the sharpest frame is taken
+_CANDIDATES = 6  # frames of which the sharpest is taken, at most
+_CLOSE, _FAR = 0.15, 0.5  # of the step, between which two frames that tell how far the camera went should be
+_LONGEST = 8  # frames that are passed over at once, at most
+_WIDE = 480  # pixels; larger images are looked at in half their size
 
 
 class Chosen(NamedTuple):
@@ -41,50 +46,94 @@ class Chosen(NamedTuple):
 def choose_stations(recording: Recording, step: float = 0.10, on_frame: Callable[[int], None] | None = None) -> Chosen:
     """Choose frames of a video as stations.
 
+    How far the camera went is told by frames a part of a step apart; how sharp they are, by some near each station.
+
     Args:
-        recording: The video, a station each frame; read once, one frame at a time.
+        recording: The video, a station each frame; images of its reference camera are read, one at a time.
         step: Metres the camera should have gone from one station to the next.
-        on_frame: Called with the number of each frame read.
+        on_frame: Called with the number of each frame that was looked at on the way.
     """
-    path, sharpness = np.zeros(len(recording)), np.zeros(len(recording))
-    lost, unreadable = [], []
-    before: RgbdFrame | None = None
-    moved = 0.0
-    for i in range(len(recording)):
-        try:
-            frame = recording[i].frames[recording.rig.reference]
-        except FileFormatError:
-            unreadable.append(i)
-            path[i] = path[i - 1] if i else 0.0
-            continue
-        if before is not None:
-            told = motion(before, frame)
-            if told is None:
-                lost.append(i)
-            else:
-                moved = told
-            path[i] = path[i - 1] + moved
-        sharpness[i] = sharpness_of(frame)
-        before = frame
-        if on_frame:
-            on_frame(i)
+    path, lost, unreadable = _followed(recording, step, on_frame)
     frames: list[int] = []
     for k in range(int(path[-1] / step + 0.5) + 1):
-        near = np.flatnonzero((np.abs(path - k * step) <= _AROUND * step) & (sharpness > 0))
-        best = [int(near[np.argmax(sharpness[near])])] if len(near) else [_nearest(path, sharpness, k * step)]
-        frames += [i for i in best if i >= 0 and (not frames or i > frames[-1])]
-    return Chosen(tuple(frames), path, tuple(lost), tuple(unreadable))
+        near = np.flatnonzero(np.abs(path - k * step) <= _AROUND * step)
+        some = near[np.linspace(0, len(near) - 1, min(_CANDIDATES, len(near))).round().astype(int)]
+        sharpness = {int(i): _sharpness(recording, int(i), unreadable) for i in some}
+        best = max(sharpness, key=sharpness.__getitem__, default=-1)
+        if not sharpness.get(best, 0.0):
+            best = _nearest(recording, path, k * step, unreadable)
+        if best >= 0 and (not frames or best > frames[-1]):
+            frames.append(best)
+    return Chosen(tuple(frames), path, tuple(lost), tuple(sorted(unreadable)))
 
 
-def _nearest(path: npt.NDArray[np.float64], sharpness: npt.NDArray[np.float64], place: float) -> int:
-    usable = np.flatnonzero(sharpness > 0)
-    return int(usable[np.argmin(np.abs(path[usable] - place))]) if len(usable) else -1
+def _followed(
+    recording: Recording, step: float, on_frame: Callable[[int], None] | None
+) -> tuple[Array, list[int], set[int]]:
+    """Path (frames,) in metres, frames at which it was lost, and those that could not be read."""
+    known: list[tuple[int, float]] = []  # frames that were looked at, and how far they are
+    lost: list[int] = []
+    unreadable: set[int] = set()
+    before: RgbdFrame | None = None
+    at, stride, speed = 0, 1, 0.0  # speed in metres a frame
+    while at < len(recording):
+        frame = _frame(recording, at, unreadable)
+        if frame is None:
+            at += 1
+            continue
+        if on_frame:
+            on_frame(at)
+        if before is None:
+            known.append((at, 0.0))
+        else:
+            last, gone = known[-1]
+            told = motion(before, frame)
+            if stride > 1 and (told is None or told > _FAR * step):  # look more closely
+                at, stride = last + 1, 1
+                continue
+            if told is None:
+                lost.append(at)
+            else:
+                speed = told / (at - last)
+            known.append((at, gone + speed * (at - last)))
+            stride = stride * 2 if told is not None and told < _CLOSE * step else max(1, stride // 2)
+        before = frame
+        at = min(at + min(stride, _LONGEST), len(recording) - 1) if at < len(recording) - 1 else len(recording)
+    if not known:
+        return np.zeros(len(recording)), lost, unreadable
+    numbers, metres = np.array(known).T
+    return np.interp(np.arange(len(recording)), numbers, metres), lost, unreadable
+
+
+def _frame(recording: Recording, i: int, unreadable: set[int]) -> RgbdFrame | None:
+    """The reference camera's image, or None where it cannot be read, which is noted."""
+    try:
+        return recording.frame(i, recording.rig.reference)
+    except FileFormatError:
+        unreadable.add(i)
+        return None
+
+
+def _sharpness(recording: Recording, i: int, unreadable: set[int]) -> float:
+    frame = None if i in unreadable else _frame(recording, i, unreadable)
+    return 0.0 if frame is None else sharpness_of(frame)
+
+
+def _nearest(recording: Recording, path: Array, place: float, unreadable: set[int]) -> int:
+    """The readable frame nearest to a place, or -1."""
+    return next((int(i) for i in np.argsort(np.abs(path - place)) if _sharpness(recording, int(i), unreadable)), -1)
 
 
 def motion(first: RgbdFrame, second: RgbdFrame) -> float | None:
     """Metres that the camera went sideways between two frames, by corners and their depth; None if they do not tell."""
-    one, two = (cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY) for frame in (first, second))
-    near = ((first.depth > 0) & (first.depth < _NEAR)).astype(np.uint8)
+    smaller = 2 if first.color.shape[1] > _WIDE else 1
+    size = (first.color.shape[1] // smaller, first.color.shape[0] // smaller)
+    one, two = (
+        cv2.resize(cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY), size, interpolation=cv2.INTER_AREA)
+        for frame in (first, second)
+    )
+    depth = cv2.resize(first.depth, size, interpolation=cv2.INTER_NEAREST)
+    near = ((depth > 0) & (depth < _NEAR)).astype(np.uint8)
     corners = cv2.goodFeaturesToTrack(one, _CORNERS, 0.01, 8, mask=near)
     if corners is None or len(corners) < _FEWEST:
         return None
@@ -98,10 +147,10 @@ def motion(first: RgbdFrame, second: RgbdFrame) -> float | None:
     if np.count_nonzero(tracked) < _FEWEST:
         return None
     at = np.rint(corners[tracked, 0]).astype(int)
-    depth = first.depth[at[:, 1].clip(0, near.shape[0] - 1), at[:, 0].clip(0, near.shape[1] - 1)]
-    pixels = found[tracked, 0] - corners[tracked, 0]
-    metres = pixels / [first.intrinsics.fx, first.intrinsics.fy] * depth[:, None]
-    return float(np.linalg.norm(np.median(metres[depth > 0], axis=0)))
+    there = depth[at[:, 1].clip(0, near.shape[0] - 1), at[:, 0].clip(0, near.shape[1] - 1)]
+    pixels = smaller * (found[tracked, 0] - corners[tracked, 0])
+    metres = pixels / [first.intrinsics.fx, first.intrinsics.fy] * there[:, None]
+    return float(np.linalg.norm(np.median(metres[there > 0], axis=0)))
 
 
 def sharpness_of(frame: RgbdFrame) -> float:

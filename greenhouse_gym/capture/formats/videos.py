@@ -54,7 +54,9 @@ def video(
 
     load = partial(_station, pair, tuple(color), tuple(depth), tuple(world_from_camera))
     files = (*described_by, *color, *depth)
-    return Recording(folder.name, rig_of(pair), len(color), load, folder, files=files, notes=tuple(notes))
+    return Recording(
+        folder.name, rig_of(pair), len(color), load, folder, files=files, notes=tuple(notes), of_camera=True
+    )
 
 
 def _station(
