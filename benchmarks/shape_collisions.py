@@ -19,11 +19,11 @@ from greenhouse_gym.accuracy import VisibleRow, moved
 from greenhouse_gym.crop import Tomato
 from greenhouse_gym.cutting import BuildSettings
 from greenhouse_gym.geometry import Array, Box, Capsule, Shape, Sphere, distance_to_shapes, pose
-from greenhouse_gym.planning.collision import CollisionChecker
 from greenhouse_gym.plants import PlantRow
 from greenhouse_gym.plants.row import STEM_LINE
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Provenance, Scene, Stand
+from greenhouse_gym.scene.collision import CollisionChecker
 from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
 
 NEAR = 0.3

@@ -29,9 +29,9 @@ from greenhouse_gym.errors import GreenhouseError, InvalidValueError, require_se
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.parallel import completed, require_portable, workers_of
 from greenhouse_gym.planning import path_length
-from greenhouse_gym.planning.collision import CLEARANCE_RANGE, smallest_clearance
-from greenhouse_gym.planning.kinematics import tool_chain, tool_state
 from greenhouse_gym.records import Evaluation, Record, comparison_table, wilson_interval
+from greenhouse_gym.robots.kinematics import tool_chain, tool_state
+from greenhouse_gym.scene.collision import CLEARANCE_RANGE, smallest_clearance
 
 __all__ = [
     "CLEARANCE_RANGE",

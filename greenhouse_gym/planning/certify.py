@@ -18,7 +18,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.planning.collision import (
+from greenhouse_gym.planning.goals import search_goals
+from greenhouse_gym.planning.proof import ProvingChecker
+from greenhouse_gym.planning.query import PlanResult, plan_with
+from greenhouse_gym.planning.unseen import depths_of, guarded, unseen_ways
+from greenhouse_gym.robots import Robot, get_robot
+from greenhouse_gym.scene import Scene, Target
+from greenhouse_gym.scene.collision import (
     COARSE,
     PROOF,
     CollisionChecker,
@@ -26,12 +32,6 @@ from greenhouse_gym.planning.collision import (
     path_clearance,
     planning_model,
 )
-from greenhouse_gym.planning.goals import search_goals
-from greenhouse_gym.planning.proof import ProvingChecker
-from greenhouse_gym.planning.query import PlanResult, plan_with
-from greenhouse_gym.planning.unseen import depths_of, guarded, unseen_ways
-from greenhouse_gym.robots import Robot, get_robot
-from greenhouse_gym.scene import Scene, Target
 from greenhouse_gym.scene.mjcf import CompiledScene
 from greenhouse_gym.scene.scene import Difficulty
 

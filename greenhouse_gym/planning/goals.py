@@ -14,11 +14,12 @@ import numpy as np
 
 from greenhouse_gym.errors import InvalidValueError, require_seed
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.planning.collision import CollisionChecker, checker_of
-from greenhouse_gym.planning.kinematics import Chain, tool_chain, tool_state
 from greenhouse_gym.planning.unseen import depths_of, guarded
 from greenhouse_gym.robots import Robot, get_robot
+from greenhouse_gym.robots.inverse_kinematics import Approach, inverse_kinematics
+from greenhouse_gym.robots.kinematics import tool_chain, tool_state
 from greenhouse_gym.scene import Scene
+from greenhouse_gym.scene.collision import CollisionChecker, checker_of
 from greenhouse_gym.scene.mjcf import CompiledScene
 
 SAMPLE_BUDGET = 40_000
@@ -27,47 +28,7 @@ SAMPLE_BUDGET = 40_000
 CAREFUL_BUDGET = 5_000
 """The same where the arm keeps out of unseen space: for many tomatoes nothing is found, however long the search."""
 
-TOLERANCE = 1e-3
-"""Distance of the grasp point from the target's center at which inverse kinematics has converged, metres."""
-
 _BATCH = 1000
-_ITERATIONS = 20
-_DAMPING = 0.03  # metres per radian
-_TURN = 0.3  # metres per radian: weight of the tool's direction against its place
-_STEP = 0.2  # metres the grasp point is moved per iteration at most
-
-
-@dataclass(frozen=True, eq=False)
-class Approach:
-    """A cone of directions in which the tool may come.
-
-    Attributes:
-        direction: (3,) the cone's axis, the way the tool points; of any length. (1, 0, 0) is from the aisle into the
-            plants.
-        half_angle: Largest angle of the tool axis from it, radians.
-
-    Raises:
-        InvalidValueError: No direction, or an angle outside 0 to pi.
-    """
-
-    direction: Array
-    half_angle: float
-
-    def __post_init__(self) -> None:
-        direction = np.asarray(self.direction, dtype=np.float64)
-        length = float(np.linalg.norm(direction))
-        if direction.shape != (3,) or not (math.isfinite(length) and length > 0):
-            raise InvalidValueError(f"approach: expected a direction (x, y, z), got {self.direction!r}")
-        if not 0 < self.half_angle <= math.pi:
-            raise InvalidValueError(f"approach: expected a half angle above 0, up to pi, got {self.half_angle!r}")
-        object.__setattr__(self, "direction", direction / length)
-
-    def turn(self, axis: Array) -> Array:
-        """(m, 3) rotation vectors that would bring tool axes (m, 3) to the cone's edge, zero for those inside it."""
-        across = np.cross(axis, self.direction)
-        sine = np.linalg.norm(across, axis=-1)
-        outside = np.maximum(np.arctan2(sine, axis @ self.direction) - self.half_angle, 0.0)
-        return across * (outside / np.maximum(sine, 1e-9))[:, None]
 
 
 @dataclass(frozen=True)
@@ -195,46 +156,3 @@ def search_goals(
                 if found == count:
                     break
     return Goals(accepted[:found].copy(), GoalStatistics(samples, within, converged, duplicate, colliding))
-
-
-def inverse_kinematics(
-    chain: Chain, guesses: Array, point: Array, ahead: float, arm: Robot, approach: Approach | None = None
-) -> Array:
-    """Bring the grasp point onto a point from many first guesses, by damped least squares within the joint limits.
-
-    Args:
-        chain: The arm's chain.
-        guesses: (m, n) configurations, radians.
-        point: (3,) where the grasp point shall be, metres, world frame.
-        ahead: Distance of the grasp point from the tip along the tool axis, metres.
-        arm: The arm whose limits hold.
-        approach: The cone that the tool axis is to come into as well; None where any direction will do.
-
-    Returns:
-        (k, n) the k <= m configurations that converged to `TOLERANCE`, in the order of their guesses.
-    """
-    q = guesses.copy()
-    done = np.zeros(len(q), dtype=bool)
-    for _ in range(_ITERATIONS):
-        active = np.flatnonzero(~done)
-        if not len(active):
-            break
-        state = tool_state(chain, q[active], ahead)
-        error = point - state.point
-        distance = np.linalg.norm(error, axis=-1, keepdims=True)
-        arrived = distance[:, 0] < TOLERANCE
-        error = error * np.minimum(1.0, _STEP / np.maximum(distance, 1e-12))
-        jacobian = state.jacobian
-        if approach is not None:
-            turn = approach.turn(state.axis)
-            outside = np.any(turn != 0, axis=1)
-            arrived &= ~outside
-            # a little beyond the edge, where it counts as inside
-            error = np.concatenate([error, _TURN * 1.05 * turn], axis=-1)
-            jacobian = np.concatenate([jacobian, _TURN * outside[:, None, None] * state.joint_axes], axis=1)
-        done[active[arrived]] = True
-        active, error, jacobian = active[~arrived], error[~arrived], jacobian[~arrived]
-        normal = jacobian @ np.swapaxes(jacobian, -1, -2) + _DAMPING**2 * np.eye(jacobian.shape[1])
-        step = np.einsum("mij,mi->mj", jacobian, np.linalg.solve(normal, error[..., None])[..., 0])
-        q[active] = np.clip(q[active] + step, arm.lower, arm.upper)
-    return q[done]

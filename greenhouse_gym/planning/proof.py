@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.planning.collision import CollisionChecker, halving_order
+from greenhouse_gym.scene.collision import CollisionChecker, halving_order
 
 LOOK = 0.04
 """How far beyond its margins a model looks, metres: as far as it can without always seeing the arm's own next link."""

@@ -13,14 +13,6 @@ import numpy.typing as npt
 
 from greenhouse_gym.errors import InvalidValueError, require_seed
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.planning.collision import (
-    COARSE,
-    COLLISION_PAIRS,
-    PROOF,
-    CollisionChecker,
-    checker_of,
-    path_clearance,
-)
 from greenhouse_gym.planning.exchange import Answer, Query
 from greenhouse_gym.planning.goals import Goals, GoalStatistics, sample_budget, search_goals
 from greenhouse_gym.planning.path import path_length
@@ -31,6 +23,14 @@ from greenhouse_gym.planning.unseen import depths_of, guarded, require_seen, uns
 from greenhouse_gym.planning.worker import WorkerCrashedError, WorkerFailedError, WorkerTimeoutError, shared_worker
 from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.scene import Scene
+from greenhouse_gym.scene.collision import (
+    COARSE,
+    COLLISION_PAIRS,
+    PROOF,
+    CollisionChecker,
+    checker_of,
+    path_clearance,
+)
 from greenhouse_gym.scene.mjcf import CompiledScene
 
 Status = Literal[

@@ -13,10 +13,10 @@ from scipy.ndimage import distance_transform_edt
 
 from greenhouse_gym.errors import InvalidValueError, require_choice
 from greenhouse_gym.geometry import Array, Box, distance_to_shapes
-from greenhouse_gym.planning.collision import CollisionChecker, arm_reaches, planning_model
-from greenhouse_gym.planning.kinematics import Chain, tool_chain, tool_state
 from greenhouse_gym.robots import Robot
+from greenhouse_gym.robots.kinematics import Chain, tool_chain, tool_state
 from greenhouse_gym.scene import Scene
+from greenhouse_gym.scene.collision import CollisionChecker, arm_reaches, planning_model
 from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
 from greenhouse_gym.scene.seen import REACH, UNSEEN, Cells, SeenSpace, boxes_of, inside_boxes, required
 

@@ -5,9 +5,9 @@ import pytest
 
 from greenhouse_gym.crop import Tomato
 from greenhouse_gym.planning import CollisionChecker, PlanResult, certify, certify_targets, planning_model
-from greenhouse_gym.planning.collision import path_clearance
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene, Target
+from greenhouse_gym.scene.collision import path_clearance
 from greenhouse_gym.scene.mjcf import compile_scene
 from greenhouse_gym.scene.seen import EMPTY, UNSEEN, SeenSpace
 

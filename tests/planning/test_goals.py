@@ -8,8 +8,9 @@ import pytest
 from greenhouse_gym.crop import Tomato
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.planning import Approach, CollisionChecker, goal_configurations, planning_model
-from greenhouse_gym.planning.goals import SAMPLE_BUDGET, TOLERANCE
-from greenhouse_gym.planning.kinematics import tool_chain, tool_state
+from greenhouse_gym.planning.goals import SAMPLE_BUDGET
+from greenhouse_gym.robots.inverse_kinematics import TOLERANCE
+from greenhouse_gym.robots.kinematics import tool_chain, tool_state
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.mjcf import compile_scene
 

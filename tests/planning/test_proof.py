@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from greenhouse_gym.planning.collision import MARGIN, PROOF, CollisionChecker, planning_model
 from greenhouse_gym.planning.proof import ProvingChecker
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene, SceneBank
+from greenhouse_gym.scene.collision import MARGIN, PROOF, CollisionChecker, planning_model
 from greenhouse_gym.scene.mjcf import compile_scene
 
 

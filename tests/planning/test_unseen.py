@@ -8,10 +8,10 @@ import pytest
 from greenhouse_gym.errors import InvalidValueError, UnknownNameError
 from greenhouse_gym.geometry import distance_to_shapes
 from greenhouse_gym.planning import PlanResult, goal_configurations, plan, query
-from greenhouse_gym.planning.collision import CollisionChecker, planning_model
 from greenhouse_gym.planning.unseen import DEPTHS, depths_of, guarded, unseen_boxes, unseen_way
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene
+from greenhouse_gym.scene.collision import CollisionChecker, planning_model
 from greenhouse_gym.scene.seen import EMPTY, REACH, UNSEEN, SeenSpace
 
 ARM = get_robot("ur5e")

@@ -8,7 +8,8 @@ import pytest
 from conftest import with_ellipsoids
 
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.planning.collision import (
+from greenhouse_gym.scene import Scene
+from greenhouse_gym.scene.collision import (
     MARGIN,
     PROOF,
     CollisionChecker,
@@ -17,7 +18,6 @@ from greenhouse_gym.planning.collision import (
     planning_model,
     set_margin,
 )
-from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
 
 TARGET = 4

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from greenhouse_gym.planning.kinematics import Chain, tool_chain, tool_state
+from greenhouse_gym.robots.kinematics import Chain, tool_chain, tool_state
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
 
