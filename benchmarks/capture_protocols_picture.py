@@ -31,7 +31,8 @@ from greenhouse_gym.robots import get_robot
 from greenhouse_gym.robots.kinematics import tool_chain, tool_state
 from greenhouse_gym.scene import Scene, SceneBank, compile_scene
 from greenhouse_gym.scene.collision import planning_model
-from greenhouse_gym.scene.render import Viewpoint, picture_of_path
+from greenhouse_gym.scene.render import Viewpoint
+from greenhouse_gym.scene.task_pictures import picture_of_path
 
 VIEW = Viewpoint((-0.75, -1.7, 1.75), (0.25, 0.0, 1.25))
 COLORS = ListedColormap(["0.55", "white", "#2e7d32"])  # unseen, empty, surface

@@ -24,8 +24,9 @@ from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene, SceneBank, compile_scene
 from greenhouse_gym.scene.opengl import OpenGLMissingError, OpenGLRenderer
-from greenhouse_gym.scene.render import Viewpoint, render_scene, task_lines
+from greenhouse_gym.scene.render import Viewpoint, render_scene
 from greenhouse_gym.scene.surroundings import Surroundings
+from greenhouse_gym.scene.task_pictures import task_lines
 
 WIDTH, HEIGHT = 400, 400
 VIEW = Viewpoint((-1.0, -1.75, 1.7), (0.22, -0.1, 1.15), 46.0)

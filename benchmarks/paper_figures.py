@@ -42,7 +42,8 @@ from greenhouse_gym.reporting.pictures import BLUE, RED, Image, shifted_silhouet
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
-from greenhouse_gym.scene.render import Viewpoint, default_camera, picture_of_path, render_scene
+from greenhouse_gym.scene.render import Viewpoint, default_camera, render_scene
+from greenhouse_gym.scene.task_pictures import picture_of_path
 from greenhouse_gym.shapes import RowShapes, extract_shapes
 
 STATIONS = 50

@@ -23,7 +23,7 @@ from greenhouse_gym.robots import Robot
 from greenhouse_gym.robots.inverse_kinematics import inverse_kinematics
 from greenhouse_gym.robots.kinematics import tool_chain
 from greenhouse_gym.scene import CompiledScene, compile_scene
-from greenhouse_gym.scene.collision import joint_reaches
+from greenhouse_gym.scene.reaches import joint_reaches
 
 MARGINS = (0.012, 0.004, 0.0)
 """Distances to obstacles that are kept, metres: the next one where there is no way with the one before."""

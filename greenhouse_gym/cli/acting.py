@@ -45,7 +45,7 @@ def plan(
     from greenhouse_gym.planning import PLANNERS, goal_configurations, resample
     from greenhouse_gym.planning import plan as plan_path
     from greenhouse_gym.scene import SceneBank
-    from greenhouse_gym.scene.render import picture_of_path
+    from greenhouse_gym.scene.task_pictures import picture_of_path
 
     if time_limit is None and max_checks is None:
         time_limit = 5.0
@@ -170,7 +170,7 @@ def render(
     from greenhouse_gym.reporting.pictures import save
     from greenhouse_gym.robots import get_robot
     from greenhouse_gym.scene import SceneBank
-    from greenhouse_gym.scene.render import picture_of_path
+    from greenhouse_gym.scene.task_pictures import picture_of_path
 
     arm = get_robot("ur5e")
     opened = SceneBank.open(bank)

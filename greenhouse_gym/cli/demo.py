@@ -273,7 +273,7 @@ def _draw_the_arm(out: Path, recording: Recording, cloud: RowCloud, bank: SceneB
     from greenhouse_gym.planning import resample
     from greenhouse_gym.reporting.pictures import overview, save, splat, upright
     from greenhouse_gym.robots import get_robot
-    from greenhouse_gym.scene.render import picture_of_path
+    from greenhouse_gym.scene.task_pictures import picture_of_path
 
     with report.stage("pictures of the arm") as results:
         scene, target = _showpiece(bank)

@@ -13,8 +13,9 @@ import numpy.typing as npt
 from greenhouse_gym.errors import GreenhouseError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.scene.opengl import OpenGLMissingError, OpenGLRenderer, add_line, free_camera
-from greenhouse_gym.scene.render import default_camera, render_depth, render_scene, task_lines
+from greenhouse_gym.scene.render import default_camera, render_depth, render_scene
 from greenhouse_gym.scene.surroundings import Stand
+from greenhouse_gym.scene.task_pictures import task_lines
 
 RENDER_MODES = ("rgb_array", "human", "depth_array")
 WIDTH, HEIGHT = 640, 480

@@ -20,7 +20,8 @@ import numpy as np
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning.goals import search_goals
 from greenhouse_gym.planning.proof import ProvingChecker
-from greenhouse_gym.planning.query import PlanResult, plan_with
+from greenhouse_gym.planning.query import plan_with
+from greenhouse_gym.planning.result import PlanResult
 from greenhouse_gym.planning.unseen import depths_of, guarded, unseen_ways
 from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.scene import Scene, Target
@@ -28,11 +29,11 @@ from greenhouse_gym.scene.collision import (
     COARSE,
     PROOF,
     CollisionChecker,
-    arm_reaches,
     path_clearance,
     planning_model,
 )
 from greenhouse_gym.scene.mjcf import CompiledScene
+from greenhouse_gym.scene.reaches import arm_reaches
 from greenhouse_gym.scene.scene import Difficulty
 
 GOALS, SAMPLES = 30, 10_000

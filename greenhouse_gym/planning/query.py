@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Collection
-from dataclasses import dataclass, field, replace
-from typing import Literal
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -14,11 +13,12 @@ import numpy.typing as npt
 from greenhouse_gym.errors import InvalidValueError, require_seed
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning.exchange import Answer, Query
-from greenhouse_gym.planning.goals import Goals, GoalStatistics, sample_budget, search_goals
+from greenhouse_gym.planning.goals import Goals, sample_budget, search_goals
 from greenhouse_gym.planning.path import path_length
 from greenhouse_gym.planning.planner_settings import PlannerSettings
 from greenhouse_gym.planning.planners import PLANNERS, PlannerInfo
 from greenhouse_gym.planning.registered import PlannerFailedError, run_registered
+from greenhouse_gym.planning.result import PlanResult, Status
 from greenhouse_gym.planning.unseen import depths_of, guarded, require_seen, unseen_way
 from greenhouse_gym.planning.worker import WorkerCrashedError, WorkerFailedError, WorkerTimeoutError, shared_worker
 from greenhouse_gym.robots import Robot, get_robot
@@ -33,17 +33,6 @@ from greenhouse_gym.scene.collision import (
 )
 from greenhouse_gym.scene.mjcf import CompiledScene
 
-Status = Literal[
-    "solved",  # a path was found and proven free
-    "no_goal",  # no configuration reaches the target without touching something
-    "start_in_collision",  # the start touches something, or nearly
-    "no_solution",  # the time or the checks were used up without a path
-    "approximate",  # the same, but a path that ends near a goal was found
-    "timeout",  # the planner ignored its time limit and was killed
-    "crashed",  # the planning process died, or the planner raised an error
-    "invalid",  # the planner's path does not lead from the start to a goal, or is not free
-]
-
 _POOL = 240  # goal configurations of which those that keep out of unseen space are chosen
 _CANDIDATES = (
     4  # solutions of inverse kinematics looked at for each goal configuration, where unseen space is in the way
@@ -54,50 +43,6 @@ _LONGEST = 1e6  # seconds; what comes near the range of the system's clocks is c
 
 GRACE = 5.0
 """Seconds beyond the time limit after which a planner that does not return is killed."""
-
-
-@dataclass(frozen=True, eq=False)
-class PlanResult:
-    """What became of a plan.
-
-    Attributes:
-        status: One of `Status`.
-        path: (k, joints) free joint path from the start to a goal, radians; None unless solved.
-        planner: Name of the planner.
-        raw_path: (k, joints) the planner's own path before it was simplified; None without one.
-        raw_length: Length of ``raw_path``, radians; nan without one.
-        length: Length of ``path``, radians; nan without one.
-        clearance: Smallest distance of the arm to any obstacle but the target along ``path``, metres; at most
-            `CLEARANCE_RANGE`; nan without a path.
-        planning_time: Seconds the planner searched.
-        simplification_time: Seconds for shortening the path and proving it free.
-        goal_time: Seconds for the goal configurations.
-        checks: Configurations the planner checked for collisions.
-        tree_size: Nodes in the planner's trees or roadmap; 0 for EITstar, whose are slow to count.
-        costs: (m, 2) seconds, and the length of the best path the planner had by then, radians: the first one it told
-            of and every shorter one.
-        goals: How the search for goal configurations went; None where they were given.
-        message: What happened, where the status does not tell it all.
-        unseen_length: Length of the tip's way along ``path`` while some of the arm is in space that the scan did not
-            see, metres; nan without a path, or where unseen space counts as free.
-    """
-
-    status: Status
-    path: Array | None
-    planner: str
-    raw_path: Array | None = None
-    raw_length: float = math.nan
-    length: float = math.nan
-    clearance: float = math.nan
-    planning_time: float = 0.0
-    simplification_time: float = 0.0
-    goal_time: float = 0.0
-    checks: int = 0
-    tree_size: int = 0
-    costs: Array = field(default_factory=lambda: np.empty((0, 2)))
-    goals: GoalStatistics | None = None
-    message: str = ""
-    unseen_length: float = math.nan
 
 
 def plan(

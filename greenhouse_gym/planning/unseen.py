@@ -16,8 +16,9 @@ from greenhouse_gym.geometry import Array, Box, distance_to_shapes
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.robots.kinematics import Chain, tool_chain, tool_state
 from greenhouse_gym.scene import Scene
-from greenhouse_gym.scene.collision import CollisionChecker, arm_reaches, planning_model
+from greenhouse_gym.scene.collision import CollisionChecker, planning_model
 from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
+from greenhouse_gym.scene.reaches import arm_reaches
 from greenhouse_gym.scene.seen import REACH, UNSEEN, Cells, SeenSpace, boxes_of, inside_boxes, required
 
 UNSEEN_RULES = ("free", "avoid", "forbid")

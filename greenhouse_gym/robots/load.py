@@ -27,6 +27,17 @@ import numpy.typing as npt
 
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.robots.limits import (
+    DEFAULT_ACCELERATION,
+    DEFAULT_SLIDE_ACCELERATION,
+    DEFAULT_SLIDE_SPEED,
+    DEFAULT_SPEED,
+    attainable_speeds,
+    joint_limits,
+    lag,
+    motion_limits,
+    numeric,
+)
 from greenhouse_gym.robots.prepare import (
     PROBE_PREFIX,
     TIP_SITE,
@@ -52,15 +63,6 @@ START_KEYS = ("start", "home")
 
 UPRIGHT = "upright"
 """The start that is searched for instead of read: see `upright_start`."""
-
-DEFAULT_SPEED, DEFAULT_SLIDE_SPEED = 1.6, 0.4
-"""Speed limits of joints whose file names none, rad/s and m/s: what a joint action of 1 asks for."""
-
-DEFAULT_ACCELERATION, DEFAULT_SLIDE_ACCELERATION = 10.0, 2.0
-"""Acceleration limits of joints whose file names none, rad/s^2 and m/s^2."""
-
-SHARE = 0.8
-"""Share of a servo's force that damping may take at the default speed limit; the rest is for speeding up."""
 
 PLANTS_AHEAD = 0.45
 """Distance ahead of an arm's base at which a row's leaves and fruit begin, metres."""
@@ -136,7 +138,7 @@ def load_robot(
     own_probes = any(bare.site(i).name.startswith(PROBE_PREFIX) for i in range(bare.nsite))
     searched = isinstance(start, str) and start == UPRIGHT and UPRIGHT not in _keys(bare)
     begin = np.zeros(n) if searched else _start(path, bare, start)
-    lower, upper = _limits(bare, begin)
+    lower, upper = joint_limits(bare, begin)
     spec = prepare(bare_spec, tip)
     if searched:
         begin = upright_start(spec, lower, upper, foot_of(spec.compile()))
@@ -148,11 +150,11 @@ def load_robot(
             f'{PLANTS_AHEAD} m on; load_robot(..., start="upright") finds a start that is free',
             stacklevel=2,
         )
-    height = _numeric(path, model, "shoulder_height", 1)
+    height = numeric(path, model, "shoulder_height", 1)
     probes = [i for i in range(model.nsite) if model.site(i).name.startswith(PROBE_PREFIX)]
     radii = model.site_size[probes, 0].copy()
     sliding = np.asarray(model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE)
-    speeds = np.minimum(np.where(sliding, DEFAULT_SLIDE_SPEED, DEFAULT_SPEED), _attainable_speeds(model))
+    speeds = np.minimum(np.where(sliding, DEFAULT_SLIDE_SPEED, DEFAULT_SPEED), attainable_speeds(model))
     accelerations = np.where(sliding, DEFAULT_SLIDE_ACCELERATION, DEFAULT_ACCELERATION)
     return Robot(
         name=path.stem,
@@ -162,15 +164,15 @@ def load_robot(
         starts=MappingProxyType({model.key(i).name: model.key_qpos[i].copy() for i in range(model.nkey)}),
         lower=lower,
         upper=upper,
-        velocity_limits=_motion_limits(path, model, "velocity_limits", velocity_limits, speeds),
-        acceleration_limits=_motion_limits(path, model, "acceleration_limits", acceleration_limits, accelerations),
+        velocity_limits=motion_limits(path, model, "velocity_limits", velocity_limits, speeds),
+        acceleration_limits=motion_limits(path, model, "acceleration_limits", acceleration_limits, accelerations),
         shoulder_height=_shoulder_height(model, begin) if height is None else float(height[0]),
         probes=tuple(model.site(i).name for i in probes),
         probe_radii=radii if own_probes else np.zeros_like(radii),
         specification=spec,
         tip=tip,
         sliding=sliding,
-        lag=_lag(model),
+        lag=lag(model),
         foot=foot_of(model),
     )
 
@@ -236,18 +238,6 @@ def _check_start(path: Path, model: mujoco.MjModel, start: Array, lower: Array, 
         )
 
 
-def _limits(model: mujoco.MjModel, start: Array) -> tuple[Array, Array]:
-    """What both joints and actuators allow; one turn around the start where neither says anything."""
-    commanded = np.where(model.actuator_ctrllimited[:, None], model.actuator_ctrlrange, [-np.inf, np.inf])
-    allowed = np.where(model.jnt_limited[:, None], model.jnt_range, [-np.inf, np.inf])
-    lower: Array = np.maximum(allowed[:, 0], commanded[:, 0])
-    upper: Array = np.minimum(allowed[:, 1], commanded[:, 1])
-    return (
-        np.where(np.isfinite(lower), lower, np.minimum(start, upper) - np.pi),
-        np.where(np.isfinite(upper), upper, np.maximum(start, lower) + np.pi),
-    )
-
-
 def _keys(model: mujoco.MjModel) -> list[str]:
     return [model.key(i).name for i in range(model.nkey)]
 
@@ -259,39 +249,6 @@ def _start(path: Path, model: mujoco.MjModel, start: str | npt.ArrayLike | None)
     if q.shape != (model.njnt,) or not np.isfinite(q).all():
         raise InvalidValueError(f"start must be {model.njnt} finite joint positions, got {start!r}")
     return q
-
-
-def _motion_limits(path: Path, model: mujoco.MjModel, name: str, given: npt.ArrayLike | None, default: Array) -> Array:
-    if given is not None:
-        limits = np.array(given, dtype=np.float64)
-        if limits.shape != (model.njnt,) or not (limits > 0).all():
-            raise InvalidValueError(f"{name} must be {model.njnt} positive numbers, got {given!r}")
-        return limits
-    in_file = _numeric(path, model, name, model.njnt)
-    return default if in_file is None else in_file
-
-
-def _numeric(path: Path, model: mujoco.MjModel, name: str, size: int) -> Array | None:
-    index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)
-    if index < 0:
-        return None
-    first, count = model.numeric_adr[index], model.numeric_size[index]
-    if count != size:
-        raise FileFormatError(path, f"custom numeric {name!r} has {count} numbers, expected {size}")
-    return np.array(model.numeric_data[first : first + count])
-
-
-def _attainable_speeds(model: mujoco.MjModel) -> Array:
-    """Speeds at which a joint's damping takes `SHARE` of the force that its servo has; inf without either."""
-    force = np.where(model.actuator_forcelimited, model.actuator_forcerange[:, 1], np.inf)
-    at_joint = np.where(model.jnt_actfrclimited, model.jnt_actfrcrange[:, 1], np.inf)
-    return SHARE * np.minimum(force, at_joint) / np.maximum(model.dof_damping, 1e-9)
-
-
-def _lag(model: mujoco.MjModel) -> float:
-    """Time by which the slowest joint lags behind its command, seconds: its damping over its servo's stiffness."""
-    damping = np.maximum(-model.actuator_biasprm[:, 2], model.dof_damping)
-    return float((damping / model.actuator_gainprm[:, 0]).max())
 
 
 def _shoulder_height(model: mujoco.MjModel, start: Array) -> float:

@@ -14,11 +14,11 @@ from greenhouse_gym.scene.collision import (
     PROOF,
     CollisionChecker,
     halving_order,
-    joint_reaches,
     planning_model,
     set_margin,
 )
 from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
+from greenhouse_gym.scene.reaches import joint_reaches
 
 TARGET = 4
 

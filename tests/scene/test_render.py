@@ -7,7 +7,8 @@ import pytest
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene, compile_scene
-from greenhouse_gym.scene.render import Line, Viewpoint, picture_of_path, render_scene
+from greenhouse_gym.scene.render import Line, Viewpoint, render_scene
+from greenhouse_gym.scene.task_pictures import picture_of_path
 
 SMALL = {"width": 96, "height": 72, "samples": 1}
 

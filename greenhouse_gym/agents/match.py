@@ -1,0 +1,229 @@
+"""An agent plays episodes in the simulations of a vector environment, and what happened is recorded."""
+
+from __future__ import annotations
+
+import copy
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from greenhouse_gym.agents.agent import Agent, Problem
+from greenhouse_gym.agents.patience import Patience
+from greenhouse_gym.envs import TomatoReachVectorEnv
+from greenhouse_gym.envs.actions import check_actions
+from greenhouse_gym.envs.observations import Observed, select
+from greenhouse_gym.envs.simulation import ReachSimulation
+from greenhouse_gym.errors import GreenhouseError, InvalidValueError
+from greenhouse_gym.geometry import Array
+from greenhouse_gym.planning import path_length
+from greenhouse_gym.records import Record
+from greenhouse_gym.robots.kinematics import tool_chain, tool_state
+from greenhouse_gym.scene.collision import smallest_clearance
+
+
+class AgentError(GreenhouseError, RuntimeError):
+    """An agent cannot be evaluated: it failed before it gave a single valid action."""
+
+
+def never_acted(agent: Agent, seed: int, failure: str) -> AgentError:
+    """The error of an agent that failed before its first action."""
+    return AgentError(f"agent {agent.name!r} failed before its first action (seed {seed}): {failure}")
+
+
+@dataclass
+class _Run:
+    """An episode that is being played.
+
+    Attributes:
+        place: Which of the episodes it is.
+        problem: What the agent was told.
+        agent: Who plays.
+        planning_time: Seconds the agent took to prepare.
+        action_time: Seconds it took to act so far.
+        total_reward: Sum of the rewards so far.
+        joints: True joint positions so far, (joints,) each.
+        failure: Why the agent gave no valid action.
+    """
+
+    place: int
+    problem: Problem
+    agent: Agent
+    planning_time: float = 0.0
+    action_time: float = 0.0
+    total_reward: float = 0.0
+    joints: list[Array] = field(default_factory=list)
+    failure: str = ""
+
+
+class Match:
+    """An agent's episodes in the simulations of a vector environment, each begun as soon as one is free.
+
+    Args:
+        agent: Who plays.
+        env: Where.
+        chosen: Place and reset options of the episodes.
+        seed: Of the episode in place 0.
+        patience: Seconds it may take for each answer; None waits for ever.
+        proven: Whether the agent ever gave a valid action.
+    """
+
+    def __init__(
+        self,
+        agent: Agent,
+        env: TomatoReachVectorEnv,
+        chosen: deque[tuple[int, dict[str, Any]]],
+        seed: int,
+        patience: float | None,
+        proven: bool = False,
+    ):
+        self._agent, self._env, self._chosen, self._seed = agent, env, chosen, seed
+        self._simulation: ReachSimulation = env.simulation
+        self._space = env.simulation.action_rule.space
+        self._shared = getattr(agent, "act_many", None)
+        self._players = [agent] * env.num_envs
+        if env.num_envs > 1 and self._shared is None:
+            self._players = [_copy(agent) for _ in self._players]
+        self._patience = Patience(patience)
+        self._proven = proven
+
+    def records(self) -> Iterator[tuple[int, Record]]:
+        """Places and records of all episodes, in the order in which they end."""
+        env, ids = self._env, range(self._env.num_envs)
+        if env.num_envs > 1:
+            env.reset(seed=self._seed)  # simulations can only be reset singly when all have been
+        runs: list[_Run | None] = [None] * env.num_envs
+        actions = np.zeros((env.num_envs, *self._space.shape))
+        while True:
+            for i in ids:
+                while runs[i] is None and self._chosen:
+                    runs[i] = self._begin(i)
+                    yield from self._ended(runs, i)
+            observations = self._simulation.observation()
+            self._act(runs, observations, actions)
+            for i in ids:
+                yield from self._ended(runs, i)
+            playing = [i for i in ids if runs[i] is not None]
+            if not playing:
+                if self._chosen:
+                    continue
+                return
+            _, rewards, terminated, truncated, _ = env.step(actions)
+            for i in playing:
+                run = runs[i]
+                assert run is not None
+                run.total_reward += float(rewards[i])
+                run.joints.append(self._simulation.joints[i].copy())
+                if terminated[i] or truncated[i]:
+                    yield run.place, self._record(i, run)
+                    runs[i] = None
+
+    def _begin(self, i: int) -> _Run:
+        place, where = self._chosen.popleft()
+        env, seed = self._env, self._seed + place
+        alone = np.arange(env.num_envs) == i
+        env.reset(seed=[seed if mine else None for mine in alone], options={**where, "reset_mask": alone})
+        episode = self._simulation.episode(i)
+        simulation = self._simulation
+        problem = Problem(
+            episode.scene, episode.target, simulation.robot, episode.start, seed, simulation.action_rule,
+            simulation.interval,
+        )  # fmt: skip
+        run = _Run(place, problem, self._players[i], joints=[self._simulation.joints[i].copy()])
+        began = time.perf_counter()
+        try:
+            self._patience.call(run.agent.reset, problem)
+        except Exception as error:
+            self._fail(run, error)
+        run.planning_time = time.perf_counter() - began
+        return run
+
+    def _act(self, runs: Sequence[_Run | None], observations: Observed, actions: Array) -> None:
+        """Ask for the actions of all runs; those of others are zero."""
+        actions[:] = 0.0
+        playing = [(i, run) for i, run in enumerate(runs) if run is not None]
+        if not playing:
+            return
+        if self._shared is None:
+            for i, run in playing:
+                self._ask(run, run.agent.act, select(observations, i), actions[i : i + 1])
+            return
+        began = time.perf_counter()
+        try:
+            seen = select(observations, [i for i, _ in playing])
+            together = np.asarray(self._patience.call(self._shared, seen))
+            if together.shape[:1] != (len(playing),):
+                raise InvalidValueError(f"act_many must give {len(playing)} actions, got shape {together.shape}")
+        except Exception as error:
+            for _, run in playing:
+                self._fail(run, error)
+            return
+        spent = (time.perf_counter() - began) / len(playing)
+        for (i, run), action in zip(playing, together, strict=True):
+            self._ask(run, np.asarray, action, actions[i : i + 1])
+            run.action_time += spent
+
+    def _ask(self, run: _Run, act: Callable[[Any], Any], observation: Any, action: Array) -> None:
+        """Fill in a run's next action (1, size)."""
+        began = time.perf_counter()
+        try:
+            action[:] = check_actions(np.asarray(self._patience.call(act, observation))[None], 1, self._space)
+        except Exception as error:
+            self._fail(run, error)
+        else:
+            self._proven = True
+        run.action_time += time.perf_counter() - began
+
+    def _fail(self, run: _Run, error: Exception) -> None:
+        run.failure = f"{type(error).__name__}: {error}"
+        if not self._proven:
+            raise never_acted(self._agent, run.problem.seed, run.failure) from error
+
+    def _ended(self, runs: list[_Run | None], i: int) -> Iterator[tuple[int, Record]]:
+        """The record of a run whose agent failed."""
+        run = runs[i]
+        if run is not None and run.failure:
+            runs[i] = None
+            yield run.place, self._record(i, run)
+
+    def _record(self, i: int, run: _Run) -> Record:
+        simulation = self._simulation
+        info = {key: values[i] for key, values in simulation.info().items()}
+        steps = len(run.joints) - 1
+        way = np.array(run.joints)
+        model, _ = simulation.model_and_data(i)
+        compiled, target = simulation.physical(i)
+        tips = tool_state(tool_chain(model, compiled.tip_site), way).point
+        return Record(
+            seed=run.problem.seed,
+            scene=info["scene"],
+            target=int(info["target"]),
+            difficulty=info["difficulty"],
+            success=bool(info["is_success"]) and not run.failure,
+            collision=bool(info["collision"]),
+            contact=tuple(info["contact"]),
+            steps=steps,
+            planning_time=run.planning_time,
+            action_time=run.action_time / max(1, steps),
+            joint_length=path_length(way),
+            tip_length=path_length(tips),
+            clearance=smallest_clearance(compiled, model, target, way),
+            roughness=float(np.linalg.norm(np.diff(way, n=2, axis=0), axis=-1).mean()) if steps > 1 else 0.0,
+            total_reward=run.total_reward,
+            distance=float(info["distance"]),
+            status=str(getattr(run.agent, "status", "")),
+            failure=run.failure,
+        )
+
+
+def _copy(agent: Agent) -> Agent:
+    try:
+        return copy.deepcopy(agent)
+    except Exception as error:
+        raise InvalidValueError(
+            f"agent {agent.name!r} cannot be copied for each of several simulations ({error}); "
+            "give it a method act_many(observations), or leave num_envs at 1"
+        ) from error
