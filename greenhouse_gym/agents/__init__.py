@@ -6,7 +6,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from greenhouse_gym.agents.agent import Agent, Problem
-from greenhouse_gym.agents.baselines import RandomAgent, StillAgent, StraightLineAgent
+from greenhouse_gym.agents.baselines import RandomAgent, StillAgent, StraightLineAgent, WaypointAgent
 from greenhouse_gym.agents.guide import GuidedAgent
 from greenhouse_gym.agents.planner_agent import PlannerAgent
 from greenhouse_gym.agents.resolved_rate import ResolvedRateAgent
@@ -28,6 +28,7 @@ __all__ = [
     "ShieldedAgent",
     "StillAgent",
     "StraightLineAgent",
+    "WaypointAgent",
 ]
 
 

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.agents.planner_agent import PathFollower
+from greenhouse_gym.envs.observations import WaypointObservation
 from greenhouse_gym.planning import goal_configurations
 
 _NOTHING_SPECIAL: Mapping[str, Any] = MappingProxyType({})
@@ -77,3 +78,29 @@ class StraightLineAgent:
         if self._follower is None:
             raise RuntimeError("reset the agent before it acts")
         return self._follower.action()
+
+
+class WaypointAgent:
+    """Goes straight to the waypoint that it is told: what `observation="waypoint"` is worth without any learning.
+
+    It needs an environment whose actions move the joints.
+    """
+
+    name = "waypoint"
+    env_options: Mapping[str, Any] = MappingProxyType({"observation": "waypoint"})
+
+    def __init__(self) -> None:
+        self._direction = slice(0)
+
+    def reset(self, problem: Problem) -> None:
+        """Find the place of the direction in the observation."""
+        ends = {}
+        end = 0
+        for name, size in WaypointObservation(problem.robot).layout:
+            end += size
+            ends[name] = slice(end - size, end)
+        self._direction = ends["waypoint_direction"]
+
+    def act(self, observation: Any) -> npt.NDArray[np.float32]:
+        """As far that way as may be."""
+        return np.asarray(observation[self._direction], dtype=np.float32)

@@ -34,9 +34,6 @@ RESOLUTION = 0.03
 GUESSES, SPREADS = 64, (0.4, 1.2)
 """First guesses of goals, and how far they are strewn about the start, radians."""
 
-NARROW, DETOUR = (0.1, 0.7), 3.0
-"""How far guesses are strewn about a posture, radians, and what a way to a goal of another posture costs beside."""
-
 PLANS, PLAN_CHECKS, NEAREST = 4, 6_000, 60
 """Runs of RRTConnect in an episode, where no straight motion is free, the checks of each, and the goals it gets."""
 
@@ -55,17 +52,13 @@ class Guide:
         target: Index of the target.
         start: (joints,) near which goals are looked for, radians.
         seed: Same seed, same result.
-        postures: (2, joints) near which goals are looked for first, for targets on the arm's left and on its right, or
-            None. Without them neighboring targets may be reached with the elbow now up and now down.
 
     Attributes:
         nodes: (k, joints) goals and nodes of paths to them, radians.
         costs: (k,) way from each to its goal, radians.
     """
 
-    def __init__(
-        self, compiled: CompiledScene, target: int, start: Array, seed: int = 0, postures: Array | None = None
-    ):
+    def __init__(self, compiled: CompiledScene, target: int, start: Array, seed: int = 0):
         self._compiled, self._target, self._seed = compiled, target, seed
         self._checkers = tuple(
             CollisionChecker(planning_model(compiled, target, margin=margin), _reaches(compiled)) for margin in MARGINS
@@ -74,20 +67,14 @@ class Guide:
         random = np.random.default_rng(seed)
         chain = tool_chain(compiled.model, compiled.tip_site)
 
-        def goals(posture: Array, spreads: tuple[float, float]) -> Array:
-            strewn = random.normal(size=(GUESSES, len(start))) * np.linspace(*spreads, GUESSES)[:, None]
-            guesses = np.clip(posture + strewn, arm.lower, arm.upper)
-            guesses[:, -1] = start[-1]  # the tool is round
-            found = inverse_kinematics(chain, guesses, tomato.center, tomato.radius, arm)
-            return found[[self._checkers[-1].is_free(end) for end in found]].reshape(-1, len(start))
-
-        usual, preferred = goals(start, SPREADS), np.empty((0, len(start)))
-        if postures is not None:
-            preferred = goals(postures[int(_side(compiled, target) < 0)], NARROW)
-        if not len(usual) + len(preferred):
-            usual = search_goals(compiled, self._checkers[-1], target, seed=seed).configurations
-        self.nodes = np.concatenate([preferred, usual])
-        self.costs = np.where(np.arange(len(self.nodes)) < len(preferred), 0.0, DETOUR if len(preferred) else 0.0)
+        strewn = random.normal(size=(GUESSES, len(start))) * np.linspace(*SPREADS, GUESSES)[:, None]
+        guesses = np.clip(start + strewn, arm.lower, arm.upper)
+        guesses[:, -1] = start[-1]  # the tool is round
+        found = inverse_kinematics(chain, guesses, tomato.center, tomato.radius, arm)
+        self.nodes = found[[self._checkers[-1].is_free(end) for end in found]].reshape(-1, len(start))
+        if not len(self.nodes):
+            self.nodes = search_goals(compiled, self._checkers[-1], target, seed=seed).configurations
+        self.costs = np.zeros(len(self.nodes))
         self._ends = self.nodes
         self._plans = 0
 
@@ -133,13 +120,6 @@ def towards(waypoint: Array, command: Array, steps: Array) -> Array:
     """The action (joints,) in [-1, 1] that moves a command straight towards a waypoint, as fast as may be."""
     wish = (waypoint - command) / steps
     return np.asarray(wish / max(1.0, float(np.abs(wish).max())))
-
-
-def _side(compiled: CompiledScene, target: int) -> float:
-    """How far a target lies to the arm's left, metres."""
-    stand, center = compiled.scene.stand, compiled.scene.tomatoes[target].center
-    x, y = (center - stand.position)[:2]
-    return float(y * np.cos(stand.yaw) - x * np.sin(stand.yaw))
 
 
 _REACHES: dict[int, tuple[Robot, Array]] = {}

@@ -24,6 +24,7 @@ from greenhouse_gym.envs.observations import (
     Observed,
     Sight,
     StateObservation,
+    WaypointObservation,
 )
 from greenhouse_gym.envs.reach_task import Situation
 from greenhouse_gym.envs.rewards import REWARDS, DenseReward, Reward, SparseReward, Transition
@@ -35,6 +36,7 @@ OBSERVATIONS: Mapping[str, Callable[[Robot], Sight]] = {
     "state": StateObservation,
     "state_seen": partial(StateObservation, unseen=True),
     "approach": ApproachObservation,
+    "waypoint": WaypointObservation,
     "goal": GoalObservation,
     "depth": DepthObservation(),
     "points": PointsObservation(),
@@ -100,7 +102,7 @@ class _Checked(Sight):
                 raise InvalidValueError(f"{self._name}{_at(key)}: its space must be made of boxes, got {box}")
         self._boxes = boxes
         for name in (
-            "layout", "cameras", "sees_arm", "sees_color", "asks_what_was_seen", "asks_for_room",
+            "layout", "cameras", "sees_arm", "sees_color", "asks_what_was_seen", "asks_for_room", "asks_for_way",
             "target_is_obstacle", "has_goals",
         ):  # fmt: skip
             setattr(self, name, getattr(own, name, getattr(Sight, name)))

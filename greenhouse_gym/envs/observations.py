@@ -13,7 +13,7 @@ from gymnasium import spaces
 from greenhouse_gym.envs.actions import max_lead
 from greenhouse_gym.envs.approach import ROOM
 from greenhouse_gym.envs.cameras import DepthCamera
-from greenhouse_gym.envs.reach_task import Float32, Situation
+from greenhouse_gym.envs.reach_task import ACTION_STEP, Float32, Situation
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
@@ -27,6 +27,9 @@ MAX_OFFSET = 3.0
 
 MIN_CLEARANCE = -0.1
 """Clearances are reported down to here, metres."""
+
+MAX_WAY = 6.3
+"""Ways of a joint are reported up to here, radians."""
 
 Layout: TypeAlias = tuple[tuple[str, int], ...]
 Observed: TypeAlias = npt.NDArray[Any] | dict[str, npt.NDArray[Any]]
@@ -63,6 +66,7 @@ class Sight(ABC):
         sees_color: Whether there are color images, too.
         asks_what_was_seen: Whether it tells which places the scan saw; all scenes must then say so.
         asks_for_room: Whether it tells how much room there is around the target.
+        asks_for_way: Whether it tells where the arm can go straight.
         target_is_obstacle: Whether the clearances count the target too.
         has_goals: Whether it is a goal environment's.
     """
@@ -74,6 +78,7 @@ class Sight(ABC):
     sees_color: bool = False
     asks_what_was_seen: bool = False
     asks_for_room: bool = False
+    asks_for_way: bool = False
     target_is_obstacle: bool = False
     has_goals: bool = False
 
@@ -103,12 +108,20 @@ _GROUPS: dict[str, tuple[Callable[[Situation], npt.NDArray[Any]], Callable[[Robo
         lambda r: _around(1.0, 3 * len(r.probes)),
     ),
     "unseen": (lambda s: ~s.seen, lambda r: (np.zeros(len(r.probes)), np.ones(len(r.probes)))),
+    "waypoint_offset": (lambda s: s.waypoint, lambda r: _around(MAX_WAY, len(r.joints))),
+    "waypoint_direction": (lambda s: _direction(s.waypoint), lambda r: _around(1.0, len(r.joints))),
+    "way": (lambda s: s.way, lambda r: (np.zeros(2), np.array([MAX_WAY, 1.0]))),
     "room": (lambda s: s.room, lambda r: (np.full(ROOM, MIN_CLEARANCE), np.full(ROOM, MAX_DISTANCE))),
 }
 
 
 def _around(limit: float, size: int) -> tuple[Array, Array]:
     return np.full(size, -limit), np.full(size, limit)
+
+
+def _direction(offset: Array) -> Array:
+    """(n, j) the action that moves a command straight by an offset (n, j), as fast as may be."""
+    return np.asarray(offset / np.maximum(ACTION_STEP, np.abs(offset).max(axis=1, keepdims=True)))
 
 
 class Vector:
@@ -171,6 +184,20 @@ class ApproachObservation(Sight):
 
     def __init__(self, robot: Robot):
         self._vector = Vector(robot, (*_STATE, "room"))
+        self.space, self.layout = self._vector.space, self._vector.layout
+
+    def __call__(self, situation: Situation) -> Observed:
+        """Observations (n, size)."""
+        return self._vector(situation)
+
+
+class WaypointObservation(Sight):
+    """As `StateObservation`, and where the arm can go straight on its way: not what to do where it cannot."""
+
+    asks_for_way = True
+
+    def __init__(self, robot: Robot):
+        self._vector = Vector(robot, (*_STATE, "waypoint_offset", "waypoint_direction", "way"))
         self.space, self.layout = self._vector.space, self._vector.layout
 
     def __call__(self, situation: Situation) -> Observed:

@@ -77,6 +77,10 @@ class Situation(NamedTuple):
         obstacle: (n, k, 3) unit vectors from the probe points towards that obstacle, zero where it is far.
         room: (n, `ROOM`) distance to obstacles on rays away from the target, near and far, see `room_around`, metres;
             (n, 0) unless the observation asks for it.
+        waypoint: (n, j) from the joint positions that are commanded to those where the arm can go straight, see
+            `greenhouse_gym.envs.ways`, radians; (n, 0) unless the observation asks for it.
+        way: (n, 2) the way from there to the goal, radians, and 1 where the straight motion is known to be free, else
+            0; (n, 0) unless the observation asks for it.
         touched: (n,) whether anything was touched in any substep since the last situation.
         success: (n,) whether the grasp point is at the target and nothing was touched.
         seen: (n, k) whether the scan saw the places of the probe points; k is 0 unless the observation asks for it.
@@ -96,6 +100,8 @@ class Situation(NamedTuple):
     clearance: Float32
     obstacle: Float32
     room: Float32
+    waypoint: Array
+    way: Array
     touched: Bools
     success: Bools
     seen: Bools

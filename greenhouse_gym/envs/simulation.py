@@ -22,6 +22,7 @@ from greenhouse_gym.envs.reach_task import RATE, Bools, Situation, lengths, pace
 from greenhouse_gym.envs.rewards import Terms, Transition, total_reward
 from greenhouse_gym.envs.settings import EnvSettings
 from greenhouse_gym.envs.stepping import Ids
+from greenhouse_gym.envs.ways import EVERY, REACHED, Ways
 from greenhouse_gym.envs.worlds import World, room_for, worlds_of
 from greenhouse_gym.errors import InvalidValueError, NoEpisodeError
 from greenhouse_gym.geometry import Array
@@ -117,10 +118,14 @@ class ReachSimulation:
         self._goal = np.zeros((count, 3))  # what counts, in the base frame
         self._radius = np.zeros((count, 1))
         self._room = np.empty((count, ROOM if self.observe.asks_for_room else 0), dtype=np.float32)
+        self._ways: list[Ways | None] = [None] * count
+        self._waypoint = np.zeros((count, len(robot.joints) if self.observe.asks_for_way else 0))
+        self._way = np.zeros((count, 2 if self.observe.asks_for_way else 0))
 
     def __deepcopy__(self, memo: dict[int, Any]) -> ReachSimulation:
         """The same state, to go on from independently; what is never changed is shared."""
-        for shared in (self.robot, self.settings, self.worlds, self.sampler.bank, *self._worlds, *self._episodes):
+        shares = self.robot, self.settings, self.worlds, self.sampler.bank
+        for shared in (*shares, *self._worlds, *self._episodes, *self._ways):
             memo[id(shared)] = shared
         twin = memo[id(self)] = object.__new__(ReachSimulation)
         twin.__dict__ = copy.deepcopy({**self.__dict__, "_rig": None}, memo)
@@ -189,6 +194,9 @@ class ReachSimulation:
         self._ignored[i] = NO_TOMATO if self.observe.target_is_obstacle else episode.target
         if self.observe.asks_for_room:
             self._room[i] = room_around(self.worlds.fields, world.field, self._ignored[i], self._target[i])
+        if self.observe.asks_for_way:
+            center = self._frame[i, :3] + self._axes[i] @ self._target[i]
+            self._ways[i] = Ways(world, self.robot, episode.target, center, episode.start)
 
     def close(self) -> None:
         """Free the simulations; the next reset makes new ones."""
@@ -328,6 +336,9 @@ class ReachSimulation:
         gap = self._goal[ids] - grasp
         distance, direction = self.worlds.fields.lookup(self._field[ids], self._ignored[ids], points[:, 1:])
         joints = physics.qpos[ids]
+        command = physics.command[ids] + self._joint_offset[ids]
+        if self.observe.asks_for_way:
+            self._find_way(np.arange(self.count)[ids], command)
         pictures = self._photograph(ids, frame, sites[:, 0], tool)
         away = lengths(gap)
         touched = np.asarray(touched, dtype=np.bool_)
@@ -343,6 +354,8 @@ class ReachSimulation:
             clearance=distance - self._probe_radii,
             obstacle=direction,
             room=self._room[ids].copy(),
+            waypoint=self._waypoint[ids] - command if self.observe.asks_for_way else self._waypoint[ids],
+            way=self._way[ids].copy(),
             touched=touched,
             success=(away < self.settings.success_radius) & ~touched,
             seen=self._seen_at(ids, sites[:, 1:]),
@@ -350,6 +363,15 @@ class ReachSimulation:
             color=pictures.color,
             views=pictures.views,
         )
+
+    def _find_way(self, ids: Ids, command: Array) -> None:
+        """Look for the ways of some simulations with commands (len(ids), j) anew where that is due."""
+        arrived = (np.abs(self._waypoint[ids] - command).max(axis=1) < REACHED) & (self._way[ids, 0] > 0)
+        for k in np.flatnonzero(arrived | (self._counts["steps"][ids] % EVERY == 0)):
+            i, ways = ids[k], self._ways[ids[k]]
+            assert ways is not None
+            heading = ways.heading(command[k])
+            self._waypoint[i], self._way[i] = heading.waypoint, (heading.left, heading.free)
 
     def _seen_at(self, ids: Ids | slice, probes: Array) -> Bools:
         """Whether the scan saw the places (n, k, 3) of the probe points, where the observation asks for it."""

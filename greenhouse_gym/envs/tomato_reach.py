@@ -74,6 +74,7 @@ class TomatoReachEnv(gymnasium.Env[Observed, npt.NDArray[np.float32]]):
     | ``observation`` | key | shape, type | meaning |
     |---|---|---|---|
     | ``approach`` | (a vector) | (3 j + 6 + 4 k + 48,) float32 | as ``state``, then the room around the target, m |
+    | ``waypoint`` | (a vector) | (5 j + 8 + 4 k,) float32 | as ``state``, then where the arm can go straight, rad |
     | ``goal`` | ``achieved_goal`` | (3,) float64 | grasp point, m |
     | | ``desired_goal`` | (3,) float64 | the target's center, m |
     | | ``observation`` | (3 j + 6 + 4 k,) float32 | as ``state``, but see below |
@@ -89,6 +90,13 @@ class TomatoReachEnv(gymnasium.Env[Observed, npt.NDArray[np.float32]]):
     target as an obstacle, so that nothing in it depends on the target. The room around the target is the distance to
     obstacles on 24 rays from its center towards the arm's side (azimuths by `AZIMUTHS`, within each elevations by
     `ELEVATIONS`), for each ray the smallest at 5 to 13 cm, where the tool would be, and at 18 to 30 cm, of the wrist.
+    The waypoint is a goal configuration to which the straight motion is free in the scene as it is known, or else a
+    posture from which that is so: the nearest by the way over it. It is told as the offset from the commanded joints
+    and as the action that goes there at full speed, j numbers each; then follow the way from there to the goal, rad,
+    and 1 where the straight motion is free, or 0 where no such waypoint is known and an arbitrary goal stands in for
+    it. That is a plan of at most two straight motions, made from the known scene: it tells more than a sensor could,
+    and finding it takes time at the beginning of an episode. What is left to learn is what to do where there is none.
+    It is looked for anew every 8 steps and where the arm arrives (`greenhouse_gym.envs.ways`).
     ``depth`` comes from a camera beside the flange that looks along the tool; ``points`` is what a camera on a mast
     beside the arm sees of the plants, one per pixel. `DepthObservation`, `PointsObservation` and `RgbObservation` in
     place of the name choose the camera ("wrist" or "mast"), its size and its opening.

@@ -26,6 +26,9 @@ CENTERS_AND_SCALES: dict[str, tuple[float, float]] = {
     "clearance": (0.1, 0.1),
     "obstacle_direction": (0.0, 1.0),
     "unseen": (0.5, 0.5),
+    "waypoint_offset": (0.0, 1.0),
+    "waypoint_direction": (0.0, 0.5),
+    "way": (0.5, 0.5),
     "room": (0.1, 0.1),
 }
 """Typical center and size of each group of the observation, which bring it to about one: fixed, so nothing drifts."""

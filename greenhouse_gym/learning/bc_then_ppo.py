@@ -15,7 +15,7 @@ from greenhouse_gym.learning.variation import varied_bank
 from greenhouse_gym.scene import SceneBank
 
 FINE_TUNING = PpoSettings(
-    observation="approach", activation="relu", log_std=-1.6, learning_rate=2e-4, critic_rollouts=8, epochs=4,
+    observation="waypoint", activation="relu", log_std=-1.6, learning_rate=2e-4, critic_rollouts=8, epochs=4,
     batch_size=4096,
 )  # fmt: skip
 """PPO that goes on from a policy that can do something already: little noise, small steps, the critic first."""
@@ -31,7 +31,7 @@ class BcThenPpoSettings:
         ppo: Of the second part, and of the network; with no steps there is no second part.
     """
 
-    variations: int = 72
+    variations: int = 0
     imitation: ImitationSettings = field(default_factory=ImitationSettings)
     ppo: PpoSettings = FINE_TUNING
 

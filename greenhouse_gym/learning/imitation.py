@@ -37,8 +37,6 @@ class ImitationSettings:
         passes: How often each label is used on average in training.
         batch_size: Labels per gradient step.
         learning_rate: At the start; falls to a tenth of it.
-        postures: Near which the teacher looks for goals first, for targets on the left and on the right; none for
-            wherever. These are an UR5e's, bent sideways: the aisle is too narrow to stretch out ahead.
     """
 
     steps: int = 200_000
@@ -49,22 +47,19 @@ class ImitationSettings:
     passes: int = 24
     batch_size: int = 1024
     learning_rate: float = 1e-3
-    postures: tuple[tuple[float, ...], ...] = (
-        (-1.8, -2.5, -1.06, -1.4, 0.0, 0.0),
-        (2.25, -2.3, -1.2, -1.8, 3.14, 0.0),
-    )
 
 
 class Teachers:
     """A teacher for the episode of every simulation of an environment, and its labels.
 
+    Where the observation tells a waypoint to which the way is free, the teacher goes there; elsewhere the `Guide` says
+    where, who plans. So the learner sees what the teacher goes by, but for the plans.
+
     Args:
-        env: Its observations tell nothing to the teachers, who know the scenes.
-        postures: As `Guide` takes them.
+        env: Its observation tells waypoints.
     """
 
-    def __init__(self, env: TomatoReachVectorEnv, postures: Array | None = None):
-        self._postures = postures
+    def __init__(self, env: TomatoReachVectorEnv):
         self._simulation = env.simulation
         self._steps: Array = env.simulation.action_rule.peak  # type: ignore[attr-defined]
         self._guides: list[Guide | None] = [None] * env.num_envs
@@ -73,23 +68,32 @@ class Teachers:
 
     def begin(self, i: int) -> None:
         """Make ready for a new episode of a simulation."""
-        compiled, target = self._simulation.physical(i)
-        self._guides[i] = Guide(compiled, target, self._simulation.episode(i).start, postures=self._postures)
-        self._ages[i] = 0
+        self._guides[i], self._ages[i] = None, 0
 
     def labels(self) -> Array:
         """What the teachers would do now, (n, joints); NaN where they know no way."""
-        command = self._simulation.command
+        command, situation = self._simulation.command, self._simulation.situation
+        assert situation is not None
         labels = np.full(command.shape, np.nan)
-        for i, guide in enumerate(self._guides):
-            assert guide is not None
-            if self._ages[i] % EVERY == 0:
-                self._waypoints[i] = guide.waypoint(command[i])
-            self._ages[i] += 1
-            waypoint = self._waypoints[i]
+        for i, (offset, (_, free)) in enumerate(zip(situation.waypoint, situation.way, strict=True)):
+            if free:
+                waypoint, self._ages[i] = command[i] + offset, 0
+            else:
+                waypoint = self._planned(i, command[i])
             if waypoint is not None:
                 labels[i] = towards(waypoint, command[i], self._steps)
         return labels
+
+    def _planned(self, i: int, command: Array) -> Array | None:
+        """Where the guide of a simulation goes."""
+        guide = self._guides[i]
+        if guide is None:
+            compiled, target = self._simulation.physical(i)
+            guide = self._guides[i] = Guide(compiled, target, self._simulation.episode(i).start)
+        if self._ages[i] % EVERY == 0:
+            self._waypoints[i] = guide.waypoint(command)
+        self._ages[i] += 1
+        return self._waypoints[i]
 
 
 def imitate(
@@ -103,7 +107,8 @@ def imitate(
 
     Args:
         policy: An actor-critic policy; its actor and features are trained.
-        env: Vector environment with ``autoreset_mode="SameStep"``, on the arm and observation of the policy.
+        env: Vector environment with ``autoreset_mode="SameStep"``, on the arm and observation of the policy; it
+            tells waypoints.
         settings: The settings.
         seed: Of episodes and noise.
         tell: Gets the steps so far and figures after each round.
@@ -113,7 +118,7 @@ def imitate(
     parameters = [*policy.mlp_extractor.policy_net.parameters(), *policy.action_net.parameters()]
     optimizer: Any = torch.optim.Adam(parameters, lr=settings.learning_rate)
     rounds = max(1, settings.steps // (settings.num_envs * settings.round_steps))
-    teachers = Teachers(env, np.array(settings.postures) if settings.postures else None)
+    teachers = Teachers(env)
     seen, _ = env.reset(seed=seed)
     for i in range(env.num_envs):
         teachers.begin(i)

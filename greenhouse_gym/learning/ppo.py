@@ -47,7 +47,7 @@ class PpoSettings:
         bank: Name or folder of the scene bank.
         split: Split to train on.
         robot: The arm.
-        observation: "state" or "approach".
+        observation: "state", "approach" or "waypoint".
         difficulty: Difficulties of the targets.
         total_steps: Steps of all simulations together.
         num_envs: Simulations.
@@ -145,7 +145,7 @@ def train_ppo(
     try:
         if model.num_timesteps < settings.total_steps:
             remaining = settings.total_steps - model.num_timesteps
-            callbacks = [report, _CriticFirst(0 if resume else settings.critic_rollouts)]
+            callbacks = [report, _CriticFirst(0 if model.num_timesteps else settings.critic_rollouts)]
             model.learn(remaining, callback=callbacks, reset_num_timesteps=not resume)
     except KeyboardInterrupt:
         report.say(f"interrupted after {model.num_timesteps} steps; resume goes on from here")

@@ -50,8 +50,8 @@ def test_only_training_scenes_are_varied(bank: SceneBank, tmp_path: Path) -> Non
 
 def test_the_learner_comes_to_do_as_the_teacher_does(bank: SceneBank) -> None:
     settings = PpoSettings(bank=str(bank.path), num_envs=2, hidden=(64, 64), threads=1)
-    model = make_ppo(settings, make_sb3_vec_env(2, bank=bank, threads=1))
-    env = TomatoReachVectorEnv(4, bank=bank, threads=1, autoreset_mode="SameStep")
+    model = make_ppo(settings, make_sb3_vec_env(2, bank=bank, observation="waypoint", threads=1))
+    env = TomatoReachVectorEnv(4, bank=bank, observation="waypoint", threads=1, autoreset_mode="SameStep")
     told: list[dict[str, float]] = []
     imitation = ImitationSettings(steps=240, num_envs=4, round_steps=20, batch_size=64, passes=100)
     imitate(model.policy, env, imitation, tell=lambda steps, figures: told.append(figures))
@@ -61,13 +61,13 @@ def test_the_learner_comes_to_do_as_the_teacher_does(bank: SceneBank) -> None:
 
 def test_imitation_then_ppo_leaves_a_policy_that_plays(bank: SceneBank, tmp_path: Path) -> None:
     ppo = PpoSettings(
-        bank=str(bank.path), observation="approach", activation="relu", num_envs=4, rollout_steps=8, batch_size=16,
+        bank=str(bank.path), observation="waypoint", activation="relu", num_envs=4, rollout_steps=8, batch_size=16,
         epochs=1, total_steps=64, hidden=(16,), critic_rollouts=1, threads=1,
     )  # fmt: skip
     imitation = ImitationSettings(steps=32, num_envs=4, round_steps=8, batch_size=16, passes=1)
     path = train_bc_then_ppo(BcThenPpoSettings(3, imitation, ppo), tmp_path)
     agent = PolicyAgent.load(path)
-    assert agent.env_options["observation"] == "approach"
+    assert agent.env_options["observation"] == "waypoint"
     assert len(evaluate(agent, "validation", 2, bank=bank, num_envs=2).records) == 2
 
 

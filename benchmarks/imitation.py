@@ -1,0 +1,80 @@
+"""What imitation and PPO make of the observation ``waypoint``: success and collisions on validation rows, by seed.
+
+python benchmarks/imitation.py --seeds 0,1,2 --out-folder runs/imitation
+
+Trains once for each seed with the usual settings of ``training/bc_then_ppo.py``. Judged are, on the same episodes, the
+policy after the imitation and after PPO, and beside them what goes straight to the waypoint without any learning
+(``waypoint``) and the teacher (``guide``). Writes results/imitation.json after each part; entries of other seeds and
+agents that it holds stay.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from policies import rates
+from results_file import RESULTS, write_results
+
+from greenhouse_gym.agents import PolicyAgent
+from greenhouse_gym.agents.agent import Agent
+from greenhouse_gym.agents.named import make_agent
+from greenhouse_gym.evaluation import evaluate
+from greenhouse_gym.learning import BcThenPpoSettings, train_bc_then_ppo
+from greenhouse_gym.scene import SceneBank
+from greenhouse_gym.settings_files import resolve
+
+FIRST_SEED = 20_000
+"""Of the episodes."""
+
+
+def main() -> None:
+    """Train, play, write the figures."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", default="0,1,2")
+    parser.add_argument("--agents", default="waypoint,guide")
+    parser.add_argument("--episodes", type=int, default=500)
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
+    parser.add_argument("--out-folder", type=Path, default=Path("runs/imitation"))
+    parser.add_argument("--out", type=Path, default=RESULTS / "imitation.json")
+    arguments = parser.parse_args()
+    settings = resolve(BcThenPpoSettings(), None, arguments.set)
+    figures: dict[str, Any] = {
+        "settings": asdict(settings), "bank_sha256": SceneBank.open(settings.ppo.bank).sha256, "split": "validation",
+        "first_seed": FIRST_SEED, "agents": {}, "policies": {},
+    }  # fmt: skip
+    if arguments.out.is_file():
+        before = json.loads(arguments.out.read_text())
+        figures |= {name: before[name] for name in ("agents", "policies")}
+
+    def judged(agent: Agent) -> dict[str, Any]:
+        options = {"bank": settings.ppo.bank, "num_envs": 64, "threads": 1}
+        return rates(evaluate(agent, "validation", arguments.episodes, FIRST_SEED, **options))
+
+    def note(part: str, name: str, entry: dict[str, Any]) -> None:
+        figures[part][name] = entry
+        print(name, json.dumps(entry), flush=True)
+        write_results(arguments.out, figures, ("stable-baselines3", "torch", "mujoco"))
+
+    for seed in filter(None, arguments.seeds.split(",")):
+        minutes = 0.0
+        for stage, total_steps in (("imitation", 0), ("imitation and PPO", settings.ppo.total_steps)):
+            ppo = replace(settings.ppo, seed=int(seed), total_steps=total_steps)
+            began = time.process_time()
+            path = train_bc_then_ppo(
+                replace(settings, ppo=ppo), arguments.out_folder / f"seed-{seed}", resume=total_steps > 0
+            )
+            minutes += (time.process_time() - began) / 60
+            steps = {"labeled_steps": settings.imitation.steps, "ppo_steps": total_steps}
+            entry = {**steps, "processor_minutes": round(minutes, 2), **judged(PolicyAgent.load(path))}
+            note("policies", f"{stage}, seed {seed}", entry)
+    for name in filter(None, arguments.agents.split(",")):
+        note("agents", name, judged(make_agent(name)))
+
+
+if __name__ == "__main__":
+    main()

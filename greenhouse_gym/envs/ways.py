@@ -1,0 +1,182 @@
+"""Where an arm can go straight: to goal configurations, and to postures from which one of them can be reached.
+
+All that is used is known to whoever knows the scene. The nodes of an episode, goal configurations by inverse kinematics
+and postures about the start, are found at its beginning; from then on one rule, in which nothing is learned, says to
+which of them the arm goes: to the one with the shortest way of at most two straight motions, the first of them free.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from greenhouse_gym.envs.worlds import World
+from greenhouse_gym.geometry import Array
+from greenhouse_gym.robots import Robot
+from greenhouse_gym.robots.inverse_kinematics import inverse_kinematics
+from greenhouse_gym.robots.kinematics import Chain, tool_chain
+from greenhouse_gym.scene import CompiledScene, compile_scene
+from greenhouse_gym.scene.collision import CollisionChecker, planning_model
+from greenhouse_gym.scene.reaches import arm_reaches
+
+EVERY = 8
+"""Steps after which the way is looked for anew; it is also when its end is reached."""
+
+MARGIN, RESOLUTION = 0.004, 0.04
+"""Distance to obstacles that is kept, and how far any point of the arm may move between two checks, metres."""
+
+GUESSES, ROUNDS, FEW, GOALS = 300, 4, 20, 60
+"""First guesses of goal configurations, how often so many are made at most while few are found, how few that is, and
+how many goals, those nearest to the start, are looked at."""
+
+POSTURES, SPREAD = 96, 1.2
+"""Postures that are tried, and how far each joint is strewn about the start, radians."""
+
+TRIES, ENOUGH = 1500, 4
+"""Motions from postures to goals that are tried, the shortest ways first, and ways that are enough."""
+
+NEAREST = 8
+"""Goals, those nearest to the start, that are kept whether there is a way to them or not."""
+
+REACHED = 0.1
+"""How near a posture counts as reached, radians."""
+
+_REMEMBERED = 10_000
+
+
+class Nodes(NamedTuple):
+    """Where an arm may go in an episode.
+
+    Attributes:
+        configurations: (k, j) goals, then postures, radians.
+        costs: (k,) the way from each to its goal, radians: zero for goals.
+    """
+
+    configurations: Array
+    costs: Array
+
+
+class Heading(NamedTuple):
+    """Where to go straight from somewhere.
+
+    Attributes:
+        waypoint: (j,) radians.
+        left: The way from there to the goal, radians.
+        free: Whether the straight motion is known to be free.
+    """
+
+    waypoint: Array
+    left: float
+    free: bool
+
+
+class Ways:
+    """The ways of one episode.
+
+    Args:
+        world: Where; only the scene as it is known counts.
+        robot: The arm.
+        target: Index of the target in the scene.
+        center: (3,) where it is told to be in the scene, metres.
+        start: (j,) radians.
+    """
+
+    def __init__(self, world: World, robot: Robot, target: int, center: Array, start: Array):
+        place = _place_of(world.before or world, robot)
+        self._checker = CollisionChecker(planning_model(place.compiled, target, MARGIN), arm_reaches(robot))
+        self.nodes = place.nodes(self._checker, target, center, start)
+        self._start = start
+
+    def heading(self, joints: Array) -> Heading:
+        """Where to go from (j,) joint positions, radians."""
+        configurations, costs = self.nodes
+        if not len(costs):
+            return Heading(self._start, 0.0, False)
+        ways = np.sqrt(((configurations - joints) ** 2).sum(axis=-1))
+        ways[(ways < REACHED) & (costs > 0)] = np.inf
+        order = (ways + costs).argsort(kind="stable")
+        if self._checker.is_free(joints):
+            for k in order:
+                if np.isfinite(ways[k]) and self._checker.motion_is_free(joints, configurations[k], RESOLUTION):
+                    return Heading(configurations[k], float(costs[k]), True)
+        return Heading(configurations[order[0]], float(costs[order[0]]), False)
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """A scene as it is known, with what was found in it so far."""
+
+    robot: Robot
+    compiled: CompiledScene
+    chain: Chain
+    postures: dict[bytes, Array] = field(default_factory=dict)  # by the start
+    known: dict[bytes, Nodes] = field(default_factory=dict)  # by target, center and start
+
+    def nodes(self, checker: CollisionChecker, target: int, center: Array, start: Array) -> Nodes:
+        """The nodes of an episode, found once."""
+        key = np.concatenate([[target], center, start]).tobytes()
+        if key not in self.known:
+            if len(self.known) >= _REMEMBERED:
+                self.known.clear()
+            self.known[key] = self._search(checker, target, center, start)
+        return self.known[key]
+
+    def _search(self, checker: CollisionChecker, target: int, center: Array, start: Array) -> Nodes:
+        goals, postures = self._goals(checker, target, center, start), self._postures(checker, start)
+        kept = dict.fromkeys(range(min(NEAREST, len(goals))))
+        ways = 0
+        for j, goal in enumerate(goals):
+            if ways < ENOUGH and checker.motion_is_free(start, goal, RESOLUTION):
+                kept[j], ways = None, ways + 1
+        first = np.sqrt(((postures - start) ** 2).sum(axis=-1))
+        then = np.sqrt(((goals - postures[:, None]) ** 2).sum(axis=-1))
+        left: dict[int, float] = {}
+        for k in (first[:, None] + then).argsort(axis=None, kind="stable")[:TRIES]:
+            if ways == ENOUGH:
+                break
+            i, j = divmod(int(k), len(goals))
+            if i not in left and checker.motion_is_free(postures[i], goals[j], RESOLUTION):
+                kept[j], left[i], ways = None, float(then[i, j]), ways + 1
+        return Nodes(
+            np.concatenate([goals[list(kept)], postures[list(left)]]), np.array([0.0] * len(kept) + list(left.values()))
+        )
+
+    def _goals(self, checker: CollisionChecker, target: int, center: Array, start: Array) -> Array:
+        """(k, j) goal configurations, those near the start first."""
+        lower, upper = np.maximum(self.robot.lower, start - np.pi), np.minimum(self.robot.upper, start + np.pi)
+        radius, random = self.compiled.scene.tomatoes[target].radius, np.random.default_rng(0)
+        free: list[Array] = []
+        for _ in range(ROUNDS):
+            guesses = random.uniform(lower, upper, (GUESSES, len(start)))
+            guesses[:, -1] = start[-1]  # the tool is round
+            found = inverse_kinematics(self.chain, guesses, center, radius, self.robot)
+            free += [goal for goal in found if checker.is_free(goal)]
+            if len(free) >= FEW or not len(found):
+                break
+        goals = np.array(free).reshape(-1, len(start))
+        return goals[((goals - start) ** 2).sum(axis=-1).argsort(kind="stable")[:GOALS]]
+
+    def _postures(self, checker: CollisionChecker, start: Array) -> Array:
+        """(k, j) postures to which the way from the start is free, in no order."""
+        key = start.tobytes()
+        if key not in self.postures:
+            strewn = start + SPREAD * np.random.default_rng(0).normal(size=(POSTURES, len(start)))
+            strewn[:, -1] = start[-1]
+            tried = np.clip(strewn, self.robot.lower, self.robot.upper)
+            free = tried[[checker.motion_is_free(start, posture, RESOLUTION) for posture in tried]]
+            self.postures[key] = free.reshape(-1, len(start))
+        return self.postures[key]
+
+
+_PLACES: WeakKeyDictionary[World, _Place] = WeakKeyDictionary()
+
+
+def _place_of(world: World, robot: Robot) -> _Place:
+    """What is known of a world's scene, for as long as the world lives."""
+    if world not in _PLACES:
+        compiled = compile_scene(world.scene, robot)
+        _PLACES[world] = _Place(robot, compiled, tool_chain(compiled.model, compiled.tip_site))
+    return _PLACES[world]

@@ -1,0 +1,106 @@
+"""Where the arm can go straight in ``observation="waypoint"``."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from greenhouse_gym.agents import WaypointAgent
+from greenhouse_gym.envs import TomatoReachEnv, ways
+from greenhouse_gym.envs.ways import RESOLUTION, Ways
+from greenhouse_gym.envs.worlds import Worlds
+from greenhouse_gym.evaluation import evaluate
+from greenhouse_gym.geometry import Capsule
+from greenhouse_gym.robots import get_robot
+from greenhouse_gym.scene import Scene, SceneBank, Shapes, compile_scene
+from greenhouse_gym.scene.collision import CollisionChecker, planning_model
+from greenhouse_gym.scene.mjcf import DEFAULT_CAPACITY
+
+ARM = get_robot("ur5e")
+TARGET = 4
+JOINTS = len(ARM.joints)
+
+
+def ways_in(scene: Scene, center: np.ndarray) -> Ways:
+    world = Worlds(ARM, "reconstruction", DEFAULT_CAPACITY).world(scene)
+    return Ways(world, ARM, TARGET, center, ARM.start)
+
+
+@pytest.fixture(scope="module")
+def fenced(scene: Scene) -> Scene:
+    """Bars in front of the row, between which the arm gets on detours only."""
+    bars = tuple(Capsule([0.35, y, 0.2], [0.35, y, 2.2], 0.01) for y in np.arange(-0.6, 0.61, 0.25))
+    return scene.model_copy(update={"name": "fenced", "clutter": (*scene.clutter, *bars)})
+
+
+@pytest.mark.parametrize(("kind", "spread", "least"), [("scene", 0.4, 6), ("fenced", 0.05, 6)])
+def test_ways_that_are_told_to_be_free_are_free(
+    kind: str, spread: float, least: int, request: pytest.FixtureRequest
+) -> None:
+    scene: Scene = request.getfixturevalue(kind)
+    known = ways_in(scene, scene.tomatoes[TARGET].center)
+    checker = CollisionChecker(planning_model(compile_scene(scene, ARM), TARGET, margin=0.0))
+    random = np.random.default_rng(0)
+    free = 0
+    for _ in range(12):
+        joints = ARM.start + random.normal(scale=spread, size=JOINTS)
+        waypoint, left, is_free = known.heading(joints)
+        if is_free:
+            free += 1
+            assert checker.motion_is_free(joints, waypoint, RESOLUTION)
+        assert left >= 0
+    assert free >= least
+    goals = known.nodes.configurations[known.nodes.costs == 0]
+    for posture, cost in zip(*known.nodes, strict=True):
+        gaps = np.linalg.norm(goals - posture, axis=1)
+        near = goals[np.isclose(gaps, cost)]
+        assert any(checker.motion_is_free(posture, goal, RESOLUTION) for goal in near)
+
+
+def test_detours_are_known_where_goals_are_not_in_sight(fenced: Scene) -> None:
+    costs = ways_in(fenced, fenced.tomatoes[TARGET].center).nodes.costs
+    assert (costs > 0).any()
+    assert (costs == 0).any()
+
+
+def test_what_cannot_be_reached_is_no_reason_to_move(scene: Scene) -> None:
+    known = ways_in(scene, np.array([5.0, 0.0, 1.0]))
+    waypoint, left, free = known.heading(ARM.start)
+    np.testing.assert_array_equal(waypoint, ARM.start)
+    assert (left, free) == (0.0, False)
+
+
+def test_going_straight_to_the_waypoint_reaches_most_of_a_thin_row(bank: SceneBank) -> None:
+    result = evaluate(WaypointAgent(), "train", 6, bank=bank)
+    assert result.success_rate >= 0.8
+    assert result.collision_rate == 0.0
+
+
+def test_it_begins_as_the_state_does_and_says_the_same_of_the_truth(scene: Scene) -> None:
+    episode = {"scene": scene.model_copy(update={"truth": Shapes(tomatoes=scene.tomatoes)}), "target": TARGET}
+    state, told, of_truth = (
+        TomatoReachEnv(bank="mini", capacity=300, observation=kind, physics=physics).reset(options=episode)[0]
+        for kind, physics in (("state", "reconstruction"), ("waypoint", "reconstruction"), ("waypoint", "truth"))
+    )
+    np.testing.assert_array_equal(told[: len(state)], state)
+    assert len(told) == len(state) + 2 * JOINTS + 2
+    np.testing.assert_array_equal(told[len(state) :], of_truth[len(state) :])
+    assert np.abs(told[-JOINTS - 2 : -2]).max() == 1.0, "the direction is an action at full speed"
+
+
+def test_goals_are_looked_for_once_in_each_episode_that_is_new(
+    bank: SceneBank, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls = []
+
+    def counted(*arguments: object) -> object:
+        calls.append(arguments)
+        return original(*arguments)  # type: ignore[arg-type]
+
+    original = ways.inverse_kinematics
+    monkeypatch.setattr(ways, "inverse_kinematics", counted)
+    scene = bank.scene(bank.names("train")[0]).model_copy(update={"name": "of this test alone"})
+    env = TomatoReachEnv(bank=bank, observation="waypoint")
+    for target in (0, 1, 0, 1):
+        env.reset(options={"scene": scene, "target": target})
+    assert len(calls) == 2
