@@ -15,7 +15,7 @@ def read_arrays(content: bytes, most: int) -> dict[str, npt.NDArray[Any]]:
     """The arrays of an ``.npz`` file by name.
 
     Args:
-        content: Of the file.
+        content: Content of the file.
         most: The most bytes it may have unpacked.
 
     Raises:

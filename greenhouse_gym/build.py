@@ -49,7 +49,7 @@ def build_bank(
     another version is made anew.
 
     Args:
-        recordings: Of one row each, or a `greenhouse_gym.scans.ScannedRow`; their names become the rows' names.
+        recordings: Of one row each, recordings or a `greenhouse_gym.scans.ScannedRow`; their names become the rows'.
         out: The bank's folder.
         name: The bank's name.
         splits: Split of each row; by default two thirds train, the rest validation and test in turn.
@@ -57,7 +57,7 @@ def build_bank(
         settings: All settings.
         description: A sentence on where the bank comes from.
         on_stage: Told what is being done, row by row.
-        known: Of each recording the row, its style and its source, where they are known. Recordings of one row, in
+        known: For each recording the row, its style and its source, where they are known. Recordings of one row, in
             other weeks, name the same row, and go into the same split.
         executor: Where rows are reconstructed and scenes certified; None does it here. Only this process writes files,
             the same ones, but with an executor a row that is interrupted begins anew, not at its last station.

@@ -31,13 +31,13 @@ class BuildSettings:
     """How scenes are cut out of a row, and all settings of the stages before. Lengths are metres."""
 
     spacing: float = 0.5  # between the stands of two scenes of a row
-    width: float = 1.6  # of a scene, along the row
+    width: float = 1.6  # of a scene along the row
     stem_distance: float = 0.60  # from the arm's base axis to the stem line
     reach: float = 1.35  # from the shoulder; what lies farther is left out
-    primitives: int = 300  # most in a scene
-    targets: int | None = None  # most in a scene, spread over their distances from the shoulder; None for every tomato
+    primitives: int = 300  # most shapes in a scene
+    targets: int | None = None  # most targets in a scene, near and far ones; None for every tomato
     leaves: float = 0.02  # how far from a leaf of meshes the boxes of its truth may lie
-    robot: str = "ur5e"
+    robot: str = "ur5e"  # the arm that targets are rated for
     reconstruction: ReconstructionSettings | None = None  # by default what each recording's protocol needs
     shapes: ShapeSettings = field(default_factory=ShapeSettings)
     carving: CarvingSettings = field(default_factory=CarvingSettings)

@@ -128,7 +128,7 @@ class _Part:
         agent: Who plays.
         split: Where the episodes are drawn from.
         chosen: Place and reset options of the episodes.
-        seed: Of the episode in place 0.
+        seed: Seed of the episode in place 0.
         num_envs: Episodes that are played side by side.
         patience: See `evaluate`.
         options: Further keywords of the environment.

@@ -42,7 +42,7 @@ class Protocol:
         bank: The bank of scenes.
         split: Its split.
         episodes: How many, on each track.
-        seed: Of the first; episode i has the seed ``seed + i``.
+        seed: Seed of the first episode; episode i has the seed ``seed + i``.
         difficulty: Difficulties of the targets, as frequent as the scenes have them.
         patience: Seconds an agent may take for one answer.
     """
@@ -69,8 +69,8 @@ class Entry(BaseModel):
         agent: Its name, as `make_agent` takes it.
         note: What else there is to say, such as how it was trained and on how many seeds.
         protocol: The rules.
-        bank_sha256: Of the bank's manifest.
-        versions: Of the packages that decide the numbers.
+        bank_sha256: Checksum of the bank's manifest.
+        versions: Versions of the packages that decide the numbers.
         machine: What it ran on, for the times.
         tracks: Per track, the values of each field of `greenhouse_gym.records.Record`, in the episodes' order.
     """
@@ -109,7 +109,7 @@ def submit(
         agent: The agent.
         name: What `make_agent` makes it from; the file is called after it.
         out: Folder of the entries.
-        tracks: Of `TRACKS`.
+        tracks: Names of tracks, of `TRACKS`.
         protocol: The rules.
         num_envs: Episodes played side by side; only times depend on it.
         note: What else there is to say.

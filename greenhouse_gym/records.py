@@ -111,7 +111,7 @@ class Pairing:
         episodes: Episodes that both played.
         only_first: Episodes in which the first alone succeeded.
         only_second: Episodes in which the second alone succeeded.
-        p_value: Of McNemar's exact test: how likely a difference like this is if the agents are equally good.
+        p_value: Result of McNemar's exact test: how likely a difference like this is if the agents are equally good.
     """
 
     first: str

@@ -53,13 +53,13 @@ class Shot:
     """One recording of a row.
 
     Attributes:
-        seed: Of the row.
+        seed: Seed of the row.
         week: Growth week.
         source: Where the plants come from.
         cultivar: As `grow_row` takes it for a style.
-        style: Of the fruit.
+        style: Style of the fruit.
         protocol: How the row is photographed.
-        split: Of the row.
+        split: Split of the row.
     """
 
     seed: int

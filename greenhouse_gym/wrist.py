@@ -29,7 +29,7 @@ def look_rig(
         robot: The arm.
         configurations: (k, joints) radians; the arm's key frames ``look_...`` when left out.
         stand: How high the arm stands.
-        intrinsics: Of the wrist camera.
+        intrinsics: Intrinsics of the wrist camera.
 
     Returns:
         Cameras ``look_0`` and so on; the rig frame's origin is on the floor below the arm's axis, x into the plants.

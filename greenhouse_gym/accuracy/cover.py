@@ -57,7 +57,7 @@ def distance_to_nearest(points: Array, shapes: Sequence[Shape], chunk: int = 100
 
 
 def outer_samples(shapes: Sequence[Shape], count: int, rng: np.random.Generator) -> Array:
-    """Of ``count`` points spread evenly over the surfaces of all shapes, those (n, 3) that lie inside no other."""
+    """Points (n, 3) on the outside: of ``count`` spread evenly over all surfaces, those that lie inside no other."""
     if not shapes:
         return np.zeros((0, 3))
     areas = np.array([_area(shape) for shape in shapes])

@@ -36,8 +36,8 @@ def record_demonstrations(
         agent: Who acts; its ``env_options`` say in which environment.
         out: Folder of data sets (``MINARI_DATASETS_PATH``).
         episodes: How many are played; episode i has the seed ``seed + i``.
-        seed: Of the first.
-        split: Of the bank; the test split is not for learning.
+        seed: Seed of the first episode.
+        split: Split of the bank; the test split is not for learning.
         successes_only: Whether only episodes that ended in a success are kept.
         tell: Gets the number of episodes played so far.
         **options: Further keywords of the environment.

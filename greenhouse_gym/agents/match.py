@@ -64,9 +64,9 @@ class Match:
 
     Args:
         agent: Who plays.
-        env: Where.
+        env: The environment that it plays in.
         chosen: Place and reset options of the episodes.
-        seed: Of the episode in place 0.
+        seed: Seed of the episode in place 0.
         patience: Seconds it may take for each answer; None waits for ever.
         proven: Whether the agent ever gave a valid action.
     """

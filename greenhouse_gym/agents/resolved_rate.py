@@ -21,7 +21,7 @@ RANGE, PUSH = 0.05, 0.02
 """Clearance from which on a probe point of the arm is pushed away, and how far in a step on contact, metres."""
 
 DAMPING = 0.05
-"""Of the least squares, metres: near singular configurations the arm slows."""
+"""Damping of the least squares, metres: near singular configurations the arm slows."""
 
 
 class ResolvedRateAgent:

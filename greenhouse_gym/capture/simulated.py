@@ -31,7 +31,7 @@ class WalkSettings:
     back: float = 0.0  # m by which the nominal line lies behind the row's x = 0
     angle_error: float = float(np.deg2rad(2.0))  # rad about each axis, around the nominal attitude
     camera_offset: float = 0.0  # m, along each axis, by which the cameras stand off the places the rig gives
-    camera_angle: float = 0.0  # rad about each axis, likewise; the reference camera stands as the rig says
+    camera_angle: float = 0.0  # rad about each axis that they are turned by; the reference camera is not
     color_noise: float = 2.5  # gray levels, one sigma
     noise: StereoNoise = field(default_factory=StereoNoise)
     doubt: StereoDoubt = field(default_factory=StereoDoubt)  # what stereo loses besides, on rows of organs

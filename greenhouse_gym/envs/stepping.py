@@ -100,14 +100,14 @@ class OneStepper:
         return twin
 
     def place(self, ids: Ids, configurations: Array) -> Bools:
-        """As `Stepper.place`."""
+        """See `Stepper.place`."""
         mujoco.mj_resetData(self._model, self._data)
         self.qpos[:], self.command[:] = configurations, configurations
         mujoco.mj_step1(self._model, self._data)
         return np.array([self._data.ncon > 0])
 
     def run(self) -> Bools:
-        """As `Stepper.run`."""
+        """See `Stepper.run`."""
         model, data = self._model, self._data
         mujoco.mj_step2(model, data)
         mujoco.mj_step(model, data, self._substeps - 1)
@@ -150,7 +150,7 @@ class ManyStepper:
         return twin
 
     def place(self, ids: Ids, configurations: Array) -> Bools:
-        """As `Stepper.place`."""
+        """See `Stepper.place`."""
         self._check_process()
         # Models that were edited need not be set again: their simulations start afresh here.
         self._batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
@@ -159,7 +159,7 @@ class ManyStepper:
         return np.asarray(self._ncon[ids] > 0)
 
     def run(self) -> Bools:
-        """As `Stepper.run`."""
+        """See `Stepper.run`."""
         self._check_process()
         for ids in self._chunks:
             self._batch.step(ids, nstep=self._substeps, stage=_VELOCITIES)

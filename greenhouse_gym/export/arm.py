@@ -27,7 +27,7 @@ class Joint:
     """How a link moves against its parent.
 
     Attributes:
-        name: Of the joint.
+        name: Name of the joint.
         kind: "revolute", "prismatic" or "fixed".
         axis: (3,) in the link's frame, which sits in the joint.
         lower: Radians or metres.
@@ -48,7 +48,7 @@ class Link:
     """A rigid part of an arm.
 
     Attributes:
-        name: Of the link.
+        name: Name of the link.
         parent: Name of its parent; None for the base.
         pose: (4, 4) of the link in its parent when the joint is at 0.
         joint: To its parent.

@@ -21,7 +21,7 @@ class Format(NamedTuple):
 
     Attributes:
         summary: What it is, and what it leaves out.
-        suffix: Of the file; empty for formats of several files, which go to a folder of the scene's name.
+        suffix: Suffix of the file; empty for formats of several files, which go to a folder of the scene's name.
         write: The content of the file, of a scene, an arm and the shapes that are asked for: the scene's or its truth.
     """
 

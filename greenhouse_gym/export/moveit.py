@@ -49,7 +49,7 @@ def _object(part: Primitive) -> dict[str, Any]:
 
 
 def _dimensions(piece: Primitive) -> list[float]:
-    """As ``shape_msgs/SolidPrimitive`` has them: sides of a box; radius; height and radius of a cylinder."""
+    """Dimensions as ``shape_msgs/SolidPrimitive`` has them: sides of a box; radius; height and radius of a cylinder."""
     if piece.kind == "box":
         return [2 * half for half in piece.size]
     return list(reversed(piece.size))

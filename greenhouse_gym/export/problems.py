@@ -32,8 +32,8 @@ class Problem(NamedTuple):
     """One problem, in the frame of the arm's base.
 
     Attributes:
-        name: Of scene and tomato.
-        difficulty: Of the target.
+        name: Name of the scene, and number of the tomato.
+        difficulty: Difficulty of the target.
         start: (joints,) radians.
         goals: (k, joints) radians; none for a target that is unreachable.
         target: (3,) center of the tomato, metres.

@@ -27,8 +27,8 @@ class BcThenPpoSettings:
 
     Attributes:
         variations: Scenes that are made out of the bank's training scenes, beside them.
-        imitation: Of the first part.
-        ppo: Of the second part, and of the network; with no steps there is no second part.
+        imitation: Settings of the first part.
+        ppo: Settings of the second part, and of the network; with no steps there is no second part.
     """
 
     variations: int = 0

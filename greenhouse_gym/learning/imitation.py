@@ -110,7 +110,7 @@ def imitate(
         env: Vector environment with ``autoreset_mode="SameStep"``, on the arm and observation of the policy; it
             tells waypoints.
         settings: The settings.
-        seed: Of episodes and noise.
+        seed: Seed of episodes and noise.
         tell: Gets the steps so far and figures after each round.
     """
     random = np.random.default_rng(seed)

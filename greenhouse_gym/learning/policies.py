@@ -65,7 +65,7 @@ def load_into(model: Any, policy: Policy) -> None:
 
     Args:
         model: The model of Stable-Baselines3.
-        policy: Of the same arm, observation and hidden layers.
+        policy: A policy for the same arm, with the same observation and hidden layers.
 
     Raises:
         InvalidValueError: Its network or observation is another.

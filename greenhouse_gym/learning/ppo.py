@@ -54,16 +54,16 @@ class PpoSettings:
         rollout_steps: Steps of each simulation between updates.
         batch_size: Samples per gradient step.
         epochs: Passes over a rollout.
-        learning_rate: At the start; falls linearly to zero.
-        discount: Of future rewards, per step.
-        gae_lambda: Of the advantage estimate.
-        clip_range: Of the probability ratio.
+        learning_rate: Learning rate at the start; it falls linearly to zero.
+        discount: Discount of future rewards, per step.
+        gae_lambda: Lambda of the generalized advantage estimate.
+        clip_range: How far from 1 the ratio of probabilities may go.
         log_std: Initial logarithm of the action noise.
         hidden: Sizes of the hidden layers, of actor and critic each.
-        activation: Between the layers, "tanh" or "relu".
+        activation: What stands between the layers, "tanh" or "relu".
         critic_rollouts: Rollouts at the beginning from which the critic alone learns: a policy that can do something
             already is not to be judged by a critic that knows nothing.
-        seed: Of scenes, weights and noise.
+        seed: Seed of scenes, weights and noise.
         threads: Threads of the simulation; 0 uses all cores. The network has one: with more, its many small products
             wait for each other, on a busy machine most of the time.
     """

@@ -34,16 +34,16 @@ class SacSettings:
         num_envs: Simulations.
         updates_per_step: Gradient steps per step of all simulations.
         batch_size: Transitions per gradient step.
-        learning_rate: Of actor, critics and entropy coefficient.
-        discount: Of future rewards, per step.
+        learning_rate: Learning rate of actor, critics and entropy coefficient.
+        discount: Discount of future rewards, per step.
         target_rate: How far the target critics move to the critics per gradient step.
-        entropy_coefficient: At the start. It adapts; much more than this, and staying alive to act at random is worth
-            more than any success, which ends the episode.
+        entropy_coefficient: Its value at the start. It adapts; much more than this, and staying alive to act at random
+            is worth more than any success, which ends the episode.
         hindsight_goals: Transitions with a goal in hindsight per real one.
         memory: Transitions that are kept.
         random_steps: Steps with random actions before the first gradient step.
         hidden: Sizes of the hidden layers, of actor and critics each.
-        seed: Of scenes, weights and noise.
+        seed: Seed of scenes, weights and noise.
         threads: Threads of the simulation; 0 uses all cores. The network has one: with more, its many small products
             wait for each other, on a busy machine most of the time.
     """
@@ -128,7 +128,7 @@ def train_sac(
     Args:
         settings: The settings.
         total_steps: Steps of all simulations together.
-        minutes: Of processor time, after which it stops earlier.
+        minutes: Processor time after which it stops earlier.
         every: Steps from one judgment to the next.
         episodes: Per judgment and split; the same ones each time.
         tell: Gets each judgment at once.

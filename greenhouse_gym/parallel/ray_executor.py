@@ -131,7 +131,7 @@ def _join(ray: Any, address: str, workers: int | None) -> None:
     """Start a cluster of this machine's cores, or join one.
 
     Raises:
-        InvalidValueError: That is not possible.
+        InvalidValueError: There is no cluster to start or join.
     """
     own = (
         {"num_cpus": workers, "include_dashboard": False, "_system_config": {"worker_niceness": 0}}

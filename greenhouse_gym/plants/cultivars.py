@@ -27,17 +27,17 @@ class Cultivar:
         skin: Color of the skin at ripeness 0, 1/3, 2/3 and 1.
         rachis: Length of peduncle and rachis together, metres.
         peduncle_radius: Metres; drawn per truss.
-        stem_radius: Of the main stem at the gutter, metres; drawn per plant.
+        stem_radius: Radius of the main stem at the gutter, metres; drawn per plant.
         winding: How far the stem winds around its string, metres.
-        leaf_area: Of all leaves, one side, square metres per metre of row.
+        leaf_area: Area of all leaves, one side, square metres per metre of row.
         leaf_redness: Median of the leaves' (R - G) / (R + G) in white light; drawn per row.
         leaf_curl: Helios' longitudinal curvature of a leaflet, negative downwards; drawn per leaflet.
-        leaf_width: Of a leaflet over its length.
+        leaf_width: Width of a leaflet over its length.
         bare_below: Leaves below this height are taken off, metres.
         flowering: Height at which the youngest truss opens, metres; drawn per plant. Lower than on a real vine (prior),
             so that the zone the cameras see holds fruit of every age.
         side_shoots: Chance of a side shoot in the axil of a leaf.
-        shoot_length: Of a side shoot, metres.
+        shoot_length: Length of a side shoot, metres.
         lines: Lines of plants in a row, 0.35 m apart; a commercial row has two on one gutter.
     """
 

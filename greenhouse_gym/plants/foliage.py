@@ -83,7 +83,7 @@ def grow_shoot(
         node: (4,) point on the main stem's axis and the stem's radius, metres.
         azimuth: Direction of growth about z, radians.
         length: Metres.
-        leaf_size: Of its leaves against Helios' own.
+        leaf_size: Size of its leaves against Helios' own.
         palette: Its plant's leaf color.
         color: (3,) of its stem.
         plant: Number of its plant.

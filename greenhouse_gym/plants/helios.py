@@ -99,10 +99,10 @@ def grow_vine(
     """Grow a vine and take its organs apart; the same call gives the same vine. About 1.5 s.
 
     Args:
-        seed: Of Helios' random numbers.
+        seed: Seed of Helios' random numbers.
         model: ``"tomato"`` or ``"cherrytomato"`` of Helios' plant library.
         leaf_curl: Range of the leaflets' curvature along their length, negative downwards.
-        leaf_width: Of a leaflet over its length.
+        leaf_width: Width of a leaflet over its length.
 
     Raises:
         MissingDependencyError: PyHelios is missing or not the version that was tried.

@@ -57,7 +57,7 @@ class CalibrationReport:
         turned: By how much each camera is turned against the rig file, radians; empty where the file was kept.
         shifted: By how much each camera is shifted against the rig file, metres; empty where the file was kept.
         gap_before: Median distance between two cameras' readings of a surface, as the rig file has them, metres.
-        gap_after: The same after calibration.
+        gap_after: That distance after the calibration, metres.
     """
 
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012

@@ -32,7 +32,7 @@ def place_as_given(
         i: Its number.
         view: What it sees.
         segment: The stations before it.
-        views: Of the last of those, by their numbers.
+        views: Views of the last of those stations, by their numbers.
         settings: All settings.
     """
     if view.world_from_station is None:

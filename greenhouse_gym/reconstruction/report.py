@@ -18,7 +18,7 @@ class StationReport:
         reason: Why it was skipped, or began a new segment, or "".
         shift_pixels: Best shift of the silhouettes.
         fitness: Share of the points both stations could see with a partner after ICP.
-        rmse: Of those partners along their normals, metres.
+        rmse: Root mean square distance of those partners along their normals, metres.
         segment: Number of its segment; None where not registered.
         blind: Cameras that saw no foreground.
     """

@@ -39,7 +39,7 @@ class Sight:
 
     Attributes:
         rig: The cameras as they are.
-        screens: Of each station and camera, the nearest reading of each block of pixels.
+        screens: For each station and camera, the nearest reading of each block of pixels.
         looks: What was seen besides; see `greenhouse_gym.reconstruction.add_looks`.
     """
 

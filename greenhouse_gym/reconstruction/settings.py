@@ -21,7 +21,7 @@ class ReconstructionSettings:
     max_foreground: float = 0.98  # share beyond which silhouettes say nothing
     normal_window: int = 7  # px at the D435's 424 px of focal length, side of the window a normal is fitted in
     # where registration starts
-    poses: Poses = "estimate"  # of the stations: found, believed, or corrected
+    poses: Poses = "estimate"  # of the stations: estimated, given by the recording, or given and refined
     shift_step: int = 2  # px, "a few pixels at a time"
     shifts_tried: int = 3  # the best ones, until ICP convinces from one
     max_shift_difference: float = 0.9  # share of the foreground that may differ at the best shift; ICP decides
@@ -30,7 +30,7 @@ class ReconstructionSettings:
     coarse_distance: float = 0.02  # m, Open3D's point-to-plane ICP
     fine_distance: float = 0.005  # m, ICP between surfaces that face the same way
     facing: float = 0.8  # least cosine between the normals of two points that are partners
-    icp_iterations: int = 30
+    icp_iterations: int = 30  # most iterations of each ICP
     links: tuple[int, ...] = (2, 3)  # also register stations that many steps apart, and optimize the pose graph
     # what is accepted
     step_range: tuple[float, float] = (0.03, 0.15)  # m the tripod may move from one station to the next
@@ -47,10 +47,10 @@ class ReconstructionSettings:
     calibration_stations: int = 5  # from which depth errors and the rig are estimated; 0 = not at all
     calibrate_rig: bool = True  # also where the cameras stand, if that explains the overlap notably better
     # the merged cloud
-    voxel: float = 0.002  # m
-    outlier_radius: float = 0.006  # m
+    voxel: float = 0.002  # m, one point of the cloud per cube of this size
+    outlier_radius: float = 0.006  # m around a point within which other points support it
     outlier_neighbours: int = 2  # fewest points within that radius
-    outlier_stations: int = 2  # fewest stations that must have seen something there,
+    outlier_stations: int = 2  # fewest stations that must have seen something at a place,
     outlier_views: int = 2  # if at least so many see through the place
 
     @classmethod

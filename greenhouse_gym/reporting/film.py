@@ -21,7 +21,7 @@ def film(agent: Agent, out: str | Path, seed: int = 0, **options: Any) -> bool:
     Args:
         agent: The agent; its ``env_options`` say which environment it needs.
         out: The file.
-        seed: Of the episode, as `greenhouse_gym.evaluation.evaluate` counts them.
+        seed: Seed of the episode, as `greenhouse_gym.evaluation.evaluate` counts them.
         **options: Further keywords of the environment.
 
     Returns:

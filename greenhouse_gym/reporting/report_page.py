@@ -101,9 +101,9 @@ def report_page(
     """All about a reconstruction as one HTML page.
 
     Args:
-        name: Of the recording.
+        name: Name of the recording.
         rows: All segments, the longest first.
-        faces: Of the mesh.
+        faces: How many faces the mesh has.
         head: (3,) the reference camera in the rig frame.
         settings: The reconstruction's.
         pair: The stations that the pictures of a registration show, if there are any.

@@ -53,7 +53,7 @@ class Series(NamedTuple):
     Attributes:
         points: (n, 2) values along the horizontal and the vertical axis.
         style: Blue dots, hollow red dots, or a dashed red line through the points.
-        names: Of the points; shown when the pointer rests on one.
+        names: Names of the points; shown when the pointer rests on one.
         labels: Written above the points.
     """
 

@@ -103,7 +103,7 @@ def _seeds(cloud: Cloud, settings: ShapeSettings) -> tuple[list[Cylinder], Array
     axis = axes[:, :, 0]
 
     def across(covariances: Array) -> Array:
-        """Of covariances (k, 3, 3), what is perpendicular to the axes (k,)."""
+        """What of covariances (k, 3, 3) is perpendicular to the axes (k,)."""
         along = np.einsum("ki,kij,kj->k", axis, covariances, axis)
         return np.asarray(np.trace(covariances, axis1=1, axis2=2) - along)
 

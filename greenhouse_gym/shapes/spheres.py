@@ -19,9 +19,9 @@ from greenhouse_gym.geometry import Array, Sphere
 from greenhouse_gym.shapes.robust import SCALES, gauss_newton_step, tukey_weights
 from greenhouse_gym.shapes.settings import ShapeSettings
 
-_ABOVE_PLANE = 1.2  # times the votes a plane gathers in one place a sphere must have
-_MOST_POINTS = 300  # a fit looks at
-_DIRECTIONS = 100  # a sphere's coverage is counted in
+_ABOVE_PLANE = 1.2  # a sphere has so many times the votes that a plane gathers in one place
+_MOST_POINTS = 300  # most points that a fit looks at
+_DIRECTIONS = 100  # directions in which a sphere's coverage is counted
 
 
 class Trust(NamedTuple):
@@ -29,7 +29,7 @@ class Trust(NamedTuple):
 
     Attributes:
         aligned: Least cosine between the normals of the points that count and the sphere's, iteration by iteration.
-        on: The same for points of the final sphere.
+        on: That least cosine for points of the final sphere.
         radius: Share of the points' weight with which the candidate's radius holds.
         fewest: Points that make a sphere.
     """

@@ -34,7 +34,7 @@ class Disc(NamedTuple):
         slab: Number of the slice.
         center: (3,) metres, in the middle of the slice.
         lean: (2,) metres that it moves sideways per metre up.
-        rows: Of its points.
+        rows: Rows of its points.
     """
 
     slab: int
@@ -61,7 +61,7 @@ def find_main_stems(points: Array, normals: Array, settings: ShapeSettings) -> l
 
 
 def find_strings(points: Array, normals: Array, settings: ShapeSettings) -> list[Stem]:
-    """Find the strings that hold the stems, in what has no color: likewise, but too thin to measure.
+    """Find the strings that hold the stems, in what has no color; they are too thin to measure.
 
     Args:
         points: (n, 3) metres.
