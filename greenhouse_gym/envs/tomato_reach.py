@@ -9,10 +9,10 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
-from gymnasium.envs.registration import EnvSpec
 
 from greenhouse_gym.envs.episodes import DifficultyChoice
 from greenhouse_gym.envs.hindsight import goal_functions
+from greenhouse_gym.envs.made_by import SpecWithStepLimit
 from greenhouse_gym.envs.observations import Observed, select
 from greenhouse_gym.envs.settings import EnvSettings, settings_with
 from greenhouse_gym.envs.simulation import ReachSimulation, StepResult
@@ -25,7 +25,7 @@ from greenhouse_gym.scene import Scene
 _ONLY = np.array([0])
 
 
-class TomatoReachEnv(gymnasium.Env[Observed, npt.NDArray[np.float32]]):
+class TomatoReachEnv(SpecWithStepLimit, gymnasium.Env[Observed, npt.NDArray[np.float32]]):  # type: ignore[misc]
     """Reach a tomato with the tool of an arm, and touch nothing else.
 
     An episode takes place in one scene of a bank, with one of its tomatoes as the target. The arm carries a slender
@@ -184,18 +184,6 @@ class TomatoReachEnv(gymnasium.Env[Observed, npt.NDArray[np.float32]]):
             self.compute_reward, self.compute_terminated, self.compute_truncated = functions
         self._tip_trace: list[Array] = []
         self._over = False
-        self._spec: EnvSpec | None = None
-
-    @property
-    def spec(self) -> EnvSpec | None:
-        """How Gymnasium made the environment, with its step limit."""
-        return self._spec
-
-    @spec.setter
-    def spec(self, spec: EnvSpec | None) -> None:
-        if spec is not None:
-            spec.max_episode_steps = self.settings.step_limit
-        self._spec = spec
 
     @property
     def robot(self) -> Robot:

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from greenhouse_gym.envs.episodes import DifficultyChoice
 from greenhouse_gym.envs.hindsight import goal_functions
+from greenhouse_gym.envs.made_by import SpecWithStepLimit
 from greenhouse_gym.envs.observations import Observed, select
 from greenhouse_gym.envs.reach_task import Bools
 from greenhouse_gym.envs.settings import EnvSettings, check_whole, settings_with
@@ -27,7 +27,9 @@ from greenhouse_gym.geometry import Array
 Infos = dict[str, Any]
 
 
-class TomatoReachVectorEnv(VectorEnv[Observed, npt.NDArray[np.float32], npt.NDArray[Any]]):
+class TomatoReachVectorEnv(  # type: ignore[misc]
+    SpecWithStepLimit, VectorEnv[Observed, npt.NDArray[np.float32], npt.NDArray[Any]]
+):
     """``num_envs`` reaching tasks, stepped together; spaces, rewards and infos are those of `TomatoReachEnv`.
 
     With seed s, simulation i gives the numbers of a single environment with seed s + i, bit for bit, over resets.
@@ -85,18 +87,6 @@ class TomatoReachVectorEnv(VectorEnv[Observed, npt.NDArray[np.float32], npt.NDAr
         self._all = np.arange(num_envs)
         self._ended = np.zeros(num_envs, dtype=np.bool_)
         self._no_options = [None] * num_envs
-        self._spec: EnvSpec | None = None
-
-    @property
-    def spec(self) -> EnvSpec | None:
-        """How Gymnasium made the environment, with its step limit."""
-        return self._spec
-
-    @spec.setter
-    def spec(self, spec: EnvSpec | None) -> None:
-        if spec is not None:
-            spec.max_episode_steps = self.settings.step_limit
-        self._spec = spec
 
     def reset(  # type: ignore[override]
         self,
