@@ -1,48 +1,56 @@
 """How often agents reach the tomatoes of unseen rows: success and collision with 95 % intervals, by difficulty.
 
-python benchmarks/policies.py --agents ppo-ur5e,straight-line,random --episodes 1000
+python benchmarks/policies.py --agents ppo-ur5e,waypoint --physics reconstruction,truth --episodes 1000
 
 Every agent plays the same episodes: seeds 0, 1, 2, ... of the test split, policies without noise. The world is the
-reconstruction (or, with ``--physics truth``, the simulated row behind it). Rows are own, simulated ones. Writes
-results/policies.json, an entry per agent and world; those of other agents that it holds stay.
+reconstruction, or the simulated row behind it (``truth``). ``shielded`` and ``hybrid`` are made of the best shipped
+policy; ``waypoint`` goes without learning where the observation of that name leads, and ``guide`` is a teacher who
+plans. Writes results/policies.json, an entry per agent and world; those of other agents that it holds stay.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 from results_file import RESULTS, write_results
 
 from greenhouse_gym.agents.named import make_agent
+from greenhouse_gym.agents.policy_agent import BEST
 from greenhouse_gym.evaluation import Evaluation, evaluate, wilson_interval
 from greenhouse_gym.scene import DIFFICULTIES, SceneBank
+
+AGENTS = ",".join(
+    dict.fromkeys((BEST, "shielded", "hybrid", "waypoint", "guide", "ppo-ur5e", "straight-line", "random"))
+)
+"""Who plays."""
 
 
 def main() -> None:
     """Play and write the figures after each agent."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--agents", default="ppo-ur5e,straight-line,random")
+    parser.add_argument("--agents", default=AGENTS)
     parser.add_argument("--bank", default="default")
     parser.add_argument("--split", default="test")
-    parser.add_argument("--physics", default="reconstruction")
+    parser.add_argument("--physics", default="reconstruction,truth")
     parser.add_argument("--episodes", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--num-envs", type=int, default=64)
     parser.add_argument("--out", type=Path, default=RESULTS / "policies.json")
     arguments = parser.parse_args()
     figures: dict[str, Any] = json.loads(arguments.out.read_text())["agents"] if arguments.out.is_file() else {}
-    for name in arguments.agents.split(","):
+    for physics, name in product(arguments.physics.split(","), arguments.agents.split(",")):
         evaluation = evaluate(
             make_agent(name), arguments.split, arguments.episodes, arguments.seed, num_envs=arguments.num_envs,
-            bank=arguments.bank, physics=arguments.physics, threads=1,
+            bank=arguments.bank, physics=physics, threads=1,
         )  # fmt: skip
         entry: dict[str, Any] = {"bank": arguments.bank, "bank_sha256": SceneBank.open(arguments.bank).sha256}
-        entry |= {"split": arguments.split, "physics": arguments.physics, "first_seed": arguments.seed}
-        figures[f"{name}, {arguments.physics}"] = entry | rates(evaluation)
-        print(name, json.dumps(figures[f"{name}, {arguments.physics}"]), flush=True)
+        entry |= {"split": arguments.split, "physics": physics, "first_seed": arguments.seed}
+        figures[f"{name}, {physics}"] = entry | rates(evaluation)
+        print(name, json.dumps(figures[f"{name}, {physics}"]), flush=True)
         write_results(arguments.out, {"agents": figures}, ("mujoco", "numpy"))
 
 

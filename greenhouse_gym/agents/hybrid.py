@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from greenhouse_gym.agents.agent import Agent, Problem
 from greenhouse_gym.agents.planner_agent import PlannerAgent
-from greenhouse_gym.agents.policy_agent import PolicyAgent
+from greenhouse_gym.agents.policy_agent import BEST, PolicyAgent
 from greenhouse_gym.envs import EnvSettings, TomatoReachEnv
 
 
@@ -22,7 +22,7 @@ class HybridAgent:
     RRTConnect on an easy target; the policy then reacts to what is observed, which a path does not.
 
     Args:
-        policy: Who acts first; the shipped policy when left out.
+        policy: Who acts first; the best of the shipped policies when left out.
         planner: Who acts where the policy would fail; RRTConnect when left out.
         name: Shown in tables.
 
@@ -34,7 +34,7 @@ class HybridAgent:
 
     def __init__(self, policy: Agent | None = None, planner: Agent | None = None, name: str = "hybrid"):
         self.name = name
-        self._policy: Agent = policy or PolicyAgent.load("ppo-ur5e")
+        self._policy: Agent = policy or PolicyAgent.load(BEST)
         self._planner: Agent = planner or PlannerAgent()
         self.env_options: Mapping[str, Any] = {**self._planner.env_options, **self._policy.env_options}
         self.status = ""

@@ -13,7 +13,10 @@ from greenhouse_gym.agents.policy import Float32, Policy, described_at
 from greenhouse_gym.errors import InvalidValueError, UnknownNameError
 from greenhouse_gym.paths import data_path
 
-__all__ = ["Policy", "PolicyAgent", "shipped_policies"]
+__all__ = ["BEST", "Policy", "PolicyAgent", "shipped_policies"]
+
+BEST = "ppo-ur5e"
+"""The shipped policy that reaches most: what other agents are made of unless they are given one."""
 
 
 def shipped_policies() -> dict[str, Path]:

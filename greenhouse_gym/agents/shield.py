@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.agents.agent import Agent, Problem
-from greenhouse_gym.agents.policy_agent import PolicyAgent
+from greenhouse_gym.agents.policy_agent import BEST, PolicyAgent
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning import CollisionChecker, planning_model
 from greenhouse_gym.scene import compile_scene
@@ -32,7 +32,7 @@ class ShieldedAgent:
     It needs actions that move the joints.
 
     Args:
-        agent: Whose actions; the shipped policy when left out.
+        agent: Whose actions; the best of the shipped policies when left out.
         name: Shown in tables.
 
     Attributes:
@@ -43,7 +43,7 @@ class ShieldedAgent:
 
     def __init__(self, agent: Agent | None = None, name: str = "shielded"):
         self.name = name
-        self._agent: Agent = agent or PolicyAgent.load("ppo-ur5e")
+        self._agent: Agent = agent or PolicyAgent.load(BEST)
         self.env_options: Mapping[str, Any] = dict(self._agent.env_options)
         self.changed = self._held_up = 0
         self._random = np.random.default_rng(0)

@@ -35,10 +35,16 @@ CENTERS_AND_SCALES: dict[str, tuple[float, float]] = {
 
 
 class ScaledObservation(BaseFeaturesExtractor):  # type: ignore[misc]
-    """Brings every group of the observation to about one, by `CENTERS_AND_SCALES`."""
+    """Brings every group of the observation to about one, by `CENTERS_AND_SCALES`.
+
+    Attributes:
+        starts: Index of the first entry of each group.
+    """
 
     def __init__(self, observation_space: Any, layout: Layout):
         super().__init__(observation_space, features_dim=int(np.prod(observation_space.shape)))
+        ends = np.cumsum([size for _, size in layout]).tolist()
+        self.starts = {name: end - size for (name, size), end in zip(layout, ends, strict=True)}
         pairs = np.concatenate([np.tile(CENTERS_AND_SCALES[name], (size, 1)) for name, size in layout])
         self.register_buffer("center", torch.tensor(pairs[:, 0], dtype=torch.float32))
         self.register_buffer("scale", torch.tensor(pairs[:, 1], dtype=torch.float32))

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from greenhouse_gym.envs import TomatoReachVectorEnv
-from greenhouse_gym.learning.imitation import ImitationSettings, imitate
+from greenhouse_gym.learning.imitation import ImitationSettings, follow_waypoint, imitate
 from greenhouse_gym.learning.ppo import PpoSettings, train_ppo
 from greenhouse_gym.learning.variation import varied_bank
 from greenhouse_gym.scene import SceneBank
@@ -64,6 +64,7 @@ def train_bc_then_ppo(
             name: getattr(ppo, name)
             for name in ("bank", "split", "robot", "observation", "difficulty", "threads")
         }  # fmt: skip
+        follow_waypoint(model.policy)
         env = TomatoReachVectorEnv(settings.imitation.num_envs, autoreset_mode="SameStep", **options)
         with closing(env):
             imitate(model.policy, env, settings.imitation, ppo.seed, tell)

@@ -10,11 +10,12 @@ pytest.importorskip("ompl")
 
 from greenhouse_gym.agents import PolicyAgent
 from greenhouse_gym.envs import TomatoReachVectorEnv
+from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.geometry import distance_to_shapes
 from greenhouse_gym.integrations.sb3 import make_sb3_vec_env
 from greenhouse_gym.learning.bc_then_ppo import BcThenPpoSettings, train_bc_then_ppo
-from greenhouse_gym.learning.imitation import ImitationSettings, imitate
+from greenhouse_gym.learning.imitation import ImitationSettings, follow_waypoint, imitate
 from greenhouse_gym.learning.ppo import PpoSettings, make_ppo, train_ppo
 from greenhouse_gym.learning.variation import Variation, varied_bank, varied_scene
 from greenhouse_gym.scene import Scene, SceneBank
@@ -57,6 +58,17 @@ def test_the_learner_comes_to_do_as_the_teacher_does(bank: SceneBank) -> None:
     imitate(model.policy, env, imitation, tell=lambda steps, figures: told.append(figures))
     assert [figures["labels"] > 60 * (k + 1) for k, figures in enumerate(told)] == [True] * 3
     assert told[0]["loss"] < 0.2, "labels are numbers from -1 to 1, and mostly far from 0"
+
+
+def test_an_untrained_policy_can_follow_waypoints_exactly(bank: SceneBank) -> None:
+    settings = PpoSettings(hidden=(24, 16), activation="relu")
+    env = make_sb3_vec_env(2, bank=bank, observation="waypoint", threads=1)
+    model = make_ppo(settings, env)
+    follow_waypoint(model.policy)
+    seen = env.reset()
+    np.testing.assert_allclose(model.predict(seen, deterministic=True)[0], seen[:, -8:-2], atol=1e-6)
+    with pytest.raises(InvalidValueError, match="relu"):
+        follow_waypoint(make_ppo(PpoSettings(), env).policy)
 
 
 def test_imitation_then_ppo_leaves_a_policy_that_plays(bank: SceneBank, tmp_path: Path) -> None:
