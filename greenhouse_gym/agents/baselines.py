@@ -102,5 +102,5 @@ class WaypointAgent:
         self._direction = ends["waypoint_direction"]
 
     def act(self, observation: Any) -> npt.NDArray[np.float32]:
-        """As far that way as may be."""
+        """The action that goes as far that way as it may."""
         return np.asarray(observation[self._direction], dtype=np.float32)

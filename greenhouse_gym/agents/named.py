@@ -56,7 +56,7 @@ def make_agent(name: str) -> Agent:
             raise
         planners = ()
     if name in planners or name in PAPER_PLANNERS:
-        return PlannerAgent(name)  # of a planner of OMPL, where that is missing, this tells so
+        return PlannerAgent(name)  # where OMPL is missing, this says so
     own = "(a policy's file, file.py:Class or module:Class)"
     raise UnknownNameError("agent", name, [*SIMPLE, *shipped_policies(), own, *planners])
 

@@ -67,7 +67,7 @@ class Policy:
         biases: Per layer (outputs,).
         activation: One of `ACTIVATIONS`, between layers.
         center: (size,) subtracted from observations.
-        scale: (size,) that divides them then.
+        scale: (size,) that observations are divided by, once they are centered.
         env_options: Keywords for `gymnasium.make` that give the environment it was trained for.
         layout: Name and number of entries of each group of the observation.
         training: How it came about: algorithm, settings, steps.

@@ -30,9 +30,9 @@ class Joint:
         name: Name of the joint.
         kind: "revolute", "prismatic" or "fixed".
         axis: (3,) in the link's frame, which sits in the joint.
-        lower: Radians or metres.
-        upper: Radians or metres.
-        velocity: Its limit, radians or metres per second.
+        lower: Its lower limit, radians or metres.
+        upper: Its upper limit, radians or metres.
+        velocity: Its limit of speed, radians or metres per second.
     """
 
     name: str
@@ -51,9 +51,9 @@ class Link:
         name: Name of the link.
         parent: Name of its parent; None for the base.
         pose: (4, 4) of the link in its parent when the joint is at 0.
-        joint: To its parent.
+        joint: The joint to its parent.
         parts: Its shapes, in its frame.
-        mass: Kilograms.
+        mass: Its mass, kilograms.
         center: (4, 4) pose of the frame in which its inertia is diagonal.
         inertia: (3,) kg m^2.
     """

@@ -51,7 +51,7 @@ class Primitive(NamedTuple):
     def roll_pitch_yaw(self) -> Array:
         """(3,) radians about the fixed x, y and z axes, one after the other."""
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of gimbal lock: any of the angles that give the rotation will do
+            warnings.simplefilter("ignore")  # of gimbal lock, where any of the angles that give the rotation will do
             return Rotation.from_matrix(self.pose[:3, :3]).as_euler("xyz")
 
     def moved(self, target_from_source: Array) -> Primitive:

@@ -36,7 +36,7 @@ class ImitationSettings:
         noise: Standard deviation of what is added to the actions that are done, not to those that are learned.
         passes: How often each label is used on average in training.
         batch_size: Labels per gradient step.
-        learning_rate: At the start; falls to a tenth of it.
+        learning_rate: Learning rate at the start; it falls to a tenth of that.
     """
 
     steps: int = 200_000

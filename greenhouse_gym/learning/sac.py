@@ -130,7 +130,7 @@ def train_sac(
         total_steps: Steps of all simulations together.
         minutes: Processor time after which it stops earlier.
         every: Steps from one judgment to the next.
-        episodes: Per judgment and split; the same ones each time.
+        episodes: Episodes per judgment and split; they are the same each time.
         tell: Gets each judgment at once.
 
     Returns:

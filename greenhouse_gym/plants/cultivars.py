@@ -26,7 +26,7 @@ class Cultivar:
         ribs: Depth of the ribs as a share of the radius; drawn per truss.
         skin: Color of the skin at ripeness 0, 1/3, 2/3 and 1.
         rachis: Length of peduncle and rachis together, metres.
-        peduncle_radius: Metres; drawn per truss.
+        peduncle_radius: Radius of a peduncle, metres; drawn per truss.
         stem_radius: Radius of the main stem at the gutter, metres; drawn per plant.
         winding: How far the stem winds around its string, metres.
         leaf_area: Area of all leaves, one side, square metres per metre of row.

@@ -82,10 +82,10 @@ def grow_shoot(
         vine: Whose leaves it takes.
         node: (4,) point on the main stem's axis and the stem's radius, metres.
         azimuth: Direction of growth about z, radians.
-        length: Metres.
+        length: Its length, metres.
         leaf_size: Size of its leaves against Helios' own.
         palette: Its plant's leaf color.
-        color: (3,) of its stem.
+        color: (3,) color of its stem.
         plant: Number of its plant.
     """
     steps = max(3, int(length / 0.04))

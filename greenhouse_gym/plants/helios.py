@@ -39,7 +39,7 @@ class Frond(NamedTuple):
     Attributes:
         petiole: (k, 4) axis and radii, metres.
         blade: All leaflets, cut along their lobes.
-        tone: (t, 2) of each of the blade's triangles the texture's brightness as a share of its median, and by how much
+        tone: (t, 2) for each triangle of the blade the texture's brightness as a share of its median, and by how much
             its redness (R - G) / (R + G) lies above the median.
     """
 

@@ -31,9 +31,9 @@ from greenhouse_gym.reconstruction.views import Calibration, CameraView, view_ca
 _LIKELY = np.array([0.005, 0.01, 0.01, 0.01, 0.002, 0.002, 0.002])  # one sigma: depth error, rad, m
 _COMMON = 1e-5  # one sigma of the sum of the depth errors, where the cameras' places are estimated as well
 _GAP = 0.001  # m, one sigma of the gap between two readings of a surface
-_HELPS = 0.98  # of the median gap that may be left for the cameras' places to be changed; 0.99 where they are right
+_HELPS = 0.98  # most of the median gap that new places of the cameras may leave; 0.99 is left where they are right
 _ITERATIONS = 15  # at most; the partners within reach change with the corrections, so it converges slowly
-_RELAXATION = 1.5  # of a step, which falls short while partners beyond reach are missing
+_RELAXATION = 1.5  # times a step, which falls short while partners beyond reach are missing
 _SAMPLES = 1500  # points of each camera and station
 _FEWEST = 500  # gaps below which nothing is concluded
 

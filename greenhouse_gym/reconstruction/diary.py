@@ -28,7 +28,7 @@ from greenhouse_gym.reconstruction.settings import ReconstructionSettings
 from greenhouse_gym.reconstruction.views import Screen
 
 _REPORT = TypeAdapter(StationReport)
-_VERSION = 3  # of what a walk finds; raise it when registration changes, so that old notes are not continued
+_VERSION = 3  # version of what a walk finds; raise it when registration changes, so that old notes are not continued
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ class Edge(NamedTuple):
 
 
 Edges = Mapping[tuple[int, int], Edge]
-"""By the numbers of the earlier and the later station."""
+"""Registrations by the numbers of the earlier and the later station."""
 
 
 def optimize(stations: Sequence[int], edges: Edges, distance: float) -> Array:

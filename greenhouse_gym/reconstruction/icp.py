@@ -21,7 +21,7 @@ from greenhouse_gym.geometry import Array, invert, pose, transform
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings
 from greenhouse_gym.reconstruction.views import StationView
 
-_RELAXATION = 1.3  # of a step, which falls short while partners beyond reach are missing
+_RELAXATION = 1.3  # times a step, which falls short while partners beyond reach are missing
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ from greenhouse_gym.reconstruction.registration import coarse_icp, unconvincing
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings
 from greenhouse_gym.reconstruction.views import Calibration, StationView, view_station
 
-_EVERY = 3  # stations of a later pass, one is registered to the passes before
+_EVERY = 3  # one in so many stations of a later pass is registered to the passes before
 _BEGINNINGS = (0.0, 0.05, -0.05, 0.10, -0.10)  # m by which a pass may begin elsewhere than the first one
 _ASTRAY = 0.10  # m a registration may lead away from where it started
 

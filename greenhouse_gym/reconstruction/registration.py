@@ -16,7 +16,7 @@ from greenhouse_gym.reconstruction.settings import ReconstructionSettings
 from greenhouse_gym.reconstruction.shift import Shift, along, best_shifts, overlap
 from greenhouse_gym.reconstruction.views import CameraView, StationView
 
-_HELD = (0.003, 0.05)  # of the two motions least held; a wall or table leaves three loose, a pole two, a row none
+_HELD = (0.003, 0.05)  # hold of the two motions least held; walls and tables leave three loose, a pole two, a row none
 
 
 class Registration(NamedTuple):

@@ -18,7 +18,7 @@ from greenhouse_gym.reconstruction.row import Look, RowCloud
 from greenhouse_gym.reconstruction.views import BLOCK
 from greenhouse_gym.scene.seen import CORNERS, EMPTY, SURFACE, UNSEEN, States
 
-_FARTHEST = 2.0  # m from a camera up to which it is asked
+_FARTHEST = 2.0  # m from a camera up to which its readings are asked
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class CarvingSettings:
 
     voxel: float = 0.05  # m
     margin: float = 0.01  # m before a reading that may still be surface
-    points: int = 2  # of the cloud that make a voxel surface
+    points: int = 2  # points of the cloud that make a voxel surface
     aisle: bool = True  # what lies behind all cameras counts as empty: somebody pushed the rig through it
 
 

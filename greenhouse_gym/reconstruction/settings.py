@@ -50,8 +50,8 @@ class ReconstructionSettings:
     voxel: float = 0.002  # m, one point of the cloud per cube of this size
     outlier_radius: float = 0.006  # m around a point within which other points support it
     outlier_neighbours: int = 2  # fewest points within that radius
-    outlier_stations: int = 2  # fewest stations that must have seen something at a place,
-    outlier_views: int = 2  # if at least so many see through the place
+    outlier_stations: int = 2  # fewest stations that must have seen something where others see through
+    outlier_views: int = 2  # fewest stations that must see through a place to put it in doubt
 
     @classmethod
     def of(cls, protocol: Protocol) -> ReconstructionSettings:

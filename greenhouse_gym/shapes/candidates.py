@@ -28,7 +28,7 @@ COMPANY = ("larger", "smaller", "unlike neighbors", "neighbors", "gap / cm", "un
 
 _BEYOND = 0.010  # metres outside the shell: what goes on there is no part of a ball
 _MOST_CONTRAST = 0.5  # times 0.1 of redness: that fruit may be redder than leaves counts, not how much
-_MOST_BEND = 2.5  # times the sphere's own
+_MOST_BEND = 2.5  # most bend that counts, as a multiple of the sphere's own
 
 
 def measures(fits: Sequence[SphereFit], cloud: SurfaceCloud, settings: ShapeSettings) -> Array:

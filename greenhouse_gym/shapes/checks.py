@@ -19,7 +19,7 @@ from greenhouse_gym.shapes.settings import ShapeSettings
 
 _LONGEST, _HIGHEST = 200.0, 20.0  # metres of a row
 _STRAY_CELL = 0.25  # metres that stray points are away from everything
-_FAR = 4000  # of these lengths; what is farther off still is in one place
+_FAR = 4000  # so many of these lengths are told apart; what is farther off is in one place
 _MOST_STRAYS = 0.01  # share of all points; more are no strays
 _FEWEST = 50  # points that hold a shape
 

@@ -26,11 +26,11 @@ THINNEST = 0.0025
 """Smallest half extent of a box, metres: about the noise of the cloud."""
 
 _TOLERATED = 0.15  # share of a box's surface that may be empty
-_OPEN = 2e-4  # square metres of empty surface that a point weighs that a box holds though it should not
-_MOST_SPLIT = 3  # times the wanted number of boxes are made before they are joined
-_NEIGHBORS = 6  # of which a box may be joined with one, itself counted
+_OPEN = 2e-4  # weight, in square metres of empty surface, of a point that a box should not hold
+_MOST_SPLIT = 3  # so many times the wanted number of boxes are made before they are joined
+_NEIGHBORS = 6  # neighbors that a box may be joined with, itself counted
 _HELD, _FEWEST_HELD = 0.001, 3  # metres inside a box, and so many, that points must be to be cut out of it
-_MOST_CUTS = 3  # one after the other, of one box
+_MOST_CUTS = 3  # most cuts of one box, one after the other
 _CUTS = (0.3, 0.4, 0.5, 0.6, 0.7)  # where along its axes a box may be split
 
 

@@ -22,7 +22,7 @@ BESIDE = np.array([
     8.507, 8.044, 0.1609, -2.289, 2.605, -0.5358, -1.057, -0.4775, -0.6429, -0.5045, 0.3081, 0.3803, 3.79,
     0.6909, -0.773, 0.02517, -0.4492, -1.034, -1.841, -6.552, 0.5026, -0.5502, -0.6841, -1.945,
 ])  # fmt: skip
-"""Likewise for spheres of the second look, beside others that are sure."""
+"""Such weights for spheres of the second look, beside others that are sure."""
 
 
 def credibility(measures: Array, weights: Array) -> Array:

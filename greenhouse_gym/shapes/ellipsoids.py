@@ -18,20 +18,20 @@ from greenhouse_gym.shapes.settings import ShapeSettings
 from greenhouse_gym.shapes.spheres import SphereFit, even_directions, shell_of
 from greenhouse_gym.shapes.surfaces import SurfaceCloud
 
-_FRAMES = [frame_along(axis) for axis in even_directions(26) if axis[2] > 0]  # whose axes are tried first
-_MOST_POINTS = 120  # a fit looks at
+_FRAMES = [frame_along(axis) for axis in even_directions(26) if axis[2] > 0]  # frames whose axes are tried first
+_MOST_POINTS = 120  # most points that a fit looks at
 _FEWEST_POINTS = 8  # with fewer it stays a ball
 _NOISE = 0.0015  # metres: points farther off count less
 _ALIGNED = 0.5  # least cosine between normals and the sphere's
 _WELL_SEEN = 0.22  # share of a sphere that must show to tell how long a fruit is
 _FEWEST_SEEN = 6  # fruits that tell it
 _STRETCHES = np.linspace(-0.4, 0.56, 9)  # log length / width that are tried
-_LEAST = 0.06  # of it below which fruit is round
+_LEAST = 0.06  # log length / width below which fruit is round
 _SAVED = 0.06  # share of the cost of round fruit that other fruit must save
 _TRIED = 12  # fruits that are asked
 _LEAN = 1.5  # standard deviation of an axis from the vertical, a tangent: fruit hangs more upright than not
 _ROUNDS = 12
-_STEP = 1e-5  # of the parameters, for slopes
+_STEP = 1e-5  # by which the parameters are changed to tell slopes
 _SIZE = 0.15  # standard deviation of a width from the sphere's, a logarithm
 
 

@@ -10,10 +10,10 @@ from greenhouse_gym.open3d_loader import open3d
 from greenhouse_gym.shapes.neighborhoods import Neighborhoods
 from greenhouse_gym.shapes.settings import ShapeSettings
 
-_REACH = 0.009  # metres: a plane is laid through the points this near, at most so many
-_NEIGHBORS = 60
+_REACH = 0.009  # metres: a plane is laid through the points this near
+_NEIGHBORS = 60  # most points that a plane is laid through
 _PIECE = 0.005  # metres: which side is out is decided for pieces of this size
-_AROUND = 0.014  # by what is this near
+_AROUND = 0.014  # metres: what is this near decides on a piece
 _BULGE = 4e-3  # metres by which a piece stands out that tells as much as a look right at it
 _ROUNDS = 8  # in which neighbors agree upon a side
 _CLEAR_BULGE = 4e-4  # metres

@@ -28,8 +28,8 @@ from greenhouse_gym.shapes.settings import ShapeSettings
 Mask = npt.NDArray[np.bool_]
 Rows = npt.NDArray[np.int64]
 
-_KEPT = 0.5  # of its cost is left of an edge that belongs to the tree
-_ADRIFT = 100.0  # times its length a hop costs that is no stem: from the main stem to what hangs on nothing
+_KEPT = 0.5  # share of its cost that is left of an edge that belongs to the tree
+_ADRIFT = 100.0  # so many times its length a hop costs that is no stem: from the main stem to what hangs on nothing
 
 
 def stands_out(points: Array, normals: Array, tomatoes: tuple[Tomato, ...], settings: ShapeSettings) -> Mask:

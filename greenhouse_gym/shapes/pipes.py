@@ -23,8 +23,8 @@ from greenhouse_gym.shapes.robust import SCALES, gauss_newton_step, tukey_weight
 from greenhouse_gym.shapes.settings import ShapeSettings
 
 _CELL = 0.010  # metres: pieces of surface are told apart at this size
-_REACH = 0.030  # and looked at together with those this near
-_LEAST_SPREAD = 0.05  # of a piece's normals, a variance: flatter ones tell no radius
+_REACH = 0.030  # metres: pieces this near are looked at together
+_LEAST_SPREAD = 0.05  # least variance of a piece's normals: flatter pieces tell no radius
 _MOST_TILT = 0.12  # share of that spread that there may be along the axis
 _MOST_SCATTER = 0.005  # metres by which the centers of a piece's points may scatter
 _ROW_ARC = np.deg2rad(60.0)  # of the round that a centimetre of a pipe must show to count as seen

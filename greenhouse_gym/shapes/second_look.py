@@ -17,7 +17,7 @@ from greenhouse_gym.geometry import Array
 from greenhouse_gym.shapes.settings import ShapeSettings
 from greenhouse_gym.shapes.spheres import IN_SIZE, SphereFit, crowded, even_directions, fit_spheres, peaks
 
-_CELL = 1 / 3  # of the vote, in radii
+_CELL = 1 / 3  # side of the vote's cells, in radii
 _FEWEST = 7  # points that vote for one place
 _TONE = 0.15  # redness by which a fruit may differ from those of its truss
 _OVERLAP = 0.15  # radii by which a sphere may reach into its neighbors
