@@ -85,6 +85,10 @@ class GrowthError(GreenhouseError):
     """A plant could not be grown, or grew without what a row needs; the message gives the reason."""
 
 
+class CameraError(GreenhouseError):
+    """A camera is not there, cannot be started, or shows nothing any more."""
+
+
 class ReconstructionError(GreenhouseError):
     """A recording could not be turned into a row; the message gives the reasons."""
 

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from greenhouse_gym.capture import Recording, RgbdFrame
-from greenhouse_gym.geometry import Array
+from greenhouse_gym.geometry import Array, invert
 
 
 class Walk(NamedTuple):
@@ -34,6 +34,11 @@ def save(path: Path, image: np.ndarray) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.suffix == ".npy":
         np.save(path, image)
+    elif path.suffix == ".exr":
+        import OpenEXR
+
+        with OpenEXR.File({"type": OpenEXR.scanlineimage}, {"Z": np.ascontiguousarray(image)}) as file:
+            file.write(str(path))
     else:
         assert cv2.imwrite(str(path), image[..., ::-1] if image.ndim == 3 else image)
 
@@ -72,6 +77,21 @@ def as_scannet(folder: Path, walk: Walk) -> None:
         matrix = np.eye(4)
         matrix[:3, :3] = walk.frames[0].intrinsics.matrix
         np.savetxt(folder / f"intrinsic/intrinsic_{kind}.txt", matrix)
+
+
+def as_bop(folder: Path, walk: Walk) -> None:
+    cameras = {}
+    for i, (frame, place) in enumerate(zip(*walk, strict=True)):
+        save(folder / f"rgb/{i:06d}.png", frame.color)
+        save(folder / f"depth/{i:06d}.png", units(frame.depth, 0.0001))
+        there = invert(place)
+        cameras[i] = {
+            "cam_K": frame.intrinsics.matrix.ravel().tolist(),
+            "depth_scale": 0.1,
+            "cam_R_w2c": there[:3, :3].ravel().tolist(),
+            "cam_t_w2c": (1000 * there[:3, 3]).tolist(),
+        }
+    (folder / "scene_camera.json").write_text(json.dumps(cameras))
 
 
 def as_open3d_recorder(folder: Path, walk: Walk) -> None:
@@ -133,5 +153,7 @@ LAYOUTS: dict[str, tuple[str, Callable[[Path, Walk], None]]] = {
     "npy of metres": ("described", as_described(".npy", 0.0)),
     "npy of units": ("described", as_described(".npy", 0.001)),
     "tiff of metres": ("described", as_described(".tiff", 0.0)),
+    "exr of metres": ("described", as_described(".exr", 0.0)),
+    "bop": ("bop", as_bop),
 }
 """Layouts of a single camera: the format that reads each, and what writes it."""

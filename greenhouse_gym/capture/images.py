@@ -36,6 +36,31 @@ def read_image(path: str | Path) -> npt.NDArray[np.generic]:
     return _decode(Path(path), cv2.IMREAD_UNCHANGED, foreign=True)
 
 
+def read_exr(path: Path) -> npt.NDArray[np.generic]:
+    """The depth in an OpenEXR file (height, width), fractions of metres: its only channel, or that called Z, V, Y or R.
+
+    OpenCV's wheels read no OpenEXR.
+
+    Raises:
+        FileFormatError: It is missing, damaged, too large, or has no such channel.
+        MissingDependencyError: The extra ``exr`` is not installed.
+    """
+    with needs("exr"):
+        import OpenEXR
+    read_bytes(path, "image")
+    with parsing(path, "OpenEXR image"):
+        with OpenEXR.File(str(path), header_only=True) as file:
+            first, last = file.header()["dataWindow"]
+        if np.prod(np.subtract(last, first) + 1.0) > MOST_PIXELS:
+            raise FileFormatError(path, f"an image of more than {MOST_PIXELS} pixels is too large")
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            channels = {channel.rpartition(".")[2]: held.pixels for channel, held in file.channels().items()}
+    named = [channel for channel in ("Z", "V", "Y", "R") if channel in channels]
+    if len(channels) > 1 and not named:
+        raise FileFormatError(path, f"which of its channels {', '.join(channels)} is depth? Expected Z, V, Y or R")
+    return np.asarray(channels[named[0]] if named else next(iter(channels.values())))
+
+
 def encode_png(image: npt.NDArray[np.uint8] | npt.NDArray[np.uint16]) -> bytes:
     """An image, (height, width) or (height, width, 3) RGB, as the bytes of a PNG file."""
     stored = image[..., ::-1] if image.ndim == 3 else image

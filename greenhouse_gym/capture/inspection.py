@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from greenhouse_gym.capture.formats.stations import motion, sharpness_of
-from greenhouse_gym.capture.frames import RgbdFrame
+from greenhouse_gym.capture.frames import RgbdFrame, Station
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.errors import FileFormatError
 
@@ -100,9 +101,7 @@ def inspect_recording(recording: Recording) -> Inspection:
             moved = None if before is None else motion(before, frame)
             if moved is not None:
                 steps.append(moved)
-                distance = _figures(frame).distance
-                width = min(frame.intrinsics.width / frame.intrinsics.fx, frame.intrinsics.height / frame.intrinsics.fy)
-                overlaps.append(max(0.0, 1.0 - moved / max(width * distance, 1e-6)))
+                overlaps.append(_overlap(frame, moved))
             before = frame
     if not looked_at:
         raise FileFormatError(recording.folder or recording.name, "none of its stations can be read")
@@ -127,8 +126,28 @@ def inspect_recording(recording: Recording) -> Inspection:
     )  # fmt: skip
 
 
+def faults_of(station: Station, reference: str, moved: float | None) -> tuple[str, ...]:
+    """What is wrong with a single station that moved so many metres from the one before, a phrase each."""
+    cameras = {name: _figures(frame) for name, frame in station.frames.items()}
+    overlap = None if moved is None else _overlap(station.frames[reference], moved)
+    bad, hints = _faults(cameras, [] if moved is None else [moved], overlap, 0, [])
+    return (*bad, *hints)
+
+
+def near_plants(frame: RgbdFrame) -> npt.NDArray[np.bool_]:
+    """Which pixels (height, width) are as near as plants may be."""
+    return (frame.depth > _NEAR / 2) & (frame.depth < _FAR)
+
+
+def _overlap(frame: RgbdFrame, moved: float) -> float:
+    """Share of an image that is still seen when the camera has moved so many metres."""
+    k = frame.intrinsics
+    width = min(k.width / k.fx, k.height / k.fy)
+    return max(0.0, 1.0 - moved / max(width * _figures(frame).distance, 1e-6))
+
+
 def _figures(frame: RgbdFrame) -> CameraFigures:
-    near = (frame.depth > _NEAR / 2) & (frame.depth < _FAR)
+    near = near_plants(frame)
     gray = frame.color.mean(axis=2)
     plants = near if near.any() else np.ones_like(near)
     distance = float(np.median(frame.depth[near])) if near.any() else 0.0

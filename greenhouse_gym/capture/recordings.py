@@ -230,44 +230,75 @@ def write_recording(recording: Recording, path: str | Path, on_station: Callable
     Raises:
         FileFormatError: The folder already holds a finished recording.
     """
-    folder = Path(path)
-    if (folder / INDEX).exists():
-        raise FileFormatError(folder / INDEX, "already holds a recording; choose another folder or remove it")
-    scales = {name: min(camera.depth_scale, _COARSEST) for name, camera in recording.rig.cameras.items()}
-    stations = []
+    writer = RecordingWriter(path, recording.name, recording.rig, recording.protocol, recording.passes)
     for i in range(len(recording)):
-        names = {kind: {c: f"{kind}/{c}/{i:06d}.png" for c in recording.rig.cameras} for kind in ("color", "depth")}
-        station = recording[i]
-        for camera_name, frame in station.frames.items():
-            units = np.clip(np.rint(frame.depth / scales[camera_name]), 0, np.iinfo(np.uint16).max).astype(np.uint16)
-            for kind, image in (("color", frame.color), ("depth", units)):
-                write_atomically(folder / names[kind][camera_name], encode_png(image))
-        world_from_station = station.world_from_station
-        stations.append(
-            StationRecord(
-                color=names["color"],
-                depth=names["depth"],
-                world_from_station=None if world_from_station is None else world_from_station.tolist(),
-            )
-        )
+        writer.add(recording[i])
         if on_station:
             on_station(i)
-    cameras = {
-        name: CameraRecord(
-            **vars(camera.intrinsics),
-            rig_from_camera=camera.rig_from_camera.tolist(),
-            depth_scale=scales[name],
-        )
-        for name, camera in recording.rig.cameras.items()
-    }
-    index = RecordingIndex(
-        name=recording.name, reference=recording.rig.reference, cameras=cameras, stations=stations,
-        protocol=recording.protocol, passes=[PassRecord(**one._asdict()) for one in recording.passes],
-    )  # fmt: skip
     if recording.truth is not None:
-        save_truth(recording.truth, folder / TRUTH)
-    write_atomically(folder / INDEX, index.model_dump_json(indent=1) + "\n")
-    return folder
+        save_truth(recording.truth, writer.folder / TRUTH)
+    writer.save_index()
+    return writer.folder
+
+
+class RecordingWriter:
+    """Writes a recording station by station; readable from the first `save_index` on.
+
+    Args:
+        path: The folder; made if missing.
+        name: What to call the recording.
+        rig: The cameras.
+        protocol: See `Recording`.
+        passes: See `Recording`.
+
+    Raises:
+        FileFormatError: The folder already holds a finished recording.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        name: str,
+        rig: Rig,
+        protocol: str | None = None,
+        passes: tuple[Pass, ...] = (Pass(0, 0.0),),
+    ):
+        self.folder = Path(path)
+        if (self.folder / INDEX).exists():
+            raise FileFormatError(self.folder / INDEX, "already holds a recording; choose another folder or remove it")
+        cameras = {
+            camera_name: CameraRecord(
+                **vars(camera.intrinsics),
+                rig_from_camera=camera.rig_from_camera.tolist(),
+                depth_scale=min(camera.depth_scale, _COARSEST),
+            )
+            for camera_name, camera in rig.cameras.items()
+        }
+        self._index = RecordingIndex(
+            name=name, reference=rig.reference, cameras=cameras, stations=[], protocol=protocol,
+        )  # fmt: skip
+        self._index.passes = [PassRecord(**one._asdict()) for one in passes]  # whose stations are yet to come
+
+    @property
+    def count(self) -> int:
+        """The number of stations written."""
+        return len(self._index.stations)
+
+    def add(self, station: Station) -> None:
+        """Write the images of a station."""
+        cameras = self._index.cameras
+        names = {kind: {name: f"{kind}/{name}/{self.count:06d}.png" for name in cameras} for kind in ("color", "depth")}
+        for name, frame in station.frames.items():
+            units = np.clip(np.rint(frame.depth / cameras[name].depth_scale), 0, np.iinfo(np.uint16).max)
+            for kind, image in (("color", frame.color), ("depth", units.astype(np.uint16))):
+                write_atomically(self.folder / names[kind][name], encode_png(image))
+        known = station.world_from_station
+        pose = None if known is None else known.tolist()
+        self._index.stations.append(StationRecord(**names, world_from_station=pose))
+
+    def save_index(self) -> None:
+        """Write the index of all stations so far, which makes a recording of them."""
+        write_atomically(self.folder / INDEX, self._index.model_dump_json(indent=1) + "\n")
 
 
 def checked_pose(file: Path, what: str, matrix: npt.ArrayLike) -> Array:

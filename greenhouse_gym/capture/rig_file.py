@@ -98,22 +98,27 @@ def mounted(recording: Recording, mounting: Mounting) -> Recording:
     Raises:
         InvalidValueError: The recording lacks a camera of the file.
     """
-    missing = mounting.rig_from_camera.keys() - recording.rig.cameras.keys()
-    if missing:
-        raise InvalidValueError(
-            f"the rig file has the camera {', '.join(sorted(missing))}; recording {recording.name!r} has "
-            f"{', '.join(recording.rig.cameras)}"
-        )
-    cameras = {
-        name: replace(recording.rig.cameras[name], rig_from_camera=place)
-        for name, place in mounting.rig_from_camera.items()
-    }
-    rig = Rig(cameras, mounting.reference)
+    rig = mounted_rig(recording.rig, mounting)
     moved = None
     if recording.of_camera:
         (camera,) = recording.rig.cameras
-        moved = recording.rig.cameras[camera].rig_from_camera @ invert(cameras[camera].rig_from_camera)
-    return replace(recording, rig=rig, load=_Kept(recording, tuple(cameras), moved), of_camera=False)
+        moved = recording.rig.cameras[camera].rig_from_camera @ invert(rig.cameras[camera].rig_from_camera)
+    return replace(recording, rig=rig, load=_Kept(recording, tuple(rig.cameras), moved), of_camera=False)
+
+
+def mounted_rig(rig: Rig, mounting: Mounting) -> Rig:
+    """Cameras where a rig file says; those that the file does not name are left out.
+
+    Raises:
+        InvalidValueError: A camera of the file is missing.
+    """
+    missing = mounting.rig_from_camera.keys() - rig.cameras.keys()
+    if missing:
+        raise InvalidValueError(
+            f"the rig file has the camera {', '.join(sorted(missing))}; there is only {', '.join(rig.cameras)}"
+        )
+    places = mounting.rig_from_camera.items()
+    return Rig({name: replace(rig.cameras[name], rig_from_camera=place) for name, place in places}, mounting.reference)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from greenhouse_gym.cli import acting, arms, bank, comparing, demo, importing, scans, sensing
+from greenhouse_gym.cli import acting, arms, bank, comparing, demo, importing, recording, scans, sensing
 from greenhouse_gym.cli.doctor import doctor
 from greenhouse_gym.errors import GreenhouseError
 
@@ -23,6 +23,7 @@ app.command()(sensing.reconstruct)
 app.command()(sensing.build)
 app.command("import")(importing.import_)
 app.command()(importing.calibrate)
+app.command()(recording.record)
 app.command()(scans.shapes)
 app.command()(sensing.formats)
 app.command("build-shipped")(sensing.build_shipped)

@@ -29,7 +29,7 @@ def _shape_settings() -> object:
 
 
 def shapes(
-    cloud: Annotated[Path, typer.Argument(help="File of a cloud: ply, pcd, las, laz, npy, npz, xyz or txt.")],
+    cloud: Annotated[Path, typer.Argument(help="File of a cloud: ply, pcd, las, laz, e57, npy, npz, xyz or txt.")],
     out: Annotated[Path, typer.Option("--out", help="Folder for the results.")],
     units: Units = None,
     up: Up = None,

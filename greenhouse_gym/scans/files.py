@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -151,6 +152,23 @@ def _from_laser(path: Path) -> _Parts:
     return np.asarray(content.xyz), colors if colors is not None and colors.any() else None, None
 
 
+def _from_e57(path: Path) -> _Parts:
+    """All scans of the file in its common frame."""
+    with needs("scans"):
+        import pye57
+    with closing(pye57.E57(str(path))) as file:
+        headers = [file.get_header(i) for i in range(file.scan_count)]
+        colored = all("colorRed" in header.point_fields for header in headers)
+        scans = [file.read_scan(i, colors=colored, ignore_missing_fields=True) for i in range(len(headers))]
+    points, colors = (
+        np.concatenate([np.column_stack([scan[name] for name in names]) for scan in scans])
+        if scans and names[0] in scans[0]
+        else None
+        for names in (("cartesianX", "cartesianY", "cartesianZ"), ("colorRed", "colorGreen", "colorBlue"))
+    )
+    return np.zeros((0, 3)) if points is None else points, colors, None
+
+
 CLOUD_SUFFIXES: Mapping[str, Callable[[Path], _Parts]] = MappingProxyType(
     {
         ".ply": _with_open3d,
@@ -161,6 +179,7 @@ CLOUD_SUFFIXES: Mapping[str, Callable[[Path], _Parts]] = MappingProxyType(
         ".txt": _from_text,
         ".las": _from_laser,
         ".laz": _from_laser,
+        ".e57": _from_e57,
     }
 )
 """The kinds of files that hold clouds, by their suffix, each with what reads it."""

@@ -31,6 +31,8 @@ def walk() -> Walk:
 
 
 def written(name: str, folder: Path) -> Recording:
+    if name.startswith("exr"):
+        pytest.importorskip("OpenEXR")
     folder.mkdir(parents=True, exist_ok=True)
     LAYOUTS[name][1](folder, walk())
     return open_recording(folder)
@@ -87,6 +89,30 @@ def test_a_description_that_does_not_fit_is_refused(tmp_path: Path, change: dict
     content = json.loads((tmp_path / "cameras.yaml").read_text()) | change
     (tmp_path / "cameras.yaml").write_text(json.dumps(content))
     with pytest.raises(FileFormatError, match=what):
+        open_recording(tmp_path)
+
+
+def test_an_exr_of_several_channels_and_a_cut_one(tmp_path: Path) -> None:
+    exr = pytest.importorskip("OpenEXR")
+    depth = half_recording()[0].frames["middle"].depth
+    for name, channels in (("zb.exr", {"depth.Z": depth, "B": depth + 1}), ("bg.exr", {"B": depth, "G": depth})):
+        with exr.File({"type": exr.scanlineimage}, channels) as file:
+            file.write(str(tmp_path / name))
+    np.testing.assert_array_equal(read_units(tmp_path / "zb.exr"), depth)
+    with pytest.raises(FileFormatError, match="which of its channels B, G is depth"):
+        read_units(tmp_path / "bg.exr")
+    (tmp_path / "cut.exr").write_bytes((tmp_path / "zb.exr").read_bytes()[:2000])
+    with pytest.raises(FileFormatError, match=r"cut\.exr"):
+        read_units(tmp_path / "cut.exr")
+
+
+def test_a_scene_of_bop_with_two_cameras_is_refused(tmp_path: Path) -> None:
+    written("bop", tmp_path)
+    file = tmp_path / "scene_camera.json"
+    content = json.loads(file.read_text())
+    content["1"]["cam_K"][0] += 1
+    file.write_text(json.dumps(content))
+    with pytest.raises(FileFormatError, match="image 1 has another camera than image 0"):
         open_recording(tmp_path)
 
 

@@ -57,7 +57,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / "recording"
 
 
-OWN = ["greenhouse", "calibrated", "open3d", "tum", "scannet", "described", "bag"]
+OWN = ["greenhouse", "calibrated", "open3d", "tum", "scannet", "bop", "described", "bag"]
 
 
 def test_the_package_knows_its_formats() -> None:

@@ -9,12 +9,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
-from greenhouse_gym.capture import open_recording
+from greenhouse_gym.capture import RgbdFrame, open_recording
+from greenhouse_gym.capture.realsense import realsense_cameras
+from greenhouse_gym.cli import app
+from greenhouse_gym.errors import CameraError, FileFormatError
 
 pytest.importorskip("rosbags")
 libusb = pytest.importorskip("libusb_package")
 
+FRAMES = 4
 RECORD = """
 import ctypes, sys, time
 import libusb_package
@@ -47,7 +52,7 @@ sensors = recorder.query_sensors()
 for sensor in sensors:
     sensor.open(sensor.get_stream_profiles()[0])
     sensor.start(queue)
-for n in range(4):
+for n in range(int(sys.argv[2])):
     random = np.random.default_rng(n)
     images = (random.integers(300, 900, (H, W)).astype(np.uint16), random.integers(0, 255, (H, W, 3)).astype(np.uint8))
     for sensor, profile, image, size in zip((depth_sensor, color_sensor), (depth, color), images, (2, 3)):
@@ -65,19 +70,57 @@ for sensor in sensors:
 """
 
 
-def test_a_recording_of_the_sdk_is_read_back(tmp_path: Path) -> None:
-    file = tmp_path / "rs.db3"
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What the SDK's recorder wrote of a software device."""
     ctypes.CDLL(str(libusb.get_library_path()), mode=ctypes.RTLD_GLOBAL)
     pytest.importorskip("pyrealsense2")
-    subprocess.run([sys.executable, "-c", RECORD, str(file)], check=True, timeout=120)
-    recording = open_recording(file)
-    assert len(recording) >= 2  # the recorder may leave out the first or the last frame of a stream
+    file = tmp_path_factory.mktemp("realsense") / "rs.db3"
+    subprocess.run([sys.executable, "-c", RECORD, str(file), str(FRAMES)], check=True, timeout=120)
+    return file
+
+
+def number_of(frame: RgbdFrame) -> int:
+    """Which frame of the software device this is, bit for bit."""
     made = []
-    for n in range(4):
+    for n in range(FRAMES):
         random = np.random.default_rng(n)
         made.append((random.integers(300, 900, (48, 64)) / 1000, random.integers(0, 255, (48, 64, 3))))
+    (found,) = (n for n, (depth, _) in enumerate(made) if np.allclose(frame.depth, depth, atol=1e-6))
+    np.testing.assert_array_equal(frame.color, made[found][1])
+    return found
+
+
+def test_a_recording_of_the_sdk_is_read_back(file: Path) -> None:
+    recording = open_recording(file)
+    assert len(recording) >= 2  # the recorder may leave out the first or the last frame of a stream
     for station in recording:
-        frame = station.frames["device_0"]
-        (n,) = (k for k, (depth, _) in enumerate(made) if np.allclose(frame.depth, depth, atol=1e-6))
-        np.testing.assert_array_equal(frame.color, made[n][1])
-        assert frame.intrinsics.fx == 50.0
+        assert station.frames["device_0"].intrinsics.fx == 50.0
+        number_of(station.frames["device_0"])
+
+
+def test_the_sdk_plays_its_recording_back_as_a_camera(file: Path) -> None:
+    with realsense_cameras(playback=[file]) as live:
+        assert live.rig.cameras["camera"].intrinsics.fx == 50.0
+        numbers = [number_of(moment.frames["camera"]) for moment in live.moments]
+    assert len(numbers) >= 2
+    assert numbers == sorted(numbers)
+
+
+def test_the_command_records_what_is_played_back(file: Path, tmp_path: Path) -> None:
+    asked = CliRunner().invoke(app, ["record", "--out", str(tmp_path / "row"), "--playback", str(file)], input="")
+    assert asked.exit_code == 0, asked.output
+    assert "station 0" in asked.output
+    recording = open_recording(tmp_path / "row")
+    number_of(recording[0].frames["camera"])
+
+
+def test_no_camera_and_no_file_are_told(tmp_path: Path) -> None:
+    pytest.importorskip("pyrealsense2")
+    with pytest.raises(CameraError, match="no RealSense camera is connected"), realsense_cameras():
+        pass
+    with pytest.raises(FileFormatError, match="no such file"), realsense_cameras(playback=[tmp_path / "x.bag"]):
+        pass
+    (tmp_path / "x.bag").write_bytes(b"nothing")
+    with pytest.raises(CameraError, match="cannot be started"), realsense_cameras(playback=[tmp_path / "x.bag"]):
+        pass

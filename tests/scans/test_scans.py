@@ -249,8 +249,22 @@ def with_numpy(path: Path, points: Array, colors: Array, normals: Array) -> None
         np.savetxt(path, np.column_stack([points, 255 * colors, normals]))
 
 
+def with_pye57(path: Path, points: Array, colors: Array, normals: Array) -> None:
+    """Two scans, the second in a frame of its own."""
+    pye57 = pytest.importorskip("pye57")
+    lift, half = np.array([1.0, 2.0, 3.0]), len(points) // 2
+    file = pye57.E57(str(path), mode="w")
+    for part, place in ((slice(half), np.zeros(3)), (slice(half, None), lift)):
+        columns = [*(points[part] - place).T, *np.rint(255 * colors[part]).astype(np.uint8).T]
+        names = [f"cartesian{axis}" for axis in "XYZ"] + [f"color{name}" for name in ("Red", "Green", "Blue")]
+        turn = np.array([1.0, 0.0, 0.0, 0.0])
+        content = {name: np.ascontiguousarray(column) for name, column in zip(names, columns, strict=True)}
+        file.write_scan_raw(content, rotation=turn, translation=place)
+    file.close()
+
+
 WRITERS = {".ply": with_open3d, ".pcd": with_open3d, ".las": with_laspy, ".laz": with_laspy,
-           ".npy": with_numpy, ".npz": with_numpy, ".xyz": with_numpy}  # fmt: skip
+           ".npy": with_numpy, ".npz": with_numpy, ".xyz": with_numpy, ".e57": with_pye57}  # fmt: skip
 
 
 @pytest.mark.parametrize("suffix", WRITERS)
@@ -261,7 +275,7 @@ def test_a_file_by_a_reference_writer_is_read_back(tmp_path: Path, suffix: str) 
     np.testing.assert_allclose(cloud.points, points, atol=1e-4)
     assert cloud.colors is not None
     np.testing.assert_allclose(cloud.colors, colors, atol=1 / 254)
-    if suffix not in (".las", ".laz"):
+    if suffix not in (".las", ".laz", ".e57"):
         assert cloud.normals is not None
         np.testing.assert_allclose(cloud.normals, normals, atol=1e-4)
 
@@ -285,8 +299,8 @@ FEW, FOUR, NOTHING = np.random.default_rng(0).random((20, 3)), np.zeros((100, 4)
     + [(f"c.{kind}", None) for kind in ("npz", "ply", "pcd", "e57", "las", "laz", "xyz")],
 )
 def test_what_is_no_cloud_is_refused(tmp_path: Path, name: str, content: Array | None) -> None:
-    if name.endswith(("las", "laz")):
-        pytest.importorskip("laspy")
+    if name.endswith(("las", "laz", "e57")):
+        pytest.importorskip("pye57" if name.endswith("e57") else "laspy")
     if content is None:
         (tmp_path / name).write_bytes(b"ply no such thing\n\x00\xff")
     else:
@@ -294,7 +308,7 @@ def test_what_is_no_cloud_is_refused(tmp_path: Path, name: str, content: Array |
     with pytest.raises(GreenhouseError, match=name):
         read_cloud(tmp_path / name)
     with pytest.raises(FileFormatError, match="no such file"):
-        read_cloud(tmp_path / f"missing{Path(name).suffix}".replace("e57", "ply"))
+        read_cloud(tmp_path / f"missing{Path(name).suffix}")
 
 
 def test_no_colors_is_said() -> None:

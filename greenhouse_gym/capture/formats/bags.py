@@ -121,8 +121,7 @@ def _pair(path: Path, topics: CameraTopics, singles: Mapping[str, Any]) -> Pair:
     color, depth = (lens_of(path, topic, singles[topic]) for topic in (topics.color_info, topics.depth_info))
     scale = float(singles[topics.units].data) if topics.units in singles else 0.001
     apart = _color_from_depth(topics, singles)
-    same = color.intrinsics == depth.intrinsics and (apart is None or np.allclose(apart, np.eye(4), atol=1e-6))
-    return Pair(color, None if same else depth, np.eye(4) if apart is None else apart, scale)
+    return Pair.of(color, depth, np.eye(4) if apart is None else apart, scale)
 
 
 def _color_from_depth(topics: CameraTopics, singles: Mapping[str, Any]) -> Array | None:

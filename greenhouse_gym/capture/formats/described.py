@@ -1,7 +1,7 @@
 """Plain folders of images, described by a small file ``cameras.yaml`` beside them.
 
 color: rgb/*.jpg               # sorted by name, as many as depth images
-depth: depth/*.npy             # PNG, PGM or TIFF of 16 bits, fractions in TIFF or NPY
+depth: depth/*.npy             # PNG, PGM or TIFF of 16 bits, fractions in TIFF, NPY or EXR
 depth_scale: 0.001             # metres per unit of whole numbers; fractions are metres
 intrinsics: {width: 1280, height: 720, fx: 915.1, fy: 915.2, cx: 640.3, cy: 358.8, distortion: [0.1, -0.2, 0, 0]}
 depth_intrinsics: {...}        # where depth is not aligned to color

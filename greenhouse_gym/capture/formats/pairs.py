@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from greenhouse_gym.array_files import read_array
 from greenhouse_gym.capture.frames import RgbdFrame
-from greenhouse_gym.capture.images import read_image
+from greenhouse_gym.capture.images import read_exr, read_image
 from greenhouse_gym.capture.rig import Intrinsics
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.extras import needs
@@ -51,6 +51,12 @@ class Pair:
     depth: Lens | None = None
     color_from_depth: Array = field(default_factory=lambda: np.eye(4))
     depth_scale: float = 0.001
+
+    @classmethod
+    def of(cls, color: Lens, depth: Lens, color_from_depth: Array, depth_scale: float = 0.001) -> Pair:
+        """A pair of two lenses, of which the depth's does not matter where it is, and stands, as the color's."""
+        same = color.intrinsics == depth.intrinsics and np.allclose(color_from_depth, np.eye(4), atol=1e-6)
+        return cls(color, None if same else depth, color_from_depth, depth_scale)
 
     def frame(self, color: npt.NDArray[np.uint8], depth: npt.NDArray[Any], named: object) -> RgbdFrame:
         """One frame of a color image (h, w, 3) and a depth image (h', w') in its own units.
@@ -118,7 +124,7 @@ def aligned(
 
 
 def read_units(path: Path) -> npt.NDArray[Any]:
-    """A depth image file in its own units: PNG, PGM or TIFF of 16 bits or of fractions, or NPY.
+    """A depth image file in its own units: PNG, PGM or TIFF of 16 bits or of fractions, NPY or OpenEXR.
 
     Raises:
         FileFormatError: It is missing, damaged, of no such kind, or has several channels.
@@ -127,7 +133,7 @@ def read_units(path: Path) -> npt.NDArray[Any]:
         with parsing(path, "depth image"):
             image = read_array(read_bytes(path, "image"))
     elif path.suffix.lower() == ".exr":
-        raise FileFormatError(path, "OpenEXR is not read; convert it to 16-bit PNG, TIFF or NPY")
+        image = read_exr(path)
     else:
         image = read_image(path)
     if image.ndim != 2 or image.dtype.kind not in "uif" or image.dtype == np.uint8:

@@ -17,7 +17,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Protocol
 
-from greenhouse_gym.capture.formats import bags, calibrated, described, open3d, own, scannet, tum
+from greenhouse_gym.capture.formats import bags, bop, calibrated, described, open3d, own, scannet, tum
 from greenhouse_gym.capture.frames import RgbdFrame, Station
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError
@@ -45,7 +45,7 @@ class RecordingFormat(Protocol):
         """The recording, whose ``load`` reads a station when it is asked for."""
 
 
-_OWN: tuple[RecordingFormat, ...] = (own, calibrated, open3d, tum, scannet, described, bags)
+_OWN: tuple[RecordingFormat, ...] = (own, calibrated, open3d, tum, scannet, bop, described, bags)
 _MISSING = "there is no such folder or file"
 
 

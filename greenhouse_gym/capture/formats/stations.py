@@ -43,6 +43,35 @@ class Chosen(NamedTuple):
     unreadable: tuple[int, ...]
 
 
+class Odometer:
+    """How far a camera went since the first frame it saw, by what the frames show.
+
+    Args:
+        step: Metres after which a station is due; frames a good part of that apart are compared.
+
+    Attributes:
+        moved: Metres gone.
+        lost: Whether the motion could not be told at some frame; it is then more than ``moved`` says.
+    """
+
+    def __init__(self, step: float):
+        self.moved = 0.0
+        self.lost = False
+        self._step = step
+        self._key: RgbdFrame | None = None
+        self._gone = 0.0  # up to the frame that others are compared with
+
+    def see(self, frame: RgbdFrame) -> None:
+        """Look at the next frame."""
+        told = 0.0 if self._key is None else motion(self._key, frame)
+        if told is None:
+            self.lost = True
+        else:
+            self.moved = self._gone + told
+        if self._key is None or told is None or told > _CLOSE * self._step:
+            self._key, self._gone = frame, self.moved
+
+
 def choose_stations(recording: Recording, step: float = 0.10, on_frame: Callable[[int], None] | None = None) -> Chosen:
     """Choose frames of a video as stations.
 

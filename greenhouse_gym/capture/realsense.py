@@ -1,0 +1,188 @@
+"""RealSense cameras through their SDK, live or played back from what it recorded, as synchronised moments."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from greenhouse_gym.capture.formats.pairs import Lens, Pair
+from greenhouse_gym.capture.formats.single_camera import CAMERA, RIG_FROM_CAMERA
+from greenhouse_gym.capture.frames import RgbdFrame, Station
+from greenhouse_gym.capture.rig import Camera, Intrinsics, Rig
+from greenhouse_gym.errors import CameraError, FileFormatError
+from greenhouse_gym.extras import needs
+from greenhouse_gym.geometry import pose
+
+_WIDTH, _HEIGHT, _RATE = 848, 480, 30
+_PATIENCE, _OVER = 5000, 1000  # ms without a frame after which a camera is gone, and after which a file is over
+_TOGETHER = 0.025  # s within which images are of one moment
+_MISSES = 300  # images passed over in a row after which clocks run apart
+
+
+@dataclass(frozen=True, eq=False)
+class LiveRig:
+    """Cameras that are running.
+
+    Attributes:
+        rig: The cameras, all at one place: where they stand is told by a rig file.
+        moments: What they show, moment by moment; ends with what is played back.
+    """
+
+    rig: Rig
+    moments: Iterator[Station]
+
+
+@contextmanager
+def realsense_cameras(serials: Mapping[str, str] | None = None, playback: Sequence[Path] = ()) -> Iterator[LiveRig]:
+    """Start cameras, and stop them in the end.
+
+    Args:
+        serials: Serial number of each camera, by the name it shall have. By default all that are connected, called
+            after their numbers, or "camera" if it is only one.
+        playback: Files that the SDK recorded, to be played back instead of cameras, called after the files.
+
+    Raises:
+        CameraError: No camera is there, or not that with a serial number, or one cannot be started.
+        FileFormatError: A file cannot be played back.
+        MissingDependencyError: The extra ``realsense`` is not installed.
+    """
+    sdk = realsense_sdk()
+    with ExitStack() as running:
+        streams = {}
+        for name, config in _configs(sdk, serials, playback):
+            streams[name] = running.enter_context(_started(sdk, name, config, bool(playback)))
+        names = list(streams)
+        cameras = {name: Camera(stream.pair.color.intrinsics, RIG_FROM_CAMERA) for name, stream in streams.items()}
+        rig = Rig(cameras, names[len(names) // 2])
+        together = synchronised({name: stream.frames() for name, stream in streams.items()})
+        yield LiveRig(rig, (Station(frames) for frames in together))
+
+
+@cache
+def realsense_sdk() -> Any:
+    """The SDK, imported at first use; its wheel needs libusb, which the wheel ``libusb-package`` carries."""
+    with needs("realsense"):
+        import libusb_package
+
+        ctypes.CDLL(str(libusb_package.get_library_path()), mode=ctypes.RTLD_GLOBAL)
+        import pyrealsense2
+    return pyrealsense2
+
+
+def synchronised(
+    streams: Mapping[str, Iterator[tuple[float, RgbdFrame]]], within: float = _TOGETHER
+) -> Iterator[dict[str, RgbdFrame]]:
+    """Images of all cameras that were taken at about the same time; what has no partner is passed over.
+
+    Args:
+        streams: Of each camera, the time in seconds and the image, in the order of time.
+        within: Seconds that images of one moment may be apart.
+
+    Raises:
+        CameraError: Hundreds of images in a row have no partner.
+    """
+    newest: dict[str, tuple[float, RgbdFrame]] = {}
+    missed, behind = 0, list(streams)
+    while True:
+        for name in behind:
+            found = next(streams[name], None)
+            if found is None:
+                return
+            newest[name] = found
+        times = {name: time for name, (time, _) in newest.items()}
+        oldest = min(times, key=times.__getitem__)
+        apart = max(times.values()) - times[oldest]
+        if apart <= within:
+            yield {name: frame for name, (_, frame) in newest.items()}
+            missed, behind = 0, list(streams)
+            continue
+        missed, behind = missed + 1, [oldest]
+        if missed > _MISSES:
+            raise CameraError(f"the images of camera {oldest!r} are {apart:.3f} s behind: its clock runs apart")
+
+
+def _configs(sdk: Any, serials: Mapping[str, str] | None, playback: Sequence[Path]) -> Iterator[tuple[str, Any]]:
+    """A name and the SDK's configuration for each camera, or each file."""
+    for file in playback:
+        if not file.is_file():
+            raise FileFormatError(file, "cannot be read (no such file)")
+        config = sdk.config()
+        config.enable_device_from_file(str(file), False)
+        yield CAMERA if len(playback) == 1 else file.stem, config
+    if playback:
+        return
+    found = sorted(device.get_info(sdk.camera_info.serial_number) for device in sdk.context().query_devices())
+    if not found:
+        raise CameraError("no RealSense camera is connected: look at cables, and at the rules of udev for RealSense")
+    wanted = serials or ({CAMERA: found[0]} if len(found) == 1 else {f"camera_{number}": number for number in found})
+    for name, number in wanted.items():
+        if number not in found:
+            raise CameraError(f"no camera with the serial number {number} for {name!r}; connected are {found}")
+        config = sdk.config()
+        config.enable_device(number)
+        config.enable_stream(sdk.stream.depth, _WIDTH, _HEIGHT, sdk.format.z16, _RATE)
+        config.enable_stream(sdk.stream.color, _WIDTH, _HEIGHT, sdk.format.rgb8, _RATE)
+        yield name, config
+
+
+@dataclass(frozen=True, eq=False)
+class _Stream:
+    """A camera that is running."""
+
+    name: str
+    pipeline: Any
+    pair: Pair
+    ends: bool
+
+    def frames(self) -> Iterator[tuple[float, RgbdFrame]]:
+        """Time in seconds and image, depth aligned to color, until it is stopped."""
+        while True:
+            try:
+                both = self.pipeline.wait_for_frames(_OVER if self.ends else _PATIENCE)
+            except RuntimeError as error:
+                if self.ends:
+                    return
+                raise CameraError(f"camera {self.name!r} shows nothing any more: {error}") from error
+            depth, color = both.get_depth_frame(), both.get_color_frame()
+            if depth and color:
+                pair = replace(self.pair, depth_scale=depth.get_units())
+                images = np.array(color.get_data()), np.array(depth.get_data())  # the SDK uses its own again
+                yield color.get_timestamp() / 1000, pair.frame(*images, self.name)
+
+
+@contextmanager
+def _started(sdk: Any, name: str, config: Any, ends: bool) -> Iterator[_Stream]:
+    pipeline = sdk.pipeline()
+    try:
+        profile = pipeline.start(config)
+    except RuntimeError as error:
+        raise CameraError(f"camera {name!r} cannot be started: {error}") from error
+    try:
+        if ends:
+            profile.get_device().as_playback().set_real_time(False)
+        yield _Stream(name, pipeline, _pair(sdk, profile), ends)
+    finally:
+        pipeline.stop()
+
+
+def _pair(sdk: Any, profile: Any) -> Pair:
+    """How depth and color belong together, by the SDK. Its own alignment would widen what is near by a pixel."""
+    color, depth = (profile.get_stream(kind).as_video_stream_profile() for kind in (sdk.stream.color, sdk.stream.depth))
+    lenses = [_lens(sdk, stream.get_intrinsics()) for stream in (color, depth)]
+    told = depth.get_extrinsics_to(color)
+    color_from_depth = pose(np.reshape(told.rotation, (3, 3)).T, told.translation)
+    return Pair.of(lenses[0], lenses[1], color_from_depth)
+
+
+def _lens(sdk: Any, told: Any) -> Lens:
+    """A lens by the SDK; of its models of distortion only Brown's is undone, the others' coefficients mean another."""
+    intrinsics = Intrinsics(told.width, told.height, told.fx, told.fy, told.ppx, told.ppy)
+    bent = tuple(told.coeffs) if told.model == sdk.distortion.brown_conrady else ()
+    return Lens(intrinsics, bent)

@@ -1,0 +1,106 @@
+"""The command that records with RealSense cameras."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from queue import SimpleQueue
+from threading import Thread
+from typing import TYPE_CHECKING, Annotated, TextIO
+
+import typer
+
+from greenhouse_gym.cli.importing import RigFile
+from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.progress import say
+
+if TYPE_CHECKING:
+    from greenhouse_gym.capture import Station
+    from greenhouse_gym.capture.recorder import Taken
+
+
+def record(
+    out: Annotated[Path, typer.Option("--out", help="Folder for the recording.")],
+    rig: RigFile = None,
+    camera: Annotated[
+        list[str] | None,
+        typer.Option("--camera", help="NAME=SERIAL of a camera, once for each; all that are connected by default."),
+    ] = None,
+    step: Annotated[
+        float, typer.Option(help="Metres from station to station; 0 takes one at each press of Enter only.", min=0.0)
+    ] = 0.10,
+    playback: Annotated[
+        list[Path] | None, typer.Option(help="A file of RealSense's recorder to play back, once for each camera.")
+    ] = None,
+) -> None:
+    """Record stations with RealSense cameras: one about every 10 cm by what they show, and one at each press of Enter.
+
+    Each station is written at once and looked at; q and Enter, or Ctrl-C, ends. preview.png in the folder is renewed
+    all the time: what is too far for plants is dark in it.
+    """
+    from greenhouse_gym.capture import open_recording
+    from greenhouse_gym.capture.inspection import inspect_recording
+    from greenhouse_gym.capture.realsense import realsense_cameras
+    from greenhouse_gym.capture.recorder import PREVIEW
+    from greenhouse_gym.capture.recorder import record as write_stations
+    from greenhouse_gym.capture.recordings import INDEX
+    from greenhouse_gym.capture.rig_file import load_mounting, mounted_rig
+
+    keys = Keys(sys.stdin)
+    with realsense_cameras(_serials(camera or ()), playback or ()) as live:
+        cameras = live.rig if rig is None else mounted_rig(live.rig, load_mounting(rig))
+        say(f"cameras {', '.join(cameras.cameras)}; Enter takes a station, q and Enter ends; look at {out / PREVIEW}")
+        try:
+            write_stations(keys.until_end(live.moments), cameras, out, step, keys.pressed, _tell)
+        except KeyboardInterrupt:
+            say("interrupted; what was recorded is kept")
+    if not (out / INDEX).exists():
+        raise InvalidValueError(f"no station was recorded in {out}")
+    recording = open_recording(out)
+    for line in inspect_recording(recording).verdict:
+        say(line)
+    say(f"{len(recording)} stations in {out}")
+
+
+class Keys:
+    """Lines that are typed while something else goes on: an empty one asks for a station, q for the end."""
+
+    def __init__(self, typed: TextIO):
+        self._lines: SimpleQueue[str] = SimpleQueue()
+        self._asked = 0
+        Thread(target=self._listen, args=(typed,), daemon=True).start()
+
+    def _listen(self, typed: TextIO) -> None:
+        for line in typed:
+            self._lines.put(line.strip())
+
+    def until_end(self, moments: Iterable[Station]) -> Iterator[Station]:
+        """The moments, until q is typed."""
+        for moment in moments:
+            while not self._lines.empty():
+                if self._lines.get().lower() == "q":
+                    return
+                self._asked += 1
+            yield moment
+
+    def pressed(self) -> bool:
+        """Whether a station was asked for since the last call; said once for each press."""
+        pressed = self._asked > 0
+        self._asked = max(0, self._asked - 1)
+        return pressed
+
+
+def _tell(taken: Taken) -> None:
+    moved = "" if taken.moved is None else f", {100 * taken.moved:.0f} cm on"
+    say(f"station {taken.number}{moved}")
+    for fault in taken.faults:
+        say(f"  {fault}", style="red")
+
+
+def _serials(told: Iterable[str]) -> dict[str, str] | None:
+    pairs = [one.partition("=") for one in told]
+    for name, _, number in pairs:
+        if not name or not number:
+            raise InvalidValueError(f"--camera: expected NAME=SERIAL, got {name!r}")
+    return {name: number for name, _, number in pairs} or None
