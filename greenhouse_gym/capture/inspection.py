@@ -10,10 +10,12 @@ import numpy.typing as npt
 
 from greenhouse_gym.capture.formats.stations import motion, sharpness_of
 from greenhouse_gym.capture.frames import RgbdFrame, Station
+from greenhouse_gym.capture.mounting_check import mounting_doubts
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.errors import FileFormatError
 
 _LOOKED_AT = 24  # stations at most
+_COMPARED = 3  # stations whose cameras are compared
 _NEAR, _FAR = 0.3, 1.2  # m, where plants may be
 _MISSING = 0.35  # share of the plants' pixels without depth that is too much
 _DARK, _BRIGHT = 40, 225  # median gray of the plants' pixels
@@ -82,6 +84,7 @@ def inspect_recording(recording: Recording) -> Inspection:
     starts = np.unique(np.linspace(0, max(0, len(recording) - 2), pairs).round().astype(int)).tolist()
     figures: dict[str, list[CameraFigures]] = {name: [] for name in recording.rig.cameras}
     unreadable, steps, overlaps = [], [], []
+    compared: list[Station] = []
     histogram = np.zeros(30)
     looked_at = 0
     for start in starts:
@@ -94,6 +97,8 @@ def inspect_recording(recording: Recording) -> Inspection:
                 before = None
                 continue
             looked_at += 1
+            if len(compared) < _COMPARED:
+                compared.append(station)
             for name, frame in station.frames.items():
                 figures[name].append(_figures(frame))
             frame = station.frames[recording.rig.reference]
@@ -114,6 +119,10 @@ def inspect_recording(recording: Recording) -> Inspection:
         sum(one.sharpness < _BLURRED * cameras[name].sharpness for one in all_of) for name, all_of in figures.items()
     ]
     bad, hints = _faults(cameras, steps, overlap, max(blurred), unreadable)
+    if len(recording) < 2:
+        bad.append("it is a single station: did the camera move?")
+    if doubts := mounting_doubts(recording.rig, compared):
+        bad.append(f"the rig does not fit the images: {', or '.join(doubts)}; turn the images, or correct the rig file")
     small = not bad and all(0 < camera.pixel < _SMALL_FRUIT for camera in cameras.values())
     verdict = (
         "good enough for registration" if not bad else "not good enough for registration: " + "; ".join(bad),

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from row_helpers import from_stations, half_recording
 from typer.testing import CliRunner
 from walls import STEP, frame, video
 
-from greenhouse_gym.capture import Station, open_recording, write_recording
+from greenhouse_gym.capture import RgbdFrame, Station, open_recording, write_recording
 from greenhouse_gym.capture.formats.stations import choose_stations, motion
 from greenhouse_gym.capture.inspection import inspect_recording
 from greenhouse_gym.cli import app
@@ -79,6 +80,49 @@ def test_what_is_wrong_is_said(what: str) -> None:
     found = inspect_recording(FAULTS[what])
     assert not found.good_for_registration
     assert what in found.verdict[0]
+
+
+def test_a_single_station_is_not_good_enough() -> None:
+    found = inspect_recording(replace(STATIONS, size=1))
+    assert not found.good_for_registration
+    assert "single station" in found.verdict[0]
+
+
+def turned(station: Station, *names: str) -> Station:
+    """The station with the images of some cameras upside down."""
+    return Station(
+        {
+            name: RgbdFrame(frame.color[::-1, ::-1], frame.depth[::-1, ::-1], frame.intrinsics)
+            if name in names
+            else frame
+            for name, frame in station.frames.items()
+        }
+    )
+
+
+def swapped(station: Station, one: str, other: str) -> Station:
+    names = {one: other, other: one}
+    return Station({name: station.frames[names.get(name, name)] for name in station.frames})
+
+
+LAST_TURNED = "the images of camera last seem to be upside down"
+ALL_TURNED = (
+    "the cameras first and last seem to be swapped, or all images seem to be upside down"  # the rig is symmetric
+)
+MISTAKES = {
+    LAST_TURNED: lambda station: turned(station, "last"),
+    ALL_TURNED: lambda station: turned(station, "first", "middle", "last"),
+    "the cameras first and middle seem to be swapped": lambda station: swapped(station, "first", "middle"),
+}
+
+
+@pytest.mark.xdist_group("row")
+@pytest.mark.parametrize("said", ["", *MISTAKES])
+def test_swapped_cameras_and_images_upside_down_are_noticed(said: str) -> None:
+    walk = half_recording()
+    mistake = MISTAKES.get(said, lambda station: station)
+    verdict = inspect_recording(from_stations([mistake(walk[i]) for i in range(2)], walk)).verdict[0]
+    assert f"the rig does not fit the images: {said}; turn" in verdict if said else "does not fit" not in verdict
 
 
 def test_import_writes_a_recording_a_report_and_a_picture(tmp_path: Path) -> None:

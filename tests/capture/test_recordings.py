@@ -321,9 +321,10 @@ def test_a_station_without_images_for_a_camera(folder: Path) -> None:
 
 
 def test_what_is_no_recording_at_all(tmp_path: Path) -> None:
-    for path in (tmp_path, tmp_path / "missing"):
-        with pytest.raises(FileFormatError, match="not a recording"):
-            open_recording(path)
+    with pytest.raises(FileFormatError, match="not a recording"):
+        open_recording(tmp_path)
+    with pytest.raises(FileFormatError, match="missing: there is no such folder or file"):
+        open_recording(tmp_path / "missing")
     file = tmp_path / "file"
     file.touch()
     with pytest.raises(FileFormatError, match="not a recording"):
