@@ -15,6 +15,7 @@ from pathlib import Path
 from greenhouse_gym.build import build_bank
 from greenhouse_gym.capture import Recording, simulate_protocol
 from greenhouse_gym.cutting import BuildSettings
+from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.parallel import completed
 from greenhouse_gym.paths import exclusive
 from greenhouse_gym.plants import grow_row
@@ -122,9 +123,15 @@ def build_shipped_banks(out: Path, parts: Path, executor: Executor | None = None
 
 
 def join_parts(parts: Path, out: Path) -> tuple[SceneBank, SceneBank]:
-    """Join the parts that are finished, in their usual order, to ``default`` and ``mini`` below a folder."""
+    """Join the parts that are finished, in their usual order, to ``default`` and ``mini`` below a folder.
+
+    Raises:
+        FileFormatError: No part is finished; the banks in the folder stay as they are.
+    """
     folders = {shot: parts / shot.name for shot in shots()}
     banks = {shot: SceneBank.open(folder) for shot, folder in folders.items() if (folder / MANIFEST).exists()}
+    if not banks:
+        raise FileFormatError(parts, "holds no finished part of the shipped banks")
     scenes = [(scene, shot.split) for shot, bank in banks.items() for scene in bank]
     default = write_bank(out / "default", scenes, "default", DESCRIPTION)
     first = {shot.row: (bank[1], shot.split) for shot, bank in reversed(banks.items())}  # of a row's weeks the first

@@ -14,6 +14,7 @@ import pytest
 from row_helpers import HALF, black, from_stations, half_recording
 from typer.testing import CliRunner
 
+from greenhouse_gym.agents import Agent
 from greenhouse_gym.capture import open_recording, simulate_recording, write_recording
 from greenhouse_gym.capture.images import read_color
 from greenhouse_gym.capture.recordings import INDEX
@@ -475,3 +476,36 @@ def test_one_process_at_a_time_and_no_file_for_a_folder(recording: Path, tmp_pat
     with exclusive(tmp_path / "out"):
         assert "another process is at work" in str(fails(name, *arguments, "--out", tmp_path / "out"))
     assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_demonstrations_tell_how_to_load_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from greenhouse_gym.agents import demonstrations
+
+    asked: list[dict[str, object]] = []
+
+    def record(agent: Agent, out: Path, episodes: int, seed: int, split: str, **options: object) -> str:
+        asked.append({"agent": agent.name, "episodes": episodes, "split": split} | options)
+        return "tomato-reach/still-v0"
+
+    monkeypatch.setattr(demonstrations, "record_demonstrations", record)
+    shown = run("demonstrations", "--agent", "still", "--episodes", "3", "--bank", "mini", "--out", tmp_path)
+    assert f"MINARI_DATASETS_PATH={tmp_path} and minari.load_dataset('tomato-reach/still-v0')" in shown
+    (asked_for,) = asked
+    del asked_for["tell"]
+    assert asked_for == {"agent": "still", "episodes": 3, "split": "train", "bank": "mini", "observation": "state"}
+
+
+@pytest.mark.parametrize(("success", "told"), [(True, "a success, in"), (False, "no success, in")])
+def test_watch_tells_how_the_episode_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, success: bool, told: str
+) -> None:
+    from greenhouse_gym.reporting import film
+
+    monkeypatch.setattr(film, "film", lambda agent, out, **options: success and options["split"] == "validation")
+    assert f"{told} {tmp_path / 'a.mp4'}" in run("watch", "--agent", "still", "--out", tmp_path / "a.mp4")
+
+
+def test_no_finished_part_leaves_the_shipped_banks_as_they_are(tmp_path: Path) -> None:
+    error = fails("build-shipped", "--finished-only", "--parts", tmp_path / "parts", "--out", tmp_path / "out")
+    assert str(error) == f"{tmp_path / 'parts'}: holds no finished part of the shipped banks"
+    assert not (tmp_path / "out").exists()
