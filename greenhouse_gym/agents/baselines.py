@@ -81,8 +81,9 @@ class StraightLineAgent:
 
 
 class WaypointAgent:
-    """Goes straight to the waypoint that it is told: what `observation="waypoint"` is worth without any learning.
+    """Goes straight to the waypoint that it is told, and stays where it is while there is no free way to one.
 
+    That is what `observation="waypoint"` is worth without any learning.
     It needs an environment whose actions move the joints.
     """
 
@@ -90,17 +91,18 @@ class WaypointAgent:
     env_options: Mapping[str, Any] = MappingProxyType({"observation": "waypoint"})
 
     def __init__(self) -> None:
-        self._direction = slice(0)
+        self._direction = self._way = slice(0)
 
     def reset(self, problem: Problem) -> None:
-        """Find the place of the direction in the observation."""
+        """Find the places of the direction, and of whether it is free, in the observation."""
         ends = {}
         end = 0
         for name, size in WaypointObservation(problem.robot).layout:
             end += size
             ends[name] = slice(end - size, end)
-        self._direction = ends["waypoint_direction"]
+        self._direction, self._way = ends["waypoint_direction"], ends["way"]
 
     def act(self, observation: Any) -> npt.NDArray[np.float32]:
         """The action that goes as far that way as it may."""
-        return np.asarray(observation[self._direction], dtype=np.float32)
+        free = observation[self._way][1]
+        return np.asarray(observation[self._direction] * free, dtype=np.float32)

@@ -97,10 +97,11 @@ class Teachers:
 
 
 def follow_waypoint(policy: Any) -> None:
-    """Make the actor of an untrained Stable-Baselines3 policy do what the waypoint's direction says, exactly.
+    """Make the actor of an untrained Stable-Baselines3 policy do exactly as the agent ``waypoint`` does.
 
-    So nothing has to be learned of what a rule knows. Half of the first hidden units carry what is positive of it and
-    what is negative, the others are as they were, without any effect on the action until something is learned.
+    So nothing has to be learned of what a rule knows. The first hidden units carry what is positive of the waypoint's
+    direction and what is negative, while the way is free; the others are as they were, without any effect on the action
+    until something is learned.
 
     Args:
         policy: An actor-critic policy with rectified linear units on `ScaledObservation` of ``"waypoint"``.
@@ -110,19 +111,22 @@ def follow_waypoint(policy: Any) -> None:
     """
     extractor, actions = policy.pi_features_extractor, policy.action_net
     joints = actions.out_features
-    place = extractor.starts.get("waypoint_direction")
+    place, way = (extractor.starts.get(name, -1) for name in ("waypoint_direction", "way"))
     layers = [layer for layer in policy.mlp_extractor.policy_net if hasattr(layer, "in_features")]
-    if place is None or policy.activation_fn is not torch.nn.ReLU or min(p.out_features for p in layers) < 2 * joints:
+    if place < 0 or policy.activation_fn is not torch.nn.ReLU or min(p.out_features for p in layers) < 2 * joints:
         raise InvalidValueError(
             f'to follow waypoints, a policy needs observation="waypoint", activation="relu" and hidden layers of at '
             f"least {2 * joints} units"
         )
     units = torch.arange(2 * joints)
-    carried = place + units % joints
+    carried, free = place + units % joints, way + 1
     with torch.no_grad():
         for layer in layers:
             layer.weight[units], layer.bias[units] = 0.0, 0.0
+        # directions are at most 1: with 1 taken away where the way is not free, nothing positive is left
         layers[0].weight[units, carried] = torch.where(units < joints, 1.0, -1.0) * extractor.scale[carried]
+        layers[0].weight[units, free] = extractor.scale[free]
+        layers[0].bias[units] = extractor.center[free] - 1.0
         for layer in layers[1:]:
             layer.weight[units, units] = 1.0
         actions.weight.zero_()

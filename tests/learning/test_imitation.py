@@ -66,7 +66,10 @@ def test_an_untrained_policy_can_follow_waypoints_exactly(bank: SceneBank) -> No
     model = make_ppo(settings, env)
     follow_waypoint(model.policy)
     seen = env.reset()
-    np.testing.assert_allclose(model.predict(seen, deterministic=True)[0], seen[:, -8:-2], atol=1e-6)
+    seen[1, -1] = 0.0
+    np.testing.assert_allclose(model.predict(seen, deterministic=True)[0], seen[:, -8:-2] * [[1.0], [0.0]], atol=1e-6)
+    assert seen[0, -1] == 1.0
+    assert np.abs(seen[:, -8:-2]).max(axis=1).min() > 0.5
     with pytest.raises(InvalidValueError, match="relu"):
         follow_waypoint(make_ppo(PpoSettings(), env).policy)
 
