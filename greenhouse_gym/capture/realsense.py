@@ -1,4 +1,4 @@
-"""RealSense cameras through their SDK, live or played back from what it recorded, as synchronised moments."""
+"""RealSense cameras through their SDK, live or played back from what it recorded, as synchronized moments."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def realsense_cameras(serials: Mapping[str, str] | None = None, playback: Sequen
         names = list(streams)
         cameras = {name: Camera(stream.pair.color.intrinsics, RIG_FROM_CAMERA) for name, stream in streams.items()}
         rig = Rig(cameras, names[len(names) // 2])
-        together = synchronised({name: stream.frames() for name, stream in streams.items()})
+        together = synchronized({name: stream.frames() for name, stream in streams.items()})
         yield LiveRig(rig, (Station(frames) for frames in together))
 
 
@@ -76,7 +76,7 @@ def realsense_sdk() -> Any:
     return pyrealsense2
 
 
-def synchronised(
+def synchronized(
     streams: Mapping[str, Iterator[tuple[float, RgbdFrame]]], within: float = _TOGETHER
 ) -> Iterator[dict[str, RgbdFrame]]:
     """Images of all cameras that were taken at about the same time; what has no partner is passed over.

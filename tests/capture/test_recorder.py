@@ -12,7 +12,7 @@ import pytest
 from walls import STEP, frame, video
 
 from greenhouse_gym.capture import RgbdFrame, Station, open_recording
-from greenhouse_gym.capture.realsense import synchronised
+from greenhouse_gym.capture.realsense import synchronized
 from greenhouse_gym.capture.recorder import PREVIEW, Taken, record
 from greenhouse_gym.cli.recording import Keys
 from greenhouse_gym.errors import CameraError, FileFormatError
@@ -105,7 +105,7 @@ def stream(times: list[float]) -> Iterator[tuple[float, RgbdFrame]]:
 
 def test_images_without_a_partner_are_passed_over() -> None:
     left, right = [0.0, 0.033, 0.066, 0.1], [0.004, 0.070, 0.104]
-    found = list(synchronised({"left": stream(left), "right": stream(right)}))
+    found = list(synchronized({"left": stream(left), "right": stream(right)}))
     assert len(found) == 3
     np.testing.assert_array_equal(found[1]["left"].color, frame(2).color)
     np.testing.assert_array_equal(found[1]["right"].color, frame(1).color)
@@ -116,7 +116,7 @@ def test_clocks_that_run_apart_are_told() -> None:
     one = frame(0)
     streams = {name: ((time, one) for time in times) for name, times in (("left", left), ("right", right))}
     with pytest.raises(CameraError, match=r"'left' are 9.* s behind: its clock runs apart"):
-        next(synchronised(streams))
+        next(synchronized(streams))
 
 
 def test_keys_ask_for_stations_and_for_the_end() -> None:

@@ -110,7 +110,7 @@ def _pose(place: Any, turn: Any) -> Array:
 
 
 def poses_of(messages: list[Any]) -> dict[str, tuple[str, Array]]:
-    """Of each frame in messages of /tf_static: its parent, and its pose (4, 4) in that."""
+    """The parent of each frame in messages of /tf_static, and its pose (4, 4) in that."""
     return {
         each.child_frame_id: (each.header.frame_id, _pose(each.transform.translation, each.transform.rotation))
         for message in messages
