@@ -1,8 +1,8 @@
 """How fast and in how much memory a bag of three cameras at 30 Hz becomes a recording.
 
-A made-up video, a textured relief that goes by at 10 cm a second with noise in its depth, is written by rosbags as a
-ROS 1 bag of three cameras at 848x480, raw or compressed (JPEG and PNG), and imported in a process of its own. Told are
-the processor time per second of recording and the largest memory, for several lengths: neither should grow.
+A made-up video, a textured relief that goes to and fro at 10 cm a second with noise in its depth, is written by rosbags
+as a ROS 1 bag of three cameras at 848x480, raw or compressed (JPEG and PNG), and imported in a process of its own. Told
+are the processor time per second of recording and the largest memory, for several lengths: neither should grow.
 
     python benchmarks/import_speed.py
 """
@@ -26,11 +26,12 @@ from greenhouse_gym.capture.rig import three_camera_rig
 from greenhouse_gym.capture.rig_file import Mounting, save_mounting
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # the writers are those of the tests
-from bag_writer import ROS1, START, Writer
+from bag_writer import ROS1, START, Writer, png
 
 RATE, SPEED, DISTANCE = 30, 0.10, 0.6  # Hz, m/s, m
 RIG = three_camera_rig(portrait=False)
-BAGS = (("raw", 10), ("raw", 30), ("compressed", 30), ("compressed", 90))  # kind and seconds
+FRAMES = 91  # until it turns round
+BAGS = (("raw", 5), ("raw", 15), ("compressed", 20), ("compressed", 60))  # kind and seconds
 K = D435_DEPTH
 
 
@@ -68,29 +69,31 @@ def measured(command: list[str], seconds: float) -> dict[str, Any]:
 
 def write_bag(path: Path, kind: str, seconds: int) -> None:
     """Three cameras that see the same."""
-    relief, texture = scenery(seconds)
+    relief, texture = scenery()
+    seen_frames = [seen(relief, texture, i) for i in range(FRAMES)]
+    depths = [np.rint(frame.depth * 1000).astype(np.uint16) for frame in seen_frames]
+    jpegs = [cv2.imencode(".jpg", frame.color[..., ::-1])[1].tobytes() for frame in seen_frames]
+    pngs = [bytes(12) + png(depth) for depth in depths]
     with Writer(path, ROS1, K) as bag:
         for i in range(RATE * seconds):
-            frame, stamp = seen(relief, texture, i), START + i * 10**9 // RATE
-            units = np.rint(frame.depth * 1000).astype(np.uint16)
+            k = FRAMES - 1 - abs(i % (2 * FRAMES - 2) - (FRAMES - 1))  # to and fro
+            stamp = START + i * 10**9 // RATE
             for camera in RIG.cameras:
-                for stream in ("color", "aligned_depth_to_color"):
-                    bag.info(f"/{camera}/{stream}/camera_info", stamp)
+                color, depth = (f"/{camera}/{stream}" for stream in ("color", "aligned_depth_to_color"))
+                for stream in (color, depth):
+                    bag.info(f"{stream}/camera_info", stamp)
                 if kind == "raw":
-                    bag.image(f"/{camera}/color/image_raw", frame.color, "rgb8", stamp)
-                    bag.image(f"/{camera}/aligned_depth_to_color/image_raw", units, "16UC1", stamp)
+                    bag.image(f"{color}/image_raw", seen_frames[k].color, "rgb8", stamp)
+                    bag.image(f"{depth}/image_raw", depths[k], "16UC1", stamp)
                 else:
-                    bag.compressed(f"/{camera}/color/image_raw/compressed", frame.color[..., ::-1], "rgb8; jpeg", stamp)
-                    bag.compressed(
-                        f"/{camera}/aligned_depth_to_color/image_raw/compressedDepth", units,
-                        "16UC1; compressedDepth png", stamp, bytes(12),
-                    )  # fmt: skip
+                    bag.compressed(f"{color}/image_raw/compressed", jpegs[k], "rgb8; jpeg", stamp)
+                    bag.compressed(f"{depth}/image_raw/compressedDepth", pngs[k], "16UC1; compressedDepth png", stamp)
 
 
-def scenery(seconds: int) -> tuple[np.ndarray, np.ndarray]:
+def scenery() -> tuple[np.ndarray, np.ndarray]:
     """Depth (h, w), metres, and color of all that goes by."""
     random = np.random.default_rng(0)
-    width = K.width + column(RATE * seconds) + 1
+    width = K.width + column(FRAMES) + 1
     coarse = random.uniform(-0.1, 0.1, (K.height // 40, width // 40))
     relief = DISTANCE + cv2.resize(coarse, (width, K.height), interpolation=cv2.INTER_CUBIC)
     patches = random.integers(20, 230, (K.height // 6, width // 6, 3)).astype(np.uint8)

@@ -1,8 +1,9 @@
 """A simulated row written in the formats of others, imported, and reconstructed: how far is the cloud from its own?
 
 The same walk is written by reference writers (rosbags, OpenCV, numpy) in every format that is read: by all cameras of
-the rig where the format can hold them, else by the middle one. `greenhouse-gym import` makes a recording of each, with
-a rig file of where the cameras stand. Told is the largest distance from a point of either cloud to the other cloud.
+the rig where the format can hold them, else by the middle one; they have a quarter of a D435's pixels. `greenhouse-gym
+import` makes a recording of each, with a rig file of where the cameras stand. Told is the largest distance from a point
+of either cloud to the other cloud.
 
     python benchmarks/reader_roundtrip.py
 """
@@ -29,6 +30,7 @@ from greenhouse_gym.reconstruction import RowCloud, reconstruct_row
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # the writers are those of the tests
 from bag_writer import MCAP, ROS1, SQLITE, Writer, write_rig
 from layouts import LAYOUTS, as_described_rig, walk_of
+from row_helpers import HALF
 
 SEED, LENGTH = 1, 0.6
 Write = Callable[[Path, Recording], None]
@@ -39,7 +41,7 @@ def main() -> None:
     rows = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        simulated = simulate_recording(grow_row(SEED, LENGTH), SEED)
+        simulated = simulate_recording(grow_row(SEED, LENGTH), SEED, rig=HALF)
         source = open_recording(write_recording(simulated, folder / "source"))
         for cameras, formats in ((tuple(source.rig.cameras), RIGS), ((source.rig.reference,), SINGLE)):
             own = imported(folder / f"own-{len(cameras)}", source, folder / "source", {c: c for c in cameras})

@@ -20,6 +20,11 @@ START = 1_700_000_000 * 10**9
 FRAME = 33_000_000  # ns from frame to frame
 
 
+def png(image: np.ndarray) -> bytes:
+    """A PNG file of depth, or of color as BGR."""
+    return cv2.imencode(".png", image)[1].tobytes()
+
+
 class Writer:
     """A bag by rosbags' writers, of any of its containers, under one interface."""
 
@@ -63,9 +68,7 @@ class Writer:
             data=np.frombuffer(np.ascontiguousarray(image).tobytes(), np.uint8),
         )  # fmt: skip
 
-    def compressed(self, topic: str, image: np.ndarray, format: str, stamp: int, before: bytes = b"") -> None:
-        suffix = ".jpg" if "jpeg" in format else ".png"
-        content = before + cv2.imencode(suffix, image)[1].tobytes()
+    def compressed(self, topic: str, content: bytes, format: str, stamp: int) -> None:
         self.put(
             topic, "sensor_msgs/msg/CompressedImage", stamp, header=self.header(stamp), format=format,
             data=np.frombuffer(content, np.uint8),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import pickle
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -9,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bag_writer import FRAME, MCAP, ROS1, SQLITE, START, K, Writer
+from bag_writer import FRAME, MCAP, ROS1, SQLITE, START, K, Writer, png
 from row_helpers import half_recording
 
 from greenhouse_gym.capture import Recording, RgbdFrame, open_recording
@@ -62,7 +63,7 @@ def test_compressed_images_and_fractions_of_metres(tmp_path: Path) -> None:
         for frame, stamp in zip(frames(), stamps(), strict=True):
             for kind in ("rgb", "depth"):
                 bag.info(f"/{kind}/camera_info", stamp)
-            bag.compressed("/rgb/image/compressed", frame.color[..., ::-1], "rgb8; png compressed bgr8", stamp)
+            bag.compressed("/rgb/image/compressed", png(frame.color[..., ::-1]), "rgb8; png compressed bgr8", stamp)
             bag.image("/depth/image", frame.depth, "32FC1", stamp)
     assert_equal(open_recording(tmp_path / "walk.bag"))
 
@@ -74,7 +75,7 @@ def test_compressed_depth(tmp_path: Path) -> None:
                 bag.info(f"/{kind}/camera_info", stamp)
             bag.image("/rgb/image", frame.color[..., ::-1], "bgr8", stamp)
             units = np.rint(frame.depth * 1000).astype(np.uint16)
-            bag.compressed("/depth/image/compressedDepth", units, "16UC1; compressedDepth png", stamp, bytes(12))
+            bag.compressed("/depth/image/compressedDepth", bytes(12) + png(units), "16UC1; compressedDepth png", stamp)
     assert_equal(open_recording(tmp_path / "walk.bag"))
 
 
@@ -196,3 +197,18 @@ def test_an_open_bag_is_read_by_threads_and_travels(tmp_path: Path) -> None:
     for frame, i in zip(found, (2, 0, 1), strict=True):
         np.testing.assert_array_equal(frame.color, frames()[i].color)
     assert_equal(pickle.loads(pickle.dumps(recording)))
+
+
+@pytest.mark.parametrize("container", [ROS1, MCAP, SQLITE])
+def test_a_bag_cut_short_is_told_or_read_in_part(tmp_path: Path, container: str) -> None:
+    path = tmp_path / ("walk.bag" if container == ROS1 else "walk")
+    as_usual(path, container)
+    file = path if container == ROS1 else next(file for file in path.iterdir() if file.suffix in (".mcap", ".db3"))
+    whole = file.read_bytes()
+    file.write_bytes(whole[: len(whole) * 7 // 10])
+    read: list[RgbdFrame] = []
+    with contextlib.suppress(FileFormatError):
+        read += [station.frames["camera"] for station in open_recording(path)]
+    assert len(read) < 3
+    for frame, expected in zip(read, frames(), strict=False):
+        np.testing.assert_array_equal(frame.color, expected.color)

@@ -290,6 +290,15 @@ def test_organized_clouds_and_rows_that_are_not_finite(tmp_path: Path) -> None:
     assert "1 of 600 points" in cloud.notes[0]
 
 
+def test_of_too_many_points_some_are_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("greenhouse_gym.scans.files.MOST_POINTS", 100)
+    points = np.random.default_rng(0).random((250, 3))
+    np.save(tmp_path / "c.npy", points)
+    cloud = read_cloud(tmp_path / "c.npy")
+    np.testing.assert_array_equal(cloud.points, points[::3])
+    assert "of 250 points one in 3 is used" in cloud.notes[0]
+
+
 FEW, FOUR, NOTHING = np.random.default_rng(0).random((20, 3)), np.zeros((100, 4)), np.full((100, 3), np.nan)
 
 
