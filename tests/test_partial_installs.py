@@ -100,7 +100,9 @@ def test_what_is_missing_is_named_by_its_extra(tmp_path: Path, installed: str) -
 
 # -- what is declared -------------------------------------------------------------------------------------------------
 
-IMPORTED_AS = {"opencv-python-headless": "cv2", "pyhelios3d": "pyhelios", "pillow": "PIL", "pyyaml": "yaml"}
+IMPORTED_AS = {
+    "opencv-python-headless": "cv2", "pyhelios3d": "pyhelios", "pillow": "PIL", "pyyaml": "yaml", "openexr": "OpenEXR"
+}  # fmt: skip
 NOT_IMPORTED = {"moviepy", "mujoco_menagerie"}
 """What gymnasium's RecordVideo asks for, and files of arms."""
 
