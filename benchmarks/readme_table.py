@@ -25,6 +25,9 @@ BEGIN, END = "<!-- --8<-- [start:results] -->", "<!-- --8<-- [end:results] -->"
 USUAL = ("package", False, 5, 0.002)
 """Method, whether stations are broken, length and error of the cameras, metres, of the rows that count."""
 
+LEAST = 100
+"""Paths that must have been followed for a rate to count."""
+
 UNSEEN = {"free": "unseen space taken as free", "avoid": "unseen space avoided", "forbid": "unseen space forbidden"}
 
 
@@ -51,24 +54,25 @@ def shapes(name: str, rows: str, command: str) -> Iterator[str]:
         )
 
 
-def plans(name: str, rows: str, command: str) -> Iterator[str]:
+def plans() -> Iterator[str]:
     """Plans made on the scan and followed in the truth: the way that holds best, and the paper's for comparison."""
-    if not (results := read(name)):
-        return
-    followed = [figure for figure in results["figures"] if figure["followed"]]
-    best = max(followed, key=lambda figure: float(figure["reached"]["interval"][0]))
-    free = [figure for figure in followed if figure["unseen"] == "free"]
-    plain = [figure for figure in free if figure["protocol"] == "paper"] or free
-    for figure in [best, *(figure for figure in plain[:1] if figure is not best)]:
-        reached, collided = figure["reached"], figure["collided"]
-        low, high = reached["interval"]
-        where = f"{figure['rows']} {rows}{'s' * (figure['rows'] > 1)}, protocol {figure['protocol']}"
-        unseen = UNSEEN.get(str(figure["unseen"]), f"at most {figure['unseen']} m deep into unseen space")
-        yield (
-            f"| plans that hold in the truth, {where}, {unseen} | "
-            f"{reached['rate']:.0%} [{low:.0%}, {high:.0%}] of {figure['followed']} reach, {collided['rate']:.0%} "
-            f"collide; {figure['targets'] - figure['followed']} of {figure['targets']} have no plan | `{command}` |"
-        )
+    figures = (read("careful_plans.json") or {"figures": []})["figures"]
+    followed = [figure for figure in figures if figure["followed"] >= LEAST]
+    for source in dict.fromkeys(figure["source"] for figure in followed):
+        own = [figure for figure in followed if figure["source"] == source]
+        best = max(own, key=lambda figure: float(figure["reached"]["interval"][0]))
+        plain = [figure for figure in own if (figure["protocol"], figure["unseen"]) == ("paper", "free")]
+        for figure in [best, *(figure for figure in plain if figure is not best)]:
+            reached, collided = figure["reached"], figure["collided"]
+            low, high = reached["interval"]
+            where = f"{figure['rows']} held-out {source.title() if source == 'helios' else source} rows, protocol {figure['protocol']}"
+            unseen = UNSEEN.get(str(figure["unseen"]), f"at most {figure['unseen']} m deep into unseen space")
+            yield (
+                f"| plans that hold in the truth, {where}, {unseen} | "
+                f"{reached['rate']:.0%} [{low:.0%}, {high:.0%}] of {figure['followed']} reach, {collided['rate']:.0%} "
+                f"collide; {figure['targets'] - figure['followed']} of {figure['targets']} have no plan | "
+                "`benchmarks/careful_plans.py` |"
+            )
 
 
 def policies() -> Iterator[str]:
@@ -117,9 +121,7 @@ def table() -> str:
     rows = [
         *shapes("shapes_helios.json", "held-out Helios rows", "benchmarks/shapes.py --source helios"),
         *shapes("shapes.json", "held-out own rows", "benchmarks/shapes.py"),
-        *plans("capture_protocols_helios.json", "Helios row", "benchmarks/capture_protocols.py --source helios"),
-        *plans("capture_protocols.json", "own row", "benchmarks/capture_protocols.py"),
-        *plans("careful_plans.json", "held-out own row", "benchmarks/careful_plans.py"),
+        *plans(),
         *policies(),
         *reconstruction(),
         *throughput(),
