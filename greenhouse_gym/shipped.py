@@ -19,7 +19,7 @@ from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.parallel import completed
 from greenhouse_gym.paths import exclusive
 from greenhouse_gym.plants import grow_row
-from greenhouse_gym.scene import Provenance, SceneBank
+from greenhouse_gym.scene import Provenance, Scene, SceneBank
 from greenhouse_gym.scene.bank import MANIFEST, write_bank
 
 ROW_LENGTH = 1.0  # m
@@ -134,7 +134,12 @@ def join_parts(parts: Path, out: Path) -> tuple[SceneBank, SceneBank]:
         raise FileFormatError(parts, "holds no finished part of the shipped banks")
     scenes = [(scene, shot.split) for shot, bank in banks.items() for scene in bank]
     default = write_bank(out / "default", scenes, "default", DESCRIPTION)
-    first = {shot.row: (bank[1], shot.split) for shot, bank in reversed(banks.items())}  # of a row's weeks the first
+    # of a row's weeks the first, and of its scenes the one with most to reach for
+    first = {shot.row: (max(bank, key=_reachable), shot.split) for shot, bank in reversed(banks.items())}
     small = list(reversed(first.values()))[: len(KINDS)]
     mini = write_bank(out / "mini", small, "mini", "A scene of each kind of row of the default bank, for tests.")
     return default, mini
+
+
+def _reachable(scene: Scene) -> int:
+    return sum(target.difficulty != "unreachable" for target in scene.targets)

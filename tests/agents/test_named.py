@@ -55,5 +55,5 @@ def test_mistakes_in_own_agents_are_told(tmp_path: Path) -> None:
     file.write_text("1 / 0")
     with pytest.raises(FileFormatError, match=r"own\.py: cannot be run: ZeroDivisionError"):
         make_agent(f"{file}:Mine")
-    with pytest.raises(FileFormatError, match="cannot be run: FileNotFoundError"):
+    with pytest.raises(FileFormatError, match="there is no such file"):
         make_agent(f"{tmp_path}/none.py:Mine")

@@ -30,7 +30,7 @@ def mounted(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
 
 
 def test_a_mounted_arm_starts_free_before_the_plants(mounted: Robot) -> None:
-    """It neither stands in the plants nor near its cart, in any scene, and nothing warns."""
+    """It neither stands in the plants nor near its cart, in the first and the last scene, and nothing warns."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         load_robot(mounted.path)
