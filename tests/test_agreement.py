@@ -72,6 +72,11 @@ def disagreements_at_random(bank: SceneBank, count: int, names: list[str]) -> tu
     return touched, wrong
 
 
+def with_targets(bank: SceneBank) -> list[str]:
+    """Names of the scenes in which something can be reached; foliage can leave none."""
+    return [scene.name for scene in bank if any(target.difficulty != "unreachable" for target in scene.targets)]
+
+
 def test_simulator_and_planner_agree() -> None:
     bank = SceneBank.open("mini")
     checked, touched, wrong = disagreements_on_the_way(bank, 40, bank.names())
@@ -99,5 +104,5 @@ def test_simulator_and_planner_agree_on_ellipsoids(tmp_path: Path) -> None:
 @pytest.mark.timeout(3600)
 def test_simulator_and_planner_agree_everywhere() -> None:
     bank = SceneBank.open("default")
-    assert disagreements_on_the_way(bank, 2000, bank.names())[2] == 0
-    assert disagreements_at_random(bank, 100_000, bank.names())[1] == 0
+    assert disagreements_on_the_way(bank, 2000, with_targets(bank))[2] == 0
+    assert disagreements_at_random(bank, 100_000, with_targets(bank))[1] == 0
