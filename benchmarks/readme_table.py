@@ -25,6 +25,8 @@ BEGIN, END = "<!-- --8<-- [start:results] -->", "<!-- --8<-- [end:results] -->"
 USUAL = ("package", False, 5, 0.002)
 """Method, whether stations are broken, length and error of the cameras, metres, of the rows that count."""
 
+NAMES = {"own": "own", "helios": "Helios"}
+
 LEAST = 100
 """Paths that must have been followed for a rate to count."""
 
@@ -65,7 +67,7 @@ def plans() -> Iterator[str]:
         for figure in [best, *(figure for figure in plain if figure is not best)]:
             reached, collided = figure["reached"], figure["collided"]
             low, high = reached["interval"]
-            where = f"{figure['rows']} held-out {source.title() if source == 'helios' else source} rows, protocol {figure['protocol']}"
+            where = f"{figure['rows']} held-out {NAMES[source]} rows, protocol {figure['protocol']}"
             unseen = UNSEEN.get(str(figure["unseen"]), f"at most {figure['unseen']} m deep into unseen space")
             yield (
                 f"| plans that hold in the truth, {where}, {unseen} | "
