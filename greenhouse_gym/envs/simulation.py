@@ -22,7 +22,7 @@ from greenhouse_gym.envs.reach_task import RATE, Bools, Situation, lengths, pace
 from greenhouse_gym.envs.rewards import Terms, Transition, total_reward
 from greenhouse_gym.envs.settings import EnvSettings
 from greenhouse_gym.envs.stepping import Ids
-from greenhouse_gym.envs.ways import EVERY, REACHED, Ways
+from greenhouse_gym.envs.ways import Headings, Ways
 from greenhouse_gym.envs.worlds import World, room_for, worlds_of
 from greenhouse_gym.errors import InvalidValueError, NoEpisodeError
 from greenhouse_gym.geometry import Array
@@ -118,14 +118,12 @@ class ReachSimulation:
         self._goal = np.zeros((count, 3))  # what counts, in the base frame
         self._radius = np.zeros((count, 1))
         self._room = np.empty((count, ROOM if self.observe.asks_for_room else 0), dtype=np.float32)
-        self._ways: list[Ways | None] = [None] * count
-        self._waypoint = np.zeros((count, len(robot.joints) if self.observe.asks_for_way else 0))
-        self._way = np.zeros((count, 2 if self.observe.asks_for_way else 0))
+        self._headings = Headings(count, len(robot.joints)) if self.observe.asks_for_way else None
 
     def __deepcopy__(self, memo: dict[int, Any]) -> ReachSimulation:
         """The same state, to go on from independently; what is never changed is shared."""
         shares = self.robot, self.settings, self.worlds, self.sampler.bank
-        for shared in (*shares, *self._worlds, *self._episodes, *self._ways):
+        for shared in (*shares, *self._worlds, *self._episodes):
             memo[id(shared)] = shared
         twin = memo[id(self)] = object.__new__(ReachSimulation)
         twin.__dict__ = copy.deepcopy({**self.__dict__, "_rig": None}, memo)
@@ -194,9 +192,9 @@ class ReachSimulation:
         self._ignored[i] = NO_TOMATO if self.observe.target_is_obstacle else episode.target
         if self.observe.asks_for_room:
             self._room[i] = room_around(self.worlds.fields, world.field, self._ignored[i], self._target[i])
-        if self.observe.asks_for_way:
+        if self._headings is not None:
             center = self._frame[i, :3] + self._axes[i] @ self._target[i]
-            self._ways[i] = Ways(world, self.robot, episode.target, center, episode.start)
+            self._headings.begin(i, Ways(world, self.robot, episode.target, center, episode.start))
 
     def close(self) -> None:
         """Free the simulations; the next reset makes new ones."""
@@ -336,9 +334,7 @@ class ReachSimulation:
         gap = self._goal[ids] - grasp
         distance, direction = self.worlds.fields.lookup(self._field[ids], self._ignored[ids], points[:, 1:])
         joints = physics.qpos[ids]
-        command = physics.command[ids] + self._joint_offset[ids]
-        if self.observe.asks_for_way:
-            self._find_way(np.arange(self.count)[ids], command)
+        waypoint, way = self._headings_of(ids, physics.command[ids] + self._joint_offset[ids])
         pictures = self._photograph(ids, frame, sites[:, 0], tool)
         away = lengths(gap)
         touched = np.asarray(touched, dtype=np.bool_)
@@ -354,8 +350,8 @@ class ReachSimulation:
             clearance=distance - self._probe_radii,
             obstacle=direction,
             room=self._room[ids].copy(),
-            waypoint=self._waypoint[ids] - command if self.observe.asks_for_way else self._waypoint[ids],
-            way=self._way[ids].copy(),
+            waypoint=waypoint,
+            way=way,
             touched=touched,
             success=(away < self.settings.success_radius) & ~touched,
             seen=self._seen_at(ids, sites[:, 1:]),
@@ -364,14 +360,12 @@ class ReachSimulation:
             views=pictures.views,
         )
 
-    def _find_way(self, ids: Ids, command: Array) -> None:
-        """Look for the ways of some simulations with commands (len(ids), j) anew where that is due."""
-        arrived = (np.abs(self._waypoint[ids] - command).max(axis=1) < REACHED) & (self._way[ids, 0] > 0)
-        for k in np.flatnonzero(arrived | (self._counts["steps"][ids] % EVERY == 0)):
-            i, ways = ids[k], self._ways[ids[k]]
-            assert ways is not None
-            heading = ways.heading(command[k])
-            self._waypoint[i], self._way[i] = heading.waypoint, (heading.left, heading.free)
+    def _headings_of(self, ids: Ids | slice, command: Array) -> tuple[Array, Array]:
+        """Offsets (k, j) from the commands to the waypoints, and ways (k, 2), where the observation asks for them."""
+        if self._headings is None:
+            return np.empty((len(command), 0)), np.empty((len(command), 0))
+        self._headings.look(np.arange(self.count)[ids], command, self._counts["steps"][ids])
+        return self._headings.waypoint[ids] - command, self._headings.way[ids].copy()
 
     def _seen_at(self, ids: Ids | slice, probes: Array) -> Bools:
         """Whether the scan saw the places (n, k, 3) of the probe points, where the observation asks for it."""

@@ -8,10 +8,11 @@ which of them the arm goes: to the one with the shortest way of at most two stra
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
+import numpy.typing as npt
 
 from greenhouse_gym.envs.worlds import World
 from greenhouse_gym.geometry import Array
@@ -103,6 +104,48 @@ class Ways:
                 if np.isfinite(ways[k]) and self._checker.motion_is_free(joints, configurations[k], RESOLUTION):
                     return Heading(configurations[k], float(costs[k]), True)
         return Heading(configurations[order[0]], float(costs[order[0]]), False)
+
+
+class Headings:
+    """Where n simulations go; each looks anew from time to time, and when it has arrived.
+
+    Args:
+        count: Number of simulations n.
+        joints: Number of joints j.
+
+    Attributes:
+        waypoint: (n, j) where each goes straight, radians.
+        way: (n, 2) the way from there to the goal, radians, and whether the straight motion is known to be free.
+    """
+
+    def __init__(self, count: int, joints: int):
+        self.waypoint, self.way = np.zeros((count, joints)), np.zeros((count, 2))
+        self._ways: list[Ways | None] = [None] * count
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Headings:
+        """Headings to go on from independently; ways are never changed, and shared."""
+        twin = memo[id(self)] = object.__new__(Headings)
+        twin.waypoint, twin.way, twin._ways = self.waypoint.copy(), self.way.copy(), self._ways.copy()
+        return twin
+
+    def begin(self, i: int, ways: Ways) -> None:
+        """Begin an episode of simulation ``i``."""
+        self._ways[i] = ways
+
+    def look(self, ids: npt.NDArray[np.int64], command: Array, steps: npt.NDArray[np.int64]) -> None:
+        """Look anew where that is due.
+
+        Args:
+            ids: Indices of k simulations.
+            command: (k, j) their commanded joint positions, radians.
+            steps: (k,) steps of their episodes so far.
+        """
+        arrived = (np.abs(self.waypoint[ids] - command).max(axis=1) < REACHED) & (self.way[ids, 0] > 0)
+        for k in np.flatnonzero(arrived | (steps % EVERY == 0)):
+            i, ways = ids[k], self._ways[ids[k]]
+            assert ways is not None
+            heading = ways.heading(command[k])
+            self.waypoint[i], self.way[i] = heading.waypoint, (heading.left, heading.free)
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,33 +15,6 @@ from greenhouse_gym.scene.scene import Scene
 RED, PINK = (0.9, 0.05, 0.05), (1.0, 0.3, 0.65)
 
 
-def picture(
-    model: mujoco.MjModel,
-    data: mujoco.MjData,
-    tip: npt.ArrayLike,
-    target: npt.ArrayLike,
-    trace: npt.ArrayLike = (),
-    camera: Viewpoint | None = None,
-    width: int = 640,
-    height: int = 480,
-    samples: int = 2,
-) -> Image:
-    """A task in one picture: the straight line from ``tip`` to ``target`` in red, the tip's ``trace`` in pink.
-
-    Args:
-        model: The model.
-        data: Its state, with current kinematics.
-        tip: (3,) where the red line begins, metres.
-        target: (3,) where it ends, metres.
-        trace: (m, 3) points the tip went through, metres.
-        camera: As in `render_scene`, and so are the rest.
-        width: Pixels.
-        height: Pixels.
-        samples: Rays per pixel along each side.
-    """
-    return render_scene(model, data, camera, width, height, task_lines(tip, target, trace), samples)
-
-
 def task_lines(tip: npt.ArrayLike, target: npt.ArrayLike, trace: npt.ArrayLike = ()) -> list[Line]:
     """The straight line from ``tip`` to ``target`` (3,) in red, and the ``trace`` (m, 3) in pink, metres."""
     lines = [Line(np.array([tip, target], dtype=np.float64), RED, 0.003)]
@@ -91,4 +64,5 @@ def picture_of_path(
         tip[:] = data.site_xpos[compiled.tip_site]
     center = scene.tomatoes[target].center
     camera = camera or default_camera(scene.stand)
-    return picture(compiled.model, data, trace[0], center, trace, camera, width, height, samples)
+    lines = task_lines(trace[0], center, trace)
+    return render_scene(compiled.model, data, camera, width, height, lines, samples)
