@@ -37,6 +37,9 @@ from greenhouse_gym.scene.surroundings import Shapes
 CAUSES = ("noisy", "noise-free")
 """Where a cloud comes from: `reconstruct_row` of a noisy recording, or perfect images merged at their true poses."""
 
+BARE = "noisy-without-normals"
+"""The noisy cloud, of which the extraction is not told the normals."""
+
 
 HELD_OUT_MESHES = range(601, 611)
 """Seeds of held-out rows of Helios' plants."""
@@ -106,7 +109,8 @@ def recording_of(row: Row, workdir: Path) -> Recording:
 
 
 def cloud_of(row: Row, cause: str, workdir: Path) -> RowCloud:
-    """A row's cloud of one of the `CAUSES`, in the frame of its first registered station."""
+    """A row's cloud of one of the `CAUSES` or `BARE`, in the frame of its first registered station."""
+    cause = "noisy" if cause == BARE else cause
     made = sources("plants/*.py", "capture/*.py", "reconstruction/*.py")
     file = workdir / f"clouds-{made}" / f"{row.name}-{cause}.npz"
     make: Callable[[], RowCloud] = {

@@ -5,9 +5,10 @@ python benchmarks/shapes.py --workdir rows --source helios [--held-out] --out be
 
 Ten held-out rows: their seeds are used nowhere else; week and fruit style follow from the seed. Each is measured twice:
 on the cloud that `reconstruct_row` makes of a noisy recording, and on perfect images merged at their true poses, which
-separates what extraction gets wrong from what it was given wrong. Every measurement runs in a process of its own.
-Shapes are compared after one rigid alignment of the row's cloud with the true surfaces, which takes most of the drift
-out (the tomatoes' centers are given without it as well).
+separates what extraction gets wrong from what it was given wrong. With ``--only noisy noisy-without-normals`` the first
+is measured with and without its normals, as a cloud of somebody else's may come. Every measurement runs in a process of
+its own. Shapes are compared after one rigid alignment of the row's cloud with the true surfaces, which takes most of
+the drift out (the tomatoes' centers are given without it as well).
 
 Tomatoes match within one true radius, one to one. A place on a stem's axis counts as found, or as true, where an axis
 of the other side lies within 10 mm and runs within 30 degrees of it; stems count by length. Only what was visible must
@@ -43,7 +44,7 @@ from results_file import RESULTS, write_results
 from shape_boxes import box_figures
 from shape_collisions import compare_collisions
 from shape_confidence import credited, small_tomatoes
-from shape_rows import CAUSES, HELD_OUT_MESHES, Row, cloud_of, recording_of, sources, truth_of, visible_of
+from shape_rows import BARE, CAUSES, HELD_OUT_MESHES, Row, cloud_of, recording_of, sources, truth_of, visible_of
 from shape_tables import pooled, tables
 
 from greenhouse_gym.accuracy import (
@@ -78,7 +79,7 @@ def measure(row: Row, cause: str, workdir: Path) -> dict[str, Any]:
     visible = visible_of(row, workdir)
     open3d()  # its import is not counted
     started, worked = time.perf_counter(), time.process_time()
-    shapes = extract_shapes(cloud.points, cloud.colors, cloud.normals)
+    shapes = extract_shapes(cloud.points, cloud.colors, None if cause == BARE else cloud.normals)
     seconds, processor = time.perf_counter() - started, time.process_time() - worked
 
     known = truth_of(row, cloud, workdir)
@@ -163,7 +164,7 @@ def main() -> None:
     parser.add_argument("--held-out", action="store_true", help="the held-out rows of Helios' plants")
     parser.add_argument("--seeds", type=int, nargs="+", help="by default the held-out own rows, or see above")
     parser.add_argument("--length", type=float, default=2.0, help="of each row, metres")
-    parser.add_argument("--only", nargs="+", choices=CAUSES, default=list(CAUSES))
+    parser.add_argument("--only", nargs="+", choices=(*CAUSES, BARE), default=list(CAUSES))
     parser.add_argument("--workdir", type=Path, help="where to keep everything that is made; by default none is kept")
     parser.add_argument("--out", type=Path, default=RESULTS / "shapes.json")
     arguments = parser.parse_args()
