@@ -4,45 +4,60 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 from test_parallel import alive, asleep, killed, spoiled, squared, unknown, wait_until
 
 from greenhouse_gym.agents import RandomAgent
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError
 from greenhouse_gym.evaluation import evaluate
-from greenhouse_gym.parallel import RayExecutor, WorkerLostError, completed, workers_of
+from greenhouse_gym.parallel import RayActor, RayExecutor, WorkerLostError, completed, workers_of
 from greenhouse_gym.scene import SceneBank
 
 pytestmark = pytest.mark.xdist_group("ray")
 
 
 @pytest.fixture(scope="module")
-def cluster() -> Iterator[Executor]:
+def cluster() -> Iterator[RayExecutor]:
     pytest.importorskip("ray")
     with RayExecutor(workers=2, retries=0) as executor:
         yield executor
+
+
+class Counter:
+    def __init__(self, start: int):
+        if start < 0:
+            raise FileFormatError("scene.json", "is damaged")
+        self.count = start
+
+    def add(self, number: int) -> tuple[int, int]:
+        self.count += number
+        return self.count, os.getpid()
+
+    def die(self) -> None:
+        killed(0)
 
 
 def folder_and_pid(number: int) -> tuple[str, int, int]:
     return str(Path.cwd()), os.getpid(), number
 
 
-def test_ray_gives_what_one_process_gives(cluster: Executor) -> None:
+def test_ray_gives_what_one_process_gives(cluster: RayExecutor) -> None:
     assert workers_of(cluster) == 2
     assert sorted(completed(squared, range(20), cluster)) == list(completed(squared, range(20)))
 
 
-def test_work_is_done_elsewhere_in_the_callers_folder(cluster: Executor) -> None:
+def test_work_is_done_elsewhere_in_the_callers_folder(cluster: RayExecutor) -> None:
     for folder, pid, _ in completed(folder_and_pid, range(4), cluster):
         assert folder == str(Path.cwd())
         assert pid != os.getpid()
 
 
-def test_errors_are_told_as_themselves(cluster: Executor) -> None:
+def test_errors_are_told_as_themselves(cluster: RayExecutor) -> None:
     with pytest.raises(FileFormatError, match=r"^scene\.json: is damaged$") as caught:
         list(completed(spoiled, range(10), cluster))
     assert caught.value.path == "scene.json"
@@ -52,13 +67,13 @@ def test_errors_are_told_as_themselves(cluster: Executor) -> None:
     assert unknown_arm.value.choices == ("ur5e",)
 
 
-def test_a_lost_process_is_told_and_the_cluster_goes_on(cluster: Executor) -> None:
+def test_a_lost_process_is_told_and_the_cluster_goes_on(cluster: RayExecutor) -> None:
     with pytest.raises(WorkerLostError, match="a piece of work was lost"):
         list(completed(killed, range(1), cluster))
     assert sorted(completed(squared, range(3), cluster)) == [(0, 0), (1, 1), (2, 4)]
 
 
-def test_a_canceled_piece_of_work_really_ends(cluster: Executor, tmp_path: Path) -> None:
+def test_a_canceled_piece_of_work_really_ends(cluster: RayExecutor, tmp_path: Path) -> None:
     future = cluster.submit(asleep, tmp_path)
     wait_until(lambda: list(tmp_path.iterdir()))
     assert future.cancel()
@@ -66,7 +81,7 @@ def test_a_canceled_piece_of_work_really_ends(cluster: Executor, tmp_path: Path)
     wait_until(lambda: not alive(pid))
 
 
-def test_agents_play_the_same_episodes_on_ray(cluster: Executor, bank: SceneBank) -> None:
+def test_agents_play_the_same_episodes_on_ray(cluster: RayExecutor, bank: SceneBank) -> None:
     here, there = (evaluate(RandomAgent(), episodes=3, bank=bank, executor=e) for e in (None, cluster))
     untimed = {"planning_time": 0.0, "action_time": 0.0}
     assert [replace(r, **untimed) for r in there.records] == [replace(r, **untimed) for r in here.records]
@@ -78,3 +93,63 @@ def test_addresses_at_which_nothing_listens_are_told() -> None:
         RayExecutor("127.0.0.1:1")
     with pytest.raises(InvalidValueError, match="HOST:PORT"):
         RayExecutor("somewhere")
+
+
+def test_an_actor_keeps_what_it_is_told(cluster: RayExecutor) -> None:
+    actor = RayActor(cluster, Counter, 1)
+    first, second = actor.ask("add", 2), actor.ask("add", 3)
+    (three, pid), (six, same) = first(), second()
+    assert (three, six, pid == same, pid == os.getpid()) == (3, 6, True, False)
+    actor.end()
+    wait_until(lambda: not alive(pid))
+
+
+def test_what_fails_in_an_actor_is_told_as_itself(cluster: RayExecutor) -> None:
+    actor = RayActor(cluster, Counter, -1)
+    with pytest.raises(FileFormatError, match=r"^scene\.json: is damaged$"):
+        actor.ask("add", 1)()
+    actor.end()
+    actor = RayActor(cluster, Counter, 0)
+    with pytest.raises(WorkerLostError, match="a process of the cluster was lost"):
+        actor.ask("die")()
+
+
+def test_actors_step_the_simulations_that_one_process_steps(cluster: RayExecutor, bank: SceneBank) -> None:
+    """Over the ends of episodes, bit for bit."""
+    pytest.importorskip("stable_baselines3")
+    from greenhouse_gym.integrations.sb3 import make_sb3_vec_env
+    from greenhouse_gym.integrations.sb3_ray import make_sb3_ray_vec_env
+
+    here = make_sb3_vec_env(5, bank=bank, seed=3, threads=1, observation="goal", reward="sparse")
+    there = make_sb3_ray_vec_env(5, bank=bank, seed=3, actors=2, observation="goal", reward="sparse")
+    assert_equal(here.reset(), there.reset())
+    actions, ended = np.zeros((5, 6), dtype=np.float32), 0
+    actions[:, 1] = 0.2, 0.4, 0.6, 0.8, 1.0  # into the plants, one after the other
+    for _ in range(40):
+        of_here, of_there = here.step(actions), there.step(actions)
+        assert_equal(dict(enumerate(of_here[:3])), dict(enumerate(of_there[:3])))
+        for one, other in zip(of_here[3], of_there[3], strict=True):
+            one.pop("episode", None), other.pop("episode", None)  # which tell of time
+            assert_equal(one, other)
+        ended += int(of_here[2].sum())
+    assert ended > 0
+    there.close()
+
+
+def assert_equal(one: Any, other: Any) -> None:
+    if isinstance(one, dict):
+        assert one.keys() == other.keys()
+        for key in one:
+            assert_equal(one[key], other[key])
+    else:
+        np.testing.assert_array_equal(one, other)
+
+
+def test_more_actors_than_cores_are_told(cluster: RayExecutor, bank: SceneBank) -> None:
+    pytest.importorskip("stable_baselines3")
+    from greenhouse_gym.integrations.sb3_ray import make_sb3_ray_vec_env
+
+    with pytest.raises(InvalidValueError, match="the cluster has cores for 2 actors, got 3"):
+        make_sb3_ray_vec_env(5, bank=bank, actors=3)
+    with pytest.raises(InvalidValueError, match="num_envs must be a whole number from 2 up, got 1"):
+        make_sb3_ray_vec_env(1, bank=bank, actors=2)

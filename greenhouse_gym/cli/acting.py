@@ -11,6 +11,7 @@ import typer
 from rich.progress import track
 
 from greenhouse_gym.cli.settings import Assignments, SettingsFile, shown
+from greenhouse_gym.cli.spread import Address
 from greenhouse_gym.progress import CONSOLE, say
 
 if TYPE_CHECKING:
@@ -125,27 +126,35 @@ def train(
     steps: Annotated[int, typer.Option(help="Environment steps of PPO.")] = 2_000_000,
     seed: Annotated[int, typer.Option(help="Seed of scenes, weights and noise.")] = 0,
     resume: Annotated[bool, typer.Option(help="Go on from the checkpoint in the folder of results.")] = False,
+    actors: Annotated[
+        int, typer.Option(min=0, help="Processes of a Ray cluster that step PPO's simulations; with 0 this one does.")
+    ] = 0,
+    address: Address = "local",
     settings: SettingsFile = None,
     assignments: Assignments = None,
     print_settings: Annotated[bool, shown(_training_settings)] = False,
 ) -> None:
     """Train a policy. Settings from a file and from --set replace what --bank, --steps and --seed say."""
     from dataclasses import replace
+    from functools import partial
 
     from greenhouse_gym.errors import require_choice
+    from greenhouse_gym.integrations.sb3 import make_sb3_vec_env
+    from greenhouse_gym.integrations.sb3_ray import make_sb3_ray_vec_env
     from greenhouse_gym.learning import BcThenPpoSettings, PpoSettings, train_bc_then_ppo, train_ppo
     from greenhouse_gym.paths import write_atomically
     from greenhouse_gym.settings_files import as_toml, resolve
 
     require_choice("algorithm", algorithm, ["ppo", "bc-then-ppo"])
+    make_env = partial(make_sb3_ray_vec_env, actors=actors, address=address) if actors else make_sb3_vec_env
     if algorithm == "ppo":
         plain = resolve(PpoSettings(bank=bank, total_steps=steps, seed=seed), settings, assignments or ())
-        policy, resolved = train_ppo(plain, out, resume=resume), as_toml(plain)
+        policy, resolved = train_ppo(plain, out, resume=resume, make_env=make_env), as_toml(plain)
     else:
         usual = BcThenPpoSettings()
         both = replace(usual, ppo=replace(usual.ppo, bank=bank, total_steps=steps, seed=seed))
         both = resolve(both, settings, assignments or ())
-        policy, resolved = train_bc_then_ppo(both, out, resume=resume, tell=_told), as_toml(both)
+        policy, resolved = train_bc_then_ppo(both, out, resume=resume, tell=_told, make_env=make_env), as_toml(both)
     write_atomically(out / "settings.toml", resolved)
     say(f"policy in {policy}")
 

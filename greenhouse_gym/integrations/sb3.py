@@ -13,6 +13,7 @@ from greenhouse_gym.envs import EnvSettings, TomatoReachVectorEnv
 from greenhouse_gym.envs.observations import Observed
 from greenhouse_gym.envs.simulation import ReachSimulation
 from greenhouse_gym.errors import InvalidValueError, MissingDependencyError
+from greenhouse_gym.integrations.sb3_steps import Stepped, act, begin
 
 try:
     from stable_baselines3.common.vec_env import VecEnv, VecMonitor
@@ -96,10 +97,7 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
 
     def reset(self) -> Observed:
         """Begin new episodes everywhere and return the observations (n, size)."""
-        # Only the first reset, or one after `seed`, has seeds.
-        seeds = None if all(seed is None for seed in self._seeds) else self._seeds
-        observations, infos = self.env.reset(seed=seeds, options=self._options)
-        self.reset_infos = [_info(infos, i) for i in range(self.num_envs)]
+        observations, self.reset_infos = begin(self.env, self._seeds, self._options)
         self._reset_seeds()
         self._reset_options()
         return observations
@@ -108,19 +106,9 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
         """Keep the actions for `step_wait`."""
         self._actions = actions
 
-    def step_wait(
-        self,
-    ) -> tuple[Observed, npt.NDArray[np.float32], npt.NDArray[np.bool_], list[dict[str, Any]]]:
+    def step_wait(self) -> Stepped:
         """Act once everywhere; episodes that end begin anew."""
-        observations, rewards, terminated, truncated, infos = self.env.step(self._actions)
-        dones = terminated | truncated
-        telling = self.env.simulation.observe.has_goals
-        single = [_info(infos, i) if telling else {} for i in range(self.num_envs)]
-        for i in np.flatnonzero(dones).tolist():
-            single[i] = _info(infos["final_info"], i)
-            single[i]["terminal_observation"] = infos["final_obs"][i]
-            single[i]["TimeLimit.truncated"] = bool(truncated[i])
-        return observations, rewards.astype(np.float32), dones, single
+        return act(self.env, self._actions)
 
     def close(self) -> None:
         """Free the simulations."""
@@ -191,16 +179,3 @@ def make_sb3_vec_env(
     if seed is not None:
         wrapped.seed(seed)
     return VecMonitor(wrapped)
-
-
-def _info(infos: dict[str, Any], i: int) -> dict[str, Any]:
-    """One simulation's info out of the vector environment's."""
-    result: dict[str, Any] = {}
-    for key, values in infos.items():
-        if key.startswith(("_", "final_")) or not infos[f"_{key}"][i]:
-            continue
-        if isinstance(values, dict):
-            result[key] = _info(values, i)
-        else:
-            result[key] = values[i] if values.dtype == object or values.ndim > 1 else values[i].item()
-    return result

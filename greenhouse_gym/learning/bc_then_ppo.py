@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from greenhouse_gym.envs import TomatoReachVectorEnv
+from greenhouse_gym.integrations.sb3 import make_sb3_vec_env
 from greenhouse_gym.learning.imitation import ImitationSettings, follow_waypoint, imitate
 from greenhouse_gym.learning.ppo import PpoSettings, train_ppo
 from greenhouse_gym.learning.variation import varied_bank
@@ -42,6 +43,7 @@ def train_bc_then_ppo(
     *,
     resume: bool = False,
     tell: Callable[[int, dict[str, float]], None] = lambda steps, figures: None,
+    make_env: Callable[..., Any] = make_sb3_vec_env,
 ) -> Path:
     """Train a policy; ``out`` gets what `greenhouse_gym.learning.train_ppo` leaves, and the varied scenes.
 
@@ -50,6 +52,7 @@ def train_bc_then_ppo(
         out: Folder for the results.
         resume: Go on from the checkpoint in ``out``, with PPO.
         tell: Gets steps and figures of the imitation after each round.
+        make_env: Makes the environment of PPO, as in `greenhouse_gym.learning.train_ppo`.
 
     Returns:
         The path of the policy's JSON file.
@@ -69,4 +72,4 @@ def train_bc_then_ppo(
         with closing(env):
             imitate(model.policy, env, settings.imitation, ppo.seed, tell)
 
-    return train_ppo(ppo, out, resume=resume, prepare=teach)
+    return train_ppo(ppo, out, resume=resume, prepare=teach, make_env=make_env)

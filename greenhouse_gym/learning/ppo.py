@@ -98,6 +98,7 @@ def train_ppo(
     time_limit: float | None = None,
     checkpoint_seconds: float = 60.0,
     prepare: Callable[[Any], None] | None = None,
+    make_env: Callable[..., Any] = make_sb3_vec_env,
 ) -> Path:
     """Train a policy.
 
@@ -112,6 +113,8 @@ def train_ppo(
         time_limit: Stop after this many seconds, as if interrupted.
         checkpoint_seconds: Time between checkpoints.
         prepare: Gets the untrained model of a training that is not resumed, to put something into it.
+        make_env: Makes the environment, of the same arguments: another one, such as
+            `greenhouse_gym.integrations.sb3_ray.make_sb3_ray_vec_env`, steps the simulations elsewhere.
 
     Returns:
         The path of the policy's JSON file.
@@ -127,7 +130,7 @@ def train_ppo(
     described = json.loads(json.dumps(asdict(settings)))
     _check_folder(out, described, resume)
     torch.set_num_threads(1)
-    env = make_sb3_vec_env(
+    env = make_env(
         settings.num_envs, bank=settings.bank, split=settings.split, robot=settings.robot,
         observation=settings.observation, difficulty=settings.difficulty, threads=settings.threads, seed=settings.seed,
     )  # fmt: skip

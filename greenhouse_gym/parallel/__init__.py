@@ -1,6 +1,7 @@
 """Work spread over the cores of one machine or of many, with the same results as on one."""
 
 from greenhouse_gym.parallel.backends import BACKENDS, executor_for, idle_cores
+from greenhouse_gym.parallel.ray_actor import RayActor
 from greenhouse_gym.parallel.ray_executor import RayExecutor
 from greenhouse_gym.parallel.spreading import (
     WorkerLostError,
@@ -13,6 +14,7 @@ from greenhouse_gym.parallel.spreading import (
 
 __all__ = [
     "BACKENDS",
+    "RayActor",
     "RayExecutor",
     "WorkerLostError",
     "completed",

@@ -55,17 +55,17 @@ class RayExecutor(Executor):
         workers: int | None = None,
     ):
         with needs("cluster"):
-            self._ray: Any = import_module("ray")
+            self.ray: Any = import_module("ray")
         if address not in ("local", "auto"):
             _check_listens(address)
-        self._owns = not self._ray.is_initialized()
+        self._owns = not self.ray.is_initialized()
         if self._owns:
-            _join(self._ray, address, workers)
+            _join(self.ray, address, workers)
         elif address not in ("local", "auto"):
             raise InvalidValueError(f"this process is in a Ray cluster already: leave it before joining {address}")
         options = {"num_cpus": cpus, "max_retries": retries, "retry_exceptions": False}
-        self._call = self._ray.remote(_call).options(**options, **({} if memory is None else {"memory": memory}))
-        self._max_workers = max(1, int(self._ray.cluster_resources().get("CPU", 1) // cpus))
+        self._call = self.ray.remote(_call).options(**options, **({} if memory is None else {"memory": memory}))
+        self._max_workers = max(1, int(self.ray.cluster_resources().get("CPU", 1) // cpus))
         self._futures: set[Future[Any]] = set()
         self._open = True
 
@@ -77,14 +77,21 @@ class RayExecutor(Executor):
         """
         if not self._open:
             raise RuntimeError("cannot schedule new futures after shutdown")
-        # Not protocol 5, which leaves arrays where the message happens to lie, and products of them in the last bits.
-        message = self._ray.cloudpickle.dumps((fn, args, kwargs), protocol=4)
-        reference = self._call.remote(message, str(Path.cwd()), sys.path, __version__)
-        future: Future[Result] = _RayFuture(self._ray, reference)
+        reference = self._call.remote(self.message(fn, *args, **kwargs), *self.home())
+        future: Future[Result] = _RayFuture(self.ray, reference)
         self._futures.add(future)
         future.add_done_callback(self._futures.discard)
         reference.future().add_done_callback(partial(_settle, future))
         return future
+
+    def message(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> bytes:
+        """A function of a module and its arguments, as they travel."""
+        # Not protocol 5, which leaves arrays where the message happens to lie, and products of them in the last bits.
+        return bytes(self.ray.cloudpickle.dumps((fn, args, kwargs), protocol=4))
+
+    def home(self) -> tuple[str, list[str], str]:
+        """The caller's working folder, where it looks for modules, and its version of this package."""
+        return str(Path.cwd()), sys.path, __version__
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """Take no more work; leave the cluster if this executor joined it.
@@ -99,8 +106,8 @@ class RayExecutor(Executor):
                 future.cancel()
         if wait:
             _wait(list(self._futures))
-        if self._owns and self._ray.is_initialized():
-            self._ray.shutdown()
+        if self._owns and self.ray.is_initialized():
+            self.ray.shutdown()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
@@ -167,17 +174,26 @@ def _call(message: bytes, folder: str, path: list[str], version: str) -> tuple[b
         version: The caller's version of this package.
     """
     try:
-        if version != __version__:
-            raise InvalidValueError(
-                f"node {platform.node()} has greenhouse-gym {__version__}, the head {version}: install the same on all"
-            )
-        if Path(folder).is_dir():
-            os.chdir(folder)
-        sys.path += [entry for entry in path if entry not in sys.path]
+        at_home(folder, path, version)
         function, arguments, keywords = pickle.loads(message)
         return True, pickle.dumps(function(*arguments, **keywords))
     except Exception as error:
         return False, pickle.dumps(error)
+
+
+def at_home(folder: str, path: list[str], version: str) -> None:
+    """Have this process, on a node, look for files and modules as the caller does.
+
+    Raises:
+        InvalidValueError: The node has another version of this package.
+    """
+    if version != __version__:
+        raise InvalidValueError(
+            f"node {platform.node()} has greenhouse-gym {__version__}, the head {version}: install the same on all"
+        )
+    if Path(folder).is_dir():
+        os.chdir(folder)
+    sys.path += [entry for entry in path if entry not in sys.path]
 
 
 def _settle(future: Future[Any], done: Future[tuple[bool, bytes]]) -> None:
@@ -186,7 +202,7 @@ def _settle(future: Future[Any], done: Future[tuple[bool, bytes]]) -> None:
         try:
             went_well, message = done.result()
         except BaseException as error:
-            future.set_exception(WorkerLostError(f"a piece of work was lost: {_reason(error)}"))
+            future.set_exception(WorkerLostError(f"a piece of work was lost: {reason_of(error)}"))
             return
         try:
             result = pickle.loads(message)
@@ -199,7 +215,7 @@ def _settle(future: Future[Any], done: Future[tuple[bool, bytes]]) -> None:
             future.set_exception(result)
 
 
-def _reason(error: BaseException) -> str:
+def reason_of(error: BaseException) -> str:
     """Ray's error in one line, without its traceback."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return f"{type(error).__name__}: {(lines or ['no reason given'])[0][:300]}"
