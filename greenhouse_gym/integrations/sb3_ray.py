@@ -13,9 +13,12 @@ from greenhouse_gym.envs import EnvSettings, TomatoReachVectorEnv
 from greenhouse_gym.envs.observations import Observed
 from greenhouse_gym.envs.settings import check_whole, settings_with
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.integrations.sb3 import VecEnv, VecMonitor
+from greenhouse_gym.extras import needs
 from greenhouse_gym.integrations.sb3_steps import Part, Stepped
 from greenhouse_gym.parallel import RayActor, RayExecutor, workers_of
+
+with needs("train"):
+    from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 
 
 class RayVecEnv(VecEnv):  # type: ignore[misc]
