@@ -17,6 +17,7 @@ MODULES: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "viz": ("matplotlib", "moviepy"),
         "cluster": ("ray",),
         "data": ("minari",),
+        "onnx": ("onnx", "safetensors"),
     }
 )
 """What extras that commands need bring, by the names that are imported."""

@@ -28,6 +28,7 @@ COMMANDS = {
     "train": ["train", "ppo", "--bank", "mini", "--out", "{out}/run", "--steps", "-1"],
     "compare": ["compare", "random", "--bank", "mini", "--episodes", "1"],
     "compare planners": ["compare", "RRTConnect", "--bank", "mini", "--episodes", "1"],
+    "policy": ["policy", "export", "ppo-ur5e", "--out", "{out}/policy.onnx"],
     "render": ["render", "--bank", "mini", "--out", "{out}/scene.png"],
     "demo": ["demo", "--quick", "--out", "{out}/demo"],
 }
@@ -43,6 +44,7 @@ NEEDED = {
     "plan": {"plan"},
     "train": {"train"},
     "compare planners": {"plan"},
+    "policy": {"onnx"},
     "render": {"reconstruct"},
     "demo": {"reconstruct", "plan", "train", "viz"},
 }
@@ -79,7 +81,7 @@ def outcomes(installed: str, out: Path) -> dict[str, tuple[int, str, str]]:
         for name, parts in COMMANDS.items()
         if name == "compare" or NEEDED[name] - {installed}
     }
-    hidden = [module for extra, modules in MODULES.items() if extra != installed for module in modules]
+    hidden = sorted({module for modules in MODULES.values() for module in modules} - set(MODULES.get(installed, ())))
     arguments = [sys.executable, "-c", RUN, json.dumps([hidden, commands])]
     done = subprocess.run(arguments, capture_output=True, text=True, cwd=ROOT, check=False)
     assert done.returncode == 0, done.stderr

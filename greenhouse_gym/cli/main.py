@@ -8,7 +8,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from greenhouse_gym.cli import acting, arms, bank, comparing, demo, importing, recording, scans, sensing
+from greenhouse_gym.cli import acting, arms, bank, comparing, demo, importing, policy, recording, scans, sensing
 from greenhouse_gym.cli.doctor import doctor
 from greenhouse_gym.errors import GreenhouseError
 
@@ -40,6 +40,7 @@ app.command()(acting.render)
 app.command()(demo.demo)
 app.command()(doctor)
 app.add_typer(bank.app, name="bank")
+app.add_typer(policy.app, name="policy")
 
 
 def main() -> None:

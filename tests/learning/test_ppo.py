@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import gymnasium
@@ -19,7 +20,7 @@ pytest.importorskip("stable_baselines3")
 import torch
 from stable_baselines3 import PPO, SAC
 
-from greenhouse_gym.agents.policy_agent import PolicyAgent
+from greenhouse_gym.agents.policy_agent import PolicyAgent, shipped_policies
 from greenhouse_gym.errors import FileFormatError, InvalidValueError
 from greenhouse_gym.integrations.sb3 import make_sb3_vec_env
 from greenhouse_gym.learning.checkpoints import NAME, load_checkpoint, save_checkpoint
@@ -179,13 +180,23 @@ def test_what_a_policy_file_cannot_hold_is_said(bank: SceneBank, tmp_path: Path)
     assert not list(tmp_path.iterdir())
 
 
-def test_a_policy_goes_back_into_a_model(bank: SceneBank) -> None:
-    policy = PolicyAgent.load("ppo-ur5e").policy
-    env = make_sb3_vec_env(2, bank=bank, threads=1)
-    model = make_ppo(PpoSettings(num_envs=2, rollout_steps=8, batch_size=16), env)
-    load_into(model, policy)
+@pytest.mark.parametrize("name", shipped_policies())
+def test_a_shipped_policy_goes_back_into_a_model(bank: SceneBank, name: str) -> None:
+    """And the model's most likely actions are those of the policy: where they are clipped, and before."""
+    policy = PolicyAgent.load(name).policy
+    hidden = tuple(len(bias) for bias in policy.biases[:-1])
+    usual = PpoSettings(num_envs=2, rollout_steps=8, batch_size=16, hidden=hidden, activation=policy.activation)
+    env = make_sb3_vec_env(2, bank=bank, threads=1, **policy.env_options)
+    model = make_ppo(usual, env)
     observations = env.reset()
+    assert np.abs(model.predict(observations, deterministic=True)[0] - policy(observations)).max() > 1e-2
+    load_into(model, policy)
     np.testing.assert_allclose(model.predict(observations, deterministic=True)[0], policy(observations), atol=1e-5)
-    with pytest.raises(InvalidValueError, match="relu"):
-        load_into(make_ppo(PpoSettings(num_envs=2, rollout_steps=8, batch_size=16, activation="relu"), env), policy)
+    many = np.random.default_rng(0).uniform(-1, 1, (64, observations.shape[1])).astype(np.float32)
+    with torch.no_grad():
+        mean = model.policy.get_distribution(torch.as_tensor(many)).distribution.mean.numpy()
+    np.testing.assert_allclose(np.clip(mean, -1, 1), policy(many), atol=1e-5)
+    other = {"tanh": "relu", "relu": "tanh"}[policy.activation]
+    with pytest.raises(InvalidValueError, match=other):
+        load_into(make_ppo(replace(usual, activation=other), env), policy)
     env.close()

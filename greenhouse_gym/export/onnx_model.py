@@ -1,0 +1,90 @@
+"""A policy as an ONNX model, which robots' and browsers' runtimes read without this package."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from greenhouse_gym import __version__
+from greenhouse_gym.agents.policy import Policy
+from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.extras import needs
+from greenhouse_gym.paths import write_atomically
+
+OPSET, IR_VERSION = 17, 8  # of 2022: what it needs is older still, and few runtimes are
+_NODES = {"tanh": "Tanh", "relu": "Relu"}
+
+
+def export_policy(policy: Policy, path: str | Path, name: str = "policy") -> Path:
+    """Write a policy as one ONNX file; see `onnx_model`."""
+    return write_atomically(path, onnx_model(policy, name))
+
+
+def onnx_model(policy: Policy, name: str = "policy") -> bytes:
+    """A policy as an ONNX model: scaling, layers and clipping, with everything it needs inside.
+
+    Its input ``observation`` is float32 (n, size) and its output ``action`` float32 (n, joints) within [-1, 1], for
+    any n. Its metadata tell what to feed it: ``robot`` and ``observation`` by name, and as JSON ``env_options``
+    (keywords of `gymnasium.make`), ``observation_layout`` (name and number of entries of each group, in their order)
+    and ``training``.
+
+    Raises:
+        MissingDependencyError: The extra ``onnx`` is not installed.
+        InvalidValueError: Its parts do not fit together, or its environment or notes cannot be put into words.
+    """
+    with needs("onnx"):
+        import onnx
+    from onnx import helper, numpy_helper
+
+    constants = {"center": policy.center, "scale": policy.scale, "low": np.float32(-1.0), "high": np.float32(1.0)}
+    nodes = [
+        helper.make_node("Sub", ["observation", "center"], ["centered"]),
+        helper.make_node("Div", ["centered", "scale"], ["hidden_0"]),
+    ]
+    last = len(policy.weights) - 1
+    for i, (weight, bias) in enumerate(zip(policy.weights, policy.biases, strict=True)):
+        constants |= {f"weight_{i}": weight, f"bias_{i}": bias}
+        nodes.append(helper.make_node("Gemm", [f"hidden_{i}", f"weight_{i}", f"bias_{i}"], [f"layer_{i}"], transB=1))
+        if i < last:
+            nodes.append(helper.make_node(_NODES[policy.activation], [f"layer_{i}"], [f"hidden_{i + 1}"]))
+    nodes.append(helper.make_node("Clip", [f"layer_{last}", "low", "high"], ["action"]))
+
+    def batch(tensor: str, size: int) -> Any:
+        return helper.make_tensor_value_info(tensor, onnx.TensorProto.FLOAT, ["n", size])
+
+    graph = helper.make_graph(
+        nodes,
+        name,
+        [batch("observation", len(policy.center))],
+        [batch("action", len(policy.biases[-1]))],
+        [numpy_helper.from_array(np.asarray(array, np.float32), key) for key, array in constants.items()],
+    )
+    model = helper.make_model(
+        graph,
+        opset_imports=[helper.make_opsetid("", OPSET)],
+        ir_version=IR_VERSION,
+        producer_name="greenhouse-gym",
+        producer_version=__version__,
+    )
+    helper.set_model_props(model, _metadata(policy))
+    try:
+        onnx.checker.check_model(model, full_check=True)
+    except (onnx.checker.ValidationError, onnx.shape_inference.InferenceError) as error:
+        raise InvalidValueError(f"this policy cannot be written: its layers do not fit together: {error}") from error
+    return model.SerializeToString()
+
+
+def _metadata(policy: Policy) -> dict[str, str]:
+    options = dict(policy.env_options)
+    named = {str(key): str(options[key]) for key in ("robot", "observation") if key in options}
+    told = {"env_options": options, "observation_layout": policy.layout, "training": dict(policy.training)}
+    try:
+        texts = {key: json.dumps(value, allow_nan=False) for key, value in told.items()}
+    except (TypeError, ValueError) as error:
+        raise InvalidValueError(
+            f"this policy cannot be written: its environment or its notes on training are no JSON: {error}"
+        ) from error
+    return {**named, **texts}
