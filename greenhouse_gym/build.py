@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from pydantic import TypeAdapter
@@ -15,7 +16,7 @@ from greenhouse_gym.cutting import BuildSettings, cut_scenes, provenance_of, wha
 from greenhouse_gym.errors import FileFormatError, GreenhouseError, InvalidValueError
 from greenhouse_gym.extras import require_extras
 from greenhouse_gym.parallel import completed, require_portable
-from greenhouse_gym.paths import checked_name, exclusive, parsing, read_bytes, write_atomically
+from greenhouse_gym.paths import checked_name, exclusive, parsing, read_bytes, remove_leftovers, write_atomically
 from greenhouse_gym.planning import certify_targets
 from greenhouse_gym.progress import say
 from greenhouse_gym.reconstruction import reconstruct_row, settings_for
@@ -100,6 +101,7 @@ def build_bank(
             description,
         )
         shutil.rmtree(folder / UNFINISHED, ignore_errors=True)
+        remove_leftovers(folder, ".json")
     return bank
 
 
@@ -137,8 +139,9 @@ def _certified_scenes(
     origins = dict(completed(_origin, rows, executor))
     notes = {row.name: folder / UNFINISHED / row.name for row in rows}
     scenes: dict[str, list[Path]] = {}
+    built = _finished_bank(folder)
     for row in rows:
-        if finished := _of_finished_bank(folder, origins[row.name]):
+        if finished := _of_finished_bank(built, origins[row.name]):
             report(f"{row.name}: {len(finished)} scenes already built")
             scenes[row.name] = [_file(folder, scene) for scene in finished]
     unfinished = [replace(row, origin=origins[row.name]) for row in rows if row.name not in scenes]
@@ -213,11 +216,22 @@ def _cut_before(path: Path, origin: Provenance) -> list[Scene] | None:
     return found if all(_same(scene, origin) for scene in found) else None
 
 
-def _of_finished_bank(folder: Path, origin: Provenance) -> list[Scene]:
-    """The recording's scenes in the bank in the folder, if there is one and they were made in the same way."""
+def _finished_bank(folder: Path) -> dict[str, list[Callable[[], Scene]]]:
+    """What gives the scenes of each row of the bank in the folder; empty where there is none."""
     try:
         bank = SceneBank.open(folder)
-        of_row = [bank.scene(entry.name) for entry in bank.manifest.scenes if entry.row == origin.row]
+    except GreenhouseError:
+        return {}
+    found: dict[str, list[Callable[[], Scene]]] = {}
+    for entry in bank.manifest.scenes:
+        found.setdefault(entry.row, []).append(partial(bank.scene, entry.name))
+    return found
+
+
+def _of_finished_bank(bank: dict[str, list[Callable[[], Scene]]], origin: Provenance) -> list[Scene]:
+    """The recording's scenes in a bank, if they were made in the same way."""
+    try:
+        of_row = [scene() for scene in bank.get(origin.row, ())]
     except GreenhouseError:
         return []
     found = [scene for scene in of_row if scene.provenance.recording == origin.recording]

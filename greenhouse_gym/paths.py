@@ -224,3 +224,9 @@ def write_atomically(path: str | Path, content: str | bytes) -> Path:
             raise FileWriteError(path, error) from error
         raise
     return path
+
+
+def remove_leftovers(folder: Path, suffix: str) -> None:
+    """Remove what `write_atomically` left of files of that suffix in a folder where its process was killed."""
+    for path in folder.glob(f".*{suffix}.{'[a-z0-9_]' * 8}"):  # as `tempfile` names them
+        path.unlink(missing_ok=True)

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import os
+import signal
 from collections import Counter
 from dataclasses import replace
 from functools import partial
@@ -310,6 +312,41 @@ def test_an_interrupted_build_goes_on_where_it_stopped(calls: Calls, tmp_path: P
     calls.fail_at = None
     assert len(built(tmp_path)) == 9
     assert calls.reconstructed == ["a", "b", "a-1"]
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+def test_a_build_killed_at_any_file_goes_on_to_the_same_bank(calls: Calls, tmp_path: Path) -> None:
+    """Killed outright before or after each of its files is in place, then built again: same files, none besides."""
+    rows = [recording("a")]
+    built(tmp_path / "whole", rows)
+    expected = files_of(tmp_path / "whole")
+    put = Path.replace
+    for moment in range(1000):
+        out, left = tmp_path / str(moment), [moment // 2]
+
+        def replace_or_die(path: Path, target: Path, left: list[int] = left, late: bool = bool(moment % 2)) -> Path:
+            left[0] -= 1
+            if left[0] >= 0:
+                return put(path, target)
+            if late:
+                put(path, target)
+            os.kill(os.getpid(), signal.SIGKILL)
+            raise AssertionError
+
+        child = os.fork()
+        if child == 0:
+            Path.replace = replace_or_die  # type: ignore[method-assign, assignment]
+            built(out, rows)
+            os._exit(0)
+        if os.waitpid(child, 0)[1] == 0:
+            break
+        built(out, rows)
+        assert files_of(out) == expected
+    assert moment == 2 * (1 + 3 + 1)  # the scenes without targets, those with, the manifest
+
+
+def files_of(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def test_a_row_of_which_a_scene_is_missing_or_damaged_is_built_anew(calls: Calls, tmp_path: Path) -> None:

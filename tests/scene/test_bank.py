@@ -132,6 +132,17 @@ def test_the_old_manifest_survives_a_failed_write(folder: Path, monkeypatch: pyt
     assert [scene.name for scene in reopened(folder)] == ["a-0", "a-1", "b-0"]
 
 
+def test_scenes_that_are_there_already_are_not_written_again(folder: Path) -> None:
+    """Nor held until all are known, so that a build may have more than fit in memory."""
+    bank = SceneBank.open(folder)
+    files = [folder / entry.file for entry in bank.manifest.scenes]
+    before = [path.stat().st_ino for path in files]
+    scenes = [(scene, bank.split_of(scene.name)) for scene in bank]
+    write_bank(folder, [(small("a-0", targets=()), "train"), *scenes[1:]], name="new")
+    after = [path.stat().st_ino for path in files]
+    assert [one == other for one, other in zip(before, after, strict=True)] == [False, True, True]
+
+
 def test_a_bank_written_again_is_the_new_one_at_once(folder: Path) -> None:
     old = SceneBank.open(folder)
     assert len(old) == 3
