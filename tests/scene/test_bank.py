@@ -138,7 +138,7 @@ def test_scenes_that_are_there_already_are_not_written_again(folder: Path) -> No
     files = [folder / entry.file for entry in bank.manifest.scenes]
     before = [path.stat().st_ino for path in files]
     scenes = [(scene, bank.split_of(scene.name)) for scene in bank]
-    write_bank(folder, [(small("a-0", targets=()), "train"), *scenes[1:]], name="new")
+    write_bank(folder, [(small("a-0", row="c"), "train"), *scenes[1:]], name="new")
     after = [path.stat().st_ino for path in files]
     assert [one == other for one, other in zip(before, after, strict=True)] == [False, True, True]
 
