@@ -1,8 +1,8 @@
-"""Where an arm can go straight: to goal configurations, and to postures from which one of them can be reached.
+"""Where an arm can go straight: to goal configurations, and to nodes of ways of a few straight motions to them.
 
 All that is used is known to whoever knows the scene. The nodes of an episode, goal configurations by inverse kinematics
-and postures about the start, are found at its beginning; from then on one rule, in which nothing is learned, says to
-which of them the arm goes: to the one with the shortest way of at most two straight motions, the first of them free.
+and a tree about them, are found at its beginning; from then on one rule, in which nothing is learned, says to which of
+them the arm goes: of those to which the straight motion is free, to the one with the shortest way.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import numpy.typing as npt
 
+from greenhouse_gym.envs.roadmap import RESOLUTION, Nodes, search_nodes
 from greenhouse_gym.envs.worlds import World
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
@@ -26,8 +27,8 @@ from greenhouse_gym.scene.reaches import arm_reaches
 EVERY = 8
 """Steps after which the way is looked for anew; it is also when its end is reached."""
 
-MARGIN, RESOLUTION = 0.004, 0.04
-"""Distance to obstacles that is kept, and how far any point of the arm may move between two checks, metres."""
+MARGIN = 0.004
+"""Distance to obstacles that is kept, metres."""
 
 GUESSES, ROUNDS, FEW, GOALS = 300, 4, 20, 60
 """First guesses of goal configurations, how often so many are made at most while few are found, how few that is, and
@@ -36,28 +37,10 @@ how many goals, those nearest to the start, are looked at."""
 POSTURES, SPREAD = 96, 1.2
 """Postures that are tried, and how far each joint is strewn about the start, radians."""
 
-TRIES, ENOUGH = 1500, 4
-"""Motions from postures to goals that are tried, the shortest ways first, and ways that are enough."""
-
-NEAREST = 8
-"""Goals, those nearest to the start, that are kept whether there is a way to them or not."""
-
 REACHED = 0.1
 """How near a posture counts as reached, radians."""
 
 _REMEMBERED = 10_000
-
-
-class Nodes(NamedTuple):
-    """Where an arm may go in an episode.
-
-    Attributes:
-        configurations: (k, j) goals, then postures, radians.
-        costs: (k,) the way from each to its goal, radians: zero for goals.
-    """
-
-    configurations: Array
-    costs: Array
 
 
 class Heading(NamedTuple):
@@ -169,23 +152,7 @@ class _Place:
 
     def _search(self, checker: CollisionChecker, target: int, center: Array, start: Array) -> Nodes:
         goals, postures = self._goals(checker, target, center, start), self._postures(checker, start)
-        kept = dict.fromkeys(range(min(NEAREST, len(goals))))
-        ways = 0
-        for j, goal in enumerate(goals):
-            if ways < ENOUGH and checker.motion_is_free(start, goal, RESOLUTION):
-                kept[j], ways = None, ways + 1
-        first = np.sqrt(((postures - start) ** 2).sum(axis=-1))
-        then = np.sqrt(((goals - postures[:, None]) ** 2).sum(axis=-1))
-        left: dict[int, float] = {}
-        for k in (first[:, None] + then).argsort(axis=None, kind="stable")[:TRIES]:
-            if ways == ENOUGH:
-                break
-            i, j = divmod(int(k), len(goals))
-            if i not in left and checker.motion_is_free(postures[i], goals[j], RESOLUTION):
-                kept[j], left[i], ways = None, float(then[i, j]), ways + 1
-        return Nodes(
-            np.concatenate([goals[list(kept)], postures[list(left)]]), np.array([0.0] * len(kept) + list(left.values()))
-        )
+        return search_nodes(checker, goals, postures, start, self.robot)
 
     def _goals(self, checker: CollisionChecker, target: int, center: Array, start: Array) -> Array:
         """(k, j) goal configurations, those near the start first."""

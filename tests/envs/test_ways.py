@@ -7,7 +7,8 @@ import pytest
 
 from greenhouse_gym.agents import WaypointAgent
 from greenhouse_gym.envs import TomatoReachEnv, ways
-from greenhouse_gym.envs.ways import RESOLUTION, Ways
+from greenhouse_gym.envs.roadmap import RESOLUTION
+from greenhouse_gym.envs.ways import Ways
 from greenhouse_gym.envs.worlds import Worlds
 from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.geometry import Capsule
@@ -50,11 +51,11 @@ def test_ways_that_are_told_to_be_free_are_free(
             assert checker.motion_is_free(joints, waypoint, RESOLUTION)
         assert left >= 0
     assert free >= least
-    goals = known.nodes.configurations[known.nodes.costs == 0]
-    for posture, cost in zip(*known.nodes, strict=True):
-        gaps = np.linalg.norm(goals - posture, axis=1)
-        near = goals[np.isclose(gaps, cost)]
-        assert any(checker.motion_is_free(posture, goal, RESOLUTION) for goal in near)
+    for node, cost in zip(*known.nodes, strict=True):
+        nearer = known.nodes.costs < cost
+        gaps = np.linalg.norm(known.nodes.configurations - node, axis=1)
+        after = known.nodes.configurations[nearer & np.isclose(gaps + known.nodes.costs, cost)]
+        assert cost == 0 or any(checker.motion_is_free(node, end, RESOLUTION) for end in after)
 
 
 def test_detours_are_known_where_goals_are_not_in_sight(fenced: Scene) -> None:
