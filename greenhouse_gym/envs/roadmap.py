@@ -110,7 +110,7 @@ def _grown(
 
 def _by_length(places: Array, nodes: Sequence[_Node]) -> Iterator[tuple[int, _Node]]:
     """Pairs of a place (index into (p, j), the start first) and a node, those of the shortest ways first."""
-    configurations = np.array([node.configuration for node in nodes])
+    configurations = np.reshape([node.configuration for node in nodes], (len(nodes), places.shape[1]))
     ways = np.sqrt(((places - places[0]) ** 2).sum(axis=-1))[:, None] + [node.cost for node in nodes]
     ways += np.sqrt(((configurations - places[:, None]) ** 2).sum(axis=-1))
     for k in ways.argsort(axis=None, kind="stable")[:TRIES].tolist():
