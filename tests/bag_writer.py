@@ -85,6 +85,19 @@ class Writer:
             **{(name.upper() if self.ros1 else name): value for name, value in lower.items()},
         )  # fmt: skip
 
+    def transform(self, topic: str, parent: str, child: str, parent_from_child: Array, stamp: int) -> None:
+        turned = Rotation.from_matrix(parent_from_child[:3, :3]).as_quat()
+        place = dict(zip("xyz", parent_from_child[:3, 3].tolist(), strict=True))
+        moved = self.make(
+            "geometry_msgs/msg/Transform", translation=self.make("geometry_msgs/msg/Vector3", **place),
+            rotation=self.make("geometry_msgs/msg/Quaternion", **dict(zip("xyzw", turned.tolist(), strict=True))),
+        )  # fmt: skip
+        stamped = self.make(
+            "geometry_msgs/msg/TransformStamped", header=self.header(stamp, parent), child_frame_id=child,
+            transform=moved,
+        )  # fmt: skip
+        self.put(topic, "tf2_msgs/msg/TFMessage", stamp, transforms=[stamped])
+
     def pose(self, topic: str, place: Array, stamp: int) -> None:
         turned = Rotation.from_matrix(place[:3, :3]).as_quat()
         point = self.make("geometry_msgs/msg/Point", **dict(zip("xyz", place[:3, 3].tolist(), strict=True)))

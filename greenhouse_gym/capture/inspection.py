@@ -99,14 +99,15 @@ def inspect_recording(recording: Recording) -> Inspection:
             looked_at += 1
             if len(compared) < _COMPARED:
                 compared.append(station)
-            for name, frame in station.frames.items():
-                figures[name].append(_figures(frame))
+            own = {name: _figures(frame) for name, frame in station.frames.items()}
+            for name, of_camera in own.items():
+                figures[name].append(of_camera)
             frame = station.frames[recording.rig.reference]
             histogram += np.histogram(frame.depth[frame.depth > 0], np.linspace(0.0, 3.0, 31))[0]
             moved = None if before is None else motion(before, frame)
             if moved is not None:
                 steps.append(moved)
-                overlaps.append(_overlap(frame, moved))
+                overlaps.append(_overlap(frame, own[recording.rig.reference].distance, moved))
             before = frame
     if not looked_at:
         raise FileFormatError(recording.folder or recording.name, "none of its stations can be read")
@@ -138,7 +139,7 @@ def inspect_recording(recording: Recording) -> Inspection:
 def faults_of(station: Station, reference: str, moved: float | None) -> tuple[str, ...]:
     """What is wrong with a single station that moved so many metres from the one before, a phrase each."""
     cameras = {name: _figures(frame) for name, frame in station.frames.items()}
-    overlap = None if moved is None else _overlap(station.frames[reference], moved)
+    overlap = None if moved is None else _overlap(station.frames[reference], cameras[reference].distance, moved)
     bad, hints = _faults(cameras, [] if moved is None else [moved], overlap, 0, [])
     return (*bad, *hints)
 
@@ -148,20 +149,20 @@ def near_plants(frame: RgbdFrame) -> npt.NDArray[np.bool_]:
     return (frame.depth > _NEAR / 2) & (frame.depth < _FAR)
 
 
-def _overlap(frame: RgbdFrame, moved: float) -> float:
-    """Share of an image that is still seen when the camera has moved so many metres."""
+def _overlap(frame: RgbdFrame, distance: float, moved: float) -> float:
+    """Share of an image of plants so many metres away that is still seen when the camera has moved so many metres."""
     k = frame.intrinsics
     width = min(k.width / k.fx, k.height / k.fy)
-    return max(0.0, 1.0 - moved / max(width * _figures(frame).distance, 1e-6))
+    return max(0.0, 1.0 - moved / max(width * distance, 1e-6))
 
 
 def _figures(frame: RgbdFrame) -> CameraFigures:
-    near = near_plants(frame)
-    gray = frame.color.mean(axis=2)
+    depth, near = frame.depth[::2, ::2], near_plants(frame)[::2, ::2]  # every fourth pixel tells as much
+    gray = frame.color[::2, ::2].mean(axis=2)
     plants = near if near.any() else np.ones_like(near)
-    distance = float(np.median(frame.depth[near])) if near.any() else 0.0
+    distance = float(np.median(depth[near])) if near.any() else 0.0
     return CameraFigures(
-        missing=float((frame.depth <= 0).mean()),
+        missing=float((depth <= 0).mean()),
         gray=float(np.median(gray[plants])),
         clipped=float((gray[plants] > 250).mean()),
         distance=distance,
@@ -181,7 +182,8 @@ def _faults(
             bad.append(f"camera {name} sees next to nothing between {_NEAR} and {_FAR} m: go nearer to the plants")
         elif camera.missing > _MISSING:
             hints.append(
-                f"camera {name} has no depth at {camera.missing:.0%} of its pixels: less sun, 0.4 to 0.8 m away"
+                f"camera {name} has no depth at {camera.missing:.0%} of its pixels: if plants are among them, "
+                "less sun, and 0.4 to 0.8 m away"
             )
         if camera.gray < _DARK:
             bad.append(f"camera {name} is too dark (median gray {camera.gray:.0f}): more light or longer exposure")

@@ -53,8 +53,8 @@ class Recording:
         truth: The row that was photographed, in the frame of the stations' poses, where it is simulated: its shapes to
             collide with. A real row has none.
         notes: What was left out or assumed when it was read, a sentence each.
-        of_camera: Whether poses were told of a single camera, around which a rig's frame was made up: a rig file then
-            moves that frame, and the camera stays where it was.
+        of_camera: Whether poses were told of the reference camera, around which a rig's frame was made up: a rig file
+            then moves that frame, and the camera stays where it was.
         files: What it is read from; none for one that is simulated. A change in them makes it another recording.
     """
 

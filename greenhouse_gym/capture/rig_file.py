@@ -96,12 +96,14 @@ def mounted(recording: Recording, mounting: Mounting) -> Recording:
     """The recording with its cameras where a rig file says; cameras that the file does not name are left out.
 
     Raises:
-        InvalidValueError: The recording lacks a camera of the file.
+        InvalidValueError: The recording lacks a camera of the file, or the file that whose poses the recording tells.
     """
     rig = mounted_rig(recording.rig, mounting)
     moved = None
     if recording.of_camera:
-        (camera,) = recording.rig.cameras
+        camera = recording.rig.reference
+        if camera not in rig.cameras:
+            raise InvalidValueError(f"the rig file leaves out the camera {camera}, whose poses the recording tells")
         moved = recording.rig.cameras[camera].rig_from_camera @ invert(rig.cameras[camera].rig_from_camera)
     return replace(recording, rig=rig, load=_Kept(recording, tuple(rig.cameras), moved), of_camera=False)
 

@@ -39,9 +39,13 @@ def import_(
     from greenhouse_gym.capture.formats.videos import chosen
     from greenhouse_gym.capture.images import encode_png
     from greenhouse_gym.capture.inspection import inspect_recording
+    from greenhouse_gym.capture.recordings import INDEX
+    from greenhouse_gym.errors import FileFormatError
     from greenhouse_gym.paths import write_atomically
     from greenhouse_gym.reporting.overview import overview
 
+    if (out / INDEX).exists():
+        raise FileFormatError(out / INDEX, "already holds a recording; choose another folder or remove it")
     opened = _on_rig(open_recording(source, format), rig)
     notes = list(opened.notes)
     if step > 0 and len(opened) > 2:

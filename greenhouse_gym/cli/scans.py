@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -48,13 +49,17 @@ def shapes(
     from greenhouse_gym.scans import extract_from_scan
     from greenhouse_gym.scene import Shapes
     from greenhouse_gym.settings_files import resolve
-    from greenhouse_gym.shapes import ShapeSettings
+    from greenhouse_gym.shapes import ShapeSettings, ShapeWarning
 
     resolved = resolve(ShapeSettings(), settings, assignments or ())
-    scan, found = extract_from_scan(_opened(cloud, units, up, seen_from), resolved)
-    notes = [*scan.notes, *found.warnings]
-    for note in notes:
+    opened = _opened(cloud, units, up, seen_from)
+    say(f"looking for shapes among {len(opened.cloud)} points")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ShapeWarning)  # they are told below
+        scan, found = extract_from_scan(opened, resolved)
+    for note in (*scan.notes[len(opened.notes) :], *found.warnings):
         say(note)
+    notes = [*scan.notes, *found.warnings]
     parts = Shapes(tomatoes=found.tomatoes, stems=found.stems, clutter=found.clutter)
     write_atomically(out / "shapes.json", parts.model_dump_json(indent=1) + "\n")
     report = {"unit": scan.unit, "row_from_file": scan.row_from_file.tolist(), "notes": notes}
@@ -73,9 +78,13 @@ def scanned(cloud: Path, units: str | None, up: str | None, seen_from: str | Non
 def _opened(cloud: Path, units: str | None, up: str | None, seen_from: str | None) -> Scan:
     from greenhouse_gym.scans import open_scan
 
-    return open_scan(
-        cloud, _number(units), _numbers("--up", up) if up and "," in up else up, _numbers("--seen-from", seen_from)
-    )
+    told = (_number(units), _numbers("--up", up) if up and "," in up else up, _numbers("--seen-from", seen_from))
+    if cloud.is_file():
+        say(f"reading {cloud}, {cloud.stat().st_size / 1e6:.0f} MB")
+    scan = open_scan(cloud, *told)
+    for note in scan.notes:
+        say(note)
+    return scan
 
 
 def _number(text: str | None) -> str | float | None:

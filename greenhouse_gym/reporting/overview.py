@@ -20,7 +20,7 @@ def overview(recording: Recording) -> Any:
     columns = []
     for i in np.unique(np.linspace(0, len(recording) - 1, _STATIONS).round().astype(int)).tolist():
         try:
-            frame = recording[i].frames[recording.rig.reference]
+            frame = recording.frame(i, recording.rig.reference)
         except FileFormatError:
             continue
         share = 1.0 - np.clip(frame.depth / _FARTHEST, 0.0, 0.9)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +25,9 @@ MOST_POINTS = 20_000_000
 
 _FEWEST = 50  # points that can hold a shape
 _KIND = "cloud of points"
+_BY_PIECES = (".xyz", ".txt", ".las", ".laz")
+_AT_ONCE = 4 * 2**30  # bytes of a file of another kind, which is read whole
+_PIECE = 10**6  # points
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,25 +62,40 @@ def read_cloud(path: str | Path) -> RawCloud:
         raise FileFormatError(path, f"not a file of a cloud by its suffix; known are {', '.join(CLOUD_SUFFIXES)}")
     if not path.is_file():
         raise FileFormatError(path, "cannot be read (no such file)")
-    if path.stat().st_size > MOST_BYTES[_KIND]:
-        raise FileFormatError(path, f"too large for a {_KIND}: {path.stat().st_size} bytes")
+    by_pieces = path.suffix.lower() in _BY_PIECES
+    most = MOST_BYTES[_KIND] if by_pieces else _AT_ONCE
+    if path.stat().st_size > most:
+        advice = "" if by_pieces else "; LAS, LAZ and text are read piece by piece, or leave out points"
+        raise FileFormatError(
+            path, f"too large for a {_KIND}: {path.stat().st_size} bytes, {most} bytes at most{advice}"
+        )
     with parsing(path, _KIND):
-        return _cleaned(path, *read(path))
+        return _cleaned(path, read(path))
 
 
-_Parts = tuple[npt.NDArray[Any], npt.NDArray[Any] | None, npt.NDArray[Any] | None]
+class _Parts(NamedTuple):
+    """What a reader found, and of how many points it left some out already."""
+
+    points: npt.NDArray[Any]
+    colors: npt.NDArray[Any] | None
+    normals: npt.NDArray[Any] | None
+    of: int = 0
 
 
-def _cleaned(
-    path: Path, points: npt.NDArray[Any], colors: npt.NDArray[Any] | None, normals: npt.NDArray[Any] | None
-) -> RawCloud:
+def _every(total: int) -> int:
+    """Of how many points one is used."""
+    return total // (MOST_POINTS + 1) + 1
+
+
+def _cleaned(path: Path, parts: _Parts) -> RawCloud:
     notes = []
-    rows = [None if part is None else part.reshape(-1, 3) for part in (points, colors, normals)]
-    points = rows[0] if rows[0] is not None else points
-    total = len(points)
-    if every := total // (MOST_POINTS + 1):
-        rows = [None if part is None else part[:: every + 1] for part in rows]
-        notes.append(f"of {total} points one in {every + 1} is used")
+    rows = [None if part is None else part.reshape(-1, 3) for part in parts[:3]]
+    total = max(parts.of, len(rows[0] if rows[0] is not None else ()))
+    every = _every(total)
+    if every > 1:
+        notes.append(f"of {total} points one in {every} is used")
+    if not parts.of:
+        rows = [None if part is None else part[::every] for part in rows]
     for name, part in zip(("colors", "normals"), rows[1:], strict=True):
         if part is not None and rows[0] is not None and len(part) != len(rows[0]):
             raise FileFormatError(path, f"{len(part)} {name} for {len(rows[0])} points")
@@ -111,7 +130,7 @@ def _with_open3d(path: Path) -> _Parts:
     if "positions" not in cloud.point:
         raise FileFormatError(path, "damaged, or holds no points")
     colors, normals = (cloud.point[name].numpy() if name in cloud.point else None for name in ("colors", "normals"))
-    return cloud.point["positions"].numpy(), colors, normals
+    return _Parts(cloud.point["positions"].numpy(), colors, normals)
 
 
 def _from_array(path: Path) -> _Parts:
@@ -123,33 +142,50 @@ def _from_arrays(path: Path) -> _Parts:
     arrays = read_arrays(read_bytes(path, _KIND), MOST_BYTES[_KIND])
     if "points" not in arrays:
         raise FileFormatError(path, f"expected the arrays points, colors and normals; it has {', '.join(arrays)}")
-    return arrays["points"], arrays.get("colors"), arrays.get("normals")
+    return _Parts(arrays["points"], arrays.get("colors"), arrays.get("normals"))
 
 
 def _from_text(path: Path) -> _Parts:
-    text = read_bytes(path, _KIND).decode().replace(",", " ").splitlines()
-    return _columns(path, np.loadtxt([line for line in text if line[:1] not in "#/"], ndmin=2))
+    total = sum(1 for _ in _rows(path))
+    kept = islice(_rows(path), None, None, _every(total))
+    return _columns(path, np.loadtxt((row.replace(",", " ") for row in kept), ndmin=2), total)
 
 
-def _columns(path: Path, table: npt.NDArray[Any]) -> _Parts:
+def _rows(path: Path) -> Iterator[str]:
+    with path.open(encoding="utf-8") as file:
+        yield from (line for line in file if line[:1] not in "#/\n")
+
+
+def _columns(path: Path, table: npt.NDArray[Any], of: int = 0) -> _Parts:
     if table.ndim < 2 or table.shape[-1] not in (3, 6, 9):
         raise FileFormatError(
             path, f"an array of shape {table.shape}; expected 3, 6 or 9 columns: x y z, r g b, normal"
         )
     flat = table.reshape(-1, table.shape[-1])
-    return flat[:, :3], flat[:, 3:6] if flat.shape[1] > 3 else None, flat[:, 6:] if flat.shape[1] > 6 else None
+    colors, normals = flat[:, 3:6] if flat.shape[1] > 3 else None, flat[:, 6:] if flat.shape[1] > 6 else None
+    return _Parts(flat[:, :3], colors, normals, of)
 
 
 def _from_laser(path: Path) -> _Parts:
     with needs("scans"):
         import laspy
-    content = laspy.read(path)
-    colors = None
-    if "red" in content.point_format.dimension_names:
-        channels = np.column_stack([content.red, content.green, content.blue])
-        # 16 bits by the standard, 8 in many files
-        colors = channels if channels.max(initial=0) > 255 else channels.astype(np.uint8)
-    return np.asarray(content.xyz), colors if colors is not None and colors.any() else None, None
+    points, channels = [], []
+    with laspy.open(path) as file:
+        total, at = file.header.point_count, 0
+        every = _every(total)
+        colored = "red" in file.header.point_format.dimension_names
+        for piece in file.chunk_iterator(_PIECE):
+            kept = piece[np.arange(-at % every, len(piece), every)]
+            at += len(piece)
+            points.append(np.column_stack([kept.x, kept.y, kept.z]))
+            if colored:
+                channels.append(np.column_stack([kept.red, kept.green, kept.blue]))
+    if at < total:
+        raise FileFormatError(path, f"cut short: {at} of {total} points are there")
+    colors = np.concatenate(channels) if channels else np.zeros((0, 3), np.uint16)
+    if colors.max(initial=0) <= 255:  # 16 bits by the standard, 8 in many files
+        colors = colors.astype(np.uint8)
+    return _Parts(np.concatenate(points or [np.zeros((0, 3))]), colors if colors.any() else None, None, total)
 
 
 def _from_e57(path: Path) -> _Parts:
@@ -166,7 +202,7 @@ def _from_e57(path: Path) -> _Parts:
         else None
         for names in (("cartesianX", "cartesianY", "cartesianZ"), ("colorRed", "colorGreen", "colorBlue"))
     )
-    return np.zeros((0, 3)) if points is None else points, colors, None
+    return _Parts(np.zeros((0, 3)) if points is None else points, colors, None)
 
 
 CLOUD_SUFFIXES: Mapping[str, Callable[[Path], _Parts]] = MappingProxyType(

@@ -12,8 +12,12 @@ import numpy as np
 import pytest
 from bag_writer import FRAME, MCAP, ROS1, SQLITE, START, K, Writer, png
 from row_helpers import half_recording
+from scipy.spatial.transform import Rotation
 
 from greenhouse_gym.capture import Recording, RgbdFrame, open_recording
+from greenhouse_gym.capture.formats import moments
+from greenhouse_gym.capture.formats.single_camera import RIG_FROM_CAMERA
+from greenhouse_gym.capture.rig_file import Mounting, mounted
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import pose
 
@@ -96,6 +100,35 @@ def test_poses_of_odometry_become_those_of_the_stations(tmp_path: Path) -> None:
         np.testing.assert_allclose(station.world_from_station, pose(translation=[0.0, 0.1 * i, 0.0]), atol=1e-9)
 
 
+def test_poses_of_moving_transforms_are_those_of_the_camera(tmp_path: Path) -> None:
+    """A rail moves base in odom, a mast stands on base, and the camera hangs on the mast: map, odom, base, mast."""
+    turned = pose(Rotation.from_euler("z", 30.0, degrees=True).as_matrix(), [0.0, 0.2, 1.1])
+    hangs = pose(RIG_FROM_CAMERA[:3, :3], [0.1, 0.0, 0.0])
+    places = [pose(translation=[0.0, 0.1 * i, 0.0]) for i in range(3)]
+    with Writer(tmp_path / "walk", MCAP) as bag:
+        bag.camera("/camera", frames())
+        bag.transform("/tf_static", "base", "mast", turned, START)
+        bag.transform("/tf_static", "mast", "camera", hangs, START)
+        bag.transform("/tf", "map", "odom", pose(translation=[5.0, 0.0, 0.0]), START)
+        for place, stamp in zip(places, stamps(), strict=True):
+            bag.transform("/tf", "odom", "base", place, stamp + 1000)
+    recording = open_recording(tmp_path / "walk")
+    mast = Mounting({"camera": hangs}, "camera")
+    for place, alone, on_mast in zip(places, recording, mounted(recording, mast), strict=True):
+        world_from_mast = pose(translation=[5.0, 0.0, 0.0]) @ place @ turned
+        np.testing.assert_allclose(alone.world_from_station, world_from_mast @ hangs @ RIG_FROM_CAMERA.T, atol=1e-9)
+        np.testing.assert_allclose(on_mast.world_from_station, world_from_mast, atol=1e-9)
+
+
+def test_transforms_in_a_ring_or_of_other_frames_tell_nothing(tmp_path: Path) -> None:
+    with Writer(tmp_path / "walk", SQLITE) as bag:
+        bag.camera("/camera", frames())
+        bag.transform("/tf", "map", "gripper", np.eye(4), START)
+        bag.transform("/tf_static", "camera", "mast", np.eye(4), START)
+        bag.transform("/tf_static", "mast", "camera", np.eye(4), START)
+    assert all(station.world_from_station is None for station in open_recording(tmp_path / "walk"))
+
+
 def test_several_cameras_are_matched_by_their_stamps_and_drops_are_told(tmp_path: Path) -> None:
     with Writer(tmp_path / "walk.bag", ROS1) as bag:
         bag.camera("/left", frames())
@@ -117,6 +150,32 @@ def test_clocks_that_run_apart_are_told(tmp_path: Path) -> None:
         open_recording(tmp_path / "walk.bag")
 
 
+def test_clocks_that_drift_are_told_by_when_the_bag_got_the_images(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each image of a video has a partner near in time, if only the wrong one."""
+    with Writer(tmp_path / "walk.bag", ROS1) as bag:
+        for camera, slower in (("left", 0), ("right", 60_000_000)):
+            for i, frame in enumerate(frames()):
+                got = START + i * FRAME
+                stamp = got + i * slower
+                for stream in ("color", "depth"):
+                    bag.info(f"/{camera}/{stream}/camera_info", got)
+                bag.image(f"/{camera}/color/image_raw", frame.color, "rgb8", stamp, got)
+                bag.image(f"/{camera}/depth/image_raw", frame.depth, "32FC1", stamp, got)
+    monkeypatch.setattr(moments, "_ENDS", 1)
+    assert "0.00 s in the beginning and 0.12 s in the end" in open_recording(tmp_path / "walk.bag").notes[0]
+
+
+def test_a_camera_that_stops_before_the_others_is_told(tmp_path: Path) -> None:
+    with Writer(tmp_path / "walk.bag", ROS1) as bag:
+        bag.camera("/left", frames())
+        bag.camera("/right", frames()[:1])
+    recording = open_recording(tmp_path / "walk.bag")
+    assert len(recording) == 1
+    assert "/left/color/image_raw has 3 images, /right/color/image_raw only 1" in recording.notes[0]
+
+
 def test_what_is_missing_or_twice_there_is_told(tmp_path: Path) -> None:
     frame = frames()[0]
     with Writer(tmp_path / "blind.bag", ROS1) as bag:
@@ -128,7 +187,7 @@ def test_what_is_missing_or_twice_there_is_told(tmp_path: Path) -> None:
         for topic in ("image_raw", "image_rect"):
             bag.image(f"/camera/color/{topic}", frame.color, "rgb8", START)
         bag.image("/camera/depth/image_raw", frame.depth, "32FC1", START)
-    with pytest.raises(FileFormatError, match=r"several topics of color: .*image_raw, .*image_rect"):
+    with pytest.raises(FileFormatError, match=r"several topics of color: .*image_raw, .*image_rect; leave"):
         open_recording(tmp_path / "twice.bag")
     with Writer(tmp_path / "gray.bag", ROS1) as bag:
         bag.image("/infra/image", frame.color, "rgb8", START)
@@ -148,7 +207,8 @@ def test_unknown_encodings_and_damaged_bags_are_told(tmp_path: Path) -> None:
     (tmp_path / "cut.bag").write_bytes(whole[: len(whole) // 2])
     for name, content in (("empty.bag", b""), ("text.db3", b"no database"), ("cut.bag", whole[: len(whole) // 2])):
         (tmp_path / name).write_bytes(content)
-        with pytest.raises(FileFormatError, match=name):
+        repair = "sqlite3 text.db3 .recover" if name == "text.db3" else f"rosbag reindex {name}"
+        with pytest.raises(FileFormatError, match=f"{name}: not a valid bag .*; if .* cut short, repair it: {repair}"):
             open_recording(tmp_path / name)
 
 
@@ -159,13 +219,7 @@ def test_depth_of_another_lens_is_aligned_by_the_static_transforms(tmp_path: Pat
     with Writer(tmp_path / "walk", SQLITE) as bag:
         bag.info("/camera/color/camera_info", START, "color")
         bag.info("/camera/depth/camera_info", START, "depth")
-        moved = bag.make("geometry_msgs/msg/Vector3", x=0.015, y=0.0, z=0.0)
-        turn = bag.make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
-        stamped = bag.make(
-            "geometry_msgs/msg/TransformStamped", header=bag.header(START, "color"), child_frame_id="depth",
-            transform=bag.make("geometry_msgs/msg/Transform", translation=moved, rotation=turn),
-        )  # fmt: skip
-        bag.put("/tf_static", "tf2_msgs/msg/TFMessage", START, transforms=[stamped])
+        bag.transform("/tf_static", "color", "depth", pose(translation=[0.015, 0.0, 0.0]), START)
         bag.image("/camera/color/image_raw", frames()[0].color, "rgb8", START)
         bag.image("/camera/depth/image_raw", wall, "32FC1", START)
     depth = open_recording(tmp_path / "walk")[0].frames["camera"].depth

@@ -290,13 +290,27 @@ def test_organized_clouds_and_rows_that_are_not_finite(tmp_path: Path) -> None:
     assert "1 of 600 points" in cloud.notes[0]
 
 
-def test_of_too_many_points_some_are_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("suffix", WRITERS)
+def test_of_too_many_points_some_are_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str) -> None:
     monkeypatch.setattr("greenhouse_gym.scans.files.MOST_POINTS", 100)
-    points = np.random.default_rng(0).random((250, 3))
-    np.save(tmp_path / "c.npy", points)
-    cloud = read_cloud(tmp_path / "c.npy")
-    np.testing.assert_array_equal(cloud.points, points[::3])
+    monkeypatch.setattr("greenhouse_gym.scans.files._PIECE", 70)
+    random = np.random.default_rng(0)
+    points, colors, normals = random.random((250, 3)), random.random((250, 3)), random.random((250, 3))
+    WRITERS[suffix](tmp_path / f"c{suffix}", points, colors, normals)
+    cloud = read_cloud(tmp_path / f"c{suffix}")
+    np.testing.assert_allclose(cloud.points, points[::3], atol=1e-4)
+    assert cloud.colors is not None
+    np.testing.assert_allclose(cloud.colors, colors[::3], atol=1 / 254)
     assert "of 250 points one in 3 is used" in cloud.notes[0]
+
+
+def test_a_file_too_large_to_be_read_at_once_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("greenhouse_gym.scans.files._AT_ONCE", 1000)
+    for suffix in (".npy", ".xyz"):
+        with_numpy(tmp_path / f"c{suffix}", *plant())
+    assert len(read_cloud(tmp_path / "c.xyz").points) == len(plant()[0])  # is read piece by piece
+    with pytest.raises(FileFormatError, match="1000 bytes at most; LAS, LAZ and text are read piece by piece"):
+        read_cloud(tmp_path / "c.npy")
 
 
 FEW, FOUR, NOTHING = np.random.default_rng(0).random((20, 3)), np.zeros((100, 4)), np.full((100, 3), np.nan)
@@ -338,6 +352,8 @@ def test_the_command_writes_shapes_and_what_it_assumed(tmp_path: Path) -> None:
     done = CliRunner().invoke(app, arguments)
     assert done.exit_code == 0, done.output
     assert "units: taken as mm" in done.output
+    assert "looking for shapes among" in done.output
+    assert "ShapeWarning" not in done.output
     found = Shapes.model_validate_json((tmp_path / "out" / "shapes.json").read_text())
     assert len(found.tomatoes) == 4
     assert json.loads((tmp_path / "out" / "report.json").read_text())["unit"] == 0.001

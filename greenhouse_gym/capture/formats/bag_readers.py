@@ -12,7 +12,15 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
+from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.extras import needs
+
+_REPAIRS = {
+    ".bag": "rosbag reindex {0}",
+    ".mcap": "mcap recover {0} --output repaired.mcap",
+    ".db3": "sqlite3 {0} .recover | sqlite3 repaired.db3",
+}
+"""What mends a bag that lacks its end, by suffix."""
 
 
 @dataclass(frozen=True)
@@ -59,17 +67,30 @@ def opened(bag: Path) -> Iterator[Any]:
     """A reader of a bag: of the file of a ROS 1 bag, the folder of a ROS 2 bag, or a lone database.
 
     Raises:
+        FileFormatError: It is damaged.
         MissingDependencyError: The extra ``bags`` is not installed.
     """
     with needs("bags"):
         from rosbags.highlevel import AnyReader
-    if bag.suffix.lower() == ".db3":
-        source = f"file:{bag.resolve()}?mode=ro"
-        with closing(sqlite3.connect(source, uri=True, check_same_thread=False)) as connection:
-            yield Database(connection)
-    else:
-        with AnyReader([bag]) as reader:
-            yield reader
+    with ExitStack() as opening:
+        try:
+            if bag.suffix.lower() == ".db3":
+                source = f"file:{bag.resolve()}?mode=ro"
+                reader: Any = Database(
+                    opening.enter_context(closing(sqlite3.connect(source, uri=True, check_same_thread=False)))
+                )
+            else:
+                reader = opening.enter_context(AnyReader([bag]))
+        except Exception as error:  # damage has any form
+            raise FileFormatError(bag, f"not a valid bag ({error}); {_repair(bag)}") from error
+        yield reader
+
+
+def _repair(bag: Path) -> str:
+    """What to do about a bag whose recording was cut short."""
+    files = [bag] if bag.is_file() else [file for file in bag.iterdir() if file.suffix in _REPAIRS]
+    named = [_REPAIRS[file.suffix.lower()].format(file.name) for file in files if file.suffix.lower() in _REPAIRS]
+    return f"if its recording was cut short, repair it: {named[0]}" if named else "is it a bag?"
 
 
 class OpenBag:

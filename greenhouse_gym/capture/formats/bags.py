@@ -7,7 +7,7 @@ one station however long the bag. A color and a depth image belong together by t
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,10 +15,12 @@ from typing import Any
 import numpy as np
 
 from greenhouse_gym.capture.formats.bag_readers import OpenBag, opened
-from greenhouse_gym.capture.formats.messages import POSES, between, extrinsics_of, image_of, lens_of, pose_of, poses_of
+from greenhouse_gym.capture.formats.messages import POSES, extrinsics_of, image_of, lens_of, pose_of
+from greenhouse_gym.capture.formats.moments import Message, stations_of
 from greenhouse_gym.capture.formats.pairs import Pair
 from greenhouse_gym.capture.formats.single_camera import RIG_FROM_CAMERA
 from greenhouse_gym.capture.formats.topics import CameraTopics, cameras_of
+from greenhouse_gym.capture.formats.transforms import bare, between, moving_frames, poses_of, track
 from greenhouse_gym.capture.formats.videos import POSED_WITHIN, nearest_in_time
 from greenhouse_gym.capture.frames import RgbdFrame, Station
 from greenhouse_gym.capture.recordings import Recording
@@ -31,17 +33,7 @@ name = "bag"
 description = "a ROS 1 .bag (RealSense's too), a ROS 2 .mcap or .db3 with its metadata.yaml, or their folder"
 
 _SUFFIXES = (".bag", ".mcap", ".db3")
-_STATIC = "/tf_static"
-_TOGETHER = 0.025  # s within which images are of one moment
-
-
-@dataclass(frozen=True)
-class Message:
-    """Where a message is found: its topic, the time the bag has it at, and the time it was made, nanoseconds."""
-
-    topic: str
-    at: int
-    stamp: int
+_STATIC, _MOVING = "/tf_static", "/tf"
 
 
 def recognises(path: Path) -> bool:
@@ -64,11 +56,15 @@ def open(path: Path) -> Recording:
         cameras = cameras_of(path, types)
         moments, singles = _index(reader, cameras, types)
         pairs = {name: _pair(path, topics, singles) for name, topics in cameras.items()}
+        reference = sorted(pairs)[len(pairs) // 2]
         posed = _poses(reader, types)
-    stations, notes = _stations(path, cameras, moments)
+        of_camera = not len(posed[0])
+        if of_camera:
+            posed = _track(reader, singles[cameras[reference].color_info].header.frame_id, singles)
+    stations, notes = stations_of(path, cameras, moments)
     rig = Rig(
         {name: Camera(pair.color.intrinsics, RIG_FROM_CAMERA, pair.depth_scale) for name, pair in pairs.items()},
-        sorted(pairs)[len(pairs) // 2],
+        reference,
     )
     poses = [_nearest_pose(station, posed) for station in stations]
     for camera, topics in cameras.items():
@@ -77,7 +73,7 @@ def open(path: Path) -> Recording:
     load = _Stations(OpenBag(bag), pairs, tuple(stations), tuple(poses))
     files = (bag,) if bag.is_file() else tuple(sorted(file for file in bag.iterdir() if file.is_file()))
     folder = bag.parent if bag.is_file() else bag
-    return Recording(path.stem, rig, len(stations), load, folder, files=files, notes=tuple(notes))
+    return Recording(path.stem, rig, len(stations), load, folder, files=files, notes=tuple(notes), of_camera=of_camera)
 
 
 def _bag(path: Path) -> Path:
@@ -129,49 +125,7 @@ def _color_from_depth(topics: CameraTopics, singles: Mapping[str, Any]) -> Array
     if topics.color_place in singles and topics.depth_place in singles:  # of one frame of the device in each camera
         return extrinsics_of(singles[topics.color_place]) @ invert(extrinsics_of(singles[topics.depth_place]))
     frames = [singles[topic].header.frame_id for topic in (topics.color_info, topics.depth_info)]
-    return between(poses_of(singles.get(_STATIC, [])), frames[0], frames[1])
-
-
-def _stations(
-    path: Path, cameras: Mapping[str, CameraTopics], found: Mapping[str, Sequence[Message]]
-) -> tuple[list[dict[str, tuple[Message, Message]]], list[str]]:
-    """For each moment the color and the depth message of every camera; and what was left out."""
-    for topics in cameras.values():
-        for topic in (topics.color, topics.depth):
-            if not found[topic]:
-                raise FileFormatError(path, f"has no images on {topic}")
-    first = min(cameras.values(), key=lambda topics: len(found[topics.color])).color
-    times = _seconds(found[first])
-    partners = {
-        topic: nearest_in_time(times, _seconds(found[topic]), _TOGETHER)
-        for topics in cameras.values()
-        for topic in (topics.color, topics.depth)
-    }
-    whole = np.flatnonzero(np.all([partner >= 0 for partner in partners.values()], axis=0))
-    if not len(whole):
-        spans = ", ".join(f"{topic} {_span(messages)}" for topic, messages in found.items())
-        raise FileFormatError(path, f"no moment has images of all cameras; do their clocks run apart? {spans}")
-    notes = []
-    if len(whole) < len(times):
-        lost = {t: int((partner < 0).sum()) for t, partner in partners.items() if (partner < 0).any()}
-        told = ", ".join(f"{count} on {topic}" for topic, count in lost.items())
-        notes.append(f"{len(times) - len(whole)} of {len(times)} moments lack an image ({told}) and were left out")
-    stations = [
-        {
-            camera: (found[topics.color][partners[topics.color][k]], found[topics.depth][partners[topics.depth][k]])
-            for camera, topics in cameras.items()
-        }
-        for k in whole
-    ]
-    return stations, notes
-
-
-def _seconds(messages: Iterable[Message]) -> Array:
-    return np.array([message.stamp for message in messages], dtype=np.float64) / 1e9
-
-
-def _span(messages: Sequence[Message]) -> str:
-    return f"{messages[0].stamp / 1e9:.3f} to {messages[-1].stamp / 1e9:.3f} s" if messages else "never"
+    return between(poses_of(singles.get(_STATIC, [])), bare(frames[0]), bare(frames[1]))
 
 
 def _poses(reader: Any, types: Mapping[str, str]) -> tuple[Array, Array]:
@@ -186,6 +140,15 @@ def _poses(reader: Any, types: Mapping[str, str]) -> tuple[Array, Array]:
     ]
     told.sort(key=lambda each: each[0])
     return np.array([time for time, _ in told]), np.array([place for _, place in told])
+
+
+def _track(reader: Any, frame: str, singles: Mapping[str, Any]) -> tuple[Array, Array]:
+    """Times (n,) and poses (n, 4, 4) of the rig frame around a camera's frame, by /tf; none where that tells none."""
+    wanted = [connection for connection in reader.connections if connection.topic == _MOVING]
+    found = reader.messages(connections=wanted) if wanted else ()
+    moving = moving_frames(reader.deserialize(raw, connection.msgtype) for connection, _, raw in found)
+    times, poses = track(bare(frame), poses_of(singles.get(_STATIC, [])), moving)
+    return times, poses @ RIG_FROM_CAMERA.T
 
 
 def _nearest_pose(station: Mapping[str, tuple[Message, Message]], posed: tuple[Array, Array]) -> Array | None:

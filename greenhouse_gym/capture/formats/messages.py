@@ -12,7 +12,7 @@ from greenhouse_gym.capture.formats.pairs import Lens
 from greenhouse_gym.capture.rig import Intrinsics
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.extras import needs
-from greenhouse_gym.geometry import Array, invert, pose
+from greenhouse_gym.geometry import Array, pose
 
 with needs("reconstruct"):
     import cv2
@@ -95,38 +95,16 @@ def lens_of(path: object, topic: str, message: Any) -> Lens:
 
 def extrinsics_of(message: Any) -> Array:
     """A Transform message as (4, 4)."""
-    return _pose(message.translation, message.rotation)
+    return pose_from(message.translation, message.rotation)
 
 
 def pose_of(message: Any) -> Array:
     """The pose (4, 4) of an Odometry or PoseStamped message."""
     told = message.pose.pose if hasattr(message.pose, "pose") else message.pose
-    return _pose(told.position, told.orientation)
+    return pose_from(told.position, told.orientation)
 
 
-def _pose(place: Any, turn: Any) -> Array:
+def pose_from(place: Any, turn: Any) -> Array:
+    """A point or vector and a quaternion as (4, 4)."""
     quaternion = [turn.x, turn.y, turn.z, turn.w]
     return pose(Rotation.from_quat(quaternion).as_matrix(), [place.x, place.y, place.z])
-
-
-def poses_of(messages: list[Any]) -> dict[str, tuple[str, Array]]:
-    """The parent of each frame in messages of /tf_static, and its pose (4, 4) in that."""
-    return {
-        each.child_frame_id: (each.header.frame_id, _pose(each.transform.translation, each.transform.rotation))
-        for message in messages
-        for each in message.transforms
-    }
-
-
-def between(frames: dict[str, tuple[str, Array]], target: str, source: str) -> Array | None:
-    """(4, 4) target_from_source by the tree of frames; None where it does not join the two."""
-    above: list[dict[str, Array]] = []
-    for frame in (target, source):
-        chain, here = {frame: np.eye(4)}, frame
-        while here in frames and frames[here][0] not in chain:
-            parent, parent_from_here = frames[here]
-            chain[parent] = parent_from_here @ chain[here]
-            here = parent
-        above.append(chain)
-    common = next((frame for frame in above[0] if frame in above[1]), None)
-    return None if common is None else invert(above[0][common]) @ above[1][common]

@@ -82,12 +82,12 @@ def choose_stations(recording: Recording, step: float = 0.10, on_frame: Callable
         step: Metres the camera should have gone from one station to the next.
         on_frame: Called with the number of each frame that was looked at on the way.
     """
-    path, lost, unreadable = _followed(recording, step, on_frame)
+    path, lost, unreadable, known = _followed(recording, step, on_frame)
     frames: list[int] = []
     for k in range(int(path[-1] / step + 0.5) + 1):
         near = np.flatnonzero(np.abs(path - k * step) <= _AROUND * step)
         some = near[np.linspace(0, len(near) - 1, min(_CANDIDATES, len(near))).round().astype(int)]
-        sharpness = {int(i): _sharpness(recording, int(i), unreadable) for i in some}
+        sharpness = {i: known[i] if i in known else _sharpness(recording, i, unreadable) for i in some.tolist()}
         best = max(sharpness, key=sharpness.__getitem__, default=-1)
         if not sharpness.get(best, 0.0):
             best = _nearest(recording, path, k * step, unreadable)
@@ -98,11 +98,12 @@ def choose_stations(recording: Recording, step: float = 0.10, on_frame: Callable
 
 def _followed(
     recording: Recording, step: float, on_frame: Callable[[int], None] | None
-) -> tuple[Array, list[int], set[int]]:
-    """Path (frames,) in metres, frames at which it was lost, and those that could not be read."""
+) -> tuple[Array, list[int], set[int], dict[int, float]]:
+    """Path (frames,) in metres, frames at which it was lost, those that could not be read; sharpness of what was."""
     known: list[tuple[int, float]] = []  # frames that were looked at, and how far they are
     lost: list[int] = []
     unreadable: set[int] = set()
+    sharpness: dict[int, float] = {}
     before: RgbdFrame | None = None
     at, stride, speed = 0, 1, 0.0  # speed in metres a frame
     while at < len(recording):
@@ -110,6 +111,8 @@ def _followed(
         if frame is None:
             at += 1
             continue
+        if at not in sharpness:
+            sharpness[at] = sharpness_of(frame)
         if on_frame:
             on_frame(at)
         if before is None:
@@ -129,9 +132,9 @@ def _followed(
         before = frame
         at = min(at + min(stride, _LONGEST), len(recording) - 1) if at < len(recording) - 1 else len(recording)
     if not known:
-        return np.zeros(len(recording)), lost, unreadable
+        return np.zeros(len(recording)), lost, unreadable, sharpness
     numbers, metres = np.array(known).T
-    return np.interp(np.arange(len(recording)), numbers, metres), lost, unreadable
+    return np.interp(np.arange(len(recording)), numbers, metres), lost, unreadable, sharpness
 
 
 def _frame(recording: Recording, i: int, unreadable: set[int]) -> RgbdFrame | None:

@@ -73,7 +73,11 @@ def _one(path: object, camera: str, what: str, topics: list[str]) -> str:
     topics = [topic for topic in topics if "aligned" in topic] or topics
     topics = [topic for topic in topics if "compressed" not in topic.lower()] or topics
     if len(topics) > 1:
-        raise FileFormatError(path, f"camera {camera!r} has several topics of {what}: {', '.join(sorted(topics))}")
+        raise FileFormatError(
+            path,
+            f"camera {camera!r} has several topics of {what}: {', '.join(sorted(topics))}; leave out all but one: "
+            "rosbags-convert --src BAG --dst FOLDER --exclude-topic TOPIC",
+        )
     return topics[0]
 
 
