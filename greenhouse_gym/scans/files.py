@@ -28,6 +28,13 @@ _KIND = "cloud of points"
 _BY_PIECES = (".xyz", ".txt", ".las", ".laz")
 _AT_ONCE = 4 * 2**30  # bytes of a file of another kind, which is read whole
 _PIECE = 10**6  # points
+_MOST_HEAD = 1000  # lines before the points
+_BYTES = {
+    name: size
+    for size, names in ((1, b"char uchar int8 uint8"), (2, b"short ushort int16 uint16"),
+                        (4, b"int uint float int32 uint32 float32"), (8, b"double float64"))
+    for name in names.split()
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,11 +133,46 @@ def _fractions(path: Path, colors: npt.NDArray[Any]) -> Array:
 
 
 def _with_open3d(path: Path) -> _Parts:
+    _require_all_points(path)
     cloud = open3d().t.io.read_point_cloud(str(path), remove_nan_points=False, remove_infinite_points=False)
     if "positions" not in cloud.point:
         raise FileFormatError(path, "damaged, or holds no points")
     colors, normals = (cloud.point[name].numpy() if name in cloud.point else None for name in ("colors", "normals"))
     return _Parts(cloud.point["positions"].numpy(), colors, normals)
+
+
+def _require_all_points(path: Path) -> None:
+    """Refuse a file that holds fewer points than it says; Open3D makes up those that are missing.
+
+    It finds out by itself in PCD files that are not text.
+    """
+    with path.open("rb") as file:
+        head: list[bytes] = []
+        for line in islice(file, _MOST_HEAD):
+            head.append(line.strip())
+            if head[-1] == b"end_header" or head[-1].startswith(b"DATA"):
+                break
+        words = [line.split() for line in head]
+        at = file.tell()
+        if [b"DATA", b"ascii"] in words or [b"format", b"ascii", b"1.0"] in words:
+            there = sum(1 for line in file if line.strip())
+        elif words[0] == [b"ply"]:
+            there = (path.stat().st_size - at) // max(1, _bytes_of_vertex(words))
+        else:
+            return
+    counts = [int(line[-1]) for line in words if line[:1] == [b"POINTS"] or line[:2] == [b"element", b"vertex"]]
+    if counts and there < counts[0]:
+        raise FileFormatError(path, f"cut short: {there} of {counts[0]} points are there")
+
+
+def _bytes_of_vertex(head: list[list[bytes]]) -> int:
+    """Bytes of the first element of a binary PLY file, which are the points; the least where a type is unknown."""
+    total = elements = 0
+    for words in head:
+        elements += words[:1] == [b"element"]
+        if elements == 1 and words[:1] == [b"property"]:
+            total += _BYTES.get(words[1], 1)
+    return total
 
 
 def _from_array(path: Path) -> _Parts:

@@ -304,6 +304,20 @@ def test_of_too_many_points_some_are_used(tmp_path: Path, monkeypatch: pytest.Mo
     assert "of 250 points one in 3 is used" in cloud.notes[0]
 
 
+@pytest.mark.parametrize("text", [False, True])
+@pytest.mark.parametrize("suffix", [".ply", ".pcd", ".las", ".npy"])
+def test_a_file_cut_short_is_refused(tmp_path: Path, suffix: str, text: bool) -> None:
+    file = tmp_path / f"c{suffix}"
+    WRITERS[suffix](file, *plant())
+    if text and suffix in (".ply", ".pcd"):
+        open3d().io.write_point_cloud(str(file), open3d().io.read_point_cloud(str(file)), write_ascii=True)
+    assert len(read_cloud(file).points) == len(plant()[0])
+    whole = file.read_bytes()
+    file.write_bytes(whole[: len(whole) * 2 // 3])
+    with pytest.raises(FileFormatError, match=f"c{suffix}"):
+        read_cloud(file)
+
+
 def test_a_file_too_large_to_be_read_at_once_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("greenhouse_gym.scans.files._AT_ONCE", 1000)
     for suffix in (".npy", ".xyz"):
