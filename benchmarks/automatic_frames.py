@@ -1,10 +1,10 @@
 """What is found out without being told, beside the foreground's cut (foreground_cuts.py): direction, units, up.
 
-Of every protocol's rig a walk of four stations is reconstructed both ways along the row, with nothing known but where
+Of every protocol's rig a walk of three stations is reconstructed both ways along the row, with nothing known but where
 the cameras stand on the rig: direction and length are right if the last station is within 10 mm of where it was. The
 cloud of that walk then is a cloud from elsewhere, in millimetres, centimetres or metres, turned, upside down or
-mirrored; units, the axis that is upright, the end of it that is up after shapes were looked for, and the side it was
-seen from, are right or not. Real clouds, in the folder that GREENHOUSE_GYM_REAL_DATA names, are read as they are. Three
+mirrored; units, the axis that is upright, the end of it that is up, and the side it was seen from, are right or not.
+Which end is up is told by the fruit, so shapes are looked for in the two forms whose file says nothing of it. Real clouds, in the folder that GREENHOUSE_GYM_REAL_DATA names, are read as they are. Three
 minutes.
 
     python benchmarks/automatic_frames.py
@@ -32,7 +32,7 @@ from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, reco
 from greenhouse_gym.scans import RawCloud, extract_from_scan, open_scan
 from greenhouse_gym.shapes import ShapeWarning
 
-SEED, LENGTH, STATIONS = 2, 1.0, 4
+SEED, LENGTH, STATIONS = 2, 0.6, 3
 NEAR = 0.010  # m
 UPRIGHT = np.cos(np.deg2rad(10.0))
 FORMS: dict[str, tuple[float, Array]] = {  # units to a metre, file_from_row
@@ -100,7 +100,7 @@ def as_file(row: RowCloud, form: str) -> dict[str, Any]:
     per_metre, file_from_row = FORMS[form]
     raw = RawCloud(per_metre * row.points @ file_from_row.T, row.colors, row.normals @ file_from_row.T)
     opened = open_scan(raw)
-    scan, _ = extract_from_scan(opened)
+    scan = extract_from_scan(opened)[0] if form in ("m, upside down", "m, any way") else opened
     turn = scan.row_from_file[:3, :3] @ file_from_row
     return {
         "form": form,
