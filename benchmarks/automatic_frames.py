@@ -3,9 +3,9 @@
 Of every protocol's rig a walk of three stations is reconstructed both ways along the row, with nothing known but where
 the cameras stand on the rig: direction and length are right if the last station is within 10 mm of where it was. The
 cloud of that walk then is a cloud from elsewhere, in millimetres, centimetres or metres, turned, upside down or
-mirrored; units, the axis that is upright, the end of it that is up, and the side it was seen from, are right or not.
-Which end is up is told by the fruit, so shapes are looked for in the two forms whose file says nothing of it. Real clouds, in the folder that GREENHOUSE_GYM_REAL_DATA names, are read as they are. Three
-minutes.
+mirrored: are units, the axis that is upright, the end of it that is up, and the side it was seen from, right? Which end
+is up is told by the fruit, so shapes are looked for in the two forms whose file says nothing of it. Real clouds, in the
+folder that GREENHOUSE_GYM_REAL_DATA names, are read as they are. Three minutes.
 
     python benchmarks/automatic_frames.py
 """
