@@ -94,7 +94,7 @@ def open_scan(
     notes += [said] if said else []
     viewer = None if seen_from is None else _checked(seen_from, "seen_from") * unit - origin
     cloud, said = _oriented(cloud, raw.normals is not None, viewer)
-    cloud = cloud.select(cloud.normals.any(axis=1))  # of a point that stands alone nothing can be told
+    cloud = cloud.select(np.flatnonzero(cloud.normals.any(axis=1)))  # of a point that stands alone nothing can be told
     notes.append(said)
     turn, said = row_from_file(cloud.points, cloud.normals, direction)
     notes.append(said)

@@ -68,8 +68,8 @@ def track(frame: str, still: Frames, moving: Mapping[str, Edge]) -> tuple[Array,
         return np.zeros(0), np.zeros((0, 4, 4))
     times = max((edge.times for edge in moves), key=len)
     poses = np.tile(np.eye(4), (len(times), 1, 1))
-    for edge in chain:
-        here = edge.poses[nearest_in_time(times, edge.times, np.inf)] if isinstance(edge, Edge) else edge
+    for each in chain:
+        here = each.poses[nearest_in_time(times, each.times, np.inf)] if isinstance(each, Edge) else each
         poses = here @ poses
     return times, poses
 
