@@ -41,11 +41,11 @@ def resolve(defaults: Settings, file: str | Path | None = None, assignments: Seq
     if file is not None:
         content = _read(Path(file))
         try:
-            defaults = _replaced(defaults, content)
+            defaults = replaced(defaults, content)
         except GreenhouseError as error:
             raise FileFormatError(file, str(error)) from error
     for text in assignments:
-        defaults = _replaced(defaults, _assigned(text))
+        defaults = replaced(defaults, assigned(text))
     return defaults
 
 
@@ -66,8 +66,12 @@ def _read(path: Path) -> Tree:
     return content
 
 
-def _assigned(text: str) -> Tree:
-    """The tree of one assignment."""
+def assigned(text: str) -> Tree:
+    """The tree of one assignment such as ``shapes.voxel=0.004``.
+
+    Raises:
+        InvalidValueError: It is none.
+    """
     name, equals, value = text.partition("=")
     if not equals or not name.strip():
         raise InvalidValueError(f"setting {text!r}: expected a field and its value, as shapes.voxel=0.004")
@@ -80,8 +84,17 @@ def _assigned(text: str) -> Tree:
     return parsed
 
 
-def _replaced(settings: Settings, content: Tree) -> Settings:
-    """Settings with the fields of a tree in place of their own."""
+def replaced(settings: Settings, content: Tree) -> Settings:
+    """Settings with the fields of a tree in place of their own.
+
+    Args:
+        settings: A dataclass of settings.
+        content: Values by the name of the field, those of inner settings as trees.
+
+    Raises:
+        UnknownNameError: There is no such field; the message lists the choices.
+        InvalidValueError: A value is none of the field's type.
+    """
     merged = _merged(settings, content, "")
     try:
         return TypeAdapter(type(settings)).validate_python(merged)

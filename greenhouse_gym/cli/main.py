@@ -9,7 +9,19 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from greenhouse_gym.cli import acting, arms, bank, comparing, demo, importing, policy, recording, scans, sensing
+from greenhouse_gym.cli import (
+    acting,
+    arms,
+    bank,
+    comparing,
+    demo,
+    importing,
+    policy,
+    recording,
+    scans,
+    sensing,
+    sweeping,
+)
 from greenhouse_gym.cli.doctor import doctor
 from greenhouse_gym.errors import GreenhouseError
 
@@ -32,6 +44,7 @@ app.command()(acting.plan)
 app.command()(arms.mount)
 app.command()(arms.rate)
 app.command()(acting.train)
+app.command()(sweeping.sweep)
 app.command()(comparing.compare)
 app.command()(comparing.submit)
 app.command()(comparing.leaderboard)

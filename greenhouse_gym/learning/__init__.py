@@ -4,6 +4,7 @@ from greenhouse_gym.learning.bc_then_ppo import BcThenPpoSettings, train_bc_then
 from greenhouse_gym.learning.policies import load_into, save_policy
 from greenhouse_gym.learning.ppo import PpoSettings, train_ppo
 from greenhouse_gym.learning.sac import SacSettings, train_sac
+from greenhouse_gym.learning.sweep import sweep_ppo
 
 __all__ = [
     "BcThenPpoSettings",
@@ -11,6 +12,7 @@ __all__ = [
     "SacSettings",
     "load_into",
     "save_policy",
+    "sweep_ppo",
     "train_bc_then_ppo",
     "train_ppo",
     "train_sac",

@@ -138,7 +138,7 @@ def train_ppo(
     rows: list[dict[str, float]] = []
     if resume:
         load_checkpoint(model, out)
-        rows = [row for row in _read_curve(out) if row["steps"] <= model.num_timesteps]
+        rows = [row for row in read_curve(out) if row["steps"] <= model.num_timesteps]
         env.seed(settings.seed + model.num_timesteps)
     elif prepare is not None:
         prepare(model)
@@ -304,7 +304,8 @@ def _write_curve(out: Path, rows: list[dict[str, float]]) -> None:
     write_atomically(out / "curve.csv", text.getvalue())
 
 
-def _read_curve(out: Path) -> list[dict[str, float]]:
+def read_curve(out: Path) -> list[dict[str, float]]:
+    """The lines of the learning curve in a training's folder; none where there is none yet."""
     path = out / "curve.csv"
     if not path.is_file():
         return []

@@ -1,0 +1,78 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("stable_baselines3")
+
+from parallel_helpers import Elsewhere
+from typer.testing import CliRunner
+
+from greenhouse_gym.cli.main import app
+from greenhouse_gym.errors import FileWriteError, InvalidValueError, UnknownNameError
+from greenhouse_gym.learning import PpoSettings, sweep, sweep_ppo
+from greenhouse_gym.learning.ppo import read_curve
+from greenhouse_gym.paths import exclusive
+from greenhouse_gym.scene import SceneBank
+
+
+@pytest.fixture
+def settings(bank: SceneBank) -> PpoSettings:
+    return PpoSettings(
+        bank=str(bank.path), total_steps=64, num_envs=4, rollout_steps=8, batch_size=16, epochs=1, hidden=(8,)
+    )
+
+
+def test_every_combination_is_trained_elsewhere_and_goes_on_where_it_stopped(
+    settings: PpoSettings, tmp_path: Path
+) -> None:
+    told: list[Any] = []
+    choices = {"seed": [0, 1], "learning_rate": [1e-3]}
+    rows = sweep_ppo(settings, choices, tmp_path, Elsewhere(), lambda *all_of: told.append(all_of[1:]))
+    assert told == [(1, 2), (2, 2)]
+    assert {row["folder"] for row in rows} == {"seed=0,learning_rate=0.001", "seed=1,learning_rate=0.001"}
+    assert json.loads((tmp_path / sweep.TABLE).read_text()) == rows
+    weights = [(tmp_path / row["folder"] / "policy.safetensors").read_bytes() for row in rows]
+    assert weights[0] != weights[1]
+    longer = PpoSettings(**{**vars(settings), "total_steps": 96})
+    again = sweep_ppo(longer, choices, tmp_path)
+    for row in again:
+        assert [line["steps"] for line in read_curve(tmp_path / row["folder"])] == [32, 64, 96]
+        assert json.loads((tmp_path / row["folder"] / "settings.json").read_text())["threads"] == 1
+
+
+def test_a_training_that_fails_leaves_the_others_alone(settings: PpoSettings, tmp_path: Path) -> None:
+    rows = sweep_ppo(settings, {"observation": ["depths", "state"]}, tmp_path)
+    assert [row["observation"] for row in rows if "error" not in row] == ["state"]
+    (failed,) = (row for row in rows if "error" in row)
+    assert "unknown observation 'depths'" in failed["error"]
+
+
+def test_what_cannot_be_tried_is_told_before_any_training(settings: PpoSettings, tmp_path: Path) -> None:
+    with pytest.raises(UnknownNameError, match=r"unknown setting 'sed'. Did you mean 'seed'"):
+        sweep_ppo(settings, {"sed": [0]}, tmp_path)
+    with pytest.raises(InvalidValueError, match="setting learning_rate"):
+        sweep_ppo(settings, {"learning_rate": ["fast"]}, tmp_path)
+    with pytest.raises(InvalidValueError, match="tried twice"):
+        sweep_ppo(settings, {"seed": [0, 0]}, tmp_path)
+    with pytest.raises(InvalidValueError, match="values to try"):
+        sweep_ppo(settings, {"seed": []}, tmp_path)
+    with exclusive(tmp_path), pytest.raises(FileWriteError, match="another process"):
+        sweep_ppo(settings, {"seed": [0]}, tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_command_tries_each_value_given(bank: SceneBank, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def trained(settings: PpoSettings, folder: Path, resume: bool) -> None:
+        folder.mkdir()
+        (folder / "curve.csv").write_text(f"steps,success_rate\n{settings.total_steps},0.{settings.seed}\n")
+
+    monkeypatch.setattr(sweep, "train_ppo", trained)
+    options = ["--try", "seed=1", "--try", "seed=2", "--try", "hidden=[8, 8]", "--steps", "7", "--backend", "serial"]
+    result = CliRunner().invoke(app, ["sweep", "--out", str(tmp_path), "--bank", str(bank.path), *options])
+    assert result.exit_code == 0, result.output
+    rows = json.loads((tmp_path / sweep.TABLE).read_text())
+    assert [(row["seed"], row["steps"], row["success_rate"]) for row in rows] == [(2, 7.0, 0.2), (1, 7.0, 0.1)]
