@@ -31,7 +31,7 @@ def rate(
     robot: Annotated[str, typer.Option(help="Name or file of the arm.")],
     out: Annotated[Path, typer.Option(help="Folder of the new bank.")],
     seed: Annotated[int, typer.Option(help="Seed of the goal searches and planners.")] = 0,
-    per_scene: Annotated[int | None, typer.Option(min=1, help="Rate the nearest ones of each scene only.")] = None,
+    per_scene: Annotated[int | None, typer.Option(min=1, help="Rate only so many of each scene, the nearest.")] = None,
 ) -> None:
     """Rate the targets of a bank for another arm and write a bank beside it; an interrupted run goes on."""
     from greenhouse_gym.planning.rate import rate_bank

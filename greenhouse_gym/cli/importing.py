@@ -71,7 +71,10 @@ def import_(
 def calibrate(
     source: Annotated[Path, typer.Argument(help="A recording of a board, or, without one, of plants.")],
     out: Annotated[Path, typer.Option("--out", help="Rig file to write.")],
-    rig: RigFile = None,
+    rig: Annotated[
+        Path | None,
+        typer.Option("--rig", help="A rig file: where the reference camera stands; without a board, roughly all."),
+    ] = None,
     format: Format = None,
     board: Annotated[bool, typer.Option("--board/--no-board", help="Whether a ChArUco board was shown.")] = True,
     squares: Annotated[str, typer.Option(help="Columns and rows of squares on the board, such as 8x6.")] = "8x6",
@@ -79,14 +82,21 @@ def calibrate(
     marker: Annotated[float, typer.Option(help="Side of a marker, metres.")] = 0.022,
     dictionary: Annotated[str, typer.Option(help="OpenCV's dictionary of the markers.")] = "DICT_5X5_100",
 ) -> None:
-    """Find out where the cameras of a rig stand to each other, and their depth errors, and write a rig file."""
+    """Find out where the cameras of a rig stand to each other, and their depth errors, and write a rig file.
+
+    Of the rig file that is given the place of the reference camera is kept.
+    """
     from greenhouse_gym.capture import open_recording
     from greenhouse_gym.capture.boards import Board, calibrate_from_boards
     from greenhouse_gym.capture.rig_file import save_mounting
     from greenhouse_gym.errors import InvalidValueError
     from greenhouse_gym.reconstruction.overlap import calibrate_from_overlap
 
-    opened = _on_rig(open_recording(source, format), rig)
+    opened, new = _on_nominal_rig(open_recording(source, format), rig)
+    if new and not board:
+        raise InvalidValueError(
+            f"{rig} does not say where {', '.join(new)} stand: without a board, all are needed, to a few degrees and cm"
+        )
     if board:
         across, _, down = squares.partition("x")
         if not across.isdecimal() or not down.isdecimal():
@@ -100,6 +110,9 @@ def calibrate(
         say(f"surfaces that two cameras see are {1e3 * gap:.2f} mm apart in the median")
     for name in mounting.rig_from_camera:
         depth = mounting.depth_error.get(name, 0.0)
+        if name in new:
+            say(f"{name}: not in the rig file before; depth {100 * depth:+.2f} %")
+            continue
         text = f"{name}: turned by {turned[name] * 57.29578:.2f} degrees and shifted by {1e3 * shifted[name]:.1f} mm"
         say(f"{text} against the rig as it was; depth {100 * depth:+.2f} %")
         if turned[name] > 0.035 or shifted[name] > 0.02:
@@ -108,15 +121,33 @@ def calibrate(
     say(f"written to {out}")
 
 
+def _on_nominal_rig(opened: Recording, rig: Path | None) -> tuple[Recording, tuple[str, ...]]:
+    """The recording with its cameras where a rig file says; and those it does not name, put where its reference is."""
+    from greenhouse_gym.capture.rig_file import load_mounting, mounted
+    from greenhouse_gym.errors import InvalidValueError
+
+    if rig is None:
+        if len(opened.rig.cameras) > 1 and len(_places(opened)) == 1:
+            names = ", ".join(opened.rig.cameras)
+            raise InvalidValueError(f"give --rig, a file that says where one of the cameras {names} stands")
+        return opened, ()
+    told = load_mounting(rig)
+    new = tuple(name for name in opened.rig.cameras if name not in told.rig_from_camera)
+    places = dict(told.rig_from_camera) | dict.fromkeys(new, told.rig_from_camera[told.reference])
+    return mounted(opened, replace(told, rig_from_camera=places)), new
+
+
+def _places(opened: Recording) -> set[bytes]:
+    return {camera.rig_from_camera.tobytes() for camera in opened.rig.cameras.values()}
+
+
 def _on_rig(opened: Recording, rig: Path | None) -> Recording:
     from greenhouse_gym.capture.rig_file import load_mounting, mounted
     from greenhouse_gym.errors import InvalidValueError
 
     if rig is not None:
         return mounted(opened, load_mounting(rig))
-    cameras = list(opened.rig.cameras.values())
-    places = {camera.rig_from_camera.tobytes() for camera in cameras}
-    if len(places) < len(cameras):
+    if len(_places(opened)) < len(opened.rig.cameras):
         names = ", ".join(opened.rig.cameras)
         raise InvalidValueError(
             f"where the cameras {names} stand is not known: give --rig, a file that calibrate wrote"

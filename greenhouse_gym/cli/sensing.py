@@ -55,14 +55,14 @@ def simulate(
 
 
 def reconstruct(
-    recording: Annotated[Path, typer.Argument(help="Folder of the recording.")],
+    recording: Annotated[Path, typer.Argument(help="A recording of any known format: a folder, or a bag.")],
     out: Out,
     method: Annotated[str, typer.Option(help="How to mesh: ball_pivoting, poisson or alpha_shape.")] = "ball_pivoting",
     points: Annotated[int, typer.Option(min=4, help="Points that the cloud is simplified to before meshing.")] = 10_000,
     faces: Annotated[int, typer.Option(min=1, help="Largest number of faces of the mesh.")] = 18_000,
     format: Format = None,
     poses: Annotated[
-        str | None, typer.Option(help="What to do for the stations' poses: estimate, given or refine.")
+        str | None, typer.Option(help="Poses of the stations: estimate them, believe those given, or refine these.")
     ] = None,
     settings: SettingsFile = None,
     assignments: Assignments = None,
@@ -208,7 +208,7 @@ def build_shipped(
         bool, typer.Option("--finished-only", help="Only join the parts that are finished.")
     ] = False,
 ) -> None:
-    """Build the banks that ship with the package, from simulated recordings: ``default``, and ``mini`` for tests.
+    """Build the banks that ship with the package, from simulated recordings: default, and mini for tests.
 
     An interrupted build goes on where it stopped.
     """

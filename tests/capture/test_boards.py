@@ -2,15 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
-from greenhouse_gym.capture import Camera, Intrinsics, RgbdFrame, Rig, Station, three_camera_rig
+from greenhouse_gym.capture import (
+    Camera,
+    Intrinsics,
+    Recording,
+    RgbdFrame,
+    Rig,
+    Station,
+    three_camera_rig,
+    write_recording,
+)
 from greenhouse_gym.capture.boards import Board, calibrate_from_boards, find_board
 from greenhouse_gym.capture.rig_file import Mounting, load_mounting, mounted, save_mounting
+from greenhouse_gym.cli import app
 from greenhouse_gym.errors import FileFormatError, InvalidValueError
 from greenhouse_gym.geometry import Array, invert, pose, rotation_about, rotation_angle
 
@@ -49,9 +62,9 @@ def knocked(rig: Rig, degrees: float) -> Rig:
 
 
 @cache
-def shown() -> tuple[Station, ...]:
+def shown(seed: int = 0) -> tuple[Station, ...]:
     """The board at eight places about half a metre before the rig, tilted to and fro."""
-    rig, random, stations = true_rig(), np.random.default_rng(0), []
+    rig, random, stations = true_rig(), np.random.default_rng(seed), []
     for k in range(8):
         tilt = rotation_about(random.normal(size=3), 0.35)
         toward = np.column_stack([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]) @ tilt
@@ -59,7 +72,7 @@ def shown() -> tuple[Station, ...]:
         corner = middle - toward @ [BOARD.columns * BOARD.square / 2, BOARD.rows * BOARD.square / 2, 0]
         board = pose(toward, corner)
         frames = {
-            name: seen(invert(camera.rig_from_camera) @ board, 10 * k + j, BIAS[name])
+            name: seen(invert(camera.rig_from_camera) @ board, 100 * seed + 10 * k + j, BIAS[name])
             for j, (name, camera) in enumerate(rig.cameras.items())
         }
         stations.append(Station(frames))
@@ -76,6 +89,28 @@ def test_a_rig_is_found_from_noisy_boards_and_a_knocked_camera_is_noticed() -> N
         assert found.mounting.depth_error.get(name, 0.0) == pytest.approx(BIAS[name], abs=0.002)
     assert np.degrees(found.turned["last"]) == pytest.approx(3.0, abs=0.2)
     assert np.degrees(found.turned["first"]) < 0.2
+
+
+def test_the_command_needs_the_place_of_one_camera_only(tmp_path: Path) -> None:
+    rig = true_rig()
+    nowhere = {name: replace(camera, rig_from_camera=np.eye(4)) for name, camera in rig.cameras.items()}
+    board = ["--squares", "7x5", "--square", "0.035", "--marker", "0.026"]
+    walk = Recording("board", Rig(nowhere, "middle"), 4, lambda i: shown()[i])
+    source, nominal, out = (
+        str(write_recording(walk, tmp_path / "board")),
+        tmp_path / "nominal.yaml",
+        tmp_path / "rig.yaml",
+    )
+    without = CliRunner().invoke(app, ["calibrate", source, "--out", str(out), *board])
+    assert "a file that says where one of the cameras first, middle, last stands" in str(without.exception)
+    save_mounting(Mounting({"middle": rig.cameras["middle"].rig_from_camera}, "middle"), nominal)
+    known = ["calibrate", source, "--out", str(out), "--rig", str(nominal)]
+    done = CliRunner().invoke(app, [*known, *board])
+    assert "first: not in the rig file before" in done.output
+    assert "knocked" not in done.output
+    for name, place in load_mounting(out).rig_from_camera.items():
+        np.testing.assert_allclose(place, rig.cameras[name].rig_from_camera, atol=0.005)
+    assert "does not say where first, last stand" in str(CliRunner().invoke(app, [*known, "--no-board"]).exception)
 
 
 def test_boards_that_few_cameras_see_are_told() -> None:
