@@ -71,7 +71,7 @@ def test_noisier_readings_widen_what_is_accepted() -> None:
 def test_a_camera_knocked_by_three_degrees_is_found_without_a_board() -> None:
     there = HALF.cameras["last"].rig_from_camera
     turn = rotation_about([0.3, 1.0, 0.2], np.deg2rad(3.0))
-    knocked = replace(HALF.cameras["last"], rig_from_camera=pose(turn @ there[:3, :3], there[:3, 3] + [0, 0.005, 0]))
+    knocked = replace(HALF.cameras["last"], rig_from_camera=pose(turn @ there[:3, :3], there[:3, 3] + [0, 0.01, 0]))
     rig = Rig({**HALF.cameras, "last": knocked}, HALF.reference)
     found = calibrate_from_overlap(replace(half_recording(), rig=rig))
     assert np.degrees(found.turned["last"]) == pytest.approx(3.0, abs=0.3)
