@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+import os
 import random
 import subprocess
 import sys
@@ -17,6 +18,7 @@ import tempfile
 import time
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from results_file import RESULTS, write_results
 
@@ -33,7 +35,7 @@ def main() -> None:
     """Measure and write the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kills", type=int, default=20)
-    parser.add_argument("--rows", type=int, default=2)
+    parser.add_argument("--rows", type=int, default=1)
     parser.add_argument("--length", type=float, default=0.2, help="of each row, metres")
     parser.add_argument("--seed", type=int, default=0, help="of the moments")
     parser.add_argument("--build", nargs=3, metavar=("RECORDINGS", "BANK", "BACKEND"), help="only build, as a child")
@@ -51,7 +53,7 @@ def main() -> None:
         begin(folder, "whole", "serial").wait()
         whole = time.perf_counter() - began
         expected = hashes(folder / "whole")
-        kills = []
+        kills: list[dict[str, Any]] = []
         for k in range(a.kills):
             after = moments.uniform(0.0, whole)
             child = begin(folder, f"bank-{k}", BACKENDS[k % 2])
@@ -68,12 +70,17 @@ def main() -> None:
                  "resumed": status == 0, "same files": same}
             )  # fmt: skip
             print(kills[-1], flush=True)
+            write(a, whole, kills)
+
+
+def write(a: argparse.Namespace, whole: float, kills: list[dict[str, Any]]) -> None:
+    """Write what there is so far."""
     result = {
         "uninterrupted s": round(whole, 1),
-        "scenes": sum(name.endswith("-00.json") for name in expected),
-        "killed": sum(bool(kill["killed"]) for kill in kills),
-        "all files equal": all(bool(kill["same files"]) for kill in kills),
+        "killed": sum(kill["killed"] for kill in kills),
+        "all files equal": all(kill["same files"] for kill in kills),
         "kills": kills,
+        "load at the end": round(os.getloadavg()[0], 1),
     }
     command = f"benchmarks/killed_builds.py --kills {a.kills} --rows {a.rows} --length {a.length:g} --seed {a.seed}"
     write_results(RESULTS / "killed_builds.json", {"command": command, **result}, ["mujoco", "ompl"])
@@ -83,7 +90,7 @@ def build(recordings: Path, out: Path, backend: str) -> None:
     """Build a small bank of all recordings in a folder."""
     rows = [open_recording(path) for path in sorted(recordings.iterdir())]
     with executor_for(backend, 2) as executor:
-        build_bank(rows, out, "killed", settings=BuildSettings(spacing=0.2, targets=3), executor=executor)
+        build_bank(rows, out, "killed", settings=BuildSettings(spacing=0.2, targets=2), executor=executor)
 
 
 def begin(folder: Path, bank: str, backend: str) -> subprocess.Popen[bytes]:

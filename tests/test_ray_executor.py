@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import socket
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,8 +17,8 @@ from test_parallel import alive, asleep, killed, spoiled, squared, unknown, wait
 from greenhouse_gym.agents import RandomAgent
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError
 from greenhouse_gym.evaluation import evaluate
-from greenhouse_gym.parallel import RayActor, RayExecutor, WorkerLostError, completed, workers_of
-from greenhouse_gym.scene import SceneBank
+from greenhouse_gym.parallel import RayActor, RayExecutor, WorkerLostError, completed, ray_executor, workers_of
+from greenhouse_gym.scene import Scene, SceneBank
 
 pytestmark = pytest.mark.xdist_group("ray")
 
@@ -58,7 +60,7 @@ def test_work_is_done_elsewhere_in_the_callers_folder(cluster: RayExecutor) -> N
 
 
 def test_errors_are_told_as_themselves(cluster: RayExecutor) -> None:
-    with pytest.raises(FileFormatError, match=r"^scene\.json: is damaged$") as caught:
+    with pytest.raises(FileFormatError, match=r"^scene\.json: is damaged \(on node") as caught:
         list(completed(spoiled, range(10), cluster))
     assert caught.value.path == "scene.json"
     assert caught.value.__cause__ is None
@@ -89,7 +91,7 @@ def test_agents_play_the_same_episodes_on_ray(cluster: RayExecutor, bank: SceneB
 
 def test_addresses_at_which_nothing_listens_are_told() -> None:
     pytest.importorskip("ray")
-    with pytest.raises(InvalidValueError, match=r"nothing listens at 127\.0\.0\.1:1"):
+    with pytest.raises(InvalidValueError, match=r"nothing that Ray understands listens at 127\.0\.0\.1:1 "):
         RayExecutor("127.0.0.1:1")
     with pytest.raises(InvalidValueError, match="HOST:PORT"):
         RayExecutor("somewhere")
@@ -106,7 +108,7 @@ def test_an_actor_keeps_what_it_is_told(cluster: RayExecutor) -> None:
 
 def test_what_fails_in_an_actor_is_told_as_itself(cluster: RayExecutor) -> None:
     actor = RayActor(cluster, Counter, -1)
-    with pytest.raises(FileFormatError, match=r"^scene\.json: is damaged$"):
+    with pytest.raises(FileFormatError, match=r"^scene\.json: is damaged \(on node"):
         actor.ask("add", 1)()
     actor.end()
     actor = RayActor(cluster, Counter, 0)
@@ -153,3 +155,60 @@ def test_more_actors_than_cores_are_told(cluster: RayExecutor, bank: SceneBank) 
         make_sb3_ray_vec_env(5, bank=bank, actors=3)
     with pytest.raises(InvalidValueError, match="num_envs must be a whole number from 2 up, got 1"):
         make_sb3_ray_vec_env(1, bank=bank, actors=2)
+
+
+def test_an_address_at_which_something_else_listens_is_told() -> None:
+    """Ray itself tries for minutes; Redis, say, has the port that its head used to have."""
+    pytest.importorskip("ray")
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = f"127.0.0.1:{server.getsockname()[1]}"
+
+        def refuse() -> None:
+            connection, _ = server.accept()
+            with connection:
+                connection.recv(1000)
+                connection.sendall(b"-ERR unknown command\r\n")
+
+        with ThreadPoolExecutor(1) as threads:
+            threads.submit(refuse)
+            with pytest.raises(InvalidValueError, match=f"what listens at {address} is no head of a Ray cluster"):
+                RayExecutor(address)
+
+
+def test_the_head_of_a_cluster_is_known_by_its_greeting(cluster: RayExecutor) -> None:
+    address = cluster.ray.get_runtime_context().gcs_address
+    with pytest.raises(InvalidValueError, match="this process is in a Ray cluster already"):
+        RayExecutor(address)
+
+
+def test_work_that_no_node_can_do_is_told_at_once(cluster: RayExecutor) -> None:
+    with pytest.raises(InvalidValueError, match="have up to 2 cores, got cpus=64"):
+        RayExecutor(cpus=64)
+    with pytest.raises(InvalidValueError, match=r"have up to [\d.]+ GB, got memory=1000000000000000"):
+        RayExecutor(memory=10**15)
+    assert list(completed(squared, [3], cluster)) == [(3, 9)], "which leaves the cluster alone"
+
+
+def test_a_node_with_another_version_is_told(cluster: RayExecutor, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ray_executor, "__version__", "9.9")
+    with pytest.raises(InvalidValueError, match=r"has greenhouse-gym \d\S+, the head 9\.9: install the same on all"):
+        list(completed(squared, [1], cluster))
+    with pytest.raises(InvalidValueError, match=r"the head 9\.9: install the same on all"):
+        RayActor(cluster, Counter, 1).ask("add", 1)()
+
+
+def test_a_path_that_a_node_does_not_see_is_told(cluster: RayExecutor, tmp_path: Path) -> None:
+    (tmp_path / "scene.json").write_text("{}")
+    with pytest.raises(FileFormatError, match=r"gone\.json: .*on node .*, which sees no such path"):
+        list(completed(Scene.load, [tmp_path / "gone.json"], cluster))
+    with pytest.raises(FileFormatError) as damaged:
+        list(completed(Scene.load, [tmp_path / "scene.json"], cluster))
+    assert "on node" not in str(damaged.value)
+
+
+def test_a_cluster_that_was_left_is_told(cluster: RayExecutor) -> None:
+    other = RayExecutor()
+    other.shutdown()
+    with pytest.raises(InvalidValueError, match="an executor that is at work"):
+        list(completed(squared, range(3), other))
+    assert list(completed(squared, [3], cluster)) == [(3, 9)]

@@ -61,3 +61,13 @@ def test_parts_are_joined_in_order_and_a_part_of_them_too(tmp_path: Path, monkey
     assert {entry.style for entry in mini.manifest.scenes} == set(STYLES)
     assert {entry.source for entry in mini.manifest.scenes} == {"own", "helios"}
     assert all(mini.names(split) for split in SPLITS)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_a_shipped_recording_is_built_again_byte_for_byte(tmp_path: Path) -> None:
+    shot = next(shipped.shots())
+    made = SceneBank.open(shipped.build_part(shot, tmp_path))
+    bank = SceneBank.open("default")
+    shipped_ones = [entry for entry in bank.manifest.scenes if entry.name.startswith(f"{shot.name}-")]
+    assert made.manifest.scenes == tuple(shipped_ones), "each entry tells the checksum of its scene"

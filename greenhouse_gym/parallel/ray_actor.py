@@ -6,7 +6,7 @@ import pickle
 from collections.abc import Callable
 from typing import Any
 
-from greenhouse_gym.parallel.ray_executor import RayExecutor, at_home, reason_of
+from greenhouse_gym.parallel.ray_executor import RayExecutor, at_home, reason_of, told
 from greenhouse_gym.parallel.spreading import WorkerLostError
 
 
@@ -70,4 +70,4 @@ class _Keeper:
                 raise self._failed
             return True, pickle.dumps(getattr(self._kept, method)(*pickle.loads(arguments)), protocol=4)
         except Exception as error:
-            return False, pickle.dumps(error)
+            return False, pickle.dumps(told(error))

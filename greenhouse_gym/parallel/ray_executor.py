@@ -17,13 +17,15 @@ from types import TracebackType
 from typing import Any, TypeVar
 
 from greenhouse_gym import __version__
-from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.errors import GreenhouseError, InvalidValueError
 from greenhouse_gym.extras import needs
 from greenhouse_gym.parallel.spreading import WorkerLostError
 
 Result = TypeVar("Result")
 
 _PATIENCE = 5.0  # seconds until an address at which nothing answers is given up
+_SETTINGS = b"\x04"  # the kind of frame that opens a connection of HTTP/2, which Ray's head speaks
+_GREETING = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes(3) + _SETTINGS + bytes(5)
 
 
 class RayExecutor(Executor):
@@ -43,7 +45,8 @@ class RayExecutor(Executor):
 
     Raises:
         MissingDependencyError: Ray is not installed.
-        InvalidValueError: Nothing answers at the address, or the cluster runs another version of Python or Ray.
+        InvalidValueError: No cluster answers at the address, it runs another version of Python or Ray, or none of its
+            nodes has the cores or the memory that a piece of work takes.
     """
 
     def __init__(
@@ -63,11 +66,16 @@ class RayExecutor(Executor):
             _join(self.ray, address, workers)
         elif address not in ("local", "auto"):
             raise InvalidValueError(f"this process is in a Ray cluster already: leave it before joining {address}")
+        self._futures: set[Future[Any]] = set()
+        self._open = True
+        try:
+            _check_fits([node for node in self.ray.nodes() if node["Alive"]], cpus, memory)
+        except InvalidValueError:
+            self.shutdown()
+            raise
         options = {"num_cpus": cpus, "max_retries": retries, "retry_exceptions": False}
         self._call = self.ray.remote(_call).options(**options, **({} if memory is None else {"memory": memory}))
         self._max_workers = max(1, int(self.ray.cluster_resources().get("CPU", 1) // cpus))
-        self._futures: set[Future[Any]] = set()
-        self._open = True
 
     def submit(self, fn: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:
         """Have a worker call a function of a module.
@@ -152,16 +160,32 @@ def _join(ray: Any, address: str, workers: int | None) -> None:
         raise InvalidValueError(f"no Ray cluster can be joined at {address!r}: {first}") from error
 
 
+def _check_fits(nodes: list[dict[str, Any]], cpus: float, memory: int | None) -> None:
+    """Raise `InvalidValueError` where Ray would wait for ever for a node that can do a piece of work."""
+    most = max((node["Resources"].get("CPU", 0.0) for node in nodes), default=0.0)
+    room = max((node["Resources"].get("memory", 0.0) for node in nodes), default=0.0)
+    if not 0 < cpus <= most:
+        raise InvalidValueError(f"the nodes of the cluster have up to {most:g} cores, got cpus={cpus!r}")
+    if memory is not None and not 0 < memory <= room:
+        raise InvalidValueError(f"the nodes of the cluster have up to {room / 1e9:.1f} GB, got memory={memory!r}")
+
+
 def _check_listens(address: str) -> None:
+    """Raise `InvalidValueError` within seconds where Ray would go on trying for minutes."""
     host, _, port = address.rpartition(":")
     if not host or not port.isdecimal():
         raise InvalidValueError(f'address must be "local", "auto" or HOST:PORT, got {address!r}')
     try:
-        socket.create_connection((host, int(port)), _PATIENCE).close()
-    except OSError as error:
+        with socket.create_connection((host, int(port)), _PATIENCE) as connection:
+            connection.settimeout(_PATIENCE)
+            connection.sendall(_GREETING)
+            answer = connection.recv(9)
+    except (OSError, OverflowError) as error:
         raise InvalidValueError(
-            f"nothing listens at {address} ({error}): expected the head of a Ray cluster"
+            f"nothing that Ray understands listens at {address} ({error}): expected the head of a Ray cluster"
         ) from error
+    if answer[3:4] != _SETTINGS and os.environ.get("RAY_USE_TLS", "0") in ("", "0"):
+        raise InvalidValueError(f"what listens at {address} is no head of a Ray cluster")
 
 
 def _call(message: bytes, folder: str, path: list[str], version: str) -> tuple[bool, bytes]:
@@ -178,7 +202,15 @@ def _call(message: bytes, folder: str, path: list[str], version: str) -> tuple[b
         function, arguments, keywords = pickle.loads(message)
         return True, pickle.dumps(function(*arguments, **keywords))
     except Exception as error:
-        return False, pickle.dumps(error)
+        return False, pickle.dumps(told(error))
+
+
+def told(error: Exception) -> Exception:
+    """An error that names a file which this node does not see, saying so as well."""
+    path = getattr(error, "path", None)
+    if isinstance(error, GreenhouseError) and isinstance(path, str | Path) and not Path(path).exists():
+        error.args = (f"{error} (on node {platform.node()}, which sees no such path; all nodes must see the same)",)
+    return error
 
 
 def at_home(folder: str, path: list[str], version: str) -> None:
