@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections import OrderedDict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -73,8 +74,8 @@ class EpisodeSampler:
         self.split = require_choice("split", split, SPLITS)
         self.robot = robot
         self._usual_start = self._start(start)
-        # kept with its scene, so that the scene's identity stays its own
-        self._kept: dict[tuple[int, tuple[str, ...]], tuple[Scene, list[Target]]] = {}
+        # kept with its scene, so that the scene's identity stays its own; those asked for last
+        self._kept: OrderedDict[tuple[int, tuple[str, ...]], tuple[Scene, list[Target]]] = OrderedDict()
         self.set_difficulty(difficulty)
         self._names = self.bank.names(split)
         if not self._names:
@@ -87,7 +88,7 @@ class EpisodeSampler:
     def __deepcopy__(self, memo: dict[int, Any]) -> EpisodeSampler:
         """A sampler whose difficulties are its own; the bank is shared."""
         twin = copy.copy(self)
-        twin._kept, twin._window = {}, copy.copy(self._window)
+        twin._kept, twin._window = OrderedDict(), copy.copy(self._window)
         return twin
 
     @property
@@ -160,11 +161,12 @@ class EpisodeSampler:
     def _fitting(self, scene: Scene, names: tuple[str, ...]) -> list[Target]:
         key = (id(scene), names)
         if key not in self._kept:
-            if len(self._kept) >= (self.at_a_time or _KEPT):
-                self._kept.clear()
             mine = [target for target in scene.targets if target.robot == self.robot.name]
             rated = mine or list({target.tomato: target for target in scene.targets}.values())
             self._kept[key] = (scene, [target for target in rated if target.difficulty in names])
+        self._kept.move_to_end(key)
+        while len(self._kept) > (self.at_a_time or _KEPT):
+            self._kept.popitem(last=False)
         return self._kept[key][1]
 
     def _rating(self, target: Target) -> str:

@@ -14,10 +14,10 @@ import numpy as np
 LARGEST_WHOLE = 300
 """A split with no more scenes than this is drawn from as a whole."""
 
-WINDOW = 96
+WINDOW = 48
 """How many scenes of a larger split are drawn from at a time."""
 
-FIRST = 64
+FIRST = 32
 """How many scenes a window begins with, so that the first episodes need not wait for all of them."""
 
 DRAWS_PER_SCENE = 256
