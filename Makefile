@@ -7,7 +7,7 @@ EXTRAS := all,dev
 # the last two need real recordings, in the folder that GREENHOUSE_GYM_REAL_DATA names
 BENCHMARKS := reconstruction shapes planners throughput sac_her paper_figures $(if $(GREENHOUSE_GYM_REAL_DATA),orbit shapes_real)
 
-.PHONY: demo test test-ompl-2 lint bench docs clean
+.PHONY: demo test test-ompl-2 test-rllib lint bench docs clean
 
 demo: $(VENV)/.installed
 	$(BIN)/greenhouse-gym demo --out demo
@@ -22,6 +22,13 @@ test-ompl-2:
 		pytest pytest-timeout pytest-xdist hypothesis matplotlib
 	.venv-ompl-2/bin/python -m pip install --quiet ompl==2.0.1
 	.venv-ompl-2/bin/python -m pytest tests/planning
+
+# RLlib pins another Gymnasium than the rest
+test-rllib:
+	$(PYTHON) -m venv .venv-rllib
+	.venv-rllib/bin/python -m pip install --quiet --editable . "ray[rllib]==2.60.*" torch \
+		pytest pytest-timeout pytest-xdist hypothesis
+	.venv-rllib/bin/python -m pytest tests/integrations/test_rllib.py
 
 lint: $(VENV)/.installed
 	$(BIN)/ruff check .
@@ -38,7 +45,7 @@ docs: $(VENV)/.docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 clean:
-	rm -rf $(VENV) .venv-ompl-2 demo runs site
+	rm -rf $(VENV) .venv-ompl-2 .venv-rllib demo runs site
 
 # torch comes first and pinned: whatever depends on it then finds it and does not pull CUDA packages
 $(VENV)/.installed: pyproject.toml constraints.txt

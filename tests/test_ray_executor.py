@@ -212,3 +212,16 @@ def test_a_cluster_that_was_left_is_told(cluster: RayExecutor) -> None:
     with pytest.raises(InvalidValueError, match="an executor that is at work"):
         list(completed(squared, range(3), other))
     assert list(completed(squared, [3], cluster)) == [(3, 9)]
+
+
+def test_an_interruption_ends_what_is_at_work_on_the_cluster(cluster: RayExecutor, tmp_path: Path) -> None:
+    def interrupted(executor: RayExecutor) -> None:
+        executor.submit(asleep, tmp_path)
+        wait_until(lambda: list(tmp_path.iterdir()))
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt), RayExecutor() as other:
+        interrupted(other)
+    (pid,) = (int(path.name) for path in tmp_path.iterdir())
+    wait_until(lambda: not alive(pid))
+    assert list(completed(squared, [3], cluster)) == [(3, 9)], "the cluster is not this executor's to end"

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from greenhouse_gym.envs import TomatoReachEnv, TomatoReachVectorEnv, window
+from greenhouse_gym.envs import TomatoReachEnv, TomatoReachVectorEnv, episodes, window
 from greenhouse_gym.envs.episodes import EpisodeSampler
 from greenhouse_gym.envs.window import SceneWindow
 from greenhouse_gym.envs.worlds import Worlds
@@ -132,3 +132,14 @@ def test_parts_and_unions_of_banks_travel(bank: SceneBank) -> None:
         there = pickle.loads(pickle.dumps(one))
         assert there.names() == one.names()
         assert there[0].model_dump_json() == one[0].model_dump_json()
+
+
+def test_of_the_scenes_drawn_from_those_asked_for_last_are_kept(
+    small: None, monkeypatch: pytest.MonkeyPatch, bank: SceneBank
+) -> None:
+    monkeypatch.setattr(episodes, "_KEPT", 2)
+    sampler = TomatoReachEnv(bank=bank).simulation.sampler
+    first, second, third = [bank.scene(name) for name in bank.names()[:3]]
+    for scene in (first, second, first, third):
+        sampler._fitting(scene, ("easy",))
+    assert [key[0] for key in sampler._kept] == [id(first), id(third)]
