@@ -21,8 +21,10 @@ from greenhouse_gym.agents.agent import check_agent
 from greenhouse_gym.agents.match import AgentError, Match, never_acted
 from greenhouse_gym.envs import TomatoReachVectorEnv
 from greenhouse_gym.errors import InvalidValueError, require_seed
+from greenhouse_gym.geometry import Array
 from greenhouse_gym.parallel import completed, require_portable, workers_of
 from greenhouse_gym.records import Evaluation, Record, comparison_table, wilson_interval
+from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene.collision import CLEARANCE_RANGE
 
 __all__ = [
@@ -30,9 +32,11 @@ __all__ = [
     "AgentError",
     "Evaluation",
     "Record",
+    "Trace",
     "compare",
     "comparison_table",
     "evaluate",
+    "retrace",
     "wilson_interval",
 ]
 
@@ -120,6 +124,43 @@ def compare(
     return tuple(one(agent) for agent in agents)
 
 
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """An episode with the way that the arm took.
+
+    Attributes:
+        record: What happened.
+        robot: The arm.
+        joints: (steps + 1, joints) its positions at the start and after each action, radians.
+    """
+
+    record: Record
+    robot: Robot
+    joints: Array
+
+
+def retrace(
+    agent: Agent, seeds: Sequence[int], split: str = "test", patience: float | None = None, **options: Any
+) -> tuple[Trace, ...]:
+    """Play some episodes of an evaluation again and keep the ways that the arm took.
+
+    They end as they did then, but for agents whose answers depend on the time they have.
+
+    Args:
+        agent: The agent.
+        seeds: Seeds of the episodes, as their records tell them.
+        split: See `evaluate`.
+        patience: See `evaluate`.
+        **options: See `evaluate`; ``num_envs`` and ``executor`` are not among them.
+    """
+    env = TomatoReachVectorEnv(1, split=split, **{**options, **agent.env_options})
+    try:
+        match = Match(agent, env, deque((require_seed(seed), {}) for seed in seeds), 0, patience, proven=True)
+        return tuple(Trace(played.record, env.simulation.robot, played.joints) for played in match.played())
+    finally:
+        env.close()
+
+
 @dataclass(frozen=True)
 class _Part:
     """Some of an evaluation's episodes; a part can travel.
@@ -149,7 +190,8 @@ class _Part:
         count = min(self.num_envs, max(1, len(self.chosen)))
         env = TomatoReachVectorEnv(count, split=self.split, **{**self.options, **self.agent.env_options})
         try:
-            yield from Match(self.agent, env, deque(self.chosen), self.seed, self.patience, self.proven).records()
+            match = Match(self.agent, env, deque(self.chosen), self.seed, self.patience, self.proven)
+            yield from ((played.place, played.record) for played in match.played())
         finally:
             env.close()
 

@@ -21,6 +21,7 @@ from greenhouse_gym.evaluation import (
     compare,
     comparison_table,
     evaluate,
+    retrace,
     wilson_interval,
 )
 from greenhouse_gym.parallel import processes
@@ -40,6 +41,18 @@ def test_all_agents_meet_the_same_episodes(evaluations: tuple[Evaluation, ...]) 
     assert all(e == episodes[0] for e in episodes)
     assert [seed for seed, *_ in episodes[0]] == list(range(3, 15))
     assert len({(scene, target) for _, scene, target, _ in episodes[0]}) > 6
+
+
+def test_some_episodes_played_again_take_the_same_ways(
+    bank: SceneBank, evaluations: tuple[Evaluation, ...]
+) -> None:
+    """Whatever was played before and in between."""
+    for agent, evaluation in zip((RandomAgent(), StraightLineAgent()), (evaluations[2], evaluations[1]), strict=True):
+        again = retrace(agent, [9, 4], bank=bank)
+        for trace, record in zip(again, (evaluation.records[6], evaluation.records[1]), strict=True):
+            assert replace(trace.record, **MEASURED) == replace(record, **MEASURED)
+            assert trace.joints.shape == (record.steps + 1, len(trace.robot.joints))
+            assert np.linalg.norm(np.diff(trace.joints, axis=0), axis=-1).sum() == pytest.approx(record.joint_length)
 
 
 def test_the_planner_reaches_and_the_others_are_told_apart(evaluations: tuple[Evaluation, ...]) -> None:

@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,6 +32,20 @@ class AgentError(GreenhouseError, RuntimeError):
 def never_acted(agent: Agent, seed: int, failure: str) -> AgentError:
     """The error of an agent that failed before its first action."""
     return AgentError(f"agent {agent.name!r} failed before its first action (seed {seed}): {failure}")
+
+
+class Played(NamedTuple):
+    """An episode that is over.
+
+    Attributes:
+        place: Which of the episodes it is.
+        record: What happened.
+        joints: (steps + 1, joints) true positions at the start and after each action, radians.
+    """
+
+    place: int
+    record: Record
+    joints: Array
 
 
 @dataclass
@@ -90,8 +104,8 @@ class Match:
         self._patience = Patience(patience)
         self._proven = proven
 
-    def records(self) -> Iterator[tuple[int, Record]]:
-        """Places and records of all episodes, in the order in which they end."""
+    def played(self) -> Iterator[Played]:
+        """All episodes, in the order in which they end."""
         env, ids = self._env, range(self._env.num_envs)
         if env.num_envs > 1:
             env.reset(seed=self._seed)  # simulations can only be reset singly when all have been
@@ -118,7 +132,7 @@ class Match:
                 run.total_reward += float(rewards[i])
                 run.joints.append(self._simulation.joints[i].copy())
                 if terminated[i] or truncated[i]:
-                    yield run.place, self._record(i, run)
+                    yield self._played(i, run)
                     runs[i] = None
 
     def _begin(self, i: int) -> _Run:
@@ -182,14 +196,14 @@ class Match:
         if not self._proven:
             raise never_acted(self._agent, run.problem.seed, run.failure) from error
 
-    def _ended(self, runs: list[_Run | None], i: int) -> Iterator[tuple[int, Record]]:
-        """The record of a run whose agent failed."""
+    def _ended(self, runs: list[_Run | None], i: int) -> Iterator[Played]:
+        """A run whose agent failed."""
         run = runs[i]
         if run is not None and run.failure:
             runs[i] = None
-            yield run.place, self._record(i, run)
+            yield self._played(i, run)
 
-    def _record(self, i: int, run: _Run) -> Record:
+    def _played(self, i: int, run: _Run) -> Played:
         simulation = self._simulation
         info = {key: values[i] for key, values in simulation.info().items()}
         steps = len(run.joints) - 1
@@ -197,7 +211,7 @@ class Match:
         model, _ = simulation.model_and_data(i)
         compiled, target = simulation.physical(i)
         tips = tool_state(tool_chain(model, compiled.tip_site), way).point
-        return Record(
+        record = Record(
             seed=run.problem.seed,
             scene=info["scene"],
             target=int(info["target"]),
@@ -217,6 +231,7 @@ class Match:
             status=str(getattr(run.agent, "status", "")),
             failure=run.failure,
         )
+        return Played(run.place, record, way)
 
 
 def _copy(agent: Agent) -> Agent:
