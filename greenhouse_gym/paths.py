@@ -7,6 +7,7 @@ temporary name, then renamed.
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import reprlib
@@ -196,6 +197,18 @@ def _lock(handle: int) -> None:
         import fcntl
 
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def require_writable(path: str | Path) -> None:
+    """Raise `FileWriteError` if a file could not be written there; long work begins with it."""
+    path = Path(path)
+    try:
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=path.parent).close()
+    except OSError as error:
+        raise FileWriteError(path, error) from error
 
 
 def write_atomically(path: str | Path, content: str | bytes) -> Path:

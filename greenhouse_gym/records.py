@@ -159,15 +159,24 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
 
 
 def comparison_table(evaluations: Sequence[Evaluation]) -> str:
-    """A Markdown table, a row per agent; ways, steps and clearances are medians over the successful episodes.
+    """A Markdown table of `comparison_rows`, with `comparison_notes` below it."""
+    heads, *rows = comparison_rows(evaluations)
+    rows = [heads, ["---"] + ["---:"] * (len(heads) - 1), *rows]
+    table = "".join("| " + " | ".join(row) + " |\n" for row in rows)
+    return table + "".join(f"\n{note}\n" for note in comparison_notes(evaluations))
 
-    Below it stands which agents could not be evaluated, and which gave no valid action in some episodes.
-    """
+
+def difficulties_of(evaluations: Sequence[Evaluation]) -> list[str]:
+    """The difficulties that were played, the easiest first."""
     present = {r.difficulty for e in evaluations for r in e.records}
-    difficulties = [d for d in DIFFICULTIES if d in present]
+    return [d for d in DIFFICULTIES if d in present]
+
+
+def comparison_rows(evaluations: Sequence[Evaluation]) -> list[list[str]]:
+    """The heads of a table and a row per agent; ways, steps and clearances are medians over the successful episodes."""
+    difficulties = difficulties_of(evaluations)
     heads = ["agent", "episodes", "success [95 %]", *difficulties, "collision", "planning s", "steps"]
-    heads += ["joints rad", "tip m", "clearance mm", "roughness rad"]
-    rows = [heads, ["---"] + ["---:"] * (len(heads) - 1)]
+    rows = [[*heads, "joints rad", "tip m", "clearance mm", "roughness rad"]]
     for e in evaluations:
         low, high = e.success_interval
         rows.append(
@@ -185,10 +194,14 @@ def comparison_table(evaluations: Sequence[Evaluation]) -> str:
                 f"{e.median('roughness', solved_only=True):.4f}",
             ]
         )
+    return rows
+
+
+def comparison_notes(evaluations: Sequence[Evaluation]) -> list[str]:
+    """Which agents could not be evaluated, and which gave no valid action in some episodes."""
     notes = [f"{e.agent}: {e.error}" for e in evaluations if e.error]
     for e in evaluations:
         if e.failures:
             first = next(r for r in e.records if r.failure)
             notes.append(f"{e.agent}: {e.failures} episodes ended without a valid action, first {first.failure}")
-    table = "".join("| " + " | ".join(row) + " |\n" for row in rows)
-    return table + "".join(f"\n{note}\n" for note in notes)
+    return notes

@@ -43,9 +43,7 @@ def test_all_agents_meet_the_same_episodes(evaluations: tuple[Evaluation, ...]) 
     assert len({(scene, target) for _, scene, target, _ in episodes[0]}) > 6
 
 
-def test_some_episodes_played_again_take_the_same_ways(
-    bank: SceneBank, evaluations: tuple[Evaluation, ...]
-) -> None:
+def test_some_episodes_played_again_take_the_same_ways(bank: SceneBank, evaluations: tuple[Evaluation, ...]) -> None:
     """Whatever was played before and in between."""
     for agent, evaluation in zip((RandomAgent(), StraightLineAgent()), (evaluations[2], evaluations[1]), strict=True):
         again = retrace(agent, [9, 4], bank=bank)

@@ -3,12 +3,12 @@ from __future__ import annotations
 import re
 from base64 import b64decode
 from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from html_pages import HOSTILE, Page
 
 from greenhouse_gym.cli.results import typical_pair
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, RowReport, StationReport
@@ -17,40 +17,7 @@ from greenhouse_gym.reporting.pictures import save
 from greenhouse_gym.reporting.report_page import report_page
 from greenhouse_gym.reporting.svg import Axis, Series, axis_around, plot
 
-HOSTILE = "<script>alert('x')</script>\"&$name{0}"
-VOID = {"meta", "img"}
 HEAD = np.array([0.0, 0.0, 1.1])
-
-
-class Page(HTMLParser):
-    """A page taken apart; tags that are not closed, or not in order, are an error."""
-
-    def __init__(self, html: str):
-        super().__init__()
-        self.open: list[str] = []
-        self.tags: list[tuple[str, dict[str, str | None]]] = []
-        self.texts: list[str] = []
-        self.feed(html)
-        self.close()
-        assert not self.open
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append((tag, dict(attrs)))
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append((tag, dict(attrs)))
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        if self.open[-1:] != ["style"] and data.strip():
-            self.texts.append(data.strip())
-
-    def all(self, tag: str) -> list[dict[str, str | None]]:
-        return [attributes for name, attributes in self.tags if name == tag]
 
 
 STATIONS = (

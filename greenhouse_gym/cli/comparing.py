@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import combinations
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -12,6 +13,12 @@ from greenhouse_gym.cli.acting import Bank
 from greenhouse_gym.cli.acting import parts as _parts
 from greenhouse_gym.cli.spread import Address, Backend, Workers, spread
 from greenhouse_gym.progress import say
+
+if TYPE_CHECKING:
+    from greenhouse_gym.agents import Agent
+    from greenhouse_gym.evaluation import Evaluation
+
+_REPORT = "HTML file for figures, plots and episodes in 3-D, all in one."
 
 
 def compare(
@@ -35,6 +42,7 @@ def compare(
     ] = "reconstruction",
     num_envs: Annotated[int, typer.Option(help="Episodes played side by side.")] = 1,
     patience: Annotated[float, typer.Option(help="Seconds an agent may take for one answer.")] = 120.0,
+    report: Annotated[Path | None, typer.Option(help=_REPORT)] = None,
     backend: Backend = None,
     workers: Workers = None,
     address: Address = "local",
@@ -44,34 +52,57 @@ def compare(
     By default these are a planner, the shipped policy and a random agent. Lines below each table tell whether the
     agents differ by more than chance, by McNemar's test on the same episodes. A run that is interrupted prints the
     table of the agents it has finished. The work is spread over processes only where that is asked for, because
-    processes side by side disturb each other's times.
+    processes side by side disturb each other's times. For the report, a few episodes are played again at the end.
     """
+    from dataclasses import replace
+
     from greenhouse_gym.agents.named import make_agent
     from greenhouse_gym.errors import require_choice
-    from greenhouse_gym.evaluation import Evaluation, comparison_table
     from greenhouse_gym.evaluation import compare as run
+    from greenhouse_gym.evaluation import comparison_table
     from greenhouse_gym.leaderboard import TRACKS
+    from greenhouse_gym.paths import require_writable, write_atomically
     from greenhouse_gym.records import pairing
+    from greenhouse_gym.reporting.comparison import comparison_report
 
-    asked = [*(names or ()), *_parts(agents)]
+    asked = [*(names or ()), *_parts(agents)] or ["RRTConnect", "ppo-ur5e", "random"]
     tracks = [require_choice("track", name, TRACKS) for name in _parts(track)]
-    chosen = [make_agent(name) for name in asked or ("RRTConnect", "ppo-ur5e", "random")]
-    shared: dict[str, Any] = {"bank": bank, "num_envs": num_envs, "patience": patience}
+    chosen = _by_name(asked, [make_agent(name) for name in asked])
+    shared: dict[str, Any] = {"patience": patience}
     shared |= {key: value for key, value in (("robot", robot), ("difficulty", _parts(difficulty))) if value}
-    for name in tracks:
-        evaluations: list[Evaluation] = []
-        try:
-            with spread(backend, workers, address) as executor:
-                for agent in chosen:
-                    options = {**shared, **TRACKS[name]}
-                    evaluations += run([agent], split, episodes, seed, executor=executor, **options)
-        finally:
-            if evaluations:
-                if len(tracks) > 1:
-                    typer.echo(f"\ntrack {name}\n")
-                typer.echo(comparison_table(evaluations), nl=False)
-                for first, second in combinations((e for e in evaluations if not e.error), 2):
-                    typer.echo(str(pairing(first, second)))
+    if report is not None:
+        require_writable(report)
+    played: dict[str, list[Evaluation]] = {}
+    again: dict[str, Agent] = {}
+    try:
+        for name in tracks:
+            evaluations = played[name] = []
+            try:
+                with spread(backend, workers, address) as executor:
+                    for called, agent in chosen.items():
+                        options = {**shared, "bank": bank, "num_envs": num_envs, **TRACKS[name]}
+                        (found,) = run([agent], split, episodes, seed, executor=executor, **options)
+                        evaluations.append(replace(found, agent=called))
+            finally:
+                if evaluations:
+                    if len(tracks) > 1:
+                        typer.echo(f"\ntrack {name}\n")
+                    typer.echo(comparison_table(evaluations), nl=False)
+                    for first, second in combinations((e for e in evaluations if not e.error), 2):
+                        typer.echo(str(pairing(first, second)))
+        again = chosen
+    finally:
+        tracks_played = {name: found for name, found in played.items() if any(e.records for e in found)}
+        if report is not None and tracks_played:
+            title = f"Comparison of {', '.join(chosen)}"
+            write_atomically(report, comparison_report(title, tracks_played, again, split, bank, **shared))
+            say(f"report in {report}")
+
+
+def _by_name(asked: Sequence[str], agents: Sequence[Agent]) -> dict[str, Agent]:
+    """Agents by their names, or where two have the same, as one asked for them."""
+    alike = len({agent.name for agent in agents}) < len(agents)
+    return dict(zip(asked if alike else (agent.name for agent in agents), agents, strict=True))
 
 
 def submit(
@@ -100,15 +131,22 @@ def submit(
 
 def leaderboard(
     folder: Annotated[Path, typer.Argument(help="Folder of the entries.")] = Path("benchmarks/leaderboard"),
+    report: Annotated[Path | None, typer.Option(help=_REPORT)] = None,
 ) -> None:
     """Print the table of all entries of a folder."""
     from greenhouse_gym.errors import FileFormatError
     from greenhouse_gym.leaderboard import leaderboard_table, read_entry
+    from greenhouse_gym.paths import write_atomically
 
     entries = [read_entry(path) for path in sorted(folder.glob("*.json"))]
     if not entries:
         raise FileFormatError(folder, "holds no entry; `greenhouse-gym submit` writes one")
     typer.echo(leaderboard_table(entries), nl=False)
+    if report is not None:
+        from greenhouse_gym.reporting.comparison import leaderboard_report
+
+        write_atomically(report, leaderboard_report(entries))
+        say(f"report in {report}")
 
 
 def demonstrations(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from base64 import b64encode
-from collections.abc import Iterable, Mapping, Sequence, Set
+from collections.abc import Iterable, Sequence
 from html import escape
 from math import isfinite
 from pathlib import Path
@@ -18,6 +18,7 @@ from greenhouse_gym.extras import needs
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, StationReport
 from greenhouse_gym.reconstruction.calibration import CalibrationReport
+from greenhouse_gym.reporting import pieces
 from greenhouse_gym.reporting.svg import Axis, Series, axis_around, plot
 
 with needs("reconstruct"):
@@ -32,27 +33,7 @@ _PAGE = Template("""\
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <title>$name</title>
 <style>
-body { max-width: 72rem; margin: 2rem auto; padding: 0 1.5rem; color: #222; background: #fff;
-  font: 16px/1.5 system-ui, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif }
-h1 { font-size: 1.7rem; line-height: 1.2; overflow-wrap: anywhere }
-h2 { font-size: 1.2rem; margin: 2.5rem 0 .75rem; padding-bottom: .25rem; border-bottom: 1px solid #ccc }
-.figures { display: flex; flex-wrap: wrap; gap: 1rem 2.5rem; margin: 1rem 0 }
-.figures div { display: flex; flex-direction: column-reverse }
-.figures dd { margin: 0; font-size: 1.7rem; font-weight: 600; line-height: 1.2 }
-.figures dt, figcaption, footer { color: #555; font-size: .875rem }
-.warning { color: #b3261e; font-weight: 600; margin: .25rem 0 }
-table { border-collapse: collapse; font-size: .875rem; font-variant-numeric: tabular-nums }
-th, td { padding: .25rem .9rem .25rem 0; text-align: right; vertical-align: top; white-space: nowrap;
-  border-bottom: 1px solid #e4e4e4 }
-th { border-bottom-color: #999; font-weight: 600 }
-th.words, td.words { text-align: left; white-space: normal; overflow-wrap: anywhere }
-.pair { display: grid; grid-template-columns: 1fr 1fr; gap: 1rem 1.5rem }
-@media (max-width: 50rem) { .pair { grid-template-columns: 1fr } }
-figure { margin: 0 0 1rem; break-inside: avoid }
-img { max-width: 100%; max-height: 44rem; width: auto; height: auto; display: block }
-.pair img { max-height: 32rem }
-svg { width: 100%; height: auto }
-footer { margin-top: 2.5rem; border-top: 1px solid #ccc; padding-top: .5rem }
+$style
 </style>
 </head>
 <body>
@@ -116,8 +97,9 @@ def report_page(
     registered = sum(int(row.registered.sum()) for row in rows)
     return _PAGE.substitute(
         name=escape(name),
-        warnings=_warnings(report.warnings),
-        figures=_figures(
+        style=pieces.STYLE,
+        warnings=pieces.warnings(report.warnings),
+        figures=pieces.figures(
             {
                 "stations registered": f"{registered} of {len(report.stations)}",
                 "walked": f"{walked:.2f} m",
@@ -148,12 +130,12 @@ def segment_name(segment: int) -> str:
 def _cameras(found: CalibrationReport) -> str:
     """Depth errors, and where the cameras stand."""
     if not found.gap_before:
-        return _paragraph("The cameras saw too little in common to be calibrated; the rig file was trusted.")
+        return pieces.paragraph("The cameras saw too little in common to be calibrated; the rig file was trusted.")
     gaps = f"{1e3 * found.gap_before:.2f} mm before calibration and {1e3 * found.gap_after:.2f} mm after it"
     text = f"Where two cameras see one surface, the median distance between their readings is {gaps}. "
     if not found.turned:
         text += "The cameras stand where the rig file has them."
-        return _paragraph(text) + _table(
+        return pieces.paragraph(text) + pieces.table(
             ("camera", "reports depths"), ((name, _depth_error(bias)) for name, bias in found.bias.items()), {0}
         )
     text += "The rig was corrected: cameras stand elsewhere than the rig file has them."
@@ -161,7 +143,7 @@ def _cameras(found: CalibrationReport) -> str:
         (name, _depth_error(bias), f"{np.degrees(found.turned[name]):.2f}°", f"{1e3 * found.shifted[name]:.1f} mm")
         for name, bias in found.bias.items()
     )
-    return _paragraph(text) + _table(("camera", "reports depths", "turned by", "shifted by"), rows, {0})
+    return pieces.paragraph(text) + pieces.table(("camera", "reports depths", "turned by", "shifted by"), rows, {0})
 
 
 def _depth_error(bias: float) -> str:
@@ -218,7 +200,7 @@ def _quality(stations: Sequence[StationReport], settings: ReconstructionSettings
         "line. RMSE: how far those partners lie apart; accepted below it. Hollow red dots were refused."
     )
     plots = draw(0, "fitness", "", settings.min_fitness, 1.0) + draw(1, "RMSE", "mm", most, 1.1 * most)
-    return f'{_paragraph(text)}<div class="pair">{plots}</div>'
+    return f'{pieces.paragraph(text)}<div class="pair">{plots}</div>'
 
 
 def _seen_from_above(row: RowCloud, path: Array) -> str:
@@ -259,7 +241,9 @@ def _stations(stations: Iterable[StationReport]) -> str:
         reason = "; ".join([s.reason, *blind] if s.reason else blind)
         shift = "" if s.shift_pixels is None else str(s.shift_pixels)
         rows.append((str(s.station), against, shift, *quality, segment, reason))
-    return _table(("station", "registered to", "shift, px", "fitness", "RMSE, mm", "segment", "reason"), rows, {6})
+    return pieces.table(
+        ("station", "registered to", "shift, px", "fitness", "RMSE, mm", "segment", "reason"), rows, {6}
+    )
 
 
 def _files(rows: Sequence[RowCloud]) -> str:
@@ -271,32 +255,4 @@ def _files(rows: Sequence[RowCloud]) -> str:
         table.append((f"{name}.npz, {name}.ply", f"{content}, {len(row):,} points"))
     table += [("mesh.ply", "the mesh of segment 1"), ("report.json", "what this page tells, for programs")]
     text = "Stations of two segments could not be registered to each other, so each segment has a frame of its own."
-    return (_paragraph(text) if len(rows) > 1 else "") + _table(("file", "content"), table, {0, 1})
-
-
-# -- pieces of HTML; each escapes what it is given --------------------------------------------------------------------
-
-
-def _paragraph(text: str) -> str:
-    return f"<p>{escape(text)}</p>\n"
-
-
-def _warnings(texts: Iterable[str]) -> str:
-    return "".join(f'<p class="warning">{escape(text)}</p>\n' for text in texts)
-
-
-def _figures(values: Mapping[str, str]) -> str:
-    """Large figures, each over what it counts."""
-    pairs = (f"<div><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>" for name, value in values.items())
-    return f'<dl class="figures">{"".join(pairs)}</dl>'
-
-
-def _table(header: Sequence[str], rows: Iterable[Sequence[str]], words: Set[int]) -> str:
-    """A table; columns that hold words are flush left, numbers flush right."""
-
-    def line(kind: str, cells: Sequence[str]) -> str:
-        tags = [f'{kind} class="words"' if k in words else kind for k in range(len(cells))]
-        return "<tr>" + "".join(f"<{t}>{escape(c)}</{kind}>" for t, c in zip(tags, cells, strict=True)) + "</tr>\n"
-
-    body = "".join(line("td", row) for row in rows)
-    return f"<table>\n<thead>{line('th', header)}</thead>\n<tbody>{body}</tbody>\n</table>\n"
+    return (pieces.paragraph(text) if len(rows) > 1 else "") + pieces.table(("file", "content"), table, {0, 1})
