@@ -245,6 +245,19 @@ def test_what_was_played_before_an_interruption_is_reported(
     assert not parsed.all("iframe")
 
 
+def test_what_was_played_is_reported_even_if_an_episode_cannot_be_played_again(
+    bank: SceneBank, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def lost(*arguments: object, **options: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("greenhouse_gym.reporting.comparison.retrace", lost)
+    out = tmp_path / "report.html"
+    arguments = ["--bank", str(bank.path), "--episodes", "1", "--report", str(out)]
+    assert CliRunner().invoke(app, ["compare", "random", *arguments]).exit_code == 130
+    assert "random" in Page(out.read_text()).texts
+
+
 def test_the_leaderboard_has_a_page_too(bank: SceneBank, tmp_path: Path) -> None:
     rules = replace(V1, bank=str(bank.path), split="validation", episodes=2)
     entry = submit(RandomAgent(), "random", tmp_path, ["reconstruction"], rules, note="dice")

@@ -95,7 +95,9 @@ def compare(
         tracks_played = {name: found for name, found in played.items() if any(e.records for e in found)}
         if report is not None and tracks_played:
             title = f"Comparison of {', '.join(chosen)}"
-            write_atomically(report, comparison_report(title, tracks_played, again, split, bank, **shared))
+            for shown in ({}, again) if again else ({},):  # first without episodes: playing them may fail or take long
+                page = comparison_report(title, tracks_played, shown, split, bank, **shared)
+                write_atomically(report, page)
             say(f"report in {report}")
 
 
