@@ -91,11 +91,12 @@ class TomatoReachEnv(SpecWithStepLimit, gymnasium.Env[Observed, npt.NDArray[np.f
     obstacles on 24 rays from its center towards the arm's side (azimuths by `AZIMUTHS`, within each elevations by
     `ELEVATIONS`), for each ray the smallest at 5 to 13 cm, where the tool would be, and at 18 to 30 cm, of the wrist.
     The waypoint is a goal configuration to which the straight motion is free in the scene as it is known, or else a
-    posture from which that is so: the nearest by the way over it. It is told as the offset from the commanded joints
-    and as the action that goes there at full speed, j numbers each; then follow the way from there to the goal, rad,
-    and 1 where the straight motion is free, or 0 where no such waypoint is known and an arbitrary goal stands in for
-    it. That is a plan of at most two straight motions, made from the known scene: it tells more than a sensor could,
-    and finding it takes time at the beginning of an episode. What is left to learn is what to do where there is none.
+    node of a tree that grows from the goals: the nearest by the way over it. It is told as the offset from the
+    commanded joints and as the action that goes there at full speed, j numbers each; then follow the way from there to
+    the goal, rad, and 1 where the straight motion is free, or 0 where no such waypoint is known and an arbitrary goal
+    stands in for it. That is a plan of a few straight motions, made from the known scene: it tells more than a sensor
+    could, and finding it takes time at the beginning of an episode. What is left to learn is what to do where there is
+    none.
     It is looked for anew every 8 steps and where the arm arrives (`greenhouse_gym.envs.ways`).
     ``depth`` comes from a camera beside the flange that looks along the tool; ``points`` is what a camera on a mast
     beside the arm sees of the plants, one per pixel. `DepthObservation`, `PointsObservation` and `RgbObservation` in
