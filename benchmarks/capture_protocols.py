@@ -21,6 +21,7 @@ from time import perf_counter
 from typing import Any
 
 import gymnasium
+import mujoco
 import numpy as np
 from capture_protocols_summary import summaries, table
 from joblib import Parallel, delayed
@@ -41,6 +42,7 @@ from greenhouse_gym.planning.unseen import UNSEEN_RULES
 from greenhouse_gym.plants import CULTIVARS, STYLES, PlantRow, grow_row
 from greenhouse_gym.reconstruction import RowCloud, add_looks, reconstruct_row
 from greenhouse_gym.scene import Scene
+from greenhouse_gym.scene.seen import EMPTY, SURFACE, UNSEEN
 from greenhouse_gym.shapes import extract_shapes
 from greenhouse_gym.wrist import look_rig
 
@@ -51,6 +53,8 @@ ENDS = 0.25
 """Metres by which stands keep farther from the walk's ends than half a spacing: nothing was scanned beyond."""
 
 SCENES = "scenes.jsonl"
+
+STATES = {UNSEEN: "unseen", EMPTY: "empty", SURFACE: "at a surface"}
 
 SAME = 0.03
 """Metres between the centers of a reconstructed tomato and of the true one it stands for."""
@@ -292,11 +296,20 @@ def reach(
         "clearance": planned.clearance,
     }  # fmt: skip
     if outcome == "collided":
-        model, _ = reaching.model_and_data()
-        touched = next((c for c in info["contact"] if c.startswith(("tomato_", "stem_", "clutter_"))), "")
-        place = model.geom(touched).pos.round(3).tolist() if touched else None
-        episode |= {"contact": list(info["contact"]), "at": place}
+        episode |= {"contact": list(info["contact"])} | _touched(scene, *reaching.model_and_data(), info["contact"])
     return episode
+
+
+def _touched(scene: Scene, model: mujoco.MjModel, data: mujoco.MjData, names: Sequence[str]) -> dict[str, Any]:
+    """Where a plant was touched, metres, and what the scan says of that place."""
+    touched = next((name for name in names if name.startswith(("tomato_", "stem_", "clutter_"))), None)
+    if touched is None:
+        return {"at": None}
+    geom = model.geom(touched)
+    places = [contact.pos.copy() for contact in data.contact[: data.ncon] if geom.id in contact.geom]
+    place = places[0] if places else geom.pos
+    space = None if scene.seen is None else STATES[int(scene.seen.at(place)[0])]
+    return {"at": place.round(3).tolist(), "space": space}
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from greenhouse_gym.records import wilson_interval
@@ -52,9 +52,15 @@ def _summary(refused: int, episodes: Sequence[Episode]) -> dict[str, Any]:
         "refused": _rate(refused, len(episodes)),
         "seen_share_of_reach": round(sum(seen.values()) / len(seen), 4) if seen else None,
         "without_plan": dict(Counter(e["status"] for e in episodes if e["outcome"] == "no plan").most_common()),
-        "hit": dict(Counter(what_was_hit(e) for e in followed if e["outcome"] == "collided").most_common()),
-        "by_part": dict(Counter(_part(e) for e in followed if e["outcome"] == "collided").most_common()),
+        "hit": _counted(what_was_hit, followed),
+        "hit_where": _counted(lambda e: e.get("space") or "unknown", followed),
+        "by_part": _counted(_part, followed),
     }
+
+
+def _counted(tell: Callable[[Episode], str], followed: Sequence[Episode]) -> dict[str, int]:
+    """How often something is told of the episodes that ended in a collision."""
+    return dict(Counter(tell(e) for e in followed if e["outcome"] == "collided").most_common())
 
 
 def _rate(count: int, total: int) -> dict[str, Any]:
