@@ -37,7 +37,7 @@ how many goals, those nearest to the start, are looked at."""
 POSTURES, SPREAD = 96, 1.2
 """Postures that are tried, and how far each joint is strewn about the start, radians."""
 
-REACHED = 0.1
+REACHED = 0.01
 """How near a posture counts as reached, radians."""
 
 _REMEMBERED = 10_000
@@ -128,7 +128,9 @@ class Headings:
             i, ways = ids[k], self._ways[ids[k]]
             assert ways is not None
             heading = ways.heading(command[k])
-            self.waypoint[i], self.way[i] = heading.waypoint, (heading.left, heading.free)
+            # in the middle of a free motion, an obstacle may be nearer than the margin, which is checked at places
+            if heading.free or arrived[k] or not self.way[i, 1] or steps[k] == 0:
+                self.waypoint[i], self.way[i] = heading.waypoint, (heading.left, heading.free)
 
 
 @dataclass(frozen=True, eq=False)
