@@ -3,8 +3,8 @@
 python benchmarks/imitation.py --seeds 0,1,2 --out-folder runs/imitation
 
 Trains once for each seed with the usual settings of ``training/bc_then_ppo.py``. Judged are, on the same episodes, the
-policy after the imitation and after PPO, and beside them what goes straight to the waypoint without any learning
-(``waypoint``) and the teacher (``guide``). Writes results/imitation.json after each part; entries of other seeds and
+policy after the imitation, if there is one, and after PPO, and beside them what goes straight to the waypoint without
+any learning (``waypoint``) and the teacher (``guide``). Writes results/imitation.json after each part; entries of other seeds and
 agents that it holds stay.
 """
 
@@ -62,11 +62,14 @@ def main() -> None:
 
     for seed in filter(None, arguments.seeds.split(",")):
         minutes = 0.0
-        for stage, total_steps in (("imitation", 0), ("imitation and PPO", settings.ppo.total_steps)):
+        stages = {"imitation": 0, "imitation and PPO": settings.ppo.total_steps}
+        if not settings.imitation.steps:
+            stages = {"PPO from the rule": settings.ppo.total_steps}
+        for stage, total_steps in stages.items():
             ppo = replace(settings.ppo, seed=int(seed), total_steps=total_steps)
             began = time.process_time()
             path = train_bc_then_ppo(
-                replace(settings, ppo=ppo), arguments.out_folder / f"seed-{seed}", resume=total_steps > 0
+                replace(settings, ppo=ppo), arguments.out_folder / f"seed-{seed}", resume=stage == "imitation and PPO"
             )
             minutes += (time.process_time() - began) / 60
             steps = {"labeled_steps": settings.imitation.steps, "ppo_steps": total_steps}

@@ -30,9 +30,12 @@ EVERY = 8
 MARGIN = 0.004
 """Distance to obstacles that is kept, metres."""
 
-GUESSES, ROUNDS, FEW, GOALS = 300, 4, 20, 60
-"""First guesses of goal configurations, how often so many are made at most while few are found, how few that is, and
-how many goals, those nearest to the start, are looked at."""
+GUESSES, FEW, GOALS = 300, 20, 60
+"""First guesses of goal configurations, few of these, for which more is guessed, and how many goals, those nearest to
+the start, are looked at."""
+
+ROUNDS, MOST_ROUNDS = 4, 24
+"""How often is guessed at most while few goals are found, and while none is."""
 
 POSTURES, SPREAD = 96, 1.2
 """Postures that are tried, and how far each joint is strewn about the start, radians."""
@@ -161,12 +164,12 @@ class _Place:
         lower, upper = np.maximum(self.robot.lower, start - np.pi), np.minimum(self.robot.upper, start + np.pi)
         radius, random = self.compiled.scene.tomatoes[target].radius, np.random.default_rng(0)
         free: list[Array] = []
-        for _ in range(ROUNDS):
+        for k in range(MOST_ROUNDS):
             guesses = random.uniform(lower, upper, (GUESSES, len(start)))
             guesses[:, -1] = start[-1]  # the tool is round
             found = inverse_kinematics(self.chain, guesses, center, radius, self.robot)
             free += [goal for goal in found if checker.is_free(goal)]
-            if len(free) >= FEW or not len(found):
+            if len(free) >= FEW or (free and k + 1 >= ROUNDS) or not len(found):
                 break
         goals = np.array(free).reshape(-1, len(start))
         return goals[((goals - start) ** 2).sum(axis=-1).argsort(kind="stable")[:GOALS]]

@@ -28,7 +28,7 @@ class BcThenPpoSettings:
 
     Attributes:
         variations: Scenes that are made out of the bank's training scenes, beside them.
-        imitation: Settings of the first part.
+        imitation: Settings of the first part; with no steps there is none, and PPO goes on from what follows waypoints.
         ppo: Settings of the second part, and of the network; with no steps there is no second part.
     """
 
@@ -68,6 +68,8 @@ def train_bc_then_ppo(
             for name in ("bank", "split", "robot", "observation", "difficulty", "threads")
         }  # fmt: skip
         follow_waypoint(model.policy)
+        if not settings.imitation.steps:
+            return
         env = TomatoReachVectorEnv(settings.imitation.num_envs, autoreset_mode="SameStep", **options)
         with closing(env):
             imitate(model.policy, env, settings.imitation, ppo.seed, tell)
