@@ -4,8 +4,8 @@ python benchmarks/imitation.py --seeds 0,1,2 --out-folder runs/imitation
 
 Trains once for each seed with the usual settings of ``training/bc_then_ppo.py``. Judged are, on the same episodes, the
 policy after the imitation, if there is one, and after PPO, and beside them what goes straight to the waypoint without
-any learning (``waypoint``) and the teacher (``guide``). Writes results/imitation.json after each part; entries of other seeds and
-agents that it holds stay.
+any learning (``waypoint``) and the teacher (``guide``). Writes results/imitation.json after each part; entries of other
+seeds and agents that it holds stay.
 """
 
 from __future__ import annotations
