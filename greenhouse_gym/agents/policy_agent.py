@@ -15,7 +15,7 @@ from greenhouse_gym.paths import data_path
 
 __all__ = ["BEST", "Policy", "PolicyAgent", "shipped_policies"]
 
-BEST = "ppo-ur5e"
+BEST = "ppo-waypoint-ur5e"
 """The shipped policy that reaches most: what other agents are made of unless they are given one."""
 
 

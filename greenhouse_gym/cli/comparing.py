@@ -57,6 +57,7 @@ def compare(
     from dataclasses import replace
 
     from greenhouse_gym.agents.named import make_agent
+    from greenhouse_gym.agents.policy_agent import BEST
     from greenhouse_gym.errors import require_choice
     from greenhouse_gym.evaluation import compare as run
     from greenhouse_gym.evaluation import comparison_table
@@ -65,7 +66,7 @@ def compare(
     from greenhouse_gym.records import pairing
     from greenhouse_gym.reporting.comparison import comparison_report
 
-    asked = [*(names or ()), *_parts(agents)] or ["RRTConnect", "ppo-ur5e", "random"]
+    asked = [*(names or ()), *_parts(agents)] or ["RRTConnect", BEST, "random"]
     tracks = [require_choice("track", name, TRACKS) for name in _parts(track)]
     chosen = _by_name(asked, [make_agent(name) for name in asked])
     shared: dict[str, Any] = {"patience": patience}
@@ -173,7 +174,7 @@ def demonstrations(
 
 
 def watch(
-    agent: Annotated[str, typer.Option(help="Who acts, as `compare` takes it.")] = "ppo-ur5e",
+    agent: Annotated[str, typer.Option(help="Who acts, as `compare` takes it.")] = "ppo-waypoint-ur5e",
     out: Annotated[Path, typer.Option(help="MP4 file to write.")] = Path("episode.mp4"),
     bank: Bank = "default",
     split: Annotated[str, typer.Option(help="train, validation or test.")] = "validation",

@@ -34,7 +34,7 @@ class DemoSettings:
     """How large the demo is."""
 
     length: float = 2.0  # m of row
-    training_steps: int = 400_000  # from the shipped policy on, about two minutes of one core
+    training_steps: int = 100_000  # from the shipped policy on, about two minutes of one core
     episodes: int = 100  # per agent
     scene_width: float = 1.6  # m
     followed: int = 16  # plans followed in the true row
@@ -302,17 +302,16 @@ def _showpiece(bank: SceneBank) -> tuple[Scene, int]:
 
 
 def _train(out: Path, seed: int, settings: DemoSettings, report: Report) -> list[dict[str, str]]:
-    from greenhouse_gym.agents import PolicyAgent
-    from greenhouse_gym.learning import PpoSettings, load_into, train_ppo
+    from greenhouse_gym.agents.policy_agent import BEST, PolicyAgent
+    from greenhouse_gym.learning import FINE_TUNING, load_into, train_ppo
 
     with report.stage("train the shipped policy on with PPO") as results:
         shutil.rmtree(out / "ppo", ignore_errors=True)  # an earlier demo's
         # Steps and not seconds, so that a busy machine gives the same policy, only later.
-        ppo = PpoSettings(
-            bank=str(out / "bank"), total_steps=settings.training_steps, seed=seed, learning_rate=3e-4, log_std=-1.3,
-            critic_rollouts=3, epochs=4, batch_size=4096,
-        )  # fmt: skip
-        train_ppo(ppo, out / "ppo", prepare=lambda model: load_into(model, PolicyAgent.load("ppo-ur5e").policy))
+        ppo = replace(
+            FINE_TUNING, bank=str(out / "bank"), total_steps=settings.training_steps, seed=seed, critic_rollouts=3
+        )
+        train_ppo(ppo, out / "ppo", prepare=lambda model: load_into(model, PolicyAgent.load(BEST).policy))
         curve = list(csv.DictReader((out / "ppo" / "curve.csv").read_text().splitlines()))
         results.append(f"{int(float(curve[-1]['steps'])):,} steps")
         report.figures["training_steps"] = int(float(curve[-1]["steps"]))

@@ -14,7 +14,7 @@ pytest.importorskip("safetensors")
 
 from greenhouse_gym.agents.agent import Agent, Problem
 from greenhouse_gym.agents.policy import Policy
-from greenhouse_gym.agents.policy_agent import PolicyAgent, shipped_policies
+from greenhouse_gym.agents.policy_agent import BEST, PolicyAgent, shipped_policies
 from greenhouse_gym.errors import FileFormatError, GreenhouseError, InvalidValueError, UnknownNameError
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene
@@ -121,10 +121,10 @@ def test_what_a_file_cannot_hold_is_not_written(policy: Policy, tmp_path: Path) 
 
 
 def test_shipped_policies_load_and_say_what_they_were_trained_on() -> None:
-    assert "ppo-ur5e" in shipped_policies()
+    assert {"ppo-ur5e", BEST} <= set(shipped_policies())
     for name in shipped_policies():
         agent = PolicyAgent.load(name)
-        assert agent.env_options["observation"] == "state"
+        assert agent.env_options["observation"] in ("state", "waypoint")
         assert agent.policy.training["settings"]["split"] == "train"
 
 
