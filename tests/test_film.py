@@ -11,6 +11,7 @@ from greenhouse_gym.reporting.film import film
 from greenhouse_gym.scene import SceneBank
 
 
+@pytest.mark.filterwarnings("error:.*Overwriting")
 def test_an_episode_becomes_a_film(bank: SceneBank, tmp_path: Path) -> None:
     assert film(StillAgent(), tmp_path / "still.mp4", bank=bank, split="train", step_limit=3) is False
     assert (tmp_path / "still.mp4").read_bytes()[4:8] == b"ftyp"

@@ -34,7 +34,7 @@ def film(agent: Agent, out: str | Path, seed: int = 0, **options: Any) -> bool:
     check_agent(agent)
     env = TomatoReachEnv(render_mode="rgb_array", **{**options, **agent.env_options})
     with tempfile.TemporaryDirectory() as folder:
-        recorder: Any = RecordVideo(env, folder, name_prefix="film", disable_logger=True)
+        recorder: Any = RecordVideo(env, str(Path(folder) / "films"), name_prefix="film", disable_logger=True)
         try:
             observation, info = recorder.reset(seed=seed)
             rule, interval = env.simulation.action_rule, env.simulation.interval
@@ -45,6 +45,6 @@ def film(agent: Agent, out: str | Path, seed: int = 0, **options: Any) -> bool:
                 over = terminated or truncated
         finally:
             recorder.close()
-        [made] = Path(folder).glob("*.mp4")
+        [made] = Path(folder).rglob("*.mp4")
         write_atomically(out, made.read_bytes())
     return bool(info["is_success"])
