@@ -12,6 +12,7 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from greenhouse_gym.geometry import Array, pose
+from greenhouse_gym.open3d_loader import open3d
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 """Metres of each unit that is tried."""
@@ -25,6 +26,7 @@ _ROD_REACH = 0.03  # m
 _ROD = 0.8  # 1 - ratio of the second to the first variance
 _SNAP = np.cos(np.deg2rad(12.0))  # axes of the file this near are taken as they are
 _FACING = 0.15  # mean of the unit normals across the row below which it was seen from all around
+_FLAT, _TABLE = 0.01, 0.3  # m from a plane, and the share of the points that a table or a floor holds
 _LONG = 1.3  # times as long as deep must a cloud be for its longer side to be the row's
 
 
@@ -66,7 +68,7 @@ def guess_unit(points: Array) -> Unit:
     best, second = sorted(UNITS, key=against)[:2]
     size = f"{extent * UNITS[best]:.3g} m long with points {1e3 * apart * UNITS[best]:.2g} mm apart"
     said = f"units: taken as {best}, which makes it {size}"
-    if against(second) - against(best) < _UNSURE:
+    if against(second) - against(best) < _UNSURE or best in _RARE:
         said += f"; they might be {second}: give the units to be sure"
     return Unit(UNITS[best], said)
 
@@ -87,7 +89,7 @@ def guess_up(points: Array) -> Guess:
         if variances[1] < (1 - _ROD) * variances[2]:
             axes.append(directions[:, 2])
     if len(axes) < 30:
-        return Guess(np.array([0.0, 0.0, 1.0]), "up: nothing long and thin tells it; taken as the file's z")
+        return _up_without_rods(points)
     rods = np.array(axes)
     votes = [int((np.abs(rods @ rod) > 0.95).sum()) for rod in rods[:: len(rods) // 400 + 1]]
     up = rods[:: len(rods) // 400 + 1][int(np.argmax(votes))]
@@ -104,6 +106,19 @@ def guess_up(points: Array) -> Guess:
         sign = -1.0 if k == 1 and in_camera_frame(points) else 1.0
         up, name = sign * np.abs(snapped), f"{'-' if sign < 0 else ''}{'xyz'[k]}"
     return Guess(up, f"up: taken as {name} of the file, along which {share:.0%} of what is long and thin lies")
+
+
+def _up_without_rods(points: Array) -> Guess:
+    """Of what a camera saw, the normal of the largest plane if that may be a floor or a table; else the file's z."""
+    if in_camera_frame(points):
+        cloud = open3d().geometry.PointCloud(open3d().utility.Vector3dVector(_some(points)))
+        open3d().utility.random.seed(0)
+        plane, on_it = cloud.segment_plane(_FLAT, 3, 1000)
+        normal = -np.sign(plane[1]) * np.array(plane[:3]) / np.linalg.norm(plane[:3])
+        if len(on_it) > _TABLE * len(cloud.points) and -normal[1] > 0.5:
+            said = f"up: taken as across the plane that holds {len(on_it) / len(cloud.points):.0%} of the points"
+            return Guess(normal, said)
+    return Guess(np.array([0.0, 0.0, 1.0]), "up: nothing long and thin tells it; taken as the file's z")
 
 
 def in_camera_frame(points: Array) -> bool:

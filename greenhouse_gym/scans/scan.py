@@ -26,7 +26,7 @@ _GRAY = 0.5
 _AGREE = 0.3  # mean cosine, with normals of its own, at which normals point to one side all in all
 _DIRECTIONS = {sign + axis: factor * np.eye(3)[k] for sign, factor in (("", 1.0), ("-", -1.0))
                for k, axis in enumerate("xyz")}  # fmt: skip
-_FRUITS, _SURE = 6, 3.0  # fewest fruits that tell which end is up, and standard errors by which they must
+_FRUITS, _SURE = 6, 2.0  # fewest fruits that tell which end is up, and standard errors by which they must
 _HOLD = (0.004, 0.025)  # m outside of a fruit's skin, where what holds it is
 
 Direction: TypeAlias = str | Sequence[float] | npt.NDArray[np.floating]
@@ -108,8 +108,10 @@ def extract_from_scan(scan: Scan, settings: ShapeSettings | None = None) -> tupl
     """The shapes of a scan; if its fruit stands upon what should hold it, and nobody said what is up, turned over."""
     settings = settings or ShapeSettings()
     shapes = extract_shapes(scan.cloud.points, scan.cloud.colors, scan.cloud.normals, settings)
-    if scan.up_given or not fruit_stands_up(scan.cloud, shapes):
-        return scan, shapes
+    hangs = 0.0 if scan.up_given else fruit_hangs(scan.cloud, shapes)
+    if hangs > -_SURE:
+        unsure = "up: the fruit does not tell which end is up; give it to be sure"
+        return (scan if scan.up_given or hangs > _SURE else replace(scan, notes=(*scan.notes, unsure))), shapes
     over = pose(np.diag([1.0, -1.0, -1.0]))
     note = "up: turned over, since the fruit stood upon what should hold it"
     turned = replace(
@@ -119,8 +121,8 @@ def extract_from_scan(scan: Scan, settings: ShapeSettings | None = None) -> tupl
     return turned, extract_shapes(cloud.points, cloud.colors, cloud.normals, settings)
 
 
-def fruit_stands_up(cloud: Cloud, shapes: RowShapes) -> bool:
-    """Whether what is around the fruits, and less red than they are, clearly lies below them: fruit hangs."""
+def fruit_hangs(cloud: Cloud, shapes: RowShapes) -> float:
+    """Standard errors by which what is around the fruits, and less red than they are, lies above them; 0 of few."""
     less_red = redness(cloud.colors) < ShapeSettings().most_redness
     near = cKDTree(cloud.points[less_red])
     above = []
@@ -131,8 +133,8 @@ def fruit_stands_up(cloud: Cloud, shapes: RowShapes) -> bool:
         if np.count_nonzero(holds) >= 5:
             above.append(float((around[holds, 2] / distance[holds]).mean()))
     if len(above) < _FRUITS:
-        return False
-    return float(np.mean(above)) < -_SURE * float(np.std(above)) / np.sqrt(len(above))
+        return 0.0
+    return float(np.mean(above) / max(float(np.std(above)) / np.sqrt(len(above)), 1e-9))
 
 
 def _oriented(cloud: Cloud, with_normals: bool, viewer: Array | None) -> tuple[Cloud, str]:

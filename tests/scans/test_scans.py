@@ -22,8 +22,8 @@ from greenhouse_gym.geometry import Array, invert, pose, transform
 from greenhouse_gym.open3d_loader import open3d
 from greenhouse_gym.scans import RawCloud, Scan, extract_from_scan, open_scan, read_cloud, scanned_row
 from greenhouse_gym.scans import row as row_module
-from greenhouse_gym.scans.frame import guess_unit
-from greenhouse_gym.scans.scan import fruit_stands_up
+from greenhouse_gym.scans.frame import guess_unit, guess_up
+from greenhouse_gym.scans.scan import fruit_hangs
 from greenhouse_gym.scene import Shapes
 from greenhouse_gym.shapes import RowShapes
 
@@ -135,8 +135,22 @@ def test_fruit_tells_which_end_is_up() -> None:
     ]
     over = np.diag([1.0, -1.0, -1.0])
     turned = [replace(tomato, center=over @ tomato.center) for tomato in fruit]
-    assert not fruit_stands_up(scan.cloud, RowShapes(tuple(fruit)))
-    assert fruit_stands_up(scan.cloud.moved(pose(over)), RowShapes(tuple(turned)))
+    assert fruit_hangs(scan.cloud, RowShapes(tuple(fruit))) > 3.0
+    assert fruit_hangs(scan.cloud.moved(pose(over)), RowShapes(tuple(turned))) < -3.0
+    assert fruit_hangs(scan.cloud, RowShapes(tuple(fruit[:5]))) == 0.0
+
+
+def test_a_table_tells_which_way_is_up() -> None:
+    """Before a camera that looks down at it, where nothing long and thin stands."""
+    random = np.random.default_rng(0)
+    flat = np.column_stack([random.uniform(-0.4, 0.4, (40_000, 2)), random.normal(0, 0.001, 40_000)])
+    box = random.uniform([-0.1, -0.1, 0.0], [0.1, 0.1, 0.15], (20_000, 3))
+    camera_from_table = pose(Rotation.from_euler("x", 125.0, degrees=True).as_matrix(), [0.0, 0.05, 0.8])
+    points = transform(camera_from_table, np.concatenate([flat, box]))
+    guess = guess_up(points)
+    assert guess.value @ camera_from_table[:3, 2] > 0.999
+    assert "across the plane" in guess.said
+    assert guess_up(points - [0.0, 0.0, 2.0]).said.endswith("taken as the file's z")
 
 
 @pytest.mark.parametrize(("scale", "unit"), [(1000.0, 0.001), (100.0, 0.01), (1.0, 1.0)])
