@@ -26,6 +26,7 @@ from greenhouse_gym.integrations.sb3_ray import make_sb3_ray_vec_env
 from greenhouse_gym.learning import PpoSettings, train_ppo
 
 ACTORS, SIMULATIONS = 2, 128
+BANK = "mini"  # whose scenes are soon ready, so that steps are measured and not the making of worlds
 
 
 def main() -> None:
@@ -38,7 +39,7 @@ def main() -> None:
     makers: dict[str, Any] = {"here": make_sb3_vec_env, "actors": partial(make_sb3_ray_vec_env, actors=ACTORS)}
     ended = compare(makers, a.compared)
     rates: dict[str, list[float]] = {way: [] for way in makers}
-    settings = PpoSettings(total_steps=a.steps, num_envs=SIMULATIONS, threads=1)
+    settings = PpoSettings(bank=BANK, total_steps=a.steps, num_envs=SIMULATIONS, threads=1)
     with tempfile.TemporaryDirectory() as folder:
         for turn in range(a.rounds):
             for way in sorted(makers, reverse=bool(turn % 2)):
@@ -101,7 +102,7 @@ def compare(makers: dict[str, Any], steps: int) -> int:
     Raises:
         AssertionError: Something differs.
     """
-    here, actors = (make(SIMULATIONS, seed=0) for make in makers.values())
+    here, actors = (make(SIMULATIONS, bank=BANK, seed=0) for make in makers.values())
     np.testing.assert_array_equal(here.reset(), actors.reset())
     random, ended = np.random.default_rng(0), 0
     lean = random.uniform(-1, 1, (SIMULATIONS, 6))
