@@ -1,4 +1,4 @@
-# `make demo` and `make test` need Python 3.11 and make, nothing else.
+# `make demo` and `make test` need Python 3.11 (or 3.12: PYTHON=python3.12) and make, nothing else.
 
 PYTHON ?= python3.11
 VENV := .venv

@@ -65,11 +65,12 @@ def guess_unit(points: Array) -> Unit:
         density = np.log10(apart * UNITS[name] / _SPACING) / _DECADES
         return float(size**2 + density**2 + _RARE.get(name, 0.0))
 
-    best, second = sorted(UNITS, key=against)[:2]
+    best, *others = sorted(UNITS, key=against)
     size = f"{extent * UNITS[best]:.3g} m long with points {1e3 * apart * UNITS[best]:.2g} mm apart"
     said = f"units: taken as {best}, which makes it {size}"
-    if against(second) - against(best) < _UNSURE or best in _RARE:
-        said += f"; they might be {second}: give the units to be sure"
+    possible = [name for name in others if best in _RARE or against(name) - against(best) < _UNSURE]
+    if possible:
+        said += f"; they might be {' or '.join(possible)}: give the units to be sure"
     return Unit(UNITS[best], said)
 
 
