@@ -14,7 +14,7 @@ import numpy as np
 LARGEST_WHOLE = 300
 """A split with no more scenes than this is drawn from as a whole."""
 
-WINDOW = 48
+WINDOW = 40
 """How many scenes of a larger split are drawn from at a time."""
 
 FIRST = 32
