@@ -1,17 +1,20 @@
 """How often agents reach the tomatoes of unseen rows: success and collision with 95 % intervals, by difficulty.
 
 python benchmarks/policies.py --agents ppo-ur5e,waypoint --physics reconstruction,truth --episodes 1000
+python benchmarks/policies.py --entries benchmarks/leaderboard
 
 Every agent plays the same episodes: seeds 0, 1, 2, ... of the test split, policies without noise. The world is the
 reconstruction, or the simulated row behind it (``truth``). ``shielded`` and ``hybrid`` are made of the best shipped
 policy; ``waypoint`` goes without learning where the observation of that name leads, and ``guide`` is a teacher who
-plans. Writes results/policies.json, an entry per agent and world; those of other agents that it holds stay.
+plans. With ``--entries`` nothing is played: the episodes are those of the leaderboard's entries, on all their tracks.
+Writes results/policies.json, an entry per agent and world; those of other agents that it holds stay.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Iterator
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -21,6 +24,7 @@ from results_file import RESULTS, write_results
 from greenhouse_gym.agents.named import make_agent
 from greenhouse_gym.agents.policy_agent import BEST
 from greenhouse_gym.evaluation import Evaluation, evaluate, wilson_interval
+from greenhouse_gym.leaderboard import read_entry
 from greenhouse_gym.scene import DIFFICULTIES, SceneBank
 
 AGENTS = ",".join(
@@ -39,19 +43,40 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--num-envs", type=int, default=64)
+    parser.add_argument("--entries", type=Path, help="folder of the leaderboard's entries")
     parser.add_argument("--out", type=Path, default=RESULTS / "policies.json")
     arguments = parser.parse_args()
     figures: dict[str, Any] = json.loads(arguments.out.read_text())["agents"] if arguments.out.is_file() else {}
+    for name, world, about, evaluation in _entered(arguments.entries) if arguments.entries else _played(arguments):
+        figures[f"{name}, {world}"] = about | rates(evaluation)
+        print(name, json.dumps(figures[f"{name}, {world}"]), flush=True)
+        write_results(arguments.out, {"agents": figures}, ("mujoco", "numpy"))
+
+
+_Told = tuple[str, str, dict[str, Any], Evaluation]  # agent, world, which episodes, and what became of them
+
+
+def _played(arguments: argparse.Namespace) -> Iterator[_Told]:
     for physics, name in product(arguments.physics.split(","), arguments.agents.split(",")):
         evaluation = evaluate(
             make_agent(name), arguments.split, arguments.episodes, arguments.seed, num_envs=arguments.num_envs,
             bank=arguments.bank, physics=physics, threads=1,
         )  # fmt: skip
-        entry: dict[str, Any] = {"bank": arguments.bank, "bank_sha256": SceneBank.open(arguments.bank).sha256}
-        entry |= {"split": arguments.split, "physics": physics, "first_seed": arguments.seed}
-        figures[f"{name}, {physics}"] = entry | rates(evaluation)
-        print(name, json.dumps(figures[f"{name}, {physics}"]), flush=True)
-        write_results(arguments.out, {"agents": figures}, ("mujoco", "numpy"))
+        about = {"bank": arguments.bank, "bank_sha256": SceneBank.open(arguments.bank).sha256}
+        yield name, physics, about | _episodes(arguments.split, physics, arguments.seed), evaluation
+
+
+def _entered(folder: Path) -> Iterator[_Told]:
+    for path in sorted(folder.glob("*.json")):
+        entry = read_entry(path)
+        for track in entry.tracks:
+            about = {"bank": entry.protocol["bank"], "bank_sha256": entry.bank_sha256}
+            about |= _episodes(entry.protocol["split"], track, entry.protocol["seed"])
+            yield entry.agent, track, about, entry.evaluation(track)
+
+
+def _episodes(split: str, world: str, first_seed: int) -> dict[str, Any]:
+    return {"split": split, "physics": world, "first_seed": first_seed}
 
 
 def rates(evaluation: Evaluation) -> dict[str, Any]:
