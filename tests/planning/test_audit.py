@@ -146,7 +146,7 @@ def test_show_writes_a_page_without_a_network(whole: Path, certified: Scene, tmp
     assert text.count("</script>") == 2
     data = json.loads(text.split('id="data">')[1].split("</script>")[0])
     assert [layer["name"] for layer in data["layers"]] == ["reconstruction", "truth"]
-    assert len(data["targets"]) == sum(target.witness is not None for target in certified.targets)
+    assert len(data["motions"]) == sum(target.witness is not None for target in certified.targets)
     assert len(text) < 500_000
 
 
