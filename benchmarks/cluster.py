@@ -12,7 +12,6 @@ the records are compared but for their times. Rounds take turns, so that whateve
 from __future__ import annotations
 
 import argparse
-import hashlib
 import os
 import tempfile
 import threading
@@ -24,6 +23,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from killed_builds import hashes
 from results_file import RESULTS, write_results
 
 from greenhouse_gym.agents import PlannerAgent
@@ -98,7 +98,7 @@ def builds(
                 bank = build_bank(recordings, out, "rows", settings=settings, executor=executor)
             seconds[way].append(round(time.perf_counter() - began, 1))
             scenes, lost = len(bank), lost or way == LOST
-            written.append(_hashes(out))
+            written.append(hashes(out))
             print(f"{way}: {seconds[way][-1]:.0f} s", flush=True)
     return {
         "rows": len(recordings),
@@ -189,15 +189,6 @@ def _timeless(record: dict[str, Any]) -> dict[str, Any]:
     if "costs" in values:
         values["costs"] = [cost for _, cost in values["costs"]]
     return values
-
-
-def _hashes(folder: Path) -> dict[str, str]:
-    """SHA-256 of every file of a bank, by its path."""
-    return {
-        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file()
-    }
 
 
 if __name__ == "__main__":

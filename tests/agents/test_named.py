@@ -1,12 +1,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from inspect import signature
 from pathlib import Path
 
 import pytest
 
 from greenhouse_gym.agents import PlannerAgent, PolicyAgent, StillAgent, StraightLineAgent, named
 from greenhouse_gym.agents.named import make_agent
+from greenhouse_gym.agents.policy_agent import BEST
+from greenhouse_gym.cli.comparing import watch
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, MissingDependencyError, UnknownNameError
 
 
@@ -57,3 +60,7 @@ def test_mistakes_in_own_agents_are_told(tmp_path: Path) -> None:
         make_agent(f"{file}:Mine")
     with pytest.raises(FileFormatError, match="there is no such file"):
         make_agent(f"{tmp_path}/none.py:Mine")
+
+
+def test_the_policy_that_is_watched_by_default_is_the_best_one() -> None:
+    assert signature(watch).parameters["agent"].default == BEST
