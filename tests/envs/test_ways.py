@@ -8,7 +8,7 @@ import pytest
 from greenhouse_gym.agents import WaypointAgent
 from greenhouse_gym.envs import TomatoReachEnv, ways
 from greenhouse_gym.envs.roadmap import RESOLUTION
-from greenhouse_gym.envs.ways import Ways
+from greenhouse_gym.envs.ways import EVERY, Heading, Headings, Ways
 from greenhouse_gym.envs.worlds import Worlds
 from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.geometry import Capsule
@@ -105,3 +105,22 @@ def test_goals_are_looked_for_once_in_each_episode_that_is_new(
     for target in (0, 1, 0, 1):
         env.reset(options={"scene": scene, "target": target})
     assert len(calls) == 2
+
+
+class SeenFromTheStartAlone(Ways):
+    """A way to a goal that is known to be free from the start and from nowhere else."""
+
+    def __init__(self) -> None:
+        pass
+
+    def heading(self, joints: np.ndarray) -> Heading:
+        return Heading(np.ones(2), 0.0, not joints.any())
+
+
+def test_a_free_motion_is_not_given_up_in_its_middle() -> None:
+    headings, first = Headings(1, 2), np.array([0])
+    headings.begin(0, SeenFromTheStartAlone())
+    for command, steps, free in ((0.0, 0, 1.0), (0.5, EVERY, 1.0), (0.5, 0, 0.0)):  # the last begins an episode
+        headings.look(first, np.full((1, 2), command), np.array([steps]))
+        assert headings.way[0, 1] == free
+        np.testing.assert_array_equal(headings.waypoint[0], np.ones(2))
