@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from greenhouse_gym.agents.agent import Agent, Problem
 from greenhouse_gym.agents.baselines import RandomAgent, StillAgent, StraightLineAgent, WaypointAgent
+from greenhouse_gym.agents.careful import CarefulAgent
 from greenhouse_gym.agents.guide import GuidedAgent
 from greenhouse_gym.agents.planner_agent import PlannerAgent
 from greenhouse_gym.agents.resolved_rate import ResolvedRateAgent
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Agent",
+    "CarefulAgent",
     "GuidedAgent",
     "HybridAgent",
     "PlannerAgent",

@@ -9,6 +9,7 @@ from types import ModuleType
 
 from greenhouse_gym.agents.agent import Agent, check_agent
 from greenhouse_gym.agents.baselines import RandomAgent, StillAgent, StraightLineAgent, WaypointAgent
+from greenhouse_gym.agents.careful import CarefulAgent
 from greenhouse_gym.agents.guide import GuidedAgent
 from greenhouse_gym.agents.hybrid import HybridAgent
 from greenhouse_gym.agents.planner_agent import PlannerAgent
@@ -20,8 +21,8 @@ from greenhouse_gym.errors import FileFormatError, InvalidValueError, MissingDep
 from greenhouse_gym.planning import PAPER_PLANNERS, PLANNERS
 
 _NAMED: tuple[type[Agent], ...] = (
-    RandomAgent, StillAgent, StraightLineAgent, ResolvedRateAgent, WaypointAgent, GuidedAgent, HybridAgent,
-    ShieldedAgent,
+    RandomAgent, StillAgent, StraightLineAgent, ResolvedRateAgent, WaypointAgent, CarefulAgent, GuidedAgent,
+    HybridAgent, ShieldedAgent,
 )  # fmt: skip
 SIMPLE = {agent.name: agent for agent in _NAMED}
 """Agents that need nothing but a name."""

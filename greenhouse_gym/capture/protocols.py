@@ -67,6 +67,14 @@ PROTOCOLS: Mapping[str, Protocol] = MappingProxyType(
                 (three_camera_rig(height=1.0), three_camera_rig(height=1.5)),
             ),
             Protocol("wrist", "the paper's beam, and the arm's wrist camera looks before it reaches", looks=True),
+            Protocol(
+                "upright-wrist",
+                "the upright beam 0.8 m from the stems, and the arm's wrist camera looks before it reaches",
+                (_UPRIGHT,),
+                back=0.3,
+                depth=0.2,
+                looks=True,
+            ),
         )
     }
 )

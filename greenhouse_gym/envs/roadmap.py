@@ -37,10 +37,12 @@ class Nodes(NamedTuple):
     Attributes:
         configurations: (k, j) goals, then nodes of ways to them, radians.
         costs: (k,) the way from each to its goal, radians: zero for goals.
+        reach: Whether a way from the start to a goal is among them.
     """
 
     configurations: Array
     costs: Array
+    reach: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +69,7 @@ def search_nodes(checker: CollisionChecker, goals: Array, postures: Array, start
         robot: Its limits hold.
     """
     if not len(goals) or not checker.is_free(start):
-        return Nodes(goals[:NEAREST], np.zeros(len(goals[:NEAREST])))
+        return Nodes(goals[:NEAREST], np.zeros(len(goals[:NEAREST])), False)
     random = np.random.default_rng(0)
     tree = [_Node(goal, 0.0) for goal in goals]
     kept = tree[:NEAREST]
@@ -87,7 +89,7 @@ def search_nodes(checker: CollisionChecker, goals: Array, postures: Array, start
             ways.append(node.before(places[place]) if place else node)
             if len(ways) == ENOUGH:
                 break
-    return _nodes(kept + ways)
+    return _nodes(kept + ways, bool(ways))
 
 
 def _grown(
@@ -117,7 +119,7 @@ def _by_length(places: Array, nodes: Sequence[_Node]) -> Iterator[tuple[int, _No
         yield k // len(nodes), nodes[k % len(nodes)]
 
 
-def _nodes(ends: Iterable[_Node]) -> Nodes:
+def _nodes(ends: Iterable[_Node], reach: bool) -> Nodes:
     """Some nodes, and those that follow on their ways."""
     found: dict[int, _Node] = {}
     for end in ends:
@@ -126,4 +128,5 @@ def _nodes(ends: Iterable[_Node]) -> Nodes:
             found[id(node)] = node
             node = node.towards
     ordered = sorted(found.values(), key=lambda node: node.cost > 0)
-    return Nodes(np.array([node.configuration for node in ordered]), np.array([node.cost for node in ordered]))
+    configurations = np.array([node.configuration for node in ordered])
+    return Nodes(configurations, np.array([node.cost for node in ordered]), reach)

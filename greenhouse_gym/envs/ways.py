@@ -64,22 +64,23 @@ class Ways:
     """The ways of one episode.
 
     Args:
-        world: Where; only the scene as it is known counts.
-        robot: The arm.
+        place: Where.
         target: Index of the target in the scene.
         center: (3,) where it is told to be in the scene, metres.
         start: (j,) radians.
+
+    Attributes:
+        nodes: Where the arm may go.
     """
 
-    def __init__(self, world: World, robot: Robot, target: int, center: Array, start: Array):
-        place = _place_of(world.before or world, robot)
-        self._checker = CollisionChecker(planning_model(place.compiled, target, MARGIN), arm_reaches(robot))
+    def __init__(self, place: Place, target: int, center: Array, start: Array):
+        self._checker = CollisionChecker(planning_model(place.compiled, target, MARGIN), arm_reaches(place.robot))
         self.nodes = place.nodes(self._checker, target, center, start)
         self._start = start
 
     def heading(self, joints: Array) -> Heading:
         """Where to go from (j,) joint positions, radians."""
-        configurations, costs = self.nodes
+        configurations, costs, _ = self.nodes
         if not len(costs):
             return Heading(self._start, 0.0, False)
         ways = np.sqrt(((configurations - joints) ** 2).sum(axis=-1))
@@ -137,14 +138,30 @@ class Headings:
 
 
 @dataclass(frozen=True, eq=False)
-class _Place:
-    """A scene as it is known, with what was found in it so far."""
+class Place:
+    """A scene as it is known, with what was found in it so far.
 
-    robot: Robot
+    Attributes:
+        compiled: The scene.
+        chain: The arm from its base to the tool.
+        postures: Those of each start.
+        known: The nodes of each episode.
+    """
+
     compiled: CompiledScene
     chain: Chain
     postures: dict[bytes, Array] = field(default_factory=dict)  # by the start
     known: dict[bytes, Nodes] = field(default_factory=dict)  # by target, center and start
+
+    @classmethod
+    def of(cls, compiled: CompiledScene) -> Place:
+        """A scene in which nothing was looked for yet."""
+        return cls(compiled, tool_chain(compiled.model, compiled.tip_site))
+
+    @property
+    def robot(self) -> Robot:
+        """The arm."""
+        return self.compiled.robot
 
     def nodes(self, checker: CollisionChecker, target: int, center: Array, start: Array) -> Nodes:
         """The nodes of an episode, found once."""
@@ -186,12 +203,12 @@ class _Place:
         return self.postures[key]
 
 
-_PLACES: WeakKeyDictionary[World, _Place] = WeakKeyDictionary()
+_PLACES: WeakKeyDictionary[World, Place] = WeakKeyDictionary()
 
 
-def _place_of(world: World, robot: Robot) -> _Place:
-    """What is known of a world's scene, for as long as the world lives."""
-    if world not in _PLACES:
-        compiled = compile_scene(world.scene, robot)
-        _PLACES[world] = _Place(robot, compiled, tool_chain(compiled.model, compiled.tip_site))
-    return _PLACES[world]
+def place_of(world: World, robot: Robot) -> Place:
+    """A world's scene as it is known, kept for as long as the world lives."""
+    known = world.before or world
+    if known not in _PLACES:
+        _PLACES[known] = Place.of(compile_scene(known.scene, robot))
+    return _PLACES[known]

@@ -8,14 +8,12 @@ import pytest
 from greenhouse_gym.agents import WaypointAgent
 from greenhouse_gym.envs import TomatoReachEnv, ways
 from greenhouse_gym.envs.roadmap import RESOLUTION
-from greenhouse_gym.envs.ways import EVERY, Heading, Headings, Ways
-from greenhouse_gym.envs.worlds import Worlds
+from greenhouse_gym.envs.ways import EVERY, Heading, Headings, Place, Ways
 from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.geometry import Capsule
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene, SceneBank, Shapes, compile_scene
 from greenhouse_gym.scene.collision import CollisionChecker, planning_model
-from greenhouse_gym.scene.mjcf import DEFAULT_CAPACITY
 
 ARM = get_robot("ur5e")
 TARGET = 4
@@ -23,8 +21,7 @@ JOINTS = len(ARM.joints)
 
 
 def ways_in(scene: Scene, center: np.ndarray) -> Ways:
-    world = Worlds(ARM, "reconstruction", DEFAULT_CAPACITY).world(scene)
-    return Ways(world, ARM, TARGET, center, ARM.start)
+    return Ways(Place.of(compile_scene(scene, ARM)), TARGET, center, ARM.start)
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +48,7 @@ def test_ways_that_are_told_to_be_free_are_free(
             assert checker.motion_is_free(joints, waypoint, RESOLUTION)
         assert left >= 0
     assert free >= least
-    for node, cost in zip(*known.nodes, strict=True):
+    for node, cost in zip(known.nodes.configurations, known.nodes.costs, strict=True):
         nearer = known.nodes.costs < cost
         gaps = np.linalg.norm(known.nodes.configurations - node, axis=1)
         after = known.nodes.configurations[nearer & np.isclose(gaps + known.nodes.costs, cost)]

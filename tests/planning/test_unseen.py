@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from seen_helpers import HIGH, LOW, VOXEL, seen_where
 
 from greenhouse_gym.errors import InvalidValueError, UnknownNameError
 from greenhouse_gym.geometry import distance_to_shapes
@@ -15,17 +16,7 @@ from greenhouse_gym.scene.collision import CollisionChecker, planning_model
 from greenhouse_gym.scene.seen import EMPTY, REACH, UNSEEN, SeenSpace
 
 ARM = get_robot("ur5e")
-LOW, HIGH, VOXEL = np.array([-1.35, -1.35, 0.0]), np.array([1.35, 1.35, 2.45]), 0.05
 TARGET = 4
-
-
-def seen_where(scene: Scene, seen: float | None, aisle: float = -1.35) -> Scene:
-    """The scene, seen up to a height; what is above, and farther from the aisle than given, is unseen."""
-    shape = np.rint((HIGH - LOW) / VOXEL).astype(int)
-    states = np.full(shape, EMPTY, dtype=np.uint8)
-    if seen is not None:
-        states[round((aisle - LOW[0]) / VOXEL) :, :, round(seen / VOXEL) :] = UNSEEN
-    return scene.model_copy(update={"seen": SeenSpace.of(states, LOW, VOXEL)})
 
 
 def test_where_all_was_seen_nothing_changes(scene: Scene) -> None:

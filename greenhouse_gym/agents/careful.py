@@ -1,0 +1,73 @@
+"""An agent that keeps out of what the scan did not see, as far as that goes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from greenhouse_gym.agents.agent import Problem
+from greenhouse_gym.agents.guide import towards
+from greenhouse_gym.envs.ways import Headings, Place, Ways
+from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.planning.unseen import DEPTHS, depths_of, guarded
+
+_ONLY = np.zeros(1, dtype=np.int64)
+
+
+class CarefulAgent:
+    """Follows the ways of ``observation="waypoint"``, looked for where the scan saw that there is room.
+
+    What was not seen is first an obstacle, then entered no deeper than each of some depths, at last as free as it is to
+    an arm that does not care: the first of these that leaves a way to the target is what counts in the episode.
+    It needs an environment whose actions move the joints.
+
+    Args:
+        depths: How deep the arm may go into unseen space, metres; what is tried, one after the other.
+
+    Attributes:
+        status: How deep it was in the last episode, metres: "inf" where the unseen is free, as in a scene that does not
+            say what was seen of it.
+
+    Raises:
+        InvalidValueError: There is no depth, or a negative one.
+    """
+
+    name = "careful"
+    env_options: Mapping[str, Any] = MappingProxyType({})
+
+    def __init__(self, depths: Sequence[float] = DEPTHS):
+        self.status = ""
+        self._depths = tuple(depth for each in depths for depth in depths_of(float(each)))
+        if not self._depths:
+            raise InvalidValueError("depths: expected at least one depth in metres, got none")
+        self._headings = Headings(1, 0)
+        self._command = self._steps = np.zeros(0)
+        self._age = 0
+
+    def reset(self, problem: Problem) -> None:
+        """Look for a way."""
+        depths = (np.inf,) if problem.scene.seen is None else self._depths
+        center = problem.scene.tomatoes[problem.target].center
+        for depth in depths:
+            place = Place.of(guarded(problem.scene, problem.robot, problem.start, depth))
+            ways = Ways(place, problem.target, center, problem.start)
+            if ways.nodes.reach:
+                break
+        self.status = f"{depth:g}"
+        self._headings = Headings(1, len(problem.start))
+        self._headings.begin(0, ways)
+        self._command, self._steps, self._age = problem.start.copy(), problem.joint_steps, 0
+
+    def act(self, observation: Any) -> npt.NDArray[np.float32]:
+        """A step towards the waypoint; zero while there is no free way to one."""
+        if not len(self._steps):
+            raise RuntimeError("reset the agent before it acts")
+        self._headings.look(_ONLY, self._command[None], np.array([self._age]))
+        self._age += 1
+        action = towards(self._headings.waypoint[0], self._command, self._steps) * self._headings.way[0, 1]
+        self._command = self._command + action * self._steps
+        return action.astype(np.float32)

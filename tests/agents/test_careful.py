@@ -1,0 +1,64 @@
+"""The agent that keeps out of what the scan did not see."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from seen_helpers import seen_where
+
+from greenhouse_gym.agents import CarefulAgent, Problem, WaypointAgent
+from greenhouse_gym.agents.agent import Agent
+from greenhouse_gym.envs import TomatoReachEnv
+from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.planning.unseen import guarded
+from greenhouse_gym.robots import get_robot
+from greenhouse_gym.scene import Scene
+from greenhouse_gym.scene.collision import CollisionChecker, planning_model
+
+ARM = get_robot("ur5e")
+TARGET = 4
+
+
+def played(agent: Agent, scene: Scene) -> tuple[bool, np.ndarray]:
+    """Whether an agent reaches the target, and (steps, joints) the commands on its way, radians."""
+    env = TomatoReachEnv(bank="mini", **agent.env_options)
+    observation, info = env.reset(options={"scene": scene, "target": TARGET})
+    problem = Problem(scene, TARGET, ARM, env.start)
+    agent.reset(problem)
+    commands = [env.start]
+    over = False
+    while not over:
+        action = agent.act(observation)
+        commands.append(commands[-1] + action * problem.joint_steps)
+        observation, _, terminated, truncated, info = env.step(action)
+        over = terminated or truncated
+    env.close()
+    return bool(info["is_success"]), np.array(commands)
+
+
+def test_it_stays_where_the_scan_saw_that_there_is_room(scene: Scene) -> None:
+    partly = seen_where(scene, 1.7, aisle=0.3)
+    checker = CollisionChecker(planning_model(guarded(partly, ARM, ARM.start), TARGET, margin=0.0))
+    agent = CarefulAgent()
+    reached, commands = played(agent, partly)
+    assert (reached, agent.status) == (True, "0")
+    assert all(checker.is_free(command) for command in commands)
+
+
+@pytest.mark.parametrize("seen", [0.0, None], ids=["nothing was seen", "it is not said what was seen"])
+def test_where_there_is_no_other_way_it_goes_as_if_all_were_free(scene: Scene, seen: float | None) -> None:
+    known = scene if seen is None else seen_where(scene, seen)
+    agent = CarefulAgent()
+    (reached, commands), (also, others) = played(agent, known), played(WaypointAgent(), known)
+    assert (reached, agent.status) == (also, "inf") == (True, "inf")
+    np.testing.assert_allclose(commands, others, atol=1e-5)
+
+
+def test_a_depth_below_zero_is_refused(scene: Scene) -> None:
+    with pytest.raises(InvalidValueError, match="depth"):
+        CarefulAgent([-0.1])
+
+
+def test_it_says_so_where_it_was_not_reset() -> None:
+    with pytest.raises(RuntimeError, match="reset"):
+        CarefulAgent().act(None)

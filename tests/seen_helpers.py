@@ -1,0 +1,19 @@
+"""Scenes that say what was seen of them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from greenhouse_gym.scene import Scene
+from greenhouse_gym.scene.seen import EMPTY, UNSEEN, SeenSpace
+
+LOW, HIGH, VOXEL = np.array([-1.35, -1.35, 0.0]), np.array([1.35, 1.35, 2.45]), 0.05
+
+
+def seen_where(scene: Scene, seen: float | None, aisle: float = -1.35) -> Scene:
+    """The scene, seen up to a height; what is above, and farther from the aisle than given, is unseen."""
+    shape = np.rint((HIGH - LOW) / VOXEL).astype(int)
+    states = np.full(shape, EMPTY, dtype=np.uint8)
+    if seen is not None:
+        states[round((aisle - LOW[0]) / VOXEL) :, :, round(seen / VOXEL) :] = UNSEEN
+    return scene.model_copy(update={"seen": SeenSpace.of(states, LOW, VOXEL)})
