@@ -1,10 +1,15 @@
 """Stable-Baselines3 with its simulations in two Ray actors, against all of them in the same process.
 
 python benchmarks/sb3_actors.py --steps 16384
+python benchmarks/sb3_actors.py --steps 16384 --rounds 3 --pinned --out sb3_actors_pinned.json
 
 PPO of the usual settings but for the number of steps, in turns here and with actors. Steps per second of processor time
 count this process, while it learns and steps or waits, and the actors. Before that the same
 actions are played in both, and observations, rewards and ends of episodes compared bit for bit.
+
+Two threads of one core slow each other down, and only the actors run on both at once. Pinned, all processes share one of
+them. What is then left of the difference is the cost of sending things to actors and back, and that of a step of few
+simulations, which costs more for each of them than a step of many.
 """
 
 from __future__ import annotations
@@ -25,7 +30,8 @@ from greenhouse_gym.integrations.sb3 import make_sb3_vec_env
 from greenhouse_gym.integrations.sb3_ray import make_sb3_ray_vec_env
 from greenhouse_gym.learning import PpoSettings, train_ppo
 
-ACTORS, SIMULATIONS = 2, 128
+ACTORS = 2
+WARM = 100  # steps of all simulations, in which many episodes end and the scenes of the bank are met
 BANK = "mini"  # whose scenes are soon ready, so that steps are measured and not the making of worlds
 
 
@@ -33,13 +39,18 @@ def main() -> None:
     """Measure and write the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--steps", type=int, default=16_384, help="of a training")
+    parser.add_argument("--num-envs", type=int, default=128, help="simulations, of both actors together")
     parser.add_argument("--rounds", type=int, default=2)
     parser.add_argument("--compared", type=int, default=100, help="steps of all simulations that are compared")
+    parser.add_argument("--pinned", action="store_true", help="have all processes share one processor")
+    parser.add_argument("--out", default="sb3_actors.json", help="file among the results")
     a = parser.parse_args()
+    if a.pinned:
+        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})  # before Ray starts: its processes inherit it
     makers: dict[str, Any] = {"here": make_sb3_vec_env, "actors": partial(make_sb3_ray_vec_env, actors=ACTORS)}
-    ended = compare(makers, a.compared)
+    ended = compare(makers, a.num_envs, a.compared)
     rates: dict[str, list[float]] = {way: [] for way in makers}
-    settings = PpoSettings(bank=BANK, total_steps=a.steps, num_envs=SIMULATIONS, threads=1)
+    settings = PpoSettings(bank=BANK, total_steps=a.steps, num_envs=a.num_envs, threads=1)
     with tempfile.TemporaryDirectory() as folder:
         for turn in range(a.rounds):
             for way in sorted(makers, reverse=bool(turn % 2)):
@@ -48,19 +59,22 @@ def main() -> None:
                 rates[way].append(round(a.steps / watch.seconds))
                 print(way, rates[way][-1], flush=True)
     result = {
-        "command": f"benchmarks/sb3_actors.py --steps {a.steps} --rounds {a.rounds} --compared {a.compared}",
-        "steps compared bit for bit": a.compared * SIMULATIONS,
+        "command": (
+            f"benchmarks/sb3_actors.py --steps {a.steps} --rounds {a.rounds} --compared {a.compared}"
+            f" --num-envs {a.num_envs}{' --pinned' * a.pinned} --out {a.out}"
+        ),
+        "steps compared bit for bit": a.compared * a.num_envs,
         "episodes that ended in them": ended,
         "steps per processor second": rates,
         "actors against here": round(median(rates["actors"]) / median(rates["here"]), 3),
         "load at the end": round(os.getloadavg()[0], 1),
     }
     print(result)
-    write_results(RESULTS / "sb3_actors.json", result, ["ray", "mujoco", "torch", "stable-baselines3"])
+    write_results(RESULTS / a.out, result, ["ray", "mujoco", "torch", "stable-baselines3"])
 
 
 class Watch:
-    """Notes the processor time from the first reset of the environment that it makes to its end, of all processes."""
+    """Notes the processor time from when the environment that it makes is warm to its end, of all processes."""
 
     def __init__(self, make: Any):
         self._make = make
@@ -69,7 +83,9 @@ class Watch:
     def make(self, *arguments: Any, **options: Any) -> Any:
         """The environment."""
         env = self._make(*arguments, **options)
-        env.reset()  # what is made, read and compiled once is not counted
+        env.reset()
+        for _ in range(WARM):  # what is made, read and compiled once, for each scene and in each process, is not counted
+            env.step(np.ones((env.num_envs, *env.action_space.shape), dtype=np.float32))
         began, close = seconds_of_all(), env.close
 
         def end() -> None:
@@ -96,16 +112,16 @@ def _seconds_of(process: Path) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def compare(makers: dict[str, Any], steps: int) -> int:
+def compare(makers: dict[str, Any], count: int, steps: int) -> int:
     """Play the same actions in all; how many episodes ended.
 
     Raises:
         AssertionError: Something differs.
     """
-    here, actors = (make(SIMULATIONS, bank=BANK, seed=0) for make in makers.values())
+    here, actors = (make(count, bank=BANK, seed=0) for make in makers.values())
     np.testing.assert_array_equal(here.reset(), actors.reset())
     random, ended = np.random.default_rng(0), 0
-    lean = random.uniform(-1, 1, (SIMULATIONS, 6))
+    lean = random.uniform(-1, 1, (count, 6))
     for _ in range(steps):
         actions = np.clip(lean + random.normal(0, 0.3, lean.shape), -1, 1).astype(np.float32)
         of_here, of_actors = here.step(actions), actors.step(actions)
