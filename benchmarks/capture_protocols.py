@@ -43,7 +43,7 @@ from greenhouse_gym.plants import CULTIVARS, STYLES, PlantRow, grow_row
 from greenhouse_gym.reconstruction import RowCloud, add_looks, reconstruct_row
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.seen import EMPTY, SURFACE, UNSEEN
-from greenhouse_gym.shapes import extract_shapes
+from greenhouse_gym.shapes import FINE_SHAPES, ShapeSettings, extract_shapes
 from greenhouse_gym.wrist import look_rig
 
 REACH = 0.95
@@ -72,6 +72,7 @@ class Options:
         planner: The planner.
         checks: Its budget of collision checks.
         primitives: Most shapes in a scene.
+        fine: Whether bent leaves become many small boxes, `greenhouse_gym.shapes.FINE_SHAPES`.
         per_scene: Most targets of a scene, drawn by the row's seed.
         moved: Whether the true plants have moved since they were scanned, in each episode elsewhere.
         workdir: Where scenes and episodes are kept.
@@ -84,6 +85,7 @@ class Options:
     planner: str = "RRTConnect"
     checks: int = 20_000
     primitives: int = 600
+    fine: bool = False
     per_scene: int = 20
     moved: bool = False
     workdir: Path = Path("capture_protocols")
@@ -105,6 +107,7 @@ def main() -> None:
     parser.add_argument("--planner", default="RRTConnect")
     parser.add_argument("--checks", type=int, default=20_000, help="collision checks of a plan")
     parser.add_argument("--primitives", type=int, default=600, help="most shapes in a scene")
+    parser.add_argument("--fine", action="store_true", help="have bent leaves become many small boxes")
     parser.add_argument("--per-scene", type=int, default=20, help="most targets of a scene")
     parser.add_argument("--moved", action="store_true", help="follow in plants that moved since they were scanned")
     parser.add_argument("--workers", type=int, default=1)
@@ -113,7 +116,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="JSON file for the figures")
     a = parser.parse_args()
     options = Options(
-        a.source, a.length, a.spacing, a.robot, a.planner, a.checks, a.primitives, a.per_scene, a.moved, a.workdir
+        a.source, a.length, a.spacing, a.robot, a.planner, a.checks, a.primitives, a.fine, a.per_scene, a.moved,
+        a.workdir,
     )
     tasks = [(row, *_named(name), unseen) for row, name, unseen in product(a.rows, a.protocols, a.unseen)]
     if a.only_finished:
@@ -126,7 +130,7 @@ def main() -> None:
         command = (
             f"benchmarks/capture_protocols.py --source {a.source} --rows {','.join(map(str, a.rows))} "
             f"--protocols {' '.join(a.protocols)} --unseen {' '.join(a.unseen)} --length {a.length:g} "
-            f"--spacing {a.spacing:g} --primitives {a.primitives} --planner {a.planner} --checks {a.checks} "
+            f"--spacing {a.spacing:g} --primitives {a.primitives}{' --fine' * a.fine} --planner {a.planner} --checks {a.checks} "
             f"--per-scene {a.per_scene}{' --moved' * a.moved}{' --only-finished' * a.only_finished}"
         )
         rows = sorted({task[0] for task in tasks})
@@ -171,7 +175,7 @@ def reach_in(scenes: Sequence[Scene], unseen: str, start: str, seed: int, option
 def folder_of(seed: int, protocol: str, options: Options) -> Path:
     """Where the scenes and episodes of a row and a protocol are kept."""
     made = f"{options.source}-{seed}-{options.length:g}m-{options.spacing:g}-{options.primitives}-{protocol}"
-    return options.workdir / made
+    return options.workdir / (made + "-fine" * options.fine)
 
 
 def _episodes_file(seed: int, protocol: str, start: str, unseen: str, options: Options) -> Path:
@@ -206,11 +210,12 @@ def scenes_of(seed: int, protocol: str, options: Options) -> list[Scene]:
         row = grow(seed, options)
         recording = simulate_protocol(row, seed, get_protocol(protocol))
         cloud = reconstruct_row(recording)
-        shapes = extract_shapes(cloud.points, cloud.colors, cloud.normals)
+        settings = FINE_SHAPES if options.fine else ShapeSettings()
+        shapes = extract_shapes(cloud.points, cloud.colors, cloud.normals, settings)
         build = BuildSettings(primitives=options.primitives, spacing=options.spacing)
         if get_protocol(protocol).looks:
             cloud = look_around(cloud, stand_poses(cloud, shapes, recording, build), recording, seed, options)
-            shapes = extract_shapes(cloud.points, cloud.colors, cloud.normals)
+            shapes = extract_shapes(cloud.points, cloud.colors, cloud.normals, settings)
         scenes = cut_scenes(cloud, shapes, recording, row.week, build)
         print(
             f"{protocol}, row {seed}: {cloud.registered.sum()} of {len(recording)} stations, {len(cloud)} points, "
