@@ -13,7 +13,10 @@ from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.agents.guide import towards
 from greenhouse_gym.envs.ways import Headings, Place, Ways
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.planning.unseen import DEPTHS, depths_of, guarded
+from greenhouse_gym.planning.unseen import depths_of, guarded
+
+CAREFUL_DEPTHS = (0.1, 0.15, 0.2, float("inf"))
+"""How deep an arm may go into unseen space, metres: without any of it no way was found to any tomato that was tried."""
 
 _ONLY = np.zeros(1, dtype=np.int64)
 
@@ -21,8 +24,8 @@ _ONLY = np.zeros(1, dtype=np.int64)
 class CarefulAgent:
     """Follows the ways of ``observation="waypoint"``, looked for where the scan saw that there is room.
 
-    What was not seen is first an obstacle, then entered no deeper than each of some depths, at last as free as it is to
-    an arm that does not care: the first of these that leaves a way to the target is what counts in the episode.
+    What was not seen is entered no deeper than each of some depths, one after the other, at last it is as free as it is
+    to an arm that does not care: the first of these that leaves a way to the target is what counts in the episode.
     It needs an environment whose actions move the joints.
 
     Args:
@@ -39,7 +42,7 @@ class CarefulAgent:
     name = "careful"
     env_options: Mapping[str, Any] = MappingProxyType({})
 
-    def __init__(self, depths: Sequence[float] = DEPTHS):
+    def __init__(self, depths: Sequence[float] = CAREFUL_DEPTHS):
         self.status = ""
         self._depths = tuple(depth for each in depths for depth in depths_of(float(each)))
         if not self._depths:

@@ -39,7 +39,7 @@ def played(agent: Agent, scene: Scene) -> tuple[bool, np.ndarray]:
 def test_it_stays_where_the_scan_saw_that_there_is_room(scene: Scene) -> None:
     partly = seen_where(scene, 1.7, aisle=0.3)
     checker = CollisionChecker(planning_model(guarded(partly, ARM, ARM.start), TARGET, margin=0.0))
-    agent = CarefulAgent()
+    agent = CarefulAgent([0.0, 0.1])
     reached, commands = played(agent, partly)
     assert (reached, agent.status) == (True, "0")
     assert all(checker.is_free(command) for command in commands)
