@@ -116,7 +116,16 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="JSON file for the figures")
     a = parser.parse_args()
     options = Options(
-        a.source, a.length, a.spacing, a.robot, a.planner, a.checks, a.primitives, a.fine, a.per_scene, a.moved,
+        a.source,
+        a.length,
+        a.spacing,
+        a.robot,
+        a.planner,
+        a.checks,
+        a.primitives,
+        a.fine,
+        a.per_scene,
+        a.moved,
         a.workdir,
     )
     tasks = [(row, *_named(name), unseen) for row, name, unseen in product(a.rows, a.protocols, a.unseen)]
@@ -130,8 +139,8 @@ def main() -> None:
         command = (
             f"benchmarks/capture_protocols.py --source {a.source} --rows {','.join(map(str, a.rows))} "
             f"--protocols {' '.join(a.protocols)} --unseen {' '.join(a.unseen)} --length {a.length:g} "
-            f"--spacing {a.spacing:g} --primitives {a.primitives}{' --fine' * a.fine} --planner {a.planner} --checks {a.checks} "
-            f"--per-scene {a.per_scene}{' --moved' * a.moved}{' --only-finished' * a.only_finished}"
+            f"--spacing {a.spacing:g} --primitives {a.primitives}{' --fine' * a.fine} --planner {a.planner} "
+            f"--checks {a.checks} --per-scene {a.per_scene}{' --moved' * a.moved}{' --only-finished' * a.only_finished}"
         )
         rows = sorted({task[0] for task in tasks})
         figures = {"command": command, "source": a.source, "rows_measured": rows, "figures": summaries(episodes)}

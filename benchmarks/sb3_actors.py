@@ -7,8 +7,8 @@ PPO of the usual settings but for the number of steps, in turns here and with ac
 count this process, while it learns and steps or waits, and the actors. Before that the same
 actions are played in both, and observations, rewards and ends of episodes compared bit for bit.
 
-Two threads of one core slow each other down, and only the actors run on both at once. Pinned, all processes share one of
-them. What is then left of the difference is the cost of sending things to actors and back, and that of a step of few
+Two threads of one core slow each other down, and only the actors run on both at once. Pinned, all processes share one
+of them. What is then left of the difference is the cost of sending things to actors and back, and that of a step of few
 simulations, which costs more for each of them than a step of many.
 """
 
@@ -84,7 +84,9 @@ class Watch:
         """The environment."""
         env = self._make(*arguments, **options)
         env.reset()
-        for _ in range(WARM):  # what is made, read and compiled once, for each scene and in each process, is not counted
+        for _ in range(
+            WARM
+        ):  # what is made, read and compiled once, for each scene and in each process, is not counted
             env.step(np.ones((env.num_envs, *env.action_space.shape), dtype=np.float32))
         began, close = seconds_of_all(), env.close
 

@@ -11,9 +11,10 @@ import numpy.typing as npt
 
 from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.agents.guide import towards
-from greenhouse_gym.envs.ways import Headings, Place, Ways
+from greenhouse_gym.envs.ways import Ends, Headings, Place, Ways
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.planning.unseen import depths_of, guarded
+from greenhouse_gym.scene import compile_scene
 
 CAREFUL_DEPTHS = (0.1, 0.15, 0.2, float("inf"))
 """How deep an arm may go into unseen space, metres: without any of it no way was found to any tomato that was tried."""
@@ -55,9 +56,9 @@ class CarefulAgent:
         """Look for a way."""
         depths = (np.inf,) if problem.scene.seen is None else self._depths
         center = problem.scene.tomatoes[problem.target].center
+        ends = Ends(compile_scene(problem.scene, problem.robot), problem.target, center, problem.start)
         for depth in depths:
-            place = Place.of(guarded(problem.scene, problem.robot, problem.start, depth))
-            ways = Ways(place, problem.target, center, problem.start)
+            ways = Ways(Place(guarded(problem.scene, problem.robot, problem.start, depth)), ends)
             if ways.nodes.reach:
                 break
         self.status = f"{depth:g}"

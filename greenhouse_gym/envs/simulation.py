@@ -22,7 +22,7 @@ from greenhouse_gym.envs.reach_task import RATE, Bools, Situation, lengths, pace
 from greenhouse_gym.envs.rewards import Terms, Transition, total_reward
 from greenhouse_gym.envs.settings import EnvSettings
 from greenhouse_gym.envs.stepping import Ids
-from greenhouse_gym.envs.ways import Headings, Ways, place_of
+from greenhouse_gym.envs.ways import Ends, Headings, Ways, place_of
 from greenhouse_gym.envs.worlds import World, room_for, worlds_of
 from greenhouse_gym.errors import InvalidValueError, NoEpisodeError
 from greenhouse_gym.geometry import Array
@@ -194,7 +194,8 @@ class ReachSimulation:
             self._room[i] = room_around(self.worlds.fields, world.field, self._ignored[i], self._target[i])
         if self._headings is not None:
             center = self._frame[i, :3] + self._axes[i] @ self._target[i]
-            self._headings.begin(i, Ways(place_of(world, self.robot), episode.target, center, episode.start))
+            place = place_of(world, self.robot)
+            self._headings.begin(i, Ways(place, Ends(place.compiled, episode.target, center, episode.start)))
 
     def close(self) -> None:
         """Free the simulations; the next reset makes new ones."""

@@ -19,7 +19,7 @@ from greenhouse_gym.envs.worlds import World
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.robots.inverse_kinematics import inverse_kinematics
-from greenhouse_gym.robots.kinematics import Chain, tool_chain
+from greenhouse_gym.robots.kinematics import tool_chain
 from greenhouse_gym.scene import CompiledScene, compile_scene
 from greenhouse_gym.scene.collision import CollisionChecker, planning_model
 from greenhouse_gym.scene.reaches import arm_reaches
@@ -65,18 +65,16 @@ class Ways:
 
     Args:
         place: Where.
-        target: Index of the target in the scene.
-        center: (3,) where it is told to be in the scene, metres.
-        start: (j,) radians.
+        ends: What reaches the target from there, whatever is in the way.
 
     Attributes:
         nodes: Where the arm may go.
     """
 
-    def __init__(self, place: Place, target: int, center: Array, start: Array):
-        self._checker = CollisionChecker(planning_model(place.compiled, target, MARGIN), arm_reaches(place.robot))
-        self.nodes = place.nodes(self._checker, target, center, start)
-        self._start = start
+    def __init__(self, place: Place, ends: Ends):
+        self._checker = CollisionChecker(planning_model(place.compiled, ends.target, MARGIN), arm_reaches(place.robot))
+        self.nodes = place.nodes(self._checker, ends)
+        self._start = ends.start
 
     def heading(self, joints: Array) -> Heading:
         """Where to go from (j,) joint positions, radians."""
@@ -137,59 +135,65 @@ class Headings:
                 self.waypoint[i], self.way[i] = heading.waypoint, (heading.left, heading.free)
 
 
+class Ends:
+    """Configurations that reach a target, whatever they touch, round by round; each round is computed once.
+
+    Args:
+        compiled: The scene.
+        target: Index of the target in it.
+        center: (3,) where it is told to be in the scene, metres.
+        start: (j,) radians.
+    """
+
+    def __init__(self, compiled: CompiledScene, target: int, center: Array, start: Array):
+        self.target, self.center, self.start = target, center, start
+        self._robot, self._radius = compiled.robot, compiled.scene.tomatoes[target].radius
+        self._chain = tool_chain(compiled.model, compiled.tip_site)
+        self._random = np.random.default_rng(0)
+        self._rounds: list[Array] = []
+
+    def __getitem__(self, k: int) -> Array:
+        """(n, j) those of round k, radians."""
+        while len(self._rounds) <= k:
+            self._rounds.append(self._next())
+        return self._rounds[k]
+
+    def _next(self) -> Array:
+        robot, start = self._robot, self.start
+        lower, upper = np.maximum(robot.lower, start - np.pi), np.minimum(robot.upper, start + np.pi)
+        guesses = self._random.uniform(lower, upper, (GUESSES, len(start)))
+        guesses[:, -1] = start[-1]  # the tool is round
+        return inverse_kinematics(self._chain, guesses, self.center, self._radius, robot)
+
+
 @dataclass(frozen=True, eq=False)
 class Place:
     """A scene as it is known, with what was found in it so far.
 
     Attributes:
         compiled: The scene.
-        chain: The arm from its base to the tool.
         postures: Those of each start.
         known: The nodes of each episode.
     """
 
     compiled: CompiledScene
-    chain: Chain
     postures: dict[bytes, Array] = field(default_factory=dict)  # by the start
     known: dict[bytes, Nodes] = field(default_factory=dict)  # by target, center and start
-
-    @classmethod
-    def of(cls, compiled: CompiledScene) -> Place:
-        """A scene in which nothing was looked for yet."""
-        return cls(compiled, tool_chain(compiled.model, compiled.tip_site))
 
     @property
     def robot(self) -> Robot:
         """The arm."""
         return self.compiled.robot
 
-    def nodes(self, checker: CollisionChecker, target: int, center: Array, start: Array) -> Nodes:
+    def nodes(self, checker: CollisionChecker, ends: Ends) -> Nodes:
         """The nodes of an episode, found once."""
-        key = np.concatenate([[target], center, start]).tobytes()
+        key = np.concatenate([[ends.target], ends.center, ends.start]).tobytes()
         if key not in self.known:
             if len(self.known) >= _REMEMBERED:
                 self.known.clear()
-            self.known[key] = self._search(checker, target, center, start)
+            goals, postures = _goals(checker, ends), self._postures(checker, ends.start)
+            self.known[key] = search_nodes(checker, goals, postures, ends.start, self.robot)
         return self.known[key]
-
-    def _search(self, checker: CollisionChecker, target: int, center: Array, start: Array) -> Nodes:
-        goals, postures = self._goals(checker, target, center, start), self._postures(checker, start)
-        return search_nodes(checker, goals, postures, start, self.robot)
-
-    def _goals(self, checker: CollisionChecker, target: int, center: Array, start: Array) -> Array:
-        """(k, j) goal configurations, those near the start first."""
-        lower, upper = np.maximum(self.robot.lower, start - np.pi), np.minimum(self.robot.upper, start + np.pi)
-        radius, random = self.compiled.scene.tomatoes[target].radius, np.random.default_rng(0)
-        free: list[Array] = []
-        for k in range(MOST_ROUNDS):
-            guesses = random.uniform(lower, upper, (GUESSES, len(start)))
-            guesses[:, -1] = start[-1]  # the tool is round
-            found = inverse_kinematics(self.chain, guesses, center, radius, self.robot)
-            free += [goal for goal in found if checker.is_free(goal)]
-            if len(free) >= FEW or (free and k + 1 >= ROUNDS) or not len(found):
-                break
-        goals = np.array(free).reshape(-1, len(start))
-        return goals[((goals - start) ** 2).sum(axis=-1).argsort(kind="stable")[:GOALS]]
 
     def _postures(self, checker: CollisionChecker, start: Array) -> Array:
         """(k, j) postures to which the way from the start is free, in no order."""
@@ -203,6 +207,17 @@ class Place:
         return self.postures[key]
 
 
+def _goals(checker: CollisionChecker, ends: Ends) -> Array:
+    """(k, j) free goal configurations, those near the start first."""
+    free: list[Array] = []
+    for k in range(MOST_ROUNDS):
+        free += [end for end in ends[k] if checker.is_free(end)]
+        if len(free) >= FEW or (free and k + 1 >= ROUNDS) or not len(ends[k]):
+            break
+    goals = np.array(free).reshape(-1, len(ends.start))
+    return goals[((goals - ends.start) ** 2).sum(axis=-1).argsort(kind="stable")[:GOALS]]
+
+
 _PLACES: WeakKeyDictionary[World, Place] = WeakKeyDictionary()
 
 
@@ -210,5 +225,5 @@ def place_of(world: World, robot: Robot) -> Place:
     """A world's scene as it is known, kept for as long as the world lives."""
     known = world.before or world
     if known not in _PLACES:
-        _PLACES[known] = Place.of(compile_scene(known.scene, robot))
+        _PLACES[known] = Place(compile_scene(known.scene, robot))
     return _PLACES[known]

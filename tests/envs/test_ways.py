@@ -8,7 +8,7 @@ import pytest
 from greenhouse_gym.agents import WaypointAgent
 from greenhouse_gym.envs import TomatoReachEnv, ways
 from greenhouse_gym.envs.roadmap import RESOLUTION
-from greenhouse_gym.envs.ways import EVERY, Heading, Headings, Place, Ways
+from greenhouse_gym.envs.ways import EVERY, Ends, Heading, Headings, Place, Ways
 from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.geometry import Capsule
 from greenhouse_gym.robots import get_robot
@@ -21,7 +21,8 @@ JOINTS = len(ARM.joints)
 
 
 def ways_in(scene: Scene, center: np.ndarray) -> Ways:
-    return Ways(Place.of(compile_scene(scene, ARM)), TARGET, center, ARM.start)
+    place = Place(compile_scene(scene, ARM))
+    return Ways(place, Ends(place.compiled, TARGET, center, ARM.start))
 
 
 @pytest.fixture(scope="module")

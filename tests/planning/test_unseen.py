@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from seen_helpers import HIGH, LOW, VOXEL, seen_where
+from seen_helpers import seen_where
 
 from greenhouse_gym.errors import InvalidValueError, UnknownNameError
 from greenhouse_gym.geometry import distance_to_shapes
@@ -13,7 +13,7 @@ from greenhouse_gym.planning.unseen import DEPTHS, depths_of, guarded, unseen_bo
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.collision import CollisionChecker, planning_model
-from greenhouse_gym.scene.seen import EMPTY, REACH, UNSEEN, SeenSpace
+from greenhouse_gym.scene.seen import REACH
 
 ARM = get_robot("ur5e")
 TARGET = 4
