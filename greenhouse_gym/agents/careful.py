@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from math import inf, isfinite
 from types import MappingProxyType
 from typing import Any
 
@@ -14,11 +13,11 @@ from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.agents.guide import towards
 from greenhouse_gym.envs.ways import Ends, Headings, Place, Ways
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.planning.unseen import guarded
+from greenhouse_gym.planning.unseen import depths_of, guarded
 from greenhouse_gym.scene import compile_scene
 
-CARE = ((0.1, 0.015), (0.15, 0.015), (0.2, 0.015), (0.2, 0.004), (inf, 0.015), (inf, 0.004))
-"""How deep an arm may go into unseen space and how far it keeps from things, metres: what is tried, one by one."""
+CAREFUL_DEPTHS = (0.1, 0.15, 0.2, float("inf"))
+"""How deep an arm may go into unseen space, metres: without any of it no way was found to any tomato that was tried."""
 
 _ONLY = np.zeros(1, dtype=np.int64)
 
@@ -26,43 +25,43 @@ _ONLY = np.zeros(1, dtype=np.int64)
 class CarefulAgent:
     """Follows the ways of ``observation="waypoint"``, looked for where the scan saw that there is room.
 
-    What was not seen is entered no deeper, and things are passed no nearer, than each of some pairs of distances
-    allows, one after the other: the first of these that leaves a way to the target is what counts in the episode.
+    What was not seen is entered no deeper than each of some depths, one after the other, at last it is as free as it is
+    to an arm that does not care: the first of these that leaves a way to the target is what counts in the episode.
     It needs an environment whose actions move the joints.
 
     Args:
-        care: How deep the arm may go into unseen space, and how far it keeps from all that is known, metres. Where a
-            scene does not say what was seen of it, only the second counts.
+        depths: How deep the arm may go into unseen space, metres; what is tried, one after the other.
 
     Attributes:
-        status: What counted in the last episode.
+        status: How deep it was in the last episode, metres: "inf" where the unseen is free, as in a scene that does not
+            say what was seen of it.
 
     Raises:
-        InvalidValueError: There is no such pair, or a negative distance.
+        InvalidValueError: There is no depth, or a negative one.
     """
 
     name = "careful"
     env_options: Mapping[str, Any] = MappingProxyType({})
 
-    def __init__(self, care: Sequence[tuple[float, float]] = CARE):
-        if not care or not all(depth >= 0 and margin >= 0 for depth, margin in care):
-            raise InvalidValueError(f"care: expected pairs of distances of 0 m or more, got {list(care)!r}")
+    def __init__(self, depths: Sequence[float] = CAREFUL_DEPTHS):
         self.status = ""
-        self._care = tuple(care)
+        self._depths = tuple(depth for each in depths for depth in depths_of(float(each)))
+        if not self._depths:
+            raise InvalidValueError("depths: expected at least one depth in metres, got none")
         self._headings = Headings(1, 0)
         self._command = self._steps = np.zeros(0)
         self._age = 0
 
     def reset(self, problem: Problem) -> None:
         """Look for a way."""
+        depths = (np.inf,) if problem.scene.seen is None else self._depths
         center = problem.scene.tomatoes[problem.target].center
         ends = Ends(compile_scene(problem.scene, problem.robot), problem.target, center, problem.start)
-        for depth, margin in self._care:
-            allowed = inf if problem.scene.seen is None else depth
-            ways = Ways(Place(guarded(problem.scene, problem.robot, problem.start, allowed)), ends, margin)
+        for depth in depths:
+            ways = Ways(Place(guarded(problem.scene, problem.robot, problem.start, depth)), ends)
             if ways.nodes.reach:
                 break
-        self.status = f"{f'unseen to {allowed:g} m' if isfinite(allowed) else 'unseen free'}, {margin:g} m kept"
+        self.status = f"{depth:g}"
         self._headings = Headings(1, len(problem.start))
         self._headings.begin(0, ways)
         self._command, self._steps, self._age = problem.start.copy(), problem.joint_steps, 0

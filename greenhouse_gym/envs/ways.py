@@ -28,7 +28,7 @@ EVERY = 8
 """Steps after which the way is looked for anew; it is also when its end is reached."""
 
 MARGIN = 0.004
-"""Distance to obstacles that is usually kept, metres."""
+"""Distance to obstacles that is kept, metres."""
 
 GUESSES, FEW, GOALS = 300, 20, 60
 """First guesses of goal configurations, few of these, for which more is guessed, and how many goals, those nearest to
@@ -66,14 +66,13 @@ class Ways:
     Args:
         place: Where.
         ends: What reaches the target from there, whatever is in the way.
-        margin: Distance to obstacles that is kept, metres.
 
     Attributes:
         nodes: Where the arm may go.
     """
 
-    def __init__(self, place: Place, ends: Ends, margin: float = MARGIN):
-        self._checker = CollisionChecker(planning_model(place.compiled, ends.target, margin), arm_reaches(place.robot))
+    def __init__(self, place: Place, ends: Ends):
+        self._checker = CollisionChecker(planning_model(place.compiled, ends.target, MARGIN), arm_reaches(place.robot))
         self.nodes = place.nodes(self._checker, ends)
         self._start = ends.start
 
