@@ -16,7 +16,7 @@ import numpy as np
 from greenhouse_gym.paths import data_path, write_atomically
 from greenhouse_gym.planning import certify
 from greenhouse_gym.scene import DIFFICULTIES, SceneBank
-from greenhouse_gym.scene.bank import SPLITS
+from greenhouse_gym.scene.manifest import SPLITS
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt

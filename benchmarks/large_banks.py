@@ -31,7 +31,7 @@ from greenhouse_gym.envs import TomatoReachVectorEnv
 from greenhouse_gym.envs.window import DRAWS_PER_SCENE, WINDOW
 from greenhouse_gym.parallel import processes
 from greenhouse_gym.scene import SceneBank
-from greenhouse_gym.scene.bank import MANIFEST
+from greenhouse_gym.scene.manifest import MANIFEST
 
 SIMULATIONS, STEPS = 64, 50
 

@@ -20,7 +20,8 @@ from greenhouse_gym.parallel import completed
 from greenhouse_gym.paths import exclusive
 from greenhouse_gym.plants import grow_row
 from greenhouse_gym.scene import Provenance, Scene, SceneBank
-from greenhouse_gym.scene.bank import MANIFEST, write_bank
+from greenhouse_gym.scene.bank import write_bank
+from greenhouse_gym.scene.manifest import MANIFEST
 
 ROW_LENGTH = 1.0  # m
 ROWS, FIRST_SEED, WEEKS = 48, 2000, 12

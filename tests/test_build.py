@@ -24,7 +24,7 @@ from greenhouse_gym.paths import exclusive
 from greenhouse_gym.plants import PlantRow
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, RowReport
 from greenhouse_gym.scene import Provenance, Scene, SceneBank, Target
-from greenhouse_gym.scene.bank import MANIFEST
+from greenhouse_gym.scene.manifest import MANIFEST
 from greenhouse_gym.shapes import RowShapes, ShapeSettings, extract_shapes
 
 

@@ -19,7 +19,7 @@ from greenhouse_gym.capture.rig_file import load_mounting
 from greenhouse_gym.cli import app
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.scene import Scene, SceneBank
-from greenhouse_gym.scene.bank import Manifest
+from greenhouse_gym.scene.manifest import Manifest
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "SECURITY.md")]

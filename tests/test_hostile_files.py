@@ -21,7 +21,8 @@ from greenhouse_gym.capture.recordings import INDEX, write_recording
 from greenhouse_gym.errors import FileFormatError, InvalidValueError
 from greenhouse_gym.paths import checked_name, read_bytes
 from greenhouse_gym.scene import Scene, SceneBank, compile_scene
-from greenhouse_gym.scene.bank import MANIFEST, write_bank
+from greenhouse_gym.scene.bank import write_bank
+from greenhouse_gym.scene.manifest import MANIFEST
 
 BAD_NAMES = ["", ".", "..", "../../evil", "/abs/x", "a/b", "a\\b", "C:x", ".hidden", "x.", "x ", "a\0b", "a\nb",
              "manifest", "Manifest", "\ud800", "x" * 300]  # fmt: skip

@@ -11,7 +11,8 @@ from greenhouse_gym import shipped
 from greenhouse_gym.capture import PROTOCOLS
 from greenhouse_gym.plants import CULTIVARS, STYLES
 from greenhouse_gym.scene import Provenance, SceneBank
-from greenhouse_gym.scene.bank import SPLITS, write_bank
+from greenhouse_gym.scene.bank import write_bank
+from greenhouse_gym.scene.manifest import SPLITS
 
 
 def test_the_recipe_is_as_large_and_varied_as_it_says() -> None:

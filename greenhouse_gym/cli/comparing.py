@@ -26,8 +26,8 @@ def compare(
         list[str] | None,
         typer.Argument(
             metavar="[AGENTS]...",
-            help="Planners, policies (names or files), random, still, straight-line, resolved-rate, waypoint, guide, "
-            "hybrid, shielded, or your own as file.py:Class or module:Class.",
+            help="Planners, policies (names or files), random, still, straight-line, resolved-rate, waypoint, careful, "
+            "guide, hybrid, shielded, or your own as file.py:Class or module:Class.",
         ),
     ] = None,
     agents: Annotated[str, typer.Option(help="Further agents, separated by commas.")] = "",

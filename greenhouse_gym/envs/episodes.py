@@ -16,7 +16,7 @@ from greenhouse_gym.errors import InvalidValueError, require_choice
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import DIFFICULTIES, Scene, SceneBank, Target
-from greenhouse_gym.scene.bank import SPLITS
+from greenhouse_gym.scene.manifest import SPLITS
 
 UNRATED = "unrated"
 """Difficulty of a tomato that the scene does not list as a target."""

@@ -19,7 +19,7 @@ from greenhouse_gym.envs.rewards import Reward
 from greenhouse_gym.errors import InvalidValueError, UnknownKeywordError, require_choice
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import SceneBank
-from greenhouse_gym.scene.bank import SPLITS
+from greenhouse_gym.scene.manifest import SPLITS
 from greenhouse_gym.scene.mjcf import MOST_CAPACITY, TIMESTEP
 
 PHYSICS = ("reconstruction", "truth")

@@ -12,8 +12,8 @@ from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning.proof import ProvingChecker
 from greenhouse_gym.robots.kinematics import tool_chain, tool_state
 from greenhouse_gym.scene import Scene, SceneBank, Target
-from greenhouse_gym.scene.bank import Entry, counted
 from greenhouse_gym.scene.collision import planning_model
+from greenhouse_gym.scene.manifest import Entry, counted
 from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
 
 STEP = 0.002

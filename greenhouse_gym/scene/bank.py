@@ -8,76 +8,18 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal, get_args, overload
-
-from pydantic import Field, ValidationError, model_validator
+from typing import Any, overload
 
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError, require_choice
-from greenhouse_gym.paths import checked_name, data_path, first_fault, inside, parsing, read_bytes, write_atomically
+from greenhouse_gym.paths import checked_name, data_path, inside, parsing, read_bytes, write_atomically
+from greenhouse_gym.scene.manifest import MANIFEST, SPLITS, Entry, Manifest, as_file, counted, manifest_of
 from greenhouse_gym.scene.scene import Difficulty, Scene
-from greenhouse_gym.scene.surroundings import Part, SceneName, SchemaVersion, is_none
 
-Split = Literal["train", "validation", "test"]
 Choice = str | int | Iterable[str | int] | None
 """One value, several, or any."""
 
-SPLITS: tuple[str, ...] = get_args(Split)
-MANIFEST = "manifest.json"
-
 SCENES_KEPT = 32
 """How many scenes of a bank are kept in memory: those asked for last, beside those that are in use elsewhere."""
-
-
-class Entry(Part):
-    """One scene of a bank.
-
-    Attributes:
-        name: Name of the scene.
-        file: Its file, relative to the manifest.
-        sha256: Checksum of the file.
-        row: Identity of the row; the same in all weeks.
-        week: Growth week.
-        split: Split of the row.
-        truth: Number of shapes in the scene's truth.
-        style: Fruit style.
-        source: Where the plants come from.
-        protocol: How the row was photographed.
-        targets: How many targets the scene has of each difficulty.
-    """
-
-    name: SceneName
-    file: str
-    sha256: str
-    row: str
-    week: int | None
-    split: Split
-    truth: int | None = Field(default=None, ge=0, exclude_if=is_none)
-    style: str | None = Field(default=None, exclude_if=is_none)
-    source: str | None = Field(default=None, exclude_if=is_none)
-    protocol: str | None = Field(default=None, exclude_if=is_none)
-    targets: dict[Difficulty, int] | None = Field(default=None, exclude_if=is_none)
-
-
-class Manifest(Part):
-    """What ``manifest.json`` holds. Scenes of one row never fall into two splits."""
-
-    schema_version: SchemaVersion = 1
-    name: str
-    description: str = ""
-    scenes: tuple[Entry, ...]
-
-    @model_validator(mode="after")
-    def _consistent(self) -> Manifest:
-        split_of_row: dict[str, str] = {}
-        for entry in self.scenes:
-            if split_of_row.setdefault(entry.row, entry.split) != entry.split:
-                raise InvalidValueError(
-                    f"row {entry.row!r} lies in two splits: {split_of_row[entry.row]}, {entry.split}"
-                )
-        names = [entry.name for entry in self.scenes]
-        if len(set(names)) != len(names):
-            raise InvalidValueError("two scenes have the same name")
-        return self
 
 
 class SceneBank(Sequence[Scene]):
@@ -131,7 +73,7 @@ class SceneBank(Sequence[Scene]):
         entries = tuple(entry for bank in opened for entry in bank.manifest.scenes)
         homes = {entry.name: bank for bank in opened for entry in bank.manifest.scenes}
         places = ", ".join(str(bank.path) for bank in opened)
-        return cls(opened[0].path, _manifest(named, f"Joined of {places}", entries, places), homes)
+        return cls(opened[0].path, manifest_of(named, f"Joined of {places}", entries, places), homes)
 
     def select(
         self,
@@ -171,7 +113,7 @@ class SceneBank(Sequence[Scene]):
         if not chosen:
             raise InvalidValueError(f"bank {self.path} has no scene with {_described(wanted)}")
         description = f"{self.manifest.description} Selected: {_described(wanted)}."
-        manifest = _manifest(self.manifest.name, description, chosen, self.path)
+        manifest = manifest_of(self.manifest.name, description, chosen, self.path)
         return SceneBank(self.path, manifest, {entry.name: self for entry in chosen})
 
     def difficulties(self, name: str) -> dict[Difficulty, int]:
@@ -199,7 +141,7 @@ class SceneBank(Sequence[Scene]):
     @property
     def sha256(self) -> str:
         """The manifest's checksum, and so, through the checksums in it, that of all scenes."""
-        return hashlib.sha256(_as_file(self.manifest).encode()).hexdigest()
+        return hashlib.sha256(as_file(self.manifest).encode()).hexdigest()
 
     def names(self, split: str | None = None) -> list[str]:
         """Names of the scenes, all of them or those of one split, in the manifest's order."""
@@ -301,10 +243,10 @@ def write_bank(folder: str | Path, scenes: Iterable[tuple[Scene, str]], name: st
         path = folder / entries[-1].file
         if not _holds(path, content):  # a build has written its scenes already, maybe more than fit in memory
             contents.append((path, content))
-    manifest = _manifest(name, description, tuple(entries), folder)
+    manifest = manifest_of(name, description, tuple(entries), folder)
     for path, content in contents:
         write_atomically(path, content)
-    write_atomically(folder / MANIFEST, _as_file(manifest))
+    write_atomically(folder / MANIFEST, as_file(manifest))
     return SceneBank(folder, manifest)
 
 
@@ -313,23 +255,6 @@ def _holds(path: Path, content: str) -> bool:
         return path.read_bytes() == content.encode()
     except OSError:
         return False
-
-
-def counted(scene: Scene) -> dict[Difficulty, int]:
-    """How many targets of each difficulty a scene has, all of them named."""
-    return {name: sum(target.difficulty == name for target in scene.targets) for name in get_args(Difficulty)}
-
-
-def _as_file(manifest: Manifest) -> str:
-    return manifest.model_dump_json(indent=1) + "\n"
-
-
-def _manifest(name: str, description: str, entries: tuple[Entry, ...], where: object) -> Manifest:
-    """A manifest; ``where`` is named in the error."""
-    try:
-        return Manifest(name=name, description=description, scenes=entries)
-    except ValidationError as error:
-        raise InvalidValueError(f"{where}: {first_fault(error)}") from error
 
 
 def _several(choice: str | int | Iterable[str | int]) -> set[str]:

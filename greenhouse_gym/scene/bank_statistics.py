@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from greenhouse_gym.scene.bank import SPLITS, SceneBank
+from greenhouse_gym.scene.bank import SceneBank
+from greenhouse_gym.scene.manifest import SPLITS
 from greenhouse_gym.scene.scene import DIFFICULTIES, Scene
 from greenhouse_gym.scene.seen import REACH
 

@@ -15,7 +15,8 @@ from greenhouse_gym.planning.audit import faults_of, witness_faults
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene, SceneBank, Target
 from greenhouse_gym.scene import bank as bank_module
-from greenhouse_gym.scene.bank import MANIFEST, write_bank
+from greenhouse_gym.scene.bank import write_bank
+from greenhouse_gym.scene.manifest import MANIFEST
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,8 @@ from greenhouse_gym.crop import Tomato
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError
 from greenhouse_gym.scene import Provenance, Scene, SceneBank, Target
 from greenhouse_gym.scene import bank as bank_module
-from greenhouse_gym.scene.bank import MANIFEST, write_bank
+from greenhouse_gym.scene.bank import write_bank
+from greenhouse_gym.scene.manifest import MANIFEST
 
 
 def small(name: str, row: str = "a", **update: Any) -> Scene:

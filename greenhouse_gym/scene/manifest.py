@@ -1,0 +1,91 @@
+"""What a bank's ``manifest.json`` holds: an entry for each scene, and what must hold among them."""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+from pydantic import Field, ValidationError, model_validator
+
+from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.paths import first_fault
+from greenhouse_gym.scene.scene import Difficulty, Scene
+from greenhouse_gym.scene.surroundings import Part, SceneName, SchemaVersion, is_none
+
+Split = Literal["train", "validation", "test"]
+
+SPLITS: tuple[str, ...] = get_args(Split)
+MANIFEST = "manifest.json"
+
+
+class Entry(Part):
+    """One scene of a bank.
+
+    Attributes:
+        name: Name of the scene.
+        file: Its file, relative to the manifest.
+        sha256: Checksum of the file.
+        row: Identity of the row; the same in all weeks.
+        week: Growth week.
+        split: Split of the row.
+        truth: Number of shapes in the scene's truth.
+        style: Fruit style.
+        source: Where the plants come from.
+        protocol: How the row was photographed.
+        targets: How many targets the scene has of each difficulty.
+    """
+
+    name: SceneName
+    file: str
+    sha256: str
+    row: str
+    week: int | None
+    split: Split
+    truth: int | None = Field(default=None, ge=0, exclude_if=is_none)
+    style: str | None = Field(default=None, exclude_if=is_none)
+    source: str | None = Field(default=None, exclude_if=is_none)
+    protocol: str | None = Field(default=None, exclude_if=is_none)
+    targets: dict[Difficulty, int] | None = Field(default=None, exclude_if=is_none)
+
+
+class Manifest(Part):
+    """What ``manifest.json`` holds. Scenes of one row never fall into two splits."""
+
+    schema_version: SchemaVersion = 1
+    name: str
+    description: str = ""
+    scenes: tuple[Entry, ...]
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Manifest:
+        split_of_row: dict[str, str] = {}
+        for entry in self.scenes:
+            if split_of_row.setdefault(entry.row, entry.split) != entry.split:
+                raise InvalidValueError(
+                    f"row {entry.row!r} lies in two splits: {split_of_row[entry.row]}, {entry.split}"
+                )
+        names = [entry.name for entry in self.scenes]
+        if len(set(names)) != len(names):
+            raise InvalidValueError("two scenes have the same name")
+        return self
+
+
+def counted(scene: Scene) -> dict[Difficulty, int]:
+    """How many targets of each difficulty a scene has, all of them named."""
+    return {name: sum(target.difficulty == name for target in scene.targets) for name in get_args(Difficulty)}
+
+
+def as_file(manifest: Manifest) -> str:
+    """What a manifest's file holds."""
+    return manifest.model_dump_json(indent=1) + "\n"
+
+
+def manifest_of(name: str, description: str, entries: tuple[Entry, ...], where: object) -> Manifest:
+    """A manifest.
+
+    Raises:
+        InvalidValueError: A row lies in two splits, or two scenes have one name; ``where`` is named in the message.
+    """
+    try:
+        return Manifest(name=name, description=description, scenes=entries)
+    except ValidationError as error:
+        raise InvalidValueError(f"{where}: {first_fault(error)}") from error
