@@ -13,10 +13,10 @@ from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.agents.guide import towards
 from greenhouse_gym.envs.ways import Ends, Headings, Place, Ways
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.planning.unseen import DEPTHS, depths_of, guarded
+from greenhouse_gym.planning.unseen import depths_of, guarded
 from greenhouse_gym.scene import compile_scene
 
-CAREFUL_DEPTHS = DEPTHS[1:]
+CAREFUL_DEPTHS = (0.1, 0.15, 0.2, float("inf"))
 """How deep an arm may go into unseen space, metres: without any of it no way was found to any tomato that was tried."""
 
 _ONLY = np.zeros(1, dtype=np.int64)

@@ -1,4 +1,4 @@
-"""What a scan did not see, or saw and could not explain, is not free: voxels as obstacles for planning."""
+"""What a scan did not see is not free: unseen voxels as obstacles for planning."""
 
 from __future__ import annotations
 
@@ -19,18 +19,13 @@ from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.collision import CollisionChecker, planning_model
 from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
 from greenhouse_gym.scene.reaches import arm_reaches
-from greenhouse_gym.scene.seen import REACH, SURFACE, UNSEEN, Cells, SeenSpace, boxes_of, inside_boxes, required
+from greenhouse_gym.scene.seen import REACH, UNSEEN, Cells, SeenSpace, boxes_of, inside_boxes, required
 
 UNSEEN_RULES = ("free", "avoid", "forbid")
 """What planners make of unseen space: nothing; a place to keep out of as far as can be; an obstacle."""
 
-ANY_DEPTH = 10.0
-"""Metres, deeper than unseen space is anywhere: it is free then, and only surfaces that no shape explains are not."""
-
-DEPTHS = (0.0, 0.1, 0.15, 0.2, ANY_DEPTH, float("inf"))
+DEPTHS = (0.0, 0.1, 0.15, 0.2, float("inf"))
 """How deep a path may go into unseen space, metres: what "avoid" tries, one after the other, the last without limit."""
-
-_EXPLAINED = 0.87  # voxels, half of a diagonal: a shape nearer than this to a voxel's middle explains a surface in it
 
 _RESOLUTION = 0.02  # metres, at which a path's way through unseen space is measured
 
@@ -76,31 +71,9 @@ def unseen_boxes(scene: Scene, robot: Robot, start: npt.ArrayLike, depth: float 
     return boxes_of((depths > depth) & ~beyond, space.origin, space.voxel, either_way=beyond)
 
 
-def unexplained_boxes(scene: Scene, robot: Robot, start: npt.ArrayLike) -> list[Box]:
-    """Boxes over voxels within reach with a surface of which no shape came, such as that of a leaf in small pieces.
-
-    Args:
-        scene: The scene; it must know what was seen.
-        robot: The arm.
-        start: (joints,) where it stands, radians. What was seen there is not in its way.
-    """
-    space = require_seen(scene)
-    found = (space.states == SURFACE) & ~_beyond(scene, space)
-    cells = np.argwhere(found)
-    centers = space.origin + (cells + 0.5) * space.voxel
-    known = _known(scene, robot, start, centers, space.voxel)
-    if scene.obstacles:
-        known |= distance_to_shapes(centers, scene.obstacles).min(axis=1, initial=np.inf) <= _EXPLAINED * space.voxel
-    found[tuple(cells[known].T)] = False
-    return boxes_of(found, space.origin, space.voxel)
-
-
 def guarded(scene: Scene, robot: Robot, start: npt.ArrayLike, depth: float = 0.0) -> CompiledScene:
-    """A scene with the boxes of `unseen_boxes` and `unexplained_boxes`, compiled for planning; the last ones are kept.
-
-    With an infinite depth it is the scene alone.
-    """
-    return _guarded(_Kept(scene), robot, tuple(np.asarray(start, dtype=np.float64).tolist()), float(depth), True)
+    """A scene in which the unseen space of `unseen_boxes` is clutter, compiled for planning; the last ones are kept."""
+    return _guarded(_Kept(scene), robot, tuple(np.asarray(start, dtype=np.float64).tolist()), float(depth))
 
 
 def unseen_way(scene: Scene, robot: Robot, path: Array) -> float:
@@ -110,7 +83,7 @@ def unseen_way(scene: Scene, robot: Robot, path: Array) -> float:
 
 def unseen_ways(scene: Scene, robot: Robot, paths: Sequence[Array]) -> list[tuple[float, float]]:
     """The tip's way along paths (k, joints) from one start, metres: with some of the arm in unseen space, and all."""
-    compiled = _guarded(_Kept(scene), robot, tuple(np.asarray(paths[0][0], dtype=np.float64).tolist()), 0.0, False)
+    compiled = guarded(scene, robot, paths[0][0])
     model = planning_model(compiled, 0, margin=0.0, pairs=("clutter",))
     first = compiled.obstacle_geoms.start + len(scene.tomatoes) + len(scene.stems)
     known = slice(first, first + len(scene.clutter))
@@ -144,11 +117,11 @@ class _Kept:
 
 
 @lru_cache(maxsize=16)
-def _guarded(kept: _Kept, robot: Robot, start: tuple[float, ...], depth: float, surfaces: bool) -> CompiledScene:
+def _guarded(kept: _Kept, robot: Robot, start: tuple[float, ...], depth: float) -> CompiledScene:
     scene = kept.scene
     if np.isinf(depth):
         return compile_scene(scene, robot)
-    boxes = unseen_boxes(scene, robot, start, depth) + (unexplained_boxes(scene, robot, start) if surfaces else [])
+    boxes = unseen_boxes(scene, robot, start, depth)
     return compile_scene(scene.model_copy(update={"clutter": (*scene.clutter, *boxes)}), robot)
 
 
@@ -162,25 +135,15 @@ def _depths(kept: _Kept, robot: Robot, start: tuple[float, ...]) -> tuple[Array,
         depths = np.full(space.shape, np.inf)
     else:
         depths = np.asarray(distance_transform_edt(unseen, sampling=space.voxel))
-    beyond = _beyond(scene, space)
+    shoulder = scene.stand.position + [0.0, 0.0, scene.stand.shoulder_height]
+    beyond = np.linalg.norm(space.centers - shoulder, axis=-1) > REACH
     cells = np.argwhere(unseen & ~beyond)
     centers = space.origin + (cells + 0.5) * space.voxel
-    depths[tuple(cells[_known(scene, robot, start, centers, space.voxel)].T)] = 0.0
-    return depths, beyond
-
-
-def _beyond(scene: Scene, space: SeenSpace) -> Cells:
-    """The voxels (x, y, z) that no arm reaches."""
-    shoulder = scene.stand.position + [0.0, 0.0, scene.stand.shoulder_height]
-    return np.asarray(np.linalg.norm(space.centers - shoulder, axis=-1) > REACH)
-
-
-def _known(scene: Scene, robot: Robot, start: npt.ArrayLike, centers: Array, voxel: float) -> npt.NDArray[np.bool_]:
-    """Of voxels with middles (n, 3), which hold the arm, its cart or the inside of a tomato, (n,)."""
-    known = inside_boxes(centers, _boxes_around_arm(scene, robot, start), voxel)
+    known = inside_boxes(centers, _boxes_around_arm(scene, robot, start), space.voxel)
     if scene.tomatoes:
         known |= distance_to_shapes(centers, scene.tomatoes).min(axis=1) < 0
-    return known
+    depths[tuple(cells[known].T)] = 0.0
+    return depths, beyond
 
 
 def _boxes_around_arm(scene: Scene, robot: Robot, start: npt.ArrayLike) -> list[tuple[Array, Array, Array]]:
