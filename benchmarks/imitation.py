@@ -53,7 +53,8 @@ def main() -> None:
 
     def judged(agent: Agent) -> dict[str, Any]:
         options = {"bank": settings.ppo.bank, "num_envs": 64, "threads": 1}
-        return rates(evaluate(agent, "validation", arguments.episodes, FIRST_SEED, **options))
+        played = evaluate(agent, "validation", arguments.episodes, FIRST_SEED, **options)
+        return rates(played, SceneBank.open(settings.ppo.bank))
 
     def note(part: str, name: str, entry: dict[str, Any]) -> None:
         figures[part][name] = entry

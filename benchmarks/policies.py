@@ -25,6 +25,7 @@ from greenhouse_gym.agents.named import make_agent
 from greenhouse_gym.agents.policy_agent import BEST
 from greenhouse_gym.evaluation import Evaluation, evaluate, wilson_interval
 from greenhouse_gym.leaderboard import read_entry
+from greenhouse_gym.records import Record
 from greenhouse_gym.scene import DIFFICULTIES, SceneBank
 
 AGENTS = ",".join(
@@ -48,7 +49,7 @@ def main() -> None:
     arguments = parser.parse_args()
     figures: dict[str, Any] = json.loads(arguments.out.read_text())["agents"] if arguments.out.is_file() else {}
     for name, world, about, evaluation in _entered(arguments.entries) if arguments.entries else _played(arguments):
-        figures[f"{name}, {world}"] = about | rates(evaluation)
+        figures[f"{name}, {world}"] = about | rates(evaluation, SceneBank.open(about["bank"]))
         print(name, json.dumps(figures[f"{name}, {world}"]), flush=True)
         write_results(arguments.out, {"agents": figures}, ("mujoco", "numpy"))
 
@@ -79,14 +80,24 @@ def _episodes(split: str, world: str, first_seed: int) -> dict[str, Any]:
     return {"split": split, "physics": world, "first_seed": first_seed}
 
 
-def rates(evaluation: Evaluation) -> dict[str, Any]:
-    """Shares with their intervals, over all episodes and by difficulty."""
+def rates(evaluation: Evaluation, bank: SceneBank) -> dict[str, Any]:
+    """Shares with their intervals, over all episodes, by difficulty, and by the kind of row."""
     difficulties = {difficulty: evaluation.of(difficulty) for difficulty in DIFFICULTIES}
     return {
         **_shares(evaluation),
         "median_steps_of_successes": evaluation.median("steps", solved_only=True) if evaluation.success_rate else None,
         "by_difficulty": {name: _shares(part) for name, part in difficulties.items() if part.records},
+        "by_rows": {rows: _shares(part) for rows, part in _by_rows(evaluation, bank).items()},
     }
+
+
+def _by_rows(evaluation: Evaluation, bank: SceneBank) -> dict[str, Evaluation]:
+    """The episodes on rows of each source, photographed by each protocol."""
+    kinds = {entry.name: f"{entry.source or 'own'}, {entry.protocol or 'paper'}" for entry in bank.manifest.scenes}
+    found: dict[str, list[Record]] = {}
+    for record in evaluation.records:
+        found.setdefault(kinds[record.scene], []).append(record)
+    return {rows: Evaluation(evaluation.agent, tuple(found[rows])) for rows in sorted(found)}
 
 
 def _shares(evaluation: Evaluation) -> dict[str, Any]:

@@ -84,9 +84,7 @@ class Watch:
         """The environment."""
         env = self._make(*arguments, **options)
         env.reset()
-        for _ in range(
-            WARM
-        ):  # what is made, read and compiled once, for each scene and in each process, is not counted
+        for _ in range(WARM):  # what each process makes, reads and compiles once for a scene is not counted
             env.step(np.ones((env.num_envs, *env.action_space.shape), dtype=np.float32))
         began, close = seconds_of_all(), env.close
 

@@ -17,7 +17,7 @@ from greenhouse_gym.planning.unseen import depths_of, guarded
 from greenhouse_gym.scene import compile_scene
 
 CAREFUL_DEPTHS = (0.1, 0.15, 0.2, float("inf"))
-"""How deep an arm may go into unseen space, metres: without any of it no way was found to any tomato that was tried."""
+"""How deep an arm may go into unseen space, metres. Without any of it there was no way to any of 15 tomatoes tried."""
 
 _ONLY = np.zeros(1, dtype=np.int64)
 
