@@ -14,15 +14,14 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from time import perf_counter
 from typing import Any
 
 import gymnasium
 import mujoco
 import numpy as np
+from capture_protocols_rows import Options, folder_of, scenes_of
 from capture_protocols_summary import summaries, table
 from joblib import Parallel, delayed
 from results_file import write_results
@@ -30,21 +29,14 @@ from results_file import write_results
 from greenhouse_gym import ENV_IDS
 from greenhouse_gym.agents import Problem
 from greenhouse_gym.agents.planner_agent import PathFollower
-from greenhouse_gym.capture import PROTOCOLS, Recording, get_protocol, simulate_protocol
-from greenhouse_gym.capture.simulated import photograph
-from greenhouse_gym.cutting import BuildSettings, cut_scenes, stand_poses
+from greenhouse_gym.capture import PROTOCOLS, get_protocol
 from greenhouse_gym.envs import PlantMotion, Randomization
 from greenhouse_gym.envs.tomato_reach import TomatoReachEnv
-from greenhouse_gym.geometry import Array, pose, rotation_about
 from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.planning import PlanResult, plan
 from greenhouse_gym.planning.unseen import UNSEEN_RULES
-from greenhouse_gym.plants import CULTIVARS, STYLES, PlantRow, grow_row
-from greenhouse_gym.reconstruction import RowCloud, add_looks, reconstruct_row
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.seen import EMPTY, SURFACE, UNSEEN
-from greenhouse_gym.shapes import FINE_SHAPES, ShapeSettings, extract_shapes
-from greenhouse_gym.wrist import look_rig
 
 REACH = 0.95
 """Metres from the shoulder up to which a tomato is a target."""
@@ -52,43 +44,10 @@ REACH = 0.95
 ENDS = 0.25
 """Metres by which stands keep farther from the walk's ends than half a spacing: nothing was scanned beyond."""
 
-SCENES = "scenes.jsonl"
-
 STATES = {UNSEEN: "unseen", EMPTY: "empty", SURFACE: "at a surface"}
 
 SAME = 0.03
 """Metres between the centers of a reconstructed tomato and of the true one it stands for."""
-
-
-@dataclass(frozen=True)
-class Options:
-    """What is measured.
-
-    Attributes:
-        source: Where the plants come from.
-        length: Of a row, metres.
-        spacing: Between the stands of the arm, metres.
-        robot: The arm.
-        planner: The planner.
-        checks: Its budget of collision checks.
-        primitives: Most shapes in a scene.
-        fine: Whether bent leaves become many small boxes, `greenhouse_gym.shapes.FINE_SHAPES`.
-        per_scene: Most targets of a scene, drawn by the row's seed.
-        moved: Whether the true plants have moved since they were scanned, in each episode elsewhere.
-        workdir: Where scenes and episodes are kept.
-    """
-
-    source: str = "own"
-    length: float = 2.0
-    spacing: float = 0.5
-    robot: str = "ur5e"
-    planner: str = "RRTConnect"
-    checks: int = 20_000
-    primitives: int = 600
-    fine: bool = False
-    per_scene: int = 20
-    moved: bool = False
-    workdir: Path = Path("capture_protocols")
 
 
 def main() -> None:
@@ -181,12 +140,6 @@ def reach_in(scenes: Sequence[Scene], unseen: str, start: str, seed: int, option
     return found
 
 
-def folder_of(seed: int, protocol: str, options: Options) -> Path:
-    """Where the scenes and episodes of a row and a protocol are kept."""
-    made = f"{options.source}-{seed}-{options.length:g}m-{options.spacing:g}-{options.primitives}-{protocol}"
-    return options.workdir / (made + "-fine" * options.fine)
-
-
 def _episodes_file(seed: int, protocol: str, start: str, unseen: str, options: Options) -> Path:
     moved = "-moved" * options.moved
     name = f"{options.robot}-{options.planner}-{options.checks}-{options.per_scene}-{start}-{unseen}{moved}.json"
@@ -202,58 +155,6 @@ def episodes_of(seed: int, protocol: str, start: str, unseen: str, options: Opti
 def _room(scenes: Sequence[Scene]) -> int:
     """Obstacles the largest truth has, rounded up."""
     return 1000 * (1 + max(0 if scene.truth is None else len(scene.truth.obstacles) for scene in scenes) // 1000)
-
-
-def grow(seed: int, options: Options) -> PlantRow:
-    """A row whose week and style follow from its seed."""
-    styles = list(STYLES if options.source == "own" else CULTIVARS)
-    style = styles[(seed + seed // 3) % len(styles)]
-    return grow_row(seed, options.length, week=seed % 3, style=style, source=options.source)
-
-
-def scenes_of(seed: int, protocol: str, options: Options) -> list[Scene]:
-    """The scenes of a row, with the truth, made once."""
-    file = folder_of(seed, protocol, options) / SCENES
-    if not file.exists():
-        began = perf_counter()
-        row = grow(seed, options)
-        recording = simulate_protocol(row, seed, get_protocol(protocol))
-        cloud = reconstruct_row(recording)
-        settings = FINE_SHAPES if options.fine else ShapeSettings()
-        shapes = extract_shapes(cloud.points, cloud.colors, cloud.normals, settings)
-        build = BuildSettings(primitives=options.primitives, spacing=options.spacing)
-        if get_protocol(protocol).looks:
-            cloud = look_around(cloud, stand_poses(cloud, shapes, recording, build), recording, seed, options)
-            shapes = extract_shapes(cloud.points, cloud.colors, cloud.normals, settings)
-        scenes = cut_scenes(cloud, shapes, recording, row.week, build)
-        print(
-            f"{protocol}, row {seed}: {cloud.registered.sum()} of {len(recording)} stations, {len(cloud)} points, "
-            f"{[len(scene.obstacles) for scene in scenes]} shapes, {perf_counter() - began:.0f} s",
-            flush=True,
-        )
-        write_atomically(file, "".join(scene.model_dump_json() + "\n" for scene in scenes))
-    return scenes_in(file.parent)
-
-
-def scenes_in(folder: Path) -> list[Scene]:
-    """The scenes that were made of a row."""
-    return [Scene.model_validate_json(line) for line in (folder / SCENES).read_text().splitlines()]
-
-
-def look_around(cloud: RowCloud, row_from_stand: Array, recording: Recording, seed: int, options: Options) -> RowCloud:
-    """The cloud with what the arm's wrist camera sees from each stand, where the arm is put up to a centimetre."""
-    assert recording.truth is not None
-    first = recording[int(np.flatnonzero(cloud.registered)[0])].world_from_station
-    assert first is not None
-    random = np.random.default_rng([seed, 4])
-    errors = [
-        pose(rotation_about([0, 0, 1], random.uniform(-0.01, 0.01)), random.uniform(-0.01, 0.01, 3))
-        for _ in row_from_stand
-    ]
-    looks = photograph(
-        recording.truth, seed, look_rig(options.robot), first @ row_from_stand @ np.array(errors), walk_number=9
-    )
-    return add_looks(cloud, recording, looks, row_from_stand)[0]
 
 
 def reach_all(

@@ -17,7 +17,8 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from capture_protocols import Options, episodes_of, folder_of, plan_of, scenes_in
+from capture_protocols import episodes_of, plan_of
+from capture_protocols_rows import Options, folder_of, scenes_in
 from capture_protocols_summary import Episode
 from careful_plans import file_of
 from matplotlib.axes import Axes

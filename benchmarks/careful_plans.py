@@ -16,7 +16,8 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from capture_protocols import Options, reach_in
+from capture_protocols import reach_in
+from capture_protocols_rows import Options
 from capture_protocols_summary import summaries, table
 from results_file import write_results
 
