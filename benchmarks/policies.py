@@ -93,11 +93,16 @@ def rates(evaluation: Evaluation, bank: SceneBank) -> dict[str, Any]:
 
 def _by_rows(evaluation: Evaluation, bank: SceneBank) -> dict[str, Evaluation]:
     """The episodes on rows of each source, photographed by each protocol."""
-    kinds = {entry.name: f"{entry.source or 'own'}, {entry.protocol or 'paper'}" for entry in bank.manifest.scenes}
+    kinds = kinds_of_rows(bank)
     found: dict[str, list[Record]] = {}
     for record in evaluation.records:
         found.setdefault(kinds[record.scene], []).append(record)
     return {rows: Evaluation(evaluation.agent, tuple(found[rows])) for rows in sorted(found)}
+
+
+def kinds_of_rows(bank: SceneBank) -> dict[str, str]:
+    """Source and protocol of each scene's row, by the scene's name."""
+    return {entry.name: f"{entry.source or 'own'}, {entry.protocol or 'paper'}" for entry in bank.manifest.scenes}
 
 
 def _shares(evaluation: Evaluation) -> dict[str, Any]:

@@ -161,7 +161,7 @@ class Worlds:
         )
 
     def _make(self, scene: Scene) -> World:
-        physical = _true_scene(scene) if self.physics == "truth" else scene
+        physical = true_scene(scene) if self.physics == "truth" else scene
         self._check_size(physical)
         scene_from_base = pose(rotation_about([0, 0, 1], scene.stand.yaw), base_position(scene, self.robot))
         tomatoes, bodies_there = (_spheres(s, scene_from_base) for s in (scene, physical))
@@ -208,7 +208,12 @@ def worlds_of(robot: Robot, physics: str, capacity: int, substeps: int = SUBSTEP
     return Worlds(robot, physics, capacity, substeps)
 
 
-def _true_scene(scene: Scene) -> Scene:
+def true_scene(scene: Scene) -> Scene:
+    """The scene with the shapes of its truth in place of those of its reconstruction, without targets.
+
+    Raises:
+        InvalidValueError: The scene carries no truth.
+    """
     if scene.truth is None or not scene.truth.tomatoes:
         raise InvalidValueError(
             f'scene {scene.name!r} carries no truth, which physics="truth" needs: scenes built from simulated '

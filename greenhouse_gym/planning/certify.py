@@ -21,6 +21,7 @@ from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning.goals import search_goals
 from greenhouse_gym.planning.proof import ProvingChecker
 from greenhouse_gym.planning.query import plan_with
+from greenhouse_gym.planning.registered import PlannerFailedError
 from greenhouse_gym.planning.result import PlanResult
 from greenhouse_gym.planning.unseen import depths_of, guarded, unseen_ways
 from greenhouse_gym.robots import Robot, get_robot
@@ -48,7 +49,7 @@ MAX_CHECKS = 30_000
 SEEDS = 3
 """Runs per target; those that cannot change the rating any more are left out."""
 
-_TIME_LIMIT = 60.0  # seconds; far more than the checks take, so that they and not the machine decide
+_ATTEMPTS = 3  # at a search whose planning process dies
 _DECIMALS = 6  # to which a witness is rounded, radians
 
 
@@ -75,6 +76,9 @@ def certify_targets(
     Returns:
         A target for each of these tomatoes, in their order. Where the scene says what was seen, they tell the share of
         their witness's way through unseen space.
+
+    Raises:
+        PlannerFailedError: The planner died or hung, which says nothing about a target.
     """
     arm, targets = get_robot(robot), dict[int, Target]()
     chosen = _spread(scene, most)
@@ -137,7 +141,7 @@ def _planned(checker: CollisionChecker, compiled: CompiledScene, tomato: int, go
     results: list[PlanResult] = []
     while len(goals) and len(results) < SEEDS and not _decided(results):
         own = seed + len(results)
-        results.append(plan_with(compiled, checker, tomato, "RRTConnect", _TIME_LIMIT, MAX_CHECKS, goals, own))
+        results.append(_searched(checker, compiled, tomato, goals, own))
     for result in sorted(results, key=lambda r: r.length if r.path is not None else math.inf):
         if result.path is not None:
             path = _rounded(compiled.robot, result.path)
@@ -146,6 +150,15 @@ def _planned(checker: CollisionChecker, compiled: CompiledScene, tomato: int, go
                 checks = None if math.isinf(needed) else int(needed)
                 return _Found("hard" if needed > HARD else "medium", path, checks)
     return _Found("unreachable")
+
+
+def _searched(checker: CollisionChecker, compiled: CompiledScene, tomato: int, goals: Array, seed: int) -> PlanResult:
+    """One run of RRTConnect, which the checks end and not the machine."""
+    for _ in range(_ATTEMPTS):
+        result = plan_with(compiled, checker, tomato, "RRTConnect", None, MAX_CHECKS, goals, seed)
+        if result.status not in ("crashed", "timeout"):
+            return result
+    raise PlannerFailedError(f"{compiled.scene.name}, tomato {tomato}: it cannot be rated. {result.message}")
 
 
 def _needed(result: PlanResult) -> float:

@@ -28,7 +28,7 @@ class OutOfBudget(GreenhouseError):  # noqa: N818
 
 
 class PlannerFailedError(GreenhouseError):
-    """A registered planner raised an error."""
+    """A registered planner raised an error, or the planning process died again and again."""
 
 
 class PlanningProblem:

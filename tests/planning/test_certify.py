@@ -1,10 +1,14 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from greenhouse_gym.crop import Tomato
 from greenhouse_gym.planning import CollisionChecker, PlanResult, certify, certify_targets, planning_model
+from greenhouse_gym.planning.registered import PlannerFailedError
+from greenhouse_gym.planning.result import Status
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene, Target
 from greenhouse_gym.scene.collision import path_clearance
@@ -94,6 +98,24 @@ def test_the_checks_decide_where_no_straight_motion_is_free(small: Scene, monkey
     monkeypatch.setattr(certify, "MAX_CHECKS", 10)
     none = certify.certify_target(compiled, 0)
     assert (none.difficulty, none.witness, none.goals) == ("unreachable", None, certify.GOALS)
+
+
+def test_a_planner_that_dies_rates_nothing(small: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Targets were taken for unreachable for which no planner had looked for a path."""
+    monkeypatch.setattr(certify, "_straight", lambda *given: None)
+    compiled = compile_scene(small)
+    expected = certify.certify_target(compiled, 0)
+    deaths: list[Status] = ["crashed", "timeout"]
+    planned = certify.plan_with
+
+    def dying(*given: Any) -> PlanResult:
+        return PlanResult(deaths.pop(), None, "RRTConnect", message="it died") if deaths else planned(*given)
+
+    monkeypatch.setattr(certify, "plan_with", dying)
+    assert certify.certify_target(compiled, 0) == expected
+    deaths += ["crashed"] * 3
+    with pytest.raises(PlannerFailedError, match=r"tomato 0: it cannot be rated\. it died"):
+        certify.certify_target(compiled, 0)
 
 
 @pytest.mark.parametrize(
