@@ -4,13 +4,16 @@ from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import numpy as np
 import pytest
 from conftest import make_scene
 
 from greenhouse_gym import shipped
 from greenhouse_gym.capture import PROTOCOLS
+from greenhouse_gym.planning.certify import certify_target
 from greenhouse_gym.plants import CULTIVARS, STYLES
-from greenhouse_gym.scene import Provenance, SceneBank
+from greenhouse_gym.robots import get_robot
+from greenhouse_gym.scene import Provenance, SceneBank, compile_scene
 from greenhouse_gym.scene.bank import write_bank
 from greenhouse_gym.scene.manifest import SPLITS
 
@@ -62,6 +65,18 @@ def test_parts_are_joined_in_order_and_a_part_of_them_too(tmp_path: Path, monkey
     assert {entry.style for entry in mini.manifest.scenes} == set(STYLES)
     assert {entry.source for entry in mini.manifest.scenes} == {"own", "helios"}
     assert all(mini.names(split) for split in SPLITS)
+
+
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("count", [3, pytest.param(100, marks=pytest.mark.slow)])
+def test_ratings_of_shipped_targets_are_found_again(count: int) -> None:
+    """Some were once unreachable only because the planner had died while they were rated."""
+    bank = SceneBank.open("default")
+    pool = [(name, target) for name in bank.names() for target in bank.scene(name).targets if target.goals]
+    drawn = np.random.default_rng(count).permutation(len(pool))[:count]
+    for name, target in (pool[k] for k in drawn):
+        found = certify_target(compile_scene(bank.scene(name), get_robot(target.robot)), target.tomato)
+        assert found == target.model_copy(update={"unseen": None}), name
 
 
 @pytest.mark.slow

@@ -111,6 +111,14 @@ def solve(ompl: Ompl, query: Query) -> Answer:
     set_seed(ompl, query.seed)
     checker = ProvingChecker(query.model, query.reaches)
     search = _Search(checker, math.inf if query.max_checks is None else query.max_checks, query.optimizing)
+    try:
+        return _solved(ompl, query, search)
+    finally:
+        search.forget()
+
+
+def _solved(ompl: Ompl, query: Query, search: _Search) -> Answer:
+    checker = search.checker
     planning_time, simplification_time, tree_size = 0.0, 0.0, 0
     status: Outcome = "no_solution"
     raw, path = None, None
@@ -188,6 +196,11 @@ class _Search:
         finally:
             # the planner must not be reachable from the callbacks that it keeps alive
             self.planner, self.best_cost, self.limited = None, None, False
+
+    def forget(self) -> None:
+        """Let go of the model: what OMPL called keeps this object until the garbage is collected, which may take long."""
+        del self.checker
+        self.known_free.clear()
 
     def exhausted(self) -> bool:
         """Whether a limit is reached, or the path that was asked for."""

@@ -40,7 +40,7 @@ class WorkerTimeoutError(GreenhouseError):
 
 
 class WorkerFailedError(GreenhouseError):
-    """The planning process is well, but the query raised an error in it."""
+    """The query raised an error in the planning process."""
 
 
 class Worker:
@@ -86,8 +86,9 @@ class Worker:
             except BaseException:  # KeyboardInterrupt included: the answer to this query must not reach the next one
                 self._kill()
                 raise
-        if not succeeded:
-            raise WorkerFailedError(result)
+            if not succeeded:
+                self._kill()  # what is wrong with it, such as memory that it has lost, must not fail the next query too
+                raise WorkerFailedError(result)
         return result
 
     def close(self) -> None:
