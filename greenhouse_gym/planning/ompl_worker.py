@@ -198,7 +198,7 @@ class _Search:
             self.planner, self.best_cost, self.limited = None, None, False
 
     def forget(self) -> None:
-        """Let go of the model: what OMPL called keeps this object until the garbage is collected, which may take long."""
+        """Let go of the model: what OMPL called keeps this object until the garbage is collected."""
         del self.checker
         self.known_free.clear()
 

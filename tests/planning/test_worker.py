@@ -237,7 +237,7 @@ def test_planning_is_imported_where_no_limits_of_memory_exist() -> None:
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="reads the memory of a process from /proc")
 def test_queries_leave_no_memory_behind(scene: Scene) -> None:
-    """OMPL and Python keep a query's callbacks alive until the garbage is collected, which a model must not wait for."""
+    """Callbacks live on until the garbage is collected, and a model must not wait for that."""
     goals = goal_configurations(scene, 0, count=3)
 
     def megabytes_after(queries: int, kind: str) -> list[float]:
