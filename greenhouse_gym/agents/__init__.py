@@ -13,6 +13,7 @@ from greenhouse_gym.agents.planner_agent import PlannerAgent
 from greenhouse_gym.agents.resolved_rate import ResolvedRateAgent
 
 if TYPE_CHECKING:
+    from greenhouse_gym.agents.depth_agent import DepthAgent
     from greenhouse_gym.agents.hybrid import HybridAgent
     from greenhouse_gym.agents.policy_agent import PolicyAgent
     from greenhouse_gym.agents.shield import ShieldedAgent
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Agent",
     "CarefulAgent",
+    "DepthAgent",
     "GuidedAgent",
     "HybridAgent",
     "PlannerAgent",
@@ -35,7 +37,12 @@ __all__ = [
 
 
 # Learned policies are loaded only where they are used.
-_LATER = {"HybridAgent": "hybrid", "PolicyAgent": "policy_agent", "ShieldedAgent": "shield"}
+_LATER = {
+    "DepthAgent": "depth_agent",
+    "HybridAgent": "hybrid",
+    "PolicyAgent": "policy_agent",
+    "ShieldedAgent": "shield",
+}
 
 
 def __getattr__(name: str) -> Any:

@@ -10,8 +10,10 @@ from types import ModuleType
 from greenhouse_gym.agents.agent import Agent, check_agent
 from greenhouse_gym.agents.baselines import RandomAgent, StillAgent, StraightLineAgent, WaypointAgent
 from greenhouse_gym.agents.careful import CarefulAgent
+from greenhouse_gym.agents.depth_agent import DepthAgent
 from greenhouse_gym.agents.guide import GuidedAgent
 from greenhouse_gym.agents.hybrid import HybridAgent
+from greenhouse_gym.agents.judging import FEATURES
 from greenhouse_gym.agents.planner_agent import PlannerAgent
 from greenhouse_gym.agents.policy import described_at
 from greenhouse_gym.agents.policy_agent import PolicyAgent, shipped_policies
@@ -22,7 +24,7 @@ from greenhouse_gym.planning import PAPER_PLANNERS, PLANNERS
 
 _NAMED: tuple[type[Agent], ...] = (
     RandomAgent, StillAgent, StraightLineAgent, ResolvedRateAgent, WaypointAgent, CarefulAgent, GuidedAgent,
-    HybridAgent, ShieldedAgent,
+    HybridAgent, ShieldedAgent, DepthAgent,
 )  # fmt: skip
 SIMPLE = {agent.name: agent for agent in _NAMED}
 """Agents that need nothing but a name."""
@@ -47,7 +49,7 @@ def make_agent(name: str) -> Agent:
     if colon and attribute.isidentifier():
         return _own_agent(module, attribute)
     if name in shipped_policies() or described_at(name).is_file():
-        return PolicyAgent.load(name)
+        return _learned(name)
     if name.endswith(".json"):
         raise FileFormatError(name, "there is no such file; expected a policy's description")
     try:
@@ -60,6 +62,11 @@ def make_agent(name: str) -> Agent:
         return PlannerAgent(name)  # where OMPL is missing, this says so
     own = "(a policy's file, file.py:Class or module:Class)"
     raise UnknownNameError("agent", name, [*SIMPLE, *shipped_policies(), own, *planners])
+
+
+def _learned(name: str) -> Agent:
+    agent = PolicyAgent.load(name)
+    return DepthAgent.of(agent.policy, agent.name) if agent.policy.layout == FEATURES else agent
 
 
 def _own_agent(module: str, attribute: str) -> Agent:

@@ -120,10 +120,12 @@ def _plan_table(results: Sequence[PlanResult]) -> str:
 
 
 def train(
-    algorithm: Annotated[str, typer.Argument(help="ppo, or bc-then-ppo: imitation of a teacher first.")],
+    algorithm: Annotated[
+        str, typer.Argument(help="ppo; bc-then-ppo: imitation of a teacher first; depth: ways judged from images.")
+    ],
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/ppo"),
     bank: Bank = "default",
-    steps: Annotated[int, typer.Option(help="Environment steps of PPO.")] = 2_000_000,
+    steps: Annotated[int, typer.Option(help="Environment steps of PPO; depth has none.")] = 2_000_000,
     seed: Annotated[int, typer.Option(help="Seed of scenes, weights and noise.")] = 0,
     resume: Annotated[bool, typer.Option(help="Go on from the checkpoint in the folder of results.")] = False,
     actors: Annotated[
@@ -141,27 +143,40 @@ def train(
     from greenhouse_gym.errors import require_choice
     from greenhouse_gym.integrations.sb3 import make_sb3_vec_env
     from greenhouse_gym.integrations.sb3_ray import make_sb3_ray_vec_env
-    from greenhouse_gym.learning import BcThenPpoSettings, PpoSettings, train_bc_then_ppo, train_ppo
+    from greenhouse_gym.learning import (
+        BcThenPpoSettings,
+        DepthSettings,
+        PpoSettings,
+        train_bc_then_ppo,
+        train_depth,
+        train_ppo,
+    )
     from greenhouse_gym.paths import write_atomically
     from greenhouse_gym.settings_files import as_toml, resolve
 
-    require_choice("algorithm", algorithm, ["ppo", "bc-then-ppo"])
+    require_choice("algorithm", algorithm, ["ppo", "bc-then-ppo", "depth"])
     make_env = partial(make_sb3_ray_vec_env, actors=actors, address=address) if actors else make_sb3_vec_env
     if algorithm == "ppo":
         plain = resolve(PpoSettings(bank=bank, total_steps=steps, seed=seed), settings, assignments or ())
         policy, resolved = train_ppo(plain, out, resume=resume, make_env=make_env), as_toml(plain)
+    elif algorithm == "depth":
+        seeing = resolve(DepthSettings(bank=bank, seed=seed), settings, assignments or ())
+        policy, resolved = train_depth(seeing, out, resume=resume, tell=partial(_told, "episodes")), as_toml(seeing)
     else:
         usual = BcThenPpoSettings()
         both = replace(usual, ppo=replace(usual.ppo, bank=bank, total_steps=steps, seed=seed))
         both = resolve(both, settings, assignments or ())
-        policy, resolved = train_bc_then_ppo(both, out, resume=resume, tell=_told, make_env=make_env), as_toml(both)
+        policy, resolved = (
+            train_bc_then_ppo(both, out, resume=resume, tell=partial(_told, "steps"), make_env=make_env),
+            as_toml(both),
+        )
     write_atomically(out / "settings.toml", resolved)
     say(f"policy in {policy}")
 
 
-def _told(steps: int, figures: dict[str, float]) -> None:
+def _told(what: str, done: int, figures: dict[str, float]) -> None:
     shown_figures = ", ".join(f"{name} {value:.3g}" for name, value in figures.items())
-    say(f"{steps:,} steps of imitation: {shown_figures}")
+    say(f"{done:,} {what} of imitation: {shown_figures}")
 
 
 def parts(text: str) -> tuple[str, ...]:

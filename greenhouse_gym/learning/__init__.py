@@ -1,6 +1,7 @@
 """Training: PPO, imitation of a teacher before it, SAC with hindsight replay, checkpoints, and policy files."""
 
 from greenhouse_gym.learning.bc_then_ppo import FINE_TUNING, BcThenPpoSettings, train_bc_then_ppo
+from greenhouse_gym.learning.depth import DepthSettings, train_depth
 from greenhouse_gym.learning.policies import load_into, save_policy
 from greenhouse_gym.learning.ppo import PpoSettings, train_ppo
 from greenhouse_gym.learning.sac import SacSettings, train_sac
@@ -9,12 +10,14 @@ from greenhouse_gym.learning.sweep import sweep_ppo
 __all__ = [
     "FINE_TUNING",
     "BcThenPpoSettings",
+    "DepthSettings",
     "PpoSettings",
     "SacSettings",
     "load_into",
     "save_policy",
     "sweep_ppo",
     "train_bc_then_ppo",
+    "train_depth",
     "train_ppo",
     "train_sac",
 ]

@@ -99,6 +99,31 @@ def tool_state(chain: Chain, configurations: npt.ArrayLike, ahead: float = 0.0) 
     return ToolState(point, axis, np.moveaxis(jacobian, 0, -1), np.moveaxis(axes, 0, -1))
 
 
+def joint_frames(chain: Chain, configurations: npt.ArrayLike) -> tuple[Array, Array]:
+    """Where what moves with each joint is: rotations (n + 1, m, 3, 3) and positions (n + 1, m, 3), metres.
+
+    The last of them are the tip's.
+
+    Args:
+        chain: The chain of n joints.
+        configurations: (m, n) joint positions, radians or metres.
+    """
+    q = np.asarray(configurations, dtype=np.float64)
+    m, n = q.shape
+    rotations, positions = np.empty((n + 1, m, 3, 3)), np.empty((n + 1, m, 3))
+    rotation: Array = np.broadcast_to(np.eye(3), (m, 3, 3))
+    position = np.zeros((m, 3))
+    for j in range(n + 1):
+        position = position + rotation @ chain.offsets[j, :3, 3]
+        rotation = rotation @ chain.offsets[j, :3, :3]
+        if j < n and chain.sliding[j]:
+            position = position + q[:, j, None] * (rotation @ chain.axes[j])
+        elif j < n:
+            rotation = rotation @ _rotations(chain.axes[j], q[:, j])
+        rotations[j], positions[j] = rotation, position
+    return rotations, positions
+
+
 def _pose(position: Array, quaternion: Array) -> Array:
     matrix = np.empty(9)
     mujoco.mju_quat2Mat(matrix, quaternion)

@@ -1,0 +1,76 @@
+"""How often the agent that sees with its wrist's camera reaches tomatoes of unseen rows, and what its parts are worth.
+
+python benchmarks/depth_policy.py --judge runs/depth/judge.json --blind runs/blind/judge.json
+
+On the same episodes of the validation rows, easy and medium targets, the reconstruction as the world, play: the agent
+by its trained network (``learned``), by the rule in which nothing is learned (``rule``), by a network that was trained
+and plays without images (``blind``), and the agent ``waypoint``, which knows the scene. Writes
+results/depth_policy.json after each; entries of others that it holds stay.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+from policies import rates
+from results_file import RESULTS, write_results
+
+from greenhouse_gym.agents.agent import Agent
+from greenhouse_gym.agents.depth_agent import DepthAgent
+from greenhouse_gym.agents.judging import guessed
+from greenhouse_gym.agents.named import make_agent
+from greenhouse_gym.agents.policy import Policy
+from greenhouse_gym.evaluation import evaluate
+from greenhouse_gym.scene import SceneBank
+
+FIRST_SEED = 20_000
+"""Of the episodes."""
+
+DIFFICULTY = ("easy", "medium")
+
+
+def main() -> None:
+    """Play, write the figures."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--judge", type=Path, help="a network of training/depth_dagger.py; the shipped one by default")
+    parser.add_argument("--blind", type=Path, help="one that was trained with images=false; left out by default")
+    parser.add_argument("--agents", default="learned,rule,blind,waypoint")
+    parser.add_argument("--bank", default="default")
+    parser.add_argument("--episodes", type=int, default=500)
+    parser.add_argument("--out", type=Path, default=RESULTS / "depth_policy.json")
+    arguments = parser.parse_args()
+    bank = SceneBank.open(arguments.bank)
+    before = json.loads(arguments.out.read_text())["agents"] if arguments.out.is_file() else {}
+    agents: dict[str, Any] = before
+    for name in arguments.agents.split(","):
+        if name == "blind" and arguments.blind is None:
+            continue
+        agent, training = _agent(name, arguments)
+        began = time.process_time()
+        played = evaluate(
+            agent, "validation", arguments.episodes, FIRST_SEED, bank=bank, difficulty=DIFFICULTY, threads=1, num_envs=1
+        )
+        minutes = round((time.process_time() - began) / 60, 1)
+        about = {"bank_sha256": bank.sha256, "split": "validation", "first_seed": FIRST_SEED, "difficulty": DIFFICULTY}
+        agents[name] = {**about, **rates(played, bank), "processor_minutes": minutes, "training": training}
+        print(name, json.dumps(agents[name]), flush=True)
+        write_results(arguments.out, {"agents": agents}, ("torch", "mujoco"))
+
+
+def _agent(name: str, arguments: argparse.Namespace) -> tuple[Agent, Any]:
+    """Who plays, and how that came about."""
+    if name == "rule":
+        return DepthAgent(guessed, name=name), None
+    path = arguments.judge if name == "learned" else arguments.blind
+    if name in ("learned", "blind") and path is not None:
+        network = Policy.load(path)
+        return DepthAgent.of(network, name), dict(network.training)
+    return make_agent("depth" if name == "learned" else name), None
+
+
+if __name__ == "__main__":
+    main()

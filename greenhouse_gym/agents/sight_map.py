@@ -1,0 +1,132 @@
+"""What an arm has seen so far in an episode: points on surfaces, and the space that its camera looked through."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from greenhouse_gym.agents.arm_balls import ArmBalls
+from greenhouse_gym.envs.cameras import MAX_RANGE, TIP_FROM_WRIST, DepthCamera
+from greenhouse_gym.geometry import Array
+from greenhouse_gym.robots.kinematics import joint_frames
+
+FAR = 0.05
+"""Clearances are told up to here, metres."""
+
+_LOW, _HIGH = np.array([-0.4, -1.1, -0.8]), np.array([1.1, 1.1, 1.1])  # of the space that is kept, metres
+_NEAR, _CELL = 0.015, 0.04  # sizes of the cells that know the point nearest to them, and of those seen or not, metres
+_NEAR_SHAPE, _SHAPE = (np.ceil((_HIGH - _LOW) / size).astype(np.int64) for size in (_NEAR, _CELL))
+_POINT = 0.012  # size of the cells that hold one point, metres
+_OWN, _TARGET = 0.008, 0.006  # what is so near to the arm's own surface, or to the target's, is it, metres
+_STAND = 0.25  # below its base, the arm's stand is within this distance of its axis, metres
+_EVERY_RAY = 4  # one ray in so many says what was seen
+
+
+class Around(NamedTuple):
+    """What is around the b balls of an arm in m configurations.
+
+    Attributes:
+        clearance: (m, b) distance to what was seen and, but for the cup's, to the target, metres up to `FAR`; negative
+            inside.
+        unseen: (m, b) which are in space not seen.
+        centers: (m, b, 3) where they are, metres.
+    """
+
+    clearance: Array
+    unseen: npt.NDArray[np.bool_]
+    centers: Array
+
+
+class SightMap:
+    """What was seen, in the frame of the arm's base.
+
+    Args:
+        arm: The arm, which is no obstacle to itself.
+        camera: The camera at its wrist.
+        target: (3,) the target's center, metres: known without seeing it.
+        radius: The target's radius, metres.
+
+    Attributes:
+        arm: The arm.
+        version: Changes with what was seen on surfaces.
+    """
+
+    def __init__(self, arm: ArmBalls, camera: DepthCamera, target: Array, radius: float):
+        self.version = 0
+        self.arm, self._rays, self._target, self._radius = arm, camera.rays, target, radius
+        self._points: Array = np.full((1, 3), np.inf)  # the first stands for none
+        self._keys = np.empty(0, dtype=np.int64)
+        self._reach = int((FAR + float(arm.radius.max())) / _NEAR) + 1
+        shape = tuple(_NEAR_SHAPE + 2 * self._reach)
+        self._nearest, self._away = np.zeros(shape, dtype=np.int32), np.full(shape, np.inf, dtype=np.float32)
+        self._seen = np.zeros(int(_SHAPE.prod()), dtype=np.bool_)
+
+    @property
+    def points(self) -> Array:
+        """(n, 3) points on surfaces, of neighbors one, metres."""
+        return self._points[1:]
+
+    def add(self, depth: npt.NDArray[np.float32], joints: Array) -> None:
+        """Take in a depth image (h, w) along the view, metres, 0 without a reading, from a configuration (j,)."""
+        rotation, position = (frames[-1, 0] for frames in joint_frames(self.arm.chain, joints[None]))
+        turn, origin = rotation @ TIP_FROM_WRIST[:3, :3], position + rotation @ TIP_FROM_WRIST[:3, 3]
+        z = depth.reshape(-1).astype(np.float64)
+        rays = self._rays @ turn.T
+        hit = z > 0
+        points = origin + z[hit, None] * rays[hit]
+        through = np.where(hit, z, MAX_RANGE)[::_EVERY_RAY]
+        shares = np.arange(0.5, MAX_RANGE / _CELL) * _CELL
+        ahead = np.nonzero(shares < through[:, None])
+        self._seen[_cells(origin + shares[ahead[1], None] * rays[::_EVERY_RAY][ahead[0]])] = True
+        self._keep(points[self._foreign(points, joints)])
+
+    def _foreign(self, points: Array, joints: Array) -> npt.NDArray[np.bool_]:
+        """Which points (k, 3) belong neither to the arm, nor to its stand, nor to the target, and are near."""
+        inside = ((points > _LOW) & (points < _HIGH)).all(axis=1)
+        stand = (points[:, 2] < 0) & ((points[:, :2] ** 2).sum(axis=1) < _STAND**2)
+        target = ((points - self._target) ** 2).sum(axis=1) < (self._radius + _TARGET) ** 2
+        foreign = inside & ~stand & ~target
+        centers = self.arm.centers(joints[None])[0]
+        near = np.flatnonzero(foreign)
+        gap = np.sqrt(((points[near, None] - centers) ** 2).sum(axis=-1)) - self.arm.radius
+        foreign[near[gap.min(axis=1) < _OWN]] = False
+        return foreign
+
+    def _keep(self, points: Array) -> None:
+        cells = np.floor((points - _LOW) / _POINT).astype(np.int64)
+        keys = (cells[:, 0] << 40) | (cells[:, 1] << 20) | cells[:, 2]
+        keys, first = np.unique(keys, return_index=True)
+        fresh = points[first[~np.isin(keys, self._keys, assume_unique=True)]]
+        self._keys = np.union1d(self._keys, keys)
+        self._points = np.concatenate([self._points, fresh])
+        self.version += bool(len(fresh))
+        reach = self._reach
+        around = np.arange(-reach, reach + 1) * _NEAR
+        for k, point in enumerate(fresh, len(self._points) - len(fresh)):
+            cell = ((point - _LOW) / _NEAR).astype(np.int64)
+            x, y, z = (_LOW + (cell + 0.5) * _NEAR - point)[:, None] + around
+            distance = np.sqrt((x * x)[:, None, None] + (y * y)[:, None] + z * z).astype(np.float32)
+            near = tuple(slice(c, c + 2 * reach + 1) for c in cell)
+            nearer = distance < self._away[near]
+            np.copyto(self._away[near], distance, where=nearer)
+            self._nearest[near][nearer] = k
+
+    def around(self, configurations: Array) -> Around:
+        """What is around the arm's balls in configurations (m, j), radians."""
+        centers = self.arm.centers(configurations)
+        flat, shape = centers.reshape(-1, 3), centers.shape[:2]
+        cells = np.clip(((flat - _LOW) / _NEAR).astype(np.int64), -self._reach, _NEAR_SHAPE + self._reach - 1)
+        nearest = self._points[self._nearest[tuple((cells + self._reach).T)]]
+        away = np.sqrt(((flat - nearest) ** 2).sum(axis=1)).reshape(shape)
+        target = np.sqrt(((flat - self._target) ** 2).sum(axis=1)) - self._radius
+        away = np.minimum(away, np.where(self.arm.cup, np.inf, target.reshape(shape)))
+        unseen = ~self._seen[_cells(flat)].reshape(shape)
+        return Around(np.minimum(away - self.arm.radius, FAR), unseen, centers)
+
+
+def _cells(points: Array) -> npt.NDArray[np.int64]:
+    """Indices of the cells of points (k, 3); those outside count as in the cells at the edge."""
+    cells = np.clip(((points - _LOW) / _CELL).astype(np.int64), 0, _SHAPE - 1)
+    return np.asarray((cells[:, 0] * _SHAPE[1] + cells[:, 1]) * _SHAPE[2] + cells[:, 2])
