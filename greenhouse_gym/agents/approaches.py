@@ -16,18 +16,15 @@ from greenhouse_gym.robots.kinematics import Chain, tool_state
 BEFORE = 0.10
 """How far before a target the places before it are, metres."""
 
-LOOK_BACK, LOOK_CONE = 0.25, 0.6
-"""Distance of the tip from the target's skin where the arm looks, metres, and how far its tool may point away from
-straight ahead there, radians."""
-
-LOOKS, APART = 3, 0.2
-"""From how many places the arm looks at most, and how far they are apart, metres."""
+LOOK_BACK, LOOK_CONE = 0.28, 0.8
+"""Distance of the tip from what the arm looks at, metres, and how far its tool may point away from straight ahead
+there, radians."""
 
 RESOLUTION = 0.04
 """How far any point of the arm may move between two checks for contacts with itself, metres."""
 
 GUESSES, GOALS = 300, 120
-"""First guesses of goal configurations, and how many goals are kept, those nearest to the first look."""
+"""First guesses of goal configurations, and how many goals are kept, those nearest to the start."""
 
 AROUND, NEARBY = 3, 0.5
 """How many places about each goal there are beside the one before it, and how far each joint is strewn, radians."""
@@ -35,8 +32,8 @@ AROUND, NEARBY = 3, 0.5
 POSTURES, SPREAD = 40, 1.2
 """Postures that are tried, and how far each joint is strewn about the start, radians."""
 
-_SHARES = np.linspace(0.0, 1.0, 12)[:, None]
-_FORWARD = 5.0  # radians that a metre farther into the plants than where the arm looks is worth
+_IN_VIEW = 0.4  # radians from the tool's axis
+_GLANCES = 25  # angles of each joint of the wrist that are tried
 _ITERATIONS, _DAMPING, _TURN, _STEP = 12, 0.02, 0.3, 0.1  # as in `greenhouse_gym.robots.inverse_kinematics`
 _NEAR_ENOUGH = 3e-3  # metres, and thirds of radians
 
@@ -45,7 +42,6 @@ class Approaches(NamedTuple):
     """Where an arm may go in an episode.
 
     Attributes:
-        looks: (l, j) from where its camera sees the target; to the first the arm gets without touching itself.
         goals: (g, j) configurations that reach the target.
         before: (g, 1 + `AROUND`, j) places from which the arm may go to each: first, where the tool is drawn back along
             its axis.
@@ -53,7 +49,6 @@ class Approaches(NamedTuple):
         postures: (p, j) others, over which it may go.
     """
 
-    looks: Array
     goals: Array
     before: Array
     possible: npt.NDArray[np.bool_]
@@ -70,14 +65,9 @@ def approaches(arm: ArmBalls, robot: Robot, start: Array, target: Array, radius:
         target: (3,) the target's center in the frame of the arm's base, metres.
         radius: The target's radius, metres.
     """
-    lower, upper = np.maximum(robot.lower, start - np.pi), np.minimum(robot.upper, start + np.pi)
-    guesses = np.random.default_rng(0).uniform(lower, upper, (GUESSES, len(start)))
-    guesses[:, -1] = start[-1]  # the tool is round
-    looks = _looks(arm, robot, start, target, radius, guesses)
-    found = inverse_kinematics(arm.chain, guesses, target, radius, robot)
+    found = inverse_kinematics(arm.chain, _guesses(robot, start), target, radius, robot)
     found = found[[arm.checker.is_free(goal) for goal in found]]
-    near = ((found - (looks[0] if len(looks) else start)) ** 2).sum(axis=1).argsort(kind="stable")
-    goals = found[near[:GOALS]]
+    goals = found[((found - start) ** 2).sum(axis=1).argsort(kind="stable")[:GOALS]]
     axes = tool_state(arm.chain, goals).axis
     back, there = _pointing(arm.chain, goals, target - (radius + BEFORE) * axes, axes, robot)
     random = np.random.default_rng(1)
@@ -91,29 +81,39 @@ def approaches(arm: ArmBalls, robot: Robot, start: Array, target: Array, radius:
     away[:, :-1] = SPREAD * random.normal(size=(POSTURES, len(start) - 1))
     postures = np.clip(start + away, robot.lower, robot.upper)
     postures = postures[[arm.checker.motion_is_free(start, posture, RESOLUTION) for posture in postures]]
-    return Approaches(looks, goals, before, possible, postures)
+    return Approaches(goals, before, possible, postures)
 
 
-def _looks(arm: ArmBalls, robot: Robot, start: Array, target: Array, radius: float, guesses: Array) -> Array:
-    """(l, j) configurations that point to a place and are reached soon, without reaching farther on the way."""
+def glance(arm: ArmBalls, robot: Robot, start: Array, point: Array) -> Array:
+    """(j,) a configuration in which the camera has a place (3,) in view and only the wrist has moved from a start (j,).
+
+    The tool stays back from the plants, of which nothing is known yet.
+    """
+    tried = np.tile(start, (_GLANCES**2, 1))
+    angles = (np.linspace(robot.lower[k], robot.upper[k], _GLANCES) for k in (-3, -2))
+    tried[:, [-3, -2]] = np.stack(np.meshgrid(*angles), axis=-1).reshape(-1, 2)
+    state = tool_state(arm.chain, tried)
+    away = point - state.point
+    off = np.arccos(np.clip((away * state.axis).sum(axis=1) / np.sqrt((away**2).sum(axis=1)), -1.0, 1.0))
+    costs = np.maximum(off - _IN_VIEW, 0.0) + state.point[:, 0] + 0.1 * np.abs(tried - start).max(axis=1)
+    for k in costs.argsort(kind="stable"):
+        if arm.checker.motion_is_free(start, tried[k], RESOLUTION):
+            return np.asarray(tried[k])
+    return start
+
+
+def looks_at(arm: ArmBalls, robot: Robot, start: Array, point: Array) -> Array:
+    """(k, j) configurations in which the tool points to a place (3,) from `LOOK_BACK` before it."""
     cone = Approach(np.array([1.0, 0.0, 0.0]), LOOK_CONE)
-    found = inverse_kinematics(arm.chain, guesses, target, radius + LOOK_BACK, robot, cone)
-    ways = start + _SHARES * (found - start)[:, None]
-    ahead = tool_state(arm.chain, ways.reshape(-1, len(start))).point[:, 0].reshape(ways.shape[:2])
-    farther = ahead.max(axis=1) - np.minimum(ahead[:, -1], target[0] - 0.1)
-    order = (np.abs(found - start).max(axis=1) + _FORWARD * np.maximum(farther, 0.0)).argsort(kind="stable")
-    places = tool_state(arm.chain, found).point
-    chosen: list[int] = []
-    while len(chosen) < LOOKS:
-        last = found[chosen[-1]] if chosen else start
-        if chosen:
-            order = np.abs(found - last).max(axis=1).argsort(kind="stable")
-        far = (k for k in order.tolist() if all(np.linalg.norm(places[k] - places[o]) > APART for o in chosen))
-        k = next((k for k in far if arm.checker.motion_is_free(last, found[k], RESOLUTION)), None)
-        if k is None:
-            break
-        chosen.append(k)
-    return np.asarray(found[chosen])
+    return inverse_kinematics(arm.chain, _guesses(robot, start), point, LOOK_BACK, robot, cone)
+
+
+def _guesses(robot: Robot, start: Array) -> Array:
+    """(`GUESSES`, j) configurations about a start (j,), the same for the same start."""
+    lower, upper = np.maximum(robot.lower, start - np.pi), np.minimum(robot.upper, start + np.pi)
+    guesses = np.random.default_rng(0).uniform(lower, upper, (GUESSES, len(start)))
+    guesses[:, -1] = start[-1]  # the tool is round
+    return np.asarray(guesses)
 
 
 def _pointing(

@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.agents.agent import Problem
-from greenhouse_gym.agents.approaches import approaches
+from greenhouse_gym.agents.approaches import approaches, glance, looks_at
 from greenhouse_gym.agents.arm_balls import arm_balls
 from greenhouse_gym.agents.guide import towards
-from greenhouse_gym.agents.judging import RESOLUTION, Judge, features_of, length, shipped_judge
+from greenhouse_gym.agents.judging import DEEP, RESOLUTION, Judge, between, features_of, length, shipped_judge
 from greenhouse_gym.agents.policy import Policy
 from greenhouse_gym.agents.policy_agent import PolicyAgent
 from greenhouse_gym.agents.sight_map import SightMap
@@ -23,11 +23,14 @@ from greenhouse_gym.geometry import Array
 EVERY = 5
 """Steps after which the agent looks for a way anew; it is also when it has come to the end of one."""
 
-SURE = 0.8
+SURE = 0.9
 """Chance of a free way from which on the agent does not look from elsewhere first."""
 
-HOPELESS = 0.2
+HOPELESS = 0.1
 """Chance below which it stays where it is."""
+
+LOOKS = 4
+"""How many times the agent looks for a better view at most."""
 
 CARE = 3.0
 """How many radians of way the agent makes rather than have its chance of a free one divided by e."""
@@ -37,6 +40,8 @@ _TRIED, _TRIED_OVER = 40, 120  # ways that are looked at, those that promise mos
 _AT_ONCE = 10  # ways that are looked at together
 _LEG = np.linspace(0.1, 0.9, 6)[:, None]  # where motions to goals are looked at
 _ROOM, _WORTH = 0.02, 15.0  # metres of room at the goal that count, and radians of way that a metre of it is worth
+_FRONT = np.array([1.0, 0.5, 0.5])  # shares of the target's place that give where the agent glances at first
+_NEW, _SAFE = 0.08, 0.75  # metres between places that it looks at, and chance of a free way to where it can see them
 _ARRIVED = 1e-3  # radians
 _KEPT = 0.3  # radians by which another way must be better than the one the arm is on
 
@@ -69,7 +74,7 @@ class DepthAgent:
         judge: Gives the chances (n,) of ways with features (n, f); the shipped network when left out.
         hear: Gets all ways that are looked at.
         name: How it is called in tables.
-        images: Whether it takes in its images; without them it is blind.
+        images: Whether it looks, and takes in its images; without them it is blind.
     """
 
     name = "depth"
@@ -112,8 +117,8 @@ class DepthAgent:
         state, count = observation["state"].astype(np.float64), len(self._problem.start)
         joints, command = state[:count], state[:count] + state[2 * count : 3 * count]
         if self._episode is None:
-            self._episode = _Episode(self._problem, self._judge, self._hear, state[-3:])
-        return self._episode.act(observation["depth"][0] if self._images else None, joints, command)
+            self._episode = _Episode(self._problem, self._judge, self._hear, state[-3:], self._images)
+        return self._episode.act(observation["depth"][0], joints, command)
 
 
 class _Choice(NamedTuple):
@@ -145,24 +150,24 @@ class _Episode:
         judge: Callable[[npt.NDArray[np.float32]], Array],
         hear: Callable[[Ways], None],
         target: Array,
+        images: bool,
     ):
         robot, radius = problem.robot, problem.scene.tomatoes[problem.target].radius
         self._arm, self._steps, self._judge, self._hear = arm_balls(robot), problem.joint_steps, judge, hear
-        self._target = target
+        self._target, self._images = target, images
         self._map = SightMap(self._arm, DepthCamera(), target, radius)
+        self._robot, self._start = robot, problem.start
         self._places = approaches(self._arm, robot, problem.start, target, radius)
-        self._looks = list(self._places.looks)
         self._been: list[Array] = [problem.start]
-        self._way: list[Array] = []
-        self._looking, self._age = False, 0
+        self._seen: list[Array] = []
+        self._way: list[Array] = [glance(self._arm, robot, problem.start, _FRONT * target)] if images else []
+        self._looking, self._age = images, 0
         self._known: _Entries | None = None
         self._stuck = -1
-        if self._looks:
-            self._look()
 
-    def act(self, depth: npt.NDArray[np.float32] | None, joints: Array, command: Array) -> npt.NDArray[np.float32]:
-        """The next action, (joints,); without an image nothing new is seen."""
-        if depth is not None and self._age % 2 == 0 and self._stuck < 0:
+    def act(self, depth: npt.NDArray[np.float32], joints: Array, command: Array) -> npt.NDArray[np.float32]:
+        """The next action, (joints,)."""
+        if self._images and self._age % 2 == 0 and self._stuck < 0:
             self._map.add(depth * MAX_RANGE, joints)
         while self._way and np.abs(self._way[0] - command).max() < _ARRIVED:
             reached = self._way.pop(0)
@@ -176,10 +181,6 @@ class _Episode:
             return np.zeros(len(command), dtype=np.float32)
         return towards(self._way[0], command, self._steps).astype(np.float32)
 
-    def _look(self) -> None:
-        """Go where the target can be seen from elsewhere."""
-        self._way, self._looking = [self._looks.pop(0)], True
-
     def _decide(self, command: Array) -> None:
         """Choose a way anew, or stay on the one that was chosen, or look from elsewhere first."""
         choices = [self._best(command, self._ways(command, command[None], _TRIED))]
@@ -187,14 +188,33 @@ class _Episode:
             kept = self._best(command, [np.array(self._way)])
             choices.append(kept._replace(cost=kept.cost - _KEPT))
         if max(choice.chance for choice in choices) < SURE:
-            if self._looks and self._best(command, [self._looks[0][None]]).chance >= SURE:
-                self._look()
-                return
             over = np.concatenate([self._been, self._places.postures])
             choices.append(self._best(command, self._ways(command, over[self._room(over) > _BLOCKED], _TRIED_OVER)))
         best = min(choices, key=lambda choice: choice.cost)
+        if best.chance < SURE and self._images and self._look(command, best.points):
+            return
         self._way = list(best.points) if best.chance >= HOPELESS else []
         self._stuck = -1 if self._way else self._map.version  # seen from here, nothing will change
+
+    def _look(self, command: Array, way: Array) -> bool:
+        """Go where the target can be seen, or what is not known of a way (k, j); False where that is not to be."""
+        point = self._dark(command, way) if self._seen else self._target
+        if point is None or len(self._seen) == LOOKS or any(np.linalg.norm(point - p) < _NEW for p in self._seen):
+            return False
+        self._seen.append(point)
+        looks = looks_at(self._arm, self._robot, self._start, point)
+        near = np.abs(looks - command).max(axis=1).argsort(kind="stable")[:_AT_ONCE]
+        best = self._best(command, [look[None] for look in looks[near]])
+        if best.chance < _SAFE:
+            return False
+        self._way, self._looking = list(best.points), True
+        return True
+
+    def _dark(self, command: Array, way: Array) -> Array | None:
+        """(3,) the middle of what a way (k, j) leads through among the plants and was not seen, metres."""
+        around = self._map.around(between(self._arm.checker.reaches, np.array([command, *way])))
+        moving = around.unseen & (self._arm.part >= 0) & (around.centers[..., 0] > self._target[0] - DEEP)
+        return np.asarray(around.centers[moving].mean(axis=0)) if moving.any() else None
 
     def _ways(self, command: Array, places: Array, most: int) -> list[Array]:
         """Ways to goals that lead straight from one of some places (p, j), those that promise most first."""
@@ -206,7 +226,7 @@ class _Episode:
             place, entry = places[k // len(entries.costs)], k % len(entries.costs)
             points = [place, entries.places[entry], entries.goals[entry]]
             new = [p for p, before in zip(points, [command, *points], strict=False) if (p != before).any()]
-            found.append(np.array(new))
+            found += [np.array(new)] if new else []
         return found
 
     def _entries(self) -> _Entries:

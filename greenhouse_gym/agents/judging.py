@@ -22,7 +22,7 @@ RESOLUTION = 0.04
 ROOM = (-0.005, 0.02)
 """Clearances are told within these bounds, metres: what is nearer is blocked, and what is farther does not count."""
 
-DEEP = 0.12
+DEEP = 0.25
 """How far before the target's depth the plants are taken to begin, metres."""
 
 _CLOSE = 0.015  # metres: nearer than this is close
@@ -76,9 +76,9 @@ def features_of(
         start: (j,) where the ways begin, radians.
         ways: For each the (k, j) configurations that it leads to on straight motions, radians.
     """
-    between = [_between(seen.arm.checker.reaches, np.array([start, *way])) for way in ways]
-    around = seen.around(np.concatenate(between))
-    counts = np.array([len(part) for part in between])
+    configurations = [between(seen.arm.checker.reaches, np.array([start, *way])) for way in ways]
+    around = seen.around(np.concatenate(configurations))
+    counts = np.array([len(part) for part in configurations])
     first = np.cumsum(counts) - counts
     near = np.clip(
         np.stack([around.clearance[:, seen.arm.part == part].min(axis=1) for part in range(len(PARTS))]), *ROOM
@@ -100,7 +100,7 @@ def length(start: Array, way: Array) -> float:
     return float(np.sqrt((np.diff(way, axis=0, prepend=start[None]) ** 2).sum(axis=1)).sum())
 
 
-def _between(reaches: Array, points: Array) -> Array:
+def between(reaches: Array, points: Array) -> Array:
     """(m, j) configurations on the straight motions from each of some points (k, j) to the next, the last one last."""
     steps = np.ceil(np.abs(np.diff(points, axis=0)) @ reaches / RESOLUTION).astype(int) + 1
     legs = [

@@ -71,8 +71,8 @@ class DepthSettings:
     robot: str = "ur5e"
     difficulty: tuple[str, ...] = ("easy", "medium")
     images: bool = True
-    rounds: int = 4
-    episodes: int = 100
+    rounds: int = 3
+    episodes: int = 70
     margin: float = 0.003
     hidden: tuple[int, ...] = (32,)
     batch_size: int = 512

@@ -29,7 +29,7 @@ def some_labels(count: int) -> Labels:
 
 def test_the_network_learns_what_the_teacher_says() -> None:
     labels = some_labels(600)
-    network, error = fit(labels, DepthSettings(hidden=(16,), updates=300, batch_size=128))
+    network, error = fit(labels, DepthSettings(hidden=(16,), updates=120, batch_size=64, learning_rate=1e-2))
     share = labels.free.mean()
     assert error < 0.5 * 4 * share * (1 - share), "a constant would do half as well"
     right = (Judge(network)(labels.features) > 0.5) == labels.free
