@@ -44,8 +44,6 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=RESULTS / "depth_policy.json")
     arguments = parser.parse_args()
     bank = SceneBank.open(arguments.bank)
-    before = json.loads(arguments.out.read_text())["agents"] if arguments.out.is_file() else {}
-    agents: dict[str, Any] = before
     for name in arguments.agents.split(","):
         if name == "blind" and arguments.blind is None:
             continue
@@ -56,9 +54,10 @@ def main() -> None:
         )
         minutes = round((time.process_time() - began) / 60, 1)
         about = {"bank_sha256": bank.sha256, "split": "validation", "first_seed": FIRST_SEED, "difficulty": DIFFICULTY}
-        agents[name] = {**about, **rates(played, bank), "processor_minutes": minutes, "training": training}
-        print(name, json.dumps(agents[name]), flush=True)
-        write_results(arguments.out, {"agents": agents}, ("torch", "mujoco"))
+        entry = {**about, **rates(played, bank), "processor_minutes": minutes, "training": training}
+        print(name, json.dumps(entry), flush=True)
+        agents = json.loads(arguments.out.read_text())["agents"] if arguments.out.is_file() else {}
+        write_results(arguments.out, {"agents": {**agents, name: entry}}, ("torch", "mujoco"))
 
 
 def _agent(name: str, arguments: argparse.Namespace) -> tuple[Agent, Any]:
