@@ -2,17 +2,17 @@
 
 python benchmarks/depth_policy.py --judge runs/depth/judge.json --blind runs/blind/judge.json
 
-On the same episodes of the validation rows, easy and medium targets, the reconstruction as the world, play: the agent
-by its trained network (``learned``), by the rule in which nothing is learned (``rule``), by a network that was trained
-and plays without images (``blind``), and the agent ``waypoint``, which knows the scene. Writes
-results/depth_policy.json after each; entries of others that it holds stay.
+On the same episodes of the validation rows, easy and medium targets, play: the agent by its trained network
+(``learned``), by the rule in which nothing is learned (``rule``), by a network that was trained and plays without
+images (``blind``), and the agent ``waypoint``, which knows the scene. The world is the reconstruction, or with
+``--physics truth`` the simulated row behind it, which is then what the camera sees. Writes results/depth_policy.json
+after each; entries of others that it holds stay.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import time
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from greenhouse_gym.agents.judging import guessed
 from greenhouse_gym.agents.named import make_agent
 from greenhouse_gym.agents.policy import Policy
 from greenhouse_gym.evaluation import evaluate
+from greenhouse_gym.parallel import executor_for
 from greenhouse_gym.scene import SceneBank
 
 FIRST_SEED = 20_000
@@ -41,6 +42,8 @@ def main() -> None:
     parser.add_argument("--agents", default="learned,rule,blind,waypoint")
     parser.add_argument("--bank", default="default")
     parser.add_argument("--episodes", type=int, default=500)
+    parser.add_argument("--physics", default="reconstruction")
+    parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--out", type=Path, default=RESULTS / "depth_policy.json")
     arguments = parser.parse_args()
     bank = SceneBank.open(arguments.bank)
@@ -48,13 +51,20 @@ def main() -> None:
         if name == "blind" and arguments.blind is None:
             continue
         agent, training = _agent(name, arguments)
-        began = time.process_time()
-        played = evaluate(
-            agent, "validation", arguments.episodes, FIRST_SEED, bank=bank, difficulty=DIFFICULTY, threads=1, num_envs=1
-        )
-        minutes = round((time.process_time() - began) / 60, 1)
-        about = {"bank_sha256": bank.sha256, "split": "validation", "first_seed": FIRST_SEED, "difficulty": DIFFICULTY}
-        entry = {**about, **rates(played, bank), "processor_minutes": minutes, "training": training}
+        with executor_for("processes" if arguments.processes > 1 else "serial", arguments.processes) as executor:
+            played = evaluate(
+                agent, "validation", arguments.episodes, FIRST_SEED, executor=executor, bank=arguments.bank,
+                difficulty=DIFFICULTY, physics=arguments.physics, threads=1,
+            )  # fmt: skip
+        about: dict[str, Any] = {
+            "bank_sha256": bank.sha256,
+            "split": "validation",
+            "first_seed": FIRST_SEED,
+            "difficulty": DIFFICULTY,
+            "physics": arguments.physics,
+        }
+        entry = {**about, **rates(played, bank), "training": training}
+        name = name if arguments.physics == "reconstruction" else f"{name}, {arguments.physics}"
         print(name, json.dumps(entry), flush=True)
         agents = json.loads(arguments.out.read_text())["agents"] if arguments.out.is_file() else {}
         write_results(arguments.out, {"agents": {**agents, name: entry}}, ("torch", "mujoco"))

@@ -83,7 +83,7 @@ class DepthAgent:
     def __init__(
         self,
         judge: Callable[[npt.NDArray[np.float32]], Array] | None = None,
-        hear: Callable[[Ways], None] = lambda ways: None,
+        hear: Callable[[Ways], None] | None = None,
         name: str = "depth",
         images: bool = True,
     ):
@@ -148,7 +148,7 @@ class _Episode:
         self,
         problem: Problem,
         judge: Callable[[npt.NDArray[np.float32]], Array],
-        hear: Callable[[Ways], None],
+        hear: Callable[[Ways], None] | None,
         target: Array,
         images: bool,
     ):
@@ -260,7 +260,8 @@ class _Episode:
             some = ways[k : k + _AT_ONCE]
             features = features_of(self._map, self._target, len(self._been), command, some)
             chances = np.clip(self._judge(features), 1e-3, 0.999)
-            self._hear(Ways(command, some, features, chances))
+            if self._hear is not None:
+                self._hear(Ways(command, some, features, chances))
             costs = lengths[k : k + _AT_ONCE] - CARE * np.log(chances)
             for i in costs.argsort(kind="stable").tolist():
                 if costs[i] >= best.cost:

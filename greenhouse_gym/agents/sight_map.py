@@ -12,13 +12,14 @@ from greenhouse_gym.envs.cameras import MAX_RANGE, TIP_FROM_WRIST, DepthCamera
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots.kinematics import joint_frames
 
-FAR = 0.05
+FAR = 0.025
 """Clearances are told up to here, metres."""
 
 _LOW, _HIGH = np.array([-0.4, -1.1, -0.8]), np.array([1.1, 1.1, 1.1])  # of the space that is kept, metres
 _NEAR, _CELL = 0.015, 0.04  # sizes of the cells that know the point nearest to them, and of those seen or not, metres
 _NEAR_SHAPE, _SHAPE = (np.ceil((_HIGH - _LOW) / size).astype(np.int64) for size in (_NEAR, _CELL))
 _POINT = 0.012  # size of the cells that hold one point, metres
+_FINE, _BITS, _NONE = 1e9, 24, np.iinfo(np.int64).max  # squared distances in mm^2 / 1000; bits of a point's index
 _OWN, _TARGET = 0.008, 0.006  # what is so near to the arm's own surface, or to the target's, is it, metres
 _STAND = 0.25  # below its base, the arm's stand is within this distance of its axis, metres
 _EVERY_RAY = 4  # one ray in so many says what was seen
@@ -59,8 +60,12 @@ class SightMap:
         self._points: Array = np.full((1, 3), np.inf)  # the first stands for none
         self._keys = np.empty(0, dtype=np.int64)
         self._reach = int((FAR + float(arm.radius.max())) / _NEAR) + 1
-        shape = tuple(_NEAR_SHAPE + 2 * self._reach)
-        self._nearest, self._away = np.zeros(shape, dtype=np.int32), np.full(shape, np.inf, dtype=np.float32)
+        self._shape = tuple(_NEAR_SHAPE + 2 * self._reach)
+        self._nearest = np.full(int(np.prod(self._shape)), _NONE)  # squared distance of a point, then its index
+        cube = np.indices((2 * self._reach + 1,) * 3).reshape(3, -1) - self._reach
+        cube = cube[:, (cube * cube).sum(axis=0) <= self._reach**2]
+        self._ball = _NEAR * cube
+        self._steps = np.ravel_multi_index(tuple(cube + self._reach), self._shape)
         self._seen = np.zeros(int(_SHAPE.prod()), dtype=np.bool_)
 
     @property
@@ -102,23 +107,21 @@ class SightMap:
         self._keys = np.union1d(self._keys, keys)
         self._points = np.concatenate([self._points, fresh])
         self.version += bool(len(fresh))
-        reach = self._reach
-        around = np.arange(-reach, reach + 1) * _NEAR
-        for k, point in enumerate(fresh, len(self._points) - len(fresh)):
-            cell = ((point - _LOW) / _NEAR).astype(np.int64)
-            x, y, z = (_LOW + (cell + 0.5) * _NEAR - point)[:, None] + around
-            distance = np.sqrt((x * x)[:, None, None] + (y * y)[:, None] + z * z).astype(np.float32)
-            near = tuple(slice(c, c + 2 * reach + 1) for c in cell)
-            nearer = distance < self._away[near]
-            np.copyto(self._away[near], distance, where=nearer)
-            self._nearest[near][nearer] = k
+        cell = ((fresh - _LOW) / _NEAR).astype(np.int64)
+        off = _LOW + (cell + 0.5) * _NEAR - fresh
+        squared = (off * off).sum(axis=1)[:, None] + 2.0 * (off @ self._ball) + (self._ball * self._ball).sum(axis=0)
+        index = np.arange(len(self._points) - len(fresh), len(self._points))
+        keys = ((squared * _FINE).astype(np.int64) << _BITS) | index[:, None]
+        places = np.ravel_multi_index(tuple(cell.T), self._shape)[:, None] + self._steps
+        np.minimum.at(self._nearest, places.reshape(-1), keys.reshape(-1))
 
     def around(self, configurations: Array) -> Around:
         """What is around the arm's balls in configurations (m, j), radians."""
         centers = self.arm.centers(configurations)
         flat, shape = centers.reshape(-1, 3), centers.shape[:2]
         cells = np.clip(((flat - _LOW) / _NEAR).astype(np.int64), -self._reach, _NEAR_SHAPE + self._reach - 1)
-        nearest = self._points[self._nearest[tuple((cells + self._reach).T)]]
+        known = self._nearest[np.ravel_multi_index(tuple((cells + self._reach).T), self._shape)]
+        nearest = self._points[np.where(known == _NONE, 0, known & (2**_BITS - 1))]
         away = np.sqrt(((flat - nearest) ** 2).sum(axis=1)).reshape(shape)
         target = np.sqrt(((flat - self._target) ** 2).sum(axis=1)) - self._radius
         away = np.minimum(away, np.where(self.arm.cup, np.inf, target.reshape(shape)))
