@@ -21,7 +21,6 @@ from results_file import RESULTS, write_results
 
 from greenhouse_gym.agents.agent import Agent
 from greenhouse_gym.agents.depth_agent import DepthAgent
-from greenhouse_gym.agents.judging import guessed
 from greenhouse_gym.agents.named import make_agent
 from greenhouse_gym.agents.policy import Policy
 from greenhouse_gym.evaluation import evaluate
@@ -37,8 +36,10 @@ DIFFICULTY = ("easy", "medium")
 def main() -> None:
     """Play, write the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--judge", type=Path, help="a network of training/depth_dagger.py; the shipped one by default")
-    parser.add_argument("--blind", type=Path, help="one that was trained with images=false; left out by default")
+    parser.add_argument(
+        "--judge", type=Path, help="a network of training/depth_dagger.py; without it that agent is left out"
+    )
+    parser.add_argument("--blind", type=Path, help="one that was trained with images=false; the same")
     parser.add_argument("--agents", default="learned,rule,blind,waypoint")
     parser.add_argument("--bank", default="default")
     parser.add_argument("--episodes", type=int, default=500)
@@ -48,9 +49,9 @@ def main() -> None:
     arguments = parser.parse_args()
     bank = SceneBank.open(arguments.bank)
     for name in arguments.agents.split(","):
-        if name == "blind" and arguments.blind is None:
-            continue
         agent, training = _agent(name, arguments)
+        if agent is None:
+            continue
         with executor_for("processes" if arguments.processes > 1 else "serial", arguments.processes) as executor:
             played = evaluate(
                 agent, "validation", arguments.episodes, FIRST_SEED, executor=executor, bank=arguments.bank,
@@ -70,15 +71,15 @@ def main() -> None:
         write_results(arguments.out, {"agents": {**agents, name: entry}}, ("torch", "mujoco"))
 
 
-def _agent(name: str, arguments: argparse.Namespace) -> tuple[Agent, Any]:
-    """Who plays, and how that came about."""
-    if name == "rule":
-        return DepthAgent(guessed, name=name), None
+def _agent(name: str, arguments: argparse.Namespace) -> tuple[Agent | None, Any]:
+    """Who plays, None where the network was not given, and how that came about."""
+    if name not in ("learned", "blind"):
+        return make_agent("depth" if name == "rule" else name), None
     path = arguments.judge if name == "learned" else arguments.blind
-    if name in ("learned", "blind") and path is not None:
-        network = Policy.load(path)
-        return DepthAgent.of(network, name), dict(network.training)
-    return make_agent("depth" if name == "learned" else name), None
+    if path is None:
+        return None, None
+    network = Policy.load(path)
+    return DepthAgent.of(network, name), dict(network.training)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.agents.approaches import approaches, glance, looks_at
 from greenhouse_gym.agents.arm_balls import arm_balls
 from greenhouse_gym.agents.guide import towards
-from greenhouse_gym.agents.judging import DEEP, RESOLUTION, Judge, between, features_of, length, shipped_judge
+from greenhouse_gym.agents.judging import DEEP, RESOLUTION, Judge, between, features_of, guessed, length
 from greenhouse_gym.agents.policy import Policy
 from greenhouse_gym.agents.policy_agent import PolicyAgent
 from greenhouse_gym.agents.sight_map import SightMap
@@ -66,12 +66,15 @@ class DepthAgent:
     """Looks at the target with the camera at its wrist, keeps what it has seen, and takes a way that is likely free.
 
     The images become points in the frame of its base. Its ways are straight motions to configurations that reach the
-    target, also over a place a little before it or over places where it has been. How likely a way is free a network
-    says, from how near it comes to what was seen and how much of it leads through space not seen. Of the ways, the
-    agent takes the one that is short and likely free; while it is not sure, it looks from elsewhere.
+    target, also over places near those or over others. How likely a way is free a judge says, from how near it comes to
+    what was seen and how much of it leads through space not seen. Of the ways, the agent takes the one that is short
+    and likely free; while it is not sure, it looks where the best of them is dark.
+
+    It is told the target's place and radius; of the scene it asks nothing else.
 
     Args:
-        judge: Gives the chances (n,) of ways with features (n, f); the shipped network when left out.
+        judge: Gives the chances (n,) of ways with features (n, f); a rule in which nothing is learned when left out,
+            or a `Judge` with a network of `greenhouse_gym.learning.train_depth`.
         hear: Gets all ways that are looked at.
         name: How it is called in tables.
         images: Whether it looks, and takes in its images; without them it is blind.
@@ -82,7 +85,7 @@ class DepthAgent:
 
     def __init__(
         self,
-        judge: Callable[[npt.NDArray[np.float32]], Array] | None = None,
+        judge: Callable[[npt.NDArray[np.float32]], Array] = guessed,
         hear: Callable[[Ways], None] | None = None,
         name: str = "depth",
         images: bool = True,
@@ -104,15 +107,13 @@ class DepthAgent:
         Raises:
             InvalidValueError: The network was trained for another arm.
         """
-        if self._judge is None:
-            self._judge = shipped_judge()
         if isinstance(self._judge, Judge):
             PolicyAgent(self._judge.network, self.name).reset(problem)
         self._problem, self._episode = problem, None
 
     def act(self, observation: Any) -> npt.NDArray[np.float32]:
         """The next action, (joints,)."""
-        if self._problem is None or self._judge is None:
+        if self._problem is None:
             raise RuntimeError("reset the agent before it acts")
         state, count = observation["state"].astype(np.float64), len(self._problem.start)
         joints, command = state[:count], state[:count] + state[2 * count : 3 * count]

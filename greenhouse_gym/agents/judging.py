@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -14,7 +13,6 @@ from greenhouse_gym.agents.arm_balls import PARTS
 from greenhouse_gym.agents.policy import Policy
 from greenhouse_gym.agents.sight_map import SightMap
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.paths import data_path
 
 RESOLUTION = 0.04
 """How far any point of the arm may move between the configurations of a way that are looked at, metres."""
@@ -56,12 +54,6 @@ class Judge:
     def __call__(self, features: npt.NDArray[np.float32]) -> Array:
         """Chances (n,) of ways with features (n, f)."""
         return np.asarray(0.5 + 0.5 * self.network(features)[:, 0], dtype=np.float64)
-
-
-@cache
-def shipped_judge() -> Judge:
-    """The network that comes with the package."""
-    return Judge(Policy.load(data_path("policies") / "depth" / "judge-ur5e"))
 
 
 def features_of(
