@@ -191,7 +191,7 @@ def play(
 
 
 def fit(labels: Labels, settings: DepthSettings) -> tuple[Policy, float]:
-    """A network that says what the teacher says, and its mean squared error at the end, on a scale from -1 to 1."""
+    """A network that says what the teacher says, and its mean squared error on these labels, of -1 or 1 each."""
     torch.manual_seed(settings.seed)
     random = np.random.default_rng(settings.seed)
     center, scale = labels.features.mean(axis=0), labels.features.std(axis=0) + np.float32(1e-3)
@@ -204,7 +204,6 @@ def fit(labels: Labels, settings: DepthSettings) -> tuple[Policy, float]:
         layers += [torch.nn.ReLU(), layer]
     network = torch.nn.Sequential(*layers)
     optimizer = torch.optim.AdamW(network.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay)
-    error = 1.0
     for step in range(settings.updates):
         for group in optimizer.param_groups:
             group["lr"] = settings.learning_rate * (1 - step / settings.updates)
@@ -213,7 +212,8 @@ def fit(labels: Labels, settings: DepthSettings) -> tuple[Policy, float]:
         optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         optimizer.step()
-        error = 0.99 * error + 0.01 * float(loss.detach())
+    with torch.no_grad():
+        error = float(((network(x)[:, 0] - y) ** 2).mean())
     return Policy(
         weights=tuple(layer.weight.detach().numpy().copy() for layer in linear),
         biases=tuple(layer.bias.detach().numpy().copy() for layer in linear),
