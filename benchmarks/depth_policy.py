@@ -6,7 +6,7 @@ On the same episodes of the validation rows, easy and medium targets, play: the 
 (``learned``), by the rule in which nothing is learned (``rule``), by a network that was trained and plays without
 images (``blind``), and the agent ``waypoint``, which knows the scene. The world is the reconstruction, or with
 ``--physics truth`` the simulated row behind it, which is then what the camera sees. Writes results/depth_policy.json
-after each; entries of others that it holds stay.
+as it goes; entries of others that it holds stay.
 """
 
 from __future__ import annotations
@@ -23,14 +23,17 @@ from greenhouse_gym.agents.agent import Agent
 from greenhouse_gym.agents.depth_agent import DepthAgent
 from greenhouse_gym.agents.named import make_agent
 from greenhouse_gym.agents.policy import Policy
-from greenhouse_gym.evaluation import evaluate
-from greenhouse_gym.parallel import executor_for
+from greenhouse_gym.evaluation import Evaluation, evaluate
+from greenhouse_gym.records import Record
 from greenhouse_gym.scene import SceneBank
 
 FIRST_SEED = 20_000
 """Of the episodes."""
 
 DIFFICULTY = ("easy", "medium")
+
+PART = 25
+"""Episodes after which the figures so far are written."""
 
 
 def main() -> None:
@@ -44,7 +47,6 @@ def main() -> None:
     parser.add_argument("--bank", default="default")
     parser.add_argument("--episodes", type=int, default=500)
     parser.add_argument("--physics", default="reconstruction")
-    parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--out", type=Path, default=RESULTS / "depth_policy.json")
     arguments = parser.parse_args()
     bank = SceneBank.open(arguments.bank)
@@ -52,11 +54,6 @@ def main() -> None:
         agent, training = _agent(name, arguments)
         if agent is None:
             continue
-        with executor_for("processes" if arguments.processes > 1 else "serial", arguments.processes) as executor:
-            played = evaluate(
-                agent, "validation", arguments.episodes, FIRST_SEED, executor=executor, bank=arguments.bank,
-                difficulty=DIFFICULTY, physics=arguments.physics, threads=1,
-            )  # fmt: skip
         about: dict[str, Any] = {
             "bank_sha256": bank.sha256,
             "split": "validation",
@@ -64,11 +61,18 @@ def main() -> None:
             "difficulty": DIFFICULTY,
             "physics": arguments.physics,
         }
-        entry = {**about, **rates(played, bank), "training": training}
         name = name if arguments.physics == "reconstruction" else f"{name}, {arguments.physics}"
-        print(name, json.dumps(entry), flush=True)
-        agents = json.loads(arguments.out.read_text())["agents"] if arguments.out.is_file() else {}
-        write_results(arguments.out, {"agents": {**agents, name: entry}}, ("torch", "mujoco"))
+        records: tuple[Record, ...] = ()
+        for done in range(0, arguments.episodes, PART):
+            played = evaluate(
+                agent, "validation", min(PART, arguments.episodes - done), FIRST_SEED + done, bank=arguments.bank,
+                difficulty=DIFFICULTY, physics=arguments.physics, threads=1,
+            )  # fmt: skip
+            records += played.records
+            entry = {**about, **rates(Evaluation(name, records), bank), "training": training}
+            agents = json.loads(arguments.out.read_text())["agents"] if arguments.out.is_file() else {}
+            write_results(arguments.out, {"agents": {**agents, name: entry}}, ("torch", "mujoco"))
+            print(name, len(records), entry["success"], entry["collision"], flush=True)
 
 
 def _agent(name: str, arguments: argparse.Namespace) -> tuple[Agent | None, Any]:

@@ -125,7 +125,7 @@ def train_depth(
     _check_folder(out, described, resume)
     write_atomically(out / "settings.json", json.dumps(described, indent=1) + "\n")
     torch.set_num_threads(1)
-    rounds = [_read(path) for path in _kept(out)]
+    rounds = [read_labels(path) for path in _kept(out)]
     rows = [row for _, row in rounds]
     labels = [label for label, _ in rounds]
     judge = _fitted(labels, settings, out, rows) if rounds else None
@@ -137,7 +137,7 @@ def train_depth(
         began = time.process_time()
         judge = _fitted(labels, settings, out, rows)
         rows[-1]["training"] = time.process_time() - began
-        _write(out / f"round-{k}.safetensors", collected, rows[-1])
+        write_labels(out / f"round-{k}.safetensors", collected, rows[-1])
         _write_curve(out, rows)
         tell((k + 1) * settings.episodes, rows[-1])
     return out / "judge.json"
@@ -244,12 +244,19 @@ def _kept(out: Path) -> Iterator[Path]:
         k += 1
 
 
-def _write(path: Path, labels: Labels, row: dict[str, float]) -> None:
+def write_labels(path: Path, labels: Labels, row: dict[str, float]) -> None:
+    """Write the labels of a round, and its line of the curve."""
     figures = {f"row.{name}": np.array([value]) for name, value in row.items()}
-    write_atomically(path, save({"features": labels.features, "free": labels.free, **figures}))
+    features = np.ascontiguousarray(labels.features)  # what is laid out otherwise would be written in disorder
+    write_atomically(path, save({"features": features, "free": labels.free, **figures}))
 
 
-def _read(path: Path) -> tuple[Labels, dict[str, float]]:
+def read_labels(path: Path) -> tuple[Labels, dict[str, float]]:
+    """The labels of a round, and its line of the curve.
+
+    Raises:
+        FileFormatError: The file is missing or damaged.
+    """
     with parsing(path, "labels of a round"):
         arrays = load(read_bytes(path, "checkpoint"))
         labels = Labels(arrays["features"], arrays["free"])

@@ -15,6 +15,7 @@ from greenhouse_gym.agents.depth_agent import DepthAgent
 from greenhouse_gym.agents.judging import FEATURES, Judge
 from greenhouse_gym.agents.named import make_agent
 from greenhouse_gym.errors import FileFormatError, InvalidValueError
+from greenhouse_gym.learning import depth
 from greenhouse_gym.learning.depth import DepthSettings, Labels, fit, train_depth
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene, SceneBank
@@ -43,6 +44,16 @@ def test_its_file_says_what_torch_says() -> None:
         x = torch.relu(torch.nn.functional.linear(x, torch.as_tensor(weight), torch.as_tensor(bias)))
     last = torch.nn.functional.linear(x, torch.as_tensor(network.weights[-1]), torch.as_tensor(network.biases[-1]))
     np.testing.assert_allclose(network(some_labels(50).features), last.clip(-1, 1).numpy(), atol=1e-5)
+
+
+def test_labels_are_read_as_they_were_written(tmp_path: Path) -> None:
+    labels = some_labels(40)
+    turned = Labels(np.asfortranarray(labels.features), labels.free)
+    depth.write_labels(tmp_path / "round-0.safetensors", turned, {"success": 0.5})
+    read, row = depth.read_labels(tmp_path / "round-0.safetensors")
+    np.testing.assert_array_equal(read.features, labels.features)
+    np.testing.assert_array_equal(read.free, labels.free)
+    assert row == {"success": 0.5}
 
 
 def test_a_training_is_resumed_and_its_network_plays(bank: SceneBank, scene: Scene, tmp_path: Path) -> None:
