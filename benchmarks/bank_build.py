@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import os
 import time
+from dataclasses import replace
 from pathlib import Path
 
 from hard_targets import seconds_of_worker
@@ -19,7 +20,7 @@ from greenhouse_gym import shipped
 from greenhouse_gym.cutting import cut_scenes, provenance_of
 from greenhouse_gym.planning import certify_targets
 from greenhouse_gym.reconstruction import reconstruct_row, settings_for
-from greenhouse_gym.scene import SceneBank
+from greenhouse_gym.scene import Provenance, SceneBank
 from greenhouse_gym.shapes import extract_shapes
 
 
@@ -45,11 +46,13 @@ class Clock:
 
 def build(shot: shipped.Shot) -> dict[str, object]:
     """Build the scenes of a recording, stage by stage."""
-    clock, settings = Clock(), shipped.SETTINGS
+    clock = Clock()
     recording = shot.recording()
+    settings = replace(shipped.SETTINGS, reconstruction=settings_for(recording))
     clock.lap("grow")
-    origin = provenance_of(recording, shot.week, settings)
-    row = reconstruct_row(recording, settings_for(recording))
+    known = Provenance(row=shot.row, style=shot.style, source=shot.source)
+    origin = provenance_of(recording, shot.week, settings, known)
+    row = reconstruct_row(recording, settings.reconstruction)
     clock.lap("simulate and reconstruct")
     shapes = extract_shapes(row.points, row.colors, row.normals, settings.shapes)
     clock.lap("shapes")
