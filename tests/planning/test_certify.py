@@ -96,6 +96,10 @@ def test_the_checks_decide_where_no_straight_motion_is_free(small: Scene, monkey
     monkeypatch.setattr(certify, "HARD", 1)
     assert certify.certify_target(compiled, 0).difficulty == "hard"
     monkeypatch.setattr(certify, "MAX_CHECKS", 10)
+    late = certify.certify_target(compiled, 0)
+    assert (late.difficulty, late.checks) == ("hard", None)
+    assert late.witness is not None
+    monkeypatch.setattr(certify, "LAST_CHECKS", 10)
     none = certify.certify_target(compiled, 0)
     assert (none.difficulty, none.witness, none.goals) == ("unreachable", None, certify.GOALS)
 
