@@ -174,9 +174,12 @@ def _misplaced(i: int, row: ReconstructedRow, poses: Array, good: npt.NDArray[np
 def sources() -> str:
     """A fingerprint of the sources on which the figures depend."""
     package, here = Path(greenhouse_gym.__file__).parent, Path(__file__).parent
-    parts = ("plants/*.py", "capture/*.py", "reconstruction/*.py", "accuracy/clouds.py", "accuracy/completeness.py")
+    parts = (
+        "geometry/*.py", "plants/*.py", "capture/*.py", "reconstruction/*.py",
+        "accuracy/clouds.py", "accuracy/completeness.py",
+    )  # fmt: skip
     files = [file for part in parts for file in sorted(package.glob(part))]
-    files += [package / "geometry.py", here / "registration_baselines.py", here / "broken_stations.py"]
+    files += [here / "registration_baselines.py", here / "broken_stations.py"]
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:12]
 
 

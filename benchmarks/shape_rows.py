@@ -94,7 +94,7 @@ class Row:
 def sources(*parts: str | Path) -> str:
     """A fingerprint of some files: patterns within the package, or whole paths; and of what every row depends on."""
     package = Path(greenhouse_gym.__file__).parent
-    files = [Path(perfect_clouds.__file__), package / "geometry.py", package / "crop.py"]
+    files = [Path(perfect_clouds.__file__), *sorted((package / "geometry").glob("*.py")), package / "crop.py"]
     for part in parts:
         files += [part] if isinstance(part, Path) else sorted(f for f in package.glob(part) if f.is_file())
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:12]

@@ -7,29 +7,16 @@ Every setting can be given by ``--set``, inner ones with a point; ``--print`` li
 
 from __future__ import annotations
 
-import argparse
-from pathlib import Path
+from training_arguments import parsed
 
 from greenhouse_gym.agents import PolicyAgent
 from greenhouse_gym.evaluation import compare, comparison_table
 from greenhouse_gym.learning import BcThenPpoSettings, train_bc_then_ppo
-from greenhouse_gym.settings_files import as_toml, resolve
 
 
 def main() -> None:
     """Train, then play validation episodes."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=Path("runs/bc-then-ppo"))
-    parser.add_argument("--settings", type=Path, help="TOML or JSON file of settings")
-    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
-    parser.add_argument("--print", action="store_true", help="print all settings and do no more")
-    parser.add_argument("--resume", action="store_true")
-    parser.add_argument("--episodes", type=int, default=512)
-    arguments = parser.parse_args()
-    settings = resolve(BcThenPpoSettings(), arguments.settings, arguments.set)
-    if arguments.print:
-        print(as_toml(settings, comments=True), end="")
-        return
+    arguments, settings = parsed(__doc__, BcThenPpoSettings(), "runs/bc-then-ppo", 512)
     path = train_bc_then_ppo(
         settings, arguments.out, resume=arguments.resume, tell=lambda steps, figures: print(steps, figures, flush=True)
     )

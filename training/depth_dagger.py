@@ -7,30 +7,17 @@ Every setting can be given by ``--set``; ``--print`` lists them with what they m
 
 from __future__ import annotations
 
-import argparse
-from pathlib import Path
+from training_arguments import parsed
 
 from greenhouse_gym.agents.depth_agent import DepthAgent
 from greenhouse_gym.agents.policy import Policy
 from greenhouse_gym.evaluation import compare, comparison_table
 from greenhouse_gym.learning import DepthSettings, train_depth
-from greenhouse_gym.settings_files import as_toml, resolve
 
 
 def main() -> None:
     """Train, then play validation episodes."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=Path("runs/depth"))
-    parser.add_argument("--settings", type=Path, help="TOML or JSON file of settings")
-    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
-    parser.add_argument("--print", action="store_true", help="print all settings and do no more")
-    parser.add_argument("--resume", action="store_true")
-    parser.add_argument("--episodes", type=int, default=100)
-    arguments = parser.parse_args()
-    settings = resolve(DepthSettings(), arguments.settings, arguments.set)
-    if arguments.print:
-        print(as_toml(settings, comments=True), end="")
-        return
+    arguments, settings = parsed(__doc__, DepthSettings(), "runs/depth", 100)
     path = train_depth(
         settings, arguments.out, resume=arguments.resume, tell=lambda done, figures: print(done, figures, flush=True)
     )

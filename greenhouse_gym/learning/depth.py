@@ -6,13 +6,11 @@ so from what the agent has seen. In the first round the agent goes by the rule `
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,6 +24,7 @@ from greenhouse_gym.agents.judging import FEATURES, Judge, guessed
 from greenhouse_gym.agents.policy import Policy
 from greenhouse_gym.envs import TomatoReachEnv
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, MissingDependencyError, require_seed
+from greenhouse_gym.learning.curves import write_curve
 from greenhouse_gym.paths import parsing, read_bytes, write_atomically
 from greenhouse_gym.scene import SceneBank
 from greenhouse_gym.scene.collision import CollisionChecker, planning_model
@@ -138,7 +137,7 @@ def train_depth(
         judge = _fitted(labels, settings, out, rows)
         rows[-1]["training"] = time.process_time() - began
         write_labels(out / f"round-{k}.safetensors", collected, rows[-1])
-        _write_curve(out, rows)
+        write_curve(out, list(rows[0]), rows)
         tell((k + 1) * settings.episodes, rows[-1])
     return out / "judge.json"
 
@@ -232,7 +231,7 @@ def _fitted(labels: list[Labels], settings: DepthSettings, out: Path, rows: list
     described = json.loads(json.dumps(asdict(settings)))
     notes = {"settings": described, "bank_sha256": SceneBank.open(settings.bank).sha256, "curve": rows}
     training = {"algorithm": "DAgger", **notes}
-    Policy(**{**vars(network), "training": training}).save(out / "judge")
+    replace(network, training=training).save(out / "judge")
     return Judge(network)
 
 
@@ -264,14 +263,6 @@ def read_labels(path: Path) -> tuple[Labels, dict[str, float]]:
     if labels.features.shape != (len(labels.free), width) or not np.isfinite(labels.features).all():
         raise FileFormatError(path, f"features must be finite, of shape ({len(labels.free)}, {width})")
     return labels, {name[4:]: float(value[0]) for name, value in arrays.items() if name.startswith("row.")}
-
-
-def _write_curve(out: Path, rows: list[dict[str, float]]) -> None:
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    write_atomically(out / "curve.csv", text.getvalue())
 
 
 def _check_folder(out: Path, described: dict[str, Any], resume: bool) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import time
 from collections.abc import Callable
@@ -17,6 +15,7 @@ from rich.progress import BarColumn, Progress, TimeRemainingColumn
 
 from greenhouse_gym.errors import InvalidValueError, MissingDependencyError, require_choice, require_seed
 from greenhouse_gym.integrations.sb3 import make_sb3_vec_env
+from greenhouse_gym.learning.curves import read_curve, write_curve
 from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.scene import SceneBank
 
@@ -37,6 +36,9 @@ ACTIVATIONS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
 
 WINDOW = 10
 """Rollouts that a point of the learning curve averages over."""
+
+COLUMNS = ("steps", "seconds", "success_rate", "collision_rate", "return", "length")
+"""What a line of the learning curve tells."""
 
 
 @dataclass(frozen=True)
@@ -290,24 +292,4 @@ class _Report(BaseCallback):  # type: ignore[misc]
 
     def _save(self, model: Any) -> None:
         save_checkpoint(model, self.out, {"settings": self.described})
-        _write_curve(self.out, self.rows)
-
-
-_COLUMNS = ("steps", "seconds", "success_rate", "collision_rate", "return", "length")
-
-
-def _write_curve(out: Path, rows: list[dict[str, float]]) -> None:
-    text = io.StringIO()
-    writer = csv.DictWriter(text, _COLUMNS, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    write_atomically(out / "curve.csv", text.getvalue())
-
-
-def read_curve(out: Path) -> list[dict[str, float]]:
-    """The lines of the learning curve in a training's folder; none where there is none yet."""
-    path = out / "curve.csv"
-    if not path.is_file():
-        return []
-    with path.open() as file:
-        return [{key: float(value) for key, value in row.items()} for row in csv.DictReader(file)]
+        write_curve(self.out, COLUMNS, self.rows)

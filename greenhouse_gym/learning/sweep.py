@@ -14,7 +14,8 @@ from typing import Any
 
 from greenhouse_gym.errors import GreenhouseError, InvalidValueError
 from greenhouse_gym.learning.checkpoints import NAME as CHECKPOINT
-from greenhouse_gym.learning.ppo import PpoSettings, read_curve, train_ppo
+from greenhouse_gym.learning.curves import read_curve
+from greenhouse_gym.learning.ppo import PpoSettings, train_ppo
 from greenhouse_gym.parallel import completed
 from greenhouse_gym.paths import exclusive, write_atomically
 from greenhouse_gym.settings_files import replaced

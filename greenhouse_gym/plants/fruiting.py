@@ -9,7 +9,8 @@ import numpy as np
 from greenhouse_gym.crop import Tomato
 from greenhouse_gym.geometry import Array, frame_along, rotation_about
 from greenhouse_gym.plants.cultivars import Cultivar
-from greenhouse_gym.plants.helios import Mesh, Vine
+from greenhouse_gym.plants.helios import Vine
+from greenhouse_gym.plants.helios_meshes import Mesh
 from greenhouse_gym.plants.organs import Organ, fruit_ellipsoid, tube_organ
 from greenhouse_gym.plants.truss import push_apart
 

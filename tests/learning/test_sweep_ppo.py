@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from greenhouse_gym.cli.main import app
 from greenhouse_gym.errors import FileWriteError, InvalidValueError, UnknownNameError
 from greenhouse_gym.learning import PpoSettings, sweep, sweep_ppo
-from greenhouse_gym.learning.ppo import read_curve
+from greenhouse_gym.learning.curves import read_curve
 from greenhouse_gym.paths import exclusive
 from greenhouse_gym.scene import SceneBank
 

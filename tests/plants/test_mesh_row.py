@@ -17,7 +17,8 @@ from greenhouse_gym.errors import (
     UnknownNameError,
 )
 from greenhouse_gym.plants import DEVELOPMENT_CULTIVARS, HELD_OUT_CULTIVARS, Cultivar, PlantRow, grow_row
-from greenhouse_gym.plants.helios import _texture, grow_vine, pyhelios
+from greenhouse_gym.plants.helios import grow_vine, pyhelios
+from greenhouse_gym.plants.helios_meshes import _texture
 from greenhouse_gym.plants.organs import ORGAN_KINDS, Organ, areas, fruit_ellipsoid, tube
 
 pytest.importorskip("pyhelios")

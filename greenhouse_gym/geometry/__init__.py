@@ -1,0 +1,52 @@
+"""Spheres, ellipsoids, capsules, boxes, poses, and vectorized distances between them. numpy only.
+
+Lengths are metres. A pose is a 4x4 matrix named ``target_from_source``: ``world_from_camera @ point_in_camera``.
+"""
+
+from greenhouse_gym.geometry.arrays import Array, Rotation, Vector
+from greenhouse_gym.geometry.distances import (
+    closest_on_segments,
+    distance_to_boxes,
+    distance_to_capsules,
+    distance_to_ellipsoids,
+    distance_to_shapes,
+    distance_to_spheres,
+)
+from greenhouse_gym.geometry.poses import (
+    frame_along,
+    invert,
+    is_rotation,
+    pose,
+    quaternions_from,
+    rotation_about,
+    rotation_angle,
+    rotations_from,
+    transform,
+)
+from greenhouse_gym.geometry.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
+
+__all__ = [
+    "Array",
+    "Box",
+    "Capsule",
+    "Ellipsoid",
+    "Rotation",
+    "Shape",
+    "Sphere",
+    "Vector",
+    "closest_on_segments",
+    "distance_to_boxes",
+    "distance_to_capsules",
+    "distance_to_ellipsoids",
+    "distance_to_shapes",
+    "distance_to_spheres",
+    "frame_along",
+    "invert",
+    "is_rotation",
+    "pose",
+    "quaternions_from",
+    "rotation_about",
+    "rotation_angle",
+    "rotations_from",
+    "transform",
+]
