@@ -14,11 +14,8 @@ import numpy as np
 LARGEST_WHOLE = 300
 """A split with no more scenes than this is drawn from as a whole."""
 
-WINDOW = 40
+WINDOW = 32
 """How many scenes of a larger split are drawn from at a time."""
-
-FIRST = 32
-"""How many scenes a window begins with, so that the first episodes need not wait for all of them."""
 
 DRAWS_PER_SCENE = 256
 """After so many draws the next scene comes into the window; each is drawn about as often before it leaves."""
@@ -53,7 +50,7 @@ class SceneWindow:
         if self._order is None:
             self.restart(int(random.integers(2**32)))
         assert self._order is not None
-        end = FIRST + self._draws // DRAWS_PER_SCENE
-        place = int(random.integers(max(0, end - WINDOW), end))
+        gone = self._draws // DRAWS_PER_SCENE
+        place = int(random.integers(gone, gone + WINDOW))
         self._draws += 1
         return self._names[int(self._order[place % len(self._order)])]

@@ -23,8 +23,8 @@ from greenhouse_gym.scene import bank as bank_module
 
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Windows of four scenes that begin with two and move on after eight draws."""
-    for name, value in (("LARGEST_WHOLE", 5), ("WINDOW", 4), ("FIRST", 2), ("DRAWS_PER_SCENE", 8)):
+    """Windows of four scenes that move on after eight draws."""
+    for name, value in (("LARGEST_WHOLE", 5), ("WINDOW", 4), ("DRAWS_PER_SCENE", 8)):
         monkeypatch.setattr(window, name, value)
 
 
@@ -49,7 +49,7 @@ def test_few_scenes_at_a_time_and_all_in_turn(small: None) -> None:
     draws = SceneWindow(names(20))
     draws.restart(1)
     met = drawn(draws, 20 * 8)
-    assert len(set(met[:8])) == 2
+    assert 2 <= len(set(met[:8])) <= 4
     for k in range(0, len(met), 8):
         assert len(set(met[k : k + 8])) <= 4
     assert len(set(met)) == 20
@@ -74,6 +74,7 @@ def test_a_sampler_draws_the_same_after_the_same_seed_whatever_was_drawn_before(
     small: None, bank: SceneBank, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(window, "LARGEST_WHOLE", 2)
+    monkeypatch.setattr(window, "WINDOW", 2)
     sampler = EpisodeSampler(bank, "train", get_robot("ur5e"), "easy")
 
     def episodes(seed: int) -> list[tuple[str, int]]:
