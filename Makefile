@@ -26,7 +26,8 @@ test-ompl-2:
 # RLlib pins another Gymnasium than the rest
 test-rllib:
 	$(PYTHON) -m venv .venv-rllib
-	.venv-rllib/bin/python -m pip install --quiet --editable . "ray[rllib]==2.60.*" torch \
+	.venv-rllib/bin/python -m pip install --quiet --constraint constraints.txt torch
+	.venv-rllib/bin/python -m pip install --quiet --editable . "ray[rllib]==2.60.*" \
 		pytest pytest-timeout pytest-xdist hypothesis
 	.venv-rllib/bin/python -m pytest tests/integrations/test_rllib.py
 

@@ -17,6 +17,7 @@ import os
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -70,7 +71,7 @@ def copies_of_mini(folder: Path, count: int) -> Path:
         (folder / f"{name}.json").write_text(content)
         checksum = hashlib.sha256(content.encode()).hexdigest()
         changes = {"name": name, "file": f"{name}.json", "sha256": checksum, "row": row, "split": "train"}
-        entries.append(entry.model_copy(update=changes))
+        entries.append(replace(entry, **changes))
     manifest = mini.manifest.model_copy(update={"name": folder.name, "scenes": tuple(entries)})
     (folder / MANIFEST).write_text(manifest.model_dump_json(indent=1) + "\n")
     return folder

