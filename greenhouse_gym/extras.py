@@ -13,7 +13,7 @@ MODULES: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "reconstruct": ("open3d", "cv2", "libusb_package", "threadpoolctl", "yaml"),
         "plan": ("ompl",),
-        "train": ("stable_baselines3", "torch", "safetensors"),
+        "train": ("stable_baselines3", "torch", "safetensors", "tensorboard"),
         "viz": ("matplotlib", "moviepy"),
         "cluster": ("ray",),
         "data": ("minari",),

@@ -13,7 +13,7 @@ from greenhouse_gym.envs import EnvSettings, TomatoReachVectorEnv
 from greenhouse_gym.envs.observations import Observed
 from greenhouse_gym.envs.simulation import ReachSimulation
 from greenhouse_gym.errors import InvalidValueError, MissingDependencyError
-from greenhouse_gym.integrations.sb3_steps import Stepped, act, begin
+from greenhouse_gym.integrations.sb3_steps import Stepped, Steps
 
 try:
     from stable_baselines3.common.vec_env import VecEnv, VecMonitor
@@ -86,18 +86,19 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
     """A `TomatoReachVectorEnv` with autoreset in the same step, as Stable-Baselines3 wants it.
 
     Infos are empty except at an episode's end, where they hold ``terminal_observation``, ``TimeLimit.truncated``,
-    ``is_success`` and the environment's other keys. Goal environments give whole infos at every step, which
-    ``HerReplayBuffer(copy_info_dict=True)`` needs.
+    ``is_success``, the environment's other keys, and ``episode_terms``, the sums of the reward's terms by name. Goal
+    environments give whole infos at every step, which ``HerReplayBuffer(copy_info_dict=True)`` needs.
     """
 
     def __init__(self, env: TomatoReachVectorEnv):
         self.env = env  # first: the base class asks for the render mode
+        self._steps = Steps(env)
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
         self._actions: npt.NDArray[np.float32] | None = None
 
     def reset(self) -> Observed:
         """Begin new episodes everywhere and return the observations (n, size)."""
-        observations, self.reset_infos = begin(self.env, self._seeds, self._options)
+        observations, self.reset_infos = self._steps.begin(self._seeds, self._options)
         self._reset_seeds()
         self._reset_options()
         return observations
@@ -108,7 +109,7 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
 
     def step_wait(self) -> Stepped:
         """Act once everywhere; episodes that end begin anew."""
-        return act(self.env, self._actions)
+        return self._steps.act(self._actions)
 
     def close(self) -> None:
         """Free the simulations."""

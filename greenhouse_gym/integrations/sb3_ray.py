@@ -14,7 +14,7 @@ from greenhouse_gym.envs.observations import Observed
 from greenhouse_gym.envs.settings import check_whole, settings_with
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.extras import needs
-from greenhouse_gym.integrations.sb3_steps import Part, Stepped
+from greenhouse_gym.integrations.sb3_steps import Stepped, steps_of
 from greenhouse_gym.parallel import RayActor, RayExecutor, workers_of
 
 with needs("train"):
@@ -53,8 +53,10 @@ class RayVecEnv(VecEnv):  # type: ignore[misc]
             raise InvalidValueError(f"the cluster has cores for {most} actors, got {actors}")
         bounds = [num_envs * k // actors for k in range(actors + 1)]
         self._parts = [slice(*ends) for ends in pairwise(bounds)]
-        for part in self._parts:
-            self._actors.append(RayActor(self._cluster, Part, part.stop - part.start, settings, threads, cpus=threads))
+        for piece in self._parts:
+            self._actors.append(
+                RayActor(self._cluster, steps_of, piece.stop - piece.start, settings, threads, cpus=threads)
+            )
         self._steps: list[Any] = []
 
     def reset(self) -> Observed:

@@ -15,51 +15,64 @@ Stepped = tuple[Observed, npt.NDArray[np.float32], npt.NDArray[np.bool_], list[d
 """Observations, rewards, whether episodes ended (and have begun anew), and an info for each simulation."""
 
 
-def begin(
-    env: TomatoReachVectorEnv, seeds: Sequence[int | None], options: list[dict[str, Any]]
-) -> tuple[Observed, list[dict[str, Any]]]:
-    """Begin new episodes everywhere: observations (n, size), and an info for each simulation."""
-    # Only the first reset, or one after `seed`, has seeds.
-    given = None if all(seed is None for seed in seeds) else seeds
-    observations, infos = env.reset(seed=given, options=options)
-    return observations, [_info(infos, i) for i in range(env.num_envs)]
+TERMS = "episode_terms"
+"""Key of the info at an episode's end that holds the sums of the reward's terms over the episode, by name."""
 
 
-def act(env: TomatoReachVectorEnv, actions: Any) -> Stepped:
-    """Act once everywhere; episodes that end begin anew.
+class Steps:
+    """The resets and steps of a vector environment with autoreset in the same step.
 
-    Infos are empty except at an episode's end, unless the environment has goals.
+    Args:
+        env: The environment.
     """
-    observations, rewards, terminated, truncated, infos = env.step(actions)
-    dones = terminated | truncated
-    telling = env.simulation.observe.has_goals
-    single = [_info(infos, i) if telling else {} for i in range(env.num_envs)]
-    for i in np.flatnonzero(dones).tolist():
-        single[i] = _info(infos["final_info"], i)
-        single[i]["terminal_observation"] = infos["final_obs"][i]
-        single[i]["TimeLimit.truncated"] = bool(truncated[i])
-    return observations, rewards.astype(np.float32), dones, single
 
-
-class Part:
-    """Some of the simulations of an environment, kept by a process of a cluster."""
-
-    def __init__(self, count: int, settings: EnvSettings, threads: int):
-        self._env = TomatoReachVectorEnv(count, settings, autoreset_mode="SameStep", threads=threads)
+    def __init__(self, env: TomatoReachVectorEnv):
+        self._env = env
+        self._sums: dict[str, npt.NDArray[np.float64]] = {}  # of the episodes that are under way
 
     def begin(
         self, seeds: Sequence[int | None], options: list[dict[str, Any]]
     ) -> tuple[Observed, list[dict[str, Any]]]:
-        """Begin new episodes in these simulations."""
-        return begin(self._env, seeds, options)
+        """Begin new episodes everywhere: observations (n, size), and an info for each simulation."""
+        # Only the first reset, or one after `seed`, has seeds.
+        given = None if all(seed is None for seed in seeds) else seeds
+        observations, infos = self._env.reset(seed=given, options=options)
+        self._sums = {}
+        return observations, [_info(infos, i) for i in range(self._env.num_envs)]
 
-    def act(self, actions: npt.NDArray[np.float32]) -> Stepped:
-        """Act once in these simulations."""
-        return act(self._env, actions)
+    def act(self, actions: Any) -> Stepped:
+        """Act once everywhere; episodes that end begin anew.
+
+        Infos are empty except at an episode's end, unless the environment has goals.
+        """
+        env = self._env
+        observations, rewards, terminated, truncated, infos = env.step(actions)
+        dones = terminated | truncated
+        self._add(infos["reward_terms"])
+        telling = env.simulation.observe.has_goals
+        single = [_info(infos, i) if telling else {} for i in range(env.num_envs)]
+        for i in np.flatnonzero(dones).tolist():
+            single[i] = _info(infos["final_info"], i)
+            single[i]["terminal_observation"] = infos["final_obs"][i]
+            single[i]["TimeLimit.truncated"] = bool(truncated[i])
+            single[i][TERMS] = {name: float(sums[i]) for name, sums in self._sums.items()}
+        for sums in self._sums.values():
+            sums[dones] = 0.0
+        return observations, rewards.astype(np.float32), dones, single
 
     def call(self, method: str, arguments: Sequence[Any], keywords: dict[str, Any]) -> None:
         """Call a method of the environment for what it does."""
         getattr(self._env, method)(*arguments, **keywords)
+
+    def _add(self, terms: dict[str, Any]) -> None:
+        for name, values in terms.items():
+            if not name.startswith("_"):
+                self._sums[name] = self._sums.get(name, 0.0) + values
+
+
+def steps_of(count: int, settings: EnvSettings, threads: int) -> Steps:
+    """Some of the simulations of an environment, kept by a process of a cluster."""
+    return Steps(TomatoReachVectorEnv(count, settings, autoreset_mode="SameStep", threads=threads))
 
 
 def _info(infos: dict[str, Any], i: int) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Learning curves: ``curve.csv`` in the folder of a training, one line each time something is told of it."""
+"""Learning curves: tables in the folder of a training, with a line each time something is told of it."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ from pathlib import Path
 
 from greenhouse_gym.paths import write_atomically
 
-NAME = "curve.csv"
+CURVE, VALIDATION = "curve.csv", "validation.csv"
+"""Files of a training: how its own episodes went, and those on rows that it does not train on."""
 
 
-def write_curve(folder: Path, columns: Sequence[str], rows: Sequence[dict[str, float]]) -> None:
+def write_curve(path: Path, columns: Sequence[str], rows: Sequence[dict[str, float]]) -> None:
     """Write all lines of a learning curve.
 
     Args:
-        folder: The training's folder.
+        path: The file.
         columns: Names of the figures, in their order.
         rows: The figures of each line.
     """
@@ -24,12 +25,11 @@ def write_curve(folder: Path, columns: Sequence[str], rows: Sequence[dict[str, f
     writer = csv.DictWriter(text, columns, lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
-    write_atomically(folder / NAME, text.getvalue())
+    write_atomically(path, text.getvalue())
 
 
-def read_curve(folder: Path) -> list[dict[str, float]]:
-    """The lines of the learning curve in a training's folder; none where there is none yet."""
-    path = folder / NAME
+def read_curve(path: Path) -> list[dict[str, float]]:
+    """The lines of a learning curve; none where there is no file yet."""
     if not path.is_file():
         return []
     with path.open() as file:

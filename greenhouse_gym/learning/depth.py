@@ -24,7 +24,7 @@ from greenhouse_gym.agents.judging import FEATURES, Judge, guessed
 from greenhouse_gym.agents.policy import Policy
 from greenhouse_gym.envs import TomatoReachEnv
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, MissingDependencyError, require_seed
-from greenhouse_gym.learning.curves import write_curve
+from greenhouse_gym.learning.curves import CURVE, write_curve
 from greenhouse_gym.paths import parsing, read_bytes, write_atomically
 from greenhouse_gym.scene import SceneBank
 from greenhouse_gym.scene.collision import CollisionChecker, planning_model
@@ -137,7 +137,7 @@ def train_depth(
         judge = _fitted(labels, settings, out, rows)
         rows[-1]["training"] = time.process_time() - began
         write_labels(out / f"round-{k}.safetensors", collected, rows[-1])
-        write_curve(out, list(rows[0]), rows)
+        write_curve(out / CURVE, list(rows[0]), rows)
         tell((k + 1) * settings.episodes, rows[-1])
     return out / "judge.json"
 

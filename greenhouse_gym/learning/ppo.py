@@ -3,42 +3,31 @@
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TimeRemainingColumn
-
 from greenhouse_gym.errors import InvalidValueError, MissingDependencyError, require_choice, require_seed
 from greenhouse_gym.integrations.sb3 import make_sb3_vec_env
-from greenhouse_gym.learning.curves import read_curve, write_curve
 from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.scene import SceneBank
 
 try:
     import torch
     from stable_baselines3 import PPO
-    from stable_baselines3.common.callbacks import BaseCallback
+    from stable_baselines3.common.logger import configure
 
     from greenhouse_gym.integrations.sb3_features import ScaledObservation
     from greenhouse_gym.learning.checkpoints import NAME as CHECKPOINT
-    from greenhouse_gym.learning.checkpoints import load_checkpoint, read_notes, save_checkpoint
+    from greenhouse_gym.learning.checkpoints import load_checkpoint, read_notes
     from greenhouse_gym.learning.policies import save_policy
+    from greenhouse_gym.learning.ppo_report import CriticFirst, Report
 except ImportError as error:  # pragma: no cover - depends on the installation
     raise MissingDependencyError("stable-baselines3", "train") from error
 
 ACTIVATIONS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
 """Activations by name."""
-
-WINDOW = 10
-"""Rollouts that a point of the learning curve averages over."""
-
-COLUMNS = ("steps", "seconds", "success_rate", "collision_rate", "return", "length")
-"""What a line of the learning curve tells."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +54,9 @@ class PpoSettings:
         activation: What stands between the layers, "tanh" or "relu".
         critic_rollouts: Rollouts at the beginning from which the critic alone learns: a policy that can do something
             already is not to be judged by a critic that knows nothing.
+        validation_steps: Steps between judgments of the policy without its noise on rows that are not trained on; with
+            0 there are none.
+        validation_episodes: Episodes of each judgment, always the same ones.
         seed: Seed of scenes, weights and noise.
         threads: Threads of the simulation; 0 uses all cores. The network has one: with more, its many small products
             wait for each other, on a busy machine most of the time.
@@ -88,6 +80,8 @@ class PpoSettings:
     hidden: tuple[int, ...] = (256, 256)
     activation: str = "tanh"
     critic_rollouts: int = 0
+    validation_steps: int = 0
+    validation_episodes: int = 100
     seed: int = 0
     threads: int = 0
 
@@ -104,9 +98,10 @@ def train_ppo(
 ) -> Path:
     """Train a policy.
 
-    ``out`` gets ``settings.json``, ``curve.csv`` (one line per rollout), ``checkpoint.safetensors`` now and then and at
-    the end, also when interrupted, and ``policy.json`` with ``policy.safetensors`` beside it. A resumed training goes
-    on with the weights, the optimizer and the step count of the checkpoint, in new episodes.
+    ``out`` gets ``settings.json``, ``curve.csv`` (one line per rollout), ``validation.csv`` (one per judgment),
+    ``tensorboard`` (both, with the reward's terms and the losses), ``checkpoint.safetensors`` now and then and at the
+    end, also when interrupted, and ``policy.json`` with ``policy.safetensors`` beside it. A resumed training goes on
+    with the weights, the optimizer and the step count of the checkpoint, in new episodes.
 
     Args:
         settings: The settings.
@@ -137,27 +132,26 @@ def train_ppo(
         observation=settings.observation, difficulty=settings.difficulty, threads=settings.threads, seed=settings.seed,
     )  # fmt: skip
     model = make_ppo(settings, env)
-    rows: list[dict[str, float]] = []
+    model.set_logger(configure(str(out / "tensorboard"), ["tensorboard"]))
     if resume:
         load_checkpoint(model, out)
-        rows = [row for row in read_curve(out) if row["steps"] <= model.num_timesteps]
         env.seed(settings.seed + model.num_timesteps)
     elif prepare is not None:
         prepare(model)
     notes = {"settings": described, "bank_sha256": SceneBank.open(settings.bank).sha256}
     write_atomically(out / "settings.json", json.dumps(described, indent=1) + "\n")
-    report = _Report(out, settings, described, rows, time_limit, checkpoint_seconds)
+    report = Report(out, settings, model, time_limit, checkpoint_seconds)
     try:
         if model.num_timesteps < settings.total_steps:
             remaining = settings.total_steps - model.num_timesteps
-            callbacks = [report, _CriticFirst(0 if model.num_timesteps else settings.critic_rollouts)]
+            callbacks = [report, CriticFirst(0 if model.num_timesteps else settings.critic_rollouts)]
             model.learn(remaining, callback=callbacks, reset_num_timesteps=not resume)
     except KeyboardInterrupt:
         report.say(f"interrupted after {model.num_timesteps} steps; resume goes on from here")
         save_policy(model, out / "policy", notes)
         raise
     finally:
-        report.finish(model)
+        report.finish()
         env.close()
     return save_policy(model, out / "policy", notes)
 
@@ -176,7 +170,7 @@ def _check_folder(out: Path, described: dict[str, Any], resume: bool) -> None:
             "folder"
         )
     made_with = notes["settings"]
-    if different := [k for k in described if k != "total_steps" and made_with.get(k) != described[k]]:
+    if different := [k for k in described if k != "total_steps" and made_with.get(k, described[k]) != described[k]]:
         raise InvalidValueError(f"the checkpoint in {out} was made with other settings: {', '.join(different)}")
 
 
@@ -203,93 +197,3 @@ def make_ppo(settings: PpoSettings, env: Any) -> Any:
         seed=settings.seed,
         device="cpu",
     )
-
-
-class _CriticFirst(BaseCallback):  # type: ignore[misc]
-    """Keeps the actor as it is during the first rollouts."""
-
-    def __init__(self, rollouts: int):
-        super().__init__()
-        self.left = rollouts
-
-    def _on_step(self) -> bool:
-        return True
-
-    def _on_rollout_start(self) -> None:
-        for name, parameter in self.model.policy.named_parameters():
-            if "value" not in name:
-                parameter.requires_grad = self.left <= 0
-        self.left -= 1
-
-
-class _Report(BaseCallback):  # type: ignore[misc]
-    """Keeps the learning curve, the checkpoints and the progress display, and the time limit."""
-
-    def __init__(
-        self,
-        out: Path,
-        settings: PpoSettings,
-        described: dict[str, Any],
-        rows: list[dict[str, float]],
-        time_limit: float | None,
-        checkpoint_seconds: float,
-    ):
-        super().__init__()
-        self.out, self.settings, self.described, self.rows = out, settings, described, rows
-        self.time_limit, self.checkpoint_seconds = time_limit, checkpoint_seconds
-        self.before = rows[-1]["seconds"] if rows else 0.0
-        self.began = self.saved = self.spoke = time.monotonic()
-        self.episodes: list[list[dict[str, Any]]] = [[]]
-        self.console = Console(stderr=True)
-        self.progress = Progress(
-            "PPO", BarColumn(), "{task.completed:,.0f} steps", TimeRemainingColumn(), "{task.fields[note]}",
-            console=self.console,
-        )  # fmt: skip
-        self.task = self.progress.add_task("", total=settings.total_steps, note="")
-        if self.console.is_terminal:
-            self.progress.start()
-
-    def say(self, text: str) -> None:
-        """Print a line, above the progress bar if there is one."""
-        self.console.print(text, highlight=False)
-
-    def _on_step(self) -> bool:
-        self.episodes[-1] += [info for info in self.locals["infos"] if "episode" in info]
-        return self.time_limit is None or time.monotonic() - self.began < self.time_limit
-
-    def _on_rollout_end(self) -> None:
-        now = time.monotonic()
-        self.episodes = self.episodes[-WINDOW:]
-        infos = [info for rollout in self.episodes for info in rollout]
-        self.episodes.append([])
-
-        def mean(value: Callable[[dict[str, Any]], float]) -> float:
-            return round(float(np.mean([value(info) for info in infos])), 5) if infos else float("nan")
-
-        row = {
-            "steps": self.num_timesteps,
-            "seconds": round(self.before + now - self.began, 2),
-            "success_rate": mean(lambda info: info["is_success"]),
-            "collision_rate": mean(lambda info: info["collision"]),
-            "return": mean(lambda info: info["episode"]["r"]),
-            "length": mean(lambda info: info["episode"]["l"]),
-        }
-        self.rows.append(row)
-        note = f"success {row['success_rate']:.0%}, collision {row['collision_rate']:.0%}"
-        if self.console.is_terminal:
-            self.progress.update(self.task, completed=self.num_timesteps, note=note)
-        elif now - self.spoke > 20:
-            self.spoke = now
-            self.say(f"{self.num_timesteps:,} steps, {row['seconds']:.0f} s: {note}, return {row['return']:.2f}")
-        if now - self.saved > self.checkpoint_seconds:
-            self.saved = now
-            self._save(self.model)
-
-    def finish(self, model: Any) -> None:
-        """Write what there is and stop the progress display."""
-        self.progress.stop()
-        self._save(model)
-
-    def _save(self, model: Any) -> None:
-        save_checkpoint(model, self.out, {"settings": self.described})
-        write_curve(self.out, COLUMNS, self.rows)

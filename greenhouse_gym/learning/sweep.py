@@ -14,7 +14,7 @@ from typing import Any
 
 from greenhouse_gym.errors import GreenhouseError, InvalidValueError
 from greenhouse_gym.learning.checkpoints import NAME as CHECKPOINT
-from greenhouse_gym.learning.curves import read_curve
+from greenhouse_gym.learning.curves import CURVE, read_curve
 from greenhouse_gym.learning.ppo import PpoSettings, train_ppo
 from greenhouse_gym.parallel import completed
 from greenhouse_gym.paths import exclusive, write_atomically
@@ -95,7 +95,7 @@ def _train(training: _Training) -> Row:
     row: Row = {**training.tried, "folder": training.name}
     try:
         train_ppo(training.settings, training.folder, resume=(training.folder / CHECKPOINT).is_file())
-        last = read_curve(training.folder)[-1:]
+        last = read_curve(training.folder / CURVE)[-1:]
     except GreenhouseError as error:
         return {**row, "error": str(error)}
     return {**row, **{name: value if isfinite(value) else None for line in last for name, value in line.items()}}

@@ -41,6 +41,7 @@ def test_episodes_end_with_everything_stable_baselines_reads(bank: SceneBank) ->
             assert env.observation_space.contains(info["terminal_observation"])
             assert info["episode"]["l"] <= step
             assert sum(info["reward_terms"].values()) == pytest.approx(rewards[i], rel=1e-6)
+            assert sum(info["episode_terms"].values()) == pytest.approx(info["episode"]["r"], abs=1e-3)
     assert dones[0]
     assert infos[0]["TimeLimit.truncated"]
     assert infos[0]["is_success"] is False

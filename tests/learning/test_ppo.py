@@ -19,11 +19,13 @@ pytest.importorskip("stable_baselines3")
 
 import torch
 from stable_baselines3 import PPO, SAC
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from greenhouse_gym.agents.policy_agent import PolicyAgent, shipped_policies
 from greenhouse_gym.errors import FileFormatError, InvalidValueError
 from greenhouse_gym.integrations.sb3 import make_sb3_vec_env
 from greenhouse_gym.learning.checkpoints import NAME, load_checkpoint, save_checkpoint
+from greenhouse_gym.learning.curves import VALIDATION, read_curve
 from greenhouse_gym.learning.policies import load_into, save_policy
 from greenhouse_gym.learning.ppo import PpoSettings, make_ppo, train_ppo
 from greenhouse_gym.scene import SceneBank
@@ -47,7 +49,7 @@ def test_training_leaves_curve_checkpoint_and_policy(settings: PpoSettings, tmp_
     path = train_ppo(settings, tmp_path)
     assert torch.get_num_threads() == 1, "a fifth of the speed where another process runs"
     files = {p.name for p in tmp_path.iterdir()}
-    assert files == {"settings.json", "curve.csv", NAME, "policy.json", "policy.safetensors"}
+    assert files == {"settings.json", "curve.csv", "tensorboard", NAME, "policy.json", "policy.safetensors"}
     assert not any(zipfile.is_zipfile(p) for p in tmp_path.iterdir())
     rows = list(csv.DictReader((tmp_path / "curve.csv").read_text().splitlines()))
     assert [int(row["steps"]) for row in rows] == [32, 64, 96, 128]
@@ -59,6 +61,24 @@ def test_training_leaves_curve_checkpoint_and_policy(settings: PpoSettings, tmp_
     assert agent.act(np.zeros(60)).shape == (6,)
 
 
+def test_a_training_is_judged_on_other_rows_and_told_to_tensorboard(settings: PpoSettings, tmp_path: Path) -> None:
+    settings = replace(settings, total_steps=2048, rollout_steps=64, batch_size=256)  # in which episodes end
+    judged = replace(settings, validation_steps=1024, validation_episodes=3)
+    train_ppo(replace(judged, total_steps=1024), tmp_path)
+    train_ppo(judged, tmp_path, resume=True)
+    rows = read_curve(tmp_path / VALIDATION)
+    assert [row["steps"] for row in rows] == [1024, 2048]
+    assert all(0 <= row["success_rate"] <= 1 - row["collision_rate"] for row in rows)
+    told = EventAccumulator(str(tmp_path / "tensorboard"))
+    told.Reload()
+    tags = set(told.Tags()["scalars"])
+    assert {"episodes/success_rate", "episodes/collision_rate", "reward/progress", "train/loss"} <= tags
+    assert [event.value for event in told.Scalars("validation/success_rate")] == [row["success_rate"] for row in rows]
+    unjudged = train_ppo(settings, tmp_path / "unjudged").with_suffix(".safetensors")
+    straight = train_ppo(judged, tmp_path / "straight").with_suffix(".safetensors")
+    assert straight.read_bytes() == unjudged.read_bytes(), "judging changes nothing"
+
+
 def test_resuming_goes_on_where_the_checkpoint_was(settings: PpoSettings, tmp_path: Path) -> None:
     train_ppo(settings, tmp_path)
     longer = PpoSettings(**{**vars(settings), "total_steps": 192})
@@ -66,13 +86,13 @@ def test_resuming_goes_on_where_the_checkpoint_was(settings: PpoSettings, tmp_pa
     rows = list(csv.DictReader((tmp_path / "curve.csv").read_text().splitlines()))
     assert [int(float(row["steps"])) for row in rows] == [32, 64, 96, 128, 160, 192]
     assert json.loads(path.read_text())["training"]["steps"] == 192
-    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()}
     other = PpoSettings(**{**vars(settings), "hidden": (8, 8)})
     with pytest.raises(InvalidValueError, match="hidden"):
         train_ppo(other, tmp_path, resume=True)
     with pytest.raises(InvalidValueError, match="holds a training of 192 steps, which would be lost"):
         train_ppo(settings, tmp_path)
-    assert before == {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    assert before == {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()}
 
 
 def test_nothing_to_resume_is_an_error(settings: PpoSettings, tmp_path: Path) -> None:

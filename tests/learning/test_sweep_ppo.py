@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from greenhouse_gym.cli.main import app
 from greenhouse_gym.errors import FileWriteError, InvalidValueError, UnknownNameError
 from greenhouse_gym.learning import PpoSettings, sweep, sweep_ppo
-from greenhouse_gym.learning.curves import read_curve
+from greenhouse_gym.learning.curves import CURVE, read_curve
 from greenhouse_gym.paths import exclusive
 from greenhouse_gym.scene import SceneBank
 
@@ -40,7 +40,7 @@ def test_every_combination_is_trained_elsewhere_and_goes_on_where_it_stopped(
     longer = PpoSettings(**{**vars(settings), "total_steps": 96})
     again = sweep_ppo(longer, choices, tmp_path)
     for row in again:
-        assert [line["steps"] for line in read_curve(tmp_path / row["folder"])] == [32, 64, 96]
+        assert [line["steps"] for line in read_curve(tmp_path / row["folder"] / CURVE)] == [32, 64, 96]
         assert json.loads((tmp_path / row["folder"] / "settings.json").read_text())["threads"] == 1
 
 
