@@ -23,8 +23,9 @@ from greenhouse_gym.agents.depth_agent import DepthAgent, Ways
 from greenhouse_gym.agents.judging import FEATURES, Judge, guessed
 from greenhouse_gym.agents.policy import Policy
 from greenhouse_gym.envs import TomatoReachEnv
-from greenhouse_gym.errors import FileFormatError, InvalidValueError, MissingDependencyError, require_seed
+from greenhouse_gym.errors import FileFormatError, MissingDependencyError, require_seed
 from greenhouse_gym.learning.curves import CURVE, write_curve
+from greenhouse_gym.learning.folders import check_folder
 from greenhouse_gym.paths import parsing, read_bytes, write_atomically
 from greenhouse_gym.scene import SceneBank
 from greenhouse_gym.scene.collision import CollisionChecker, planning_model
@@ -41,6 +42,9 @@ RESOLUTION = 0.03
 
 TOLD = 3
 """The teacher is asked about one way in so many: those that are looked at together are much alike."""
+
+SETTINGS = "settings.json"
+"""File of a training that tells its settings."""
 
 Told = Callable[[int, dict[str, float]], None]
 
@@ -121,8 +125,8 @@ def train_depth(
     require_seed(settings.seed)
     out = Path(out)
     described = json.loads(json.dumps(asdict(settings)))
-    _check_folder(out, described, resume)
-    write_atomically(out / "settings.json", json.dumps(described, indent=1) + "\n")
+    check_folder(out / SETTINGS, lambda: _settings_in(out / SETTINGS), described, "rounds", resume)
+    write_atomically(out / SETTINGS, json.dumps(described, indent=1) + "\n")
     torch.set_num_threads(1)
     rounds = [read_labels(path) for path in _kept(out)]
     rows = [row for _, row in rounds]
@@ -265,16 +269,6 @@ def read_labels(path: Path) -> tuple[Labels, dict[str, float]]:
     return labels, {name[4:]: float(value[0]) for name, value in arrays.items() if name.startswith("row.")}
 
 
-def _check_folder(out: Path, described: dict[str, Any], resume: bool) -> None:
-    """Refuse to overwrite a training, to resume where there is none, and to resume one with other settings."""
-    path = out / "settings.json"
-    if resume and not path.is_file():
-        raise InvalidValueError(f"nothing to resume: {out} holds no {path.name}")
-    if not path.is_file():
-        return
-    if not resume:
-        raise InvalidValueError(f"{out} holds a training, which would be lost: resume it, or choose another folder")
+def _settings_in(path: Path) -> dict[str, Any]:
     with parsing(path, "settings"):
-        made_with = json.loads(read_bytes(path, "settings"))
-    if different := [k for k in described if k != "rounds" and made_with.get(k) != described[k]]:
-        raise InvalidValueError(f"the training in {out} was made with other settings: {', '.join(different)}")
+        return dict(json.loads(read_bytes(path, "settings")))

@@ -8,8 +8,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from greenhouse_gym.errors import InvalidValueError, MissingDependencyError, require_choice, require_seed
+from greenhouse_gym.errors import MissingDependencyError, require_choice, require_seed
 from greenhouse_gym.integrations.sb3 import make_sb3_vec_env
+from greenhouse_gym.learning.folders import check_folder
 from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.scene import SceneBank
 
@@ -125,7 +126,7 @@ def train_ppo(
     require_seed(settings.seed)
     out = Path(out)
     described = json.loads(json.dumps(asdict(settings)))
-    _check_folder(out, described, resume)
+    check_folder(out / CHECKPOINT, lambda: read_notes(out)["settings"], described, "total_steps", resume)
     torch.set_num_threads(1)
     env = make_env(
         settings.num_envs, bank=settings.bank, split=settings.split, robot=settings.robot,
@@ -154,24 +155,6 @@ def train_ppo(
         report.finish()
         env.close()
     return save_policy(model, out / "policy", notes)
-
-
-def _check_folder(out: Path, described: dict[str, Any], resume: bool) -> None:
-    """Refuse to overwrite a training, to resume where there is none, and to resume one with other settings."""
-    there = (out / CHECKPOINT).is_file()
-    if resume and not there:
-        raise InvalidValueError(f"nothing to resume: {out} holds no {CHECKPOINT}")
-    if not there:
-        return
-    notes = read_notes(out)
-    if not resume:
-        raise InvalidValueError(
-            f"{out} holds a training of {notes['steps']:,} steps, which would be lost: resume it, or choose another "
-            "folder"
-        )
-    made_with = notes["settings"]
-    if different := [k for k in described if k != "total_steps" and made_with.get(k, described[k]) != described[k]]:
-        raise InvalidValueError(f"the checkpoint in {out} was made with other settings: {', '.join(different)}")
 
 
 def make_ppo(settings: PpoSettings, env: Any) -> Any:

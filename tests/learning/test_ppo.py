@@ -90,7 +90,7 @@ def test_resuming_goes_on_where_the_checkpoint_was(settings: PpoSettings, tmp_pa
     other = PpoSettings(**{**vars(settings), "hidden": (8, 8)})
     with pytest.raises(InvalidValueError, match="hidden"):
         train_ppo(other, tmp_path, resume=True)
-    with pytest.raises(InvalidValueError, match="holds a training of 192 steps, which would be lost"):
+    with pytest.raises(InvalidValueError, match="holds a training, which would be lost"):
         train_ppo(settings, tmp_path)
     assert before == {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()}
 
