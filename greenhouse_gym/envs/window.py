@@ -14,7 +14,7 @@ import numpy as np
 LARGEST_WHOLE = 300
 """A split with no more scenes than this is drawn from as a whole."""
 
-WINDOW = 32
+WINDOW = 24
 """How many scenes of a larger split are drawn from at a time."""
 
 DRAWS_PER_SCENE = 256

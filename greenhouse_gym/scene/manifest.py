@@ -23,7 +23,7 @@ Told = Annotated[Value | None, Field(exclude_if=is_none)]
 """What an entry may leave out."""
 
 
-@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
+@dataclass(frozen=True, slots=True, config=ConfigDict(extra="forbid"))
 class Entry:
     """One scene of a bank; a dataclass, which is read twice as fast as a model.
 
