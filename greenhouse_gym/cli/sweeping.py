@@ -53,5 +53,7 @@ def sweep(
 
 
 def _summary(row: dict[str, Any]) -> str:
+    if "steps" not in row:
+        return "no steps to train"
     rate = row.get("success_rate")
     return f"{row['steps']:,.0f} steps, " + ("no episode ended" if rate is None else f"success {rate:.0%} in training")

@@ -76,3 +76,10 @@ def test_the_command_tries_each_value_given(bank: SceneBank, tmp_path: Path, mon
     assert result.exit_code == 0, result.output
     rows = json.loads((tmp_path / sweep.TABLE).read_text())
     assert [(row["seed"], row["steps"], row["success_rate"]) for row in rows] == [(2, 7.0, 0.2), (1, 7.0, 0.1)]
+
+
+def test_a_sweep_of_no_steps_says_so(bank: SceneBank, tmp_path: Path) -> None:
+    asked = ["sweep", "--try", "seed=0", "--bank", str(bank.path), "--steps", "-1", "--backend", "serial"]
+    result = CliRunner().invoke(app, [*asked, "--out", str(tmp_path)])
+    assert result.exit_code == 0, result.exception
+    assert "seed=0: no steps to train" in result.output
