@@ -8,8 +8,19 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.geometry.arrays import MATRIX, VECTOR, Rotation, Vector
+from greenhouse_gym.geometry.arrays import MATRIX, VECTOR, Array, JsonArray, Rotation, Vector
 from greenhouse_gym.geometry.poses import is_rotation
+
+
+def _parse(shape: Any, **kinds: JsonArray | None) -> None:
+    """Turn fields of a frozen shape into read-only arrays of their kinds, or, without one, a positive number.
+
+    Raises:
+        InvalidValueError: A field is no such array, or no such number.
+    """
+    for name, kind in kinds.items():
+        value = getattr(shape, name)
+        object.__setattr__(shape, name, _positive(name, value) if kind is None else kind.parse(value))
 
 
 def _positive(name: str, value: Any) -> float:
@@ -17,6 +28,18 @@ def _positive(name: str, value: Any) -> float:
     if not (np.isfinite(number) and number > 0):
         raise InvalidValueError(f"{name} must be a positive number of metres, got {value!r}")
     return number
+
+
+def _check_turned(name: str, sizes: Array, rotation: Array) -> None:
+    """Refuse sizes (3,) that are not positive, and a rotation (3, 3) that is none.
+
+    Raises:
+        InvalidValueError: As said above.
+    """
+    if (sizes <= 0).any():
+        raise InvalidValueError(f"{name} must be positive, got {sizes.tolist()}")
+    if not is_rotation(rotation):
+        raise InvalidValueError(f"rotation must be orthonormal with determinant 1, got {rotation.tolist()}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,12 +51,8 @@ class Ellipsoid:
     rotation: Rotation
 
     def __post_init__(self) -> None:
-        for name, kind in (("center", VECTOR), ("semi_axes", VECTOR), ("rotation", MATRIX)):
-            object.__setattr__(self, name, kind.parse(getattr(self, name)))
-        if (self.semi_axes <= 0).any():
-            raise InvalidValueError(f"semi_axes must be positive, got {self.semi_axes.tolist()}")
-        if not is_rotation(self.rotation):
-            raise InvalidValueError(f"rotation must be orthonormal with determinant 1, got {self.rotation.tolist()}")
+        _parse(self, center=VECTOR, semi_axes=VECTOR, rotation=MATRIX)
+        _check_turned("semi_axes", self.semi_axes, self.rotation)
 
     @property
     def radius(self) -> float:
@@ -51,8 +70,7 @@ class Sphere:
     radius: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "center", VECTOR.parse(self.center))
-        object.__setattr__(self, "radius", _positive("radius", self.radius))
+        _parse(self, center=VECTOR, radius=None)
 
     @property
     def ellipsoid(self) -> Ellipsoid | None:
@@ -71,9 +89,7 @@ class Capsule:
     radius: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "start", VECTOR.parse(self.start))
-        object.__setattr__(self, "end", VECTOR.parse(self.end))
-        object.__setattr__(self, "radius", _positive("radius", self.radius))
+        _parse(self, start=VECTOR, end=VECTOR, radius=None)
 
     @property
     def length(self) -> float:
@@ -92,13 +108,8 @@ class Box:
     rotation: Rotation
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "center", VECTOR.parse(self.center))
-        object.__setattr__(self, "half_extents", VECTOR.parse(self.half_extents))
-        object.__setattr__(self, "rotation", MATRIX.parse(self.rotation))
-        if (self.half_extents <= 0).any():
-            raise InvalidValueError(f"half_extents must be positive, got {self.half_extents.tolist()}")
-        if not is_rotation(self.rotation):
-            raise InvalidValueError(f"rotation must be orthonormal with determinant 1, got {self.rotation.tolist()}")
+        _parse(self, center=VECTOR, half_extents=VECTOR, rotation=MATRIX)
+        _check_turned("half_extents", self.half_extents, self.rotation)
 
 
 Shape: TypeAlias = Sphere | Capsule | Box

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Annotated, Literal, TypeVar, get_args
 
 from pydantic import ConfigDict, Field, ValidationError, model_validator
@@ -70,9 +71,9 @@ class Manifest(Part):
                 raise InvalidValueError(
                     f"row {entry.row!r} lies in two splits: {split_of_row[entry.row]}, {entry.split}"
                 )
-        names = [entry.name for entry in self.scenes]
-        if len(set(names)) != len(names):
-            raise InvalidValueError("two scenes have the same name")
+        names = Counter(entry.name for entry in self.scenes)
+        if len(names) != len(self.scenes):
+            raise InvalidValueError(f"two scenes have the same name: {names.most_common(1)[0][0]!r}")
         return self
 
 

@@ -161,7 +161,7 @@ def test_a_bank_written_again_is_the_new_one_at_once(folder: Path) -> None:
         (lambda d: d.pop("scenes"), "scenes"),
         (lambda d: d["scenes"][0].update(split="val"), r"scenes\.0\.split"),
         (lambda d: d["scenes"][0].update(split="test"), "row 'a' lies in two splits"),
-        (lambda d: d["scenes"][1].update(name="a-0"), "same name"),
+        (lambda d: d["scenes"][1].update(name="a-0"), "same name: 'a-0'"),
         (lambda d: d["scenes"][2].pop("sha256"), r"scenes\.2\.sha256"),
         (lambda d: d["scenes"][2].update(colour=1), r"scenes\.2\.colour"),
     ],
