@@ -107,8 +107,8 @@ def test_what_is_missing_is_named_by_its_extra(tmp_path: Path, installed: str) -
 IMPORTED_AS = {
     "opencv-python-headless": "cv2", "pyhelios3d": "pyhelios", "pillow": "PIL", "pyyaml": "yaml", "openexr": "OpenEXR"
 }  # fmt: skip
-NOT_IMPORTED = {"moviepy", "mujoco_menagerie", "tensorboard"}
-"""What gymnasium's RecordVideo asks for, files of arms, and what Stable-Baselines3 writes its curves with."""
+NOT_IMPORTED = {"moviepy", "mujoco_menagerie"}
+"""What gymnasium's RecordVideo asks for, and files of arms."""
 
 
 def modules_of(requirements: list[str]) -> set[str]:

@@ -8,13 +8,20 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from greenhouse_gym.errors import MissingDependencyError, require_choice, require_seed
+import numpy as np
+
+from greenhouse_gym.envs.episodes import EpisodeSampler
+from greenhouse_gym.envs.settings import check_whole
+from greenhouse_gym.errors import require_choice, require_seed
+from greenhouse_gym.extras import needs
 from greenhouse_gym.integrations.sb3 import make_sb3_vec_env
 from greenhouse_gym.learning.folders import check_folder
 from greenhouse_gym.paths import write_atomically
+from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import SceneBank
 
-try:
+with needs("train"):
+    import tensorboard  # noqa: F401  what Stable-Baselines3 writes its curves with, and does not ask for at once
     import torch
     from stable_baselines3 import PPO
     from stable_baselines3.common.logger import configure
@@ -23,9 +30,7 @@ try:
     from greenhouse_gym.learning.checkpoints import NAME as CHECKPOINT
     from greenhouse_gym.learning.checkpoints import load_checkpoint, read_notes
     from greenhouse_gym.learning.policies import save_policy
-    from greenhouse_gym.learning.ppo_report import CriticFirst, Report
-except ImportError as error:  # pragma: no cover - depends on the installation
-    raise MissingDependencyError("stable-baselines3", "train") from error
+    from greenhouse_gym.learning.ppo_report import JUDGED_SPLIT, CriticFirst, Report
 
 ACTIVATIONS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
 """Activations by name."""
@@ -119,11 +124,12 @@ def train_ppo(
 
     Raises:
         InvalidValueError: There is nothing to resume, or something that would be overwritten, or the checkpoint was
-            made with other settings.
+            made with other settings; or the policy cannot be judged as the settings want it.
         FileFormatError: The checkpoint is damaged.
         KeyboardInterrupt: The training was interrupted; what there was is written.
     """
     require_seed(settings.seed)
+    _check_judging(settings)
     out = Path(out)
     described = json.loads(json.dumps(asdict(settings)))
     check_folder(out / CHECKPOINT, lambda: read_notes(out)["settings"], described, "total_steps", resume)
@@ -155,6 +161,14 @@ def train_ppo(
         report.finish()
         env.close()
     return save_policy(model, out / "policy", notes)
+
+
+def _check_judging(settings: PpoSettings) -> None:
+    """Refuse judgments that would fail in the middle of the training."""
+    check_whole("validation_episodes", settings.validation_episodes, 1)
+    if check_whole("validation_steps", settings.validation_steps, 0):
+        sampler = EpisodeSampler(settings.bank, JUDGED_SPLIT, get_robot(settings.robot), settings.difficulty)
+        sampler.draw(np.random.default_rng(0))
 
 
 def make_ppo(settings: PpoSettings, env: Any) -> Any:

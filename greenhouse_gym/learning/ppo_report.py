@@ -32,7 +32,10 @@ COLUMNS = ("steps", "seconds", "success_rate", "collision_rate", "return", "leng
 JUDGED = ("steps", "success_rate", "collision_rate")
 """What a judgment on rows that are not trained on tells."""
 
-_VALIDATION_SEED = 10_000
+JUDGED_SPLIT = "validation"
+"""Where those rows are."""
+
+_JUDGED_SEED = 10_000
 
 
 class Report(BaseCallback):  # type: ignore[misc]
@@ -113,7 +116,7 @@ class Report(BaseCallback):  # type: ignore[misc]
         if not every or self.num_timesteps // every <= last // every:
             return
         found = evaluate(
-            Sb3Agent(self.model), "validation", settings.validation_episodes, seed=_VALIDATION_SEED, progress=False,
+            Sb3Agent(self.model), JUDGED_SPLIT, settings.validation_episodes, seed=_JUDGED_SEED, progress=False,
             num_envs=min(settings.num_envs, settings.validation_episodes), bank=settings.bank, robot=settings.robot,
             difficulty=settings.difficulty, threads=settings.threads,
         )  # fmt: skip

@@ -22,13 +22,14 @@ from stable_baselines3 import PPO, SAC
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from greenhouse_gym.agents.policy_agent import PolicyAgent, shipped_policies
-from greenhouse_gym.errors import FileFormatError, InvalidValueError
+from greenhouse_gym.errors import FileFormatError, GreenhouseError, InvalidValueError
 from greenhouse_gym.integrations.sb3 import make_sb3_vec_env
 from greenhouse_gym.learning.checkpoints import NAME, load_checkpoint, save_checkpoint
 from greenhouse_gym.learning.curves import VALIDATION, read_curve
 from greenhouse_gym.learning.policies import load_into, save_policy
 from greenhouse_gym.learning.ppo import PpoSettings, make_ppo, train_ppo
 from greenhouse_gym.scene import SceneBank
+from greenhouse_gym.scene.bank import write_bank
 
 
 @pytest.fixture
@@ -77,6 +78,35 @@ def test_a_training_is_judged_on_other_rows_and_told_to_tensorboard(settings: Pp
     unjudged = train_ppo(settings, tmp_path / "unjudged").with_suffix(".safetensors")
     straight = train_ppo(judged, tmp_path / "straight").with_suffix(".safetensors")
     assert straight.read_bytes() == unjudged.read_bytes(), "judging changes nothing"
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"validation_steps": -1}, "validation_steps"),
+        ({"validation_episodes": 0}, "validation_episodes"),
+        ({"validation_steps": 64, "difficulty": ("unreachable",)}, "no target"),
+    ],
+)
+def test_judging_that_would_fail_later_is_refused_at_once(
+    settings: PpoSettings, tmp_path: Path, changed: dict[str, object], told: str
+) -> None:
+    with pytest.raises(GreenhouseError, match=told):
+        train_ppo(replace(settings, **changed), tmp_path / "run")  # type: ignore[arg-type]
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_bank_without_validation_rows_judges_nothing(bank: SceneBank, settings: PpoSettings, tmp_path: Path) -> None:
+    alone = write_bank(tmp_path / "bank", [(bank[0], "train")], name="alone")
+    with pytest.raises(InvalidValueError, match=r"no scene in split 'validation'; choices: train"):
+        train_ppo(replace(settings, bank=str(alone.path), validation_steps=64), tmp_path / "run")
+
+
+def test_without_tensorboard_the_extra_is_named() -> None:
+    code = "import sys; sys.modules['tensorboard'] = None; import greenhouse_gym.learning.ppo"
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False).stderr
+    assert told.splitlines()[-1].startswith("greenhouse_gym.errors.MissingDependencyError: tensorboard")
+    assert "greenhouse-gym[train]" in told
 
 
 def test_resuming_goes_on_where_the_checkpoint_was(settings: PpoSettings, tmp_path: Path) -> None:
