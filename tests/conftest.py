@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import pytest
 
 from greenhouse_gym.crop import Stem, Tomato
 from greenhouse_gym.geometry import Box, Sphere, rotation_about
+from greenhouse_gym.parallel import RayExecutor
 from greenhouse_gym.scene import Provenance, Scene, SceneBank, Target
 from greenhouse_gym.scene.bank import write_bank
 
@@ -48,6 +50,17 @@ def with_ellipsoids(scene: Scene, seed: int) -> Scene:
         turn = rotation_about(rng.normal(size=3), rng.uniform(0, 3))
         tomatoes[k] = replace(tomatoes[k], radius=float(np.cbrt(axes.prod())), semi_axes=axes, rotation=turn)
     return scene.model_copy(update={"tomatoes": tuple(tomatoes), "name": f"{scene.name}-ellipsoids"})
+
+
+@pytest.fixture(scope="session")
+def cluster() -> Iterator[RayExecutor]:
+    """Two workers of Ray; tests that ask for it are of the group "ray", so that one process of xdist has it.
+
+    A canceled piece of work takes its worker with it, and what came to that worker meanwhile: hence one retry.
+    """
+    pytest.importorskip("ray")
+    with RayExecutor(workers=2, retries=1) as executor:
+        yield executor
 
 
 @pytest.fixture(scope="session")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import socket
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -21,13 +20,6 @@ from greenhouse_gym.parallel import RayActor, RayExecutor, WorkerLostError, comp
 from greenhouse_gym.scene import Scene, SceneBank
 
 pytestmark = pytest.mark.xdist_group("ray")
-
-
-@pytest.fixture(scope="module")
-def cluster() -> Iterator[RayExecutor]:
-    pytest.importorskip("ray")
-    with RayExecutor(workers=2, retries=0) as executor:
-        yield executor
 
 
 class Counter:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -101,6 +101,7 @@ def train_ppo(
     checkpoint_seconds: float = 60.0,
     prepare: Callable[[Any], None] | None = None,
     make_env: Callable[..., Any] = make_sb3_vec_env,
+    on_line: Callable[[Mapping[str, float]], None] = lambda line: None,
 ) -> Path:
     """Train a policy.
 
@@ -118,6 +119,8 @@ def train_ppo(
         prepare: Gets the untrained model of a training that is not resumed, to put something into it.
         make_env: Makes the environment, of the same arguments: another one, such as
             `greenhouse_gym.integrations.sb3_ray.make_sb3_ray_vec_env`, steps the simulations elsewhere.
+        on_line: Told each new line of ``curve.csv`` when its rollout is done; a `KeyboardInterrupt` that it raises
+            interrupts the training there.
 
     Returns:
         The path of the policy's JSON file.
@@ -147,7 +150,7 @@ def train_ppo(
         prepare(model)
     notes = {"settings": described, "bank_sha256": SceneBank.open(settings.bank).sha256}
     write_atomically(out / "settings.json", json.dumps(described, indent=1) + "\n")
-    report = Report(out, settings, model, time_limit, checkpoint_seconds)
+    report = Report(out, settings, model, time_limit, checkpoint_seconds, on_line)
     try:
         if model.num_timesteps < settings.total_steps:
             remaining = settings.total_steps - model.num_timesteps

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -47,13 +47,20 @@ class Report(BaseCallback):  # type: ignore[misc]
         model: What is trained, at the beginning or as it was resumed.
         time_limit: Seconds after which it stops, or None.
         checkpoint_seconds: Time between checkpoints.
+        on_line: Told each new line of the learning curve.
     """
 
     def __init__(
-        self, out: Path, settings: PpoSettings, model: Any, time_limit: float | None, checkpoint_seconds: float
+        self,
+        out: Path,
+        settings: PpoSettings,
+        model: Any,
+        time_limit: float | None,
+        checkpoint_seconds: float,
+        on_line: Callable[[Mapping[str, float]], None],
     ):
         super().__init__()
-        self.out, self.settings, self.model = out, settings, model
+        self.out, self.settings, self.model, self.on_line = out, settings, model, on_line
         self.time_limit, self.checkpoint_seconds = time_limit, checkpoint_seconds
         done = model.num_timesteps
         self.rows, self.judged = (
@@ -108,6 +115,7 @@ class Report(BaseCallback):  # type: ignore[misc]
         if now - self.saved > self.checkpoint_seconds:
             self.saved = now
             self._save()
+        self.on_line(row)
 
     def _judge_in_turn(self) -> None:
         """Play the validation episodes with the policy without its noise, when that is due."""

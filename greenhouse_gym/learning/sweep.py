@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import platform
 import re
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
@@ -10,13 +11,14 @@ from dataclasses import dataclass, replace
 from itertools import product
 from math import isfinite
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from greenhouse_gym.errors import GreenhouseError, InvalidValueError
 from greenhouse_gym.learning.checkpoints import NAME as CHECKPOINT
 from greenhouse_gym.learning.curves import CURVE, read_curve
 from greenhouse_gym.learning.ppo import PpoSettings, train_ppo
-from greenhouse_gym.parallel import completed
+from greenhouse_gym.parallel import RayExecutor, WorkerLostError, completed
 from greenhouse_gym.paths import exclusive, write_atomically
 from greenhouse_gym.settings_files import replaced
 
@@ -43,6 +45,9 @@ def sweep_ppo(
     out: str | Path,
     executor: Executor | None = None,
     on_training: Callable[[Row, int, int], None] = lambda row, done, of: None,
+    *,
+    stop_early: bool = False,
+    on_line: Callable[[Row], None] = lambda row: None,
 ) -> list[Row]:
     """Train with each combination of values of some settings.
 
@@ -50,34 +55,73 @@ def sweep_ppo(
     ``out`` is a folder that all nodes see. A training whose process or node is lost goes on from its last checkpoint,
     and so does everything when the same sweep is begun again. One that fails leaves the others alone.
 
+    With a `RayExecutor` the trainings are trials of Ray Tune, which keeps its own files in ``out/tune``.
+
     Args:
         settings: The settings that all share; each training has one thread unless they say otherwise.
         choices: Values to try, by the name of the setting.
         out: Folder of the sweep.
         executor: Where trainings run; None runs one after the other here.
         on_training: Told the row of each training that is done, how many are, and of how many.
+        stop_early: Have Ray Tune end trainings that fall behind: at an eighth, a quarter and a half of the steps, those
+            whose success rate is below the median of the trainings that came there before. Their rows are those of the
+            steps they got, and say ``stopped_early``.
+        on_line: With a `RayExecutor`, told the row that a training has so far with each line of its learning curve;
+            elsewhere each training shows its own progress.
 
     Returns:
         The rows, the highest success rate first.
 
     Raises:
-        InvalidValueError: Nothing to try, a value twice, or one that the setting does not take.
+        InvalidValueError: Nothing to try, a value twice, one that the setting does not take, or trainings to stop early
+            without a `RayExecutor`.
         UnknownNameError: There is no such setting.
         FileWriteError: Another process is sweeping in the folder.
-        WorkerLostError: A process of the executor died.
+        WorkerLostError: A process of the executor died; with a `RayExecutor` the row of its training says so instead.
+        MissingDependencyError: The executor is a `RayExecutor`, and Ray Tune is not installed.
     """
     trainings = _trainings(settings, choices, Path(out))
+    if stop_early and not isinstance(executor, RayExecutor):
+        raise InvalidValueError("trainings that fall behind are stopped by Ray Tune: stop_early needs a RayExecutor")
     rows: list[Row] = []
+
+    def add(row: Row) -> None:
+        rows.append(row)
+        rows.sort(key=lambda row: (-(row.get("success_rate") or 0.0), row["folder"]))
+        write_atomically(Path(out) / TABLE, json.dumps(rows, indent=1) + "\n")
+        on_training(row, len(rows), len(trainings))
+
     with exclusive(out):
-        for done, row in enumerate(completed(_train, trainings, executor), 1):
-            rows.append(row)
-            rows.sort(key=lambda row: (-(row.get("success_rate") or 0.0), row["folder"]))
-            write_atomically(Path(out) / TABLE, json.dumps(rows, indent=1) + "\n")
-            on_training(row, done, len(trainings))
+        if isinstance(executor, RayExecutor):
+            _tune(trainings, executor, Path(out), add, on_line, stop_early)
+        else:
+            for row in completed(_train, trainings.values(), executor):
+                add(row)
     return rows
 
 
-def _trainings(settings: PpoSettings, choices: Mapping[str, Sequence[Any]], out: Path) -> list[_Training]:
+def _tune(
+    trainings: Mapping[str, _Training],
+    cluster: RayExecutor,
+    out: Path,
+    add: Callable[[Row], None],
+    on_line: Callable[[Row], None],
+    stop_early: bool,
+) -> None:
+    from greenhouse_gym.parallel.ray_tune import Halving, run_trials
+
+    whole = max(training.settings.total_steps for training in trainings.values())
+    halving = Halving("success_rate", "steps", whole) if stop_early else None
+
+    def ended(name: str, row: Row | WorkerLostError, early: bool) -> None:
+        if isinstance(row, WorkerLostError):
+            row = _row(trainings[name], error=str(row))
+        add({**row, "stopped_early": True} if early else row)
+
+    run_trials(_train, trainings, cluster, out, ended, on_line, halving)
+
+
+def _trainings(settings: PpoSettings, choices: Mapping[str, Sequence[Any]], out: Path) -> dict[str, _Training]:
     if not choices or not all(choices.values()):
         raise InvalidValueError(f"a sweep needs settings with values to try, got {dict(choices)}")
     shared = replace(settings, threads=settings.threads or 1)
@@ -88,14 +132,27 @@ def _trainings(settings: PpoSettings, choices: Mapping[str, Sequence[Any]], out:
         if name in trainings:
             raise InvalidValueError(f"{tried} is tried twice")
         trainings[name] = _Training(name, tried, replaced(shared, tried), out.resolve() / name)
-    return list(trainings.values())
+    return trainings
 
 
-def _train(training: _Training) -> Row:
-    row: Row = {**training.tried, "folder": training.name}
+def _train(training: _Training, tell: Callable[[Mapping[str, float], Row], None] = lambda line, row: None) -> Row:
+    """Train, or go on, and give the row; each line of the curve is told with the row that the training has by then."""
+    folder = training.folder
     try:
-        train_ppo(training.settings, training.folder, resume=(training.folder / CHECKPOINT).is_file())
-        last = read_curve(training.folder / CURVE)[-1:]
+        if not folder.parent.is_dir():  # which the head has made
+            raise InvalidValueError(
+                f"node {platform.node()} sees no folder {folder.parent}: all nodes must see the same"
+            )
+        before = read_curve(folder / CURVE)
+        for line in before:  # which those who compare trainings have not seen, or have forgotten
+            tell(line, _row(training, before[-1]))
+        resume = (folder / CHECKPOINT).is_file()
+        train_ppo(training.settings, folder, resume=resume, on_line=lambda line: tell(line, _row(training, line)))
+        return _row(training, *read_curve(folder / CURVE)[-1:])
     except GreenhouseError as error:
-        return {**row, "error": str(error)}
-    return {**row, **{name: value if isfinite(value) else None for line in last for name, value in line.items()}}
+        return _row(training, error=str(error))
+
+
+def _row(training: _Training, line: Mapping[str, float] = MappingProxyType({}), **more: Any) -> Row:
+    figures = {name: value if isfinite(value) else None for name, value in line.items()}
+    return {**training.tried, "folder": training.name, **figures, **more}

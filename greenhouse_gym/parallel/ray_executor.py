@@ -59,6 +59,7 @@ class RayExecutor(Executor):
     ):
         with needs("cluster"):
             self.ray: Any = import_module("ray")
+        self.cpus, self.memory, self.retries = cpus, memory, retries
         if address not in ("local", "auto"):
             _check_listens(address)
         self._owns = not self.ray.is_initialized()

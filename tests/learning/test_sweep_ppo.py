@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from greenhouse_gym.cli.main import app
 from greenhouse_gym.errors import FileWriteError, InvalidValueError, UnknownNameError
 from greenhouse_gym.learning import PpoSettings, sweep, sweep_ppo
 from greenhouse_gym.learning.curves import CURVE, read_curve
+from greenhouse_gym.parallel import RayExecutor
 from greenhouse_gym.paths import exclusive
 from greenhouse_gym.scene import SceneBank
 
@@ -44,6 +46,54 @@ def test_every_combination_is_trained_elsewhere_and_goes_on_where_it_stopped(
         assert json.loads((tmp_path / row["folder"] / "settings.json").read_text())["threads"] == 1
 
 
+@pytest.mark.xdist_group("ray")
+def test_trials_of_ray_tune_give_the_table_of_one_process(
+    settings: PpoSettings, tmp_path: Path, cluster: RayExecutor
+) -> None:
+    pytest.importorskip("ray.tune")
+    told: list[sweep.Row] = []
+    choices = {"observation": ["state", "depths"]}
+    here = sweep_ppo(settings, choices, tmp_path / "here")
+    there = sweep_ppo(settings, choices, tmp_path / "there", RayExecutor(cpus=2), on_line=told.append)
+    assert json.loads((tmp_path / "there" / sweep.TABLE).read_text()) == there
+    for row in [*here, *there]:
+        row.pop("seconds", None)
+    assert there == here
+    assert [(row["folder"], row["steps"]) for row in told] == [("observation=state", 32), ("observation=state", 64)]
+    one, other = (tmp_path / place / "observation=state" / "policy.safetensors" for place in ("here", "there"))
+    assert one.read_bytes() == other.read_bytes()
+
+
+def test_trainings_are_stopped_early_by_ray_alone(settings: PpoSettings, tmp_path: Path) -> None:
+    with pytest.raises(InvalidValueError, match="stop_early needs a RayExecutor"):
+        sweep_ppo(settings, {"seed": [0]}, tmp_path, Elsewhere(), stop_early=True)
+
+
+def test_a_training_that_is_stopped_can_be_played_and_gone_on_with(settings: PpoSettings, tmp_path: Path) -> None:
+    """What happens on a node: all that was learned is told again, with what it came to."""
+    (training,) = sweep._trainings(settings, {"seed": [0]}, tmp_path).values()
+    told: list[tuple[float, float]] = []
+
+    def stop(line: Mapping[str, float], row: sweep.Row) -> None:
+        told.append((line["steps"], row["steps"]))
+        if len(told) in (1, 4):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        sweep._train(training, stop)
+    assert (training.folder / "policy.safetensors").exists()
+    assert sweep._train(training, stop)["steps"] == 64
+    with pytest.raises(KeyboardInterrupt):
+        sweep._train(training, stop)
+    assert told == [(32, 32), (32, 32), (64, 64), (32, 64)]
+
+
+def test_a_folder_that_a_node_does_not_see_is_told(settings: PpoSettings, tmp_path: Path) -> None:
+    (training,) = sweep._trainings(settings, {"seed": [0]}, tmp_path / "gone").values()
+    assert "all nodes must see the same" in sweep._train(training)["error"]
+    assert not (tmp_path / "gone").exists()
+
+
 def test_a_training_that_fails_leaves_the_others_alone(settings: PpoSettings, tmp_path: Path) -> None:
     rows = sweep_ppo(settings, {"observation": ["depths", "state"]}, tmp_path)
     assert [row["observation"] for row in rows if "error" not in row] == ["state"]
@@ -66,7 +116,7 @@ def test_what_cannot_be_tried_is_told_before_any_training(settings: PpoSettings,
 
 
 def test_the_command_tries_each_value_given(bank: SceneBank, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def trained(settings: PpoSettings, folder: Path, resume: bool) -> None:
+    def trained(settings: PpoSettings, folder: Path, **_: Any) -> None:
         folder.mkdir()
         (folder / "curve.csv").write_text(f"steps,success_rate\n{settings.total_steps},0.{settings.seed}\n")
 
