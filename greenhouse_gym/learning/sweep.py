@@ -82,7 +82,9 @@ def sweep_ppo(
     """
     trainings = _trainings(settings, choices, Path(out))
     if stop_early and not isinstance(executor, RayExecutor):
-        raise InvalidValueError("trainings that fall behind are stopped by Ray Tune: stop_early needs a RayExecutor")
+        raise InvalidValueError(
+            "trainings that fall behind are stopped by Ray Tune: stop_early needs a RayExecutor (--backend ray)"
+        )
     rows: list[Row] = []
 
     def add(row: Row) -> None:

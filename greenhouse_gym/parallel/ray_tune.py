@@ -145,14 +145,17 @@ class _Trial(tune.Trainable):  # type: ignore[misc]
 
     def step(self) -> dict[str, Any]:
         self._turns.put(True)
-        return self._told.get()
+        line = self._told.get()
+        if isinstance(line, Exception):
+            return {_RAISED: pickle.dumps(told(line)), "done": True}
+        return line
 
     def cleanup(self) -> None:
         self._turns.put(False)
         self._thread.join()
 
     def _begin(self, name: str) -> None:
-        self._told, self._turns = SimpleQueue[dict[str, Any]](), SimpleQueue[bool]()
+        self._told, self._turns = SimpleQueue[dict[str, Any] | Exception](), SimpleQueue[bool]()
         self._thread = threading.Thread(target=self._work, args=(name,), daemon=True)
         self._thread.start()
 
@@ -165,7 +168,7 @@ class _Trial(tune.Trainable):  # type: ignore[misc]
         except KeyboardInterrupt:
             return
         except Exception as error:
-            self._told.put({_RAISED: pickle.dumps(told(error)), "done": True})
+            self._told.put(error)
 
     def _tell(self, figures: Mapping[str, float], result: Any) -> None:
         known = {name: figure for name, figure in figures.items() if isfinite(figure)}  # others cannot be compared
