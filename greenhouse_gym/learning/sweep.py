@@ -156,5 +156,5 @@ def _train(training: _Training, tell: Callable[[Mapping[str, float], Row], None]
 
 
 def _row(training: _Training, line: Mapping[str, float] = MappingProxyType({}), **more: Any) -> Row:
-    figures = {name: value if isfinite(value) else None for name, value in line.items()}
+    figures = {name: float(value) if isfinite(value) else None for name, value in line.items()}
     return {**training.tried, "folder": training.name, **figures, **more}
