@@ -13,13 +13,38 @@ from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.agents.guide import towards
 from greenhouse_gym.envs.ways import Ends, Headings, Place, Ways
 from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning.unseen import depths_of, guarded
-from greenhouse_gym.scene import compile_scene
+from greenhouse_gym.scene import Scene, compile_scene
 
 CAREFUL_DEPTHS = (0.1, 0.15, 0.2, float("inf"))
 """How deep an arm may go into unseen space, metres. Without any of it there was no way to any of 15 tomatoes tried."""
 
 _ONLY = np.zeros(1, dtype=np.int64)
+
+
+def careful_ways(
+    problem: Problem, scene: Scene, start: Array, depths: Sequence[float] = CAREFUL_DEPTHS
+) -> tuple[Ways, float]:
+    """The ways to a target that enter unseen space no deeper than they must.
+
+    Args:
+        problem: The episode.
+        scene: Its scene as it is known by now, with the same tomatoes.
+        start: (j,) where the arm is, radians.
+        depths: How deep the arm may go into unseen space, metres; what is tried, one after the other.
+
+    Returns:
+        The ways, and the first depth at which they lead to the target, or the last; infinite where the scene does not
+        say what was seen.
+    """
+    center = scene.tomatoes[problem.target].center
+    ends = Ends(compile_scene(problem.scene, problem.robot), problem.target, center, start)
+    for depth in (np.inf,) if scene.seen is None else depths:
+        ways = Ways(Place(guarded(scene, problem.robot, start, depth)), ends)
+        if ways.nodes.reach:
+            break
+    return ways, depth
 
 
 class CarefulAgent:
@@ -54,13 +79,7 @@ class CarefulAgent:
 
     def reset(self, problem: Problem) -> None:
         """Look for a way."""
-        depths = (np.inf,) if problem.scene.seen is None else self._depths
-        center = problem.scene.tomatoes[problem.target].center
-        ends = Ends(compile_scene(problem.scene, problem.robot), problem.target, center, problem.start)
-        for depth in depths:
-            ways = Ways(Place(guarded(problem.scene, problem.robot, problem.start, depth)), ends)
-            if ways.nodes.reach:
-                break
+        ways, depth = careful_ways(problem, problem.scene, problem.start, self._depths)
         self.status = f"{depth:g}"
         self._headings = Headings(1, len(problem.start))
         self._headings.begin(0, ways)

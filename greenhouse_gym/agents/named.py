@@ -19,12 +19,13 @@ from greenhouse_gym.agents.policy import described_at
 from greenhouse_gym.agents.policy_agent import PolicyAgent, shipped_policies
 from greenhouse_gym.agents.resolved_rate import ResolvedRateAgent
 from greenhouse_gym.agents.shield import ShieldedAgent
+from greenhouse_gym.agents.watchful import WatchfulAgent
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, MissingDependencyError, UnknownNameError
 from greenhouse_gym.planning import PAPER_PLANNERS, PLANNERS
 
 _NAMED: tuple[type[Agent], ...] = (
     RandomAgent, StillAgent, StraightLineAgent, ResolvedRateAgent, WaypointAgent, CarefulAgent, GuidedAgent,
-    HybridAgent, ShieldedAgent, DepthAgent,
+    HybridAgent, ShieldedAgent, DepthAgent, WatchfulAgent,
 )  # fmt: skip
 SIMPLE = {agent.name: agent for agent in _NAMED}
 """Agents that need nothing but a name."""

@@ -21,7 +21,7 @@ _NEAR_SHAPE, _SHAPE = (np.ceil((_HIGH - _LOW) / size).astype(np.int64) for size 
 _POINT = 0.012  # size of the cells that hold one point, metres
 _FINE, _BITS, _NONE = 1e9, 24, np.iinfo(np.int64).max  # squared distances in mm^2 / 1000; bits of a point's index
 _OWN, _TARGET = 0.008, 0.006  # what is so near to the arm's own surface, or to the target's, is it, metres
-_STAND = 0.25  # below its base, the arm's stand is within this distance of its axis, metres
+_STAND, _BASE = 0.25, 0.12  # up to this height, the arm's stand and base are within this distance of its axis, metres
 _EVERY_RAY = 4  # one ray in so many says what was seen
 
 
@@ -73,6 +73,11 @@ class SightMap:
         """(n, 3) points on surfaces, of neighbors one, metres."""
         return self._points[1:]
 
+    def seen(self, points: Array) -> npt.NDArray[np.bool_]:
+        """Which of points (n, 3) the camera has looked at or through, (n,); those outside of what is kept were not."""
+        kept = ((points > _LOW) & (points < _HIGH)).all(axis=1)
+        return np.asarray(kept & self._seen[_cells(points)])
+
     def add(self, depth: npt.NDArray[np.float32], joints: Array) -> None:
         """Take in a depth image (h, w) along the view, metres, 0 without a reading, from a configuration (j,)."""
         rotation, position = (frames[-1, 0] for frames in joint_frames(self.arm.chain, joints[None]))
@@ -90,7 +95,7 @@ class SightMap:
     def _foreign(self, points: Array, joints: Array) -> npt.NDArray[np.bool_]:
         """Which points (k, 3) belong neither to the arm, nor to its stand, nor to the target, and are near."""
         inside = ((points > _LOW) & (points < _HIGH)).all(axis=1)
-        stand = (points[:, 2] < 0) & ((points[:, :2] ** 2).sum(axis=1) < _STAND**2)
+        stand = (points[:, 2] < _BASE) & ((points[:, :2] ** 2).sum(axis=1) < _STAND**2)
         target = ((points - self._target) ** 2).sum(axis=1) < (self._radius + _TARGET) ** 2
         foreign = inside & ~stand & ~target
         centers = self.arm.centers(joints[None])[0]

@@ -1,0 +1,122 @@
+"""What an arm knows of the plants around it: the scan, and what the camera at its wrist has shown beside it."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from greenhouse_gym.agents.agent import Problem
+from greenhouse_gym.agents.arm_balls import arm_balls
+from greenhouse_gym.agents.sight_map import SightMap
+from greenhouse_gym.envs.cameras import DepthCamera
+from greenhouse_gym.geometry import Array, Box, distance_to_shapes, invert, pose, rotation_about, transform
+from greenhouse_gym.scene import Scene
+from greenhouse_gym.scene.mjcf import base_position
+from greenhouse_gym.scene.seen import EMPTY, SURFACE, UNSEEN, SeenSpace, boxes_of
+
+ROOM = 0.002
+"""How near the arm may come to what its camera has shown, metres."""
+
+VOXEL = 0.01
+"""Side of the voxels that stand for what only the camera has shown, metres."""
+
+_CLEAR = 0.01  # what the camera shows nearer to the arm than this is no obstacle to a way that begins there, metres
+_DARK = 0.03  # places in unseen space that are told are that far apart, metres
+_AROUND, _AT_TARGET = 0.05, 0.02  # unseen space so near to where the arm is, or to the target, is not told, metres
+
+
+class Knowledge:
+    """The scene of a scan, to which a camera adds what it shows; places are in the frame of the arm's base.
+
+    Args:
+        problem: The episode.
+        target: (3,) the target's center, metres.
+
+    Attributes:
+        points: (n, 3) what the camera has shown where the scan has no shape, metres.
+    """
+
+    def __init__(self, problem: Problem, target: Array):
+        scene = problem.scene
+        self.points: Array = np.zeros((0, 3))
+        self._problem, self._arm, self._target = problem, arm_balls(problem.robot), target
+        self._radius = scene.tomatoes[problem.target].radius
+        self._map = SightMap(self._arm, DepthCamera(), target, self._radius)
+        self._scene_from_base = pose(rotation_about([0, 0, 1], scene.stand.yaw), base_position(scene, problem.robot))
+        self._base_from_scene = invert(self._scene_from_base)
+        self._shapes, self._taken = scene.obstacles, 0
+
+    def add(self, depth: npt.NDArray[np.float32], joints: Array) -> bool:
+        """Take in an image (h, w), metres along the view, from a configuration (j,); whether it showed anything new."""
+        self._map.add(depth, joints)
+        fresh = self._map.points[self._taken :]
+        self._taken += len(fresh)
+        if len(fresh):
+            away = distance_to_shapes(transform(self._scene_from_base, fresh), self._shapes).min(axis=1, initial=np.inf)
+            fresh = fresh[away > 0]
+            self.points = np.concatenate([self.points, fresh])
+        return bool(len(fresh))
+
+    def scene(self, command: Array) -> Scene:
+        """The scene for an arm in a configuration (j,): the scan's, and clutter where the camera has shown more."""
+        scene = self._problem.scene
+        centers = self._arm.centers(command[None])[0]
+        away = np.sqrt(((self.points[:, None] - centers) ** 2).sum(axis=-1)) - self._arm.radius
+        points = transform(self._scene_from_base, self.points[away.min(axis=1, initial=np.inf) > _CLEAR])
+        return scene.model_copy(update={"clutter": (*scene.clutter, *_boxes(points)), "seen": self._seen()})
+
+    def blocked(self, configurations: Array) -> bool:
+        """Whether what only the camera has shown is in the way of an arm in one of configurations (m, j)."""
+        if not len(self.points):
+            return False
+        moving = self._arm.part >= 0
+        radius = self._arm.radius[moving]
+        centers = self._arm.centers(configurations)[:, moving]
+        away, _ = cKDTree(self.points).query(centers, distance_upper_bound=float(radius.max()) + ROOM)
+        return bool((away - radius).min() < ROOM)
+
+    def dark(self, configurations: Array) -> Array:
+        """(k, 3) places that nobody has seen and an arm in configurations (m, j) is in, but for where it is at first.
+
+        There are none in a scene that does not say what was seen of it.
+        """
+        space = self._problem.scene.seen
+        if space is None:
+            return np.zeros((0, 3))
+        balls = self._arm.centers(configurations)
+        now, ahead = balls[0], balls[:, self._arm.part >= 0].reshape(-1, 3)
+        ahead = ahead[~space(transform(self._scene_from_base, ahead)) & ~self._map.seen(ahead)]
+        ahead = ahead[np.linalg.norm(ahead - self._target, axis=1) > self._radius + _AT_TARGET]
+        ahead = ahead[cKDTree(now).query(ahead)[0] > _AROUND] if len(ahead) else ahead
+        return cast("Array", (np.unique(np.floor(ahead / _DARK), axis=0) + 0.5) * _DARK)
+
+    def surface(self, places: Array) -> npt.NDArray[np.bool_]:
+        """Which of places (n, 3) are in voxels in which the scan saw a surface, (n,)."""
+        space = self._problem.scene.seen
+        if space is None:
+            return np.zeros(len(places), dtype=np.bool_)
+        return np.asarray(space.at(transform(self._scene_from_base, places)) == SURFACE)
+
+    def _seen(self) -> SeenSpace | None:
+        space = self._problem.scene.seen
+        if space is None:
+            return None
+        states = space.states.copy()
+        cells = np.argwhere(states == UNSEEN)
+        centers = transform(self._base_from_scene, space.origin + (cells + 0.5) * space.voxel)
+        states[tuple(cells[self._map.seen(centers)].T)] = EMPTY
+        return SeenSpace.of(states, space.origin, space.voxel)
+
+
+def _boxes(points: Array) -> list[Box]:
+    """Boxes that cover points (n, 3)."""
+    if not len(points):
+        return []
+    low = points.min(axis=0)
+    cells = ((points - low) / VOXEL).astype(np.int64)
+    occupied = np.zeros(cells.max(axis=0) + 1, dtype=np.bool_)
+    occupied[tuple(cells.T)] = True
+    return boxes_of(occupied, low, VOXEL)

@@ -1,0 +1,78 @@
+"""From where a camera at the wrist could see given places: a small next-best-view search (Connolly, 1985)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import numpy.typing as npt
+
+from greenhouse_gym.agents.arm_balls import ArmBalls
+from greenhouse_gym.envs.cameras import TIP_FROM_WRIST, DepthCamera
+from greenhouse_gym.geometry import Array
+from greenhouse_gym.robots import Robot
+from greenhouse_gym.robots.kinematics import joint_frames
+
+VIEWS, SPREADS = 400, (0.24, 1.2)
+"""Configurations that are tried, and how far their joints are strewn about where the arm is, from and to, radians."""
+
+WORTH = 0.2
+"""Share of the places that a view must show."""
+
+NEAREST, FARTHEST = 0.1, 1.2
+"""Depths at which a place is seen well, metres."""
+
+_MOVE = 0.1  # share of the places that is worth a motion of a radian
+_EDGE = 0.95  # share of the image in which a place counts as shown
+_STEP, _SHORT = 0.04, 0.08  # metres between places looked at along a ray, and before its end where it may be hidden
+
+Seen = npt.NDArray[np.bool_]
+
+
+def views(
+    arm: ArmBalls,
+    robot: Robot,
+    command: Array,
+    places: Array,
+    hidden: Callable[[Array], Seen],
+    random: np.random.Generator,
+) -> Iterator[tuple[Array, Seen]]:
+    """Configurations (j,) from which the camera sees many places, and which of these it sees, the best first.
+
+    Args:
+        arm: The arm.
+        robot: The same arm.
+        command: (j,) where it is, radians.
+        places: (k, 3) what is to be seen, in the frame of its base, metres.
+        hidden: Which of places (n, 3) are in something that hides what is behind it, (n,).
+        random: Strews the configurations that are tried.
+    """
+    spreads = np.linspace(*SPREADS, VIEWS)[:, None]
+    tried = np.clip(command + spreads * random.normal(size=(VIEWS, len(command))), robot.lower, robot.upper)
+    tried[:, -1] = command[-1]  # the tool is round
+    seen = visible(arm, tried, places, hidden)
+    gains = seen.mean(axis=1)
+    for k in (_MOVE * np.abs(tried - command).max(axis=1) - gains).argsort(kind="stable"):
+        if gains[k] < WORTH:
+            return
+        yield tried[k], seen[k]
+
+
+def visible(arm: ArmBalls, configurations: Array, places: Array, hidden: Callable[[Array], Seen]) -> Seen:
+    """Which of places (k, 3) the camera sees from configurations (m, j): (m, k)."""
+    rotation, position = (frames[-1] for frames in joint_frames(arm.chain, configurations))
+    turn, origin = rotation @ TIP_FROM_WRIST[:3, :3], position + rotation @ TIP_FROM_WRIST[:3, 3]
+    away = places - origin[:, None]
+    x, y, z = np.moveaxis(np.einsum("mkx,mxy->mky", away, turn), -1, 0)
+    camera = DepthCamera()
+    wide, high = (_EDGE * size / 2 / camera.focal for size in (camera.width, camera.height))
+    seen = np.asarray((z > NEAREST) & (z < FARTHEST) & (np.abs(x) < wide * z) & (np.abs(y) < high * z))
+    m, k = np.nonzero(seen)
+    length = np.linalg.norm(away[m, k], axis=1)[:, None]
+    along = np.arange(_STEP, float(length.max(initial=0.0)), _STEP)
+    between = along < length - _SHORT
+    rays = origin[m][:, None] + away[m, k][:, None] * (along[:, None] / length[..., None])
+    in_front = np.zeros(between.shape, dtype=np.bool_)
+    in_front[between] = hidden(rays[between])
+    seen[m, k] = ~in_front.any(axis=1)
+    return seen

@@ -1,0 +1,165 @@
+"""An agent that knows the scan, and looks with the camera at its wrist at what the scan does not show."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import islice
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from greenhouse_gym.agents.agent import Problem
+from greenhouse_gym.agents.approaches import glance
+from greenhouse_gym.agents.arm_balls import arm_balls
+from greenhouse_gym.agents.careful import CAREFUL_DEPTHS, careful_ways
+from greenhouse_gym.agents.guide import towards
+from greenhouse_gym.agents.judging import between
+from greenhouse_gym.agents.knowledge import Knowledge
+from greenhouse_gym.agents.views import views
+from greenhouse_gym.envs.cameras import MAX_RANGE
+from greenhouse_gym.envs.roadmap import RESOLUTION
+from greenhouse_gym.envs.ways import MARGIN, REACHED, Ways
+from greenhouse_gym.geometry import Array
+from greenhouse_gym.planning import plan
+from greenhouse_gym.planning.unseen import guarded
+from greenhouse_gym.scene import Scene
+from greenhouse_gym.scene.collision import CollisionChecker, planning_model
+from greenhouse_gym.scene.reaches import arm_reaches
+
+PLANS, LOOKS = 10, 4
+"""How many times the agent looks for a way in an episode at most, and for what nobody has seen on its way."""
+
+CHECKS = 20_000
+"""Collision checks of RRTConnect, which is asked where there is no way of a few straight motions."""
+
+_FRONT = np.array([1.0, 0.5, 0.5])  # shares of the target's place that give where the agent glances at first
+_EVERY = 2  # steps between images
+_MOTIONS = 30  # motions of a way at most
+_TRIED = 60  # views to which it looks for a free motion
+_ENOUGH, _SAME = 6, 0.05  # unseen places on a way that are worth a look; metres about those that a look did not show
+
+
+class WatchfulAgent:
+    """Takes ways as `CarefulAgent` does, once it has looked at what nobody has seen on them.
+
+    It begins with a glance at the plants. While its way leads through space that neither the scan nor its camera has
+    seen, it first goes where its camera can look there, and looks for a way anew. What its images show where the scan
+    has no shape is an obstacle: when one is in the rest of its way, it looks for another from where it is, and it stays
+    there if there is none.
+
+    Attributes:
+        status: How many times it looked for a way in the last episode, and how deep into unseen space the last one may
+            lead, metres.
+    """
+
+    name = "watchful"
+    env_options: Mapping[str, Any] = MappingProxyType({"observation": "depth"})
+
+    def __init__(self) -> None:
+        self.status = ""
+        self._problem: Problem | None = None
+        self._episode: _Episode | None = None
+
+    def reset(self, problem: Problem) -> None:
+        """Forget what was seen."""
+        self._problem, self._episode, self.status = problem, None, ""
+
+    def act(self, observation: Any) -> npt.NDArray[np.float32]:
+        """The next action, (joints,)."""
+        if self._problem is None:
+            raise RuntimeError("reset the agent before it acts")
+        state, count = observation["state"].astype(np.float64), len(self._problem.start)
+        joints, command = state[:count], state[:count] + state[2 * count : 3 * count]
+        if self._episode is None:
+            self._episode = _Episode(self._problem, state[-3:])
+        action = self._episode.act(observation["depth"][0] * MAX_RANGE, joints, command)
+        self.status = self._episode.status
+        return action
+
+
+class _Episode:
+    """What the agent does in one episode; it begins with the first observation."""
+
+    def __init__(self, problem: Problem, target: Array):
+        self.status = ""
+        self._problem, self._arm = problem, arm_balls(problem.robot)
+        self._known = Knowledge(problem, target)
+        self._way: list[Array] = [glance(self._arm, problem.robot, problem.start, _FRONT * target)]
+        self._looking, self._age, self._plans, self._looks = True, 0, 0, 0
+        self._looked_at: Array = np.zeros((0, 3))
+        self._random = np.random.default_rng(0)
+
+    def act(self, depth: npt.NDArray[np.float32], joints: Array, command: Array) -> npt.NDArray[np.float32]:
+        """The next action, (joints,)."""
+        while self._way and np.abs(self._way[0] - command).max() < REACHED / 10:
+            self._way.pop(0)
+        there = self._looking and not self._way
+        news = (there or self._age % _EVERY == 0) and self._known.add(depth, joints)
+        blocked = news and self._plans > 0 and self._way and self._known.blocked(self._ahead(command))
+        if there or blocked:
+            self._decide(command)
+        self._age += 1
+        if not self._way:
+            return np.zeros(len(command), dtype=np.float32)
+        return towards(self._way[0], command, self._problem.joint_steps).astype(np.float32)
+
+    def _decide(self, command: Array) -> None:
+        """Look for a way to the target, and if it is dark, for one to where it can be looked at."""
+        self._way, self._looking = [], False
+        if self._plans == PLANS:
+            return
+        self._plans += 1
+        scene = self._known.scene(command)
+        depth = self._plan(scene, command)
+        self.status = f"{self._plans}, {depth:g}"
+        dark = self._known.dark(self._ahead(command))
+        if len(dark) and len(self._looked_at):
+            dark = dark[cKDTree(self._looked_at).query(dark)[0] > _SAME]
+        if len(dark) >= _ENOUGH and self._looks < LOOKS:
+            self._look(scene, command, dark, min(depth, CAREFUL_DEPTHS[0]))
+
+    def _plan(self, scene: Scene, command: Array) -> float:
+        """Look for a way to the target; how deep into unseen space it may lead, metres."""
+        problem = self._problem
+        ways, depth = careful_ways(problem, scene, command)
+        self._way = _followed(ways, command)
+        if not self._way:
+            path = plan(
+                scene, problem.target, problem.robot, time_limit=None, max_checks=CHECKS, start=command, unseen="free"
+            ).path
+            self._way = [] if path is None else list(path[1:])
+        return depth
+
+    def _look(self, scene: Scene, command: Array, dark: Array, depth: float) -> None:
+        """Go where the camera sees many of places (k, 3), if there is a free motion to one."""
+        problem, self._looks = self._problem, self._looks + 1
+        model = planning_model(guarded(scene, problem.robot, command, depth), problem.target, MARGIN)
+        checker = CollisionChecker(model, arm_reaches(problem.robot))
+        found = views(self._arm, problem.robot, command, dark, self._known.surface, self._random)
+        for view, seen in islice(found, _TRIED):
+            if checker.is_free(view) and checker.inside_is_free(command, view, RESOLUTION):
+                self._way, self._looking = [view], True
+                self._looked_at = np.concatenate([self._looked_at, dark[seen]])
+                return
+
+    def _ahead(self, command: Array) -> Array:
+        """(m, j) configurations on the rest of the way, from one (j,) on."""
+        return between(self._arm.checker.reaches, np.array([command, *self._way]))
+
+
+def _followed(ways: Ways, command: Array) -> list[Array]:
+    """The configurations (j,) to which ways lead from one, on straight motions; none where they do not reach."""
+    way: list[Array] = []
+    at = command
+    for _ in range(_MOTIONS):
+        heading = ways.heading(at)
+        if not heading.free:
+            return []
+        way.append(heading.waypoint)
+        if heading.left == 0.0:
+            return way
+        at = heading.waypoint
+    return []
