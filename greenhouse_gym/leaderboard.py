@@ -6,6 +6,7 @@ import json
 import os
 import platform
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, fields, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -102,6 +103,7 @@ def submit(
     protocol: Protocol = V1,
     num_envs: int = 1,
     note: str = "",
+    executor: Executor | None = None,
 ) -> Path:
     """Play the episodes of a protocol and write the entry, after each track what there is by then.
 
@@ -113,6 +115,7 @@ def submit(
         protocol: The rules.
         num_envs: Episodes played side by side; only times depend on it.
         note: What else there is to say.
+        executor: Where the episodes are played, as `greenhouse_gym.evaluation.evaluate` has it.
 
     Returns:
         The entry's file.
@@ -133,7 +136,7 @@ def submit(
         tracks={},
     )
     for track in tracks:
-        played = _play(agent, protocol, track, protocol.episodes, num_envs)
+        played = _play(agent, protocol, track, protocol.episodes, num_envs, executor)
         entry = entry.model_copy(update={"tracks": {**entry.tracks, track: _columns(played.records)}})
         write_atomically(path, entry.model_dump_json() + "\n")
     return path
@@ -157,7 +160,7 @@ def is_current(entry: Entry) -> bool:
 def replay(entry: Entry, agent: Agent, track: str, episodes: int = 10) -> list[tuple[Record, Record]]:
     """Play an entry's first episodes again: pairs of the record that it has and the one that comes out now."""
     protocol = Protocol(**{**entry.protocol, "difficulty": tuple(entry.protocol["difficulty"])})
-    now = _play(agent, protocol, track, episodes, 1).records
+    now = _play(agent, protocol, track, episodes).records
     return list(zip(entry.evaluation(track).records[:episodes], now, strict=True))
 
 
@@ -187,10 +190,19 @@ def leaderboard_table(entries: Sequence[Entry]) -> str:
     return table + (f"\nPlayed on an earlier bank, to be submitted again: {', '.join(stale)}.\n" if stale else "")
 
 
-def _play(agent: Agent, protocol: Protocol, track: str, episodes: int, num_envs: int) -> Evaluation:
+def _play(
+    agent: Agent, protocol: Protocol, track: str, episodes: int, num_envs: int = 1, executor: Executor | None = None
+) -> Evaluation:
     options = {"bank": protocol.bank, "difficulty": protocol.difficulty, **TRACKS[track]}
     return evaluate(
-        agent, protocol.split, episodes, protocol.seed, num_envs=num_envs, patience=protocol.patience, **options
+        agent,
+        protocol.split,
+        episodes,
+        protocol.seed,
+        num_envs=num_envs,
+        patience=protocol.patience,
+        executor=executor,
+        **options,
     )
 
 

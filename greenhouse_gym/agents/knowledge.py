@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import cast
-
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
@@ -91,7 +89,7 @@ class Knowledge:
         ahead = ahead[~space(transform(self._scene_from_base, ahead)) & ~self._map.seen(ahead)]
         ahead = ahead[np.linalg.norm(ahead - self._target, axis=1) > self._radius + _AT_TARGET]
         ahead = ahead[cKDTree(now).query(ahead)[0] > _AROUND] if len(ahead) else ahead
-        return cast("Array", (np.unique(np.floor(ahead / _DARK), axis=0) + 0.5) * _DARK)
+        return (np.unique(np.floor(ahead / _DARK), axis=0) + 0.5) * _DARK
 
     def surface(self, places: Array) -> npt.NDArray[np.bool_]:
         """Which of places (n, 3) are in voxels in which the scan saw a surface, (n,)."""

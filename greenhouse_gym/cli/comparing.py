@@ -27,7 +27,7 @@ def compare(
         typer.Argument(
             metavar="[AGENTS]...",
             help="Planners, policies (names or files), random, still, straight-line, resolved-rate, waypoint, careful, "
-            "guide, hybrid, shielded, or your own as file.py:Class or module:Class.",
+            "watchful, guide, hybrid, shielded, or your own as file.py:Class or module:Class.",
         ),
     ] = None,
     agents: Annotated[str, typer.Option(help="Further agents, separated by commas.")] = "",
@@ -119,15 +119,24 @@ def submit(
         int, typer.Option(help="Episodes side by side; above 1, times are not those of one alone.")
     ] = 1,
     note: Annotated[str, typer.Option(help="What else there is to say, such as how it was trained.")] = "",
+    backend: Backend = None,
+    workers: Workers = None,
+    address: Address = "local",
 ) -> None:
-    """Play the episodes of protocol v1 and write the leaderboard's entry (docs/leaderboard.md)."""
+    """Play the episodes of protocol v1 and write the leaderboard's entry (docs/leaderboard.md).
+
+    The work is spread over processes only where that is asked for: the results are the same, but processes side by side
+    disturb each other's times.
+    """
     from dataclasses import replace
 
     from greenhouse_gym.agents.named import make_agent
     from greenhouse_gym.leaderboard import V1, leaderboard_table, read_entry
     from greenhouse_gym.leaderboard import submit as play
 
-    path = play(make_agent(agent), agent, out, _parts(track), replace(V1, episodes=episodes), num_envs, note)
+    player, rules = make_agent(agent), replace(V1, episodes=episodes)
+    with spread(backend, workers, address) as executor:
+        path = play(player, agent, out, _parts(track), rules, num_envs, note, executor)
     typer.echo(leaderboard_table([read_entry(path)]), nl=False)
     say(f"entry in {path}")
 

@@ -1,0 +1,118 @@
+"""The agent that knows the scan and looks at what it does not show, and what it goes by."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from seen_helpers import seen_where
+
+from greenhouse_gym.agents import CarefulAgent, Problem
+from greenhouse_gym.agents.agent import Agent
+from greenhouse_gym.agents.arm_balls import ArmBalls, arm_balls
+from greenhouse_gym.agents.knowledge import ROOM, Knowledge
+from greenhouse_gym.agents.views import FARTHEST, WORTH, views, visible
+from greenhouse_gym.agents.watchful import WatchfulAgent
+from greenhouse_gym.envs import TomatoReachEnv
+from greenhouse_gym.envs.cameras import MAX_RANGE
+from greenhouse_gym.geometry import Box, distance_to_shapes
+from greenhouse_gym.robots import get_robot
+from greenhouse_gym.robots.kinematics import tool_state
+from greenhouse_gym.scene import Scene
+from greenhouse_gym.scene.mjcf import base_position
+
+ARM = get_robot("ur5e")
+TARGET = 4
+
+
+@pytest.fixture(scope="module")
+def balls() -> ArmBalls:
+    return arm_balls(ARM)
+
+
+@pytest.fixture(scope="module")
+def hung(scene: Scene) -> Scene:
+    """The scene with a leaf where the tip goes that follows the scan, which knows nothing of it."""
+    tips = played(CarefulAgent(), scene, scene)[1]
+    leaf = Box(tips[3 * len(tips) // 4], [0.02, 0.02, 0.02], np.eye(3))
+    return scene.model_copy(update={"clutter": (*scene.clutter, leaf)})
+
+
+def played(agent: Agent, told: Scene, true: Scene) -> tuple[str, np.ndarray]:
+    """How the episode of an agent ends that is told one scene and acts in another, and (steps, 3) where its tip was."""
+    env = TomatoReachEnv(bank="mini", **agent.env_options)
+    observation, info = env.reset(options={"scene": true, "target": TARGET})
+    agent.reset(Problem(told, TARGET, ARM, env.start))
+    chain, base, tips = arm_balls(ARM).chain, base_position(told, ARM), []
+    over = False
+    while not over:
+        observation, _, terminated, truncated, info = env.step(agent.act(observation))
+        over = terminated or truncated
+        tips.append(tool_state(chain, env.model_and_data()[1].qpos[None]).point[0] + base)
+    env.close()
+    return "reached" if info["is_success"] else "collided" if info["collision"] else "late", np.array(tips)
+
+
+def test_it_goes_around_what_the_scan_does_not_show(scene: Scene, hung: Scene) -> None:
+    assert played(CarefulAgent(), scene, hung)[0] == "collided", "the leaf is in the way"
+    assert played(WatchfulAgent(), scene, hung)[0] == "reached"
+
+
+def test_it_looks_at_what_nobody_has_seen_before_it_goes_there(scene: Scene) -> None:
+    seen, dark = WatchfulAgent(), WatchfulAgent()
+    assert played(seen, seen_where(scene, None), scene)[0] == "reached"
+    assert played(dark, seen_where(scene, 1.2, aisle=0.3), scene)[0] == "reached"
+    assert seen.status == "1, 0.1"
+    assert int(dark.status.split(",")[0]) > 1, "it looked for a way anew once it had looked"
+
+
+def test_it_says_so_where_it_was_not_reset() -> None:
+    with pytest.raises(RuntimeError, match="reset"):
+        WatchfulAgent().act(None)
+
+
+def test_what_is_known_grows_with_the_images(scene: Scene, hung: Scene, balls: ArmBalls) -> None:
+    env = TomatoReachEnv(bank="mini", observation="depth")
+    base = base_position(scene, ARM)
+    target = scene.tomatoes[TARGET].center - base
+    leaf = hung.clutter[-1].center - base
+    aims = next(views(balls, ARM, ARM.start, leaf[None], lambda places: np.zeros(len(places), bool), _dice()))[0]
+    told = seen_where(scene, 0.0)
+    observation, _ = env.reset(options={"scene": hung, "target": TARGET, "start": aims})
+    known = Knowledge(Problem(told, TARGET, ARM, env.start), target)
+    way = np.array([aims, aims + [0.0, 0.3, 0.0, 0.0, 0.0, 0.0]])
+    dark = known.dark(way)
+    assert not known.blocked(way)
+    assert len(known.scene(aims).clutter) == len(scene.clutter)
+
+    assert known.add(observation["depth"][0] * MAX_RANGE, aims)
+    assert not known.add(observation["depth"][0] * MAX_RANGE, aims), "the same image shows nothing new"
+    assert (distance_to_shapes(known.points + base, hung.clutter[-1:]) < 1e-3).any(), "it has seen the leaf"
+    assert (distance_to_shapes(known.points + base, scene.obstacles).min(axis=1) > 0).all()
+    then = known.scene(aims)
+    boxes = then.clutter[len(scene.clutter) :]
+    assert (distance_to_shapes(known.points + base, boxes).min(axis=1) < 1e-9).all()
+    assert then.seen is not None
+    assert then.seen.states.astype(bool).sum() > told.seen.states.astype(bool).sum()  # type: ignore[union-attr]
+    assert len(known.dark(way)) <= len(dark)
+    tip = balls.centers(aims[None])[0, -1]
+    known.points = tip[None] + [balls.radius[-1] + ROOM / 2, 0.0, 0.0]
+    assert known.blocked(aims[None])
+    env.close()
+
+
+def test_a_view_shows_what_is_before_the_camera_and_not_hidden(balls: ArmBalls) -> None:
+    places = np.random.default_rng(1).uniform([0.4, -0.3, 0.1], [0.7, 0.3, 0.6], (40, 3))
+    found = list(views(balls, ARM, ARM.start, places, lambda at: np.zeros(len(at), bool), _dice()))
+    assert len(found) > 10
+    assert all(seen.mean() >= WORTH for _, seen in found)
+    best = np.array([view for view, _ in found])
+    seen = visible(balls, best, places, lambda at: np.zeros(len(at), bool))
+    assert np.array_equal(seen, [shown for _, shown in found])
+    assert not visible(balls, best, places + [2 * FARTHEST, 0, 0], lambda at: np.zeros(len(at), bool)).any()
+    behind = visible(balls, best, places, lambda at: at[:, 0] > 0.3)
+    assert behind.sum() < seen.sum()
+    assert not (behind & ~seen).any()
+
+
+def _dice() -> np.random.Generator:
+    return np.random.default_rng(0)
