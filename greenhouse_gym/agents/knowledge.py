@@ -18,9 +18,6 @@ from greenhouse_gym.scene.seen import EMPTY, SURFACE, UNSEEN, SeenSpace, boxes_o
 ROOM = 0.002
 """How near the arm may come to what its camera has shown, metres."""
 
-VOXEL = 0.01
-"""Side of the voxels that stand for what only the camera has shown, metres."""
-
 _CLEAR = 0.01  # what the camera shows nearer to the arm than this is no obstacle to a way that begins there, metres
 _DARK = 0.03  # places in unseen space that are told are that far apart, metres
 _AROUND, _AT_TARGET = 0.05, 0.02  # unseen space so near to where the arm is, or to the target, is not told, metres
@@ -58,13 +55,16 @@ class Knowledge:
             self.points = np.concatenate([self.points, fresh])
         return bool(len(fresh))
 
-    def scene(self, command: Array) -> Scene:
-        """The scene for an arm in a configuration (j,): the scan's, and clutter where the camera has shown more."""
+    def scene(self, command: Array, voxel: float) -> Scene:
+        """The scene for an arm in a configuration (j,): the scan's, and clutter where the camera has shown more.
+
+        The clutter is made of voxels, metres: the smaller they are, the less they stand for beside what was shown.
+        """
         scene = self._problem.scene
         centers = self._arm.centers(command[None])[0]
         away = np.sqrt(((self.points[:, None] - centers) ** 2).sum(axis=-1)) - self._arm.radius
         points = transform(self._scene_from_base, self.points[away.min(axis=1, initial=np.inf) > _CLEAR])
-        return scene.model_copy(update={"clutter": (*scene.clutter, *_boxes(points)), "seen": self._seen()})
+        return scene.model_copy(update={"clutter": (*scene.clutter, *_boxes(points, voxel)), "seen": self._seen()})
 
     def blocked(self, configurations: Array) -> bool:
         """Whether what only the camera has shown is in the way of an arm in one of configurations (m, j)."""
@@ -109,12 +109,12 @@ class Knowledge:
         return SeenSpace.of(states, space.origin, space.voxel)
 
 
-def _boxes(points: Array) -> list[Box]:
-    """Boxes that cover points (n, 3)."""
+def _boxes(points: Array, voxel: float) -> list[Box]:
+    """Boxes of voxels, metres, that cover points (n, 3)."""
     if not len(points):
         return []
     low = points.min(axis=0)
-    cells = ((points - low) / VOXEL).astype(np.int64)
+    cells = ((points - low) / voxel).astype(np.int64)
     occupied = np.zeros(cells.max(axis=0) + 1, dtype=np.bool_)
     occupied[tuple(cells.T)] = True
-    return boxes_of(occupied, low, VOXEL)
+    return boxes_of(occupied, low, voxel)

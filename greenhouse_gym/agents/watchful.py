@@ -32,7 +32,11 @@ from greenhouse_gym.scene.reaches import arm_reaches
 PLANS, LOOKS = 10, 4
 """How many times the agent looks for a way in an episode at most, and for what nobody has seen on its way."""
 
-CHECKS = 20_000
+VOXELS = (0.01, 0.004)
+"""Sides of the voxels that stand for what only the camera has shown, metres: the next where the one before leaves no
+way of a few straight motions."""
+
+CHECKS = 30_000
 """Collision checks of RRTConnect, which is asked where there is no way of a few straight motions."""
 
 _FRONT = np.array([1.0, 0.5, 0.5])  # shares of the target's place that give where the agent glances at first
@@ -112,8 +116,7 @@ class _Episode:
         if self._plans == PLANS:
             return
         self._plans += 1
-        scene = self._known.scene(command)
-        depth = self._plan(scene, command)
+        scene, depth = self._plan(command)
         self.status = f"{self._plans}, {depth:g}"
         dark = self._known.dark(self._ahead(command))
         if len(dark) and len(self._looked_at):
@@ -121,17 +124,20 @@ class _Episode:
         if len(dark) >= _ENOUGH and self._looks < LOOKS:
             self._look(scene, command, dark, min(depth, CAREFUL_DEPTHS[0]))
 
-    def _plan(self, scene: Scene, command: Array) -> float:
-        """Look for a way to the target; how deep into unseen space it may lead, metres."""
+    def _plan(self, command: Array) -> tuple[Scene, float]:
+        """Look for a way to the target: the scene it leads through, and how deep into unseen space it may, metres."""
         problem = self._problem
-        ways, depth = careful_ways(problem, scene, command)
-        self._way = _followed(ways, command)
-        if not self._way:
-            path = plan(
-                scene, problem.target, problem.robot, time_limit=None, max_checks=CHECKS, start=command, unseen="free"
-            ).path
-            self._way = [] if path is None else list(path[1:])
-        return depth
+        for voxel in VOXELS:
+            scene = self._known.scene(command, voxel)
+            ways, depth = careful_ways(problem, scene, command)
+            self._way = _followed(ways, command)
+            if self._way:
+                return scene, depth
+        path = plan(
+            scene, problem.target, problem.robot, time_limit=None, max_checks=CHECKS, start=command, unseen="free"
+        ).path
+        self._way = [] if path is None else list(path[1:])
+        return scene, depth
 
     def _look(self, scene: Scene, command: Array, dark: Array, depth: float) -> None:
         """Go where the camera sees many of places (k, 3), if there is a free motion to one."""

@@ -10,7 +10,9 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import distance_transform_edt
+from scipy.spatial import cKDTree
 
+from greenhouse_gym.crop import Tomato
 from greenhouse_gym.errors import InvalidValueError, require_choice
 from greenhouse_gym.geometry import Array, Box, distance_to_shapes
 from greenhouse_gym.robots import Robot
@@ -140,10 +142,22 @@ def _depths(kept: _Kept, robot: Robot, start: tuple[float, ...]) -> tuple[Array,
     cells = np.argwhere(unseen & ~beyond)
     centers = space.origin + (cells + 0.5) * space.voxel
     known = inside_boxes(centers, _boxes_around_arm(scene, robot, start), space.voxel)
-    if scene.tomatoes:
-        known |= distance_to_shapes(centers, scene.tomatoes).min(axis=1) < 0
+    known |= _inside_tomatoes(centers, scene.tomatoes)
     depths[tuple(cells[known].T)] = 0.0
     return depths, beyond
+
+
+def _inside_tomatoes(points: Array, tomatoes: Sequence[Tomato]) -> npt.NDArray[np.bool_]:
+    """Which of points (n, 3) lie inside of a tomato, (n,)."""
+    inside = np.zeros(len(points), dtype=np.bool_)
+    if tomatoes:
+        largest = max(
+            float(np.max(tomato.radius if tomato.semi_axes is None else tomato.semi_axes)) for tomato in tomatoes
+        )
+        away, _ = cKDTree([tomato.center for tomato in tomatoes]).query(points, distance_upper_bound=largest)
+        near = np.isfinite(away)
+        inside[near] = distance_to_shapes(points[near], tomatoes).min(axis=1) < 0
+    return inside
 
 
 def _boxes_around_arm(scene: Scene, robot: Robot, start: npt.ArrayLike) -> list[tuple[Array, Array, Array]]:

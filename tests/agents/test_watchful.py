@@ -82,13 +82,13 @@ def test_what_is_known_grows_with_the_images(scene: Scene, hung: Scene, balls: A
     way = np.array([aims, aims + [0.0, 0.3, 0.0, 0.0, 0.0, 0.0]])
     dark = known.dark(way)
     assert not known.blocked(way)
-    assert len(known.scene(aims).clutter) == len(scene.clutter)
+    assert len(known.scene(aims, 0.01).clutter) == len(scene.clutter)
 
     assert known.add(observation["depth"][0] * MAX_RANGE, aims)
     assert not known.add(observation["depth"][0] * MAX_RANGE, aims), "the same image shows nothing new"
     assert (distance_to_shapes(known.points + base, hung.clutter[-1:]) < 1e-3).any(), "it has seen the leaf"
     assert (distance_to_shapes(known.points + base, scene.obstacles).min(axis=1) > 0).all()
-    then = known.scene(aims)
+    then = known.scene(aims, 0.01)
     boxes = then.clutter[len(scene.clutter) :]
     assert (distance_to_shapes(known.points + base, boxes).min(axis=1) < 1e-9).all()
     assert then.seen is not None
