@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import with_ellipsoids
 from seen_helpers import seen_where
 
 from greenhouse_gym.errors import InvalidValueError, UnknownNameError
@@ -41,6 +42,16 @@ def test_the_arms_own_place_and_what_no_arm_reaches_do_not_count(scene: Scene) -
     assert distance_to_shapes(shoulder[None], boxes).max() < REACH
     deep = unseen_boxes(seen_where(scene, 1.2), ARM, ARM.start, depth=0.2)
     assert min(box.center[2] - box.half_extents[2] for box in deep) > 1.35
+
+
+def test_the_inside_of_tomatoes_is_known(scene: Scene) -> None:
+    for known in (scene, with_ellipsoids(scene, 1)):
+        nothing = seen_where(known, 0.0)
+        boxes = unseen_boxes(nothing, ARM, ARM.start)
+        cells = nothing.seen.centers.reshape(-1, 3)  # type: ignore[union-attr]
+        inside = cells[distance_to_shapes(cells, known.tomatoes).min(axis=1) < 0]
+        assert len(inside) > 2
+        assert (distance_to_shapes(inside, boxes).min(axis=1) > 0).all()
 
 
 def test_forbidden_space_is_not_entered(scene: Scene) -> None:
