@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from greenhouse_gym.agents.hybrid import HybridAgent
     from greenhouse_gym.agents.policy_agent import PolicyAgent
     from greenhouse_gym.agents.shield import ShieldedAgent
+    from greenhouse_gym.agents.watchful import WatchfulAgent
 
 __all__ = [
     "Agent",
@@ -32,6 +33,7 @@ __all__ = [
     "ShieldedAgent",
     "StillAgent",
     "StraightLineAgent",
+    "WatchfulAgent",
     "WaypointAgent",
 ]
 
@@ -42,6 +44,7 @@ _LATER = {
     "HybridAgent": "hybrid",
     "PolicyAgent": "policy_agent",
     "ShieldedAgent": "shield",
+    "WatchfulAgent": "watchful",
 }
 
 

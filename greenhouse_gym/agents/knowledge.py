@@ -20,7 +20,7 @@ ROOM = 0.002
 
 _CLEAR = 0.01  # what the camera shows nearer to the arm than this is no obstacle to a way that begins there, metres
 _DARK = 0.03  # places in unseen space that are told are that far apart, metres
-_AROUND, _AT_TARGET = 0.05, 0.02  # unseen space so near to where the arm is, or to the target, is not told, metres
+_AROUND, _AT_TARGET = 0.02, 0.02  # unseen space so near to where the arm is, or to the target, is not told, metres
 
 
 class Knowledge:
@@ -62,8 +62,7 @@ class Knowledge:
         """
         scene = self._problem.scene
         centers = self._arm.centers(command[None])[0]
-        away = np.sqrt(((self.points[:, None] - centers) ** 2).sum(axis=-1)) - self._arm.radius
-        points = transform(self._scene_from_base, self.points[away.min(axis=1, initial=np.inf) > _CLEAR])
+        points = transform(self._scene_from_base, self.points[self._gap(self.points, centers) > _CLEAR])
         return scene.model_copy(update={"clutter": (*scene.clutter, *_boxes(points, voxel)), "seen": self._seen()})
 
     def blocked(self, configurations: Array) -> bool:
@@ -84,12 +83,13 @@ class Knowledge:
         space = self._problem.scene.seen
         if space is None:
             return np.zeros((0, 3))
-        balls = self._arm.centers(configurations)
-        now, ahead = balls[0], balls[:, self._arm.part >= 0].reshape(-1, 3)
+        balls, moving = self._arm.centers(configurations), self._arm.part >= 0
+        outside = self._arm.radius[moving, None, None] * np.concatenate([np.eye(3), -np.eye(3)])
+        ahead = np.concatenate([balls[:, moving, None], balls[:, moving, None] + outside], axis=2).reshape(-1, 3)
         ahead = ahead[~space(transform(self._scene_from_base, ahead)) & ~self._map.seen(ahead)]
+        ahead = (np.unique(np.floor(ahead / _DARK), axis=0) + 0.5) * _DARK
         ahead = ahead[np.linalg.norm(ahead - self._target, axis=1) > self._radius + _AT_TARGET]
-        ahead = ahead[cKDTree(now).query(ahead)[0] > _AROUND] if len(ahead) else ahead
-        return (np.unique(np.floor(ahead / _DARK), axis=0) + 0.5) * _DARK
+        return np.asarray(ahead[self._gap(ahead, balls[0]) > _AROUND])
 
     def surface(self, places: Array) -> npt.NDArray[np.bool_]:
         """Which of places (n, 3) are in voxels in which the scan saw a surface, (n,)."""
@@ -97,6 +97,11 @@ class Knowledge:
         if space is None:
             return np.zeros(len(places), dtype=np.bool_)
         return np.asarray(space.at(transform(self._scene_from_base, places)) == SURFACE)
+
+    def _gap(self, points: Array, centers: Array) -> Array:
+        """(n,) distances of points (n, 3) to the arm with its balls at centers (b, 3), metres, negative inside."""
+        away = np.sqrt(((points[:, None] - centers) ** 2).sum(axis=-1)) - self._arm.radius
+        return np.asarray(away.min(axis=1, initial=np.inf))
 
     def _seen(self) -> SeenSpace | None:
         space = self._problem.scene.seen
