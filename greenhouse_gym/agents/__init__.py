@@ -38,7 +38,7 @@ __all__ = [
 ]
 
 
-# Learned policies are loaded only where they are used.
+# What takes long to import is loaded only where it is used.
 _LATER = {
     "DepthAgent": "depth_agent",
     "HybridAgent": "hybrid",

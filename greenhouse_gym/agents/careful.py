@@ -15,6 +15,7 @@ from greenhouse_gym.envs.ways import Ends, Headings, Place, Ways
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning.unseen import depths_of, guarded
+from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene, compile_scene
 
 CAREFUL_DEPTHS = (0.1, 0.15, 0.2, float("inf"))
@@ -23,25 +24,29 @@ CAREFUL_DEPTHS = (0.1, 0.15, 0.2, float("inf"))
 _ONLY = np.zeros(1, dtype=np.int64)
 
 
+def ends_of(problem: Problem, start: Array) -> Ends:
+    """Configurations that reach the target of an episode, for an arm that is in one (j,) now, radians."""
+    center = problem.scene.tomatoes[problem.target].center
+    return Ends(compile_scene(problem.scene, problem.robot), problem.target, center, start)
+
+
 def careful_ways(
-    problem: Problem, scene: Scene, start: Array, depths: Sequence[float] = CAREFUL_DEPTHS
+    scene: Scene, robot: Robot, ends: Ends, depths: Sequence[float] = CAREFUL_DEPTHS
 ) -> tuple[Ways, float]:
     """The ways to a target that enter unseen space no deeper than they must.
 
     Args:
-        problem: The episode.
-        scene: Its scene as it is known by now, with the same tomatoes.
-        start: (j,) where the arm is, radians.
+        scene: The scene as it is known by now.
+        robot: The arm.
+        ends: What reaches the target from where the arm is.
         depths: How deep the arm may go into unseen space, metres; what is tried, one after the other.
 
     Returns:
         The ways, and the first depth at which they lead to the target, or the last; infinite where the scene does not
         say what was seen.
     """
-    center = scene.tomatoes[problem.target].center
-    ends = Ends(compile_scene(problem.scene, problem.robot), problem.target, center, start)
     for depth in (np.inf,) if scene.seen is None else depths:
-        ways = Ways(Place(guarded(scene, problem.robot, start, depth)), ends)
+        ways = Ways(Place(guarded(scene, robot, ends.start, depth)), ends)
         if ways.nodes.reach:
             break
     return ways, depth
@@ -79,7 +84,8 @@ class CarefulAgent:
 
     def reset(self, problem: Problem) -> None:
         """Look for a way."""
-        ways, depth = careful_ways(problem, problem.scene, problem.start, self._depths)
+        ends = ends_of(problem, problem.start)
+        ways, depth = careful_ways(problem.scene, problem.robot, ends, self._depths)
         self.status = f"{depth:g}"
         self._headings = Headings(1, len(problem.start))
         self._headings.begin(0, ways)

@@ -10,14 +10,18 @@ from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.agents.arm_balls import arm_balls
 from greenhouse_gym.agents.sight_map import SightMap
 from greenhouse_gym.envs.cameras import DepthCamera
-from greenhouse_gym.geometry import Array, Box, distance_to_shapes, invert, pose, rotation_about, transform
+from greenhouse_gym.geometry import Array, distance_to_shapes, invert, pose, rotation_about, transform
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.mjcf import base_position
-from greenhouse_gym.scene.seen import EMPTY, SURFACE, UNSEEN, SeenSpace, boxes_of
+from greenhouse_gym.scene.seen import EMPTY, SURFACE, UNSEEN, SeenSpace, boxes_around
 
 ROOM = 0.002
 """How near the arm may come to what its camera has shown, metres."""
 
+_KNOWN, _SKIN = (
+    0.001,
+    0.008,
+)  # what the camera shows so near to a shape of the scan, or to the target's, is that, metres
 _CLEAR = 0.01  # what the camera shows nearer to the arm than this is no obstacle to a way that begins there, metres
 _DARK = 0.03  # places in unseen space that are told are that far apart, metres
 _AROUND, _AT_TARGET = 0.02, 0.02  # unseen space so near to where the arm is, or to the target, is not told, metres
@@ -43,6 +47,7 @@ class Knowledge:
         self._scene_from_base = pose(rotation_about([0, 0, 1], scene.stand.yaw), base_position(scene, problem.robot))
         self._base_from_scene = invert(self._scene_from_base)
         self._shapes, self._taken = scene.obstacles, 0
+        self._tomato = scene.tomatoes[problem.target]
 
     def add(self, depth: npt.NDArray[np.float32], joints: Array) -> bool:
         """Take in an image (h, w), metres along the view, from a configuration (j,); whether it showed anything new."""
@@ -50,8 +55,10 @@ class Knowledge:
         fresh = self._map.points[self._taken :]
         self._taken += len(fresh)
         if len(fresh):
-            away = distance_to_shapes(transform(self._scene_from_base, fresh), self._shapes).min(axis=1, initial=np.inf)
-            fresh = fresh[away > 0]
+            places = transform(self._scene_from_base, fresh)
+            away = distance_to_shapes(places, self._shapes).min(axis=1, initial=np.inf)
+            beside = distance_to_shapes(places, [self._tomato])[:, 0]
+            fresh = fresh[(away > _KNOWN) & (beside > _SKIN)]
             self.points = np.concatenate([self.points, fresh])
         return bool(len(fresh))
 
@@ -63,22 +70,25 @@ class Knowledge:
         scene = self._problem.scene
         centers = self._arm.centers(command[None])[0]
         points = transform(self._scene_from_base, self.points[self._gap(self.points, centers) > _CLEAR])
-        return scene.model_copy(update={"clutter": (*scene.clutter, *_boxes(points, voxel)), "seen": self._seen()})
+        return scene.model_copy(
+            update={"clutter": (*scene.clutter, *boxes_around(points, voxel)), "seen": self._seen()}
+        )
 
     def blocked(self, configurations: Array) -> bool:
-        """Whether what only the camera has shown is in the way of an arm in one of configurations (m, j)."""
-        if not len(self.points):
+        """Whether what only the camera has shown is in the way of an arm that goes on from the first of some (m, j)."""
+        centers, moving = self._arm.centers(configurations), self._arm.part >= 0
+        points = self.points[self._gap(self.points, centers[0]) > _CLEAR]
+        if not len(points):
             return False
-        moving = self._arm.part >= 0
         radius = self._arm.radius[moving]
-        centers = self._arm.centers(configurations)[:, moving]
-        away, _ = cKDTree(self.points).query(centers, distance_upper_bound=float(radius.max()) + ROOM)
+        away, _ = cKDTree(points).query(centers[:, moving], distance_upper_bound=float(radius.max()) + ROOM)
         return bool((away - radius).min() < ROOM)
 
     def dark(self, configurations: Array) -> Array:
-        """(k, 3) places that nobody has seen and an arm in configurations (m, j) is in, but for where it is at first.
+        """(k, 3) places that nobody has seen and an arm in configurations (m, j) is in.
 
-        There are none in a scene that does not say what was seen of it.
+        Those where it is at first and those at the target are left out. There are none in a scene that does not say
+        what was seen of it.
         """
         space = self._problem.scene.seen
         if space is None:
@@ -112,14 +122,3 @@ class Knowledge:
         centers = transform(self._base_from_scene, space.origin + (cells + 0.5) * space.voxel)
         states[tuple(cells[self._map.seen(centers)].T)] = EMPTY
         return SeenSpace.of(states, space.origin, space.voxel)
-
-
-def _boxes(points: Array, voxel: float) -> list[Box]:
-    """Boxes of voxels, metres, that cover points (n, 3)."""
-    if not len(points):
-        return []
-    low = points.min(axis=0)
-    cells = ((points - low) / voxel).astype(np.int64)
-    occupied = np.zeros(cells.max(axis=0) + 1, dtype=np.bool_)
-    occupied[tuple(cells.T)] = True
-    return boxes_of(occupied, low, voxel)

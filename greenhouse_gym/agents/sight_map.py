@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import binary_erosion
 
 from greenhouse_gym.agents.arm_balls import ArmBalls
 from greenhouse_gym.envs.cameras import MAX_RANGE, TIP_FROM_WRIST, DepthCamera
@@ -22,7 +23,7 @@ _POINT = 0.012  # size of the cells that hold one point, metres
 _FINE, _BITS, _NONE = 1e9, 24, np.iinfo(np.int64).max  # squared distances in mm^2 / 1000; bits of a point's index
 _OWN, _TARGET = 0.008, 0.006  # what is so near to the arm's own surface, or to the target's, is it, metres
 _STAND, _BASE = 0.25, 0.12  # up to this height, the arm's stand and base are within this distance of its axis, metres
-_EVERY_RAY = 4  # one ray in so many says what was seen
+_EVERY_RAY = 5  # one ray in so many says what was seen: no divisor of an image's width, so not always the same columns
 
 
 class Around(NamedTuple):
@@ -56,7 +57,7 @@ class SightMap:
 
     def __init__(self, arm: ArmBalls, camera: DepthCamera, target: Array, radius: float):
         self.version = 0
-        self.arm, self._rays, self._target, self._radius = arm, camera.rays, target, radius
+        self.arm, self._camera, self._target, self._radius = arm, camera, target, radius
         self._points: Array = np.full((1, 3), np.inf)  # the first stands for none
         self._keys = np.empty(0, dtype=np.int64)
         self._reach = int((FAR + float(arm.radius.max())) / _NEAR) + 1
@@ -70,7 +71,7 @@ class SightMap:
 
     @property
     def points(self) -> Array:
-        """(n, 3) points on surfaces, of neighbors one, metres."""
+        """(n, 3) points on surfaces, one for each cell of 12 mm, metres."""
         return self._points[1:]
 
     def seen(self, points: Array) -> npt.NDArray[np.bool_]:
@@ -83,10 +84,11 @@ class SightMap:
         rotation, position = (frames[-1, 0] for frames in joint_frames(self.arm.chain, joints[None]))
         turn, origin = rotation @ TIP_FROM_WRIST[:3, :3], position + rotation @ TIP_FROM_WRIST[:3, 3]
         z = depth.reshape(-1).astype(np.float64)
-        rays = self._rays @ turn.T
+        rays = self._camera.rays @ turn.T
         hit = z > 0
         points = origin + z[hit, None] * rays[hit]
-        through = np.where(hit, z, MAX_RANGE)[::_EVERY_RAY]
+        nothing = binary_erosion(~hit.reshape(depth.shape), np.ones((3, 3)), border_value=1).reshape(-1)
+        through = np.where(nothing, MAX_RANGE, z)[::_EVERY_RAY]  # a reading missing among others may be a lost one
         shares = np.arange(0.5, MAX_RANGE / _CELL) * _CELL
         ahead = np.nonzero(shares < through[:, None])
         self._seen[_cells(origin + shares[ahead[1], None] * rays[::_EVERY_RAY][ahead[0]])] = True

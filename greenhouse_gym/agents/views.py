@@ -49,12 +49,11 @@ def views(
     """
     spreads = np.linspace(*SPREADS, VIEWS)[:, None]
     tried = np.clip(command + spreads * random.normal(size=(VIEWS, len(command))), robot.lower, robot.upper)
-    tried[:, -1] = command[-1]  # the tool is round
+    tried[:, -1] = command[-1]  # the tool need not turn
     seen = visible(arm, tried, places, hidden)
     gains = seen.mean(axis=1)
-    for k in (_MOVE * np.abs(tried - command).max(axis=1) - gains).argsort(kind="stable"):
-        if gains[k] < WORTH:
-            return
+    costs = np.where(gains < WORTH, np.inf, _MOVE * np.abs(tried - command).max(axis=1) - gains)
+    for k in costs.argsort(kind="stable")[: np.isfinite(costs).sum()]:
         yield tried[k], seen[k]
 
 

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.agents.approaches import glance
 from greenhouse_gym.agents.arm_balls import arm_balls
-from greenhouse_gym.agents.careful import CAREFUL_DEPTHS, careful_ways
+from greenhouse_gym.agents.careful import CAREFUL_DEPTHS, careful_ways, ends_of
 from greenhouse_gym.agents.guide import towards
 from greenhouse_gym.agents.judging import between
 from greenhouse_gym.agents.knowledge import Knowledge
@@ -25,18 +25,18 @@ from greenhouse_gym.envs.ways import MARGIN, REACHED, Ways
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning import plan
 from greenhouse_gym.planning.unseen import guarded
-from greenhouse_gym.scene import Scene
+from greenhouse_gym.scene import Scene, compile_scene
 from greenhouse_gym.scene.collision import CollisionChecker, planning_model
 from greenhouse_gym.scene.reaches import arm_reaches
 
-PLANS, LOOKS = 10, 4
+PLANS, LOOKS = 6, 4
 """How many times the agent looks for a way in an episode at most, and for what nobody has seen on its way."""
 
 VOXELS = (0.01, 0.004)
 """Sides of the voxels that stand for what only the camera has shown, metres: the next where the one before leaves no
 way of a few straight motions."""
 
-CHECKS = 30_000
+CHECKS = 15_000
 """Collision checks of RRTConnect, which is asked where there is no way of a few straight motions."""
 
 _FRONT = np.array([1.0, 0.5, 0.5])  # shares of the target's place that give where the agent glances at first
@@ -50,13 +50,14 @@ class WatchfulAgent:
     """Takes ways as `CarefulAgent` does, once it has looked at what nobody has seen on them.
 
     It begins with a glance at the plants. While its way leads through space that neither the scan nor its camera has
-    seen, it first goes where its camera can look there, and looks for a way anew. What its images show where the scan
-    has no shape is an obstacle: when one is in the rest of its way, it looks for another from where it is, and it stays
-    there if there is none.
+    seen, it first goes where its camera can look there, if it finds such a place and has not looked `LOOKS` times, and
+    looks for a way anew. What its images show where the scan has no shape is an obstacle: when one is in the rest of
+    its way, it looks for another from where it is, and it stays there if there is none. Where no few straight motions
+    lead to the target, it asks RRTConnect, and fails if OMPL is not installed.
 
     Attributes:
         status: How many times it looked for a way in the last episode, and how deep into unseen space the last one may
-            lead, metres.
+            lead, metres: "inf" where the unseen is free.
     """
 
     name = "watchful"
@@ -76,7 +77,8 @@ class WatchfulAgent:
         if self._problem is None:
             raise RuntimeError("reset the agent before it acts")
         state, count = observation["state"].astype(np.float64), len(self._problem.start)
-        joints, command = state[:count], state[:count] + state[2 * count : 3 * count]
+        joints, lead = state[:count], state[2 * count : 3 * count]
+        command = np.clip(joints + lead, self._problem.robot.lower, self._problem.robot.upper)
         if self._episode is None:
             self._episode = _Episode(self._problem, state[-3:])
         action = self._episode.act(observation["depth"][0] * MAX_RANGE, joints, command)
@@ -91,10 +93,18 @@ class _Episode:
         self.status = ""
         self._problem, self._arm = problem, arm_balls(problem.robot)
         self._known = Knowledge(problem, target)
-        self._way: list[Array] = [glance(self._arm, problem.robot, problem.start, _FRONT * target)]
+        self._way = self._first_glance(target)
         self._looking, self._age, self._plans, self._looks = True, 0, 0, 0
         self._looked_at: Array = np.zeros((0, 3))
-        self._random = np.random.default_rng(0)
+        self._random = np.random.default_rng(problem.seed)
+
+    def _first_glance(self, target: Array) -> list[Array]:
+        """Where the plants come in view before the arm moves among them; nothing where the scan has it blocked."""
+        problem = self._problem
+        model = planning_model(compile_scene(problem.scene, problem.robot), problem.target, 0.0)
+        view = glance(self._arm, problem.robot, problem.start, _FRONT * target)
+        free = CollisionChecker(model, arm_reaches(problem.robot)).motion_is_free(problem.start, view, RESOLUTION)
+        return [view] if free else []
 
     def act(self, depth: npt.NDArray[np.float32], joints: Array, command: Array) -> npt.NDArray[np.float32]:
         """The next action, (joints,)."""
@@ -117,33 +127,37 @@ class _Episode:
             return
         self._plans += 1
         scene, depth = self._plan(command)
-        self.status = f"{self._plans}, {depth:g}"
+        self.status = f"{self._plans}, {depth:g}" if self._way else f"{self._plans}, no way"
         dark = self._known.dark(self._ahead(command))
         if len(dark) and len(self._looked_at):
             dark = dark[cKDTree(self._looked_at).query(dark)[0] > _SAME]
         if len(dark) >= _ENOUGH and self._looks < LOOKS:
-            self._look(scene, command, dark, min(depth, CAREFUL_DEPTHS[0]))
+            self._look(scene, command, dark)
 
     def _plan(self, command: Array) -> tuple[Scene, float]:
         """Look for a way to the target: the scene it leads through, and how deep into unseen space it may, metres."""
         problem = self._problem
+        ends = ends_of(problem, command)
         for voxel in VOXELS:
             scene = self._known.scene(command, voxel)
-            ways, depth = careful_ways(problem, scene, command)
+            ways, depth = careful_ways(scene, problem.robot, ends)
             self._way = _followed(ways, command)
             if self._way:
                 return scene, depth
-        path = plan(
-            scene, problem.target, problem.robot, time_limit=None, max_checks=CHECKS, start=command, unseen="free"
-        ).path
-        self._way = [] if path is None else list(path[1:])
-        return scene, depth
+        goals = ways.nodes.configurations[ways.nodes.costs == 0]
+        if len(goals):
+            path = plan(
+                scene, problem.target, problem.robot, start=command, goals=goals, time_limit=None, max_checks=CHECKS,
+                seed=problem.seed,
+            ).path  # fmt: skip
+            self._way = [] if path is None else list(path[1:])
+        return scene, np.inf
 
-    def _look(self, scene: Scene, command: Array, dark: Array, depth: float) -> None:
+    def _look(self, scene: Scene, command: Array, dark: Array) -> None:
         """Go where the camera sees many of places (k, 3), if there is a free motion to one."""
         problem, self._looks = self._problem, self._looks + 1
-        model = planning_model(guarded(scene, problem.robot, command, depth), problem.target, MARGIN)
-        checker = CollisionChecker(model, arm_reaches(problem.robot))
+        compiled = guarded(scene, problem.robot, command, CAREFUL_DEPTHS[0])
+        checker = CollisionChecker(planning_model(compiled, problem.target, MARGIN), arm_reaches(problem.robot))
         found = views(self._arm, problem.robot, command, dark, self._known.surface, self._random)
         for view, seen in islice(found, _TRIED):
             if checker.is_free(view) and checker.inside_is_free(command, view, RESOLUTION):

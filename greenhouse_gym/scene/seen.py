@@ -126,9 +126,27 @@ def boxes_of(cells: Cells, origin: npt.ArrayLike, voxel: float, either_way: Cell
     x, z, first, last = *starts.T, ends[:, 2]
     needed = marked[x, last, z] > marked[x, first, z]
     runs = np.column_stack([x, x + 1, first, last, z, z + 1])[needed]
-    for axis in (2, 0):
-        runs = _joined(runs, axis)
-    low, high = runs[:, ::2], runs[:, 1::2]
+    return _boxes_of_blocks(runs, (2, 0), origin, voxel)
+
+
+def boxes_around(points: npt.ArrayLike, voxel: float) -> list[Box]:
+    """Few boxes, none of which overlap, that cover the voxels in which points (n, 3) lie, sides in metres."""
+    places = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+    if not len(places):
+        return []
+    origin = places.min(axis=0)
+    cells = np.unique(((places - origin) / voxel).astype(np.int64), axis=0)
+    blocks = np.stack([cells, cells + 1], axis=-1).reshape(-1, 6)
+    return _boxes_of_blocks(blocks, (1, 2, 0), origin, voxel)
+
+
+def _boxes_of_blocks(
+    blocks: npt.NDArray[np.int64], axes: Sequence[int], origin: npt.ArrayLike, voxel: float
+) -> list[Box]:
+    """The boxes of blocks (n, 6) of cells, joined along some axes, one after the other."""
+    for axis in axes:
+        blocks = _joined(blocks, axis)
+    low, high = blocks[:, ::2], blocks[:, 1::2]
     centers = np.asarray(origin, dtype=np.float64) + (low + high) * (voxel / 2)
     return [Box(center, half, np.eye(3)) for center, half in zip(centers, (high - low) * (voxel / 2), strict=True)]
 

@@ -87,16 +87,17 @@ def test_what_is_known_grows_with_the_images(scene: Scene, hung: Scene, balls: A
     assert known.add(observation["depth"][0] * MAX_RANGE, aims)
     assert not known.add(observation["depth"][0] * MAX_RANGE, aims), "the same image shows nothing new"
     assert (distance_to_shapes(known.points + base, hung.clutter[-1:]) < 1e-3).any(), "it has seen the leaf"
-    assert (distance_to_shapes(known.points + base, scene.obstacles).min(axis=1) > 0).all()
+    assert (distance_to_shapes(known.points + base, scene.obstacles).min(axis=1) > 1e-3).all()
     then = known.scene(aims, 0.01)
     boxes = then.clutter[len(scene.clutter) :]
     assert (distance_to_shapes(known.points + base, boxes).min(axis=1) < 1e-9).all()
     assert then.seen is not None
     assert then.seen.states.astype(bool).sum() > told.seen.states.astype(bool).sum()  # type: ignore[union-attr]
-    assert len(known.dark(way)) <= len(dark)
-    tip = balls.centers(aims[None])[0, -1]
+    assert len(known.dark(way)) < len(dark)
+    tip = balls.centers(way[1:])[0, -1]
     known.points = tip[None] + [balls.radius[-1] + ROOM / 2, 0.0, 0.0]
-    assert known.blocked(aims[None])
+    assert known.blocked(way)
+    assert not known.blocked(way[1:]), "what the arm is at already does not keep it there"
     env.close()
 
 
