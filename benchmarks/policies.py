@@ -6,7 +6,8 @@ python benchmarks/policies.py --entries benchmarks/leaderboard
 Every agent plays the same episodes: seeds 0, 1, 2, ... of the test split, policies without noise. The world is the
 reconstruction, or the simulated row behind it (``truth``). ``shielded`` and ``hybrid`` are made of the best shipped
 policy; ``waypoint`` goes without learning where the observation of that name leads, and ``guide`` is a teacher who
-plans. With ``--entries`` nothing is played: the episodes are those of the leaderboard's entries, on all their tracks.
+plans. With ``--entries`` nothing is played: the episodes are those of the leaderboard's entries, on all their tracks,
+without trials.
 Writes results/policies.json, an entry per agent and world; those of other agents that it holds stay.
 """
 
@@ -24,7 +25,7 @@ from results_file import RESULTS, write_results
 from greenhouse_gym.agents.named import make_agent
 from greenhouse_gym.agents.policy_agent import BEST
 from greenhouse_gym.evaluation import Evaluation, evaluate, wilson_interval
-from greenhouse_gym.leaderboard import read_entry
+from greenhouse_gym.leaderboard import follows, read_entry
 from greenhouse_gym.records import Record
 from greenhouse_gym.scene import DIFFICULTIES, SceneBank
 
@@ -68,8 +69,7 @@ def _played(arguments: argparse.Namespace) -> Iterator[_Told]:
 
 
 def _entered(folder: Path) -> Iterator[_Told]:
-    for path in sorted(folder.glob("*.json")):
-        entry = read_entry(path)
+    for entry in filter(follows, map(read_entry, sorted(folder.glob("*.json")))):
         for track in entry.tracks:
             about = {"bank": entry.protocol["bank"], "bank_sha256": entry.bank_sha256}
             about |= _episodes(entry.protocol["split"], track, entry.protocol["seed"])

@@ -19,6 +19,7 @@ from greenhouse_gym.agents import Agent
 from greenhouse_gym.envs.randomization import Randomization
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.evaluation import evaluate
+from greenhouse_gym.parallel import workers_of
 from greenhouse_gym.paths import parsing, read_bytes, write_atomically
 from greenhouse_gym.records import Evaluation, Record
 from greenhouse_gym.scene import SceneBank
@@ -72,7 +73,9 @@ class Entry(BaseModel):
         protocol: The rules.
         bank_sha256: Checksum of the bank's manifest.
         versions: Versions of the packages that decide the numbers.
-        machine: What it ran on, for the times.
+        machine: What times depend on, for each track: ``processor``, ``cores``, ``python``, ``num_envs`` (episodes side
+            by side in each process) and ``workers`` (processes), by names such as ``truth: cores``. Names without a
+            track are for those tracks that have none of their own.
         tracks: Per track, the values of each field of `greenhouse_gym.records.Record`, in the episodes' order.
     """
 
@@ -94,6 +97,10 @@ class Entry(BaseModel):
         records = (Record(*row) for row in rows)
         return Evaluation(self.agent, tuple(replace(record, contact=tuple(record.contact)) for record in records))
 
+    def at_once(self, track: str) -> str:
+        """How many episodes of a track were played side by side, x in how many processes; "?" if nobody told."""
+        return " x ".join(self.machine.get(f"{track}: {name}", "?") for name in ("num_envs", "workers"))
+
 
 def submit(
     agent: Agent,
@@ -107,14 +114,17 @@ def submit(
 ) -> Path:
     """Play the episodes of a protocol and write the entry, after each track what there is by then.
 
+    Other tracks of an entry that is there already are kept, if it is of the same agent, rules, bank and versions.
+
     Args:
         agent: The agent.
-        name: What `make_agent` makes it from; the file is called after it.
+        name: What `make_agent` makes it from; the file is called after it, ``NAME.trial.json`` where the rules are not
+            those in force.
         out: Folder of the entries.
         tracks: Names of tracks, of `TRACKS`.
         protocol: The rules.
         num_envs: Episodes played side by side; only times depend on it.
-        note: What else there is to say.
+        note: What else there is to say; if nothing, what was said with the tracks that are kept.
         executor: Where the episodes are played, as `greenhouse_gym.evaluation.evaluate` has it.
 
     Returns:
@@ -122,22 +132,31 @@ def submit(
 
     Raises:
         InvalidValueError: No track, or an unknown one.
+        FileFormatError: The entry that is there already is damaged.
     """
     if not tracks or not set(tracks) <= set(TRACKS):
         raise InvalidValueError(f"tracks must be some of {', '.join(TRACKS)}, got {', '.join(tracks) or 'none'}")
-    path = Path(out) / f"{Path(name).name.replace(':', '-').removesuffix('.json')}.json"
+    called = Path(name).name.replace(":", "-").removesuffix(".json")
+    path = Path(out) / (f"{called}.json" if protocol == V1 else f"{called}.trial.json")
     entry = Entry(
         agent=name,
         note=note,
-        protocol=json.loads(json.dumps(asdict(protocol))),
+        protocol=_plain_rules(protocol),
         bank_sha256=SceneBank.open(protocol.bank).sha256,
         versions={package: version(package) for package in ("greenhouse-gym", "mujoco", "numpy")},
-        machine={"processor": platform.machine(), "cores": str(os.cpu_count()), "python": platform.python_version()},
+        machine={},
         tracks={},
     )
+    if path.is_file() and _alike(before := read_entry(path), entry):
+        entry = before.model_copy(update={"note": note or before.note})
     for track in tracks:
         played = _play(agent, protocol, track, protocol.episodes, num_envs, executor)
-        entry = entry.model_copy(update={"tracks": {**entry.tracks, track: _columns(played.records)}})
+        machine = {f"{track}: {name}": value for name, value in _machine(num_envs, executor).items()}
+        changed = {
+            "machine": {**entry.machine, **machine},
+            "tracks": {**entry.tracks, track: _columns(played.records)},
+        }
+        entry = entry.model_copy(update=changed)
         write_atomically(path, entry.model_dump_json() + "\n")
     return path
 
@@ -157,6 +176,11 @@ def is_current(entry: Entry) -> bool:
     return entry.bank_sha256 == SceneBank.open(str(entry.protocol["bank"])).sha256
 
 
+def follows(entry: Entry, protocol: Protocol = V1) -> bool:
+    """Whether an entry was played by some rules; one that was not by those in force is a trial."""
+    return entry.protocol == _plain_rules(protocol)
+
+
 def replay(entry: Entry, agent: Agent, track: str, episodes: int = 10) -> list[tuple[Record, Record]]:
     """Play an entry's first episodes again: pairs of the record that it has and the one that comes out now."""
     protocol = Protocol(**{**entry.protocol, "difficulty": tuple(entry.protocol["difficulty"])})
@@ -164,30 +188,63 @@ def replay(entry: Entry, agent: Agent, track: str, episodes: int = 10) -> list[t
     return list(zip(entry.evaluation(track).records[:episodes], now, strict=True))
 
 
-def leaderboard_table(entries: Sequence[Entry]) -> str:
-    """A Markdown table of entries, the best on the first track first; those of another bank stand apart, below."""
-    heads = ["agent", "track", "episodes", "success [95 %]", "collision", "first motion ms", "action ms", "steps"]
+def leaderboard_table(entries: Sequence[Entry], protocol: Protocol = V1) -> str:
+    """A Markdown table of entries, track by track, the best on each first.
+
+    Entries by other rules, and those of another bank, are named below it.
+
+    Args:
+        entries: The entries.
+        protocol: The rules of those that are ranked.
+    """
+    heads = ["track", "agent", "episodes", "success [95 %]", "collision", "first motion ms", "action ms", "at once"]
+    heads.append("steps")
     rows = [heads, ["---", "---"] + ["---:"] * (len(heads) - 2)]
-    ranked = sorted(entries, key=lambda e: -max((e.evaluation(t).success_rate for t in list(e.tracks)[:1]), default=0))
-    for entry in (entry for entry in ranked if is_current(entry)):
-        for track in entry.tracks:
-            e = entry.evaluation(track)
+    proper = [entry for entry in entries if follows(entry, protocol)]
+    ranked = [entry for entry in proper if is_current(entry)]
+    for track in TRACKS:
+        here = [(entry, entry.evaluation(track)) for entry in ranked if track in entry.tracks]
+        for entry, e in sorted(here, key=lambda pair: -pair[1].success_rate):
             low, high = e.success_interval
             rows.append(
                 [
-                    entry.agent,
                     track,
+                    entry.agent,
                     str(len(e.records)),
                     f"{e.success_rate:.1%} [{low:.1%}, {high:.1%}]",
                     f"{e.collision_rate:.1%}",
                     f"{1e3 * (e.median('planning_time') + e.median('action_time')):.1f}",
                     f"{1e3 * e.median('action_time'):.2f}",
+                    entry.at_once(track),
                     f"{e.median('steps', solved_only=True):.0f}",
                 ]
             )
     table = "".join("| " + " | ".join(row) + " |\n" for row in rows)
-    stale = [entry.agent for entry in ranked if not is_current(entry)]
-    return table + (f"\nPlayed on an earlier bank, to be submitted again: {', '.join(stale)}.\n" if stale else "")
+    stale = [entry.agent for entry in proper if not is_current(entry)]
+    trials = [entry.agent for entry in entries if not follows(entry, protocol)]
+    table += f"\nPlayed on an earlier bank, to be submitted again: {', '.join(stale)}.\n" if stale else ""
+    return table + (f"\nTrials, by other rules than those in force: {', '.join(trials)}.\n" if trials else "")
+
+
+def _alike(one: Entry, other: Entry) -> bool:
+    """Whether tracks of two entries can stand in one."""
+    same = ("agent", "protocol", "bank_sha256", "versions")
+    return all(getattr(one, name) == getattr(other, name) for name in same)
+
+
+def _plain_rules(protocol: Protocol) -> dict[str, Any]:
+    rules: dict[str, Any] = json.loads(json.dumps(asdict(protocol)))
+    return rules
+
+
+def _machine(num_envs: int, executor: Executor | None) -> dict[str, str]:
+    return {
+        "processor": platform.machine(),
+        "cores": str(os.cpu_count()),
+        "python": platform.python_version(),
+        "num_envs": str(num_envs),
+        "workers": str(1 if executor is None else workers_of(executor)),
+    }
 
 
 def _play(

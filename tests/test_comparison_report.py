@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 
 from greenhouse_gym.agents import RandomAgent, StillAgent, StraightLineAgent
 from greenhouse_gym.cli import app
-from greenhouse_gym.errors import FileWriteError
+from greenhouse_gym.errors import FileWriteError, InvalidValueError
 from greenhouse_gym.evaluation import retrace
 from greenhouse_gym.leaderboard import V1, submit
 from greenhouse_gym.records import Evaluation, Record
@@ -258,12 +258,15 @@ def test_what_was_played_is_reported_even_if_an_episode_cannot_be_played_again(
     assert "random" in Page(out.read_text()).texts
 
 
-def test_the_leaderboard_has_a_page_too(bank: SceneBank, tmp_path: Path) -> None:
-    rules = replace(V1, bank=str(bank.path), split="validation", episodes=2)
-    entry = submit(RandomAgent(), "random", tmp_path, ["reconstruction"], rules, note="dice")
-    for name in ("still", "gone.py:Agent"):  # who played does not matter here
-        (tmp_path / f"{name[:5]}.json").write_text(json.dumps({**json.loads(entry.read_text()), "agent": name}))
+def test_the_leaderboard_has_a_page_too(tmp_path: Path) -> None:
+    trial = submit(RandomAgent(), "random", tmp_path, ["reconstruction"], replace(V1, episodes=2), note="dice")
     out = tmp_path / "page.html"
+    refused = CliRunner().invoke(app, ["leaderboard", str(tmp_path), "--report", str(out)])
+    assert isinstance(refused.exception, InvalidValueError), "a trial alone gives no page"
+    entry = json.loads(trial.read_text())
+    entry["protocol"]["episodes"] = V1.episodes  # as if there were so many
+    for name in ("random", "still", "gone.py:Agent"):  # who played does not matter here
+        (tmp_path / f"{name[:5]}.json").write_text(json.dumps({**entry, "agent": name}))
     run("leaderboard", tmp_path, "--report", out)
     html = out.read_text()
     assert "<h1>Leaderboard, protocol v1</h1>" in html

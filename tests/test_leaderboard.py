@@ -3,13 +3,29 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
+from parallel_helpers import Elsewhere
+from typer.testing import CliRunner
 
+from greenhouse_gym import leaderboard
 from greenhouse_gym.agents import RandomAgent, StillAgent
 from greenhouse_gym.agents.named import make_agent
+from greenhouse_gym.cli.main import app
 from greenhouse_gym.errors import FileFormatError, InvalidValueError
-from greenhouse_gym.leaderboard import TRACKS, V1, Entry, is_current, leaderboard_table, read_entry, replay, submit
+from greenhouse_gym.leaderboard import (
+    TRACKS,
+    V1,
+    Entry,
+    follows,
+    is_current,
+    leaderboard_table,
+    read_entry,
+    replay,
+    submit,
+)
+from greenhouse_gym.parallel import workers_of
 from greenhouse_gym.records import Evaluation, Record, pairing
 from greenhouse_gym.scene import SceneBank
 
@@ -43,10 +59,99 @@ def test_an_entry_can_be_played_again(entry: Entry) -> None:
 
 def test_entries_of_another_bank_are_not_ranked(entry: Entry) -> None:
     stale = entry.model_copy(update={"bank_sha256": "0" * 64, "agent": "old"})
-    table = leaderboard_table([entry, stale])
+    table = leaderboard_table([entry, stale], SHORT)
     assert table.count("| random |") == 3
     assert "| old |" not in table
     assert "to be submitted again: old" in table
+    assert "Trials" not in table
+
+
+def test_trials_are_not_ranked(entry: Entry) -> None:
+    gone = entry.model_copy(update={"protocol": {**entry.protocol, "bank": "gone"}, "agent": "elsewhere"})
+    table = leaderboard_table([entry, gone])
+    assert not follows(entry)
+    assert "| random |" not in table
+    assert "Trials, by other rules than those in force: random, elsewhere." in table
+
+
+def with_successes(entry: Entry, agent: str, **successes: list[bool]) -> Entry:
+    tracks = {track: {**entry.tracks[track], "success": list(won)} for track, won in successes.items()}
+    return entry.model_copy(update={"agent": agent, "tracks": tracks})
+
+
+def test_entries_are_ranked_within_each_track(entry: Entry) -> None:
+    table = leaderboard_table(
+        [
+            with_successes(entry, "even", reconstruction=[True, True], truth=[False, False]),
+            with_successes(entry, "true", truth=[True, False]),
+            with_successes(entry, "poor", moved=[False, False], reconstruction=[True, False]),
+        ],
+        SHORT,
+    )
+    rows = [tuple(line.split(" | ")[:2]) for line in table.splitlines()[2:]]
+    ranked = [("reconstruction", "even"), ("reconstruction", "poor"), ("truth", "true"), ("truth", "even")]
+    assert rows == [(f"| {track}", agent) for track, agent in [*ranked, ("moved", "poor")]]
+
+
+def test_a_trial_leaves_the_entry_alone(entry: Entry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(leaderboard, "V1", SHORT)
+    proper = submit(RandomAgent(), "random", tmp_path, ["truth"], SHORT)
+    before = proper.read_bytes()
+    trial = submit(RandomAgent(), "random", tmp_path, ["truth"], replace(SHORT, episodes=1))
+    assert (proper.name, trial.name) == ("random.json", "random.trial.json")
+    assert proper.read_bytes() == before
+    assert len(read_entry(trial).evaluation("truth").records) == 1
+
+
+def test_tracks_of_an_entry_are_kept_where_all_else_agrees(
+    entry: Entry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "random.trial.json"
+    monkeypatch.setattr(leaderboard, "evaluate", lambda *_, **__: entry.evaluation("reconstruction"))
+
+    def then(**changes: Any) -> Entry:
+        path.write_text(entry.model_copy(update=changes).model_dump_json())
+        return read_entry(submit(RandomAgent(), "random", tmp_path, ["truth"], SHORT, num_envs=2))
+
+    kept = then(machine={"cores": "99"})
+    assert set(kept.tracks) == set(TRACKS)
+    assert kept.tracks["moved"] == entry.tracks["moved"]
+    assert kept.tracks["truth"] == entry.tracks["reconstruction"], "what was played now"
+    assert kept.note == "dice"
+    assert kept.machine["cores"] == "99", "for the tracks that were there"
+    assert (kept.at_once("truth"), kept.at_once("moved")) == ("2 x 1", "? x ?")
+    for changes in (
+        {"agent": "somebody"},
+        {"bank_sha256": "0" * 64},
+        {"versions": {**entry.versions, "mujoco": "1.0"}},
+        {"protocol": {**entry.protocol, "seed": 1}},
+    ):
+        assert list(then(**changes).tracks) == ["truth"], changes
+
+
+def timeless(entry: Entry, track: str) -> dict[str, list[Any]]:
+    return {name: values for name, values in entry.tracks[track].items() if not name.endswith("_time")}
+
+
+def test_an_entry_is_the_same_wherever_it_is_played_and_says_where(entry: Entry, tmp_path: Path) -> None:
+    executor = Elsewhere()
+    path = submit(RandomAgent(), "random", tmp_path, ["truth"], SHORT, num_envs=2, executor=executor)
+    assert executor.works, "the executor had something to do"
+    spread = read_entry(path)
+    assert timeless(spread, "truth") == timeless(entry, "truth")
+    assert spread.machine["truth: workers"] == str(workers_of(executor))
+    assert entry.at_once("truth") == "1 x 1"
+
+
+def test_the_command_plays_in_processes(entry: Entry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(leaderboard, "V1", SHORT)
+    asked = ["submit", "random", "--out", str(tmp_path), "--track", "truth", "--episodes", "1"]
+    result = CliRunner().invoke(app, [*asked, "--backend", "processes", "--workers", "2"])
+    assert result.exit_code == 0, repr(result.exception)
+    assert "| truth | random | 1 |" in result.output
+    trial = read_entry(tmp_path / "random.trial.json")
+    assert timeless(trial, "truth") == {name: values[:1] for name, values in timeless(entry, "truth").items()}
+    assert trial.at_once("truth") == "1 x 2"
 
 
 def test_damaged_entries_and_unknown_tracks_are_refused(entry: Entry, tmp_path: Path) -> None:

@@ -26,8 +26,8 @@ def compare(
         list[str] | None,
         typer.Argument(
             metavar="[AGENTS]...",
-            help="Planners, policies (names or files), random, still, straight-line, resolved-rate, waypoint, careful, "
-            "watchful, guide, hybrid, shielded, or your own as file.py:Class or module:Class.",
+            help="Planners, policies (names or files), random, still, straight-line, resolved-rate, waypoint, depth, "
+            "careful, watchful, guide, hybrid, shielded, or your own as file.py:Class or module:Class.",
         ),
     ] = None,
     agents: Annotated[str, typer.Option(help="Further agents, separated by commas.")] = "",
@@ -113,7 +113,7 @@ def submit(
     out: Annotated[Path, typer.Option(help="Folder of the entries.")] = Path("benchmarks/leaderboard"),
     track: Annotated[str, typer.Option(help="Tracks, separated by commas.")] = "reconstruction,truth,moved",
     episodes: Annotated[
-        int, typer.Option(min=1, help="Fewer than the protocol asks for make a trial, no entry.")
+        int, typer.Option(min=1, help="Another number than the protocol's makes a trial, which no table ranks.")
     ] = 1000,
     num_envs: Annotated[
         int, typer.Option(help="Episodes side by side; above 1, times are not those of one alone.")
@@ -124,6 +124,9 @@ def submit(
     address: Address = "local",
 ) -> None:
     """Play the episodes of protocol v1 and write the leaderboard's entry (docs/leaderboard.md).
+
+    Tracks that an entry of the same agent has already, on the same bank and with the same versions, are kept. A trial
+    has a file of its own, AGENT.trial.json.
 
     The work is spread over processes only where that is asked for: the results are the same, but processes side by side
     disturb each other's times.
@@ -137,15 +140,15 @@ def submit(
     player, rules = make_agent(agent), replace(V1, episodes=episodes)
     with spread(backend, workers, address) as executor:
         path = play(player, agent, out, _parts(track), rules, num_envs, note, executor)
-    typer.echo(leaderboard_table([read_entry(path)]), nl=False)
-    say(f"entry in {path}")
+    typer.echo(leaderboard_table([read_entry(path)], rules), nl=False)
+    say(f"{'entry' if rules == V1 else 'trial'} in {path}")
 
 
 def leaderboard(
     folder: Annotated[Path, typer.Argument(help="Folder of the entries.")] = Path("benchmarks/leaderboard"),
     report: Annotated[Path | None, typer.Option(help=_REPORT)] = None,
 ) -> None:
-    """Print the table of all entries of a folder."""
+    """Print the table of all entries of a folder, track by track."""
     from greenhouse_gym.errors import FileFormatError
     from greenhouse_gym.leaderboard import leaderboard_table, read_entry
     from greenhouse_gym.paths import write_atomically

@@ -10,7 +10,7 @@ from greenhouse_gym.agents import Agent
 from greenhouse_gym.agents.named import make_agent
 from greenhouse_gym.errors import GreenhouseError, InvalidValueError
 from greenhouse_gym.evaluation import retrace
-from greenhouse_gym.leaderboard import TRACKS, Entry, is_current
+from greenhouse_gym.leaderboard import TRACKS, V1, Entry, Protocol, follows, is_current
 from greenhouse_gym.records import Evaluation, Record
 from greenhouse_gym.reporting.comparison_figures import colors_of
 from greenhouse_gym.reporting.comparison_page import Shown, comparison_page
@@ -70,16 +70,15 @@ def comparison_report(
     return comparison_page(title, tracks, colors, [f"{told}.", *notes], rule, shown)
 
 
-def leaderboard_report(entries: Sequence[Entry]) -> str:
-    """The page about those entries of a leaderboard that were played on the present bank, by the first one's rules.
+def leaderboard_report(entries: Sequence[Entry], rules: Protocol = V1) -> str:
+    """The page about those entries of a leaderboard that were played on the present bank, by the rules given.
 
     Raises:
         InvalidValueError: There are none.
     """
-    rules = next((entry.protocol for entry in entries if is_current(entry)), None)
-    if rules is None:
-        raise InvalidValueError("every entry was played on an earlier bank: there is nothing to report")
-    chosen = [entry for entry in entries if is_current(entry) and entry.protocol == rules]
+    chosen = [entry for entry in entries if follows(entry, rules) and is_current(entry)]
+    if not chosen:
+        raise InvalidValueError("every entry is a trial or was played on an earlier bank: there is nothing to report")
     tracks = {track: [e.evaluation(track) for e in chosen if track in e.tracks] for track in TRACKS}
     agents, notes = {}, [f"{entry.agent}: {entry.note}" for entry in chosen if entry.note]
     for entry in chosen:
@@ -88,14 +87,14 @@ def leaderboard_report(entries: Sequence[Entry]) -> str:
         except GreenhouseError as error:
             notes.append(f"{entry.agent} is not shown in three dimensions: {error}")
     return comparison_report(
-        f"Leaderboard, protocol {rules['version']}",
+        f"Leaderboard, protocol {rules.version}",
         {track: evaluations for track, evaluations in tracks.items() if evaluations},
         agents,
-        rules["split"],
-        rules["bank"],
+        rules.split,
+        rules.bank,
         notes,
-        difficulty=tuple(rules["difficulty"]),
-        patience=rules["patience"],
+        difficulty=rules.difficulty,
+        patience=rules.patience,
     )
 
 
