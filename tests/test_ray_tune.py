@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import os
+import pickle
 import signal
+import sys
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -13,9 +16,10 @@ from test_parallel import alive, killed, wait_until
 
 pytest.importorskip("ray.tune")
 
+from greenhouse_gym import __version__
 from greenhouse_gym.errors import UnknownNameError
 from greenhouse_gym.parallel import RayExecutor, WorkerLostError
-from greenhouse_gym.parallel.ray_tune import FOLDER, Halving, Tell, run_trials
+from greenhouse_gym.parallel.ray_tune import FOLDER, Halving, Tell, _Trial, run_trials
 
 pytestmark = pytest.mark.xdist_group("ray")
 
@@ -38,6 +42,10 @@ def racing(item: tuple[Path, float], tell: Tell) -> str:
     return f"{place.name} done"
 
 
+def exiting(code: int, tell: Tell) -> None:
+    sys.exit(code)
+
+
 def resting(folder: Path, tell: Tell) -> None:
     try:
         while True:
@@ -54,7 +62,7 @@ def test_what_a_lost_process_was_at_is_begun_anew_as_often_as_said(cluster: RayE
     ((name, lost, early),) = ended
     assert (name, early) == ("one", False)
     assert isinstance(lost, WorkerLostError)
-    assert str(lost).startswith("its process, or its node, died 2 times (tune/one/error.txt")
+    assert str(lost).startswith("its process or node died, or could not begin or hand on the work, 2 times (tune/one/")
     assert "worker process has died" in (tmp_path / FOLDER / name / "error.txt").read_text()
     assert len([path for path in tmp_path.iterdir() if path.name.isdecimal()]) == 2
 
@@ -73,6 +81,17 @@ def test_what_falls_behind_is_ended_where_it_stands_and_errors_end_all(cluster: 
     assert told == [f"fast at {steps}" for steps in range(1, 9)]
     assert ended == [("fast", "fast done", False), ("slow", "slow at 1", True)]
     assert (tmp_path / "slow").exists(), "it had time to end itself"
+
+
+def test_work_that_exits_is_told_and_not_waited_for() -> None:
+    trial = _Trial.__new__(_Trial)  # without Ray, which would be asked for a process
+    trial.setup({"item": "one"}, pickle.dumps((exiting, ({"one": 3},), {})), (str(Path.cwd()), [], __version__))
+    told: list[Any] = []
+    thread = threading.Thread(target=lambda: told.append(trial.step()), daemon=True)
+    thread.start()
+    thread.join(30.0)
+    assert told, "it would be waited for without end"
+    assert str(pickle.loads(told[0]["raised"])) == "a piece of work ended by SystemExit: 3"
 
 
 def test_an_interruption_lets_the_work_end_itself(cluster: RayExecutor, tmp_path: Path) -> None:

@@ -53,7 +53,8 @@ def sweep_ppo(
 
     Each training has a folder of its own below ``out``, which it writes itself, wherever it runs: with a cluster,
     ``out`` is a folder that all nodes see. A training whose process or node is lost goes on from its last checkpoint,
-    and so does everything when the same sweep is begun again. One that fails leaves the others alone.
+    and so does everything when the same sweep is begun again. One that fails, by whatever error, leaves the others
+    alone, and its row says why.
 
     With a `RayExecutor` the trainings are trials of Ray Tune, which keeps its own files in ``out/tune``.
 
@@ -118,7 +119,8 @@ def _tune(
     def ended(name: str, row: Row | WorkerLostError, early: bool) -> None:
         if isinstance(row, WorkerLostError):
             row = _row(trainings[name], error=str(row))
-        add({**row, "stopped_early": True} if early else row)
+        unfinished = early and row["steps"] < trainings[name].settings.total_steps
+        add({**row, "stopped_early": True} if unfinished else row)
 
     run_trials(_train, trainings, cluster, out, ended, on_line, halving)
 
@@ -148,8 +150,13 @@ def _train(training: _Training, tell: Callable[[Mapping[str, float], Row], None]
         before = read_curve(folder / CURVE)
         for line in before:  # which those who compare trainings have not seen, or have forgotten
             tell(line, _row(training, before[-1]))
-        resume = (folder / CHECKPOINT).is_file()
-        train_ppo(training.settings, folder, resume=resume, on_line=lambda line: tell(line, _row(training, line)))
+        try:
+            resume = (folder / CHECKPOINT).is_file()
+            train_ppo(training.settings, folder, resume=resume, on_line=lambda line: tell(line, _row(training, line)))
+        except GreenhouseError:
+            raise
+        except Exception as error:  # such as that of a distribution whose mean has come to be no number
+            return _row(training, error=f"{type(error).__name__}: {error}")
         return _row(training, *read_curve(folder / CURVE)[-1:])
     except GreenhouseError as error:
         return _row(training, error=str(error))

@@ -100,7 +100,8 @@ def run_trials(
 
     Raises:
         KeyboardInterrupt: The work was interrupted; each piece had a few seconds to end itself.
-        Exception: What a piece of work or ``on_end`` raised first; the others were ended.
+        Exception: What a piece of work or ``on_end`` raised first, a `RuntimeError` where that is no `Exception`, such
+            as `SystemExit`; the others were ended.
     """
     for name, value in _SETTINGS.items():
         os.environ.setdefault(name, value)
@@ -165,10 +166,10 @@ class _Trial(tune.Trainable):  # type: ignore[misc]
             at_home(*self._home)
             work, (items,), _ = pickle.loads(self._message)
             self._told.put({_RESULT: work(items[name], self._tell), _WHOLE: True, "done": True})
-        except KeyboardInterrupt:
-            return
         except Exception as error:
             self._told.put(error)
+        except BaseException as error:  # nobody asks any more after an interruption of `_wait`; else `step` waits
+            self._told.put(RuntimeError(f"a piece of work ended by {type(error).__name__}: {error}"))
 
     def _tell(self, figures: Mapping[str, float], result: Any) -> None:
         known = {name: figure for name, figure in figures.items() if isfinite(figure)}  # others cannot be compared
@@ -200,7 +201,10 @@ class _Watch(tune.Callback):  # type: ignore[misc]
 
     def on_trial_error(self, trial: Any, **_: Any) -> None:
         where = f"{FOLDER}/{_name_of(trial)}/error.txt"
-        lost = WorkerLostError(f"its process, or its node, died {trial.num_failures} times ({where} tells more)")
+        lost = WorkerLostError(
+            f"its process or node died, or could not begin or hand on the work, {trial.num_failures} times "
+            f"({where} tells more)"
+        )
         self._due.append(lambda: self._end(trial, {_RESULT: lost, _WHOLE: True}))
 
     def on_step_end(self, **_: Any) -> None:

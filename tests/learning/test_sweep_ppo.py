@@ -101,6 +101,38 @@ def test_a_training_that_fails_leaves_the_others_alone(settings: PpoSettings, tm
     assert "unknown observation 'depths'" in failed["error"]
 
 
+def test_a_training_that_diverges_leaves_the_others_alone(
+    settings: PpoSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def diverging(settings: PpoSettings, folder: Path, **_: Any) -> None:
+        if settings.seed == 0:
+            raise ValueError("Expected parameter loc to satisfy the constraint Real(), but found nan")
+        folder.mkdir()
+        (folder / CURVE).write_text("steps,success_rate\n64,0.5\n")
+
+    monkeypatch.setattr(sweep, "train_ppo", diverging)
+    good, failed = sweep_ppo(settings, {"seed": [0, 1]}, tmp_path)
+    assert (good["seed"], good["success_rate"]) == (1, 0.5)
+    assert failed["error"].startswith("ValueError: Expected parameter loc")
+    assert json.loads((tmp_path / sweep.TABLE).read_text()) == [good, failed]
+
+
+def test_only_a_training_that_is_not_done_was_stopped_early(
+    settings: PpoSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("ray.tune")
+
+    def trials(work: object, items: Mapping[str, Any], cluster: object, out: Path, ended: Any, *_: object) -> None:
+        for name, steps in zip(items, (64.0, 32.0), strict=True):
+            ended(name, {"folder": name, "steps": steps}, True)
+
+    monkeypatch.setattr("greenhouse_gym.parallel.ray_tune.run_trials", trials)
+    rows: list[sweep.Row] = []
+    trainings = sweep._trainings(settings, {"seed": [0, 1]}, tmp_path)
+    sweep._tune(trainings, RayExecutor.__new__(RayExecutor), tmp_path, rows.append, rows.append, True)
+    assert [row.get("stopped_early") for row in rows] == [None, True]
+
+
 def test_what_cannot_be_tried_is_told_before_any_training(settings: PpoSettings, tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError, match=r"unknown setting 'sed'. Did you mean 'seed'"):
         sweep_ppo(settings, {"sed": [0]}, tmp_path)
