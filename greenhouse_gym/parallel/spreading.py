@@ -1,7 +1,8 @@
 """Spread independent pieces of work over any executor of `concurrent.futures`.
 
-What travels to the workers are paths, seeds and names, and what comes back are values; only the caller, the head,
-writes files. Without an executor the same work is done here, one piece after the other, with the same results.
+What travels to the workers are paths, seeds and names, and what comes back are values; the caller, the head, writes
+the files, but for trainings, each of which writes its own folder (`greenhouse_gym.learning.sweep`). Without an
+executor the same work is done here, one piece after the other, with the same results.
 """
 
 from __future__ import annotations
