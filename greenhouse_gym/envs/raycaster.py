@@ -1,7 +1,8 @@
 """Rays of a depth camera against models of one layout.
 
 MuJoCo asks every geom of a model for every ray, and of the hundreds in a padded model a camera may see a few. So the
-rays are cast in a smaller model of the same arm, into which the obstacles within their cone are copied.
+rays are cast in a smaller model of the same arm, into which the obstacles within their cone are copied. Where these are
+many, the rays are parted, and each part has a narrower cone with fewer of them.
 """
 
 from __future__ import annotations
@@ -18,6 +19,9 @@ from greenhouse_gym.scene.surroundings import Surroundings
 
 _ROOMS = (16, 32, 64, 128, 256)
 """Obstacles that the smaller models have room for; the smallest that suffices is used."""
+
+_MANY, _LEAST = 64, 96
+"""Obstacles from which on rays are parted, and rays of a part that is not parted further."""
 
 _BODY_FIELDS = ("body_pos", "body_quat", "body_sameframe")
 _GEOM_FIELDS = (
@@ -75,10 +79,42 @@ class RayCaster:
             reach: Hits farther away do not count, metres.
             surfaces: Whether to tell colors and normals.
         """
-        seen = self._in_cone(model, origin, directions, reach)
+        obstacles = np.arange(self._obstacles.start, self._obstacles.stop)
+        return self._cast(model, joints, origin, directions, reach, surfaces, obstacles)
+
+    def _cast(
+        self,
+        model: mujoco.MjModel,
+        joints: Array,
+        origin: Array,
+        directions: Array,
+        reach: float,
+        surfaces: bool,
+        among: npt.NDArray[np.int64],
+    ) -> Hits:
+        """As `cast`, for rays that hit no other obstacles than some."""
+        seen = _in_cone(model, origin, directions, reach, among)
+        if len(seen) <= _MANY or len(directions) <= _LEAST:
+            return self._cast_among(model, joints, origin, directions, reach, surfaces, seen)
+        parts = _halves(directions)
+        hits = [self._cast(model, joints, origin, directions[part], reach, surfaces, seen) for part in parts]
+        whole = np.concatenate(parts).argsort()
+        return Hits(*(np.concatenate(values)[whole[: sum(map(len, values))]] for values in zip(*hits, strict=True)))
+
+    def _cast_among(
+        self,
+        model: mujoco.MjModel,
+        joints: Array,
+        origin: Array,
+        directions: Array,
+        reach: float,
+        surfaces: bool,
+        seen: npt.NDArray[np.int64],
+    ) -> Hits:
+        """As `cast`, where the rays hit no other obstacles than some."""
         room, view, data = next(own for own in self._views if own[0] >= len(seen))
         first = self._obstacles.start
-        rows = np.concatenate([np.arange(first), first + seen])
+        rows = np.concatenate([np.arange(first), seen])
         for name in _GEOM_FIELDS:
             getattr(view, name)[: len(rows)] = getattr(model, name)[rows]
         view.geom_rgba[len(rows) : first + room, 3] = 0.0  # rays pass through what cannot be seen
@@ -96,14 +132,24 @@ class RayCaster:
         )  # fmt: skip
         return Hits(distance, geom >= first + room, view.geom_rgba[geom[: len(normal)]], normal)
 
-    def _in_cone(self, model: mujoco.MjModel, origin: Array, directions: Array, reach: float) -> npt.NDArray[np.int64]:
-        """Indices of the obstacles whose bounding spheres reach into the cone around the rays."""
-        axis = directions.mean(axis=0)
-        axis /= np.linalg.norm(axis)
-        half = np.arccos((directions @ axis).min()) + 1e-6
-        towards, radius = model.geom_pos[self._obstacles] - origin, model.geom_rbound[self._obstacles]
-        distance = np.maximum(np.linalg.norm(towards, axis=1), 1e-9)
-        angle = np.arccos(np.clip(towards @ axis / distance, -1.0, 1.0))
-        beside = np.arcsin(np.minimum(radius / distance, 1.0))
-        inside = (angle - beside <= half) | (distance <= radius)
-        return np.flatnonzero(inside & (distance - radius <= reach))
+
+def _in_cone(
+    model: mujoco.MjModel, origin: Array, directions: Array, reach: float, among: npt.NDArray[np.int64]
+) -> npt.NDArray[np.int64]:
+    """The geoms among some whose bounding spheres reach into the cone around the rays."""
+    axis = directions.mean(axis=0)
+    axis /= np.linalg.norm(axis)
+    half = np.arccos(min((directions @ axis).min(), 1.0)) + 1e-6
+    towards, radius = model.geom_pos[among] - origin, model.geom_rbound[among]
+    distance = np.maximum(np.linalg.norm(towards, axis=1), 1e-9)
+    angle = np.arccos(np.clip(towards @ axis / distance, -1.0, 1.0))
+    beside = np.arcsin(np.minimum(radius / distance, 1.0))
+    inside = (angle - beside <= half) | (distance <= radius)
+    return np.asarray(among[inside & (distance - radius <= reach)])
+
+
+def _halves(directions: Array) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Indices of rays (m, 3) on either side of the middle of where they spread most."""
+    off = directions - directions.mean(axis=0)
+    order = (off @ np.linalg.eigh(off.T @ off)[1][:, -1]).argsort(kind="stable")
+    return order[: len(order) // 2], order[len(order) // 2 :]
