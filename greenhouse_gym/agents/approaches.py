@@ -26,6 +26,9 @@ RESOLUTION = 0.04
 GUESSES, GOALS = 300, 120
 """First guesses of goal configurations, and how many goals are kept, those nearest to the start."""
 
+FRONT = np.array([1.0, 0.5, 0.5])
+"""Shares of the target's place that give where an arm glances at first."""
+
 AROUND, NEARBY = 3, 0.5
 """How many places about each goal there are beside the one before it, and how far each joint is strewn, radians."""
 

@@ -10,14 +10,14 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.agents.agent import Problem
-from greenhouse_gym.agents.approaches import approaches, glance, looks_at
+from greenhouse_gym.agents.approaches import FRONT, approaches, glance, looks_at
 from greenhouse_gym.agents.arm_balls import arm_balls
 from greenhouse_gym.agents.guide import towards
 from greenhouse_gym.agents.judging import DEEP, RESOLUTION, Judge, between, features_of, guessed, length
 from greenhouse_gym.agents.policy import Policy
 from greenhouse_gym.agents.policy_agent import PolicyAgent
-from greenhouse_gym.agents.sight_map import SightMap
-from greenhouse_gym.envs.cameras import MAX_RANGE, DepthCamera
+from greenhouse_gym.agents.sight_map import SightMap, sensed
+from greenhouse_gym.envs.cameras import DepthCamera
 from greenhouse_gym.geometry import Array
 
 EVERY = 5
@@ -40,7 +40,6 @@ _TRIED, _TRIED_OVER = 40, 120  # ways that are looked at, those that promise mos
 _AT_ONCE = 10  # ways that are looked at together
 _LEG = np.linspace(0.1, 0.9, 6)[:, None]  # where motions to goals are looked at
 _ROOM, _WORTH = 0.02, 15.0  # metres of room at the goal that count, and radians of way that a metre of it is worth
-_FRONT = np.array([1.0, 0.5, 0.5])  # shares of the target's place that give where the agent glances at first
 _NEW, _SAFE = 0.08, 0.75  # metres between places that it looks at, and chance of a free way to where it can see them
 _ARRIVED = 1e-3  # radians
 _KEPT = 0.3  # radians by which another way must be better than the one the arm is on
@@ -115,11 +114,10 @@ class DepthAgent:
         """The next action, (joints,)."""
         if self._problem is None:
             raise RuntimeError("reset the agent before it acts")
-        state, count = observation["state"].astype(np.float64), len(self._problem.start)
-        joints, command = state[:count], state[:count] + state[2 * count : 3 * count]
+        now = sensed(observation, self._problem.robot)
         if self._episode is None:
-            self._episode = _Episode(self._problem, self._judge, self._hear, state[-3:], self._images)
-        return self._episode.act(observation["depth"][0], joints, command)
+            self._episode = _Episode(self._problem, self._judge, self._hear, now.target, self._images)
+        return self._episode.act(now.depth, now.joints, now.command)
 
 
 class _Choice(NamedTuple):
@@ -161,7 +159,7 @@ class _Episode:
         self._places = approaches(self._arm, robot, problem.start, target, radius)
         self._been: list[Array] = [problem.start]
         self._seen: list[Array] = []
-        self._way: list[Array] = [glance(self._arm, robot, problem.start, _FRONT * target)] if images else []
+        self._way: list[Array] = [glance(self._arm, robot, problem.start, FRONT * target)] if images else []
         self._looking, self._age = images, 0
         self._known: _Entries | None = None
         self._stuck = -1
@@ -169,7 +167,7 @@ class _Episode:
     def act(self, depth: npt.NDArray[np.float32], joints: Array, command: Array) -> npt.NDArray[np.float32]:
         """The next action, (joints,)."""
         if self._images and self._age % 2 == 0 and self._stuck < 0:
-            self._map.add(depth * MAX_RANGE, joints)
+            self._map.add(depth, joints)
         while self._way and np.abs(self._way[0] - command).max() < _ARRIVED:
             reached = self._way.pop(0)
             if self._looking:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +12,7 @@ from scipy.ndimage import binary_erosion
 from greenhouse_gym.agents.arm_balls import ArmBalls
 from greenhouse_gym.envs.cameras import MAX_RANGE, TIP_FROM_WRIST, DepthCamera
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.robots import Robot
 from greenhouse_gym.robots.kinematics import joint_frames
 
 FAR = 0.025
@@ -24,6 +26,30 @@ _FINE, _BITS, _NONE = 1e9, 24, np.iinfo(np.int64).max  # squared distances in mm
 _OWN, _TARGET = 0.008, 0.006  # what is so near to the arm's own surface, or to the target's, is it, metres
 _STAND, _BASE = 0.25, 0.12  # up to this height, the arm's stand and base are within this distance of its axis, metres
 _EVERY_RAY = 5  # one ray in so many says what was seen: no divisor of an image's width, so not always the same columns
+
+
+class Sensed(NamedTuple):
+    """What ``observation="depth"`` tells an arm of j joints.
+
+    Attributes:
+        depth: (h, w) metres along the view, 0 without a reading.
+        joints: (j,) where the joints are, radians.
+        command: (j,) where they are told to be, radians.
+        target: (3,) the target's center in the frame of the arm's base, metres.
+    """
+
+    depth: npt.NDArray[np.float32]
+    joints: Array
+    command: Array
+    target: Array
+
+
+def sensed(observation: Mapping[str, Any], robot: Robot) -> Sensed:
+    """What an observation with a depth image tells an arm."""
+    state, count = observation["state"].astype(np.float64), len(robot.joints)
+    joints, lead = state[:count], state[2 * count : 3 * count]
+    command = np.clip(joints + lead, robot.lower, robot.upper)
+    return Sensed(observation["depth"][0] * MAX_RANGE, joints, command, state[-3:])
 
 
 class Around(NamedTuple):

@@ -22,6 +22,7 @@ WORTH = 0.2
 NEAREST, FARTHEST = 0.1, 1.2
 """Depths at which a place is seen well, metres."""
 
+_PARTS = 10  # parts in which the configurations are looked at, which take less memory than all
 _MOVE = 0.1  # share of the places that is worth a motion of a radian
 _EDGE = 0.95  # share of the image in which a place counts as shown
 _STEP, _SHORT = 0.04, 0.08  # metres between places looked at along a ray, and before its end where it may be hidden
@@ -50,7 +51,7 @@ def views(
     spreads = np.linspace(*SPREADS, VIEWS)[:, None]
     tried = np.clip(command + spreads * random.normal(size=(VIEWS, len(command))), robot.lower, robot.upper)
     tried[:, -1] = command[-1]  # the tool need not turn
-    seen = visible(arm, tried, places, hidden)
+    seen = np.concatenate([visible(arm, some, places, hidden) for some in np.split(tried, _PARTS)])
     gains = seen.mean(axis=1)
     costs = np.where(gains < WORTH, np.inf, _MOVE * np.abs(tried - command).max(axis=1) - gains)
     for k in costs.argsort(kind="stable")[: np.isfinite(costs).sum()]:

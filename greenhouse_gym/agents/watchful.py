@@ -12,14 +12,14 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from greenhouse_gym.agents.agent import Problem
-from greenhouse_gym.agents.approaches import glance
+from greenhouse_gym.agents.approaches import FRONT, glance
 from greenhouse_gym.agents.arm_balls import arm_balls
 from greenhouse_gym.agents.careful import CAREFUL_DEPTHS, careful_ways, ends_of
 from greenhouse_gym.agents.guide import towards
 from greenhouse_gym.agents.judging import between
 from greenhouse_gym.agents.knowledge import Knowledge
+from greenhouse_gym.agents.sight_map import sensed
 from greenhouse_gym.agents.views import views
-from greenhouse_gym.envs.cameras import MAX_RANGE
 from greenhouse_gym.envs.roadmap import RESOLUTION
 from greenhouse_gym.envs.ways import MARGIN, REACHED, Ways
 from greenhouse_gym.geometry import Array
@@ -39,7 +39,6 @@ way of a few straight motions."""
 CHECKS = 15_000
 """Collision checks of RRTConnect, which is asked where there is no way of a few straight motions."""
 
-_FRONT = np.array([1.0, 0.5, 0.5])  # shares of the target's place that give where the agent glances at first
 _EVERY = 2  # steps between images
 _MOTIONS = 30  # motions of a way at most
 _TRIED = 60  # views to which it looks for a free motion
@@ -76,12 +75,10 @@ class WatchfulAgent:
         """The next action, (joints,)."""
         if self._problem is None:
             raise RuntimeError("reset the agent before it acts")
-        state, count = observation["state"].astype(np.float64), len(self._problem.start)
-        joints, lead = state[:count], state[2 * count : 3 * count]
-        command = np.clip(joints + lead, self._problem.robot.lower, self._problem.robot.upper)
+        now = sensed(observation, self._problem.robot)
         if self._episode is None:
-            self._episode = _Episode(self._problem, state[-3:])
-        action = self._episode.act(observation["depth"][0] * MAX_RANGE, joints, command)
+            self._episode = _Episode(self._problem, now.target)
+        action = self._episode.act(now.depth, now.joints, now.command)
         self.status = self._episode.status
         return action
 
@@ -102,7 +99,7 @@ class _Episode:
         """Where the plants come in view before the arm moves among them; nothing where the scan has it blocked."""
         problem = self._problem
         model = planning_model(compile_scene(problem.scene, problem.robot), problem.target, 0.0)
-        view = glance(self._arm, problem.robot, problem.start, _FRONT * target)
+        view = glance(self._arm, problem.robot, problem.start, FRONT * target)
         free = CollisionChecker(model, arm_reaches(problem.robot)).motion_is_free(problem.start, view, RESOLUTION)
         return [view] if free else []
 
