@@ -138,7 +138,7 @@ def submit(
         raise InvalidValueError(f"tracks must be some of {', '.join(TRACKS)}, got {', '.join(tracks) or 'none'}")
     called = Path(name).name.replace(":", "-").removesuffix(".json")
     path = Path(out) / (f"{called}.json" if protocol == V1 else f"{called}.trial.json")
-    entry = Entry(
+    fresh = Entry(
         agent=name,
         note=note,
         protocol=_plain_rules(protocol),
@@ -147,17 +147,16 @@ def submit(
         machine={},
         tracks={},
     )
-    if path.is_file() and _alike(before := read_entry(path), entry):
-        entry = before.model_copy(update={"note": note or before.note})
+    _kept(path, fresh)  # where it is damaged, that is told before anything is played
     for track in tracks:
         played = _play(agent, protocol, track, protocol.episodes, num_envs, executor)
+        entry = _kept(path, fresh)  # which others may have added tracks to meanwhile
         machine = {f"{track}: {name}": value for name, value in _machine(num_envs, executor).items()}
         changed = {
             "machine": {**entry.machine, **machine},
             "tracks": {**entry.tracks, track: _columns(played.records)},
         }
-        entry = entry.model_copy(update=changed)
-        write_atomically(path, entry.model_dump_json() + "\n")
+        write_atomically(path, entry.model_copy(update=changed).model_dump_json() + "\n")
     return path
 
 
@@ -226,10 +225,13 @@ def leaderboard_table(entries: Sequence[Entry], protocol: Protocol = V1) -> str:
     return table + (f"\nTrials, by other rules than those in force: {', '.join(trials)}.\n" if trials else "")
 
 
-def _alike(one: Entry, other: Entry) -> bool:
-    """Whether tracks of two entries can stand in one."""
+def _kept(path: Path, fresh: Entry) -> Entry:
+    """The entry that is there already, if further tracks of a fresh one can stand in it; else the fresh one."""
+    before = read_entry(path) if path.is_file() else fresh
     same = ("agent", "protocol", "bank_sha256", "versions")
-    return all(getattr(one, name) == getattr(other, name) for name in same)
+    if any(getattr(before, name) != getattr(fresh, name) for name in same):
+        return fresh
+    return before.model_copy(update={"note": fresh.note or before.note})
 
 
 def _plain_rules(protocol: Protocol) -> dict[str, Any]:

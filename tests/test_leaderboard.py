@@ -30,7 +30,8 @@ from greenhouse_gym.records import Evaluation, Record, pairing
 from greenhouse_gym.scene import SceneBank
 
 SHORT = replace(V1, bank="mini", split="validation", episodes=2)
-ENTRIES = sorted((Path(__file__).parents[1] / "benchmarks" / "leaderboard").glob("*.json"))
+FOLDER = Path(__file__).parents[1] / "benchmarks" / "leaderboard"
+ENTRIES = sorted(path for path in FOLDER.glob("*.json") if not path.name.endswith(".trial.json"))
 
 
 @pytest.fixture(scope="module")
@@ -127,6 +128,26 @@ def test_tracks_of_an_entry_are_kept_where_all_else_agrees(
         {"protocol": {**entry.protocol, "seed": 1}},
     ):
         assert list(then(**changes).tracks) == ["truth"], changes
+
+
+def test_tracks_that_are_played_at_the_same_time_are_all_kept(
+    entry: Entry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def play(*_: object, physics: str = "", **__: object) -> Evaluation:
+        if physics:
+            submit(RandomAgent(), "random", tmp_path, ["reconstruction"], SHORT)
+        return entry.evaluation("truth")
+
+    monkeypatch.setattr(leaderboard, "evaluate", play)
+    path = submit(RandomAgent(), "random", tmp_path, ["truth"], SHORT)
+    assert set(read_entry(path).tracks) == {"reconstruction", "truth"}
+
+
+def test_a_damaged_entry_is_told_before_anything_is_played(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(leaderboard, "evaluate", lambda *_, **__: pytest.fail("it was played"))
+    (tmp_path / "random.trial.json").write_text("{")
+    with pytest.raises(FileFormatError, match=r"random\.trial\.json"):
+        submit(RandomAgent(), "random", tmp_path, ["truth"], SHORT)
 
 
 def timeless(entry: Entry, track: str) -> dict[str, list[Any]]:
