@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Sequence
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,6 @@ import mujoco
 import numpy as np
 from capture_protocols_rows import Options, folder_of, scenes_of
 from capture_protocols_summary import summaries, table
-from joblib import Parallel, delayed
 from results_file import write_results
 
 from greenhouse_gym import ENV_IDS
@@ -32,6 +32,7 @@ from greenhouse_gym.agents.planner_agent import PathFollower
 from greenhouse_gym.capture import PROTOCOLS, get_protocol
 from greenhouse_gym.envs import PlantMotion, Randomization
 from greenhouse_gym.envs.tomato_reach import TomatoReachEnv
+from greenhouse_gym.parallel import completed, executor_for
 from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.planning import PlanResult, plan
 from greenhouse_gym.planning.unseen import UNSEEN_RULES
@@ -91,9 +92,10 @@ def main() -> None:
     if a.only_finished:
         tasks = [task for task in tasks if _episodes_file(*task, options).exists()]
     episodes: list[dict[str, Any]] = []
-    for part in Parallel(n_jobs=a.workers, return_as="generator")(delayed(measure)(*task, options) for task in tasks):
-        episodes += part
-        print(f"\n{table(summaries(episodes))}", flush=True)
+    with executor_for("processes" if a.workers > 1 else "serial", a.workers) as executor:
+        for part in completed(partial(measure, options=options), tasks, executor):
+            episodes += part
+            print(f"\n{table(summaries(episodes))}", flush=True)
     if a.out:
         command = (
             f"benchmarks/capture_protocols.py --source {a.source} --rows {','.join(map(str, a.rows))} "
@@ -116,8 +118,12 @@ def _named(text: str) -> tuple[str, str]:
     return get_protocol(protocol).name, start or "start"
 
 
-def measure(seed: int, protocol: str, start: str, unseen: str, options: Options) -> list[dict[str, Any]]:
+_Task = tuple[int, str, str, str]  # row, protocol, start, unseen
+
+
+def measure(task: _Task, options: Options) -> list[dict[str, Any]]:
     """All episodes of one row photographed by one protocol."""
+    seed, protocol, start, unseen = task
     file = _episodes_file(seed, protocol, start, unseen, options)
     if not file.exists():
         scenes = scenes_of(seed, protocol, options)

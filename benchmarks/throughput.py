@@ -34,7 +34,7 @@ from rich.table import Table
 from greenhouse_gym.crop import Tomato
 from greenhouse_gym.envs import TomatoReachEnv, TomatoReachVectorEnv
 from greenhouse_gym.envs.reach_task import ACTION_STEP, SUBSTEPS
-from greenhouse_gym.envs.worlds import PHYSICS
+from greenhouse_gym.envs.settings import PHYSICS
 from greenhouse_gym.geometry import Box
 from greenhouse_gym.scene import Provenance, Scene, Target, compile_scene
 from greenhouse_gym.scene.bank import write_bank
