@@ -120,7 +120,7 @@ def measure(arguments: argparse.Namespace) -> dict[str, list[float]]:
     for env in (vector, depth, *twins.values()):
         env.reset(seed=0)
     for name in single.simulation.sampler.bank.names(arguments.split):  # compiles every scene, which is not measured
-        single.reset(options={"scene": name})
+        single.reset(options={"scene": name, "target": 0})
     simulation = depth.simulation
     step_bare = bare_physics(vector, actions)
 
@@ -220,7 +220,7 @@ def memory_of_the_vector_environment(arguments: argparse.Namespace) -> float:
         " autoreset_mode='SameStep')\n"
         "env.reset(seed=0)\n"
         f"for name in env.simulation.sampler.bank.names({arguments.split!r}):\n"
-        "    env.reset(options={'scene': name})\n"
+        "    env.reset(options={'scene': name, 'target': 0})\n"
         "for _ in range(50):\n"
         "    env.step(env.action_space.sample())\n"
         "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)\n"
