@@ -7,6 +7,7 @@ many, the rays are parted, and each part has a narrower cone with fewer of them.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import mujoco
@@ -80,28 +81,17 @@ class RayCaster:
             surfaces: Whether to tell colors and normals.
         """
         obstacles = np.arange(self._obstacles.start, self._obstacles.stop)
-        return self._cast(model, joints, origin, directions, reach, surfaces, obstacles)
+        distance, on_arm = np.empty(len(directions)), np.empty(len(directions), dtype=np.bool_)
+        told = len(directions) if surfaces else 0
+        rgba, normal = np.empty((told, 4), dtype=np.float32), np.empty((told, 3))
+        for rays, seen in _parts(model, origin, directions, reach, np.arange(len(directions)), obstacles):
+            hits = self._cast(model, joints, origin, directions[rays], reach, surfaces, seen)
+            distance[rays], on_arm[rays] = hits.distance, hits.on_arm
+            if surfaces:
+                rgba[rays], normal[rays] = hits.rgba, hits.normal
+        return Hits(distance, on_arm, rgba, normal)
 
     def _cast(
-        self,
-        model: mujoco.MjModel,
-        joints: Array,
-        origin: Array,
-        directions: Array,
-        reach: float,
-        surfaces: bool,
-        among: npt.NDArray[np.int64],
-    ) -> Hits:
-        """As `cast`, for rays that hit no other obstacles than some."""
-        seen = _in_cone(model, origin, directions, reach, among)
-        if len(seen) <= _MANY or len(directions) <= _LEAST:
-            return self._cast_among(model, joints, origin, directions, reach, surfaces, seen)
-        parts = _halves(directions)
-        hits = [self._cast(model, joints, origin, directions[part], reach, surfaces, seen) for part in parts]
-        whole = np.concatenate(parts).argsort()
-        return Hits(*(np.concatenate(values)[whole[: sum(map(len, values))]] for values in zip(*hits, strict=True)))
-
-    def _cast_among(
         self,
         model: mujoco.MjModel,
         joints: Array,
@@ -124,13 +114,29 @@ class RayCaster:
         mujoco.mj_kinematics(view, data)
         count = len(directions)
         distance, geom = np.empty(count), np.empty(count, dtype=np.int32)
-        flat = directions.reshape(-1)
         normal = np.zeros((count if surfaces else 0, 3))
         mujoco.mj_multiRay(
-            view, data, origin, flat, None, True, -1, geom, distance,
+            view, data, origin, directions.reshape(-1), None, True, -1, geom, distance,
             normal.reshape(-1) if surfaces else None, count, reach,
         )  # fmt: skip
         return Hits(distance, geom >= first + room, view.geom_rgba[geom[: len(normal)]], normal)
+
+
+def _parts(
+    model: mujoco.MjModel,
+    origin: Array,
+    directions: Array,
+    reach: float,
+    rays: npt.NDArray[np.int64],
+    among: npt.NDArray[np.int64],
+) -> Iterator[tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]]:
+    """Parts of some rays, each with the obstacles among some that it may hit: the fewer there are, the larger it is."""
+    seen = _in_cone(model, origin, directions[rays], reach, among)
+    if len(seen) <= _MANY or len(rays) <= _LEAST:
+        yield rays, seen
+        return
+    for half in _halves(directions[rays]):
+        yield from _parts(model, origin, directions, reach, rays[half], seen)
 
 
 def _in_cone(
