@@ -72,7 +72,8 @@ def evaluate(
             whatever ``episodes`` says.
         num_envs: Episodes that are played side by side. Each gets a copy of the agent, unless that has ``act_many``;
             the records are the same, but for times.
-        patience: Seconds the agent may take to prepare for an episode or to act; None waits for ever.
+        patience: Seconds the agent may take to prepare for an episode or to act; None waits for ever. One that takes
+            longer loses the episode, and a copy of it plays on: a few times, if the agent can be copied.
         executor: Where the episodes are played, some at a time, each time by a new copy of the agent; None plays all of
             them here. The records are the same, but for times.
         **options: Further keywords of the environment, such as ``bank`` or ``difficulty``; those the agent needs cannot

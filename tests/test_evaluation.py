@@ -241,6 +241,14 @@ def hangs() -> Any:
     time.sleep(30)
 
 
+class FlawedTogether(Flawed):
+    """Hangs in its every fourth answer."""
+
+    def act_many(self, observations: Any) -> Any:
+        self.steps += 1
+        return self.flaw() if self.steps % 4 == 0 else np.zeros((len(observations), 6))
+
+
 @pytest.mark.parametrize("num_envs", [1, 2])
 @pytest.mark.parametrize(
     ("flaw", "told"),
@@ -249,18 +257,33 @@ def hangs() -> Any:
         (too_few, "InvalidValueError: an action must have shape"),
         (nothing, "InvalidValueError: an action must"),
         (raises, "ZeroDivisionError: of my own"),
-        (hangs, "TimeoutError: it took longer than 0.5 s"),
     ],
 )
 def test_an_agent_that_fails_on_the_way_loses_the_episode(bank: SceneBank, flaw: Any, told: str, num_envs: int) -> None:
-    patience = 0.5 if flaw is hangs else None
-    evaluation = evaluate(Flawed(flaw), episodes=5, bank=bank, patience=patience, num_envs=num_envs)
+    evaluation = evaluate(Flawed(flaw), episodes=5, bank=bank, num_envs=num_envs)
     assert len(evaluation.records) == 5
     failed = [r for r in evaluation.records if r.failure]
     assert evaluation.failures == len(failed) == 5 - num_envs, "each player's first episode is played to its end"
     assert all(told in r.failure and not r.success and not r.collision for r in failed)
     assert failed[0].steps == 2
     assert f"flawed: {len(failed)} episodes ended without a valid action" in comparison_table([evaluation])
+
+
+@pytest.mark.parametrize(("num_envs", "failed"), [(1, [1, 3, 5, 7, 8, 9, 10]), (2, [2, 3, 6, 7, 9, 10])])
+def test_an_agent_that_hangs_loses_the_episode_and_a_copy_plays_on(
+    bank: SceneBank, num_envs: int, failed: list[int]
+) -> None:
+    evaluation = evaluate(Flawed(hangs), episodes=11, bank=bank, patience=1.0, num_envs=num_envs)
+    assert [i for i, r in enumerate(evaluation.records) if r.failure] == failed, "three copies and no more"
+    assert {r.failure for r in evaluation.records} == {"", "TimeoutError: it took longer than 1 s"}
+
+
+@pytest.mark.parametrize("num_envs", [1, 2])
+def test_one_that_plays_all_episodes_together_is_replaced_as_well(bank: SceneBank, num_envs: int) -> None:
+    agent = FlawedTogether(hangs)
+    evaluation = evaluate(agent, episodes=6, bank=bank, patience=1.0, num_envs=num_envs)
+    assert [r.steps for r in evaluation.records] == [3] * min(6, 4 * num_envs) + [0] * (6 - min(6, 4 * num_envs))
+    assert agent.steps == 4, "a copy took its place"
 
 
 def test_an_agent_that_never_acts_is_an_error_and_the_comparison_goes_on(bank: SceneBank) -> None:

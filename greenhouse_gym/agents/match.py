@@ -6,6 +6,7 @@ import copy
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -23,6 +24,9 @@ from greenhouse_gym.planning import path_length
 from greenhouse_gym.records import Record
 from greenhouse_gym.robots.kinematics import tool_chain, tool_state
 from greenhouse_gym.scene.collision import smallest_clearance
+
+MOST_REPLACED = 3
+"""How many agents that ran out of patience are replaced by a copy at most; each may go on working beside the others."""
 
 
 class AgentError(GreenhouseError, RuntimeError):
@@ -48,6 +52,18 @@ class Played(NamedTuple):
     joints: Array
 
 
+class _Player(NamedTuple):
+    """Who plays in a simulation.
+
+    Attributes:
+        agent: The agent.
+        patience: Makes its calls.
+    """
+
+    agent: Agent
+    patience: Patience
+
+
 @dataclass
 class _Run:
     """An episode that is being played.
@@ -55,7 +71,7 @@ class _Run:
     Attributes:
         place: Which of the episodes it is.
         problem: What the agent was told.
-        agent: Who plays.
+        player: Who plays.
         planning_time: Seconds the agent took to prepare.
         action_time: Seconds it took to act so far.
         total_reward: Sum of the rewards so far.
@@ -65,7 +81,7 @@ class _Run:
 
     place: int
     problem: Problem
-    agent: Agent
+    player: _Player
     planning_time: float = 0.0
     action_time: float = 0.0
     total_reward: float = 0.0
@@ -81,7 +97,8 @@ class Match:
         env: The environment that it plays in.
         chosen: Place and reset options of the episodes.
         seed: Seed of the episode in place 0.
-        patience: Seconds it may take for each answer; None waits for ever.
+        patience: Seconds it may take for each answer; None waits for ever. After an answer that took longer, a copy of
+            the agent plays the next episode, `MOST_REPLACED` times at most; then they all fail.
         proven: Whether the agent ever gave a valid action.
     """
 
@@ -97,11 +114,16 @@ class Match:
         self._agent, self._env, self._chosen, self._seed = agent, env, chosen, seed
         self._simulation: ReachSimulation = env.simulation
         self._space = env.simulation.action_rule.space
-        self._shared = getattr(agent, "act_many", None)
-        self._players = [agent] * env.num_envs
-        if env.num_envs > 1 and self._shared is None:
-            self._players = [_copy(agent) for _ in self._players]
-        self._patience = Patience(patience)
+        self._shared = hasattr(agent, "act_many")
+        self._seconds, self._replaced = patience, 0
+        self._players = [_Player(agent, Patience(patience))] * env.num_envs
+        self._fresh: Agent | None = None  # an agent that plays, or hangs, is not to be copied
+        if env.num_envs > 1 and not self._shared:
+            self._fresh = agent
+            self._players = [_Player(_copy(agent), Patience(patience)) for _ in self._players]
+        elif patience is not None:
+            with suppress(Exception):
+                self._fresh = copy.deepcopy(agent)
         self._proven = proven
 
     def played(self) -> Iterator[Played]:
@@ -146,14 +168,24 @@ class Match:
             episode.scene, episode.target, simulation.robot, episode.start, seed, simulation.action_rule,
             simulation.interval,
         )  # fmt: skip
-        run = _Run(place, problem, self._players[i], joints=[self._simulation.joints[i].copy()])
+        run = _Run(place, problem, self._player(i), joints=[self._simulation.joints[i].copy()])
         began = time.perf_counter()
         try:
-            self._patience.call(run.agent.reset, problem)
+            run.player.patience.call(run.player.agent.reset, problem)
         except Exception as error:
             self._fail(run, error)
         run.planning_time = time.perf_counter() - began
         return run
+
+    def _player(self, i: int) -> _Player:
+        """Who begins an episode in a simulation."""
+        player = self._players[i]
+        if not player.patience.over or self._fresh is None or self._replaced == MOST_REPLACED:
+            return player
+        self._replaced += 1
+        other = _Player(_copy(self._fresh), Patience(self._seconds))
+        self._players = [other if each is player else each for each in self._players]
+        return other
 
     def _act(self, runs: Sequence[_Run | None], observations: Observed, actions: Array) -> None:
         """Ask for the actions of all runs; those of others are zero."""
@@ -161,14 +193,15 @@ class Match:
         playing = [(i, run) for i, run in enumerate(runs) if run is not None]
         if not playing:
             return
-        if self._shared is None:
+        if not self._shared:
             for i, run in playing:
-                self._ask(run, run.agent.act, select(observations, i), actions[i : i + 1])
+                self._ask(run, run.player.agent.act, select(observations, i), actions[i : i + 1])
             return
+        agent, patience = self._players[0]
         began = time.perf_counter()
         try:
             seen = select(observations, [i for i, _ in playing])
-            together = np.asarray(self._patience.call(self._shared, seen))
+            together = np.asarray(patience.call(agent.act_many, seen))  # type: ignore[attr-defined]
             if together.shape[:1] != (len(playing),):
                 raise InvalidValueError(f"act_many must give {len(playing)} actions, got shape {together.shape}")
         except Exception as error:
@@ -184,7 +217,8 @@ class Match:
         """Fill in a run's next action (1, size)."""
         began = time.perf_counter()
         try:
-            action[:] = check_actions(np.asarray(self._patience.call(act, observation))[None], 1, self._space)
+            answer = run.player.patience.call(act, observation)
+            action[:] = check_actions(np.asarray(answer)[None], 1, self._space)
         except Exception as error:
             self._fail(run, error)
         else:
@@ -228,7 +262,7 @@ class Match:
             roughness=float(np.linalg.norm(np.diff(way, n=2, axis=0), axis=-1).mean()) if steps > 1 else 0.0,
             total_reward=run.total_reward,
             distance=float(info["distance"]),
-            status=str(getattr(run.agent, "status", "")),
+            status=str(getattr(run.player.agent, "status", "")),
             failure=run.failure,
         )
         return Played(run.place, record, way)

@@ -24,6 +24,11 @@ class Patience:
         self._seconds = seconds
         self._over = ""
 
+    @property
+    def over(self) -> bool:
+        """Whether a call took too long."""
+        return bool(self._over)
+
     def call(self, function: Callable[P, T], *arguments: P.args, **keywords: P.kwargs) -> T:
         """The function's result.
 
