@@ -24,6 +24,7 @@ _KNOWN, _SKIN = (
 )  # what the camera shows so near to a shape of the scan, or to the target's, is that, metres
 _CLEAR = 0.01  # what the camera shows nearer to the arm than this is no obstacle to a way that begins there, metres
 _DARK = 0.03  # places in unseen space that are told are that far apart, metres
+_ABOUT = 0.2  # places about the target are told up to here, metres
 _AROUND, _AT_TARGET = 0.02, 0.02  # unseen space so near to where the arm is, or to the target, is not told, metres
 
 
@@ -100,6 +101,14 @@ class Knowledge:
         ahead = (np.unique(np.floor(ahead / _DARK), axis=0) + 0.5) * _DARK
         ahead = ahead[np.linalg.norm(ahead - self._target, axis=1) > self._radius + _AT_TARGET]
         return np.asarray(ahead[self._gap(ahead, balls[0]) > _AROUND])
+
+    def unlooked(self) -> Array:
+        """(k, 3) places about the target that the camera has not seen, whatever the scan says of them."""
+        along = np.arange(-_ABOUT, _ABOUT, _DARK)
+        off = np.stack(np.meshgrid(along, along, along), axis=-1).reshape(-1, 3)
+        away = np.linalg.norm(off, axis=1)
+        places = self._target + off[(away < _ABOUT) & (away > self._radius + _AT_TARGET)]
+        return np.asarray(places[~self._map.seen(places)])
 
     def surface(self, places: Array) -> npt.NDArray[np.bool_]:
         """Which of places (n, 3) are in voxels in which the scan saw a surface, (n,)."""

@@ -13,7 +13,7 @@ from greenhouse_gym.agents.arm_balls import ArmBalls
 from greenhouse_gym.envs.cameras import MAX_RANGE, TIP_FROM_WRIST, DepthCamera
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
-from greenhouse_gym.robots.kinematics import joint_frames
+from greenhouse_gym.robots.kinematics import Chain, joint_frames
 
 FAR = 0.025
 """Clearances are told up to here, metres."""
@@ -50,6 +50,12 @@ def sensed(observation: Mapping[str, Any], robot: Robot) -> Sensed:
     joints, lead = state[:count], state[2 * count : 3 * count]
     command = np.clip(joints + lead, robot.lower, robot.upper)
     return Sensed(observation["depth"][0] * MAX_RANGE, joints, command, state[-3:])
+
+
+def wrist_camera(chain: Chain, configurations: Array) -> tuple[Array, Array]:
+    """Rotations (m, 3, 3) and places (m, 3), metres, of the camera of an arm in configurations (m, j)."""
+    rotation, position = (frames[-1] for frames in joint_frames(chain, configurations))
+    return rotation @ TIP_FROM_WRIST[:3, :3], position + rotation @ TIP_FROM_WRIST[:3, 3]
 
 
 class Around(NamedTuple):
@@ -107,8 +113,7 @@ class SightMap:
 
     def add(self, depth: npt.NDArray[np.float32], joints: Array) -> None:
         """Take in a depth image (h, w) along the view, metres, 0 without a reading, from a configuration (j,)."""
-        rotation, position = (frames[-1, 0] for frames in joint_frames(self.arm.chain, joints[None]))
-        turn, origin = rotation @ TIP_FROM_WRIST[:3, :3], position + rotation @ TIP_FROM_WRIST[:3, 3]
+        turn, origin = (poses[0] for poses in wrist_camera(self.arm.chain, joints[None]))
         z = depth.reshape(-1).astype(np.float64)
         rays = self._camera.rays @ turn.T
         hit = z > 0

@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.agents.arm_balls import ArmBalls
-from greenhouse_gym.envs.cameras import TIP_FROM_WRIST, DepthCamera
+from greenhouse_gym.agents.sight_map import wrist_camera
+from greenhouse_gym.envs.cameras import DepthCamera
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
-from greenhouse_gym.robots.kinematics import joint_frames
 
 VIEWS, SPREADS = 400, (0.24, 1.2)
 """Configurations that are tried, and how far their joints are strewn about where the arm is, from and to, radians."""
@@ -60,8 +60,7 @@ def views(
 
 def visible(arm: ArmBalls, configurations: Array, places: Array, hidden: Callable[[Array], Seen]) -> Seen:
     """Which of places (k, 3) the camera sees from configurations (m, j): (m, k)."""
-    rotation, position = (frames[-1] for frames in joint_frames(arm.chain, configurations))
-    turn, origin = rotation @ TIP_FROM_WRIST[:3, :3], position + rotation @ TIP_FROM_WRIST[:3, 3]
+    turn, origin = wrist_camera(arm.chain, configurations)
     away = places - origin[:, None]
     x, y, z = np.moveaxis(np.einsum("mkx,mxy->mky", away, turn), -1, 0)
     camera = DepthCamera()

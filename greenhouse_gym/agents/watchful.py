@@ -21,7 +21,7 @@ from greenhouse_gym.agents.knowledge import Knowledge
 from greenhouse_gym.agents.sight_map import sensed
 from greenhouse_gym.agents.views import views
 from greenhouse_gym.envs.roadmap import RESOLUTION
-from greenhouse_gym.envs.ways import MARGIN, REACHED, Ways
+from greenhouse_gym.envs.ways import GOALS, MARGIN, MOST_ROUNDS, REACHED, Ends, Ways, free_goals
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning import plan
 from greenhouse_gym.planning.unseen import guarded
@@ -29,15 +29,16 @@ from greenhouse_gym.scene import Scene, compile_scene
 from greenhouse_gym.scene.collision import CollisionChecker, planning_model
 from greenhouse_gym.scene.reaches import arm_reaches
 
-PLANS, LOOKS = 6, 4
+PLANS, LOOKS = 10, 4
 """How many times the agent looks for a way in an episode at most, and for what nobody has seen on its way."""
 
 VOXELS = (0.01, 0.004)
 """Sides of the voxels that stand for what only the camera has shown, metres: the next where the one before leaves no
 way of a few straight motions."""
 
-CHECKS = 15_000
-"""Collision checks of RRTConnect, which is asked where there is no way of a few straight motions."""
+CHECKS = 30_000
+"""Collision checks of RRTConnect, which is asked where there is no way of a few straight motions: for one from where
+the arm is, and where it finds none, for one from the start, to which the arm goes back as it came."""
 
 _EVERY = 2  # steps between images
 _MOTIONS = 30  # motions of a way at most
@@ -90,7 +91,7 @@ class _Episode:
         self.status = ""
         self._problem, self._arm = problem, arm_balls(problem.robot)
         self._known = Knowledge(problem, target)
-        self._way = self._first_glance(target)
+        self._way, self._came = self._first_glance(target), [problem.start]
         self._looking, self._age, self._plans, self._looks = True, 0, 0, 0
         self._looked_at: Array = np.zeros((0, 3))
         self._random = np.random.default_rng(problem.seed)
@@ -106,16 +107,21 @@ class _Episode:
     def act(self, depth: npt.NDArray[np.float32], joints: Array, command: Array) -> npt.NDArray[np.float32]:
         """The next action, (joints,)."""
         while self._way and np.abs(self._way[0] - command).max() < REACHED / 10:
-            self._way.pop(0)
+            self._arrive(self._way.pop(0))
         there = self._looking and not self._way
         news = (there or self._age % _EVERY == 0) and self._known.add(depth, joints)
-        blocked = news and self._plans > 0 and self._way and self._known.blocked(self._ahead(command))
+        blocked = news and self._way and self._known.blocked(self._ahead(command))
         if there or blocked:
             self._decide(command)
         self._age += 1
         if not self._way:
             return np.zeros(len(command), dtype=np.float32)
         return towards(self._way[0], command, self._problem.joint_steps).astype(np.float32)
+
+    def _arrive(self, place: Array) -> None:
+        """Keep how the arm came to a place (j,) from the start; what it went back on is forgotten."""
+        before = [k for k, each in enumerate(self._came) if each is place]
+        self._came = self._came[: before[0] + 1] if before else [*self._came, place]
 
     def _decide(self, command: Array) -> None:
         """Look for a way to the target, and if it is dark, for one to where it can be looked at."""
@@ -125,7 +131,7 @@ class _Episode:
         self._plans += 1
         scene, depth = self._plan(command)
         self.status = f"{self._plans}, {depth:g}" if self._way else f"{self._plans}, no way"
-        dark = self._known.dark(self._ahead(command))
+        dark = self._known.dark(self._ahead(command)) if self._way else self._known.unlooked()
         if len(dark) and len(self._looked_at):
             dark = dark[cKDTree(self._looked_at).query(dark)[0] > _SAME]
         if len(dark) >= _ENOUGH and self._looks < LOOKS:
@@ -141,14 +147,22 @@ class _Episode:
             self._way = _followed(ways, command)
             if self._way:
                 return scene, depth
-        goals = ways.nodes.configurations[ways.nodes.costs == 0]
-        if len(goals):
-            path = plan(
-                scene, problem.target, problem.robot, start=command, goals=goals, time_limit=None, max_checks=CHECKS,
-                seed=problem.seed,
-            ).path  # fmt: skip
-            self._way = [] if path is None else list(path[1:])
+        self._way = self._search(scene, ends)
         return scene, np.inf
+
+    def _search(self, scene: Scene, ends: Ends) -> list[Array]:
+        """A way of any kind to the target, by RRTConnect."""
+        problem, here = self._problem, ends.start
+        model = planning_model(compile_scene(scene, problem.robot), problem.target, MARGIN)
+        goals = free_goals(CollisionChecker(model, arm_reaches(problem.robot)), ends, GOALS, MOST_ROUNDS)
+        for back in ([], self._came[::-1]) if len(goals) else ():
+            path = plan(
+                scene, problem.target, problem.robot, start=back[-1] if back else here, goals=goals, time_limit=None,
+                max_checks=CHECKS, seed=problem.seed,
+            ).path  # fmt: skip
+            if path is not None:
+                return [*back, *path[1:]]
+        return []
 
     def _look(self, scene: Scene, command: Array, dark: Array) -> None:
         """Go where the camera sees many of places (k, 3), if there is a free motion to one."""

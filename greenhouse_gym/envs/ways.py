@@ -191,7 +191,7 @@ class Place:
         if key not in self.known:
             if len(self.known) >= _REMEMBERED:
                 self.known.clear()
-            goals, postures = _goals(checker, ends), self._postures(checker, ends.start)
+            goals, postures = free_goals(checker, ends), self._postures(checker, ends.start)
             self.known[key] = search_nodes(checker, goals, postures, ends.start, self.robot)
         return self.known[key]
 
@@ -207,12 +207,19 @@ class Place:
         return self.postures[key]
 
 
-def _goals(checker: CollisionChecker, ends: Ends) -> Array:
-    """(k, j) free goal configurations, those near the start first."""
+def free_goals(checker: CollisionChecker, ends: Ends, few: int = FEW, rounds: int = ROUNDS) -> Array:
+    """(k, j) free goal configurations, `GOALS` at most, those near the start first, radians.
+
+    Args:
+        checker: Says which are free.
+        ends: What reaches the target.
+        few: As long as there are fewer, more is guessed,
+        rounds: this often at most, but `MOST_ROUNDS` times while there is none.
+    """
     free: list[Array] = []
     for k in range(MOST_ROUNDS):
         free += [end for end in ends[k] if checker.is_free(end)]
-        if len(free) >= FEW or (free and k + 1 >= ROUNDS) or not len(ends[k]):
+        if len(free) >= few or (free and k + 1 >= rounds) or not len(ends[k]):
             break
     goals = np.array(free).reshape(-1, len(ends.start))
     return goals[((goals - ends.start) ** 2).sum(axis=-1).argsort(kind="stable")[:GOALS]]
