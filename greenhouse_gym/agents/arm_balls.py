@@ -20,6 +20,8 @@ from greenhouse_gym.scene.surroundings import Surroundings
 SPACING = 0.8
 """Distance between the balls along a link, in its radii."""
 
+_WAIST = float(np.sqrt(1 - (SPACING / 2) ** 2))  # radius of a row of balls where it is thinnest, in theirs
+
 PARTS = ("tool", "wrist", "arm")
 """What the balls belong to: what turns with the last joint, with one of the two before it, or with an earlier one. The
 first joint's link stays where it is, and belongs to none."""
@@ -86,10 +88,18 @@ def arm_balls(robot: Robot) -> ArmBalls:
 
 
 def _along(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[Array, float]:
-    """Centers (k, 3) of balls along a geom, and their radius, metres: one ball around what is no capsule."""
-    center = data.geom_xpos[geom]
-    if model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_CAPSULE:
-        return np.array([center]), float(model.geom_rbound[geom])
-    radius, half = (float(size) for size in model.geom_size[geom, :2])
+    """Centers (k, 3) of balls that cover a geom, and their radius, metres: along its axis, if it is long."""
+    center, turn = data.geom_xpos[geom], data.geom_xmat[geom].reshape(3, 3)
+    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CAPSULE:
+        radius, half = (float(size) for size in model.geom_size[geom, :2])
+        axis = turn[:, 2]
+    else:
+        middle, extents = model.geom_aabb[geom].reshape(2, 3)
+        longest = int(extents.argmax())
+        across = float(np.linalg.norm(np.delete(extents, longest)))
+        if extents[longest] < across:
+            return np.array([center]), float(model.geom_rbound[geom])
+        center, axis, half = center + turn @ middle, turn[:, longest], float(extents[longest])
+        radius = across / _WAIST
     count = 2 + int(2 * half / (SPACING * radius))
-    return center + np.linspace(-half, half, count)[:, None] * data.geom_xmat[geom].reshape(3, 3)[:, 2], radius
+    return center + np.linspace(-half, half, count)[:, None] * axis, radius
