@@ -22,6 +22,7 @@ from greenhouse_gym.agents.match import AgentError, Match, never_acted
 from greenhouse_gym.envs import TomatoReachVectorEnv
 from greenhouse_gym.errors import InvalidValueError, require_seed
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.kept_records import KeptRecords
 from greenhouse_gym.parallel import completed, require_portable, workers_of
 from greenhouse_gym.records import Evaluation, Record, comparison_table, wilson_interval
 from greenhouse_gym.robots import Robot
@@ -41,7 +42,7 @@ __all__ = [
 ]
 
 
-_PARTS = 4  # of an evaluation per worker: many enough that all end at about the same time
+_PARTS = 16  # of an evaluation per worker: many enough that all end at about the same time, and little is lost
 
 
 def evaluate(
@@ -54,6 +55,7 @@ def evaluate(
     num_envs: int = 1,
     patience: float | None = None,
     executor: Executor | None = None,
+    kept: KeptRecords | None = None,
     **options: Any,
 ) -> Evaluation:
     """Run an agent over episodes drawn from a split.
@@ -76,6 +78,7 @@ def evaluate(
             longer loses the episode, and a copy of it plays on: a few times, if the agent can be copied.
         executor: Where the episodes are played, some at a time, each time by a new copy of the agent; None plays all of
             them here. The records are the same, but for times.
+        kept: Where each record is kept as soon as it is there; episodes whose records are there already are not played.
         **options: Further keywords of the environment, such as ``bank`` or ``difficulty``; those the agent needs cannot
             be changed.
 
@@ -99,10 +102,15 @@ def evaluate(
     if problems is not None:
         chosen = [{"scene": name, "target": k} for name, k in problems]
     show = sys.stderr.isatty() if progress is None else progress
-    whole = _Part(agent, split, tuple(enumerate(chosen)), seed, num_envs, patience, options)
+    ended = {} if kept is None else {k: record for k, record in kept.records.items() if k < len(chosen)}
+    left = tuple((k, where) for k, where in enumerate(chosen) if k not in ended)
+    whole = _Part(agent, split, left, seed, num_envs, patience, options, proven=bool(ended))
     played = whole.records() if executor is None else _played_by(executor, whole)
-    ended = sorted(track(played, description=agent.name, disable=not show, total=len(chosen)))
-    records = tuple(record for _, record in ended)
+    for k, record in track(played if left else (), description=agent.name, disable=not show, total=len(left)):
+        ended[k] = record
+        if kept is not None:
+            kept.add(k, record)
+    records = tuple(ended[k] for k in sorted(ended))
     if executor is not None and records and records[0].failure and not records[0].steps:
         raise never_acted(agent, records[0].seed, records[0].failure)
     return Evaluation(agent.name, records)

@@ -8,6 +8,7 @@ import platform
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, fields, replace
+from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
 from types import MappingProxyType
@@ -19,6 +20,7 @@ from greenhouse_gym.agents import Agent
 from greenhouse_gym.envs.randomization import Randomization
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.evaluation import evaluate
+from greenhouse_gym.kept_records import KeptRecords
 from greenhouse_gym.parallel import workers_of
 from greenhouse_gym.paths import parsing, read_bytes, write_atomically
 from greenhouse_gym.records import Evaluation, Record
@@ -114,7 +116,8 @@ def submit(
 ) -> Path:
     """Play the episodes of a protocol and write the entry, after each track what there is by then.
 
-    Other tracks of an entry that is there already are kept, if it is of the same agent, rules, bank and versions.
+    Other tracks of an entry that is there already are kept, if it is of the same agent, rules, bank and versions. Each
+    record is kept beside it, in ``NAME.TRACK.jsonl``, until its track is whole: what was interrupted goes on there.
 
     Args:
         agent: The agent.
@@ -148,8 +151,10 @@ def submit(
         tracks={},
     )
     _kept(path, fresh)  # where it is damaged, that is told before anything is played
+    about = fresh.model_dump(include={"agent", "protocol", "bank_sha256", "versions"}) | {"sha256": _checksum_of(name)}
     for track in tracks:
-        played = _play(agent, protocol, track, protocol.episodes, num_envs, executor)
+        kept = KeptRecords(path.with_suffix(f".{track}.jsonl"), {**about, "track": track})
+        played = _play(agent, protocol, track, protocol.episodes, num_envs, executor, kept)
         entry = _kept(path, fresh)  # which others may have added tracks to meanwhile
         machine = {f"{track}: {name}": value for name, value in _machine(num_envs, executor).items()}
         changed = {
@@ -157,6 +162,7 @@ def submit(
             "tracks": {**entry.tracks, track: _columns(played.records)},
         }
         write_atomically(path, entry.model_copy(update=changed).model_dump_json() + "\n")
+        kept.remove()
     return path
 
 
@@ -234,6 +240,12 @@ def _kept(path: Path, fresh: Entry) -> Entry:
     return before.model_copy(update={"note": fresh.note or before.note})
 
 
+def _checksum_of(name: str) -> str:
+    """Checksum of the file that an agent is made from; empty where it is none."""
+    file = Path(name if Path(name).is_file() else name.rpartition(":")[0])
+    return sha256(file.read_bytes()).hexdigest() if file.is_file() else ""
+
+
 def _plain_rules(protocol: Protocol) -> dict[str, Any]:
     rules: dict[str, Any] = json.loads(json.dumps(asdict(protocol)))
     return rules
@@ -250,7 +262,13 @@ def _machine(num_envs: int, executor: Executor | None) -> dict[str, str]:
 
 
 def _play(
-    agent: Agent, protocol: Protocol, track: str, episodes: int, num_envs: int = 1, executor: Executor | None = None
+    agent: Agent,
+    protocol: Protocol,
+    track: str,
+    episodes: int,
+    num_envs: int = 1,
+    executor: Executor | None = None,
+    kept: KeptRecords | None = None,
 ) -> Evaluation:
     options = {"bank": protocol.bank, "difficulty": protocol.difficulty, **TRACKS[track]}
     return evaluate(
@@ -261,6 +279,7 @@ def _play(
         num_envs=num_envs,
         patience=protocol.patience,
         executor=executor,
+        kept=kept,
         **options,
     )
 

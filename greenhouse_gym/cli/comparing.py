@@ -126,7 +126,8 @@ def submit(
     """Play the episodes of protocol v1 and write the leaderboard's entry (docs/leaderboard.md).
 
     Tracks that an entry of the same agent has already, on the same bank and with the same versions, are kept. A trial
-    has a file of its own, AGENT.trial.json.
+    has a file of its own, AGENT.trial.json. What is interrupted goes on from AGENT.TRACK.jsonl, which holds the records
+    of a track until it is whole.
 
     The work is spread over processes only where that is asked for: the results are the same, but processes side by side
     disturb each other's times.
