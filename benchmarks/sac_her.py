@@ -9,6 +9,7 @@ counts are episodes of the validation split, whose rows were not trained on, jud
 from __future__ import annotations
 
 import argparse
+import tempfile
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,8 @@ from results_file import RESULTS, write_results
 
 from greenhouse_gym.agents import RandomAgent
 from greenhouse_gym.evaluation import Evaluation, evaluate
-from greenhouse_gym.learning.sac import SacProgress, SacSettings, train_sac
+from greenhouse_gym.learning.sac import SacSettings, train_sac
+from greenhouse_gym.learning.sac_report import SacProgress
 
 
 def main() -> None:
@@ -29,7 +31,10 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=RESULTS / "sac_her.json")
     arguments = parser.parse_args()
-    settings = SacSettings(seed=arguments.seed, threads=1)
+    settings = SacSettings(
+        seed=arguments.seed, threads=1, total_steps=10_000_000, validation_steps=arguments.every,
+        validation_episodes=arguments.episodes,
+    )  # fmt: skip
     curve: list[dict[str, Any]] = []
     figures: dict[str, Any] = {"settings": asdict(settings), "random": {}, "curve": curve}
 
@@ -46,9 +51,8 @@ def main() -> None:
         )  # fmt: skip
         figures["random"][split] = shares(result)
     print("random actions", figures["random"], flush=True)
-    train_sac(
-        settings, 10_000_000, minutes=arguments.minutes, every=arguments.every, episodes=arguments.episodes, tell=note
-    )
+    with tempfile.TemporaryDirectory() as folder:
+        train_sac(settings, folder, minutes=arguments.minutes, tell=note)
 
 
 def shares(result: Evaluation) -> dict[str, float]:

@@ -1,46 +1,30 @@
-"""Train SAC with hindsight experience replay on the goal environment and tell how it gets on.
+"""Train SAC with hindsight experience replay on the goal environment; judge it on validation rows.
 
-python training/sac_her.py --bank mini --minutes 16
+python training/sac_her.py --out runs/sac --set bank=mini --set total_steps=200000
 
 Prints, every so many steps, the shares of success and collision over episodes of the training and the validation split,
-with the processor time spent so far; at last those of random actions. It stops after so many minutes of processor time.
+with the processor time spent so far. Every setting can be given by ``--set``; ``--print`` lists them with what they
+mean.
 """
 
 from __future__ import annotations
 
-import argparse
+from training_arguments import parsed
 
 from greenhouse_gym.agents import RandomAgent
-from greenhouse_gym.evaluation import Evaluation, evaluate
-from greenhouse_gym.learning.sac import SacProgress, SacSettings, train_sac
+from greenhouse_gym.evaluation import Evaluation, compare, comparison_table
+from greenhouse_gym.integrations.sb3 import Sb3Agent
+from greenhouse_gym.learning import SacSettings, load_sac, train_sac
+from greenhouse_gym.learning.sac_report import SacProgress
 
 
 def main() -> None:
-    """Train until the time is over, then play at random."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--bank", default=SacSettings.bank)
-    parser.add_argument("--difficulty", nargs="+", default=SacSettings.difficulty)
-    parser.add_argument("--reward", default=SacSettings.reward)
-    parser.add_argument("--steps", type=int, default=1_000_000)
-    parser.add_argument("--minutes", type=float, default=16.0)
-    parser.add_argument("--every", type=int, default=20_000)
-    parser.add_argument("--episodes", type=int, default=100)
-    parser.add_argument("--seed", type=int, default=SacSettings.seed)
-    parser.add_argument("--threads", type=int, default=1)
-    arguments = parser.parse_args()
-    settings = SacSettings(
-        bank=arguments.bank, difficulty=tuple(arguments.difficulty), reward=arguments.reward, seed=arguments.seed,
-        threads=arguments.threads,
-    )  # fmt: skip
-    train_sac(
-        settings, arguments.steps, minutes=arguments.minutes, every=arguments.every, episodes=arguments.episodes,
-        tell=lambda progress: print(line(progress), flush=True),
-    )  # fmt: skip
-    result = evaluate(
-        RandomAgent(), "train", arguments.episodes, seed=10_000, num_envs=settings.num_envs, bank=settings.bank,
-        difficulty=settings.difficulty, threads=settings.threads,
-    )  # fmt: skip
-    print(f"random actions: {shares('train', result)}")
+    """Train, then play validation episodes, at random as well."""
+    arguments, settings = parsed(__doc__, SacSettings(), "runs/sac", 100)
+    train_sac(settings, arguments.out, resume=arguments.resume, tell=lambda told: print(line(told), flush=True))
+    agents = [Sb3Agent(load_sac(arguments.out)), RandomAgent()]
+    options = {"bank": settings.bank, "difficulty": settings.difficulty, "robot": settings.robot, "num_envs": 32}
+    print(comparison_table(compare(agents, "validation", arguments.episodes, 20_000, **options)))
 
 
 def line(progress: SacProgress) -> str:

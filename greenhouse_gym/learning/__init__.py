@@ -4,7 +4,7 @@ from greenhouse_gym.learning.bc_then_ppo import FINE_TUNING, BcThenPpoSettings, 
 from greenhouse_gym.learning.depth import DepthSettings, train_depth
 from greenhouse_gym.learning.policies import load_into, save_policy
 from greenhouse_gym.learning.ppo import PpoSettings, train_ppo
-from greenhouse_gym.learning.sac import SacSettings, train_sac
+from greenhouse_gym.learning.sac import SacSettings, load_sac, train_sac
 from greenhouse_gym.learning.sweep import sweep_ppo
 
 __all__ = [
@@ -14,6 +14,7 @@ __all__ = [
     "PpoSettings",
     "SacSettings",
     "load_into",
+    "load_sac",
     "save_policy",
     "sweep_ppo",
     "train_bc_then_ppo",

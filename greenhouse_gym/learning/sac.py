@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
-import time
+import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
-from greenhouse_gym.errors import MissingDependencyError, require_seed
-from greenhouse_gym.evaluation import Evaluation, evaluate
-from greenhouse_gym.integrations.sb3 import Sb3Agent, make_sb3_vec_env
+from greenhouse_gym.errors import require_seed
+from greenhouse_gym.extras import needs
+from greenhouse_gym.integrations.sb3 import make_sb3_vec_env
+from greenhouse_gym.learning.folders import check_folder
+from greenhouse_gym.paths import write_atomically
 
-try:
+with needs("train"):
+    import tensorboard  # noqa: F401  what Stable-Baselines3 writes its curves with, and does not ask for at once
     import torch
     from stable_baselines3 import SAC
-    from stable_baselines3.common.callbacks import BaseCallback
+    from stable_baselines3.common.logger import configure
 
     from greenhouse_gym.integrations.sb3_her import GoalFeatures, GoalReplayBuffer
-except ImportError as error:  # pragma: no cover - depends on the installation
-    raise MissingDependencyError("stable-baselines3", "train") from error
+    from greenhouse_gym.learning.checkpoints import NAME as CHECKPOINT
+    from greenhouse_gym.learning.checkpoints import load_checkpoint, read_notes
+    from greenhouse_gym.learning.sac_report import SacProgress, SacReport
 
 
 @dataclass(frozen=True)
@@ -42,6 +47,10 @@ class SacSettings:
         hindsight_goals: Transitions with a goal in hindsight per real one.
         memory: Transitions that are kept.
         random_steps: Steps with random actions before the first gradient step.
+        total_steps: Steps of all simulations together.
+        validation_steps: Steps between judgments of the policy without its noise, on rows that are trained on and on
+            rows that are not.
+        validation_episodes: Episodes of each judgment and split, always the same ones.
         hidden: Sizes of the hidden layers, of actor and critics each.
         seed: Seed of scenes, weights and noise.
         threads: Threads of the simulation; 0 uses all cores. The network has one: with more, its many small products
@@ -62,36 +71,20 @@ class SacSettings:
     hindsight_goals: int = 2
     memory: int = 400_000
     random_steps: int = 6_600
+    total_steps: int = 1_000_000
+    validation_steps: int = 20_000
+    validation_episodes: int = 100
     hidden: tuple[int, ...] = (256, 256)
     seed: int = 0
     threads: int = 0
 
 
-@dataclass(frozen=True)
-class SacProgress:
-    """How far a training is, and how good the policy without its noise.
-
-    Attributes:
-        steps: Steps of all simulations together.
-        updates: Gradient steps.
-        seconds: Processor time of the training, without that of the judging.
-        train: Episodes of the training split.
-        validation: Episodes of the validation split, whose rows are not trained on. The test split is for the end.
-    """
-
-    steps: int
-    updates: int
-    seconds: float
-    train: Evaluation
-    validation: Evaluation
-
-
 def make_sac(settings: SacSettings) -> Any:
     """The Stable-Baselines3 model, untrained, on its own vector environment."""
     torch.set_num_threads(1)
-    env = make_sb3_vec_env(settings.num_envs, seed=settings.seed, **_env_options(settings))
+    env = make_sb3_vec_env(settings.num_envs, seed=settings.seed, **env_options(settings))
     layout = env.get_attr("simulation")[0].observe.layout
-    return SAC(
+    return _Sac(
         "MultiInputPolicy",
         env,
         replay_buffer_class=GoalReplayBuffer,
@@ -116,72 +109,83 @@ def make_sac(settings: SacSettings) -> Any:
 
 def train_sac(
     settings: SacSettings,
-    total_steps: int,
+    out: str | Path,
     *,
+    resume: bool = False,
     minutes: float | None = None,
-    every: int = 20_000,
-    episodes: int = 100,
+    checkpoint_seconds: float = 60.0,
     tell: Callable[[SacProgress], None] = lambda progress: None,
-) -> tuple[Any, list[SacProgress]]:
+) -> Path:
     """Train a policy and judge it now and then.
+
+    ``out`` gets ``settings.json``, ``validation.csv`` (a line per judgment), ``tensorboard`` (the same, how the
+    episodes of the training end, the reward's terms and the losses), and ``checkpoint.safetensors`` now and then and
+    at the end, also when interrupted. A resumed training goes on with the weights, the optimizers and the step count
+    of the checkpoint, in new episodes and with an empty memory: it fills that by its policy, with noise, before it
+    learns on.
 
     Args:
         settings: The settings.
-        total_steps: Steps of all simulations together.
-        minutes: Processor time after which it stops earlier.
-        every: Steps from one judgment to the next.
-        episodes: Episodes per judgment and split; they are the same each time.
+        out: Folder for the results.
+        resume: Go on from the checkpoint in ``out``; otherwise ``out`` must not hold one.
+        minutes: Processor time after which it stops, as if interrupted.
+        checkpoint_seconds: Time between checkpoints.
         tell: Gets each judgment at once.
 
     Returns:
-        The Stable-Baselines3 model and the judgments.
+        The path of the checkpoint, which `load_sac` makes a model from.
+
+    Raises:
+        InvalidValueError: There is nothing to resume, or something that would be overwritten, or the checkpoint was
+            made with other settings.
+        FileFormatError: The checkpoint is damaged.
+        KeyboardInterrupt: The training was interrupted; what there was is written.
     """
     require_seed(settings.seed)
+    out = Path(out)
+    described = json.loads(json.dumps(asdict(settings)))
+    check_folder(out / CHECKPOINT, lambda: read_notes(out)["settings"], described, "total_steps", resume)
     model = make_sac(settings)
-    report = _Report(settings, minutes, every, episodes, tell)
+    model.set_logger(configure(str(out / "tensorboard"), ["tensorboard"]))
+    if resume:
+        load_checkpoint(model, out)
+        model.get_env().seed(settings.seed + model.num_timesteps)
+        model.learning_starts = model.num_timesteps + settings.random_steps
+        model.acts_at_random = False
+    write_atomically(out / "settings.json", json.dumps(described, indent=1) + "\n")
+    report = SacReport(out, settings, env_options(settings), model, minutes, checkpoint_seconds, tell)
     try:
-        model.learn(total_steps, callback=report)
+        if model.num_timesteps < settings.total_steps:
+            model.learn(settings.total_steps - model.num_timesteps, callback=report, reset_num_timesteps=not resume)
     finally:
+        report.finish()
         model.get_env().close()
-    return model, report.curve
+    return out / CHECKPOINT
 
 
-def _env_options(settings: SacSettings) -> dict[str, Any]:
+def load_sac(folder: str | Path) -> Any:
+    """The Stable-Baselines3 model of a training's folder, on its own vector environment.
+
+    Raises:
+        FileFormatError: There is no checkpoint, or it is damaged.
+    """
+    described = read_notes(Path(folder))["settings"]
+    tuples = {name: tuple(value) for name, value in described.items() if isinstance(value, list)}
+    model = make_sac(SacSettings(**{**described, **tuples}))
+    load_checkpoint(model, Path(folder))
+    return model
+
+
+def env_options(settings: SacSettings) -> dict[str, Any]:
+    """Keywords of the environment that is trained on."""
     shared = ("bank", "robot", "difficulty", "reward", "threads")
     return {"observation": "goal", **{name: getattr(settings, name) for name in shared}}
 
 
-class _Report(BaseCallback):  # type: ignore[misc]
-    """Judges the policy now and then, and stops the training in time."""
+class _Sac(SAC):  # type: ignore[misc]
+    """SAC that need not act at random while it fills its memory."""
 
-    def __init__(
-        self,
-        settings: SacSettings,
-        minutes: float | None,
-        every: int,
-        episodes: int,
-        tell: Callable[[SacProgress], None],
-    ):
-        super().__init__()
-        self.curve: list[SacProgress] = []
-        self._options, self._seed, self._tell = _env_options(settings), settings.seed, tell
-        self._limit = None if minutes is None else 60.0 * minutes
-        self._every, self._next, self._episodes = every, every, episodes
-        self._began = time.process_time()
-        self._judging = 0.0
+    acts_at_random = True
 
-    def _on_step(self) -> bool:
-        seconds = time.process_time() - self._began - self._judging
-        if self.num_timesteps >= self._next:
-            self._next += self._every
-            shown = [self._judge(split) for split in ("train", "validation")]
-            self.curve.append(SacProgress(self.num_timesteps, self.model._n_updates, round(seconds, 1), *shown))
-            self._tell(self.curve[-1])
-            self._judging = time.process_time() - self._began - seconds
-        return self._limit is None or seconds < self._limit
-
-    def _judge(self, split: str) -> Evaluation:
-        agent = Sb3Agent(self.model)
-        return evaluate(
-            agent, split, self._episodes, seed=10_000, progress=False, num_envs=self._episodes, **self._options
-        )
+    def _sample_action(self, learning_starts: int, action_noise: Any = None, n_envs: int = 1) -> Any:
+        return super()._sample_action(learning_starts if self.acts_at_random else 0, action_noise, n_envs)

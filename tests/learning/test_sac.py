@@ -1,27 +1,38 @@
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
 import pytest
 
 pytest.importorskip("stable_baselines3")
 
 import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from greenhouse_gym.errors import UnknownNameError
-from greenhouse_gym.learning.sac import SacProgress, SacSettings, make_sac, train_sac
+from greenhouse_gym.agents.agent import check_agent
+from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError
+from greenhouse_gym.integrations.sb3 import Sb3Agent
+from greenhouse_gym.learning.curves import read_curve
+from greenhouse_gym.learning.sac import SacSettings, load_sac, make_sac, train_sac
+from greenhouse_gym.learning.sac_report import COLUMNS, SacProgress
 from greenhouse_gym.scene import SceneBank
+
+NEVER = 10**9
 
 
 @pytest.fixture
 def settings(bank: SceneBank) -> SacSettings:
     return SacSettings(
-        bank=str(bank.path), num_envs=4, updates_per_step=1, batch_size=16, random_steps=900, hidden=(16,), threads=1
-    )
+        bank=str(bank.path), num_envs=4, updates_per_step=1, batch_size=16, random_steps=900, hidden=(16,), threads=1,
+        total_steps=1000, validation_steps=500, validation_episodes=4,
+    )  # fmt: skip
 
 
-def test_training_is_judged_now_and_then(settings: SacSettings) -> None:
-    told: list[SacProgress] = []
-    model, curve = train_sac(settings, 1000, every=500, episodes=4, tell=told.append)
-    assert told == curve
+def test_training_is_judged_now_and_then(settings: SacSettings, tmp_path: Path) -> None:
+    curve: list[SacProgress] = []
+    path = train_sac(settings, tmp_path, tell=curve.append)
     assert [row.steps for row in curve] == [500, 1000]
     assert [row.updates for row in curve] == [0, 24]
     assert 0 < curve[0].seconds < curve[1].seconds
@@ -30,32 +41,88 @@ def test_training_is_judged_now_and_then(settings: SacSettings) -> None:
         "the test split is for the end"
     )
     assert all(len(row.validation.records) == 4 and row.validation.median("steps") > 0 for row in curve)
-    assert model.num_timesteps == 1000
+    assert path == tmp_path / "checkpoint.safetensors"
+    rows = read_curve(tmp_path / "validation.csv")
+    assert [tuple(row) for row in rows] == [COLUMNS, COLUMNS]
+    assert [row["success_rate"] for row in rows] == [told.validation.success_rate for told in curve]
+    told = EventAccumulator(str(tmp_path / "tensorboard")).Reload().Tags()["scalars"]
+    assert {"episodes/success_rate", "episodes/collision_rate", "validation/success_rate"} <= set(told)
+    assert any(name.startswith("reward/") for name in told)
 
 
-def test_the_same_seed_learns_the_same(settings: SacSettings) -> None:
-    first, second = (train_sac(settings, 940, every=10**9)[0].policy.state_dict() for _ in range(2))
+def weights(folder: Path) -> dict[str, Any]:
+    state: dict[str, Any] = load_sac(folder).policy.state_dict()
+    return state
+
+
+def test_the_same_seed_learns_the_same(settings: SacSettings, tmp_path: Path) -> None:
+    short = replace(settings, total_steps=940, validation_steps=NEVER)
+    first, second = (weights(train_sac(short, tmp_path / name).parent) for name in ("first", "second"))
     assert all(torch.equal(first[name], second[name]) for name in first)
-    other = make_sac(SacSettings(**{**vars(settings), "seed": 1})).policy.state_dict()
+    other = make_sac(replace(settings, seed=1)).policy.state_dict()
     assert any(not torch.equal(first[name], other[name]) for name in first)
 
 
-def test_it_stops_in_time(settings: SacSettings) -> None:
-    model, curve = train_sac(settings, 10**9, minutes=0.0)
-    assert model.num_timesteps <= 4
+def test_it_stops_in_time(settings: SacSettings, tmp_path: Path) -> None:
+    curve: list[SacProgress] = []
+    train_sac(settings, tmp_path, minutes=0.0, tell=curve.append)
+    assert load_sac(tmp_path).num_timesteps <= 4
     assert curve == []
+
+
+def test_a_training_goes_on_where_it_was(settings: SacSettings, tmp_path: Path) -> None:
+    train_sac(settings, tmp_path)
+    before = load_sac(tmp_path)
+    check_agent(Sb3Agent(before))
+    with pytest.raises(InvalidValueError, match="holds a training, which would be lost"):
+        train_sac(settings, tmp_path)
+    with pytest.raises(InvalidValueError, match="made with other settings: batch_size"):
+        train_sac(replace(settings, batch_size=32), tmp_path, resume=True)
+    told: list[SacProgress] = []
+    train_sac(replace(settings, total_steps=2000, random_steps=900), tmp_path, resume=True, tell=told.append)
+    after = load_sac(tmp_path)
+    assert after.num_timesteps == 2000
+    assert [row["steps"] for row in read_curve(tmp_path / "validation.csv")] == [500, 1000, 1500, 2000]
+    assert [row.updates for row in told] == [0, 24], "it filled its memory before it learned on"
+    assert told[0].seconds > read_curve(tmp_path / "validation.csv")[1]["seconds"]
+    state = after.critic.optimizer.state_dict()["state"]
+    assert {int(moment["step"]) for moment in state.values()} == {50}, "the optimizer remembers"
+    assert float(before.log_ent_coef) != float(after.log_ent_coef) != float(make_sac(settings).log_ent_coef)
+
+
+def test_an_interrupted_training_loses_nothing(settings: SacSettings, tmp_path: Path) -> None:
+    def interrupt(told: SacProgress) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train_sac(settings, tmp_path, tell=interrupt)
+    assert load_sac(tmp_path).num_timesteps == 500
+    train_sac(settings, tmp_path, resume=True)
+    assert load_sac(tmp_path).num_timesteps == 1000
+
+
+def test_there_must_be_something_to_go_on_with(settings: SacSettings, tmp_path: Path) -> None:
+    with pytest.raises(InvalidValueError, match=r"nothing to resume: .* holds no checkpoint.safetensors"):
+        train_sac(settings, tmp_path, resume=True)
+    train_sac(replace(settings, total_steps=4, validation_steps=NEVER), tmp_path)
+    path = tmp_path / "checkpoint.safetensors"
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(FileFormatError, match=r"checkpoint\.safetensors"):
+        load_sac(tmp_path)
 
 
 def test_an_unknown_reward_is_refused(settings: SacSettings) -> None:
     with pytest.raises(UnknownNameError, match="dense"):
-        make_sac(SacSettings(**{**vars(settings), "reward": "shaped"}))
+        make_sac(replace(settings, reward="shaped"))
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
-def test_it_learns_to_reach_without_touching() -> None:
+def test_it_learns_to_reach_without_touching(tmp_path: Path) -> None:
     """Some five minutes of one core: random actions reach 0 % (and collide seldom, for they hardly get anywhere)."""
-    _, (first, last) = train_sac(SacSettings(threads=1), 40_000, every=20_000, episodes=128)
+    curve: list[SacProgress] = []
+    train_sac(SacSettings(threads=1, total_steps=40_000, validation_episodes=128), tmp_path, tell=curve.append)
+    first, last = curve
     for before, after in ((first.train, last.train), (first.validation, last.validation)):
         assert after.success_rate > max(before.success_rate, 0.05)
     assert last.train.collision_rate < first.train.collision_rate
