@@ -418,11 +418,17 @@ def test_formats_are_listed() -> None:
     assert [line.split(":")[0] for line in printed[:3]] == ["greenhouse", "calibrated", "open3d"]
 
 
-@pytest.mark.parametrize("name", ["reconstruct", "build", "train"])
-def test_settings_are_printed_as_a_file_to_begin_from(name: str) -> None:
-    printed = run(name, "--print-settings")
-    assert tomllib.loads(printed)
-    assert printed.count("# ") > 15
+@pytest.mark.parametrize(
+    ("command", "setting"),
+    [
+        ("reconstruct", "voxel"), ("build", "shapes"), ("train", "rollout_steps"), ("train bc-then-ppo", "imitation"),
+        ("train depth", "rounds"), ("train sac-her", "hindsight_goals"),
+    ],
+)  # fmt: skip
+def test_settings_are_printed_as_a_file_to_begin_from(command: str, setting: str) -> None:
+    printed = run(*command.split(), "--print-settings")
+    assert setting in tomllib.loads(printed)
+    assert printed.count("# ") > 12
 
 
 def test_misspelt_settings_list_the_choices(recording: Path, tmp_path: Path) -> None:

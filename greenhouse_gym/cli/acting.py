@@ -1,4 +1,4 @@
-"""Commands on scenes: plan, train, render."""
+"""Commands on scenes: plan, render."""
 
 from __future__ import annotations
 
@@ -10,21 +10,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.progress import track
 
-from greenhouse_gym.cli.settings import Assignments, SettingsFile, shown
-from greenhouse_gym.cli.spread import Address
 from greenhouse_gym.progress import CONSOLE, say
 
 if TYPE_CHECKING:
-    from greenhouse_gym.learning.sac_report import SacProgress
     from greenhouse_gym.planning import PlanResult
 
 Bank = Annotated[str, typer.Option(help="A shipped bank's name or a bank's folder.")]
-
-
-def _training_settings() -> object:
-    from greenhouse_gym.learning import PpoSettings
-
-    return PpoSettings()
 
 
 def plan(
@@ -118,80 +109,6 @@ def _plan_table(results: Sequence[PlanResult]) -> str:
             ]
         )
     return "\n".join("| " + " | ".join(row) + " |" for row in rows) + "\n"
-
-
-def train(
-    algorithm: Annotated[
-        str,
-        typer.Argument(help="ppo; bc-then-ppo: imitation of a teacher first; depth: ways judged from images; sac-her."),
-    ],
-    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/ppo"),
-    bank: Bank = "default",
-    steps: Annotated[int, typer.Option(help="Environment steps of PPO and SAC; depth has none.")] = 2_000_000,
-    seed: Annotated[int, typer.Option(help="Seed of scenes, weights and noise.")] = 0,
-    resume: Annotated[bool, typer.Option(help="Go on from the checkpoint in the folder of results.")] = False,
-    actors: Annotated[
-        int, typer.Option(min=0, help="Processes of a Ray cluster that step PPO's simulations; with 0 this one does.")
-    ] = 0,
-    address: Address = "local",
-    settings: SettingsFile = None,
-    assignments: Assignments = None,
-    print_settings: Annotated[bool, shown(_training_settings)] = False,
-) -> None:
-    """Train a policy. Settings from a file and from --set replace what --bank, --steps and --seed say."""
-    from dataclasses import replace
-    from functools import partial
-
-    from greenhouse_gym.errors import require_choice
-    from greenhouse_gym.integrations.sb3 import make_sb3_vec_env
-    from greenhouse_gym.integrations.sb3_ray import make_sb3_ray_vec_env
-    from greenhouse_gym.learning import (
-        BcThenPpoSettings,
-        DepthSettings,
-        PpoSettings,
-        SacSettings,
-        train_bc_then_ppo,
-        train_depth,
-        train_ppo,
-        train_sac,
-    )
-    from greenhouse_gym.paths import write_atomically
-    from greenhouse_gym.settings_files import as_toml, resolve
-
-    require_choice("algorithm", algorithm, ["ppo", "bc-then-ppo", "depth", "sac-her"])
-    make_env = partial(make_sb3_ray_vec_env, actors=actors, address=address) if actors else make_sb3_vec_env
-    if algorithm == "ppo":
-        plain = resolve(PpoSettings(bank=bank, total_steps=steps, seed=seed), settings, assignments or ())
-        policy, resolved = train_ppo(plain, out, resume=resume, make_env=make_env), as_toml(plain)
-    elif algorithm == "depth":
-        seeing = resolve(DepthSettings(bank=bank, seed=seed), settings, assignments or ())
-        policy, resolved = train_depth(seeing, out, resume=resume, tell=partial(_told, "episodes")), as_toml(seeing)
-    elif algorithm == "sac-her":
-        goals = resolve(SacSettings(bank=bank, total_steps=steps, seed=seed), settings, assignments or ())
-        policy, resolved = train_sac(goals, out, resume=resume, tell=_judged), as_toml(goals)
-    else:
-        usual = BcThenPpoSettings()
-        both = replace(usual, ppo=replace(usual.ppo, bank=bank, total_steps=steps, seed=seed))
-        both = resolve(both, settings, assignments or ())
-        policy, resolved = (
-            train_bc_then_ppo(both, out, resume=resume, tell=partial(_told, "steps"), make_env=make_env),
-            as_toml(both),
-        )
-    write_atomically(out / "settings.toml", resolved)
-    say(f"policy in {policy}")
-
-
-def _told(what: str, done: int, figures: dict[str, float]) -> None:
-    shown_figures = ", ".join(f"{name} {value:.3g}" for name, value in figures.items())
-    say(f"{done:,} {what} of imitation: {shown_figures}")
-
-
-def _judged(told: SacProgress) -> None:
-    shares = ", ".join(
-        f"{split}: success {found.success_rate:.0%}, collision {found.collision_rate:.0%}"
-        for split, found in (("training rows", told.train), ("validation rows", told.validation))
-    )
-    say(f"{told.steps:,} steps, {told.seconds:.0f} s of processor time; {shares}")
 
 
 def parts(text: str) -> tuple[str, ...]:

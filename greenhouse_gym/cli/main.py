@@ -21,6 +21,7 @@ from greenhouse_gym.cli import (
     scans,
     sensing,
     sweeping,
+    training,
 )
 from greenhouse_gym.cli.doctor import doctor
 from greenhouse_gym.errors import GreenhouseError
@@ -43,7 +44,7 @@ app.command("build-shipped")(sensing.build_shipped)
 app.command()(acting.plan)
 app.command()(arms.mount)
 app.command()(arms.rate)
-app.command()(acting.train)
+app.command()(training.train)
 app.command()(sweeping.sweep)
 app.command()(comparing.compare)
 app.command()(comparing.submit)
