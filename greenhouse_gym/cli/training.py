@@ -28,7 +28,9 @@ def train(
             "hindsight replay."
         ),
     ] = "ppo",
-    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/ppo"),
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the results; runs/ALGORITHM by default.", show_default=False)
+    ] = None,
     bank: Bank = "default",
     steps: Annotated[int, typer.Option(help="Environment steps of PPO and SAC; depth has none.")] = 2_000_000,
     seed: Annotated[int, typer.Option(help="Seed of scenes, weights and noise.")] = 0,
@@ -58,8 +60,9 @@ def train(
         typer.echo(as_toml(wanted, comments=True), nl=False)
         return
     make_env = partial(make_sb3_ray_vec_env, actors=actors, address=address) if actors else make_sb3_vec_env
-    result = _trained(wanted, out, resume, make_env)
-    write_atomically(out / "settings.toml", as_toml(wanted))
+    folder = Path("runs") / algorithm if out is None else out
+    result = _trained(wanted, folder, resume, make_env)
+    write_atomically(folder / "settings.toml", as_toml(wanted))
     say(f"{'checkpoint' if algorithm == 'sac-her' else 'policy'} in {result}")
 
 

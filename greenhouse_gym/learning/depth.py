@@ -23,7 +23,9 @@ from greenhouse_gym.agents.depth_agent import DepthAgent, Ways
 from greenhouse_gym.agents.judging import FEATURES, Judge, guessed
 from greenhouse_gym.agents.policy import Policy
 from greenhouse_gym.envs import TomatoReachEnv
+from greenhouse_gym.envs.settings import check_whole
 from greenhouse_gym.errors import FileFormatError, MissingDependencyError, require_seed
+from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.learning.curves import CURVE, write_curve
 from greenhouse_gym.learning.folders import check_folder
 from greenhouse_gym.paths import parsing, read_bytes, write_atomically
@@ -34,6 +36,7 @@ from greenhouse_gym.scene.reaches import arm_reaches
 try:
     import torch
     from safetensors.numpy import load, save
+    from torch.utils.tensorboard import SummaryWriter
 except ImportError as error:  # pragma: no cover - depends on the installation
     raise MissingDependencyError("torch", "train") from error
 
@@ -47,6 +50,8 @@ SETTINGS = "settings.json"
 """File of a training that tells its settings."""
 
 Told = Callable[[int, dict[str, float]], None]
+
+_JUDGED_SEED = 10_000
 
 
 @dataclass(frozen=True)
@@ -69,6 +74,8 @@ class DepthSettings:
         learning_rate: Learning rate at the start of a round; it falls to zero.
         weight_decay: Share of the weights that a gradient step takes away, in learning rates: the ways of an episode
             are alike, and there are few episodes.
+        validation_episodes: Episodes of validation rows that the agent plays after each round, always the same ones;
+            none with 0.
         seed: Seed of episodes and weights.
     """
 
@@ -85,6 +92,7 @@ class DepthSettings:
     updates: int = 600
     learning_rate: float = 3e-3
     weight_decay: float = 0.3
+    validation_episodes: int = 0
     seed: int = 0
 
 
@@ -105,8 +113,9 @@ def train_depth(
 ) -> Path:
     """Train the network of a `DepthAgent`.
 
-    ``out`` gets ``settings.json``, ``curve.csv`` (a line per round), the labels of each round, and after each round
-    ``judge.json`` with ``judge.safetensors`` beside it. A resumed training goes on with the round that is missing.
+    ``out`` gets ``settings.json``, ``curve.csv`` (a line per round), ``tensorboard`` (the same), the labels of each
+    round, and after each round ``judge.json`` with ``judge.safetensors`` beside it. A resumed training goes on with the
+    round that is missing.
 
     Args:
         settings: The settings.
@@ -123,6 +132,7 @@ def train_depth(
         FileFormatError: The labels of a round are damaged.
     """
     require_seed(settings.seed)
+    check_whole("validation_episodes", settings.validation_episodes, 0)
     out = Path(out)
     described = json.loads(json.dumps(asdict(settings)))
     check_folder(out / SETTINGS, lambda: _settings_in(out / SETTINGS), described, "rounds", resume)
@@ -140,8 +150,12 @@ def train_depth(
         began = time.process_time()
         judge = _fitted(labels, settings, out, rows)
         rows[-1]["training"] = time.process_time() - began
+        rows[-1] |= _judged(settings, judge)
         write_labels(out / f"round-{k}.safetensors", collected, rows[-1])
-        write_curve(out / CURVE, list(rows[0]), rows)
+        write_curve(out / CURVE, list(rows[-1]), rows)
+        with closing(SummaryWriter(str(out / "tensorboard"))) as curves:  # type: ignore[no-untyped-call]
+            for name, value in rows[-1].items():
+                curves.add_scalar(f"depth/{name}", value, (k + 1) * settings.episodes)  # type: ignore[no-untyped-call]
         tell((k + 1) * settings.episodes, rows[-1])
     return out / "judge.json"
 
@@ -191,6 +205,17 @@ def play(
     found = Labels(np.concatenate(features), np.array(free, dtype=np.float32))
     figures = {"labels": float(len(free)), "free": float(found.free.mean())}
     return found, {"success": won / settings.episodes, "collision": touched / settings.episodes, **figures}
+
+
+def _judged(settings: DepthSettings, judge: Judge) -> dict[str, float]:
+    """How the agent does on rows that are not trained on, with what it has learned so far."""
+    if not settings.validation_episodes:
+        return {}
+    found = evaluate(
+        DepthAgent(judge, images=settings.images), "validation", settings.validation_episodes, seed=_JUDGED_SEED,
+        progress=False, bank=settings.bank, robot=settings.robot, difficulty=settings.difficulty,
+    )  # fmt: skip
+    return {"validation_success": found.success_rate, "validation_collision": found.collision_rate}
 
 
 def fit(labels: Labels, settings: DepthSettings) -> tuple[Policy, float]:

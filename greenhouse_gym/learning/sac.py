@@ -8,7 +8,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from greenhouse_gym.errors import require_seed
+from greenhouse_gym.envs import EnvSettings
+from greenhouse_gym.errors import InvalidValueError, require_seed
 from greenhouse_gym.extras import needs
 from greenhouse_gym.integrations.sb3 import make_sb3_vec_env
 from greenhouse_gym.learning.folders import check_folder
@@ -46,7 +47,8 @@ class SacSettings:
             is worth more than any success, which ends the episode.
         hindsight_goals: Transitions with a goal in hindsight per real one.
         memory: Transitions that are kept.
-        random_steps: Steps with random actions before the first gradient step.
+        random_steps: Steps with random actions before the first gradient step; enough for an episode of each
+            simulation.
         total_steps: Steps of all simulations together.
         validation_steps: Steps between judgments of the policy without its noise, on rows that are trained on and on
             rows that are not.
@@ -80,7 +82,17 @@ class SacSettings:
 
 
 def make_sac(settings: SacSettings) -> Any:
-    """The Stable-Baselines3 model, untrained, on its own vector environment."""
+    """The Stable-Baselines3 model, untrained, on its own vector environment.
+
+    Raises:
+        InvalidValueError: There are too few random steps: hindsight needs an episode that has ended.
+    """
+    whole = settings.num_envs * EnvSettings().step_limit
+    if settings.random_steps < whole:
+        raise InvalidValueError(
+            f"random_steps must be at least {whole}, so that an episode of each of the {settings.num_envs} simulations "
+            f"ends before anything is learned, got {settings.random_steps}"
+        )
     torch.set_num_threads(1)
     env = make_sb3_vec_env(settings.num_envs, seed=settings.seed, **env_options(settings))
     layout = env.get_attr("simulation")[0].observe.layout

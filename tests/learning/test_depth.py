@@ -9,6 +9,7 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.agents.depth_agent import DepthAgent
@@ -16,6 +17,7 @@ from greenhouse_gym.agents.judging import FEATURES, Judge
 from greenhouse_gym.agents.named import make_agent
 from greenhouse_gym.errors import FileFormatError, InvalidValueError
 from greenhouse_gym.learning import depth
+from greenhouse_gym.learning.curves import read_curve
 from greenhouse_gym.learning.depth import DepthSettings, Labels, fit, train_depth
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene, SceneBank
@@ -57,7 +59,9 @@ def test_labels_are_read_as_they_were_written(tmp_path: Path) -> None:
 
 
 def test_a_training_is_resumed_and_its_network_plays(bank: SceneBank, scene: Scene, tmp_path: Path) -> None:
-    settings = DepthSettings(bank=str(bank.path), rounds=1, episodes=1, hidden=(8,), updates=10, batch_size=32)
+    settings = DepthSettings(
+        bank=str(bank.path), rounds=1, episodes=1, hidden=(8,), updates=10, batch_size=32, validation_episodes=1
+    )
     train_depth(settings, tmp_path / "short")
     with pytest.raises(InvalidValueError, match="would be lost"):
         train_depth(settings, tmp_path / "short")
@@ -69,7 +73,10 @@ def test_a_training_is_resumed_and_its_network_plays(bank: SceneBank, scene: Sce
     longer = replace(settings, rounds=2)
     path = train_depth(longer, tmp_path / "short", resume=True, tell=lambda done, figures: told.append(done))
     assert told == [2]
-    assert len((tmp_path / "short" / "curve.csv").read_text().splitlines()) == 3
+    rows = read_curve(tmp_path / "short" / "curve.csv")
+    assert [row["validation_success"] for row in rows] in ([0, 0], [0, 1], [1, 0], [1, 1])
+    drawn = EventAccumulator(str(tmp_path / "short" / "tensorboard")).Reload()
+    assert [event.step for event in drawn.Scalars("depth/validation_success")] == [1, 2]
     agent = make_agent(str(path))
     assert isinstance(agent, DepthAgent)
     iiwa = get_robot("iiwa14")

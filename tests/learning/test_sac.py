@@ -116,6 +116,12 @@ def test_an_unknown_reward_is_refused(settings: SacSettings) -> None:
         make_sac(replace(settings, reward="shaped"))
 
 
+def test_too_few_random_steps_are_refused(settings: SacSettings, tmp_path: Path) -> None:
+    with pytest.raises(InvalidValueError, match="random_steps must be at least 800"):
+        train_sac(replace(settings, random_steps=799), tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 def test_it_learns_to_reach_without_touching(tmp_path: Path) -> None:
