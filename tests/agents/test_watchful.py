@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from seen_helpers import seen_where
 
-from greenhouse_gym.agents import CarefulAgent, Problem
+from greenhouse_gym.agents import CarefulAgent, Problem, watchful
 from greenhouse_gym.agents.agent import Agent
 from greenhouse_gym.agents.arm_balls import ArmBalls, arm_balls
 from greenhouse_gym.agents.knowledge import ROOM, Knowledge
@@ -15,6 +17,7 @@ from greenhouse_gym.agents.watchful import WatchfulAgent
 from greenhouse_gym.envs import TomatoReachEnv
 from greenhouse_gym.envs.cameras import MAX_RANGE
 from greenhouse_gym.geometry import Box, distance_to_shapes
+from greenhouse_gym.planning import PlanResult
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.robots.kinematics import tool_state
 from greenhouse_gym.scene import Scene
@@ -65,6 +68,48 @@ def test_it_looks_at_what_nobody_has_seen_before_it_goes_there(scene: Scene) -> 
     assert int(dark.status.split(",")[0]) > 1, "it looked for a way anew once it had looked"
 
 
+def test_where_nothing_else_leads_on_it_goes_back_as_it_came(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No straight motions lead to the target, and RRTConnect finds a path from the start alone."""
+    asked: list[np.ndarray] = []
+    goal = ARM.start + [0.5, -0.2, 0.3, 0.0, 0.0, 0.0]
+
+    def planned(*arguments: Any, start: np.ndarray, goals: np.ndarray, **keywords: Any) -> PlanResult:
+        asked.append(start)
+        found = np.array_equal(start, ARM.start)
+        path = np.array([start, goal]) if found else None
+        return PlanResult("solved" if found else "approximate", path, "RRTConnect")
+
+    monkeypatch.setattr(watchful, "_followed", lambda ways, command: [])
+    monkeypatch.setattr(watchful, "plan", planned)
+    monkeypatch.setattr(watchful, "LOOKS", 0)
+    env = TomatoReachEnv(bank="mini", **WatchfulAgent.env_options)
+    observation, _ = env.reset(options={"scene": scene, "target": TARGET})
+    agent = WatchfulAgent()
+    agent.reset(Problem(scene, TARGET, ARM, env.start))
+    been = [env.start]
+    while not been[1:] or np.abs(been[-1] - goal).max() > 0.02:
+        observation, _, terminated, truncated, info = env.step(agent.act(observation))
+        been.append(env.model_and_data()[1].qpos.copy())
+        assert not (terminated or truncated), info
+    env.close()
+    here, back = asked
+    assert np.array_equal(back, ARM.start)
+    assert not np.array_equal(here, ARM.start)
+    ends = [np.abs(np.array(been) - place).max(axis=1).argmin() for place in (here, goal)]
+    between = np.abs(np.array(been[ends[0] : ends[1]]) - ARM.start).max(axis=1)
+    assert between.min() < 0.05, "it came by the start again"
+    assert agent.status == "1, inf"
+
+
+def test_what_it_went_back_on_is_forgotten(scene: Scene) -> None:
+    episode = watchful._Episode(Problem(scene, TARGET, ARM, ARM.start), scene.tomatoes[TARGET].center)
+    start, there, farther = ARM.start, ARM.start + 0.1, ARM.start + 0.2
+    episode._came = [start]
+    for place in (there, farther, there, start, farther):
+        episode._arrive(place)
+    assert [each is place for each, place in zip(episode._came, (start, farther), strict=True)] == [True, True]
+
+
 def test_it_says_so_where_it_was_not_reset() -> None:
     with pytest.raises(RuntimeError, match="reset"):
         WatchfulAgent().act(None)
@@ -94,6 +139,8 @@ def test_what_is_known_grows_with_the_images(scene: Scene, hung: Scene, balls: A
     assert then.seen is not None
     assert then.seen.states.astype(bool).sum() > told.seen.states.astype(bool).sum()  # type: ignore[union-attr]
     assert len(known.dark(way)) < len(dark)
+    unlooked = known.unlooked()
+    assert 0 < len(unlooked) < len(Knowledge(Problem(told, TARGET, ARM, env.start), target).unlooked())
     tip = balls.centers(way[1:])[0, -1]
     known.points = tip[None] + [balls.radius[-1] + ROOM / 2, 0.0, 0.0]
     assert known.blocked(way)
