@@ -90,7 +90,8 @@ def test_where_nothing_else_leads_on_it_goes_back_as_it_came(scene: Scene, monke
     while not been[1:] or np.abs(been[-1] - goal).max() > 0.02:
         observation, _, terminated, truncated, info = env.step(agent.act(observation))
         been.append(env.model_and_data()[1].qpos.copy())
-        assert not (terminated or truncated), info
+        over = terminated or truncated
+        assert not over, info
     env.close()
     here, back = asked
     assert np.array_equal(back, ARM.start)
