@@ -112,6 +112,8 @@ def evaluate(
             kept.add(k, record)
     records = tuple(ended[k] for k in sorted(ended))
     if executor is not None and records and records[0].failure and not records[0].steps:
+        if kept is not None:
+            kept.remove()  # what was wrong may be mended before the next try
         raise never_acted(agent, records[0].seed, records[0].failure)
     return Evaluation(agent.name, records)
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import os
 import platform
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
+from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, replace
 from hashlib import sha256
 from importlib.metadata import version
@@ -151,7 +153,9 @@ def submit(
         tracks={},
     )
     _kept(path, fresh)  # where it is damaged, that is told before anything is played
-    about = fresh.model_dump(include={"agent", "protocol", "bank_sha256", "versions"}) | {"sha256": _checksum_of(name)}
+    about = fresh.model_dump(include={"agent", "protocol", "bank_sha256", "versions"}) | {
+        "sha256": _checksum_of(agent, name)
+    }
     for track in tracks:
         kept = KeptRecords(path.with_suffix(f".{track}.jsonl"), {**about, "track": track})
         played = _play(agent, protocol, track, protocol.episodes, num_envs, executor, kept)
@@ -240,10 +244,12 @@ def _kept(path: Path, fresh: Entry) -> Entry:
     return before.model_copy(update={"note": fresh.note or before.note})
 
 
-def _checksum_of(name: str) -> str:
-    """Checksum of the file that an agent is made from; empty where it is none."""
-    file = Path(name if Path(name).is_file() else name.rpartition(":")[0])
-    return sha256(file.read_bytes()).hexdigest() if file.is_file() else ""
+def _checksum_of(agent: Agent, name: str) -> str:
+    """Checksum of the files that an agent is made from: that of its class, and the one it is called by."""
+    files = [Path(name if Path(name).is_file() else name.rpartition(":")[0])]
+    with suppress(TypeError):  # the class of a file that was loaded under no name
+        files.append(Path(inspect.getsourcefile(type(agent)) or ""))
+    return sha256(b"".join(file.read_bytes() for file in files if file.is_file())).hexdigest()
 
 
 def _plain_rules(protocol: Protocol) -> dict[str, Any]:

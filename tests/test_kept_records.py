@@ -12,7 +12,7 @@ from parallel_helpers import Elsewhere
 
 from greenhouse_gym.agents import Problem, RandomAgent
 from greenhouse_gym.errors import FileFormatError
-from greenhouse_gym.evaluation import Record, evaluate
+from greenhouse_gym.evaluation import AgentError, Record, evaluate
 from greenhouse_gym.kept_records import KeptRecords
 from greenhouse_gym.leaderboard import V1, read_entry, submit
 from greenhouse_gym.scene import SceneBank
@@ -102,6 +102,18 @@ def test_an_interrupted_entry_goes_on(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["random.trial.json"]
     whole = read_entry(submit(RandomAgent(), "random", tmp_path / "whole", ["truth"], SHORT))
     assert untimed(entry.evaluation("truth").records) == untimed(whole.evaluation("truth").records)
+
+
+class Broken(RandomAgent):
+    def act(self, observation: Any) -> Any:
+        raise ZeroDivisionError
+
+
+def test_records_of_an_agent_that_never_acted_do_not_outlive_the_error(bank: SceneBank, tmp_path: Path) -> None:
+    file = tmp_path / "records.jsonl"
+    with pytest.raises(AgentError):
+        evaluate(Broken(), episodes=2, bank=bank, kept=KeptRecords(file, ABOUT), executor=Elsewhere())
+    assert not file.exists(), "the next try begins anew"
 
 
 def test_an_agent_whose_file_has_changed_begins_anew(tmp_path: Path) -> None:
