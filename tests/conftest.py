@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import signal
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +13,9 @@ from greenhouse_gym.geometry import Box, Sphere, rotation_about
 from greenhouse_gym.parallel import RayExecutor
 from greenhouse_gym.scene import Provenance, Scene, SceneBank, Target
 from greenhouse_gym.scene.bank import write_bank
+
+# a shell that runs the tests in the background has them ignore Ctrl-C, and so would what they start
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def make_scene(seed: int, stems: int = 4, row: str | None = None) -> Scene:

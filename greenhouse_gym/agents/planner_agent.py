@@ -65,8 +65,8 @@ class PlannerAgent:
 
     Args:
         planner: A name in `greenhouse_gym.planning.PLANNERS`.
-        time_limit: Seconds the planner may search; None has ``max_checks`` alone end the search.
-        max_checks: Collision checks after which it stops, or None.
+        time_limit: Seconds the planner may search, or None: what it finds then hangs on how busy the machine is.
+        max_checks: Collision checks after which it stops, or None; the usual number takes some seconds.
         goals: Number of goal configurations.
         name: Shown in tables; the planner's name when left out.
         settings: The planner's settings; its usual ones when left out.
@@ -86,8 +86,8 @@ class PlannerAgent:
     def __init__(
         self,
         planner: str = "RRTConnect",
-        time_limit: float | None = 5.0,
-        max_checks: int | None = None,
+        time_limit: float | None = None,
+        max_checks: int | None = 100_000,
         goals: int = 60,
         name: str | None = None,
         settings: PlannerSettings | None = None,
