@@ -27,6 +27,7 @@ THINNEST = 0.0025
 
 _TOLERATED = 0.15  # share of a box's surface that may be empty
 _OPEN = 2e-4  # weight, in square metres of empty surface, of a point that a box should not hold
+_FEWEST = 10  # boxes that any cloud may have
 _MOST_SPLIT = 3  # so many times the wanted number of boxes are made before they are joined
 _NEIGHBORS = 6  # neighbors that a box may be joined with, itself counted
 _HELD, _FEWEST_HELD = 0.001, 3  # metres inside a box, and so many, that points must be to be cut out of it
@@ -59,23 +60,23 @@ class _Piece(NamedTuple):
 
 
 def cover(
-    points: Array, normals: Array, budget: int, settings: ShapeSettings, open_points: Array | None = None
+    points: Array, normals: Array, settings: ShapeSettings, open_points: Array | None = None
 ) -> list[Box]:
-    """Cover points with as many oriented boxes as they need, but about ``budget`` at most.
+    """Cover points with as many oriented boxes as they need, but at most about so many as the settings allow their area.
 
     Specks are left out: a handful of cells with points in them is noise.
 
     Args:
         points: (n, 3) metres.
         normals: (n, 3) unit vectors.
-        budget: Most boxes.
         settings: All settings.
         open_points: (k, 3) points that were seen and belong to something else, fruit for instance: no box may hold them
             if it can be helped.
     """
-    if not len(points) or budget < 1:
+    if not len(points):
         return []
     centers, facing = _cells(points, normals, settings.clutter_cell)
+    budget = max(_FEWEST, round(settings.clutter_per_area * len(centers) * settings.clutter_cell**2))
     cloud = _Cloud(centers, cKDTree(open_points if open_points is not None else np.zeros((0, 3))))
     found = [_boxed(cloud, rows, settings) for rows in flat_patches(centers, facing, settings)]
     missed = np.flatnonzero(

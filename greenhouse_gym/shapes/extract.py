@@ -103,8 +103,8 @@ def extract_shapes(
     hanging = find_peduncles(green.points, green.normals, tomatoes, main, settings)
     stems = (*upright, *hanging, *pipes)
     cloud = _without(_without(cloud, upright, settings.stem_margin), hanging, settings.shell)
-    budget = round(settings.clutter_per_metre * float(np.ptp(cloud.points[:, 1]))) if len(cloud) else 0
-    clutter = tuple(cover(cloud.points, cloud.normals, max(budget, 10), settings, skin))
+    cloud = _without_skin(cloud, tomatoes, settings)
+    clutter = tuple(cover(cloud.points, cloud.normals, settings, skin))
     evidence = nearest_shapes(whole.points, (*tomatoes, *stems, *clutter), settings.explained)
     return RowShapes(tomatoes, stems, clutter, confidence, evidence, tuple(notes.messages))
 
@@ -122,3 +122,13 @@ def _say_if_not_upright(woody: Cloud, settings: ShapeSettings, notes: Notes) -> 
 def _without(cloud: SurfaceCloud, shapes: Sequence[Shape], margin: float) -> SurfaceCloud:
     """The points farther than ``margin`` metres outside all of the shapes."""
     return cloud.select(nearest_shapes(cloud.points, shapes, margin).owner < 0)
+
+
+def _without_skin(cloud: SurfaceCloud, tomatoes: Sequence[Tomato], settings: ShapeSettings) -> SurfaceCloud:
+    """The points that are no skin of a tomato with a sensor's noise: farther off it, or facing elsewhere."""
+    near = nearest_shapes(cloud.points, tomatoes, settings.skin_margin).owner
+    on = np.flatnonzero(near >= 0)
+    outwards = cloud.points[on] - np.array([t.center for t in tomatoes]).reshape(-1, 3)[near[on]]
+    facing = (outwards * cloud.normals[on]).sum(axis=1) / np.maximum(np.linalg.norm(outwards, axis=1), 1e-9)
+    near[on[facing <= settings.skin_alignment]] = -1
+    return cloud.select(near < 0)

@@ -25,6 +25,7 @@ class ShapeSettings:
     shell: float = 0.004  # points this near a sphere belong to it
     skin_noise: float = 0.0015  # points that stand out of a fruit by no more than this belong to it
     skin_alignment: float = 0.8  # so do points whose normals have a larger cosine than this with the sphere's
+    skin_margin: float = 0.008  # and those that far off it at most, which a camera farther away makes of the skin
     min_confidence: float = 0.4  # least confidence of a tomato
     least_bend: float = 0.35  # times its sphere's bend, both ways, of a fruit that nothing sure hangs beside
     truss_gap: float = 0.035  # largest gap between the skins of neighbors on one truss
@@ -56,7 +57,7 @@ class ShapeSettings:
     pedicel_reach: float = 0.008  # how far from the skin of its fruit a pedicel may end
     axis_tolerance: float = 0.009  # a chain of capsules may be this far from the traced axis
     upright_tolerance: float = 0.008  # the same for main stems and strings
-    clutter_per_metre: int = 85  # most boxes per metre of row
+    clutter_per_area: float = 100.0  # most boxes per square metre of what is left
     clutter_claim: float = 0.003  # square metres of empty surface at which two boxes still become one
     clutter_cell: float = 0.005  # boxes are looked for among the cells of this size that hold points
     clutter_facing: float = 0.9  # cosine between the normals of neighbors on one smooth patch
@@ -71,7 +72,7 @@ class ShapeSettings:
 
 
 FINE_SHAPES = ShapeSettings(
-    clutter_per_metre=250,
+    clutter_per_area=600.0,
     clutter_claim=0.0,
     min_lump_cells=8,
     clutter_flat=0.002,
