@@ -68,6 +68,7 @@ def main() -> None:
     parser.add_argument("--checks", type=int, default=20_000, help="collision checks of a plan")
     parser.add_argument("--primitives", type=int, default=600, help="most shapes in a scene")
     parser.add_argument("--fine", action="store_true", help="have bent leaves become many small boxes")
+    parser.add_argument("--leaves", type=float, default=0.02, help="how far off its leaves the truth may lie, metres")
     parser.add_argument("--per-scene", type=int, default=20, help="most targets of a scene")
     parser.add_argument("--moved", action="store_true", help="follow in plants that moved since they were scanned")
     parser.add_argument("--workers", type=int, default=1)
@@ -86,6 +87,7 @@ def main() -> None:
         a.fine,
         a.per_scene,
         a.moved,
+        a.leaves,
         a.workdir,
     )
     tasks = [(row, *_named(name), unseen) for row, name, unseen in product(a.rows, a.protocols, a.unseen)]
@@ -101,7 +103,7 @@ def main() -> None:
             f"benchmarks/capture_protocols.py --source {a.source} --rows {','.join(map(str, a.rows))} "
             f"--protocols {' '.join(a.protocols)} --unseen {' '.join(a.unseen)} --length {a.length:g} "
             f"--spacing {a.spacing:g} --primitives {a.primitives}{' --fine' * a.fine} --planner {a.planner} "
-            f"--checks {a.checks} --per-scene {a.per_scene}{' --moved' * a.moved}{' --only-finished' * a.only_finished}"
+            f"--checks {a.checks} --leaves {a.leaves:g} --per-scene {a.per_scene}{' --moved' * a.moved}{' --only-finished' * a.only_finished}"
         )
         rows = sorted({task[0] for task in tasks})
         figures = {"command": command, "source": a.source, "rows_measured": rows, "figures": summaries(episodes)}

@@ -37,6 +37,7 @@ class Options:
         fine: Whether bent leaves become many small boxes, `greenhouse_gym.shapes.FINE_SHAPES`.
         per_scene: Most targets of a scene, drawn by the row's seed.
         moved: Whether the true plants have moved since they were scanned, in each episode elsewhere.
+        leaves: How far from a leaf of meshes the boxes of its truth may lie, metres.
         workdir: Where scenes and episodes are kept.
     """
 
@@ -50,13 +51,15 @@ class Options:
     fine: bool = False
     per_scene: int = 20
     moved: bool = False
+    leaves: float = 0.02
     workdir: Path = Path("capture_protocols")
 
 
 def folder_of(seed: int, protocol: str, options: Options) -> Path:
     """Where the scenes and episodes of a row and a protocol are kept."""
     made = f"{options.source}-{seed}-{options.length:g}m-{options.spacing:g}-{options.primitives}-{protocol}"
-    return options.workdir / (made + "-fine" * options.fine)
+    exact = f"-{options.leaves:g}" * (options.leaves != Options.leaves)
+    return options.workdir / (made + exact + "-fine" * options.fine)
 
 
 def grow(seed: int, options: Options) -> PlantRow:
@@ -76,7 +79,7 @@ def scenes_of(seed: int, protocol: str, options: Options) -> list[Scene]:
         cloud = reconstruct_row(recording)
         settings = FINE_SHAPES if options.fine else ShapeSettings()
         shapes = extract_shapes(cloud.points, cloud.colors, cloud.normals, settings)
-        build = BuildSettings(primitives=options.primitives, spacing=options.spacing)
+        build = BuildSettings(primitives=options.primitives, spacing=options.spacing, leaves=options.leaves)
         if get_protocol(protocol).looks:
             cloud = look_around(cloud, stand_poses(cloud, shapes, recording, build), recording, seed, options)
             shapes = extract_shapes(cloud.points, cloud.colors, cloud.normals, settings)

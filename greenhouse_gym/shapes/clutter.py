@@ -60,23 +60,23 @@ class _Piece(NamedTuple):
 
 
 def cover(
-    points: Array, normals: Array, settings: ShapeSettings, open_points: Array | None = None
+    points: Array, normals: Array, budget: int, settings: ShapeSettings, open_points: Array | None = None
 ) -> list[Box]:
-    """Cover points with as many oriented boxes as they need, but at most about so many as the settings allow their area.
+    """Cover points with as many oriented boxes as they need, but about ``budget`` at most.
 
     Specks are left out: a handful of cells with points in them is noise.
 
     Args:
         points: (n, 3) metres.
         normals: (n, 3) unit vectors.
+        budget: Most boxes; see `box_budget`.
         settings: All settings.
         open_points: (k, 3) points that were seen and belong to something else, fruit for instance: no box may hold them
             if it can be helped.
     """
-    if not len(points):
+    if not len(points) or budget < 1:
         return []
     centers, facing = _cells(points, normals, settings.clutter_cell)
-    budget = max(_FEWEST, round(settings.clutter_per_area * len(centers) * settings.clutter_cell**2))
     cloud = _Cloud(centers, cKDTree(open_points if open_points is not None else np.zeros((0, 3))))
     found = [_boxed(cloud, rows, settings) for rows in flat_patches(centers, facing, settings)]
     missed = np.flatnonzero(
@@ -86,6 +86,12 @@ def cover(
     pieces = _exact(cloud, found, _MOST_SPLIT * budget, settings)
     fewer = [part for piece in _fewer(cloud, pieces, budget, settings) for part in _cut_clear(cloud, piece, settings)]
     return [Box(*piece.bounds) for piece in fewer]
+
+
+def box_budget(points: Array, settings: ShapeSettings) -> int:
+    """How many boxes points (n, 3) may have: by their area, so that dense and high foliage gets more."""
+    area = len(np.unique(np.floor(points / settings.clutter_cell), axis=0)) * settings.clutter_cell**2
+    return max(_FEWEST, round(settings.clutter_per_area * area))
 
 
 def _exact(cloud: _Cloud, pieces: Sequence[_Piece], most: int, settings: ShapeSettings) -> list[_Piece]:

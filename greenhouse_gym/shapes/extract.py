@@ -12,7 +12,7 @@ from greenhouse_gym.clouds import Cloud
 from greenhouse_gym.crop import Stem, Tomato
 from greenhouse_gym.geometry import Box, Shape
 from greenhouse_gym.shapes.checks import Notes, checked, thinned
-from greenhouse_gym.shapes.clutter import cover
+from greenhouse_gym.shapes.clutter import box_budget, cover
 from greenhouse_gym.shapes.colors import could_be_peduncle, could_be_pipe, could_be_stem, is_colorful, redness
 from greenhouse_gym.shapes.evidence import Evidence, nearest_shapes
 from greenhouse_gym.shapes.peduncles import find_peduncles, stands_out
@@ -104,7 +104,7 @@ def extract_shapes(
     stems = (*upright, *hanging, *pipes)
     cloud = _without(_without(cloud, upright, settings.stem_margin), hanging, settings.shell)
     cloud = _without_skin(cloud, tomatoes, settings)
-    clutter = tuple(cover(cloud.points, cloud.normals, settings, skin))
+    clutter = tuple(cover(cloud.points, cloud.normals, box_budget(cloud.points, settings), settings, skin))
     evidence = nearest_shapes(whole.points, (*tomatoes, *stems, *clutter), settings.explained)
     return RowShapes(tomatoes, stems, clutter, confidence, evidence, tuple(notes.messages))
 

@@ -13,7 +13,7 @@ from greenhouse_gym.crop import Stem, Tomato
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Sphere, distance_to_shapes, invert, transform
 from greenhouse_gym.shapes import FINE_SHAPES, RowShapes, ShapeSettings, ShapeWarning, extract_shapes
-from greenhouse_gym.shapes.clutter import bounding_box, cover
+from greenhouse_gym.shapes.clutter import bounding_box, box_budget, cover
 from greenhouse_gym.shapes.colors import could_be_fruit, could_be_peduncle, could_be_stem, redness
 from greenhouse_gym.shapes.evidence import nearest_shapes
 from greenhouse_gym.shapes.peduncles import find_peduncles, stands_out
@@ -406,6 +406,29 @@ def test_fine_shapes_claim_less_of_a_bent_leaf() -> None:
     assert len(fine.clutter) > len(coarse.clutter)
     volumes = [sum(8 * np.prod(box.half_extents) for box in shapes.clutter) for shapes in (coarse, fine)]
     assert volumes[1] < 0.8 * volumes[0]
+
+
+@pytest.mark.parametrize("noise", [0.001, 0.0025, 0.003])
+def test_noisy_skin_of_a_fruit_gets_no_box(noise: float) -> None:
+    for seed in range(4):  # a rig farther back makes skins this thick
+        points, colors, normals = half_sphere((0.5, 0.1, 1.1), 0.028, seed, noise)
+        shapes = extract_shapes(points, colors, normals)
+        assert len(shapes.tomatoes) == 1
+        assert shapes.clutter == ()
+
+
+def test_a_leaf_right_before_a_fruit_keeps_its_box() -> None:
+    fruit, leaf = half_sphere((0.5, 0.2, 1.1), 0.028), plane()
+    near = (leaf[0] * [1, 0.25, 0.25] + [-0.05, 0.15, 0.825], np.tile([0.24, 0.36, 0.2], (len(leaf[0]), 1)), leaf[2])
+    shapes = extract_shapes(*together(fruit, near))
+    assert distance_to_shapes(near[0], shapes.clutter).min(axis=1).max() < SETTINGS.clutter_near + 0.003
+
+
+def test_foliage_gets_boxes_by_its_area() -> None:
+    leaves = np.concatenate([plane(seed)[0] + [0, 0, 0.5 * seed] for seed in range(4)])  # one above the other
+    budgets = [box_budget(leaves[: 20_000 * count], SETTINGS) for count in (1, 2, 4)]
+    np.testing.assert_allclose(np.divide(budgets, budgets[0]), [1, 2, 4], rtol=0.05)
+    assert box_budget(leaves[:1], SETTINGS) > 0
 
 
 def test_two_leaves_that_cross_get_a_thin_box_each() -> None:
