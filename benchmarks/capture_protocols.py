@@ -103,7 +103,8 @@ def main() -> None:
             f"benchmarks/capture_protocols.py --source {a.source} --rows {','.join(map(str, a.rows))} "
             f"--protocols {' '.join(a.protocols)} --unseen {' '.join(a.unseen)} --length {a.length:g} "
             f"--spacing {a.spacing:g} --primitives {a.primitives}{' --fine' * a.fine} --planner {a.planner} "
-            f"--checks {a.checks} --leaves {a.leaves:g} --per-scene {a.per_scene}{' --moved' * a.moved}{' --only-finished' * a.only_finished}"
+            f"--checks {a.checks} --leaves {a.leaves:g} --per-scene {a.per_scene}{' --moved' * a.moved}"
+            f"{' --only-finished' * a.only_finished}"
         )
         rows = sorted({task[0] for task in tasks})
         figures = {"command": command, "source": a.source, "rows_measured": rows, "figures": summaries(episodes)}

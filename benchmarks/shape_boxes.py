@@ -18,7 +18,7 @@ def box_figures(shapes: RowShapes, points: Array) -> dict[str, float]:
     tree = cKDTree(points)
     empty = total = 0.0
     for box in shapes.clutter:
-        surface, areas = _surface(box)
+        surface, areas = box_surface(box)
         far = np.isinf(tree.query(surface, distance_upper_bound=FAR)[0])
         empty, total = empty + float(areas[far].sum()), total + float(areas.sum())
     fronts = np.array([t.center - [t.radius, 0.0, 0.0] for t in shapes.tomatoes]).reshape(-1, 3)
@@ -30,7 +30,7 @@ def box_figures(shapes: RowShapes, points: Array) -> dict[str, float]:
     }
 
 
-def _surface(box: Box, spacing: float = 0.01) -> tuple[Array, Array]:
+def box_surface(box: Box, spacing: float = 0.01) -> tuple[Array, Array]:
     """Points (n, 3) evenly over a box's faces and the area (n,) that each stands for."""
     points, areas = [], []
     for axis in range(3):

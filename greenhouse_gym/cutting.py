@@ -34,7 +34,7 @@ class BuildSettings:
     width: float = 1.6  # of a scene along the row
     stem_distance: float = 0.60  # from the arm's base axis to the stem line
     reach: float = 1.35  # from the shoulder; what lies farther is left out
-    primitives: int = 300  # most shapes in a scene
+    primitives: int = 600  # most shapes in a scene; dense foliage seen from top to bottom has as many within reach
     targets: int | None = None  # most targets in a scene, near and far ones; None for every tomato
     leaves: float = 0.02  # how far from a leaf of meshes the boxes of its truth may lie
     robot: str = "ur5e"  # the arm that targets are rated for

@@ -525,7 +525,7 @@ def test_a_bank_from_a_recording_on_disk(tmp_path: Path, monkeypatch: pytest.Mon
     assert scene.provenance.recording == "simulated-1"
     assert scene.provenance.recording_sha256 is not None
     assert len(scene.tomatoes) > 5
-    assert len(scene.obstacles) <= 300
+    assert len(scene.obstacles) <= BuildSettings().primitives
     assert {stem.kind for stem in scene.stems} >= {"main"}
     expected = extract_shapes(half_cloud().points, half_cloud().colors, half_cloud().normals)
     assert abs(len(scene.tomatoes) - len(expected.tomatoes)) <= 0.5 * len(expected.tomatoes)

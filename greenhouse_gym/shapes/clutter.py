@@ -85,7 +85,7 @@ def cover(
     found += [_boxed(cloud, missed[rows], settings) for rows in lumps(centers[missed], settings)]
     pieces = _exact(cloud, found, _MOST_SPLIT * budget, settings)
     fewer = [part for piece in _fewer(cloud, pieces, budget, settings) for part in _cut_clear(cloud, piece, settings)]
-    return [Box(*_with_rim(cloud, piece.bounds, settings.clutter_rim)) for piece in fewer]
+    return [Box(*piece.bounds) for piece in fewer]
 
 
 def box_budget(points: Array, settings: ShapeSettings) -> int:
@@ -163,22 +163,6 @@ def _cut_clear(cloud: _Cloud, piece: _Piece, settings: ShapeSettings, cuts: int 
         for part in _cut_clear(cloud, _boxed(cloud, rows, settings), settings, cuts - 1)
     ]
     return parts if clear.any() and parts else [piece]
-
-
-def _with_rim(cloud: _Cloud, box: _Bounds, rim: float) -> _Bounds:
-    """A box with the rim that stereo cameras do not see of a leaf, to each side where no point is that it should not hold.
-
-    It becomes longer and wider, but no thicker.
-    """
-    for axis in np.argsort(box.half_extents)[1:]:
-        for side in (-1.0, 1.0):
-            half, shift = box.half_extents.copy(), np.zeros(3)
-            half[axis] += rim / 2
-            shift[axis] = side * rim / 2
-            grown = _Bounds(box.center + box.rotation @ shift, half, box.rotation)
-            if len(_held(cloud, grown)) <= len(_held(cloud, box)):
-                box = grown
-    return box
 
 
 def _held(cloud: _Cloud, box: _Bounds) -> Array:

@@ -68,7 +68,6 @@ class ShapeSettings:
     clutter_gap: float = 0.012  # points farther apart are different things
     min_lump_cells: int = 40  # fewer are specks, not worth a box
     clutter_margin: float = 0.012  # a box's surface farther than this from all of its points is empty
-    clutter_rim: float = 0.012  # of a leaf that cameras do not see; boxes reach so much farther along the leaf
     explained: float = 0.008  # points this near a shape speak for it
 
 
