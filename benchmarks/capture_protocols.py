@@ -69,6 +69,7 @@ def main() -> None:
     parser.add_argument("--primitives", type=int, default=600, help="most shapes in a scene")
     parser.add_argument("--fine", action="store_true", help="have bent leaves become many small boxes")
     parser.add_argument("--leaves", type=float, default=0.02, help="how far off its leaves the truth may lie, metres")
+    parser.add_argument("--margin", type=float, default=0.0, help="how far paths keep from boxes of leaves, metres")
     parser.add_argument("--per-scene", type=int, default=20, help="most targets of a scene")
     parser.add_argument("--moved", action="store_true", help="follow in plants that moved since they were scanned")
     parser.add_argument("--workers", type=int, default=1)
@@ -88,6 +89,7 @@ def main() -> None:
         a.per_scene,
         a.moved,
         a.leaves,
+        a.margin,
         a.workdir,
     )
     tasks = [(row, *_named(name), unseen) for row, name, unseen in product(a.rows, a.protocols, a.unseen)]
@@ -103,8 +105,8 @@ def main() -> None:
             f"benchmarks/capture_protocols.py --source {a.source} --rows {','.join(map(str, a.rows))} "
             f"--protocols {' '.join(a.protocols)} --unseen {' '.join(a.unseen)} --length {a.length:g} "
             f"--spacing {a.spacing:g} --primitives {a.primitives}{' --fine' * a.fine} --planner {a.planner} "
-            f"--checks {a.checks} --leaves {a.leaves:g} --per-scene {a.per_scene}{' --moved' * a.moved}"
-            f"{' --only-finished' * a.only_finished}"
+            f"--checks {a.checks} --leaves {a.leaves:g} --margin {a.margin:g} --per-scene {a.per_scene}"
+            f"{' --moved' * a.moved}{' --only-finished' * a.only_finished}"
         )
         rows = sorted({task[0] for task in tasks})
         figures = {"command": command, "source": a.source, "rows_measured": rows, "figures": summaries(episodes)}
@@ -150,7 +152,7 @@ def reach_in(scenes: Sequence[Scene], unseen: str, start: str, seed: int, option
 
 
 def _episodes_file(seed: int, protocol: str, start: str, unseen: str, options: Options) -> Path:
-    moved = "-moved" * options.moved
+    moved = f"-{options.margin:g}" * (options.margin > 0) + "-moved" * options.moved
     name = f"{options.robot}-{options.planner}-{options.checks}-{options.per_scene}-{start}-{unseen}{moved}.json"
     return folder_of(seed, protocol, options) / name
 
@@ -194,7 +196,7 @@ def plan_of(scene: Scene, target: int, unseen: str, start: str, options: Options
     """The plan of an episode; the checks and not the clock end its search."""
     return plan(
         scene, target, options.robot, options.planner, time_limit=120.0, max_checks=options.checks, start=start,
-        unseen=unseen if unseen in UNSEEN_RULES else float(unseen),
+        unseen=unseen if unseen in UNSEEN_RULES else float(unseen), margin=options.margin,
     )  # fmt: skip
 
 

@@ -38,6 +38,7 @@ class Options:
         per_scene: Most targets of a scene, drawn by the row's seed.
         moved: Whether the true plants have moved since they were scanned, in each episode elsewhere.
         leaves: How far from a leaf of meshes the boxes of its truth may lie, metres.
+        margin: How far planned paths keep from boxes of clutter, metres.
         workdir: Where scenes and episodes are kept.
     """
 
@@ -52,6 +53,7 @@ class Options:
     per_scene: int = 20
     moved: bool = False
     leaves: float = 0.02
+    margin: float = 0.0
     workdir: Path = Path("capture_protocols")
 
 

@@ -73,6 +73,7 @@ class PlannerAgent:
         unseen: What space that the scan did not see is, as `greenhouse_gym.planning.plan` takes it. When left out, it
             is entered no deeper than `CAREFUL`, but free where a scene does not say what was seen, and where its
             protocol is one of `SEEN_ENOUGH`.
+        margin: How far it keeps from boxes of clutter, metres, as `greenhouse_gym.planning.plan` takes it.
 
     Attributes:
         result: The last episode's plan, or None before the first.
@@ -92,8 +93,9 @@ class PlannerAgent:
         name: str | None = None,
         settings: PlannerSettings | None = None,
         unseen: str | float | None = None,
+        margin: float = 0.0,
     ):
-        self.planner, self.settings, self.unseen = PLANNERS[planner].name, settings, unseen
+        self.planner, self.settings, self.unseen, self.margin = PLANNERS[planner].name, settings, unseen, margin
         self.time_limit, self.max_checks, self.goals = time_limit, max_checks, goals
         self.name = name or planner
         self.result: PlanResult | None = None
@@ -109,7 +111,7 @@ class PlannerAgent:
         self.result = plan(
             problem.scene, problem.target, problem.robot, self.planner, self.time_limit, self.max_checks, self.goals,
             seed=problem.seed, start=problem.start, settings=self.settings,
-            unseen=usual_care(problem.scene) if self.unseen is None else self.unseen,
+            unseen=usual_care(problem.scene) if self.unseen is None else self.unseen, margin=self.margin,
         )  # fmt: skip
         if self.result.path is None:
             self._follower = PathFollower(problem.start[None], problem)

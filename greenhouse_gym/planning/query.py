@@ -14,6 +14,7 @@ from greenhouse_gym.errors import InvalidValueError, require_seed
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning.exchange import Answer, Query
 from greenhouse_gym.planning.goals import Goals, sample_budget, search_goals
+from greenhouse_gym.planning.margins import with_margin
 from greenhouse_gym.planning.path import path_length
 from greenhouse_gym.planning.planner_settings import PlannerSettings
 from greenhouse_gym.planning.planners import PLANNERS, PlannerInfo
@@ -59,6 +60,7 @@ def plan(
     first_solution: bool = False,
     pairs: Collection[str] = COLLISION_PAIRS,
     unseen: str | float = "free",
+    margin: float = 0.0,
 ) -> PlanResult:
     """Plan a path that brings the tool to a tomato and touches nothing else.
 
@@ -89,11 +91,13 @@ def plan(
             forbidden, then entered no deeper than each of `greenhouse_gym.planning.unseen.DEPTHS`, at last free. Each
             of those tries gets an eighth of the time and checks that are left, the last all of them. Unless it is
             "free", the result says how long the way through the unseen is.
+        margin: How far the arm keeps from boxes of clutter, metres, but from those beside its start: leaves reach
+            farther than a scan shows, see `greenhouse_gym.planning.margins`.
 
     Raises:
         UnknownNameError: No such planner, arm or collision pair.
-        InvalidValueError: No such tomato; a limit that is not positive and finite, or none at all; a negative seed; a
-            start or goals outside the limits.
+        InvalidValueError: No such tomato; a limit that is not positive and finite, or none at all; a negative seed or
+            margin; a start or goals outside the limits.
         MissingDependencyError: OMPL is not installed.
     """
     arm, depths = get_robot(robot), depths_of(unseen)
@@ -101,6 +105,7 @@ def plan(
         require_seen(scene)
     _seconds(time_limit, max_checks)  # refuses limits that make no sense before anything is searched
     origin = arm.configuration(start)
+    scene = with_margin(scene, arm, origin, margin)
     began = time.perf_counter()
     statistics = None
     if isinstance(goals, int | np.integer):

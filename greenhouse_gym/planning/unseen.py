@@ -69,13 +69,13 @@ def unseen_boxes(scene: Scene, robot: Robot, start: npt.ArrayLike, depth: float 
         depth: How far from seen space unseen space is still allowed, metres.
     """
     space = require_seen(scene)
-    depths, beyond = _depths(_Kept(scene), robot, tuple(np.asarray(start, dtype=np.float64).tolist()))
+    depths, beyond = _depths(ByIdentity(scene), robot, tuple(np.asarray(start, dtype=np.float64).tolist()))
     return boxes_of((depths > depth) & ~beyond, space.origin, space.voxel, either_way=beyond)
 
 
 def guarded(scene: Scene, robot: Robot, start: npt.ArrayLike, depth: float = 0.0) -> CompiledScene:
     """A scene in which the unseen space of `unseen_boxes` is clutter, compiled for planning; the last ones are kept."""
-    return _guarded(_Kept(scene), robot, tuple(np.asarray(start, dtype=np.float64).tolist()), float(depth))
+    return _guarded(ByIdentity(scene), robot, tuple(np.asarray(start, dtype=np.float64).tolist()), float(depth))
 
 
 def unseen_way(scene: Scene, robot: Robot, path: Array) -> float:
@@ -106,7 +106,7 @@ def _unseen_and_all(checker: CollisionChecker, chain: Chain, path: Array) -> tup
 
 
 @dataclass(frozen=True, eq=False)
-class _Kept:
+class ByIdentity:
     """A scene as a key, by its identity: scenes are never changed."""
 
     scene: Scene
@@ -115,11 +115,11 @@ class _Kept:
         return id(self.scene)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Kept) and self.scene is other.scene
+        return isinstance(other, ByIdentity) and self.scene is other.scene
 
 
 @lru_cache(maxsize=16)
-def _guarded(kept: _Kept, robot: Robot, start: tuple[float, ...], depth: float) -> CompiledScene:
+def _guarded(kept: ByIdentity, robot: Robot, start: tuple[float, ...], depth: float) -> CompiledScene:
     scene = kept.scene
     if np.isinf(depth):
         return compile_scene(scene, robot)
@@ -128,7 +128,7 @@ def _guarded(kept: _Kept, robot: Robot, start: tuple[float, ...], depth: float) 
 
 
 @lru_cache(maxsize=4)
-def _depths(kept: _Kept, robot: Robot, start: tuple[float, ...]) -> tuple[Array, Cells]:
+def _depths(kept: ByIdentity, robot: Robot, start: tuple[float, ...]) -> tuple[Array, Cells]:
     """How deep each voxel (x, y, z) lies in unseen space, metres, 0 where it is known; and those beyond the reach."""
     scene = kept.scene
     space = require_seen(scene)
