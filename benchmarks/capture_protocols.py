@@ -54,7 +54,9 @@ SAME = 0.03
 def main() -> None:
     """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rows", type=_numbers, default=_numbers("711-716"), help="seeds, such as 711-716 or 711,713")
+    parser.add_argument(
+        "--rows", type=row_numbers, default=row_numbers("711-716"), help="seeds, such as 711-716 or 711,713"
+    )
     parser.add_argument("--source", default="own", help="own or helios")
     parser.add_argument(
         "--protocols", nargs="+", default=list(PROTOCOLS), metavar="NAME[:START]",
@@ -113,7 +115,8 @@ def main() -> None:
         write_results(a.out, figures, ["mujoco", "ompl", "open3d"])
 
 
-def _numbers(text: str) -> list[int]:
+def row_numbers(text: str) -> list[int]:
+    """Seeds of rows, such as 711-716 or 711,713."""
     first, _, last = text.partition("-")
     return list(range(int(first), int(last) + 1)) if last else [int(part) for part in text.split(",")]
 
@@ -143,7 +146,7 @@ def measure(task: _Task, options: Options) -> list[dict[str, Any]]:
 def reach_in(scenes: Sequence[Scene], unseen: str, start: str, seed: int, options: Options) -> list[dict[str, Any]]:
     """All episodes of some scenes."""
     env = gymnasium.make(
-        ENV_IDS[0], bank="mini", robot=options.robot, physics="truth", capacity=_room(scenes),
+        ENV_IDS[0], bank="mini", robot=options.robot, physics="truth", capacity=room_for(scenes),
         randomization=Randomization(plants=PlantMotion() if options.moved else None),
     )  # fmt: skip
     found = [episode for scene in scenes for episode in reach_all(scene, env, unseen, start, seed, options)]
@@ -163,9 +166,17 @@ def episodes_of(seed: int, protocol: str, start: str, unseen: str, options: Opti
     return result
 
 
-def _room(scenes: Sequence[Scene]) -> int:
+def room_for(scenes: Sequence[Scene]) -> int:
     """Obstacles the largest truth has, rounded up."""
     return 1000 * (1 + max(0 if scene.truth is None else len(scene.truth.obstacles) for scene in scenes) // 1000)
+
+
+def targets_of(scene: Scene, seed: int, options: Options) -> tuple[list[int], float]:
+    """Some of the tomatoes within reach of the arm, drawn by the row's seed, and their share of all of those."""
+    shoulder = np.array([0.0, 0.0, scene.stand.shoulder_height])
+    near = [k for k, t in enumerate(scene.tomatoes) if np.linalg.norm(t.center - shoulder) < REACH]
+    drawn = np.random.default_rng(seed).permutation(near)[: options.per_scene].tolist()
+    return drawn, len(drawn) / max(1, len(near))
 
 
 def reach_all(
@@ -174,12 +185,10 @@ def reach_all(
     """Plan for the tomatoes within reach, and follow the paths in the truth."""
     assert scene.truth is not None
     shoulder = np.array([0.0, 0.0, scene.stand.shoulder_height])
-    near = [k for k, t in enumerate(scene.tomatoes) if np.linalg.norm(t.center - shoulder) < REACH]
-    drawn = np.random.default_rng(seed).permutation(near)[: options.per_scene].tolist()
+    drawn, share = targets_of(scene, seed, options)
     true = np.array([tomato.center for tomato in scene.truth.tomatoes]).reshape(-1, 3)
     within = int(np.count_nonzero(np.linalg.norm(true - shoulder, axis=1) < REACH))
     seen = None if scene.seen is None else round(scene.seen.share(shoulder, REACH), 4)
-    share = len(drawn) / max(1, len(near))  # of the scene's targets that are tried
     result = []
     for k in drawn:
         gaps = np.linalg.norm(true - scene.tomatoes[k].center, axis=1)
