@@ -94,7 +94,7 @@ def main() -> None:
         a.margin,
         a.workdir,
     )
-    tasks = [(row, *_named(name), unseen) for row, name, unseen in product(a.rows, a.protocols, a.unseen)]
+    tasks = [(row, *protocol_and_start(name), unseen) for row, name, unseen in product(a.rows, a.protocols, a.unseen)]
     if a.only_finished:
         tasks = [task for task in tasks if _episodes_file(*task, options).exists()]
     episodes: list[dict[str, Any]] = []
@@ -121,7 +121,8 @@ def row_numbers(text: str) -> list[int]:
     return list(range(int(first), int(last) + 1)) if last else [int(part) for part in text.split(",")]
 
 
-def _named(text: str) -> tuple[str, str]:
+def protocol_and_start(text: str) -> tuple[str, str]:
+    """A protocol's name and what the arm starts from, such as upright-back:folded."""
     protocol, _, start = text.partition(":")
     return get_protocol(protocol).name, start or "start"
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from capture_protocols import ENDS, room_for, row_numbers, targets_of
+from capture_protocols import ENDS, protocol_and_start, room_for, row_numbers, targets_of
 from capture_protocols_rows import SCENES, Options, folder_of, scenes_in
 from results_file import RESULTS, write_results
 
@@ -35,7 +35,7 @@ def main() -> None:
     parser.add_argument("--agents", nargs="+", default=["watchful"])
     parser.add_argument("--source", default="helios", help="own or helios")
     parser.add_argument("--rows", type=row_numbers, default=row_numbers("811-820"))
-    parser.add_argument("--protocol", default="upright-back")
+    parser.add_argument("--protocol", default="upright-back", metavar="NAME[:START]")
     parser.add_argument("--length", type=float, default=1.5)
     parser.add_argument("--spacing", type=float, default=0.25)
     parser.add_argument("--primitives", type=int, default=600)
@@ -48,17 +48,18 @@ def main() -> None:
         a.source, a.length, a.spacing, primitives=a.primitives, per_scene=a.per_scene, leaves=a.leaves,
         workdir=a.workdir,
     )  # fmt: skip
-    rows = [row for row in a.rows if (folder_of(row, a.protocol, options) / SCENES).exists()]
+    protocol, start = protocol_and_start(a.protocol)
+    rows = [row for row in a.rows if (folder_of(row, protocol, options) / SCENES).exists()]
     figures: dict[str, Any] = {}
     for agent in a.agents:
-        records = [record for row in rows for record in played(agent, row, a.protocol, options)]
+        records = [record for row in rows for record in played(agent, row, protocol, start, options)]
         figures[agent] = rates(records)
         print(agent, figures[agent], flush=True)
-        about = {"source": a.source, "protocol": a.protocol, "rows": rows, "per_scene": a.per_scene}
+        about = {"source": a.source, "protocol": protocol, "start": start, "rows": rows, "per_scene": a.per_scene}
         write_results(a.out, about | {"leaves": a.leaves, "agents": figures}, ["mujoco", "ompl"])
 
 
-def played(agent: str, row: int, protocol: str, options: Options) -> Sequence[Record]:
+def played(agent: str, row: int, protocol: str, start: str, options: Options) -> Sequence[Record]:
     """The episodes of an agent in a row, played unless they are kept."""
     folder = folder_of(row, protocol, options)
     ends = round(ENDS / options.spacing)
@@ -66,9 +67,17 @@ def played(agent: str, row: int, protocol: str, options: Options) -> Sequence[Re
     problems = [(scene.name, k) for scene in scenes for k in targets_of(scene, row, options)[0]]
     with tempfile.TemporaryDirectory() as bank:
         write_bank(bank, [(with_targets(scene), "test") for scene in scenes], "rows")
-        kept = KeptRecords(folder / f"{agent}-{options.per_scene}.jsonl", {"agent": agent, "problems": problems})
+        kept = KeptRecords(
+            folder / f"{agent}-{start}-{options.per_scene}.jsonl", {"agent": agent, "problems": problems}
+        )
         result = evaluate(
-            make_agent(agent), bank=bank, problems=problems, physics="truth", capacity=room_for(scenes), kept=kept
+            make_agent(agent),
+            bank=bank,
+            problems=problems,
+            physics="truth",
+            capacity=room_for(scenes),
+            start=start,
+            kept=kept,
         )
     return result.records
 
