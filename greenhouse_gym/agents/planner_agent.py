@@ -21,10 +21,23 @@ CAREFUL = 0.15
 SEEN_ENOUGH = ("upright-back",)
 """Protocols that see the leaves in the aisle: plans held there without care, and with it many tomatoes had none."""
 
+RIM = 0.01
+"""How far planned paths keep from boxes of leaves by default, metres; see `greenhouse_gym.planning.margins`."""
+
 
 def usual_care(scene: Scene) -> str | float:
     """What space that the scan did not see is by default, as `greenhouse_gym.planning.plan` takes it."""
     return "free" if scene.seen is None or scene.provenance.protocol in SEEN_ENOUGH else CAREFUL
+
+
+def usual_margin(scene: Scene) -> float:
+    """How far paths keep from boxes of clutter by default, metres.
+
+    Boxes that go by the area of the foliage are thin, and leaves reach beyond them. Those of scenes that were built
+    before are thick already where leaves are dense, and nobody knows of boxes from elsewhere.
+    """
+    shapes = scene.provenance.settings.get("shapes")
+    return RIM if isinstance(shapes, dict) and "clutter_per_area" in shapes else 0.0
 
 
 class PathFollower:
@@ -73,7 +86,8 @@ class PlannerAgent:
         unseen: What space that the scan did not see is, as `greenhouse_gym.planning.plan` takes it. When left out, it
             is entered no deeper than `CAREFUL`, but free where a scene does not say what was seen, and where its
             protocol is one of `SEEN_ENOUGH`.
-        margin: How far it keeps from boxes of clutter, metres, as `greenhouse_gym.planning.plan` takes it.
+        margin: How far it keeps from boxes of clutter, metres, as `greenhouse_gym.planning.plan` takes it. When left
+            out, `RIM` in scenes whose boxes go by the area of the foliage, as they are built now, and 0 in others.
 
     Attributes:
         result: The last episode's plan, or None before the first.
@@ -93,7 +107,7 @@ class PlannerAgent:
         name: str | None = None,
         settings: PlannerSettings | None = None,
         unseen: str | float | None = None,
-        margin: float = 0.0,
+        margin: float | None = None,
     ):
         self.planner, self.settings, self.unseen, self.margin = PLANNERS[planner].name, settings, unseen, margin
         self.time_limit, self.max_checks, self.goals = time_limit, max_checks, goals
@@ -111,7 +125,8 @@ class PlannerAgent:
         self.result = plan(
             problem.scene, problem.target, problem.robot, self.planner, self.time_limit, self.max_checks, self.goals,
             seed=problem.seed, start=problem.start, settings=self.settings,
-            unseen=usual_care(problem.scene) if self.unseen is None else self.unseen, margin=self.margin,
+            unseen=usual_care(problem.scene) if self.unseen is None else self.unseen,
+            margin=usual_margin(problem.scene) if self.margin is None else self.margin,
         )  # fmt: skip
         if self.result.path is None:
             self._follower = PathFollower(problem.start[None], problem)

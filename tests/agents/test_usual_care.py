@@ -1,11 +1,18 @@
-"""How far planner agents keep out of unseen space unless told otherwise."""
+"""How far planner agents keep out of unseen space, and from leaves, unless told otherwise."""
 
 from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
 
 import numpy as np
 import pytest
 
-from greenhouse_gym.agents.planner_agent import CAREFUL, usual_care
+from greenhouse_gym.agents import Problem, planner_agent
+from greenhouse_gym.agents.planner_agent import CAREFUL, RIM, PlannerAgent, usual_care, usual_margin
+from greenhouse_gym.cutting import BuildSettings
+from greenhouse_gym.planning import PlanResult, plan
+from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene, SceneBank
 from greenhouse_gym.scene.seen import EMPTY, SeenSpace
 
@@ -19,3 +26,31 @@ def test_care_is_for_scans_that_do_not_see_the_leaves_in_the_aisle(
     seen = SeenSpace.of(np.full((2, 2, 2), EMPTY, dtype=np.uint8), [0.0, 0.0, 0.0], 0.05)
     assert usual_care(blind.model_copy(update={"provenance": provenance, "seen": seen})) == care
     assert usual_care(blind.model_copy(update={"provenance": provenance})) == "free"
+
+
+@pytest.mark.parametrize(
+    ("settings", "margin"),
+    [
+        (asdict(BuildSettings()), RIM),
+        ({"shapes": {"clutter_per_metre": 85}}, 0.0),
+        ({"shapes": ["clutter_per_area"]}, 0.0),
+        ({"shapes": None}, 0.0),
+        ({}, 0.0),
+    ],
+)
+def test_boxes_that_go_by_the_foliage_are_kept_off(
+    settings: dict[str, Any], margin: float, bank: SceneBank, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene: Scene = bank.scene("made-up-0")
+    built = scene.model_copy(update={"provenance": scene.provenance.model_copy(update={"settings": settings})})
+    assert usual_margin(built) == margin
+    robot, asked = get_robot("ur5e"), []
+
+    def noting(*arguments: Any, **options: Any) -> PlanResult:
+        asked.append(options["margin"])
+        return plan(*arguments, **options)
+
+    monkeypatch.setattr(planner_agent, "plan", noting)
+    for agent in (PlannerAgent(), PlannerAgent(margin=0.0), PlannerAgent(margin=0.03)):
+        agent.reset(Problem(built, 4, robot, robot.start))
+    assert asked == [margin, 0.0, 0.03]
