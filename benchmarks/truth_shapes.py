@@ -2,10 +2,10 @@
 
 python benchmarks/truth_shapes.py
 
-Rows of organ meshes of each cultivar, half a metre each; the truth of the package's own rows is made of their very
+Rows of organ meshes of every cultivar, half a metre each; the truth of the package's own rows is made of their very
 shapes. Fruit and stems: from points on the meshes to the nearest shape of that kind. Leaves, calyces and flowers: from
 points on the faces of their boxes to the meshes, by area, for boxes as the shipped banks have them and for finer ones.
-Takes two minutes.
+Takes about six minutes.
 """
 
 from __future__ import annotations
