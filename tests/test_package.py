@@ -135,6 +135,7 @@ def test_the_wheel_installs_into_a_fresh_environment(wheel: Path, tmp_path: Path
 
 def test_the_banks_scenes_are_whole() -> None:
     """Every file of `default` is the manifest's, no row lies in two splits; the scenes of `mini` are read."""
+    from greenhouse_gym.cutting import BuildSettings
     from greenhouse_gym.scene import DIFFICULTIES, SceneBank
     from greenhouse_gym.scene.manifest import SPLITS
 
@@ -151,7 +152,7 @@ def test_the_banks_scenes_are_whole() -> None:
     assert set(mini.names()) <= set(bank.names())
     targets = []
     for scene in mini:
-        assert len(scene.obstacles) <= 300
+        assert len(scene.obstacles) <= BuildSettings().primitives
         assert 0 < len(scene.targets) <= len(scene.tomatoes)
         assert scene.truth is not None
         assert scene.seen is not None

@@ -13,6 +13,7 @@ from greenhouse_gym.agents.agent import Agent, Problem
 from greenhouse_gym.agents.planner_agent import PlannerAgent
 from greenhouse_gym.agents.policy_agent import BEST, PolicyAgent
 from greenhouse_gym.envs import EnvSettings, TomatoReachEnv
+from greenhouse_gym.envs.worlds import room_for_shapes
 
 
 class HybridAgent:
@@ -56,7 +57,8 @@ class HybridAgent:
 
     def _rehearse(self, problem: Problem) -> bool:
         """Whether the policy reaches the target in the scene as it is known."""
-        options = {**self.env_options, "robot": problem.robot, "rate": 1 / problem.interval}
+        room = room_for_shapes(len(problem.scene.obstacles))
+        options = {**self.env_options, "robot": problem.robot, "rate": 1 / problem.interval, "capacity": room}
         if problem.action is not None:
             options["action"] = problem.action
         where = {"scene": problem.scene, "target": problem.target, "start": problem.start}

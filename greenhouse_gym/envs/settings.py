@@ -46,7 +46,7 @@ class EnvSettings:
         physics: "reconstruction"; with "truth" the simulated row behind the scene is what is touched and reached (the
             true tomato nearest to the target), while observations tell only of the reconstruction.
         randomization: What to get wrong on purpose; nothing by default.
-        capacity: Obstacles a scene may have; 300, or as many as a truth of the bank needs, when left out.
+        capacity: Obstacles a scene may have; 600, or as many as the largest of the bank has, when left out.
         success_radius: How near the grasp point must come to the target's center, metres.
         step_limit: Steps after which an episode is truncated.
         start: Where the arm starts: the name of one of the arm's starts, such as "folded", or a joint angle for each

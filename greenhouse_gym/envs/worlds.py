@@ -40,11 +40,16 @@ _SCENE_FIELDS = (
 def room_for(bank: SceneBank, physics: str) -> int:
     """Obstacles that a model needs room for to be any scene of a bank: truth is finer than what was made of it.
 
-    Banks whose truths are about alike get the same number, and so share their models. A bank without truth gets the
-    usual number; its scenes say what they lack when they are loaded.
+    Banks whose scenes are about as large get the same number, and so share their models. A bank that does not say how
+    large they are gets the usual number, as one without truth does; its scenes say what they lack when they are loaded.
     """
-    largest = bank.largest_truth() if physics == "truth" else None
-    return DEFAULT_CAPACITY if largest is None else max(DEFAULT_CAPACITY, -_ROUND * (-largest // _ROUND))
+    largest = bank.largest_truth() if physics == "truth" else bank.largest_scene()
+    return room_for_shapes(largest or 0)
+
+
+def room_for_shapes(count: int) -> int:
+    """Obstacles that a model needs room for to be a scene with so many shapes, as `room_for` has it for a bank."""
+    return max(DEFAULT_CAPACITY, -_ROUND * (-count // _ROUND))
 
 
 @dataclass(frozen=True, eq=False)

@@ -153,6 +153,10 @@ class SceneBank(Sequence[Scene]):
         """The split a scene belongs to."""
         return self._entry(name).split
 
+    def largest_scene(self) -> int | None:
+        """Most shapes of a scene, its truth not counted; None where the manifest tells it of no scene."""
+        return max((entry.shapes for entry in self.manifest.scenes if entry.shapes is not None), default=None)
+
     def largest_truth(self) -> int | None:
         """Most shapes in the truth of a scene; None where no scene carries its truth."""
         return max((entry.truth for entry in self.manifest.scenes if entry.truth is not None), default=None)
@@ -233,6 +237,7 @@ def write_bank(folder: str | Path, scenes: Iterable[tuple[Scene, str]], name: st
                 row=scene.provenance.row,
                 week=scene.provenance.week,
                 split=split,  # type: ignore[arg-type]
+                shapes=len(scene.obstacles),
                 truth=None if scene.truth is None else len(scene.truth.obstacles),
                 style=scene.provenance.style,
                 source=scene.provenance.source,

@@ -35,6 +35,7 @@ class Entry:
         row: Identity of the row; the same in all weeks.
         week: Growth week.
         split: Split of the row.
+        shapes: Number of shapes in the scene; what was written before this was told does not say.
         truth: Number of shapes in the scene's truth.
         style: Fruit style.
         source: Where the plants come from.
@@ -48,6 +49,7 @@ class Entry:
     row: str
     week: int | None
     split: Split
+    shapes: Told[Annotated[int, Field(ge=0)]] = None
     truth: Told[Annotated[int, Field(ge=0)]] = None
     style: Told[str] = None
     source: Told[str] = None

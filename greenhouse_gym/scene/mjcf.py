@@ -20,7 +20,7 @@ from greenhouse_gym.robots.robot import CUP_GEOM, TIP_SITE
 from greenhouse_gym.robots.start import CART_HALF_WIDTH, cart_drop
 from greenhouse_gym.scene.surroundings import Surroundings
 
-DEFAULT_CAPACITY = 300
+DEFAULT_CAPACITY = 600
 """Number of obstacles that a padded model has room for."""
 
 MOST_CAPACITY = 20_000

@@ -130,7 +130,7 @@ def test_a_huge_radius_beside_a_small_one_gives_numbers() -> None:
 def test_too_many_tomatoes_are_refused_before_they_take_room() -> None:
     tomatoes = [Tomato([0.9, 0.0, 1.2], 0.03, truss=0)]
     many = scene_of(tomatoes).model_copy(update={"tomatoes": tuple(tomatoes * 300_000)})
-    with pytest.raises(InvalidValueError, match="300000 obstacles, more than the 300 allowed"):
+    with pytest.raises(InvalidValueError, match="300000 obstacles, more than the 600 allowed"):
         make_for(scene_of(tomatoes)).reset(options={"scene": many, "target": 0})
 
 

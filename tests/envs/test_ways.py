@@ -78,7 +78,7 @@ def test_going_straight_to_the_waypoint_reaches_most_of_a_thin_row(bank: SceneBa
 def test_it_begins_as_the_state_does_and_says_the_same_of_the_truth(scene: Scene) -> None:
     episode = {"scene": scene.model_copy(update={"truth": Shapes(tomatoes=scene.tomatoes)}), "target": TARGET}
     state, told, of_truth = (
-        TomatoReachEnv(bank="mini", capacity=300, observation=kind, physics=physics).reset(options=episode)[0]
+        TomatoReachEnv(bank="mini", observation=kind, physics=physics).reset(options=episode)[0]
         for kind, physics in (("state", "reconstruction"), ("waypoint", "reconstruction"), ("waypoint", "truth"))
     )
     np.testing.assert_array_equal(told[: len(state)], state)

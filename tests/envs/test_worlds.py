@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import dataclasses
 import gc
+import json
 import weakref
 from pathlib import Path
 
@@ -45,16 +46,40 @@ def test_a_scene_with_more_obstacles_than_fit_names_both_numbers(bank: SceneBank
 
 
 def test_truth_chooses_its_capacity_from_the_bank(bank: SceneBank, tmp_path: Path) -> None:
-    crowd = tuple(Box([2.0, 0.01 * k, 1.0], [0.01, 0.001, 0.01], np.eye(3)) for k in range(333))
+    crowd = tuple(Box([2.0, 0.01 * k, 1.0], [0.01, 0.001, 0.01], np.eye(3)) for k in range(633))
     scenes = [scene.model_copy(update={"truth": Shapes(tomatoes=scene.tomatoes, clutter=crowd)}) for scene in bank]
     true = write_bank(tmp_path, [(scene, bank.split_of(scene.name)) for scene in scenes], name="true")
-    assert true.largest_truth() == 333 + 12
+    assert true.largest_truth() == 633 + 12
     env = TomatoReachVectorEnv(2, bank=true, physics="truth")
     env.reset(seed=0)
-    assert env.simulation.worlds.capacity == 400
-    assert worlds.room_for(true, "reconstruction") == worlds.room_for(bank, "truth") == 300
+    assert env.simulation.worlds.capacity == 700
+    assert worlds.room_for(true, "reconstruction") == worlds.room_for(bank, "truth") == 600
     with pytest.raises(InvalidValueError, match=r"made-up-\d.*no truth.*simulated"):
         TomatoReachVectorEnv(2, bank=bank, physics="truth").reset(seed=0)
+
+
+def test_an_environment_has_room_for_the_largest_scene_of_its_bank(bank: SceneBank, tmp_path: Path) -> None:
+    crowd = tuple(Box([2.0, 0.01 * k, 1.0], [0.01, 0.001, 0.01], np.eye(3)) for k in range(633))
+    scenes = [scene.model_copy(update={"clutter": crowd}) for scene in bank]
+    large = write_bank(tmp_path, [(scene, bank.split_of(scene.name)) for scene in scenes], name="large")
+    largest = max(len(scene.obstacles) for scene in large)
+    assert large.largest_scene() == SceneBank.open(tmp_path).largest_scene() == largest
+    env = TomatoReachVectorEnv(2, bank=large)
+    env.reset(seed=0)
+    assert env.simulation.worlds.capacity == 700
+
+
+def test_a_bank_whose_manifest_does_not_tell_how_large_its_scenes_are_gets_the_usual_room(
+    bank: SceneBank, tmp_path: Path
+) -> None:
+    written = write_bank(tmp_path, [(scene, bank.split_of(scene.name)) for scene in bank], name="earlier")
+    manifest = json.loads((written.path / "manifest.json").read_text())
+    for entry in manifest["scenes"]:
+        del entry["shapes"]
+    (written.path / "manifest.json").write_text(json.dumps(manifest))
+    earlier = SceneBank.open(tmp_path)
+    assert earlier.largest_scene() is None
+    assert worlds.room_for(earlier, "reconstruction") == 600
 
 
 def test_a_bank_that_is_written_anew_gives_its_new_scenes(scene: Scene, tmp_path: Path) -> None:
