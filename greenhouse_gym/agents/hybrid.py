@@ -24,7 +24,8 @@ class HybridAgent:
 
     Args:
         policy: Who acts first; the best of the shipped policies when left out.
-        planner: Who acts where the policy would fail; RRTConnect when left out.
+        planner: Who acts where the policy would fail. When left out, RRTConnect, which takes the unseen for free and
+            keeps no margin, as the rehearsal does: there is nobody to act where it refuses.
         name: Shown in tables.
 
     Attributes:
@@ -36,7 +37,7 @@ class HybridAgent:
     def __init__(self, policy: Agent | None = None, planner: Agent | None = None, name: str = "hybrid"):
         self.name = name
         self._policy: Agent = policy or PolicyAgent.load(BEST)
-        self._planner: Agent = planner or PlannerAgent()
+        self._planner: Agent = planner or PlannerAgent(unseen="free", margin=0.0)
         self.env_options: Mapping[str, Any] = {**self._planner.env_options, **self._policy.env_options}
         self.status = ""
         self._acting: Agent = self._policy

@@ -38,6 +38,7 @@ OBSERVATIONS: Mapping[str, Callable[[Robot], Sight]] = {
     "approach": ApproachObservation,
     "waypoint": WaypointObservation,
     "goal": GoalObservation,
+    "goal_waypoint": partial(GoalObservation, way=True),
     "depth": DepthObservation(),
     "points": PointsObservation(),
     "rgb": RgbObservation(),

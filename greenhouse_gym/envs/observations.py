@@ -156,6 +156,10 @@ _STATE = (
     "joint_position", "joint_velocity", "command_error", "grasp_offset", "target_position", "clearance",
     "obstacle_direction",
 )  # fmt: skip
+_GOAL_STATE = (
+    "joint_position", "joint_velocity", "command_error", "tip_position", "tool_axis", "clearance", "obstacle_direction",
+)  # fmt: skip
+_WAY = ("waypoint_offset", "waypoint_direction", "way")
 
 
 class StateObservation(Sight):
@@ -197,7 +201,7 @@ class WaypointObservation(Sight):
     asks_for_way = True
 
     def __init__(self, robot: Robot):
-        self._vector = Vector(robot, (*_STATE, "waypoint_offset", "waypoint_direction", "way"))
+        self._vector = Vector(robot, (*_STATE, *_WAY))
         self.space, self.layout = self._vector.space, self._vector.layout
 
     def __call__(self, situation: Situation) -> Observed:
@@ -206,18 +210,19 @@ class WaypointObservation(Sight):
 
 
 class GoalObservation(Sight):
-    """The three parts of a goal environment; ``observation`` holds nothing that depends on the target."""
+    """The three parts of a goal environment; ``observation`` holds nothing that depends on the target.
+
+    Args:
+        robot: The arm.
+        way: Whether it does end with what does: where the arm can go straight on its way to the target. A goal in
+            hindsight does not change it.
+    """
 
     target_is_obstacle = has_goals = True
 
-    def __init__(self, robot: Robot):
-        self._vector = Vector(
-            robot,
-            (
-                "joint_position", "joint_velocity", "command_error", "tip_position", "tool_axis", "clearance",
-                "obstacle_direction",
-            ),
-        )  # fmt: skip
+    def __init__(self, robot: Robot, way: bool = False):
+        self.asks_for_way = way
+        self._vector = Vector(robot, (*_GOAL_STATE, *_WAY) if way else _GOAL_STATE)
         self.layout = self._vector.layout
         goal = spaces.Box(-MAX_OFFSET, MAX_OFFSET, (3,), dtype=np.float64)
         self.space = spaces.Dict({"observation": self._vector.space, "achieved_goal": goal, "desired_goal": goal})

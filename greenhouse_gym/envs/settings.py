@@ -35,8 +35,8 @@ class EnvSettings:
             from at a time (`greenhouse_gym.envs.window`), in an order that the seed of a reset begins anew.
         split: "train", "validation" or "test".
         robot: Name of a shipped arm ("ur5e", "iiwa14"), an MJCF file, or a `Robot` of `load_robot`.
-        observation: "state", "state_seen", "approach", "waypoint", "goal", "depth", "points", "rgb", "rgbd", settings
-            of the last four, or your own `Observation`.
+        observation: "state", "state_seen", "approach", "waypoint", "goal", "goal_waypoint", "depth", "points",
+            "rgb", "rgbd", settings of the last four, or your own `Observation`.
         action: "joint", "joint_velocity", "tip_velocity", or your own `ActionRule`.
         reward: "dense", "sparse", a `DenseReward` or `SparseReward` with other figures, or your own function from a
             `Transition` to terms.

@@ -8,7 +8,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from greenhouse_gym.envs import EnvSettings
+from greenhouse_gym.envs.observations import Layout
 from greenhouse_gym.errors import InvalidValueError, require_seed
 from greenhouse_gym.extras import needs
 from greenhouse_gym.integrations.sb3 import make_sb3_vec_env
@@ -27,6 +31,10 @@ with needs("train"):
     from greenhouse_gym.learning.sac_report import SacProgress, SacReport
 
 
+NOISIEST = 0.5
+"""Standard deviation of the noise on guided actions, which go from -1 to 1, in the last of the simulations."""
+
+
 @dataclass(frozen=True)
 class SacSettings:
     """Settings of a training.
@@ -35,6 +43,7 @@ class SacSettings:
         bank: Name or folder of the scene bank; its training split is trained on.
         robot: The arm.
         difficulty: Difficulties of the targets.
+        observation: "goal", or "goal_waypoint", which also tells where the arm can go straight.
         reward: "dense" or "sparse". With the sparse one a crash costs what a success pays, so that arms which still
             crash often had better keep away from the plants; it learned little.
         num_envs: Simulations.
@@ -49,6 +58,8 @@ class SacSettings:
         memory: Transitions that are kept.
         random_steps: Steps with random actions before the first gradient step; enough for an episode of each
             simulation.
+        guided: Whether these steps go where the waypoint says instead, from exactly so in the first simulation to with
+            much noise in the last: demonstrations, which stay in the memory while it has room.
         total_steps: Steps of all simulations together.
         validation_steps: Steps between judgments of the policy without its noise, on rows that are trained on and on
             rows that are not.
@@ -62,6 +73,7 @@ class SacSettings:
     bank: str = "mini"
     robot: str = "ur5e"
     difficulty: tuple[str, ...] = ("easy",)
+    observation: str = "goal"
     reward: str = "dense"
     num_envs: int = 32
     updates_per_step: int = 8
@@ -73,6 +85,7 @@ class SacSettings:
     hindsight_goals: int = 2
     memory: int = 400_000
     random_steps: int = 6_600
+    guided: bool = False
     total_steps: int = 1_000_000
     validation_steps: int = 20_000
     validation_episodes: int = 100
@@ -85,8 +98,11 @@ def make_sac(settings: SacSettings) -> Any:
     """The Stable-Baselines3 model, untrained, on its own vector environment.
 
     Raises:
-        InvalidValueError: There are too few random steps: hindsight needs an episode that has ended.
+        InvalidValueError: There are too few random steps: hindsight needs an episode that has ended. Or they are to be
+            guided, and no waypoint is observed.
     """
+    if settings.guided and settings.observation != "goal_waypoint":
+        raise InvalidValueError(f'guided needs observation="goal_waypoint", got {settings.observation!r}')
     whole = settings.num_envs * EnvSettings().step_limit
     if settings.random_steps < whole:
         raise InvalidValueError(
@@ -96,7 +112,7 @@ def make_sac(settings: SacSettings) -> Any:
     torch.set_num_threads(1)
     env = make_sb3_vec_env(settings.num_envs, seed=settings.seed, **env_options(settings))
     layout = env.get_attr("simulation")[0].observe.layout
-    return _Sac(
+    model = _Sac(
         "MultiInputPolicy",
         env,
         replay_buffer_class=GoalReplayBuffer,
@@ -117,6 +133,9 @@ def make_sac(settings: SacSettings) -> Any:
         seed=settings.seed,
         device="cpu",
     )
+    if settings.guided:
+        model.guide = _along_the_waypoint(layout, settings.seed)
+    return model
 
 
 def train_sac(
@@ -190,14 +209,40 @@ def load_sac(folder: str | Path) -> Any:
 
 def env_options(settings: SacSettings) -> dict[str, Any]:
     """Keywords of the environment that is trained on."""
-    shared = ("bank", "robot", "difficulty", "reward", "threads")
-    return {"observation": "goal", **{name: getattr(settings, name) for name in shared}}
+    shared = ("bank", "robot", "difficulty", "observation", "reward", "threads")
+    return {name: getattr(settings, name) for name in shared}
 
 
 class _Sac(SAC):  # type: ignore[misc]
-    """SAC that need not act at random while it fills its memory."""
+    """SAC that need not act at random while it fills its memory.
+
+    Attributes:
+        acts_at_random: Whether it does.
+        guide: Who acts then instead of mere chance: what is observed to actions (n, size).
+    """
 
     acts_at_random = True
+    guide: Callable[[Any], npt.NDArray[np.float32]] | None = None
 
     def _sample_action(self, learning_starts: int, action_noise: Any = None, n_envs: int = 1) -> Any:
-        return super()._sample_action(learning_starts if self.acts_at_random else 0, action_noise, n_envs)
+        if not self.acts_at_random:
+            return super()._sample_action(0, action_noise, n_envs)
+        if self.guide is None or self.num_timesteps >= learning_starts:
+            return super()._sample_action(learning_starts, action_noise, n_envs)
+        actions = self.guide(self._last_obs)  # actions of the environment lie within -1 and 1 as they are
+        return actions, actions
+
+
+def _along_the_waypoint(layout: Layout, seed: int) -> Callable[[Any], npt.NDArray[np.float32]]:
+    """Actions that go where the waypoint says, as the agent ``waypoint`` does: the first exactly, the last hardly."""
+    ends = np.cumsum([size for _, size in layout])
+    at = {name: slice(int(end) - size, int(end)) for (name, size), end in zip(layout, ends, strict=True)}
+    random = np.random.default_rng(seed)
+
+    def actions(observed: dict[str, npt.NDArray[Any]]) -> npt.NDArray[np.float32]:
+        seen = observed["observation"]
+        straight = seen[:, at["waypoint_direction"]] * seen[:, at["way"]][:, 1:]
+        strewn = random.normal(size=straight.shape) * np.linspace(0.0, NOISIEST, len(straight))[:, None]
+        return np.clip(straight + strewn, -1.0, 1.0).astype(np.float32)
+
+    return actions

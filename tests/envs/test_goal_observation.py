@@ -52,6 +52,18 @@ def test_the_contract_of_goal_environments_holds(bank: SceneBank, reward: str) -
     np.testing.assert_array_equal(env.compute_terminated(*together), [step[2] for step in steps])
 
 
+def test_a_goal_environment_may_tell_the_waypoint_too(bank: SceneBank) -> None:
+    told, way, guided = (
+        TomatoReachEnv(bank=bank, observation=kind).reset(seed=3)[0] for kind in ("goal", "waypoint", "goal_waypoint")
+    )
+    assert set(told) == set(guided)
+    size = len(told["observation"])
+    np.testing.assert_array_equal(guided["observation"][:size], told["observation"])
+    np.testing.assert_array_equal(guided["observation"][size:], way[-(2 * 6 + 2) :])
+    for goal in ("achieved_goal", "desired_goal"):
+        np.testing.assert_array_equal(guided[goal], told[goal])
+
+
 def test_another_goal_changes_success_but_no_collision(bank: SceneBank) -> None:
     env = goal_env(bank, reward="sparse")
     for observation, _, _, _, info in rollout(env):

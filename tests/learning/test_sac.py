@@ -122,6 +122,22 @@ def test_too_few_random_steps_are_refused(settings: SacSettings, tmp_path: Path)
     assert not list(tmp_path.iterdir())
 
 
+def test_guided_steps_fill_the_memory_with_what_the_waypoint_says(settings: SacSettings, tmp_path: Path) -> None:
+    guided = replace(settings, observation="goal_waypoint", guided=True, reward="sparse")
+    model = make_sac(guided)
+    model.learn(900)
+    kept = model.replay_buffer
+    seen = torch.from_numpy(kept.observations["observation"][:200])
+    straight = seen[:, :, -8:-2] * seen[:, :, -1:]
+    strewn = [float((torch.from_numpy(kept.actions[:200, i]) - straight[:, i]).abs().mean()) for i in range(4)]
+    assert strewn[0] < 1e-6, "the first simulation does exactly what the waypoint says"
+    assert strewn == sorted(strewn)
+    assert strewn[3] > 0.1
+    assert kept.rewards[:200, 0].max() == 1.0, "it reaches some target"
+    with pytest.raises(InvalidValueError, match='guided needs observation="goal_waypoint"'):
+        train_sac(replace(guided, observation="goal"), tmp_path)
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 def test_it_learns_to_reach_without_touching(tmp_path: Path) -> None:
