@@ -76,10 +76,6 @@ $mini
   that is free here can touch a leaf there. Most witnesses pass through unseen space, above and behind what the
   rig saw.
 - At most $primitives shapes are kept; in dense rows and cherry rows the farthest are left out.
-- The boxes are those of an earlier shape extraction. It allowed 85 of them for a metre of row, however much foliage a
-  rig saw, and gave boxes to the noisy skin of fruit: in scenes of Helios' rows by the protocol `upright-back` half of
-  them are thicker than 2.9 cm, and the centers of 23% of the tomatoes lie inside one. What is built now has more and
-  thinner boxes there, and so other targets.
 - Boxes of Helios' leaves claim up to $leaves mm around a leaf, so the truth is a little stricter than the plants.
 
 ## Splits, license, citing

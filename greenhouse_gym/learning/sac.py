@@ -8,11 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
 from greenhouse_gym.envs import EnvSettings
-from greenhouse_gym.envs.observations import Layout
 from greenhouse_gym.errors import InvalidValueError, require_seed
 from greenhouse_gym.extras import needs
 from greenhouse_gym.integrations.sb3 import make_sb3_vec_env
@@ -22,17 +18,13 @@ from greenhouse_gym.paths import write_atomically
 with needs("train"):
     import tensorboard  # noqa: F401  what Stable-Baselines3 writes its curves with, and does not ask for at once
     import torch
-    from stable_baselines3 import SAC
     from stable_baselines3.common.logger import configure
 
     from greenhouse_gym.integrations.sb3_her import GoalFeatures, GoalReplayBuffer
     from greenhouse_gym.learning.checkpoints import NAME as CHECKPOINT
     from greenhouse_gym.learning.checkpoints import load_checkpoint, read_notes
+    from greenhouse_gym.learning.demonstrated_sac import Demonstrated, Guide
     from greenhouse_gym.learning.sac_report import SacProgress, SacReport
-
-
-NOISIEST = 0.5
-"""Standard deviation of the noise on guided actions, which go from -1 to 1, in the last of the simulations."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +51,7 @@ class SacSettings:
         random_steps: Steps with random actions before the first gradient step; enough for an episode of each
             simulation.
         guided: Whether these steps go where the waypoint says instead, from exactly so in the first simulation to with
-            much noise in the last: demonstrations, which stay in the memory while it has room.
+            much noise in the last, and are then imitated where the critics think that better than what the actor does.
         total_steps: Steps of all simulations together.
         validation_steps: Steps between judgments of the policy without its noise, on rows that are trained on and on
             rows that are not.
@@ -112,7 +104,7 @@ def make_sac(settings: SacSettings) -> Any:
     torch.set_num_threads(1)
     env = make_sb3_vec_env(settings.num_envs, seed=settings.seed, **env_options(settings))
     layout = env.get_attr("simulation")[0].observe.layout
-    model = _Sac(
+    model = Demonstrated(
         "MultiInputPolicy",
         env,
         replay_buffer_class=GoalReplayBuffer,
@@ -134,7 +126,7 @@ def make_sac(settings: SacSettings) -> Any:
         device="cpu",
     )
     if settings.guided:
-        model.guide = _along_the_waypoint(layout, settings.seed)
+        model.guide = Guide(layout, settings.seed)
     return model
 
 
@@ -211,38 +203,3 @@ def env_options(settings: SacSettings) -> dict[str, Any]:
     """Keywords of the environment that is trained on."""
     shared = ("bank", "robot", "difficulty", "observation", "reward", "threads")
     return {name: getattr(settings, name) for name in shared}
-
-
-class _Sac(SAC):  # type: ignore[misc]
-    """SAC that need not act at random while it fills its memory.
-
-    Attributes:
-        acts_at_random: Whether it does.
-        guide: Who acts then instead of mere chance: what is observed to actions (n, size).
-    """
-
-    acts_at_random = True
-    guide: Callable[[Any], npt.NDArray[np.float32]] | None = None
-
-    def _sample_action(self, learning_starts: int, action_noise: Any = None, n_envs: int = 1) -> Any:
-        if not self.acts_at_random:
-            return super()._sample_action(0, action_noise, n_envs)
-        if self.guide is None or self.num_timesteps >= learning_starts:
-            return super()._sample_action(learning_starts, action_noise, n_envs)
-        actions = self.guide(self._last_obs)  # actions of the environment lie within -1 and 1 as they are
-        return actions, actions
-
-
-def _along_the_waypoint(layout: Layout, seed: int) -> Callable[[Any], npt.NDArray[np.float32]]:
-    """Actions that go where the waypoint says, as the agent ``waypoint`` does: the first exactly, the last hardly."""
-    ends = np.cumsum([size for _, size in layout])
-    at = {name: slice(int(end) - size, int(end)) for (name, size), end in zip(layout, ends, strict=True)}
-    random = np.random.default_rng(seed)
-
-    def actions(observed: dict[str, npt.NDArray[Any]]) -> npt.NDArray[np.float32]:
-        seen = observed["observation"]
-        straight = seen[:, at["waypoint_direction"]] * seen[:, at["way"]][:, 1:]
-        strewn = random.normal(size=straight.shape) * np.linspace(0.0, NOISIEST, len(straight))[:, None]
-        return np.clip(straight + strewn, -1.0, 1.0).astype(np.float32)
-
-    return actions
