@@ -61,6 +61,7 @@ class Demonstrated(SAC):  # type: ignore[misc]
 
     def __init__(self, *arguments: Any, **keywords: Any):
         self._shown: list[dict[str, npt.NDArray[Any]]] = []
+        self._demonstrations: dict[str, Any] = {}
         super().__init__(*arguments, **keywords)
 
     def _sample_action(self, learning_starts: int, action_noise: Any = None, n_envs: int = 1) -> Any:
@@ -76,17 +77,19 @@ class Demonstrated(SAC):  # type: ignore[misc]
         """So many gradient steps of SAC, and of imitation."""
         super().train(gradient_steps, batch_size)
         if self._shown:
+            names = self._shown[0]
+            self._demonstrations = {
+                name: torch.as_tensor(np.concatenate([each[name] for each in self._shown])) for name in names
+            }
+            self._shown = []
+        if self._demonstrations:
             for _ in range(gradient_steps):
                 self._imitate(batch_size)
 
     def _imitate(self, count: int) -> None:
         assert self.guide is not None
-        rows = np.random.randint(len(self._shown), size=count), np.random.randint(self.n_envs, size=count)
-        batch = [self._shown[step] for step in rows[0]]
-        observed = {
-            name: torch.as_tensor(np.array([each[name][i] for each, i in zip(batch, rows[1], strict=True)]))
-            for name in batch[0]
-        }
+        rows = torch.randint(len(self._demonstrations["observation"]), (count,))
+        observed = {name: part[rows] for name, part in self._demonstrations.items()}
         wish, done = self.guide.wish(observed), self.actor(observed, deterministic=True)
         with torch.no_grad():
             wished, own = (torch.cat(self.critic(observed, action), dim=1).min(dim=1)[0] for action in (wish, done))
@@ -94,4 +97,4 @@ class Demonstrated(SAC):  # type: ignore[misc]
         self.actor.optimizer.zero_grad()
         loss.backward()
         self.actor.optimizer.step()
-        self.logger.record("train/imitation_loss", float(loss))
+        self.logger.record("train/imitation_loss", loss.item())
