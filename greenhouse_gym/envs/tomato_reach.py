@@ -78,6 +78,8 @@ class TomatoReachEnv(SpecWithStepLimit, gymnasium.Env[Observed, npt.NDArray[np.f
     | ``goal`` | ``achieved_goal`` | (3,) float64 | grasp point, m |
     | | ``desired_goal`` | (3,) float64 | the target's center, m |
     | | ``observation`` | (3 j + 6 + 4 k,) float32 | as ``state``, but see below |
+    | ``goal_waypoint`` | ``observation`` | (5 j + 8 + 4 k,) float32 | as in ``goal``, then as in ``waypoint`` |
+    | | ``achieved_goal``, ``desired_goal`` | | as in ``goal`` |
     | ``depth`` | ``depth`` | (1, 48, 64) float32 | depth over 2 m, 0 to 1; 0 without a reading |
     | | ``state`` | (3 j + 6,) float32 | the first entries of ``state``, up to the target's center |
     | ``points`` | ``points`` | (768, 3) float32 | points in 24 rows of 32, m; 0 0 0 without a reading |
@@ -106,7 +108,7 @@ class TomatoReachEnv(SpecWithStepLimit, gymnasium.Env[Observed, npt.NDArray[np.f
     `ActionRule` and `Transition`, and the folder ``examples``. They get arrays of n simulations, of which the single
     environment has one. What they give is checked at every step.
 
-    **Goals.** With ``observation="goal"``, the methods ``compute_reward``, ``compute_terminated`` and
+    **Goals.** With ``observation="goal"`` or ``"goal_waypoint"``, the methods ``compute_reward``, ``compute_terminated`` and
     ``compute_truncated`` (``achieved_goal``, ``desired_goal``, ``info``) tell what a step would have been with another
     goal, for one step or for n steps; what else counts they read from the info (hindsight replay of Stable-Baselines3
     needs ``copy_info_dict=True``).
