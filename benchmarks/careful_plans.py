@@ -34,6 +34,7 @@ def main() -> None:
     parser.add_argument("--unseen", nargs="+", default=["0.15", "free"], help="free, avoid, forbid, or a depth")
     parser.add_argument("--planner", default="RRTConnect")
     parser.add_argument("--checks", type=int, default=10_000, help="collision checks of a plan")
+    parser.add_argument("--margin", type=float, default=0.01, help="how far paths keep from boxes of leaves, metres")
     parser.add_argument("--per-scene", type=int, default=50, help="most targets of a scene")
     parser.add_argument("--moved", action="store_true", help="follow in plants that moved since they were scanned")
     parser.add_argument("--workdir", type=Path, default=Path("careful_plans"))
@@ -41,7 +42,12 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="JSON file for the figures")
     a = parser.parse_args()
     options = Options(
-        planner=a.planner, checks=a.checks, per_scene=a.per_scene, moved=a.moved, workdir=a.workdir / a.bank
+        planner=a.planner,
+        checks=a.checks,
+        per_scene=a.per_scene,
+        moved=a.moved,
+        margin=a.margin,
+        workdir=a.workdir / a.bank,
     )
     bank = SceneBank.open(a.bank)
     names = [name for split in a.split for name in bank.names(split)]
@@ -58,7 +64,7 @@ def main() -> None:
     if a.out:
         command = (
             f"benchmarks/careful_plans.py --bank {a.bank} --split {' '.join(a.split)} --starts {' '.join(a.starts)} "
-            f"--unseen {' '.join(a.unseen)} --planner {a.planner} --checks {a.checks} --per-scene {a.per_scene}"
+            f"--unseen {' '.join(a.unseen)} --planner {a.planner} --checks {a.checks} --margin {a.margin:g} --per-scene {a.per_scene}"
             f"{' --moved' * a.moved}{' --only-finished' * a.only_finished}"
         )
         scenes = sorted({episode["scene"] for episode in episodes})
@@ -68,10 +74,8 @@ def main() -> None:
 
 def file_of(name: str, start: str, unseen: str, options: Options) -> Path:
     """Where the episodes of a scene are kept."""
-    moved = "-moved" * options.moved
-    return (
-        options.workdir / name / f"{options.planner}-{options.checks}-{options.per_scene}-{start}-{unseen}{moved}.json"
-    )
+    how = f"{start}-{unseen}-{options.margin:g}" + "-moved" * options.moved
+    return options.workdir / name / f"{options.planner}-{options.checks}-{options.per_scene}-{how}.json"
 
 
 def _measured(bank: SceneBank, name: str, start: str, unseen: str, options: Options) -> list[dict[str, Any]]:
