@@ -64,8 +64,8 @@ def main() -> None:
     if a.out:
         command = (
             f"benchmarks/careful_plans.py --bank {a.bank} --split {' '.join(a.split)} --starts {' '.join(a.starts)} "
-            f"--unseen {' '.join(a.unseen)} --planner {a.planner} --checks {a.checks} --margin {a.margin:g} --per-scene {a.per_scene}"
-            f"{' --moved' * a.moved}{' --only-finished' * a.only_finished}"
+            f"--unseen {' '.join(a.unseen)} --planner {a.planner} --checks {a.checks} --margin {a.margin:g} "
+            f"--per-scene {a.per_scene}{' --moved' * a.moved}{' --only-finished' * a.only_finished}"
         )
         scenes = sorted({episode["scene"] for episode in episodes})
         figures = {"command": command, "scenes_measured": scenes, "figures": summaries(episodes)}

@@ -108,10 +108,10 @@ class TomatoReachEnv(SpecWithStepLimit, gymnasium.Env[Observed, npt.NDArray[np.f
     `ActionRule` and `Transition`, and the folder ``examples``. They get arrays of n simulations, of which the single
     environment has one. What they give is checked at every step.
 
-    **Goals.** With ``observation="goal"`` or ``"goal_waypoint"``, the methods ``compute_reward``, ``compute_terminated`` and
-    ``compute_truncated`` (``achieved_goal``, ``desired_goal``, ``info``) tell what a step would have been with another
-    goal, for one step or for n steps; what else counts they read from the info (hindsight replay of Stable-Baselines3
-    needs ``copy_info_dict=True``).
+    **Goals.** With ``observation="goal"`` or ``"goal_waypoint"``, the methods ``compute_reward``,
+    ``compute_terminated`` and ``compute_truncated`` (``achieved_goal``, ``desired_goal``, ``info``) tell what a step
+    would have been with another goal, for one step or for n steps; what else counts they read from the info (hindsight
+    replay of Stable-Baselines3 needs ``copy_info_dict=True``).
 
     **Success.** The grasp point is within 2 cm (``success_radius``) of the target's center and nothing was touched in
     any physics step of the action. The cup may touch the target. Any other contact is a **collision**. Both terminate

@@ -47,9 +47,9 @@ class Guide:
 class Demonstrated(SAC):  # type: ignore[misc]
     """SAC that need not act at random while it fills its memory.
 
-    With a guide, what it observes then is kept, and after each gradient step of SAC a step of imitation follows: towards
-    what the guide wishes there, but only where the critics think that better than what the actor would do (the filter
-    of Nair et al., Overcoming Exploration in Reinforcement Learning with Demonstrations, 2018).
+    With a guide, what it observes then is kept, and after the gradient steps of SAC as many of imitation follow, all
+    towards what the guide wishes there, but only where the critics think that better than what the actor would do (the
+    filter of Nair et al., Overcoming Exploration in Reinforcement Learning with Demonstrations, 2018).
 
     Attributes:
         acts_at_random: Whether it acts so while it fills its memory.
