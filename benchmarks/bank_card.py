@@ -157,7 +157,7 @@ def draw(found: dict[str, Counter[str]], path: Path) -> None:
         bars.bar(kinds, share, bottom=bottom, color=COLORS[difficulty], label=difficulty)
         bottom += share
     bars.set_ylabel("share of the targets")
-    bars.legend(fontsize=8, loc="lower left")
+    bars.legend(fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(DIFFICULTIES), frameon=False)
     figure.tight_layout()
     figure.savefig(path)
 
