@@ -161,13 +161,14 @@ def main() -> None:
     parser.add_argument("--starts", nargs=2, default=["start", "folded"])
     parser.add_argument("--unseen", help="how plans treated unseen space: free, or with --bank 0.15, if left out")
     parser.add_argument("--checks", type=int, default=20_000)
+    parser.add_argument("--margin", type=float, default=0.0, help="how far paths kept from boxes of leaves, metres")
     parser.add_argument("--bank")
     parser.add_argument("--split", default="validation", help="of the bank")
     parser.add_argument("--workdir", type=Path, default=Path("capture_protocols"))
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "capture_protocols.png")
     a = parser.parse_args()
     options = Options(
-        source=a.source, length=a.length, spacing=a.spacing, checks=a.checks, per_scene=a.per_scene,
+        source=a.source, length=a.length, spacing=a.spacing, checks=a.checks, per_scene=a.per_scene, margin=a.margin,
         workdir=a.workdir if a.bank is None else a.workdir / a.bank,
     )  # fmt: skip
     if a.bank is None:
