@@ -14,8 +14,15 @@ with needs("train"):
     import torch
     from stable_baselines3 import SAC
 
+    from greenhouse_gym.learning.waypoint_weights import carry_waypoint
+
 NOISIEST = 0.5
 """Standard deviation of the noise on guided actions, which go from -1 to 1, in the last of the simulations."""
+
+CRITICS_ALONE = 5_000
+"""Gradient steps before the actor changes, where it begins as the guide: untrained critics would lead it astray."""
+
+_SPREAD = 0.1  # standard deviation of an untrained actor that begins as the guide, before its hyperbolic tangent
 
 
 class Guide:
@@ -64,6 +71,26 @@ class Demonstrated(SAC):  # type: ignore[misc]
         self._demonstrations: dict[str, Any] = {}
         super().__init__(*arguments, **keywords)
 
+    def begin_as_guide(self, layout: Layout, seed: int) -> None:
+        """Have the untrained actor go where the guide says, but for what the hyperbolic tangent takes off.
+
+        Raises:
+            InvalidValueError: The actor is told no waypoint, its layers are too narrow, or it has other activations.
+        """
+        actor = self.actor
+        layers = [layer for layer in actor.latent_pi if hasattr(layer, "in_features")]
+        carry_waypoint(actor.features_extractor.scaled, layers, actor.mu, self.policy.activation_fn)
+        with torch.no_grad():
+            actor.log_std.weight.zero_()
+            actor.log_std.bias.fill_(float(np.log(_SPREAD)))
+        self.guide = Guide(layout, seed)
+
+    def _update_learning_rate(self, optimizers: Any) -> None:
+        super()._update_learning_rate(optimizers)
+        if self.guide is not None and self._n_updates < CRITICS_ALONE:
+            for group in self.actor.optimizer.param_groups:
+                group["lr"] = 0.0
+
     def _sample_action(self, learning_starts: int, action_noise: Any = None, n_envs: int = 1) -> Any:
         if not self.acts_at_random:
             return super()._sample_action(0, action_noise, n_envs)
@@ -97,4 +124,4 @@ class Demonstrated(SAC):  # type: ignore[misc]
         self.actor.optimizer.zero_grad()
         loss.backward()
         self.actor.optimizer.step()
-        self.logger.record("train/imitation_loss", loss.item())
+        self.logger.record("train/imitation_loss", loss.detach().item())
