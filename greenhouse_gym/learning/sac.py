@@ -51,8 +51,7 @@ class SacSettings:
         random_steps: Steps with random actions before the first gradient step; enough for an episode of each
             simulation.
         guided: Whether the actor begins as the rule that follows waypoints, and these steps go where that says, from
-            exactly so in the first simulation to with much noise in the last; they are then imitated where the critics
-            think that better than what the actor does.
+            exactly so in the first simulation to with much noise in the last, while the actor is held near the rule.
         total_steps: Steps of all simulations together.
         validation_steps: Steps between judgments of the policy without its noise, on rows that are trained on and on
             rows that are not.
