@@ -12,7 +12,7 @@ import numpy as np
 from greenhouse_gym.agents.guide import Guide, towards
 from greenhouse_gym.envs import TomatoReachVectorEnv
 from greenhouse_gym.envs.observations import Observed
-from greenhouse_gym.errors import MissingDependencyError
+from greenhouse_gym.errors import InvalidValueError, MissingDependencyError
 from greenhouse_gym.geometry import Array
 
 try:
@@ -94,6 +94,44 @@ class Teachers:
             self._waypoints[i] = guide.waypoint(command)
         self._ages[i] += 1
         return self._waypoints[i]
+
+
+def follow_waypoint(policy: Any) -> None:
+    """Make the actor of an untrained Stable-Baselines3 policy do exactly as the agent ``waypoint`` does.
+
+    So nothing has to be learned of what a rule knows. The first hidden units carry what is positive of the waypoint's
+    direction and what is negative, while the way is free; the others are as they were, without any effect on the action
+    until something is learned.
+
+    Args:
+        policy: An actor-critic policy with rectified linear units on `ScaledObservation` of ``"waypoint"``.
+
+    Raises:
+        InvalidValueError: Its activations are others, its layers are too narrow, or it is told no waypoint.
+    """
+    extractor, actions = policy.pi_features_extractor, policy.action_net
+    joints = actions.out_features
+    place, way = (extractor.starts.get(name, -1) for name in ("waypoint_direction", "way"))
+    layers = [layer for layer in policy.mlp_extractor.policy_net if hasattr(layer, "in_features")]
+    if place < 0 or policy.activation_fn is not torch.nn.ReLU or min(p.out_features for p in layers) < 2 * joints:
+        raise InvalidValueError(
+            f'to follow waypoints, a policy needs observation="waypoint", activation="relu" and hidden layers of at '
+            f"least {2 * joints} units"
+        )
+    units = torch.arange(2 * joints)
+    carried, free = place + units % joints, way + 1
+    with torch.no_grad():
+        for layer in layers:
+            layer.weight[units], layer.bias[units] = 0.0, 0.0
+        # directions are at most 1: with 1 taken away where the way is not free, nothing positive is left
+        layers[0].weight[units, carried] = torch.where(units < joints, 1.0, -1.0) * extractor.scale[carried]
+        layers[0].weight[units, free] = extractor.scale[free]
+        layers[0].bias[units] = extractor.center[free] - 1.0
+        for layer in layers[1:]:
+            layer.weight[units, units] = 1.0
+        actions.weight.zero_()
+        actions.bias.zero_()
+        actions.weight[units % joints, units] = torch.where(units < joints, 1.0, -1.0)
 
 
 def imitate(

@@ -23,7 +23,7 @@ with needs("train"):
     from greenhouse_gym.integrations.sb3_her import GoalFeatures, GoalReplayBuffer
     from greenhouse_gym.learning.checkpoints import NAME as CHECKPOINT
     from greenhouse_gym.learning.checkpoints import load_checkpoint, read_notes
-    from greenhouse_gym.learning.demonstrated_sac import Demonstrated
+    from greenhouse_gym.learning.demonstrated_sac import Demonstrated, Guide
     from greenhouse_gym.learning.sac_report import SacProgress, SacReport
 
 
@@ -50,8 +50,8 @@ class SacSettings:
         memory: Transitions that are kept.
         random_steps: Steps with random actions before the first gradient step; enough for an episode of each
             simulation.
-        guided: Whether the actor begins as the rule that follows waypoints, and these steps go where that says, from
-            exactly so in the first simulation to with much noise in the last, while the actor is held near the rule.
+        guided: Whether these steps go where the waypoint says instead, from exactly so in the first simulation to with
+            much noise in the last, and are then imitated where the critics think that better than what the actor does.
         total_steps: Steps of all simulations together.
         validation_steps: Steps between judgments of the policy without its noise, on rows that are trained on and on
             rows that are not.
@@ -126,7 +126,7 @@ def make_sac(settings: SacSettings) -> Any:
         device="cpu",
     )
     if settings.guided:
-        model.begin_as_guide(layout, settings.seed)
+        model.guide = Guide(layout, settings.seed)
     return model
 
 
