@@ -5,8 +5,8 @@ python benchmarks/sac_her.py --guided --minutes 12 --every 10000 --out benchmark
 
 Trains with the default settings for some minutes of processor time and writes the curve to results/sac_her.json. What
 counts are episodes of the validation split, whose rows were not trained on, judged without the policy's noise. With
-``--guided`` the bank is ``default``, the targets are easy and medium, the reward is sparse, the waypoint is observed, and
-the memory begins with demonstrations by the rule that follows it.
+``--guided`` the bank is ``default``, the targets are easy and medium, the reward is sparse, the waypoint is observed,
+and the memory begins with demonstrations by the rule that follows it.
 """
 
 from __future__ import annotations
