@@ -15,10 +15,10 @@ with needs("train"):
     from stable_baselines3 import SAC
 
 NOISIEST = 0.5
-"""Standard deviation of the noise on guided actions, which go from -1 to 1, in the last of the simulations."""
+"""Standard deviation of the noise on demonstrated actions, which go from -1 to 1, in the last of the simulations."""
 
 
-class Guide:
+class Demonstrator:
     """Goes where the waypoint of a goal environment says, as the agent ``waypoint`` does.
 
     Args:
@@ -47,17 +47,17 @@ class Guide:
 class Demonstrated(SAC):  # type: ignore[misc]
     """SAC that need not act at random while it fills its memory.
 
-    With a guide, what it observes then is kept, and after the gradient steps of SAC as many of imitation follow, all
-    towards what the guide wishes there, but only where the critics think that better than what the actor would do (the
-    filter of Nair et al., Overcoming Exploration in Reinforcement Learning with Demonstrations, 2018).
+    With a demonstrator, what it observes then is kept, and after the gradient steps of SAC as many of imitation follow,
+    all towards what the demonstrator would do there, but only where the critics think that better than what the actor
+    would do (the filter of Nair et al., Overcoming Exploration in Reinforcement Learning with Demonstrations, 2018).
 
     Attributes:
         acts_at_random: Whether it acts so while it fills its memory.
-        guide: Who acts then instead of mere chance.
+        demonstrator: Who acts then instead of mere chance.
     """
 
     acts_at_random = True
-    guide: Guide | None = None
+    demonstrator: Demonstrator | None = None
 
     def __init__(self, *arguments: Any, **keywords: Any):
         self._shown: list[dict[str, npt.NDArray[Any]]] = []
@@ -67,10 +67,10 @@ class Demonstrated(SAC):  # type: ignore[misc]
     def _sample_action(self, learning_starts: int, action_noise: Any = None, n_envs: int = 1) -> Any:
         if not self.acts_at_random:
             return super()._sample_action(0, action_noise, n_envs)
-        if self.guide is None or self.num_timesteps >= learning_starts:
+        if self.demonstrator is None or self.num_timesteps >= learning_starts:
             return super()._sample_action(learning_starts, action_noise, n_envs)
         self._shown.append({name: part.copy() for name, part in self._last_obs.items()})
-        actions = self.guide.strewn(self._last_obs)  # actions of the environment lie within -1 and 1 as they are
+        actions = self.demonstrator.strewn(self._last_obs)  # actions of the environment lie within -1 and 1 as they are
         return actions, actions
 
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:
@@ -87,10 +87,10 @@ class Demonstrated(SAC):  # type: ignore[misc]
                 self._imitate(batch_size)
 
     def _imitate(self, count: int) -> None:
-        assert self.guide is not None
+        assert self.demonstrator is not None
         rows = torch.randint(len(self._demonstrations["observation"]), (count,))
         observed = {name: part[rows] for name, part in self._demonstrations.items()}
-        wish, done = self.guide.wish(observed), self.actor(observed, deterministic=True)
+        wish, done = self.demonstrator.wish(observed), self.actor(observed, deterministic=True)
         with torch.no_grad():
             wished, own = (torch.cat(self.critic(observed, action), dim=1).min(dim=1)[0] for action in (wish, done))
         loss = (((done - wish) ** 2).mean(dim=1) * (wished > own)).mean()

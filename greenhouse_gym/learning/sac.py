@@ -23,7 +23,7 @@ with needs("train"):
     from greenhouse_gym.integrations.sb3_her import GoalFeatures, GoalReplayBuffer
     from greenhouse_gym.learning.checkpoints import NAME as CHECKPOINT
     from greenhouse_gym.learning.checkpoints import load_checkpoint, read_notes
-    from greenhouse_gym.learning.demonstrated_sac import Demonstrated, Guide
+    from greenhouse_gym.learning.demonstrated_sac import Demonstrated, Demonstrator
     from greenhouse_gym.learning.sac_report import SacProgress, SacReport
 
 
@@ -126,7 +126,7 @@ def make_sac(settings: SacSettings) -> Any:
         device="cpu",
     )
     if settings.guided:
-        model.guide = Guide(layout, settings.seed)
+        model.demonstrator = Demonstrator(layout, settings.seed)
     return model
 
 
