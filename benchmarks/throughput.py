@@ -139,8 +139,9 @@ def measure(arguments: argparse.Namespace) -> dict[str, list[float]]:
             single.reset()
 
     def look() -> None:
+        nothing = np.zeros(64, dtype=int)
         for _ in range(3):
-            simulation._look(slice(None), np.zeros(64, dtype=np.bool_))
+            simulation._perception.look(slice(None), simulation._physics, nothing.astype(bool), nothing)
 
     def step_depth() -> None:
         for action in actions[:5, :64]:

@@ -11,25 +11,21 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.envs.actions import CommandLimits, check_actions, squared_norm
-from greenhouse_gym.envs.approach import ROOM, room_around
-from greenhouse_gym.envs.cameras import CameraRig, Pictures, no_pictures
 from greenhouse_gym.envs.choices import make_action, make_observation, make_reward
 from greenhouse_gym.envs.episodes import Episode, EpisodeSampler
 from greenhouse_gym.envs.observations import Observed, check_goals_are_known
+from greenhouse_gym.envs.perception import Perception
 from greenhouse_gym.envs.physics import NOTHING, Physics, Touches, prepare
 from greenhouse_gym.envs.randomization import Disturbance, draw_disturbance
-from greenhouse_gym.envs.reach_task import RATE, Bools, Situation, lengths, pace_of
+from greenhouse_gym.envs.reach_task import RATE, Bools, Situation, pace_of
 from greenhouse_gym.envs.rewards import Terms, Transition, total_reward
 from greenhouse_gym.envs.settings import EnvSettings
 from greenhouse_gym.envs.stepping import Ids
-from greenhouse_gym.envs.ways import Ends, Headings, Ways, place_of
 from greenhouse_gym.envs.worlds import World, room_for, worlds_of
 from greenhouse_gym.errors import InvalidValueError, NoEpisodeError
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.parallel import usable_cores
 from greenhouse_gym.robots import ROBOTS, get_robot
 from greenhouse_gym.scene import CompiledScene, Scene
-from greenhouse_gym.scene.field import NO_TOMATO
 from greenhouse_gym.scene.seen import required
 
 STEP_INFOS = ("previous_goal", "effort")
@@ -100,9 +96,6 @@ class ReachSimulation:
         self.situation: Situation | None = None
         self._threads = threads
         self._physics: Physics | None = None
-        self._rig: CameraRig | None = None
-        self._no_pictures = no_pictures(count)
-        self._probe_radii = robot.probe_radii.astype(np.float32)
         self._episodes: list[Episode | None] = [None] * count
         self._worlds: list[World | None] = [None] * count
         self._disturbances: list[Disturbance | None] = [None] * count
@@ -110,15 +103,7 @@ class ReachSimulation:
         self._contact, self._self_collision = np.full(count, None, dtype=object), np.zeros(count, dtype=np.bool_)
         # Counts of the episode so far; the target's index is kept with them.
         self._counts = {key: np.zeros(count, dtype=np.int64) for key in ("steps", "slowed", "limited", "target")}
-        self._joint_offset = np.zeros((count, len(robot.joints)))
-        self._field, self._ignored = np.zeros((2, count), dtype=np.int64)
-        self._frame = np.zeros((count, 5))  # base position and cosine, sine of its heading
-        self._axes = np.zeros((count, 3, 3))  # columns: the axes of the base frame in the scene
-        self._target = np.zeros((count, 3))  # as told, in the base frame
-        self._goal = np.zeros((count, 3))  # what counts, in the base frame
-        self._radius = np.zeros((count, 1))
-        self._room = np.empty((count, ROOM if self.observe.asks_for_room else 0), dtype=np.float32)
-        self._headings = Headings(count, len(robot.joints)) if self.observe.asks_for_way else None
+        self._perception = Perception(count, robot, self.observe, self.worlds, settings.success_radius, threads)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> ReachSimulation:
         """The same state, to go on from independently; what is never changed is shared."""
@@ -126,7 +111,7 @@ class ReachSimulation:
         for shared in (*shares, *self._worlds, *self._episodes):
             memo[id(shared)] = shared
         twin = memo[id(self)] = object.__new__(ReachSimulation)
-        twin.__dict__ = copy.deepcopy({**self.__dict__, "_rig": None}, memo)
+        twin.__dict__ = copy.deepcopy(self.__dict__, memo)
         return twin
 
     # -- reset --------------------------------------------------------------------------------------------------------
@@ -168,7 +153,7 @@ class ReachSimulation:
         for i in ids:
             self._contact[i] = NOTHING.names
         self._note(touches)
-        fresh = self._look(ids, touches.any)
+        fresh = self._perception.look(ids, physics, touches.any, self._counts["steps"])
         self.situation = fresh if len(ids) == self.count else self._seen().replaced(ids, fresh)
 
     def _world(self, scene: Scene, moved: int | None) -> World:
@@ -182,26 +167,12 @@ class ReachSimulation:
         for counts in self._counts.values():
             counts[i] = 0
         self._counts["target"][i] = episode.target
-        self._joint_offset[i] = disturbance.joints
-        self._field[i] = world.field
-        self._frame[i] = world.frame
-        cosine, sine = world.frame[3:]
-        self._axes[i] = [[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]]
-        self._target[i] = world.tomatoes[episode.target, :3] + disturbance.target
-        self._goal[i], self._radius[i] = world.goal(episode.target)
-        self._ignored[i] = NO_TOMATO if self.observe.target_is_obstacle else episode.target
-        if self.observe.asks_for_room:
-            self._room[i] = room_around(self.worlds.fields, world.field, self._ignored[i], self._target[i])
-        if self._headings is not None:
-            center = self._frame[i, :3] + self._axes[i] @ self._target[i]
-            place = place_of(world, self.robot)
-            self._headings.begin(i, Ways(place, Ends(place.compiled, episode.target, center, episode.start)))
+        self._perception.begin(i, episode, world, disturbance)
 
     def close(self) -> None:
         """Free the simulations; the next reset makes new ones."""
-        if self._rig is not None:
-            self._rig.close()
-        self._physics = self._rig = self.situation = None
+        self._perception.close()
+        self._physics = self.situation = None
 
     # -- step ---------------------------------------------------------------------------------------------------------
 
@@ -214,7 +185,7 @@ class ReachSimulation:
         before, physics = self._seen(), self._physics
         action = check_actions(actions, self.count, self.action_rule.space)
         assert physics is not None
-        change = self.action_rule(action, before, physics.motion(self._frame[:, 3:]))
+        change = self.action_rule(action, before, physics.motion(self._perception.heading))
         command = self._limit(physics.command, change, physics.qpos)
         touches = physics.advance(command.position)
         self._note(touches)
@@ -222,7 +193,7 @@ class ReachSimulation:
         counts["steps"] += 1
         counts["slowed"] += command.slowed
         counts["limited"] += command.limited
-        after = self.situation = self._look(slice(None), touches.any)
+        after = self.situation = self._perception.look(slice(None), physics, touches.any, counts["steps"])
         transition = Transition(
             before.distance, after.distance, after.touched, after.success, squared_norm(action), counts["steps"],
             (before, after),
@@ -321,77 +292,3 @@ class ReachSimulation:
         if self.situation is None:
             raise NoEpisodeError("there is no episode yet: reset the whole environment first")
         return self.situation
-
-    # -- looking ------------------------------------------------------------------------------------------------------
-
-    def _look(self, ids: Ids | slice, touched: npt.ArrayLike) -> Situation:
-        """The situation of some simulations from their current kinematics."""
-        physics, frame = self._physics, self._frame[ids]
-        assert physics is not None
-        sites, tool = physics.sites(ids)
-        vectors = np.concatenate([sites - frame[:, None, :3], tool[:, None, :, 2]], axis=1) @ self._axes[ids]
-        points, axis = vectors[:, :-1], vectors[:, -1]
-        grasp = points[:, 0] + self._radius[ids] * axis
-        gap = self._goal[ids] - grasp
-        distance, direction = self.worlds.fields.lookup(self._field[ids], self._ignored[ids], points[:, 1:])
-        joints = physics.qpos[ids]
-        waypoint, way = self._headings_of(ids, physics.command[ids] + self._joint_offset[ids])
-        pictures = self._photograph(ids, frame, sites[:, 0], tool)
-        away = lengths(gap)
-        touched = np.asarray(touched, dtype=np.bool_)
-        return Situation(
-            joints=joints + self._joint_offset[ids],
-            velocities=physics.qvel[ids].copy(),
-            lead=physics.command[ids] - joints,
-            tip=points[:, 0],
-            axis=axis,
-            grasp=grasp,
-            target=self._target[ids].copy(),
-            distance=away,
-            clearance=distance - self._probe_radii,
-            obstacle=direction,
-            room=self._room[ids].copy(),
-            waypoint=waypoint,
-            way=way,
-            touched=touched,
-            success=(away < self.settings.success_radius) & ~touched,
-            seen=self._seen_at(ids, sites[:, 1:]),
-            depth=pictures.depth,
-            color=pictures.color,
-            views=pictures.views,
-        )
-
-    def _headings_of(self, ids: Ids | slice, command: Array) -> tuple[Array, Array]:
-        """Offsets (k, j) from the commands to the waypoints, and ways (k, 2), where the observation asks for them."""
-        if self._headings is None:
-            return np.empty((len(command), 0)), np.empty((len(command), 0))
-        self._headings.look(np.arange(self.count)[ids], command, self._counts["steps"][ids])
-        return self._headings.waypoint[ids] - command, self._headings.way[ids].copy()
-
-    def _seen_at(self, ids: Ids | slice, probes: Array) -> Bools:
-        """Whether the scan saw the places (n, k, 3) of the probe points, where the observation asks for it."""
-        if not self.observe.asks_what_was_seen:
-            return np.empty((len(probes), 0), dtype=np.bool_)
-        seen = np.empty(probes.shape[:2], dtype=np.bool_)
-        for k, i in enumerate(np.arange(self.count)[ids]):
-            episode = self._episodes[i]
-            assert episode is not None
-            assert episode.scene.seen is not None
-            seen[k] = episode.scene.seen(probes[k])
-        return seen
-
-    def _photograph(self, ids: Ids | slice, frame: Array, tip: Array, tool: Array) -> Pictures:
-        """What the cameras of some simulations see."""
-        cameras, physics = self.observe.cameras, self._physics
-        assert physics is not None
-        if not cameras:
-            return self._no_pictures.first(len(tip))
-        if self._rig is None:
-            threads = 1 if self.count == 1 else self._threads or usable_cores()
-            world = self._worlds[0]
-            assert world is not None
-            self._rig = CameraRig(cameras, world.compiled, threads, self.observe.sees_arm, self.observe.sees_color)
-        chosen = np.arange(self.count)[ids]
-        noises = [None if drawn is None else drawn.noise for drawn in (self._disturbances[i] for i in chosen)]
-        models = [physics.models[i] for i in chosen]
-        return self._rig.photograph(models, physics.qpos[ids], frame, tip, tool, noises)
