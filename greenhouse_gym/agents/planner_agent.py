@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.envs.actions import INTERVAL, joint_steps
+from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning import PLANNERS, PlannerSettings, PlanResult, follow_path, free_commands, plan
 from greenhouse_gym.scene import Scene, compile_scene
@@ -88,12 +89,14 @@ class PlannerAgent:
             protocol is one of `SEEN_ENOUGH`.
         margin: How far it keeps from boxes of clutter, metres, as `greenhouse_gym.planning.plan` takes it. When left
             out, `RIM` in scenes whose boxes go by the area of the foliage, as they are built now, and 0 in others.
+        attempts: How many times it plans at most while there is no path, each time with another seed.
 
     Attributes:
         result: The last episode's plan, or None before the first.
 
     Raises:
         UnknownNameError: No such planner.
+        InvalidValueError: No attempts.
     """
 
     env_options: Mapping[str, Any] = MappingProxyType({})
@@ -108,10 +111,13 @@ class PlannerAgent:
         settings: PlannerSettings | None = None,
         unseen: str | float | None = None,
         margin: float | None = None,
+        attempts: int = 1,
     ):
+        if attempts < 1:
+            raise InvalidValueError(f"attempts must be a whole number from 1 up, got {attempts!r}")
         self.planner, self.settings, self.unseen, self.margin = PLANNERS[planner].name, settings, unseen, margin
         self.time_limit, self.max_checks, self.goals = time_limit, max_checks, goals
-        self.name = name or planner
+        self.name, self.attempts = name or planner, attempts
         self.result: PlanResult | None = None
         self._follower: PathFollower | None = None
 
@@ -122,12 +128,16 @@ class PlannerAgent:
 
     def reset(self, problem: Problem) -> None:
         """Plan."""
-        self.result = plan(
-            problem.scene, problem.target, problem.robot, self.planner, self.time_limit, self.max_checks, self.goals,
-            seed=problem.seed, start=problem.start, settings=self.settings,
-            unseen=usual_care(problem.scene) if self.unseen is None else self.unseen,
-            margin=usual_margin(problem.scene) if self.margin is None else self.margin,
-        )  # fmt: skip
+        for attempt in range(self.attempts):
+            self.result = plan(
+                problem.scene, problem.target, problem.robot, self.planner, self.time_limit, self.max_checks,
+                self.goals, seed=problem.seed + attempt, start=problem.start, settings=self.settings,
+                unseen=usual_care(problem.scene) if self.unseen is None else self.unseen,
+                margin=usual_margin(problem.scene) if self.margin is None else self.margin,
+            )  # fmt: skip
+            if self.result.path is not None:
+                break
+        assert self.result is not None
         if self.result.path is None:
             self._follower = PathFollower(problem.start[None], problem)
         else:

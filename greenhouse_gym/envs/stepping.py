@@ -28,6 +28,14 @@ _VELOCITIES = mujoco.mjtStage.mjSTAGE_VEL
 _STATE = ("time", "qpos", "qvel", "act", "ctrl", "qacc_warmstart", "history")
 _CHUNK = 32
 
+_LISTED = 2
+"""How many geoms of the world the broad phase of the collision detection may list while an arm moves.
+
+For each pair of bodies it asks all their geoms what they may touch, which takes a tenth of the time among the thousands
+of boxes of a true row. The floor, which comes first, may touch whatever any obstacle may, and which geoms do touch is
+found through the tree over all of them. Two bodies of one geom each would be tested without their trees.
+"""
+
 
 class ForkedError(GreenhouseError, RuntimeError):
     """Something that works with threads was used in a process that was forked off after it had been made."""
@@ -77,6 +85,25 @@ class Stepper(Protocol):
         """Make the physics steps of an action; tell (n,) which touched anything in them, or where they stood before."""
 
 
+class _WorldList:
+    """The lengths of the lists of the world's geoms in some models, cut short within a ``with`` block.
+
+    Only there: whoever places the geoms or renders them has to know of all.
+    """
+
+    def __init__(self, models: Sequence[mujoco.MjModel]):
+        self._lengths = [model.body_geomnum for model in models]
+        self._whole = int(self._lengths[0][0])
+
+    def __enter__(self) -> None:
+        for length in self._lengths:
+            length[0] = min(_LISTED, self._whole)
+
+    def __exit__(self, *error: object) -> None:
+        for length in self._lengths:
+            length[0] = self._whole
+
+
 class OneStepper:
     """A single simulation, without the detour over a batch.
 
@@ -92,7 +119,7 @@ class OneStepper:
         self.command, self.speed = data.act[None], data.ctrl[None]
         self.site_xpos, self.site_xmat = data.site_xpos[None], data.site_xmat[None]
         self.xanchor, self.xaxis = data.xanchor[None], data.xaxis[None]
-        self._counts = data.history[None, -substeps:]
+        self._counts, self._listed = data.history[None, -substeps:], _WorldList([model])
 
     def __deepcopy__(self, memo: dict[int, Any]) -> OneStepper:
         twin = OneStepper(copy.deepcopy(self._model, memo), self._substeps)
@@ -109,9 +136,10 @@ class OneStepper:
     def run(self) -> Bools:
         """See `Stepper.run`."""
         model, data = self._model, self._data
-        mujoco.mj_step2(model, data)
-        mujoco.mj_step(model, data, self._substeps - 1)
-        mujoco.mj_step1(model, data)
+        with self._listed:
+            mujoco.mj_step2(model, data)
+            mujoco.mj_step(model, data, self._substeps - 1)
+            mujoco.mj_step1(model, data)
         return np.array([data.ncon > 0 or self._counts.any()])
 
 
@@ -136,6 +164,7 @@ class ManyStepper:
         self.site_xpos, self.site_xmat = batch.bind("site_xpos"), batch.bind("site_xmat")
         self.xanchor, self.xaxis = batch.bind("xanchor"), batch.bind("xaxis")
         self._counts, self._ncon = batch.bind("history")[:, -substeps:], batch.bind("ncon")
+        self._listed = _WorldList(models)
         size = _CHUNK * batch.nthread
         starts = range(0, count, size)
         self._chunks = [np.arange(i, min(i + size, count), dtype=np.int32) for i in starts] if count > size else [None]
@@ -161,8 +190,9 @@ class ManyStepper:
     def run(self) -> Bools:
         """See `Stepper.run`."""
         self._check_process()
-        for ids in self._chunks:
-            self._batch.step(ids, nstep=self._substeps, stage=_VELOCITIES)
+        with self._listed:
+            for ids in self._chunks:
+                self._batch.step(ids, nstep=self._substeps, stage=_VELOCITIES)
         return self._counts.any(axis=1) | (self._ncon > 0)
 
     def _check_process(self) -> None:
