@@ -1,27 +1,30 @@
 """How SAC with hindsight replay learns on the goal environment, against random actions.
 
 python benchmarks/sac_her.py
-python benchmarks/sac_her.py --guided --minutes 12 --every 10000 --out benchmarks/results/sac_her_guided.json
+python benchmarks/sac_her.py --guided --seeds 0,1,2 --steps 60000 --test 1000 --out benchmarks/results/sac_her_guided.json
 
-Trains with the default settings for some minutes of processor time and writes the curve to results/sac_her.json. What
-counts are episodes of the validation split, whose rows were not trained on, judged without the policy's noise. With
-``--guided`` the bank is ``default``, the targets are easy and medium, the reward is sparse, the waypoint is observed,
-and the memory begins with demonstrations by the rule that follows it.
+Trains with the default settings for some minutes of processor time, or so many steps, and writes the curve of each
+training seed to results/sac_her.json. What counts are episodes of the validation split, whose rows were not trained on,
+judged without the policy's noise. With ``--guided`` the bank is ``default``, the targets are easy and medium, the reward
+is sparse, the waypoint is observed, the memory begins with demonstrations by the rule that follows it, and the actor is
+held near that. With ``--test`` what was learned plays so many test episodes at the end, and so does the rule.
 """
 
 from __future__ import annotations
 
 import argparse
 import tempfile
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 from results_file import RESULTS, write_results
 
-from greenhouse_gym.agents import RandomAgent
-from greenhouse_gym.evaluation import Evaluation, evaluate
-from greenhouse_gym.learning.sac import SacSettings, train_sac
+from greenhouse_gym.agents import Agent, RandomAgent
+from greenhouse_gym.agents.named import make_agent
+from greenhouse_gym.evaluation import Evaluation, evaluate, wilson_interval
+from greenhouse_gym.integrations.sb3 import Sb3Agent
+from greenhouse_gym.learning.sac import SacSettings, env_options, load_sac, train_sac
 from greenhouse_gym.learning.sac_report import SacProgress
 
 GUIDED: dict[str, Any] = {
@@ -39,34 +42,57 @@ def main() -> None:
     """Train, play at random, write the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--minutes", type=float, default=16.0)
+    parser.add_argument("--steps", type=int, help="end after so many steps instead, however long that takes")
     parser.add_argument("--every", type=int, default=20_000)
     parser.add_argument("--episodes", type=int, default=256)
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seeds", default="0", help="training seeds, separated by commas")
     parser.add_argument("--guided", action="store_true")
+    parser.add_argument(
+        "--test", type=int, default=0, help="test episodes, seeds from 0 on, that are played at the end"
+    )
     parser.add_argument("--out", type=Path, default=RESULTS / "sac_her.json")
     arguments = parser.parse_args()
-    settings = SacSettings(
-        seed=arguments.seed, threads=1, total_steps=10_000_000, validation_steps=arguments.every,
+    whole = SacSettings(
+        threads=1, total_steps=arguments.steps or 10_000_000, validation_steps=arguments.every,
         validation_episodes=arguments.episodes, **(GUIDED if arguments.guided else {}),
     )  # fmt: skip
-    curve: list[dict[str, Any]] = []
-    figures: dict[str, Any] = {"settings": asdict(settings), "random": {}, "curve": curve}
+    figures: dict[str, Any] = {"settings": asdict(whole), "random": {}, "seeds": {}, "test": {}}
+    for split in ("train", "validation"):
+        figures["random"][split] = shares(
+            evaluate(RandomAgent(), split, arguments.episodes, seed=10_000, num_envs=32, **env_options(whole))
+        )
+    print("random actions", figures["random"], flush=True)
+    minutes = None if arguments.steps else arguments.minutes
+    for seed in map(int, arguments.seeds.split(",")):
+        learn(replace(whole, seed=seed), minutes, arguments.test, figures, arguments.out)
+    if arguments.test and arguments.guided:
+        note_test("the rule", make_agent("waypoint"), whole, arguments.test, figures, arguments.out)
+
+
+def learn(settings: SacSettings, minutes: float | None, test: int, figures: dict[str, Any], out: Path) -> None:
+    """Train from one seed; ``figures`` and the file ``out`` get its curve and how it plays test episodes."""
+    curve = figures["seeds"][str(settings.seed)] = []
 
     def note(progress: SacProgress) -> None:
         row = {name: getattr(progress, name) for name in ("steps", "updates", "seconds")}
         curve.append({**row, "train": shares(progress.train), "validation": shares(progress.validation)})
-        print(curve[-1], flush=True)
-        write_results(arguments.out, figures, ("stable-baselines3", "torch", "mujoco"))
+        print(settings.seed, curve[-1], flush=True)
+        write_results(out, figures, ("stable-baselines3", "torch", "mujoco"))
 
-    for split in ("train", "validation"):
-        result = evaluate(
-            RandomAgent(), split, arguments.episodes, seed=10_000, num_envs=settings.num_envs, bank=settings.bank,
-            difficulty=settings.difficulty, threads=1,
-        )  # fmt: skip
-        figures["random"][split] = shares(result)
-    print("random actions", figures["random"], flush=True)
     with tempfile.TemporaryDirectory() as folder:
-        train_sac(settings, folder, minutes=arguments.minutes, tell=note)
+        train_sac(settings, folder, minutes=minutes, tell=note)
+        if test:
+            note_test(f"seed {settings.seed}", Sb3Agent(load_sac(folder)), settings, test, figures, out)
+
+
+def note_test(name: str, agent: Agent, settings: SacSettings, test: int, figures: dict[str, Any], out: Path) -> None:
+    """Play test episodes of the difficulties that were trained on."""
+    options = {key: value for key, value in env_options(settings).items() if key not in agent.env_options}
+    result = evaluate(agent, "test", test, seed=0, num_envs=64, **options)
+    successes = sum(record.success for record in result.records)
+    figures["test"][name] = {**shares(result), "episodes": test, "success_95": wilson_interval(successes, test)}
+    print("test", name, figures["test"][name], flush=True)
+    write_results(out, figures, ("stable-baselines3", "torch", "mujoco"))
 
 
 def shares(result: Evaluation) -> dict[str, float]:

@@ -18,10 +18,6 @@ NOISIEST = 0.5
 """Standard deviation of the noise on demonstrated actions, which go from -1 to 1, in the last of the simulations."""
 
 
-HELD = 2.0
-"""How much the actor is held near the demonstrator, against what the critics say."""
-
-
 class Demonstrator:
     """Goes where the waypoint of a goal environment says, as the agent ``waypoint`` does.
 
@@ -62,17 +58,19 @@ class Demonstrated(SAC):  # type: ignore[misc]
     """SAC that need not act at random while it fills its memory.
 
     With a demonstrator, the actor is held near what that would do, in any place of the memory: its loss is the one of
-    SAC, measured in the critics' mean absolute value, plus `HELD` times the mean squared distance to the demonstrator's
-    actions (Fujimoto and Gu, A Minimalist Approach to Offline Reinforcement Learning, 2021). Without that, critics that
-    have seen little beside the demonstrations lead the actor astray.
+    SAC, measured in the mean absolute value that the critics give, plus `held` times the mean squared distance to the
+    demonstrator's actions (Fujimoto and Gu, A Minimalist Approach to Offline Reinforcement Learning, 2021). Without
+    that, critics that have seen little beside the demonstrations lead the actor astray.
 
     Attributes:
         acts_at_random: Whether it acts so while it fills its memory.
         demonstrator: Who acts then instead of mere chance.
+        held: How much the actor is held near the demonstrator.
     """
 
     acts_at_random = True
     demonstrator: Demonstrator | None = None
+    held = 0.0
 
     def _sample_action(self, learning_starts: int, action_noise: Any = None, n_envs: int = 1) -> Any:
         if not self.acts_at_random:
@@ -91,16 +89,17 @@ class Demonstrated(SAC):  # type: ignore[misc]
             hold.remove()
 
     def _hold(self, count: int) -> None:
-        """Add to the gradients of SAC's actor loss those of its distance to the demonstrator."""
+        """Add the pull towards the demonstrator to the gradients of SAC's actor loss, just before they are followed."""
         if self.demonstrator is None:
             return
         observed = self.demonstrator.places(self.replay_buffer, count)
         wish, done = self.demonstrator.wish(observed), self.actor(observed, deterministic=True)
         with torch.no_grad():
-            scale = torch.cat(self.critic(observed, done), dim=1).abs().mean() + 1.0
-        loss = ((done - wish) ** 2 * self.demonstrator.knows(observed)).mean()
+            worth = torch.cat(self.critic(observed, done), dim=1).abs().mean() + 1.0
+        apart = ((done - wish) ** 2 * self.demonstrator.knows(observed)).mean()
         parameters = [part for group in self.actor.optimizer.param_groups for part in group["params"]]
-        for part, pull in zip(parameters, torch.autograd.grad(HELD * loss, parameters, allow_unused=True), strict=True):
+        pulls = torch.autograd.grad(self.held * apart, parameters, allow_unused=True)
+        for part, pull in zip(parameters, pulls, strict=True):
             if pull is not None and part.grad is not None:
-                part.grad.div_(scale).add_(pull)
-        self.logger.record("train/imitation_loss", loss.detach().item())
+                part.grad.div_(worth).add_(pull)
+        self.logger.record("train/imitation_loss", apart.detach().item())

@@ -51,7 +51,8 @@ class SacSettings:
         random_steps: Steps with random actions before the first gradient step; enough for an episode of each
             simulation.
         guided: Whether these steps go where the waypoint says instead, from exactly so in the first simulation to with
-            much noise in the last, and are then imitated where the critics think that better than what the actor does.
+            much noise in the last, and the actor is held near that rule.
+        held: How much it is held, against what the critics say; see `Demonstrated`.
         total_steps: Steps of all simulations together.
         validation_steps: Steps between judgments of the policy without its noise, on rows that are trained on and on
             rows that are not.
@@ -78,6 +79,7 @@ class SacSettings:
     memory: int = 400_000
     random_steps: int = 6_600
     guided: bool = False
+    held: float = 2.0
     total_steps: int = 1_000_000
     validation_steps: int = 20_000
     validation_episodes: int = 100
@@ -126,7 +128,7 @@ def make_sac(settings: SacSettings) -> Any:
         device="cpu",
     )
     if settings.guided:
-        model.demonstrator = Demonstrator(layout, settings.seed)
+        model.demonstrator, model.held = Demonstrator(layout, settings.seed), settings.held
     return model
 
 

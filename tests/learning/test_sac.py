@@ -125,7 +125,7 @@ def test_too_few_random_steps_are_refused(settings: SacSettings, tmp_path: Path)
 def test_guided_steps_fill_the_memory_with_what_the_waypoint_says(settings: SacSettings, tmp_path: Path) -> None:
     guided = replace(settings, observation="goal_waypoint", guided=True, reward="sparse")
     model = make_sac(guided)
-    model.learn(900)
+    model.learn(2_100)
     kept = model.replay_buffer
     seen = torch.from_numpy(kept.observations["observation"][:200])
     straight = seen[:, :, -8:-2] * seen[:, :, -1:]
@@ -134,8 +134,17 @@ def test_guided_steps_fill_the_memory_with_what_the_waypoint_says(settings: SacS
     assert strewn == sorted(strewn)
     assert strewn[3] > 0.1
     assert kept.rewards[:200, 0].max() == 1.0, "it reaches some target"
+    before = apart(make_sac(guided), kept)
+    assert apart(model, kept) < 0.5 * before, "its actor is held near what they do"
     with pytest.raises(InvalidValueError, match='guided needs observation="goal_waypoint"'):
         train_sac(replace(guided, observation="goal"), tmp_path)
+
+
+def apart(model: Any, memory: Any) -> float:
+    """Mean squared distance of what a guided model does to what the waypoint says, where a memory's episodes led."""
+    seen = {name: torch.from_numpy(part[:200, 1]) for name, part in memory.observations.items()}
+    with torch.no_grad():
+        return float(((model.actor(seen, deterministic=True) - model.demonstrator.wish(seen)) ** 2).mean())
 
 
 @pytest.mark.slow
