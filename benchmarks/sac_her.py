@@ -1,13 +1,13 @@
 """How SAC with hindsight replay learns on the goal environment, against random actions.
 
 python benchmarks/sac_her.py
-python benchmarks/sac_her.py --guided --seeds 0,1,2 --steps 60000 --test 1000 --out benchmarks/results/sac_her_guided.json
+python benchmarks/sac_her.py --guided --seeds 0,1,2 --steps 60000 --test 1000 --out sac_her_guided.json
 
 Trains with the default settings for some minutes of processor time, or so many steps, and writes the curve of each
-training seed to results/sac_her.json. What counts are episodes of the validation split, whose rows were not trained on,
-judged without the policy's noise. With ``--guided`` the bank is ``default``, the targets are easy and medium, the reward
-is sparse, the waypoint is observed, the memory begins with demonstrations by the rule that follows it, and the actor is
-held near that. With ``--test`` what was learned plays so many test episodes at the end, and so does the rule.
+training seed to results/sac_her.json. What counts are episodes of the validation split, whose rows were not trained
+on, judged without the policy's noise. With ``--guided`` the bank is ``default``, the targets are easy and medium, the
+reward is sparse, the waypoint is observed, the memory begins with demonstrations by the rule that follows it, and the
+actor is held near that. With ``--test`` what was learned plays so many test episodes at the end, and so does the rule.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def main() -> None:
     parser.add_argument("--seeds", default="0", help="training seeds, separated by commas")
     parser.add_argument("--guided", action="store_true")
     parser.add_argument(
-        "--test", type=int, default=0, help="test episodes, seeds from 0 on, that are played at the end"
+        "--test", type=int, default=0, help="test episodes, seeds from 0 on, played at the end"
     )
     parser.add_argument("--out", type=Path, default=RESULTS / "sac_her.json")
     arguments = parser.parse_args()
