@@ -47,9 +47,7 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=256)
     parser.add_argument("--seeds", default="0", help="training seeds, separated by commas")
     parser.add_argument("--guided", action="store_true")
-    parser.add_argument(
-        "--test", type=int, default=0, help="test episodes, seeds from 0 on, played at the end"
-    )
+    parser.add_argument("--test", type=int, default=0, help="test episodes, seeds from 0 on, played at the end")
     parser.add_argument("--out", type=Path, default=RESULTS / "sac_her.json")
     arguments = parser.parse_args()
     whole = SacSettings(
