@@ -11,7 +11,6 @@ from greenhouse_gym.agents.arm_balls import arm_balls
 from greenhouse_gym.agents.sight_map import SightMap
 from greenhouse_gym.envs.cameras import DepthCamera
 from greenhouse_gym.geometry import Array, distance_to_shapes, invert, pose, rotation_about, transform
-from greenhouse_gym.planning.margins import with_margin
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.mjcf import base_position
 from greenhouse_gym.scene.seen import EMPTY, SURFACE, UNSEEN, SeenSpace, boxes_around
@@ -64,16 +63,12 @@ class Knowledge:
             self.points = np.concatenate([self.points, fresh])
         return bool(len(fresh))
 
-    def scene(self, command: Array, voxel: float, margin: float = 0.0) -> Scene:
+    def scene(self, command: Array, voxel: float) -> Scene:
         """The scene for an arm in a configuration (j,): the scan's, and clutter where the camera has shown more.
 
-        Args:
-            command: Where the arm is, radians.
-            voxel: Side of the voxels that stand for what the camera has shown, metres: the smaller they are, the less
-                they stand for beside it.
-            margin: How much larger boxes of the scan are to every side, but for those about the target, metres.
+        The clutter is made of voxels, metres: the smaller they are, the less they stand for beside what was shown.
         """
-        scene = with_margin(self._problem.scene, self._problem.robot, command, margin, self._tomato.center)
+        scene = self._problem.scene
         centers = self._arm.centers(command[None])[0]
         points = transform(self._scene_from_base, self.points[self._gap(self.points, centers) > _CLEAR])
         return scene.model_copy(

@@ -32,9 +32,8 @@ from greenhouse_gym.scene.reaches import arm_reaches
 PLANS, LOOKS = 10, 4
 """How many times the agent looks for a way in an episode at most, and for what nobody has seen on its way."""
 
-TRIES = ((0.02, 0.01, CAREFUL_DEPTHS[:1]), (0.0, 0.01, CAREFUL_DEPTHS), (0.0, 0.004, CAREFUL_DEPTHS))
-"""How far the way keeps from the scan's boxes beside those about the target, the sides of the voxels that stand for
-what only the camera has shown, and how deep unseen space is entered, metres: the next where the one before leaves no
+VOXELS = (0.01, 0.004)
+"""Sides of the voxels that stand for what only the camera has shown, metres: the next where the one before leaves no
 way of a few straight motions."""
 
 CHECKS = 30_000
@@ -142,9 +141,9 @@ class _Episode:
         """Look for a way to the target: the scene it leads through, and how deep into unseen space it may, metres."""
         problem = self._problem
         ends = ends_of(problem, command)
-        for margin, voxel, depths in TRIES:
-            scene = self._known.scene(command, voxel, margin)
-            ways, depth = careful_ways(scene, problem.robot, ends, depths)
+        for voxel in VOXELS:
+            scene = self._known.scene(command, voxel)
+            ways, depth = careful_ways(scene, problem.robot, ends)
             self._way = _followed(ways, command)
             if self._way:
                 return scene, depth

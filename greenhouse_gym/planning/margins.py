@@ -10,20 +10,15 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.geometry import Box, distance_to_shapes
+from greenhouse_gym.geometry import Box
 from greenhouse_gym.planning.unseen import ByIdentity
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.collision import planning_model
 from greenhouse_gym.scene.mjcf import compile_scene
 
-NEAR = 0.2
-"""Boxes this near to a spared place keep their size, metres."""
 
-
-def with_margin(
-    scene: Scene, robot: Robot, start: npt.ArrayLike, margin: float, spared: npt.ArrayLike | None = None
-) -> Scene:
+def with_margin(scene: Scene, robot: Robot, start: npt.ArrayLike, margin: float) -> Scene:
     """A scene whose boxes are larger to every side, but for those that the arm would touch then where it starts.
 
     The rims of leaves are what a stereo camera measures least: in rows of organ meshes most leaves that planned paths
@@ -34,7 +29,6 @@ def with_margin(
         robot: The arm.
         start: (joints,) where it stands, radians.
         margin: Metres; with 0 the scene is returned as it is.
-        spared: (3,) a place in the scene about which boxes keep their size, up to `NEAR`, metres; None for none.
 
     Raises:
         InvalidValueError: The margin is negative or not finite.
@@ -43,26 +37,15 @@ def with_margin(
         raise InvalidValueError(f"margin must be a finite number of metres from 0 on, got {margin!r}")
     if not margin:
         return scene
-    where, place = (
-        None if values is None else tuple(np.asarray(values, dtype=np.float64).tolist()) for values in (start, spared)
-    )
-    assert where is not None
-    return _with_margin(ByIdentity(scene), robot, where, float(margin), place)
+    return _with_margin(ByIdentity(scene), robot, tuple(np.asarray(start, dtype=np.float64).tolist()), float(margin))
 
 
 @lru_cache(maxsize=4)
-def _with_margin(
-    kept: ByIdentity, robot: Robot, start: tuple[float, ...], margin: float, spared: tuple[float, ...] | None
-) -> Scene:
+def _with_margin(kept: ByIdentity, robot: Robot, start: tuple[float, ...], margin: float) -> Scene:
     scene = kept.scene
-    away = np.full(len(scene.clutter), np.inf)
-    if spared is not None and len(away):
-        away = distance_to_shapes(np.array([spared]), scene.clutter)[0]
     grown = [
-        Box(shape.center, shape.half_extents + margin, shape.rotation)
-        if isinstance(shape, Box) and gap > NEAR
-        else shape
-        for shape, gap in zip(scene.clutter, away, strict=True)
+        Box(shape.center, shape.half_extents + margin, shape.rotation) if isinstance(shape, Box) else shape
+        for shape in scene.clutter
     ]
     compiled = compile_scene(scene.model_copy(update={"clutter": tuple(grown)}), robot)
     model = planning_model(compiled, 0)
