@@ -24,6 +24,9 @@ ACTIVATIONS: dict[str, Callable[[Float32], Float32]] = {
 }
 """Activations between layers by name."""
 
+OUTPUTS: dict[str, Callable[[Float32], Float32]] = {"clip": lambda x: np.clip(x, -1.0, 1.0), "tanh": np.tanh}
+"""What is made of the last layer by name."""
+
 MAX_LAYERS, MAX_WIDTH = 16, 1 << 14
 """Layers a network may have, and entries of each."""
 
@@ -36,6 +39,7 @@ class _Network(_Part):
     kind: Literal["mlp"] = "mlp"
     sizes: list[PositiveInt] = Field(min_length=2, max_length=MAX_LAYERS + 1)
     activation: Literal["tanh", "relu"]
+    output: Literal["clip", "tanh"] = "clip"
 
 
 class _EnvOptions(_Part):
@@ -71,6 +75,7 @@ class Policy:
         env_options: Keywords for `gymnasium.make` that give the environment it was trained for.
         layout: Name and number of entries of each group of the observation.
         training: How it came about: algorithm, settings, steps.
+        output: One of `OUTPUTS`, which brings actions to within [-1, 1].
     """
 
     weights: tuple[Float32, ...]
@@ -81,6 +86,7 @@ class Policy:
     env_options: Mapping[str, Any]
     layout: tuple[tuple[str, int], ...]
     training: Mapping[str, Any] = field(default_factory=dict)
+    output: str = "clip"
 
     def __call__(self, observations: npt.ArrayLike) -> Float32:
         """Actions in [-1, 1], (joints,) or (n, joints), for observations (size,) or (n, size).
@@ -95,7 +101,7 @@ class Policy:
         # a stack of products with one vector each: a product of matrices rounds otherwise for other numbers of rows
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
             x = activate(np.asarray(weight @ x + bias[:, None], dtype=np.float32))
-        return np.clip((self.weights[-1] @ x)[..., 0] + self.biases[-1], -1.0, 1.0).astype(np.float32)
+        return OUTPUTS[self.output]((self.weights[-1] @ x)[..., 0] + self.biases[-1]).astype(np.float32)
 
     def save(self, path: str | Path) -> Path:
         """Write ``path``.safetensors (weights) and then ``path``.json (everything else); returns the latter.
@@ -110,7 +116,11 @@ class Policy:
         content = _safetensors().save({k: np.ascontiguousarray(a, dtype=np.float32) for k, a in arrays.items()})
         try:
             description = _Description(
-                network=_Network(sizes=_sizes(self.weights), activation=self.activation),  # type: ignore[arg-type]
+                network=_Network(
+                    sizes=_sizes(self.weights),
+                    activation=self.activation,  # type: ignore[arg-type]
+                    output=self.output,  # type: ignore[arg-type]
+                ),
                 observation_layout=list(self.layout),
                 env_options=_EnvOptions(**self.env_options),
                 weights_sha256=hashlib.sha256(content).hexdigest(),
@@ -159,6 +169,7 @@ class Policy:
             env_options=description.env_options.model_dump(exclude_none=True),
             layout=tuple(description.observation_layout),
             training=description.training,
+            output=description.network.output,
         )
 
 

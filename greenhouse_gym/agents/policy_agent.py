@@ -9,6 +9,7 @@ from typing import Any
 import numpy.typing as npt
 
 from greenhouse_gym.agents.agent import Problem
+from greenhouse_gym.agents.goal_features import GOAL_FEATURES, goal_vector
 from greenhouse_gym.agents.policy import Float32, Policy, described_at
 from greenhouse_gym.errors import InvalidValueError, UnknownNameError
 from greenhouse_gym.paths import data_path
@@ -62,8 +63,16 @@ class PolicyAgent:
         if problem.robot.name != trained_for:
             raise InvalidValueError(f"policy {self.name!r} drives {trained_for!r}, got robot {problem.robot.name!r}")
 
-    def act(self, observation: npt.ArrayLike) -> Float32:
+    def act(self, observation: Any) -> Float32:
         """The most likely action, (joints,), or (n, joints) for observations (n, size)."""
-        return self.policy(observation)
+        return self.policy(self.fed(observation))
 
     act_many = act
+
+    def fed(self, observation: Any) -> npt.ArrayLike:
+        """What the network is fed of an observation: that itself, or the `goal_vector` of a goal environment's."""
+        layout = self.policy.layout
+        if layout and layout[-1][0] == GOAL_FEATURES:
+            return goal_vector(observation, layout)
+        vector: npt.ArrayLike = observation
+        return vector

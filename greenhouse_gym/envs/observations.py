@@ -236,6 +236,12 @@ class GoalObservation(Sight):
         }
 
 
+def places_in(layout: Layout) -> dict[str, slice]:
+    """Where each group of a layout lies in its vector."""
+    ends = np.cumsum([size for _, size in layout]).tolist()
+    return {name: slice(end - size, end) for (name, size), end in zip(layout, ends, strict=True)}
+
+
 def select(observed: Observed, ids: Any) -> Any:
     """The observations of some simulations, or of one, out of those of all."""
     if isinstance(observed, dict):

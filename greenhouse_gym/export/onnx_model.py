@@ -16,6 +16,7 @@ from greenhouse_gym.paths import write_atomically
 
 OPSET, IR_VERSION = 17, 8  # of 2022: what it needs is older still, and few runtimes are
 _NODES = {"tanh": "Tanh", "relu": "Relu"}
+_ENDS = {"clip": "Clip", "tanh": "Tanh"}
 
 
 def export_policy(policy: Policy, path: str | Path, name: str = "policy") -> Path:
@@ -39,7 +40,9 @@ def onnx_model(policy: Policy, name: str = "policy") -> bytes:
         import onnx
     from onnx import helper, numpy_helper
 
-    constants = {"center": policy.center, "scale": policy.scale, "low": np.float32(-1.0), "high": np.float32(1.0)}
+    constants: dict[str, Any] = {"center": policy.center, "scale": policy.scale}
+    if policy.output == "clip":
+        constants |= {"low": np.float32(-1.0), "high": np.float32(1.0)}
     nodes = [
         helper.make_node("Sub", ["observation", "center"], ["centered"]),
         helper.make_node("Div", ["centered", "scale"], ["hidden_0"]),
@@ -50,7 +53,8 @@ def onnx_model(policy: Policy, name: str = "policy") -> bytes:
         nodes.append(helper.make_node("Gemm", [f"hidden_{i}", f"weight_{i}", f"bias_{i}"], [f"layer_{i}"], transB=1))
         if i < last:
             nodes.append(helper.make_node(_NODES[policy.activation], [f"layer_{i}"], [f"hidden_{i + 1}"]))
-    nodes.append(helper.make_node("Clip", [f"layer_{last}", "low", "high"], ["action"]))
+    bounds = ["low", "high"] if policy.output == "clip" else []
+    nodes.append(helper.make_node(_ENDS[policy.output], [f"layer_{last}", *bounds], ["action"]))
 
     def batch(tensor: str, size: int) -> Any:
         return helper.make_tensor_value_info(tensor, onnx.TensorProto.FLOAT, ["n", size])

@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from greenhouse_gym.envs.observations import Layout
+from greenhouse_gym.agents.goal_features import GOAL_FEATURES_SIZE, goal_features
+from greenhouse_gym.envs.observations import Layout, places_in
 from greenhouse_gym.envs.reach_task import lengths
 from greenhouse_gym.errors import MissingDependencyError
 
@@ -22,7 +23,6 @@ except ImportError as error:  # pragma: no cover - depends on the installation
     raise MissingDependencyError("stable-baselines3", "train") from error
 
 _JUDGED_BY = ("collision", "steps", "previous_goal", "effort", "TimeLimit.truncated")
-_GOAL_FEATURES = 18
 _DRAWS = 4
 
 
@@ -86,11 +86,7 @@ class GoalReplayBuffer(HerReplayBuffer):  # type: ignore[misc]
 
 
 class GoalFeatures(BaseFeaturesExtractor):  # type: ignore[misc]
-    """Scaled observation, both goals, and how the tool lies to its goal.
-
-    Goals in hindsight are in free air, where the nearest obstacle is always to be avoided. Real ones are inside a fruit
-    that the clearances count. So the features tell how far the cup is from the skin of a fruit around the goal, and
-    what the clearance at the tip is beyond that: zero says that the nearest obstacle is the target.
+    """Scaled observation and `greenhouse_gym.agents.goal_features.goal_features`.
 
     Args:
         space: The goal environment's observation space.
@@ -98,34 +94,16 @@ class GoalFeatures(BaseFeaturesExtractor):  # type: ignore[misc]
     """
 
     def __init__(self, space: spaces.Dict, layout: Layout):
-        super().__init__(space, sum(size for _, size in layout) + _GOAL_FEATURES)
+        super().__init__(space, sum(size for _, size in layout) + GOAL_FEATURES_SIZE)
         self.scaled = ScaledObservation(space["observation"], layout)
-        ends = np.cumsum([size for _, size in layout])
-        self._at = {name: slice(int(end) - size, int(end)) for (name, size), end in zip(layout, ends, strict=True)}
+        self._at = places_in(layout)
 
     def forward(self, observations: dict[str, Any]) -> Any:
         """Features (n, size + 18)."""
         seen = observations["observation"]
         achieved, desired = observations["achieved_goal"].float(), observations["desired_goal"].float()
-        tip, axis = seen[:, self._at["tip_position"]], seen[:, self._at["tool_axis"]]
-        clearance = seen[:, self._at["clearance"]][:, -1:]
-        way, ahead = desired - achieved, desired - tip
-        radius, distance, from_tip = (v.norm(dim=1, keepdim=True) for v in (achieved - tip, way, ahead))
-        gap = from_tip - radius
-        aligned = (ahead * axis).sum(dim=1, keepdim=True) / (from_tip + 1e-3)
-        return torch.cat(
-            [
-                self.scaled(seen),
-                2.0 * achieved,
-                2.0 * desired,
-                4.0 * way,
-                (20.0 * way).clamp(-2.0, 2.0),  # fine near the goal, where centimetres decide
-                2.0 * distance,
-                (20.0 * distance).clamp(max=3.0),
-                10.0 * radius,
-                (10.0 * gap).clamp(-3.0, 3.0),
-                (10.0 * (clearance - gap)).clamp(-3.0, 3.0),
-                aligned,
-            ],
-            dim=1,
-        )
+        return torch.cat([self.scaled(seen), *goal_features(seen, achieved, desired, self._at, _lengths)], dim=1)
+
+
+def _lengths(vectors: torch.Tensor) -> torch.Tensor:
+    return vectors.norm(dim=-1, keepdim=True)

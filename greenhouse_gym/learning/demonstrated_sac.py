@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.envs.observations import Layout
+from greenhouse_gym.envs.observations import Layout, places_in
 from greenhouse_gym.extras import needs
 
 with needs("train"):
@@ -27,8 +27,7 @@ class Demonstrator:
     """
 
     def __init__(self, layout: Layout, seed: int):
-        ends = np.cumsum([size for _, size in layout])
-        at = {name: slice(int(end) - size, int(end)) for (name, size), end in zip(layout, ends, strict=True)}
+        at = places_in(layout)
         self._direction, self._free = at["waypoint_direction"], at["way"].start + 1
         self._random = np.random.default_rng(seed)
 

@@ -4,64 +4,108 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from greenhouse_gym.agents.goal_features import GOAL_FEATURES, GOAL_FEATURES_SIZE
 from greenhouse_gym.agents.policy import Policy
+from greenhouse_gym.envs.observations import Layout
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.integrations.sb3 import simulation_of
 
 # Names, for torch is not imported here: playing a policy needs none.
 _ACTIVATION_NAMES = {"Tanh": "tanh", "ReLU": "relu"}
-_EXTRACTORS = ("FlattenExtractor", "ScaledObservation")
+_PLAIN, _GOALS = ("FlattenExtractor", "ScaledObservation"), "GoalFeatures"
 
 
-def policy_of(
-    model: Any, env_options: Mapping[str, Any], layout: tuple[tuple[str, int], ...], training: Mapping[str, Any]
-) -> Policy:
-    """The mean of a Stable-Baselines3 actor (with an MLP and a scaling extractor, as `train_ppo` makes it) in numpy.
+class _Actor(NamedTuple):
+    """What makes the mean action in a Stable-Baselines3 model.
 
-    Raises:
-        InvalidValueError: The model is another kind of network.
+    Attributes:
+        layers: Its linear layers.
+        activation: Name of what is between them.
+        output: Name of what is after them.
+        center: (size,) what is subtracted from what it is fed.
+        scale: (size,) what that is divided by.
+        features: Groups that are fed beside the observation.
     """
+
+    layers: list[Any]
+    activation: str
+    output: str
+    center: npt.NDArray[np.float32]
+    scale: npt.NDArray[np.float32]
+    features: Layout = ()
+
+
+def _actor_of(model: Any) -> _Actor:
     network = model.policy
-    extractor: Any = getattr(network, "pi_features_extractor", None)
-    if type(extractor).__name__ not in _EXTRACTORS or not hasattr(network, "mlp_extractor"):
+    activation = _ACTIVATION_NAMES.get(getattr(getattr(network, "activation_fn", None), "__name__", ""), "")
+    own = getattr(network, "actor", None)
+    extractor: Any = getattr(own if own is not None else network, "features_extractor", None)
+    kind = type(extractor).__name__
+    if own is not None and kind == _GOALS:
+        layers, scaled, output = [*_linear(own.latent_pi), own.mu], extractor.scaled, "tanh"
+    elif own is None and kind in _PLAIN and hasattr(network, "mlp_extractor"):
+        layers, scaled, output = [*_linear(network.mlp_extractor.policy_net), network.action_net], extractor, "clip"
+    else:
         space = type(getattr(network, "observation_space", None)).__name__
         raise InvalidValueError(
-            f"a policy file holds a plain network from a vector of numbers to the mean action, as PPO and A2C have it; "
-            f"got {type(model).__name__} on a {space} space: save the model itself and play it with "
-            "greenhouse_gym.integrations.sb3.Sb3Agent"
+            f"a policy file holds a plain network from a vector of numbers to the mean action, as PPO and A2C have it, "
+            f"or the actor of `greenhouse_gym.learning.sac`; got {type(model).__name__} on a {space} space: save the "
+            "model itself and play it with greenhouse_gym.integrations.sb3.Sb3Agent"
         )
-    activation = _ACTIVATION_NAMES.get(network.activation_fn.__name__)
-    if activation is None or hasattr(network, "lstm_actor"):
+    if not activation or hasattr(network, "lstm_actor"):
         raise InvalidValueError(
             f"a policy file knows the activations {', '.join(_ACTIVATION_NAMES)} and no memory, "
             f"got {type(model).__name__} with {network.activation_fn.__name__}"
         )
-    linear = [layer for layer in network.mlp_extractor.policy_net if hasattr(layer, "in_features")]
-    linear.append(network.action_net)
-    size = linear[0].in_features
+    beside = GOAL_FEATURES_SIZE if kind == _GOALS else 0
+    size = layers[0].in_features - beside
+    center = _numbers(scaled.center) if hasattr(scaled, "center") else np.zeros(size, dtype=np.float32)
+    scale = _numbers(scaled.scale) if hasattr(scaled, "scale") else np.ones(size, dtype=np.float32)
+    return _Actor(
+        layers,
+        activation,
+        output,
+        np.pad(center, (0, beside)),
+        np.pad(scale, (0, beside), constant_values=1.0),
+        ((GOAL_FEATURES, beside),) if beside else (),
+    )
 
-    def numbers(tensor: Any) -> npt.NDArray[np.float32]:
-        return np.array(tensor.detach().cpu().numpy(), dtype=np.float32)
 
+def _linear(layers: Any) -> list[Any]:
+    return [layer for layer in layers if hasattr(layer, "in_features")]
+
+
+def _numbers(tensor: Any) -> npt.NDArray[np.float32]:
+    return np.array(tensor.detach().cpu().numpy(), dtype=np.float32)
+
+
+def policy_of(model: Any, env_options: Mapping[str, Any], layout: Layout, training: Mapping[str, Any]) -> Policy:
+    """The mean of a Stable-Baselines3 actor, as `train_ppo` and `train_sac` make it, in numpy.
+
+    Raises:
+        InvalidValueError: The model is another kind of network.
+    """
+    actor = _actor_of(model)
     return Policy(
-        weights=tuple(numbers(layer.weight) for layer in linear),
-        biases=tuple(numbers(layer.bias) for layer in linear),
-        activation=activation,
-        center=numbers(extractor.center) if hasattr(extractor, "center") else np.zeros(size, dtype=np.float32),
-        scale=numbers(extractor.scale) if hasattr(extractor, "scale") else np.ones(size, dtype=np.float32),
+        weights=tuple(_numbers(layer.weight) for layer in actor.layers),
+        biases=tuple(_numbers(layer.bias) for layer in actor.layers),
+        activation=actor.activation,
+        center=actor.center,
+        scale=actor.scale,
         env_options=env_options,
-        layout=layout,
+        layout=(*layout, *actor.features),
         training=training,
+        output=actor.output,
     )
 
 
 def load_into(model: Any, policy: Policy) -> None:
-    """Put a policy's weights into the actor of an untrained model of `make_ppo`, to train on from there.
+    """Put a policy's weights into the actor of an untrained model of `make_ppo` or `make_sac`, to train on from there.
 
     Args:
         model: The model of Stable-Baselines3.
@@ -72,21 +116,20 @@ def load_into(model: Any, policy: Policy) -> None:
     """
     import torch
 
-    actor = model.policy
-    layers = [*(layer for layer in actor.mlp_extractor.policy_net if hasattr(layer, "in_features")), actor.action_net]
+    actor = _actor_of(model)
     theirs = [tuple(weight.shape) for weight in policy.weights]
-    ours = [tuple(layer.weight.shape) for layer in layers]
-    activation = _ACTIVATION_NAMES.get(actor.activation_fn.__name__)
-    if theirs != ours or policy.activation != activation:
+    ours = [tuple(layer.weight.shape) for layer in actor.layers]
+    kinds = (policy.activation, policy.output), (actor.activation, actor.output)
+    if theirs != ours or kinds[0] != kinds[1]:
         raise InvalidValueError(
-            f"the policy has layers of {theirs} with {policy.activation}, the model {ours} with {activation}"
+            f"the policy has layers of {theirs} with {' and '.join(kinds[0])}, the model {ours} with "
+            f"{' and '.join(kinds[1])}"
         )
-    extractor = actor.pi_features_extractor
     for name in ("center", "scale"):
-        if not np.array_equal(getattr(policy, name), getattr(extractor, name).numpy()):
+        if not np.array_equal(getattr(policy, name), getattr(actor, name)):
             raise InvalidValueError(f"the policy scales its observation otherwise than the model: {name} differs")
     with torch.no_grad():
-        for layer, weight, bias in zip(layers, policy.weights, policy.biases, strict=True):
+        for layer, weight, bias in zip(actor.layers, policy.weights, policy.biases, strict=True):
             layer.weight.copy_(torch.as_tensor(weight))
             layer.bias.copy_(torch.as_tensor(bias))
 
@@ -103,7 +146,7 @@ def save_policy(model: Any, path: str | Path, training: Mapping[str, Any] | None
         The path of the JSON file; the weights lie beside it.
 
     Raises:
-        InvalidValueError: The model is no plain network on a vector of numbers, or was not trained on this environment.
+        InvalidValueError: The model is another kind of network, or was not trained on this environment.
     """
     simulation = simulation_of(model)
     if simulation is None:

@@ -14,6 +14,7 @@ from greenhouse_gym.extras import needs
 from greenhouse_gym.integrations.sb3 import make_sb3_vec_env
 from greenhouse_gym.learning.folders import check_folder
 from greenhouse_gym.paths import write_atomically
+from greenhouse_gym.scene import SceneBank
 
 with needs("train"):
     import tensorboard  # noqa: F401  what Stable-Baselines3 writes its curves with, and does not ask for at once
@@ -24,6 +25,7 @@ with needs("train"):
     from greenhouse_gym.learning.checkpoints import NAME as CHECKPOINT
     from greenhouse_gym.learning.checkpoints import load_checkpoint, read_notes
     from greenhouse_gym.learning.demonstrated_sac import Demonstrated, Demonstrator
+    from greenhouse_gym.learning.policies import save_policy
     from greenhouse_gym.learning.sac_report import SacProgress, SacReport
 
 
@@ -144,10 +146,10 @@ def train_sac(
     """Train a policy and judge it now and then.
 
     ``out`` gets ``settings.json``, ``validation.csv`` (a line per judgment), ``tensorboard`` (the same, how the
-    episodes of the training end, the reward's terms and the losses), and ``checkpoint.safetensors`` now and then and
-    at the end, also when interrupted. A resumed training goes on with the weights, the optimizers and the step count
-    of the checkpoint, in new episodes and with an empty memory: it fills that by its policy, with noise, before it
-    learns on.
+    episodes of the training end, the reward's terms and the losses), ``checkpoint.safetensors`` now and then and at the
+    end, also when interrupted, and then ``policy.json`` with its weights, which `PolicyAgent` plays without PyTorch. A
+    resumed training goes on with the weights, the optimizers and the step count of the checkpoint, in new episodes and
+    with an empty memory: it fills that by its policy, with noise, before it learns on.
 
     Args:
         settings: The settings.
@@ -184,6 +186,7 @@ def train_sac(
             model.learn(settings.total_steps - model.num_timesteps, callback=report, reset_num_timesteps=not resume)
     finally:
         report.finish()
+        save_policy(model, out / "policy", {"settings": described, "bank_sha256": SceneBank.open(settings.bank).sha256})
         model.get_env().close()
     return out / CHECKPOINT
 

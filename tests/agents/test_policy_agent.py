@@ -46,6 +46,8 @@ def test_forward_pass(policy: Policy) -> None:
     assert np.array_equal(policy(many), [policy(one) for one in many]), "company changes the action"
     with pytest.raises(InvalidValueError, match="4 entries"):
         policy(np.zeros((2, 3)))
+    squashed = Policy(**{**vars(policy), "output": "tanh"})
+    np.testing.assert_allclose(squashed(x), np.tanh(policy.weights[1] @ hidden + policy.biases[1]), atol=1e-6)
 
 
 @pytest.mark.parametrize("suffix", ["", ".json", ".safetensors"])
@@ -71,6 +73,10 @@ def test_damaged_files_are_named(policy: Policy, tmp_path: Path) -> None:
             "network": {"kind": "mlp", "sizes": [4, 6, 2], "activation": "tanh"},
         },
         "schema_version: Input should be 2": {**content, "schema_version": 9},
+        r"network\.output: Input should be 'clip' or 'tanh'": {
+            **content,
+            "network": {**content["network"], "output": "softmax"},
+        },
         "env_options: Field required": {k: v for k, v in content.items() if k != "env_options"},
         "observation_layout has 3 entries, the network takes 4": {**content, "observation_layout": [["a", 3]]},
         r"env_options\.physics": {**content, "env_options": {"physics": "truth"}},
@@ -124,8 +130,8 @@ def test_shipped_policies_load_and_say_what_they_were_trained_on() -> None:
     assert {"ppo-ur5e", BEST} <= set(shipped_policies())
     for name in shipped_policies():
         agent = PolicyAgent.load(name)
-        assert agent.env_options["observation"] in ("state", "waypoint")
-        assert agent.policy.training["settings"]["split"] == "train"
+        assert agent.env_options["observation"] in ("state", "waypoint", "goal_waypoint")
+        assert agent.policy.training["settings"].get("split", "train") == "train"
 
 
 MUTANTS = 300

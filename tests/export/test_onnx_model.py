@@ -59,7 +59,11 @@ def same(policy: Policy, runtime: Any, observations: np.ndarray) -> bool:
     )
 
 
-@pytest.mark.parametrize("policy", [small("tanh"), small("relu"), small("tanh", (5, 3))], ids=["tanh", "relu", "plain"])
+@pytest.mark.parametrize(
+    "policy",
+    [small("tanh"), small("relu"), small("tanh", (5, 3)), Policy(**{**vars(small("relu")), "output": "tanh"})],
+    ids=["tanh", "relu", "plain", "squashed"],
+)
 def test_the_model_acts_as_the_policy_does(policy: Policy) -> None:
     runtime = session(onnx_model(policy))
     for count in (1, 64):
@@ -78,10 +82,10 @@ def test_a_shipped_policy_acts_alike_in_an_episode(name: str, bank: SceneBank, t
     runtime = session(str(out))
     env = gymnasium.make("TomatoReach-v0", bank=bank, **agent.env_options)
     observation, _ = env.reset(seed=1)
-    seen, over = [observation], False
+    seen, over = [agent.fed(observation)], False
     while not over and len(seen) < 64:
         observation, _, terminated, truncated, _ = env.step(agent.act(observation))
-        seen.append(observation)
+        seen.append(agent.fed(observation))
         over = terminated or truncated
     env.close()
     assert len(seen) > 5

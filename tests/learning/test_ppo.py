@@ -230,7 +230,7 @@ def test_what_a_policy_file_cannot_hold_is_said(bank: SceneBank, tmp_path: Path)
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("name", shipped_policies())
+@pytest.mark.parametrize("name", [name for name in shipped_policies() if name.startswith("ppo")])
 def test_a_shipped_policy_goes_back_into_a_model(bank: SceneBank, name: str) -> None:
     """And the model's most likely actions are those of the policy: where they are clipped, and before."""
     policy = PolicyAgent.load(name).policy

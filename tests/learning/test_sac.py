@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 pytest.importorskip("stable_baselines3")
@@ -11,9 +12,11 @@ pytest.importorskip("stable_baselines3")
 import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from greenhouse_gym.agents import PolicyAgent
 from greenhouse_gym.agents.agent import check_agent
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError
 from greenhouse_gym.integrations.sb3 import Sb3Agent
+from greenhouse_gym.learning import load_into
 from greenhouse_gym.learning.curves import read_curve
 from greenhouse_gym.learning.sac import SacSettings, load_sac, make_sac, train_sac
 from greenhouse_gym.learning.sac_report import COLUMNS, SacProgress
@@ -138,6 +141,30 @@ def test_guided_steps_fill_the_memory_with_what_the_waypoint_says(settings: SacS
     assert apart(model, kept) < 0.5 * before, "its actor is held near what they do"
     with pytest.raises(InvalidValueError, match='guided needs observation="goal_waypoint"'):
         train_sac(replace(guided, observation="goal"), tmp_path)
+
+
+@pytest.mark.parametrize("observation", ["goal", "goal_waypoint"])
+def test_what_it_learned_is_a_policy_file(settings: SacSettings, tmp_path: Path, observation: str) -> None:
+    """Which acts as the model does, alone and among others, and whose weights go into another model."""
+    short = replace(settings, observation=observation, total_steps=940, validation_steps=NEVER)
+    model = load_sac(train_sac(short, tmp_path).parent)
+    agent = PolicyAgent.load(tmp_path / "policy.json")
+    assert agent.env_options["observation"] == observation
+    assert agent.policy.training["settings"]["random_steps"] == 900
+    env = model.get_env()
+    seen = env.reset()
+    for _ in range(60):
+        expected, _ = model.predict(seen, deterministic=True)
+        np.testing.assert_allclose(agent.act_many(seen), expected, atol=1e-5)
+        one = {name: part[1] for name, part in seen.items()}
+        np.testing.assert_array_equal(agent.act(one), agent.act_many(seen)[1])
+        seen = env.step(env.action_space.sample()[None].repeat(4, axis=0))[0]
+    other = make_sac(replace(short, seed=1))
+    assert np.abs(other.predict(seen, deterministic=True)[0] - agent.act(seen)).max() > 1e-2
+    load_into(other, agent.policy)
+    np.testing.assert_allclose(other.predict(seen, deterministic=True)[0], agent.act(seen), atol=1e-5)
+    with pytest.raises(InvalidValueError, match="layers of"):
+        load_into(make_sac(replace(short, hidden=(8,))), agent.policy)
 
 
 def apart(model: Any, memory: Any) -> float:
