@@ -1,15 +1,24 @@
 from __future__ import annotations
 
 import sys
+from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
 
-from greenhouse_gym.agents import Agent, PlannerAgent, Problem, RandomAgent, StillAgent, StraightLineAgent
+from greenhouse_gym.agents import (
+    Agent,
+    PlannerAgent,
+    Problem,
+    RandomAgent,
+    StillAgent,
+    StraightLineAgent,
+    planner_agent,
+)
 from greenhouse_gym.crop import Tomato
-from greenhouse_gym.errors import UnknownNameError
-from greenhouse_gym.planning import CollisionChecker, planning_model
+from greenhouse_gym.errors import InvalidValueError, UnknownNameError
+from greenhouse_gym.planning import CollisionChecker, PlanResult, plan, planning_model
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene, SceneBank
 from greenhouse_gym.scene.mjcf import compile_scene
@@ -69,6 +78,23 @@ def test_without_a_path_it_stays_still(scene: Scene) -> None:
     agent.reset(problem(far, 0))
     assert agent.status == "no_goal"
     assert not agent.act(None).any()
+
+
+def test_it_begins_anew_from_other_seeds_until_there_is_a_path(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+
+    def only_from_seven(*given: Any, seed: int, **named: Any) -> PlanResult:
+        asked.append(seed)
+        goals = given[6] if seed == 7 else np.zeros((0, 6))
+        return plan(*given[:6], goals, seed=seed, **named)
+
+    monkeypatch.setattr(planner_agent, "plan", only_from_seven)
+    for attempts, seeds, status in ((1, [5], "no_goal"), (2, [5, 6], "no_goal"), (4, [5, 6, 7], "solved")):
+        agent, asked[:] = PlannerAgent(attempts=attempts), []
+        agent.reset(problem(scene, 0, seed=5))
+        assert (asked, agent.status) == (seeds, status)
+    with pytest.raises(InvalidValueError, match="attempts must be a whole number from 1 up, got 0"):
+        PlannerAgent(attempts=0)
 
 
 def test_it_starts_where_it_is_told(scene: Scene) -> None:
