@@ -21,7 +21,7 @@ from greenhouse_gym.agents.knowledge import Knowledge
 from greenhouse_gym.agents.sight_map import sensed
 from greenhouse_gym.agents.views import views
 from greenhouse_gym.envs.roadmap import RESOLUTION
-from greenhouse_gym.envs.ways import GOALS, MARGIN, MOST_ROUNDS, REACHED, Ends, Ways, free_goals
+from greenhouse_gym.envs.ways import GOALS, MARGIN, MOST_ROUNDS, REACHED, Ways, free_goals
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning import plan
 from greenhouse_gym.planning.unseen import guarded
@@ -36,9 +36,11 @@ VOXELS = (0.01, 0.004)
 """Sides of the voxels that stand for what only the camera has shown, metres: the next where the one before leaves no
 way of a few straight motions."""
 
-CHECKS = 30_000
+CHECKS, ANY_GOALS, FREE = 30_000, 60, 4
 """Collision checks of RRTConnect, which is asked where there is no way of a few straight motions: for one from where
-the arm is, and where it finds none, for one from the start, to which the arm goes back as it came."""
+the arm is, and where it finds none, for one from the start, to which the arm goes back as it came. Once there is
+nothing left to look at either, it is asked again and again, each time with so many other goals and another seed, and in
+the last so many plans with all unseen space free."""
 
 _EVERY = 2  # steps between images
 _MOTIONS = 30  # motions of a way at most
@@ -52,8 +54,8 @@ class WatchfulAgent:
     It begins with a glance at the plants. While its way leads through space that neither the scan nor its camera has
     seen, it first goes where its camera can look there, if it finds such a place and has not looked `LOOKS` times, and
     looks for a way anew. What its images show where the scan has no shape is an obstacle: when one is in the rest of
-    its way, it looks for another from where it is, and it stays there if there is none. Where no few straight motions
-    lead to the target, it asks RRTConnect, and fails if OMPL is not installed.
+    its way, it looks for another from where it is. Where no few straight motions lead to the target, it asks
+    RRTConnect, and fails if OMPL is not installed. It stays where it is once it has planned `PLANS` times in vain.
 
     Attributes:
         status: How many times it looked for a way in the last episode, and how deep into unseen space the last one may
@@ -92,7 +94,7 @@ class _Episode:
         self._problem, self._arm = problem, arm_balls(problem.robot)
         self._known = Knowledge(problem, target)
         self._way, self._came = self._first_glance(target), [problem.start]
-        self._looking, self._age, self._plans, self._looks = True, 0, 0, 0
+        self._looking, self._stuck, self._age, self._plans, self._looks = True, False, 0, 0, 0
         self._looked_at: Array = np.zeros((0, 3))
         self._random = np.random.default_rng(problem.seed)
 
@@ -113,6 +115,8 @@ class _Episode:
         blocked = news and self._way and self._known.blocked(self._ahead(command))
         if there or blocked:
             self._decide(command)
+        elif self._stuck:
+            self._insist(command)
         self._age += 1
         if not self._way:
             return np.zeros(len(command), dtype=np.float32)
@@ -125,7 +129,7 @@ class _Episode:
 
     def _decide(self, command: Array) -> None:
         """Look for a way to the target, and if it is dark, for one to where it can be looked at."""
-        self._way, self._looking = [], False
+        self._way, self._looking, self._stuck = [], False, False
         if self._plans == PLANS:
             return
         self._plans += 1
@@ -136,6 +140,18 @@ class _Episode:
             dark = dark[cKDTree(self._looked_at).query(dark)[0] > _SAME]
         if len(dark) >= _ENOUGH and self._looks < LOOKS:
             self._look(scene, command, dark)
+        self._stuck = not self._way
+
+    def _insist(self, command: Array) -> None:
+        """Look for any way to the target once more, where there was none and there is nothing to look at."""
+        self._stuck = False
+        if self._plans == PLANS:
+            return
+        self._plans += 1
+        scene, seed = self._known.scene(command, VOXELS[-1]), self._problem.seed + self._plans
+        depth = CAREFUL_DEPTHS[-2] if scene.seen is not None and self._plans <= PLANS - FREE else np.inf
+        self._way = self._search(scene, command, ANY_GOALS, seed, depth)
+        self.status, self._stuck = f"{self._plans}, {f'{depth:g}' if self._way else 'no way'}", not self._way
 
     def _plan(self, command: Array) -> tuple[Scene, float]:
         """Look for a way to the target: the scene it leads through, and how deep into unseen space it may, metres."""
@@ -147,18 +163,20 @@ class _Episode:
             self._way = _followed(ways, command)
             if self._way:
                 return scene, depth
-        self._way = self._search(scene, ends)
-        return scene, np.inf
-
-    def _search(self, scene: Scene, ends: Ends) -> list[Array]:
-        """A way of any kind to the target, by RRTConnect."""
-        problem, here = self._problem, ends.start
         model = planning_model(compile_scene(scene, problem.robot), problem.target, MARGIN)
         goals = free_goals(CollisionChecker(model, arm_reaches(problem.robot)), ends, GOALS, MOST_ROUNDS)
-        for back in ([], self._came[::-1]) if len(goals) else ():
+        self._way = self._search(scene, command, goals, problem.seed) if len(goals) else []
+        return scene, np.inf
+
+    def _search(
+        self, scene: Scene, command: Array, goals: Array | int, seed: int, depth: float = np.inf
+    ) -> list[Array]:
+        """A way of any kind to the target, to goals (k, j) or so many others, by RRTConnect."""
+        problem = self._problem
+        for back in ([], self._came[::-1]):
             path = plan(
-                scene, problem.target, problem.robot, start=back[-1] if back else here, goals=goals, time_limit=None,
-                max_checks=CHECKS, seed=problem.seed,
+                scene, problem.target, problem.robot, start=back[-1] if back else command, goals=goals, time_limit=None,
+                max_checks=CHECKS, seed=seed, unseen="free" if np.isinf(depth) else depth,
             ).path  # fmt: skip
             if path is not None:
                 return [*back, *path[1:]]
