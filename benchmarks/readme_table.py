@@ -27,7 +27,12 @@ USUAL = ("package", False, 5, 0.002)
 
 NAMES = {"own": "own", "helios": "Helios"}
 
-TOLD = ("ppo-waypoint-ur5e, reconstruction", "ppo-waypoint-ur5e, truth", "watchful, truth")
+TOLD = (
+    "hybrid, reconstruction",
+    "ppo-waypoint-ur5e, reconstruction",
+    "ppo-waypoint-ur5e, truth",
+    "watchful, truth",
+)
 """Agents and worlds that README tells of; the file holds the others."""
 
 LEAST = 30

@@ -186,7 +186,8 @@ def train_sac(
             model.learn(settings.total_steps - model.num_timesteps, callback=report, reset_num_timesteps=not resume)
     finally:
         report.finish()
-        save_policy(model, out / "policy", {"settings": described, "bank_sha256": SceneBank.open(settings.bank).sha256})
+        notes = {"algorithm": "SAC", "settings": described, "bank_sha256": SceneBank.open(settings.bank).sha256}
+        save_policy(model, out / "policy", notes)
         model.get_env().close()
     return out / CHECKPOINT
 
