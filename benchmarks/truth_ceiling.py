@@ -5,7 +5,8 @@ python benchmarks/truth_ceiling.py --checks 300000 --attempts 4
 The episodes are those of an entry of the leaderboard. RRTConnect gets the scene's truth in place of its reconstruction,
 and for a target the true tomato nearest to it; one that is farther than `SAME` from all of them is a false tomato. A
 path that it finds would hold in the episode, since there it is proven free. No path within the checks, from none of
-the seeds, is no proof that there is none. Beside this stands what the entry's agent, which does not know the truth, reached in the same episodes.
+the seeds, is no proof that there is none. Beside this stands what the entry's agent, which does not know the truth,
+reached in the same episodes.
 """
 
 from __future__ import annotations
