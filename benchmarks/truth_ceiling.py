@@ -1,6 +1,6 @@
 """What a planner reaches that knows the true rows: what the leaderboard's truth track is to be held against.
 
-python benchmarks/truth_ceiling.py --checks 300000 --attempts 4
+python benchmarks/truth_ceiling.py --checks 100000 --attempts 2
 
 The episodes are those of an entry of the leaderboard. RRTConnect gets the scene's truth in place of its reconstruction,
 and for a target the true tomato nearest to it; one that is farther than `SAME` from all of them is a false tomato. A
@@ -37,8 +37,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--entry", type=Path, default=Path("benchmarks/leaderboard/watchful.json"))
     parser.add_argument("--episodes", type=int, default=1000, help="the first ones of the entry")
-    parser.add_argument("--checks", type=int, default=300_000, help="collision checks of a plan")
-    parser.add_argument("--attempts", type=int, default=4, help="plans at most, each from another seed")
+    parser.add_argument("--checks", type=int, default=100_000, help="collision checks of a plan")
+    parser.add_argument("--attempts", type=int, default=2, help="plans at most, each from another seed")
     parser.add_argument("--workers", type=int, default=2)
     a = parser.parse_args()
     entry = read_entry(a.entry)

@@ -102,6 +102,43 @@ def test_where_nothing_else_leads_on_it_goes_back_as_it_came(scene: Scene, monke
     assert agent.status == "1, inf"
 
 
+def test_where_it_would_stay_it_asks_again_but_not_for_ever(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Other goals and another seed each time; the unseen is closed at first, free at last."""
+    told, asked = seen_where(scene, 0.0), []
+    goal = ARM.start + [0.3, -0.2, 0.3, 0.0, 0.0, 0.0]
+
+    def planned(*arguments: Any, start: np.ndarray, **keywords: Any) -> PlanResult:
+        asked.append(keywords)
+        found = isinstance(keywords["goals"], int) and keywords["unseen"] == "free" and finds
+        return PlanResult(
+            "solved" if found else "approximate", np.array([start, goal]) if found else None, "RRTConnect"
+        )
+
+    monkeypatch.setattr(watchful, "_followed", lambda ways, command: [])
+    monkeypatch.setattr(watchful, "plan", planned)
+    monkeypatch.setattr(watchful, "LOOKS", 0)
+    image = np.zeros((48, 64), dtype=np.float32)
+    for finds in (True, False):
+        asked.clear()
+        episode = watchful._Episode(Problem(told, TARGET, ARM, ARM.start, 40), scene.tomatoes[TARGET].center)
+        episode._way = []
+        acted = [episode.act(image, ARM.start, ARM.start) for _ in range(watchful.PLANS + 3)]
+        first, again = asked[:2], asked[2:]
+        assert [each["seed"] for each in first] == [40, 40], "from where it is, and from the start"
+        careful = watchful.PLANS - watchful.FREE - 1
+        seeds = np.repeat(41 + np.arange(1, watchful.PLANS), 2)[: len(again)]
+        assert [each["seed"] for each in again] == seeds.tolist()
+        assert [each["unseen"] for each in again[: 2 * careful]] == [0.2] * (2 * careful)
+        if finds:
+            assert len(again) == 2 * careful + 1
+            assert np.abs(acted[-1]).max() > 0, "it goes"
+            assert episode.status == f"{careful + 2}, inf"
+        else:
+            assert len(again) == 2 * (watchful.PLANS - 1)
+            assert not np.abs(acted).any(), "it stays"
+            assert episode.status == f"{watchful.PLANS}, no way"
+
+
 def test_what_it_went_back_on_is_forgotten(scene: Scene) -> None:
     episode = watchful._Episode(Problem(scene, TARGET, ARM, ARM.start), scene.tomatoes[TARGET].center)
     start, there, farther = ARM.start, ARM.start + 0.1, ARM.start + 0.2
