@@ -29,11 +29,11 @@ _STATE = ("time", "qpos", "qvel", "act", "ctrl", "qacc_warmstart", "history")
 _CHUNK = 32
 
 _LISTED = 2
-"""How many geoms of the world the broad phase of the collision detection may list while an arm moves.
+"""How many geoms of the world the broad phase of the collision detection lists at least while an arm moves.
 
 For each pair of bodies it asks all their geoms what they may touch, which takes a tenth of the time among the thousands
-of boxes of a true row. The floor, which comes first, may touch whatever any obstacle may, and which geoms do touch is
-found through the tree over all of them. Two bodies of one geom each would be tested without their trees.
+of boxes of a true row. The first ones, with the floor among them, may touch whatever any of them may, and which geoms
+do touch is found through the tree over all of them. Two bodies of one geom each would be tested without their trees.
 """
 
 
@@ -93,11 +93,15 @@ class _WorldList:
 
     def __init__(self, models: Sequence[mujoco.MjModel]):
         self._lengths = [model.body_geomnum for model in models]
-        self._whole = int(self._lengths[0][0])
+        self._whole = whole = int(self._lengths[0][0])
+        masks = np.stack([models[0].geom_contype[:whole], models[0].geom_conaffinity[:whole]])
+        told = np.bitwise_or.accumulate(masks, axis=1)
+        enough = int((told == told[:, -1:]).all(axis=0).argmax()) + 1
+        self._few = min(max(enough, _LISTED), whole)
 
     def __enter__(self) -> None:
         for length in self._lengths:
-            length[0] = min(_LISTED, self._whole)
+            length[0] = self._few
 
     def __exit__(self, *error: object) -> None:
         for length in self._lengths:

@@ -66,3 +66,14 @@ def test_how_the_broad_phase_lists_the_world_changes_nothing(
         assert models[0].body_geomnum[0] > env.simulation.worlds.capacity
         assert sum(step[2].sum() for step in seen) > 2, "arms touch something"
     np.testing.assert_array_equal(*played)
+
+
+def test_the_list_is_long_enough_for_what_any_geom_of_the_world_may_touch() -> None:
+    """A robot's file may begin with geoms of the world that touch nothing."""
+    spec = mujoco.MjSpec()
+    for contype, conaffinity in ((0, 0), (1, 0), (1, 1), (3, 1), (1, 3), (3, 3)):
+        spec.worldbody.add_geom(size=[0.1, 0, 0], contype=contype, conaffinity=conaffinity)
+    model = spec.compile()
+    with stepping._WorldList([model]):
+        assert model.body_geomnum[0] == 5
+    assert model.body_geomnum[0] == 6
