@@ -9,9 +9,12 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.envs.observations import Layout, places_in
+from greenhouse_gym.errors import InvalidValueError
 
 GOAL_FEATURES, GOAL_FEATURES_SIZE = "goal_features", 18
 """Name and number of entries of this group in the layout of what such a network is fed."""
+
+_PARTS = ("observation", "achieved_goal", "desired_goal")
 
 
 def goal_features(
@@ -49,16 +52,34 @@ def goal_features(
     ]
 
 
+def flaw_of(layout: Layout) -> str:
+    """Why a layout cannot be that of a network that is fed these features; empty if it can, or is not."""
+    names = [name for name, _ in layout]
+    if GOAL_FEATURES not in names:
+        return ""
+    if layout[-1] != (GOAL_FEATURES, GOAL_FEATURES_SIZE) or names.count(GOAL_FEATURES) > 1:
+        return f"{GOAL_FEATURES} must be the last group of the observation_layout, with {GOAL_FEATURES_SIZE} entries"
+    sizes = dict(layout)
+    for name, least in (("tip_position", 3), ("tool_axis", 3), ("clearance", 1)):
+        if sizes.get(name, 0) < least:
+            return f"{GOAL_FEATURES} needs a group {name!r} of {least} entries or more in the observation_layout"
+    return ""
+
+
 def goal_vector(observation: Mapping[str, npt.ArrayLike], layout: Layout) -> npt.NDArray[np.float32]:
     """What a network is fed of a goal environment's observation: the vector and these features, (..., size + 18).
 
     Args:
         observation: The observation, or those of several simulations, stacked by key.
         layout: Layout of the vector; what comes after its groups is left out.
+
+    Raises:
+        InvalidValueError: It is not the observation of a goal environment.
     """
-    seen, achieved, desired = (
-        np.asarray(observation[name], dtype=np.float32) for name in ("observation", "achieved_goal", "desired_goal")
-    )
+    if not isinstance(observation, Mapping) or not set(_PARTS) <= set(observation):
+        got = list(observation) if isinstance(observation, Mapping) else type(observation).__name__
+        raise InvalidValueError(f"expected a goal environment's observation, a dict of {', '.join(_PARTS)}, got {got}")
+    seen, achieved, desired = (np.asarray(observation[name], dtype=np.float32) for name in _PARTS)
     told = goal_features(seen, achieved, desired, places_in(layout), _lengths)
     return np.concatenate([seen, *told], axis=-1, dtype=np.float32)
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.envs.actions import INTERVAL, joint_steps
-from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.envs.settings import check_whole
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning import PLANNERS, PlannerSettings, PlanResult, follow_path, free_commands, plan
 from greenhouse_gym.scene import Scene, compile_scene
@@ -96,7 +96,7 @@ class PlannerAgent:
 
     Raises:
         UnknownNameError: No such planner.
-        InvalidValueError: No attempts.
+        InvalidValueError: The attempts are no whole number from 1 up.
     """
 
     env_options: Mapping[str, Any] = MappingProxyType({})
@@ -113,11 +113,9 @@ class PlannerAgent:
         margin: float | None = None,
         attempts: int = 1,
     ):
-        if attempts < 1:
-            raise InvalidValueError(f"attempts must be a whole number from 1 up, got {attempts!r}")
         self.planner, self.settings, self.unseen, self.margin = PLANNERS[planner].name, settings, unseen, margin
         self.time_limit, self.max_checks, self.goals = time_limit, max_checks, goals
-        self.name, self.attempts = name or planner, attempts
+        self.name, self.attempts = name or planner, check_whole("attempts", attempts, 1)
         self.result: PlanResult | None = None
         self._follower: PathFollower | None = None
 

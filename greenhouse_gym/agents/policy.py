@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError
 
+from greenhouse_gym.agents.goal_features import flaw_of
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, MissingDependencyError
 from greenhouse_gym.paths import first_fault, parsing, read_bytes, write_atomically
 
@@ -180,6 +181,8 @@ def _flaw(arrays: Mapping[str, npt.NDArray[Any]], description: _Description) -> 
         return f"a layer has {max(sizes)} entries, at most {MAX_WIDTH} are allowed"
     if (described := sum(size for _, size in description.observation_layout)) and described != sizes[0]:
         return f"the observation_layout has {described} entries, the network takes {sizes[0]}"
+    if flaw := flaw_of(tuple(description.observation_layout)):
+        return flaw
     shapes: dict[str, tuple[int, ...]] = {"center": (sizes[0],), "scale": (sizes[0],)}
     for i, (inputs, outputs) in enumerate(pairwise(sizes)):
         shapes |= {f"layer_{i}.weight": (outputs, inputs), f"layer_{i}.bias": (outputs,)}

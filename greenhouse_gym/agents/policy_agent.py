@@ -70,7 +70,11 @@ class PolicyAgent:
     act_many = act
 
     def fed(self, observation: Any) -> npt.ArrayLike:
-        """What the network is fed of an observation: that itself, or the `goal_vector` of a goal environment's."""
+        """What the network is fed of an observation: that itself, or the `goal_vector` of a goal environment's.
+
+        Raises:
+            InvalidValueError: The policy reaches for goals, and this is not the observation of a goal environment.
+        """
         layout = self.policy.layout
         if layout and layout[-1][0] == GOAL_FEATURES:
             return goal_vector(observation, layout)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -95,7 +96,7 @@ def make_sac(settings: SacSettings) -> Any:
 
     Raises:
         InvalidValueError: There are too few random steps: hindsight needs an episode that has ended. Or they are to be
-            guided, and no waypoint is observed.
+            guided, and no waypoint is observed. Or the actor is to be held by less than nothing.
     """
     if settings.guided and settings.observation != "goal_waypoint":
         raise InvalidValueError(f'guided needs observation="goal_waypoint", got {settings.observation!r}')
@@ -105,6 +106,8 @@ def make_sac(settings: SacSettings) -> Any:
             f"random_steps must be at least {whole}, so that an episode of each of the {settings.num_envs} simulations "
             f"ends before anything is learned, got {settings.random_steps}"
         )
+    if not (settings.held >= 0 and math.isfinite(settings.held)):
+        raise InvalidValueError(f"held must be a finite number from 0 on, got {settings.held!r}")
     torch.set_num_threads(1)
     env = make_sb3_vec_env(settings.num_envs, seed=settings.seed, **env_options(settings))
     layout = env.get_attr("simulation")[0].observe.layout
@@ -179,6 +182,7 @@ def train_sac(
         model.get_env().seed(settings.seed + model.num_timesteps)
         model.learning_starts = model.num_timesteps + settings.random_steps
         model.acts_at_random = False
+    notes = {"algorithm": "SAC", "settings": described, "bank_sha256": SceneBank.open(settings.bank).sha256}
     write_atomically(out / "settings.json", json.dumps(described, indent=1) + "\n")
     report = SacReport(out, settings, env_options(settings), model, minutes, checkpoint_seconds, tell)
     try:
@@ -186,7 +190,6 @@ def train_sac(
             model.learn(settings.total_steps - model.num_timesteps, callback=report, reset_num_timesteps=not resume)
     finally:
         report.finish()
-        notes = {"algorithm": "SAC", "settings": described, "bank_sha256": SceneBank.open(settings.bank).sha256}
         save_policy(model, out / "policy", notes)
         model.get_env().close()
     return out / CHECKPOINT

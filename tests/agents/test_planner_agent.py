@@ -93,8 +93,9 @@ def test_it_begins_anew_from_other_seeds_until_there_is_a_path(scene: Scene, mon
         agent, asked[:] = PlannerAgent(attempts=attempts), []
         agent.reset(problem(scene, 0, seed=5))
         assert (asked, agent.status) == (seeds, status)
-    with pytest.raises(InvalidValueError, match="attempts must be a whole number from 1 up, got 0"):
-        PlannerAgent(attempts=0)
+    for wrong in (0, -1, 1.5, True):
+        with pytest.raises(InvalidValueError, match=f"attempts must be a whole number from 1 up, got {wrong}"):
+            PlannerAgent(attempts=wrong)  # type: ignore[arg-type]
 
 
 def test_it_starts_where_it_is_told(scene: Scene) -> None:

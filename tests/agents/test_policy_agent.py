@@ -13,6 +13,7 @@ import pytest
 pytest.importorskip("safetensors")
 
 from greenhouse_gym.agents.agent import Agent, Problem
+from greenhouse_gym.agents.goal_features import flaw_of
 from greenhouse_gym.agents.policy import Policy
 from greenhouse_gym.agents.policy_agent import BEST, PolicyAgent, shipped_policies
 from greenhouse_gym.errors import FileFormatError, GreenhouseError, InvalidValueError, UnknownNameError
@@ -81,6 +82,11 @@ def test_damaged_files_are_named(policy: Policy, tmp_path: Path) -> None:
         "observation_layout has 3 entries, the network takes 4": {**content, "observation_layout": [["a", 3]]},
         r"env_options\.physics": {**content, "env_options": {"physics": "truth"}},
     }
+    for layout, message in (
+        ([["goal_features", 4]], "goal_features must be the last group of the observation_layout, with 18 entries"),
+        ([["goal_features", 1], ["b", 3]], "goal_features must be the last group"),
+    ):
+        damages[message] = {**content, "observation_layout": layout}
     for message, damaged in damages.items():
         path.write_text(json.dumps(damaged))
         with pytest.raises(FileFormatError, match=message):
@@ -102,6 +108,13 @@ def test_damaged_files_are_named(policy: Policy, tmp_path: Path) -> None:
     (tmp_path / "p.safetensors").unlink()
     with pytest.raises(FileFormatError, match="cannot be read"):
         PolicyAgent.load(path)
+
+
+@pytest.mark.parametrize("missing", ["tip_position", "tool_axis", "clearance"])
+def test_features_of_goals_need_what_they_are_made_of(missing: str) -> None:
+    whole = (("tip_position", 3), ("tool_axis", 3), ("clearance", 9), ("goal_features", 18))
+    assert flaw_of(whole) == flaw_of(whole[:-1]) == ""
+    assert f"needs a group '{missing}'" in flaw_of(tuple(group for group in whole if group[0] != missing))
 
 
 def test_another_arm_is_refused(policy: Policy, scene: Scene) -> None:

@@ -141,6 +141,10 @@ def test_guided_steps_fill_the_memory_with_what_the_waypoint_says(settings: SacS
     assert apart(model, kept) < 0.5 * before, "its actor is held near what they do"
     with pytest.raises(InvalidValueError, match='guided needs observation="goal_waypoint"'):
         train_sac(replace(guided, observation="goal"), tmp_path)
+    for wrong in (-1.0, float("nan"), float("inf")):
+        with pytest.raises(InvalidValueError, match=f"held must be a finite number from 0 on, got {wrong}"):
+            train_sac(replace(guided, held=wrong), tmp_path)
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("observation", ["goal", "goal_waypoint"])
@@ -159,6 +163,9 @@ def test_what_it_learned_is_a_policy_file(settings: SacSettings, tmp_path: Path,
         one = {name: part[1] for name, part in seen.items()}
         np.testing.assert_array_equal(agent.act(one), agent.act_many(seen)[1])
         seen = env.step(env.action_space.sample()[None].repeat(4, axis=0))[0]
+    for wrong in (seen["observation"], {"observation": seen["observation"]}):
+        with pytest.raises(InvalidValueError, match="expected a goal environment's observation"):
+            agent.act(wrong)
     other = make_sac(replace(short, seed=1))
     assert np.abs(other.predict(seen, deterministic=True)[0] - agent.act(seen)).max() > 1e-2
     load_into(other, agent.policy)
