@@ -14,6 +14,7 @@ from greenhouse_gym.agents.resolved_rate import ResolvedRateAgent
 
 if TYPE_CHECKING:
     from greenhouse_gym.agents.depth_agent import DepthAgent
+    from greenhouse_gym.agents.exploring import ExploringAgent
     from greenhouse_gym.agents.hybrid import HybridAgent
     from greenhouse_gym.agents.policy_agent import PolicyAgent
     from greenhouse_gym.agents.shield import ShieldedAgent
@@ -23,6 +24,7 @@ __all__ = [
     "Agent",
     "CarefulAgent",
     "DepthAgent",
+    "ExploringAgent",
     "GuidedAgent",
     "HybridAgent",
     "PlannerAgent",
@@ -41,6 +43,7 @@ __all__ = [
 # What takes long to import is loaded only where it is used.
 _LATER = {
     "DepthAgent": "depth_agent",
+    "ExploringAgent": "exploring",
     "HybridAgent": "hybrid",
     "PolicyAgent": "policy_agent",
     "ShieldedAgent": "shield",

@@ -11,6 +11,7 @@ from greenhouse_gym.agents.agent import Agent, check_agent
 from greenhouse_gym.agents.baselines import RandomAgent, StillAgent, StraightLineAgent, WaypointAgent
 from greenhouse_gym.agents.careful import CarefulAgent
 from greenhouse_gym.agents.depth_agent import DepthAgent
+from greenhouse_gym.agents.exploring import ExploringAgent
 from greenhouse_gym.agents.guide import GuidedAgent
 from greenhouse_gym.agents.hybrid import HybridAgent
 from greenhouse_gym.agents.judging import FEATURES
@@ -25,7 +26,7 @@ from greenhouse_gym.planning import PAPER_PLANNERS, PLANNERS
 
 _NAMED: tuple[type[Agent], ...] = (
     RandomAgent, StillAgent, StraightLineAgent, ResolvedRateAgent, WaypointAgent, CarefulAgent, GuidedAgent,
-    HybridAgent, ShieldedAgent, DepthAgent, WatchfulAgent,
+    HybridAgent, ShieldedAgent, DepthAgent, WatchfulAgent, ExploringAgent,
 )  # fmt: skip
 SIMPLE = {agent.name: agent for agent in _NAMED}
 """Agents that need nothing but a name."""
