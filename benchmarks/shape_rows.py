@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 import perfect_clouds
+from drawn_cultivars import drawn_cultivar
 from perfect_clouds import NOISE_FREE, perfect_cloud
 
 import greenhouse_gym
@@ -44,6 +45,9 @@ BARE = "noisy-without-normals"
 HELD_OUT_MESHES = range(601, 611)
 """Seeds of held-out rows of Helios' plants."""
 
+DRAWN_MESHES = range(901, 931)
+"""Seeds of rows of Helios' plants whose cultivars are drawn; credibility is fitted to them, and nothing measured."""
+
 
 @dataclass(frozen=True)
 class Row:
@@ -67,6 +71,8 @@ class Row:
     @property
     def style(self) -> str:
         """Fruit style; every style meets every week."""
+        if self.source == "helios" and self.seed in DRAWN_MESHES:
+            return "drawn"
         if self.source == "helios":
             cultivars = list(HELD_OUT_CULTIVARS if self.seed in HELD_OUT_MESHES else DEVELOPMENT_CULTIVARS)
             return cultivars[(self.seed - 1) % 100 % len(cultivars)]
@@ -80,7 +86,8 @@ class Row:
 
     def grow(self) -> PlantRow:
         """The truth."""
-        return grow_row(self.seed, self.length, self.week, self.style, source=self.source)
+        style = drawn_cultivar(self.seed) if self.style == "drawn" else self.style
+        return grow_row(self.seed, self.length, self.week, style, source=self.source)
 
     def poses(self) -> Array:
         """(stations, 4, 4) true poses of the rig."""

@@ -85,22 +85,28 @@ def _bends(outward: Array, normals: Array) -> list[float]:
     return np.clip(np.linalg.eigvalsh((slope + slope.T) / 2), -1.0, _MOST_BEND).tolist()
 
 
-def company(fits: Sequence[SphereFit], tones: Array, sure: Sequence[SphereFit], settings: ShapeSettings) -> Array:
+def company(
+    fits: Sequence[SphereFit],
+    tones: Array,
+    sure: Sequence[SphereFit],
+    sure_tones: Array,
+    settings: ShapeSettings,
+) -> Array:
     """How spheres agree with those that are sure (k, len(COMPANY)): in size with the row and with those beside them.
 
     Args:
         fits: The spheres.
-        tones: Redness (n,) of the points that they were fitted to.
+        tones: Redness (k,) of each.
         sure: Those that are tomatoes for sure.
+        sure_tones: Redness (s,) of each of these.
         settings: All settings.
     """
     if not len(sure):
         return np.zeros((len(fits), len(COMPANY)))
     centers, radii = np.array([s.center for s in sure]), np.array([s.radius for s in sure])
-    tone = np.array([np.median(tones[s.points]) for s in sure])
     usual = float(np.median(radii))
     rows = []
-    for fit in fits:
+    for fit, tone in zip(fits, tones.tolist(), strict=True):
         apart = np.linalg.norm(centers - fit.center, axis=1)
         gap = np.where(apart > 0.5 * radii, apart - radii - fit.radius, np.inf)  # not to itself
         beside = gap < settings.truss_gap
@@ -110,6 +116,6 @@ def company(fits: Sequence[SphereFit], tones: Array, sure: Sequence[SphereFit], 
         rows.append([
             max(size, 0.0), max(-size, 0.0), unlike, float(np.log1p(np.count_nonzero(beside))),
             float(np.clip(gap[nearest] / 0.01, 0.0, 5.0)),
-            abs(float(np.median(tones[fit.points]) - tone[nearest])) / 0.1 if beside.any() else 0.0,
+            abs(float(tone - sure_tones[nearest])) / 0.1 if beside.any() else 0.0,
         ])  # fmt: skip
     return np.array(rows).reshape(-1, len(COMPANY))

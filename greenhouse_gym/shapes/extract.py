@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.clouds import Cloud
+from greenhouse_gym.clouds import Cloud, voxel_means
 from greenhouse_gym.crop import Stem, Tomato
 from greenhouse_gym.geometry import Box, Shape
 from greenhouse_gym.shapes.checks import Notes, checked, thinned
@@ -19,7 +19,7 @@ from greenhouse_gym.shapes.peduncles import find_peduncles, stands_out
 from greenhouse_gym.shapes.pipes import find_pipes
 from greenhouse_gym.shapes.settings import ShapeSettings
 from greenhouse_gym.shapes.stems import find_main_stems, find_strings
-from greenhouse_gym.shapes.surfaces import SurfaceCloud, look_at_surfaces
+from greenhouse_gym.shapes.surfaces import SurfaceCloud, look_at_surfaces, looked_at_finer
 from greenhouse_gym.shapes.tomatoes import find_tomatoes
 
 _LYING = 0.5  # metres of main stems that show that a cloud lies on its side
@@ -81,12 +81,14 @@ def extract_shapes(
     cloud = look_at_surfaces(thin, settings)
     pipes = find_pipes(cloud.select(could_be_pipe(cloud, settings)), settings)
     cloud = _without(cloud, pipes, settings.shell)
-    tomatoes, confidence = find_tomatoes(cloud, settings)
+    fine = looked_at_finer(cloud, voxel_means(whole, settings.fine_voxel)[0], settings)
+    # estimated normals do not tell well how thin things bend
+    fine = fine.select(np.full(len(fine), normals is not None))
+    tomatoes, confidence = find_tomatoes(cloud, fine, settings)
     surface = cloud
     skin = cloud.points[nearest_shapes(cloud.points, tomatoes, settings.skin_noise).owner >= 0]
     cloud = _without(cloud, tomatoes, settings.shell)
     colorful = is_colorful(cloud.colors, settings)
-    # estimated normals do not tell well how thin things bend
     woody, pale = cloud.select(colorful if normals is None else could_be_stem(cloud, settings)), cloud.select(~colorful)
     upright = (
         *find_main_stems(woody.points, woody.normals, settings),

@@ -10,6 +10,7 @@ class ShapeSettings:
     """How a cloud becomes shapes. Lengths are metres."""
 
     voxel: float = 0.003  # the cloud is thinned out to this first
+    fine_voxel: float = 0.002  # and to this where small fruit is looked for
     leaf_contrast: float = 0.10  # what is redder than the leaves by this much, as (R - G) / (R + G), is no leaf
     fruit_bend: float = 6.0  # 1/m: what bulges more both ways may be fruit, whatever its color
     stem_bend: float = 25.0  # 1/m: what bends more than this in one direction may be a main stem
@@ -18,6 +19,10 @@ class ShapeSettings:
     most_redness: float = 0.1  # peduncles stay green: they are no redder than this
     least_saturation: float = 0.15  # fruit and stems have more color than this; gutters and strings are white
     radii: tuple[float, float] = (0.006, 0.050)  # smallest and largest radius of tomatoes
+    small_radii: tuple[float, float] = (
+        0.0036,
+        0.0123,
+    )  # smallest and largest radius of those that are looked for there
     radius_step: float = 0.003  # step from one radius that is tried to the next
     vote_cell: float = 0.005  # side of the cells in which votes for centers are counted
     min_score: float = 0.12  # share of a half sphere's points that vote for its center

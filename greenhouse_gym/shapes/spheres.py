@@ -7,6 +7,7 @@ with each other; which of the overlapping spheres of different octaves is right 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
@@ -21,6 +22,7 @@ from greenhouse_gym.shapes.settings import ShapeSettings
 
 _ABOVE_PLANE = 1.2  # a sphere has so many times the votes that a plane gathers in one place
 _MOST_POINTS = 300  # most points that a fit looks at
+_APART = 0.75  # sums of two radii by which spheres that are beside each other are apart
 _DIRECTIONS = 100  # directions in which a sphere's coverage is counted
 
 
@@ -45,6 +47,9 @@ IN_NORMALS = Trust((0.7, 0.7, 0.7, 0.7, 0.7, 0.7, 0.85, 0.85), on=0.7, radius=1e
 
 IN_SIZE = Trust((-0.2,) * len(SCALES), on=-1.0, radius=1e3, fewest=8)
 """The size is known, the normals may be wrong."""
+
+IN_SHAPE = Trust((0.0,) * len(SCALES), on=0.2, radius=0.1, fewest=10)
+"""The size is roughly known, and so are the normals."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,6 +199,12 @@ def _assess(
         rmse=float(np.sqrt(np.mean(residual[on] ** 2))),
         alignment=float(alignment[on].mean()),
     )
+
+
+def all_apart(fit: Sphere, others: Sequence[Sphere]) -> bool:
+    """Whether a sphere is beside all others, and not in one of their places."""
+    centers, radii = np.array([o.center for o in others]).reshape(-1, 3), np.array([o.radius for o in others])
+    return bool((np.linalg.norm(centers - fit.center, axis=1) > _APART * (radii + fit.radius)).all())
 
 
 def even_directions(count: int) -> Array:

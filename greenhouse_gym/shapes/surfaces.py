@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 
 from greenhouse_gym.clouds import Cloud, voxel_means
 from greenhouse_gym.geometry import Array
@@ -84,6 +85,21 @@ def look_at_surfaces(cloud: Cloud, settings: ShapeSettings) -> SurfaceCloud:
     return SurfaceCloud(
         cloud.points, cloud.colors, cloud.normals, bends[cell], lengths[cell], tones[cell], leaf, scatter
     )
+
+
+def looked_at_finer(surface: SurfaceCloud, fine: Cloud, settings: ShapeSettings) -> SurfaceCloud:
+    """What is known of a surface at the points of a finer cloud of it; those far from all of its own are left out.
+
+    Where the finer cloud has no normals, it gets those of the surface.
+    """
+    if not len(surface) or not len(fine):
+        return surface
+    away, nearest = cKDTree(surface.points).query(fine.points, distance_upper_bound=2 * settings.voxel)
+    near = np.isfinite(away)
+    fine, own = fine.select(near), surface.select(nearest[near])
+    bare = np.linalg.norm(fine.normals, axis=1) < 0.5
+    normals = np.where(bare[:, None], own.normals, fine.normals)
+    return replace(own, points=fine.points, colors=fine.colors, normals=normals)
 
 
 def _within(tangent: Array, moments: Array) -> Array:

@@ -18,7 +18,8 @@ from greenhouse_gym.shapes.credibility import ALONE, BESIDE, IN_ROW, credibility
 from greenhouse_gym.shapes.ellipsoids import Spheroid, stretched
 from greenhouse_gym.shapes.second_look import look_again
 from greenhouse_gym.shapes.settings import ShapeSettings
-from greenhouse_gym.shapes.spheres import SphereFit, fit_spheres, vote
+from greenhouse_gym.shapes.small_fruit import Credited, find_small
+from greenhouse_gym.shapes.spheres import SphereFit, all_apart, fit_spheres, vote
 from greenhouse_gym.shapes.surfaces import SurfaceCloud
 
 _REDNESS = np.array([-0.12, 0.07, 0.34, 0.77])
@@ -39,9 +40,28 @@ class FoundTomatoes(NamedTuple):
     confidence: tuple[float, ...]
 
 
-def find_tomatoes(cloud: SurfaceCloud, settings: ShapeSettings) -> FoundTomatoes:
-    """Find tomatoes in a cloud with one point per voxel of ``settings.voxel``."""
+def find_tomatoes(cloud: SurfaceCloud, fine: SurfaceCloud, settings: ShapeSettings) -> FoundTomatoes:
+    """Find tomatoes in a cloud.
+
+    Args:
+        cloud: One point per voxel of ``settings.voxel``.
+        fine: The same with one per voxel of ``settings.fine_voxel``, where small fruit is looked for.
+        settings: All settings.
+    """
     looks = look(cloud, settings)
+    found = large_tomatoes(looks, settings)
+    small = find_small(fine, found, settings)
+    fits = [*found.fits, *small.fits]
+    order = in_order(fits)
+    ripeness = [ripeness_of(looks.skin.colors[fit.points]) for fit in found.fits]
+    ripeness += [ripeness_of(fine.colors[fit.points]) for fit in small.fits]
+    fits, ripeness = [fits[k] for k in order], [ripeness[k] for k in order]
+    tomatoes = _tomatoes(fits, ripeness, stretched(fits, looks.skin, settings), settings)
+    return FoundTomatoes(tuple(tomatoes), tuple(np.concatenate([found.confidence, small.confidence])[order].tolist()))
+
+
+def large_tomatoes(looks: Looks, settings: ShapeSettings) -> Credited:
+    """The tomatoes that the first two looks show."""
     alone = looks.first[:, _NEIGHBORS] == 0
     unbent = looks.first[:, _SMALLER_BEND] < settings.least_bend
     first = np.where(alone & unbent, 0.0, credibility(looks.first, IN_ROW))
@@ -49,24 +69,20 @@ def find_tomatoes(cloud: SurfaceCloud, settings: ShapeSettings) -> FoundTomatoes
     fits = [*looks.fits, *looks.beside]
     found = choose(fits, credible, len(looks.skin), settings.min_confidence)
     confidence = dict(zip(fits, credible, strict=True))
-    return FoundTomatoes(
-        tuple(_tomatoes(found, stretched(found, looks.skin, settings), looks.skin, settings)),
-        tuple(confidence[fit] for fit in found),
-    )
+    return Credited(found, np.array([confidence[fit] for fit in found]), _tones_of(found, looks.skin))
 
 
 def _tomatoes(
-    fits: list[SphereFit], spheroids: list[Spheroid] | None, skin: SurfaceCloud, settings: ShapeSettings
+    fits: list[SphereFit], ripeness: list[float], spheroids: list[Spheroid] | None, settings: ShapeSettings
 ) -> Iterator[Tomato]:
     """Spheres as tomatoes, or the spheroids that the row's fruit is."""
     trusses = group_trusses(fits if spheroids is None else spheroids, settings.truss_gap)
-    for k, (fit, truss) in enumerate(zip(fits, trusses.tolist(), strict=True)):
-        ripeness = ripeness_of(skin.colors[fit.points])
+    for k, (fit, truss, ripe) in enumerate(zip(fits, trusses.tolist(), ripeness, strict=True)):
         if spheroids is None:
-            yield Tomato(fit.center, fit.radius, truss, ripeness)
+            yield Tomato(fit.center, fit.radius, truss, ripe)
         else:
             own = spheroids[k]
-            yield Tomato(own.center, own.radius, truss, ripeness, own.semi_axes, own.rotation)
+            yield Tomato(own.center, own.radius, truss, ripe, own.semi_axes, own.rotation)
 
 
 class Looks(NamedTuple):
@@ -97,7 +113,8 @@ def look(cloud: SurfaceCloud, settings: ShapeSettings) -> Looks:
     beside = look_again(skin.points, skin.normals, skin.tones, sure, trusses, settings)
 
     def in_company(fits: list[SphereFit], alone: Array) -> Array:
-        return np.column_stack([alone, company(fits, skin.tones, sure, settings)])
+        tones, sure_tones = _tones_of(fits, skin), _tones_of(sure, skin)
+        return np.column_stack([alone, company(fits, tones, sure, sure_tones, settings)])
 
     return Looks(skin, fits, in_company(fits, alone), beside, in_company(beside, measures(beside, cloud, settings)))
 
@@ -112,17 +129,26 @@ def choose(fits: list[SphereFit], credible: list[float], count: int, least: floa
         least: How credible a fit must be.
     """
     owned = np.zeros(count, dtype=bool)
-    centers, radii = _centers_and_radii(fits)
     chosen: list[int] = []
     for k in np.argsort(-np.array(credible), kind="stable").tolist():
         if credible[k] < least:
             break
-        distance = np.linalg.norm(centers[chosen] - centers[k], axis=1)
-        apart = (distance > 0.75 * (radii[chosen] + radii[k])).all()
+        apart = all_apart(fits[k], [fits[i] for i in chosen])
         if apart and np.count_nonzero(~owned[fits[k].points]) > 0.6 * len(fits[k].points):
             owned[fits[k].points] = True
             chosen.append(k)
-    return sorted([fits[k] for k in chosen], key=lambda f: tuple(np.round(f.center[[1, 2, 0]], 3)))
+    found = [fits[k] for k in chosen]
+    return [found[k] for k in in_order(found)]
+
+
+def in_order(fits: Sequence[Sphere]) -> list[int]:
+    """Indices of spheres from one end of the row to the other."""
+    return sorted(range(len(fits)), key=lambda k: tuple(np.round(fits[k].center[[1, 2, 0]], 3)))
+
+
+def _tones_of(fits: Sequence[SphereFit], cloud: SurfaceCloud) -> Array:
+    """Redness (k,) of spheres among the points of a cloud, each in the middle."""
+    return np.array([np.median(cloud.tones[fit.points]) for fit in fits])
 
 
 def group_trusses(fruits: Sequence[Sphere | Spheroid], gap: float) -> npt.NDArray[np.int32]:
