@@ -20,7 +20,7 @@ from greenhouse_gym.shapes.colors import is_colorful
 from greenhouse_gym.shapes.credibility import small_fruit_network
 from greenhouse_gym.shapes.settings import ShapeSettings
 from greenhouse_gym.shapes.spheres import IN_SHAPE, SphereFit, all_apart, crowded, fit_spheres, peaks
-from greenhouse_gym.shapes.surfaces import SurfaceCloud
+from greenhouse_gym.shapes.surfaces import NO_LEAF, SurfaceCloud
 
 _RADII = 8  # radii that are tried, half of them in each octave
 _BENDS = (35.0, 20.0)  # 1/m: what bends less even the one way does not vote for the radii of an octave
@@ -57,7 +57,7 @@ class Small(NamedTuple):
 def find_small(
     fine: SurfaceCloud, found: Credited, settings: ShapeSettings, judge: Callable[[Array], Array] | None = None
 ) -> Credited:
-    """Find small fruit beside what was found.
+    """Find small fruit beside what was found; none where there are neither leaves nor larger fruit.
 
     Args:
         fine: A point per voxel of ``settings.fine_voxel``.
@@ -68,6 +68,8 @@ def find_small(
     Returns:
         Spheres among the points of ``fine``.
     """
+    if fine.leaf == NO_LEAF and not found.fits:  # a table: things on it may be small and round, too
+        fine = fine.select(np.zeros(0, dtype=np.int64))
     return chosen_small(small_spheres(fine, settings), found, settings, judge or small_fruit_network())
 
 

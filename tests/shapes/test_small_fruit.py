@@ -60,9 +60,13 @@ def test_a_leaf_bears_no_small_fruit(bend: float) -> None:
     assert extract_shapes(sheet.points, sheet.colors, sheet.normals).tomatoes == ()
 
 
+def test_small_round_things_are_fruit_beside_leaves_or_larger_fruit_only() -> None:
+    alone = ball((0.45, 0.0, 1.1), 0.0045)
+    assert extract_shapes(alone.points, alone.colors, alone.normals).tomatoes == ()
+
+
 def test_what_larger_fruit_explains_is_no_small_fruit() -> None:
-    cloud = ball((0.45, 0.0, 1.1), 0.011)
-    surface = look_at_surfaces(cloud, SETTINGS)
+    surface = look_at_surfaces(merged(leaf(0.0), ball((0.45, 0.0, 1.1), 0.011)), SETTINGS)
     small = small_spheres(surface, SETTINGS)
     assert small.fits, "there are small spheres to judge"
     sure = find_small(surface, NOTHING, SETTINGS, lambda measures: np.ones(len(measures)))
