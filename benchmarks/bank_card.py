@@ -44,7 +44,8 @@ Every scene holds what was reconstructed (at most $primitives shapes within $wid
 is told), the truth (everything within $reach m of the shoulder; the leaves of Helios' plants as boxes within
 $leaves mm of them), what the scan saw of the space around the arm, and targets: at most $targets tomatoes, spread
 over their distances from the shoulder. A recording's row keeps its name in all weeks, and a row is in one split
-only.
+only. These scenes were built before small fruit got a look of its own (`shapes/small_fruit.py`): built now, they
+would hold more of it.
 
 ## Difficulty
 

@@ -128,8 +128,9 @@ def main() -> None:
     with_it = np.zeros(3, dtype=int)
     for k in range(FIFTHS):
         network = fitted([row for i, row in enumerate(rows) if i % FIFTHS != k])
-        with_it += sum(counted(row, network) for row in rows[k::FIFTHS])
-    for name, (visible, found, false) in (("without", sum(counted(row, None) for row in rows)), ("with", with_it)):
+        with_it += np.sum([counted(row, network) for row in rows[k::FIFTHS]], axis=0)
+    without = np.sum([counted(row, None) for row in rows], axis=0)
+    for name, (visible, found, false) in (("without", without), ("with", with_it)):
         print(f"{name}: {found} of {visible} found, {false} false, F1 {2 * found / (visible + found + false):.3f}")
     network = fitted(rows)
     stored = {name: [float(f"{v:.5g}") for v in np.ravel(values)] for name, values in asdict(network).items()}
