@@ -4,9 +4,9 @@ python benchmarks/depth_policy.py --judge runs/depth/judge.json --blind runs/bli
 
 On the same episodes of the validation rows, easy and medium targets, play: the agent by its trained network
 (``learned``), by the rule in which nothing is learned (``rule``), by a network that was trained and plays without
-images (``blind``), and the agent ``waypoint``, which knows the scene. The world is the reconstruction, or with
-``--physics truth`` the simulated row behind it, which is then what the camera sees. Writes results/depth_policy.json
-as it goes; entries of others that it holds stay.
+images (``blind``), the agent ``exploring``, which plans, and the agent ``waypoint``, which knows the scene. The world
+is the reconstruction, or with ``--physics truth`` the simulated row behind it, which is then what the camera sees.
+Writes results/depth_policy.json as it goes; entries of others that it holds stay.
 """
 
 from __future__ import annotations
@@ -32,6 +32,9 @@ FIRST_SEED = 20_000
 
 DIFFICULTY = ("easy", "medium")
 
+USUAL = ("validation", "reconstruction")
+"""Split and world that the names of entries do not tell."""
+
 PART = 25
 """Episodes after which the figures so far are written."""
 
@@ -43,7 +46,9 @@ def main() -> None:
         "--judge", type=Path, help="a network of training/depth_dagger.py; without it that agent is left out"
     )
     parser.add_argument("--blind", type=Path, help="one that was trained with images=false; the same")
-    parser.add_argument("--agents", default="learned,rule,blind,waypoint")
+    parser.add_argument("--agents", default="learned,rule,blind,exploring,waypoint")
+    parser.add_argument("--split", default="validation")
+    parser.add_argument("--seed", type=int, default=FIRST_SEED, help="of the first episode")
     parser.add_argument("--bank", default="default")
     parser.add_argument("--episodes", type=int, default=500)
     parser.add_argument("--physics", default="reconstruction")
@@ -56,17 +61,17 @@ def main() -> None:
             continue
         about: dict[str, Any] = {
             "bank_sha256": bank.sha256,
-            "split": "validation",
-            "first_seed": FIRST_SEED,
+            "split": arguments.split,
+            "first_seed": arguments.seed,
             "difficulty": DIFFICULTY,
             "physics": arguments.physics,
         }
-        name = name if arguments.physics == "reconstruction" else f"{name}, {arguments.physics}"
+        name = ", ".join([name, *(part for part in (arguments.split, arguments.physics) if part not in USUAL)])
         records: tuple[Record, ...] = ()
         for done in range(0, arguments.episodes, PART):
             played = evaluate(
-                agent, "validation", min(PART, arguments.episodes - done), FIRST_SEED + done, bank=arguments.bank,
-                difficulty=DIFFICULTY, physics=arguments.physics, threads=1,
+                agent, arguments.split, min(PART, arguments.episodes - done), arguments.seed + done,
+                bank=arguments.bank, difficulty=DIFFICULTY, physics=arguments.physics, threads=1,
             )  # fmt: skip
             records += played.records
             entry = {**about, **rates(Evaluation(name, records), bank), "training": training}
