@@ -32,8 +32,8 @@ FIRST_SEED = 20_000
 
 DIFFICULTY = ("easy", "medium")
 
-USUAL = ("validation", "reconstruction")
-"""Split and world that the names of entries do not tell."""
+USUAL = ("validation", f"seeds from {FIRST_SEED} on", "reconstruction")
+"""Split, seeds and world that the names of entries do not tell."""
 
 PART = 25
 """Episodes after which the figures so far are written."""
@@ -66,7 +66,8 @@ def main() -> None:
             "difficulty": DIFFICULTY,
             "physics": arguments.physics,
         }
-        name = ", ".join([name, *(part for part in (arguments.split, arguments.physics) if part not in USUAL)])
+        played_in = (arguments.split, f"seeds from {arguments.seed} on", arguments.physics)
+        name = ", ".join([name, *(part for part in played_in if part not in USUAL)])
         records: tuple[Record, ...] = ()
         for done in range(0, arguments.episodes, PART):
             played = evaluate(

@@ -19,15 +19,15 @@ import numpy as np
 import numpy.typing as npt
 from shape_rows import Row, cloud_of, truth_of
 
-from greenhouse_gym.clouds import Cloud
+from greenhouse_gym.clouds import Cloud, voxel_means
 from greenhouse_gym.crop import Tomato
-from greenhouse_gym.geometry import Array, transform
+from greenhouse_gym.geometry import Array
 from greenhouse_gym.shapes import ShapeSettings
 from greenhouse_gym.shapes.candidates import MEASURES
 from greenhouse_gym.shapes.checks import Notes, thinned
 from greenhouse_gym.shapes.credibility import credibility
 from greenhouse_gym.shapes.spheres import SphereFit
-from greenhouse_gym.shapes.surfaces import look_at_surfaces
+from greenhouse_gym.shapes.surfaces import SurfaceCloud, look_at_surfaces, looked_at_finer
 from greenhouse_gym.shapes.tomatoes import look
 
 _RIDGE = 2.0
@@ -51,14 +51,20 @@ def labeled(fits: Sequence[SphereFit], measures: Array, true: Sequence[Tomato]) 
     return Labeled(measures[clear], (sized & (away < 0.5))[clear])
 
 
-def looks_at(row: Row, workdir: Path) -> tuple[Labeled, Labeled]:
-    """The candidates of the first and of the second look at a row."""
+def surfaces_of(row: Row, workdir: Path) -> tuple[SurfaceCloud, SurfaceCloud, Sequence[Tomato]]:
+    """A row's noisy cloud in the frame of the truth, thinned and fine, and its true tomatoes."""
     cloud, settings = cloud_of(row, "noisy", workdir), ShapeSettings()
     known = truth_of(row, cloud, workdir)
-    turn = known.world_from_row[:3, :3]
-    whole = Cloud(transform(known.world_from_row, cloud.points), cloud.colors, cloud.normals @ turn.T)
-    looks = look(look_at_surfaces(thinned(whole, True, settings, Notes()), settings), settings)
-    true = known.row.tomatoes
+    whole = Cloud(cloud.points, cloud.colors, cloud.normals).moved(known.world_from_row)
+    surface = look_at_surfaces(thinned(whole, True, settings, Notes()), settings)
+    fine = looked_at_finer(surface, voxel_means(whole, settings.fine_voxel)[0], settings)
+    return surface, fine, known.row.tomatoes
+
+
+def looks_at(row: Row, workdir: Path) -> tuple[Labeled, Labeled]:
+    """The candidates of the first and of the second look at a row."""
+    surface, _, true = surfaces_of(row, workdir)
+    looks = look(surface, ShapeSettings())
     return labeled(looks.fits, looks.first, true), labeled(looks.beside, looks.second, true)
 
 

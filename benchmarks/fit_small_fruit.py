@@ -20,20 +20,16 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from fit_credibility import Labeled, labeled
-from shape_rows import DRAWN_MESHES, Row, cloud_of, truth_of, visible_of
+from fit_credibility import Labeled, labeled, surfaces_of
+from shape_rows import DRAWN_MESHES, Row, visible_of
 
 from greenhouse_gym.accuracy import Visibility, compare_tomatoes
-from greenhouse_gym.clouds import Cloud, voxel_means
 from greenhouse_gym.crop import Tomato
-from greenhouse_gym.geometry import transform
 from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.shapes import ShapeSettings
 from greenhouse_gym.shapes.candidates import COMPANY, MEASURES
-from greenhouse_gym.shapes.checks import Notes, thinned
 from greenhouse_gym.shapes.credibility import SMALL_FRUIT, Network
 from greenhouse_gym.shapes.small_fruit import Credited, Small, chosen_small, small_spheres, sure_small
-from greenhouse_gym.shapes.surfaces import look_at_surfaces, looked_at_finer
 from greenhouse_gym.shapes.tomatoes import large_tomatoes, look
 
 HIDDEN, STEPS, BATCH, RATE, DECAY = 24, 1000, 4096, 5e-3, 0.3
@@ -56,14 +52,9 @@ class Looked(NamedTuple):
 
 def looked_at(row: Row, workdir: Path) -> Looked:
     """Look at a row."""
-    cloud = cloud_of(row, "noisy", workdir)
-    known = truth_of(row, cloud, workdir)
-    turn = known.world_from_row[:3, :3]
-    whole = Cloud(transform(known.world_from_row, cloud.points), cloud.colors, cloud.normals @ turn.T)
-    surface = look_at_surfaces(thinned(whole, True, SETTINGS, Notes()), SETTINGS)
-    fine = looked_at_finer(surface, voxel_means(whole, SETTINGS.fine_voxel)[0], SETTINGS)
+    surface, fine, true = surfaces_of(row, workdir)
     found = large_tomatoes(look(surface, SETTINGS), SETTINGS)
-    return Looked(found, small_spheres(fine, SETTINGS), known.row.tomatoes, visible_of(row, workdir).tomatoes)
+    return Looked(found, small_spheres(fine, SETTINGS), true, visible_of(row, workdir).tomatoes)
 
 
 def fitted(rows: Sequence[Looked]) -> Network:

@@ -4,10 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from greenhouse_gym.errors import InvalidValueError
+
+_SIZES = ("voxel", "fine_voxel", "vote_cell", "radius_step", "clutter_cell", "path_step", "stem_slab")
+_RANGES = ("radii", "small_radii", "pipe_radii", "stem_radii")
+
 
 @dataclass(frozen=True)
 class ShapeSettings:
-    """How a cloud becomes shapes. Lengths are metres."""
+    """How a cloud becomes shapes. Lengths are metres.
+
+    Raises:
+        InvalidValueError: The size of a cell or a step is not positive, or a range of radii does not go up from there.
+    """
 
     voxel: float = 0.003  # the cloud is thinned out to this first
     fine_voxel: float = 0.002  # and to this where small fruit is looked for
@@ -74,6 +83,16 @@ class ShapeSettings:
     min_lump_cells: int = 40  # fewer are specks, not worth a box
     clutter_margin: float = 0.012  # a box's surface farther than this from all of its points is empty
     explained: float = 0.008  # points this near a shape speak for it
+
+    def __post_init__(self) -> None:
+        for name in _SIZES:
+            size = getattr(self, name)
+            if not 0 < size < float("inf"):
+                raise InvalidValueError(f"{name} must be a positive number of metres, got {size!r}")
+        for name in _RANGES:
+            ends = getattr(self, name)
+            if ends is not None and not 0 < ends[0] < ends[1] < float("inf"):
+                raise InvalidValueError(f"{name} must be two radii, the smaller first, in metres, got {ends!r}")
 
 
 FINE_SHAPES = ShapeSettings(

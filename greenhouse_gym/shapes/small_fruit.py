@@ -57,7 +57,7 @@ class Small(NamedTuple):
 def find_small(
     fine: SurfaceCloud, found: Credited, settings: ShapeSettings, judge: Callable[[Array], Array] | None = None
 ) -> Credited:
-    """Find small fruit beside what was found; none where there are neither leaves nor larger fruit.
+    """Find small fruit beside what was found; none where there are neither leaves nor larger fruit, or none is wanted.
 
     Args:
         fine: A point per voxel of ``settings.fine_voxel``.
@@ -68,8 +68,9 @@ def find_small(
     Returns:
         Spheres among the points of ``fine``.
     """
-    if fine.leaf == NO_LEAF and not found.fits:  # a table: things on it may be small and round, too
-        fine = fine.select(np.zeros(0, dtype=np.int64))
+    table = fine.leaf == NO_LEAF and not found.fits  # things on it may be small and round, too
+    if table or settings.small_radii is None or not len(fine):
+        return Credited([], np.zeros(0), np.zeros(0))
     return chosen_small(small_spheres(fine, settings), found, settings, judge or small_fruit_network())
 
 
@@ -87,19 +88,20 @@ def sure_small(small: Small, found: Credited, settings: ShapeSettings, judge: Ca
 
 def small_spheres(fine: SurfaceCloud, settings: ShapeSettings) -> Small:
     """All small spheres in a fine cloud."""
+    assert settings.small_radii is not None
     low, high = settings.small_radii
     bounds = replace(settings, radii=(0.8 * low, 1.2 * high))
-    fits = fit_spheres(fine.points, fine.normals, _vote(fine, settings), bounds, IN_SHAPE)
+    candidates = _vote(fine, np.geomspace(low, high, _RADII), settings)
+    fits = fit_spheres(fine.points, fine.normals, candidates, bounds, IN_SHAPE)
     tones = np.array([np.median(fine.tones[fit.points]) for fit in fits])
     return Small(fine, fits, measures(fits, fine, settings), tones)
 
 
-def _vote(fine: SurfaceCloud, settings: ShapeSettings) -> Array:
-    """Candidate spheres (k, 4) at the peaks of the votes, octave by octave."""
+def _vote(fine: SurfaceCloud, radii: Array, settings: ShapeSettings) -> Array:
+    """Candidate spheres (k, 4) of some radii (r,), metres, at the peaks of the votes, octave by octave."""
     able = is_colorful(fine.colors, settings) & (fine.tones > fine.leaf - _GREENER)
-    radii = np.geomspace(*settings.small_radii, _RADII).reshape(len(_BENDS), -1)
     found = []
-    for some, bend in zip(radii, _BENDS, strict=True):
+    for some, bend in zip(np.split(radii, len(_BENDS)), _BENDS, strict=True):
         rows = np.flatnonzero(able & (fine.bends[:, 1] > bend))
         candidates, shares = [np.zeros((0, 4))], [np.zeros(0)]
         for radius in some if len(rows) else ():
