@@ -13,6 +13,7 @@ from html_pages import HOSTILE, Page
 from greenhouse_gym.cli.results import typical_pair
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, RowReport, StationReport
 from greenhouse_gym.reconstruction.calibration import CalibrationReport
+from greenhouse_gym.reconstruction.fattening import Fattening
 from greenhouse_gym.reporting.pictures import save
 from greenhouse_gym.reporting.report_page import report_page
 from greenhouse_gym.reporting.svg import Axis, Series, axis_around, plot
@@ -101,6 +102,14 @@ def test_what_was_found_out_about_the_cameras() -> None:
     assert "2.1 mm" in text
     unknown = CalibrationReport({"middle": 0.0}, {}, {})
     assert "too little in common" in " ".join(Page(page(two_segments(calibration=unknown))).texts)
+
+
+def test_fattened_edges_are_told() -> None:
+    for calibration in (CALIBRATION, CalibrationReport({"middle": 0.0}, {}, {})):
+        assert "px too far" not in " ".join(Page(page(two_segments(calibration=calibration))).texts)
+        grown = replace(calibration, fattening=Fattening(2, 0))
+        text = " ".join(Page(page(two_segments(calibration=grown))).texts)
+        assert "reached 2 px too far along the rows of the depth images and 0 px along their columns" in text
 
 
 def test_all_text_is_escaped() -> None:

@@ -1,4 +1,4 @@
-"""Depth errors and places of the cameras, from the surfaces that several cameras of a station see.
+"""Depth errors and places of the cameras, from the surfaces that several cameras of a station see, and fattened edges.
 
 A stereo camera reports (1 + bias) times the depth. The cameras' axes cross in the plants, so two cameras see the same
 surface from different sides; the gap between what they report, along the surface's normal, is linear in their biases
@@ -9,9 +9,9 @@ their places are only estimated if that explains the overlap notably better.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import permutations
 from typing import NamedTuple, TypeAlias
 
@@ -19,11 +19,13 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from greenhouse_gym.capture.frames import Station
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.capture.rig import Camera, Rig
 from greenhouse_gym.clouds import Cloud
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import Array, invert, pose, transform
+from greenhouse_gym.reconstruction.fattening import Fattening, edge_fattening
 from greenhouse_gym.reconstruction.icp import tukey
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings
 from greenhouse_gym.reconstruction.views import Calibration, CameraView, view_camera
@@ -35,6 +37,7 @@ _HELPS = 0.98  # most of the median gap that new places of the cameras may leave
 _ITERATIONS = 15  # at most; the partners within reach change with the corrections, so it converges slowly
 _RELAXATION = 1.5  # times a step, which falls short while partners beyond reach are missing
 _SAMPLES = 1500  # points of each camera and station
+_EDGES = 1.25  # times the cut: the depth up to which edges tell of fattening
 _FEWEST = 500  # gaps below which nothing is concluded
 
 
@@ -58,6 +61,7 @@ class CalibrationReport:
         shifted: By how much each camera is shifted against the rig file, metres; empty where the file was kept.
         gap_before: Median distance between two cameras' readings of a surface, as the rig file has them, metres.
         gap_after: That distance after the calibration, metres.
+        fattening: Pixels by which near things grow over far ones along rows and columns of the depth images.
     """
 
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
@@ -67,21 +71,26 @@ class CalibrationReport:
     shifted: dict[str, float]
     gap_before: float = 0.0
     gap_after: float = 0.0
+    fattening: Fattening = field(default_factory=Fattening)
 
 
 def calibrate(recording: Recording, settings: ReconstructionSettings) -> tuple[Calibration, CalibrationReport]:
     """Estimate depth errors, and where it helps the places of the cameras, from a few stations of a recording.
 
     Looks at ``settings.calibration_stations`` stations spread over the recording; those that cannot be read or share no
-    surfaces add nothing. The rig and its depths are kept where there is too little to see, or a single camera.
+    surfaces add nothing. The rig and its depths are kept where there is too little to see, or a single camera; how far
+    near things grow over far ones, a single camera tells as well.
     """
     rig = recording.rig
     names = list(rig.cameras)
     corrections = np.zeros((len(names), 7))
-    nothing = Calibration(rig), CalibrationReport(dict.fromkeys(names, 0.0), {}, {})
-    if len(names) < 2 or settings.calibration_stations < 1 or len(recording) == 0:
+    spread = spread_stations(recording, settings)
+    grown = fattening_of(spread, settings)
+    unmoved = Calibration(rig, fattening=grown)
+    nothing = unmoved, CalibrationReport(dict.fromkeys(names, 0.0), {}, {}, fattening=grown)
+    if len(names) < 2:
         return nothing
-    stations = _stations(recording, settings)
+    stations = _stations(spread, unmoved, settings)
     gaps, _ = _gaps(stations, rig, corrections, settings)
     if len(gaps) < _FEWEST:
         return nothing
@@ -104,10 +113,34 @@ def calibrate(recording: Recording, settings: ReconstructionSettings) -> tuple[C
                 _by_name(names, np.linalg.norm(placed[:, 4:], axis=1)),
                 before,
                 left,
+                grown,
             )
-            return Calibration(Rig(cameras, rig.reference), report.bias), report
-    report = CalibrationReport(_by_name(names, biased[:, 0]), {}, {}, before, after)
-    return Calibration(rig, report.bias), report
+            return Calibration(Rig(cameras, rig.reference), report.bias, grown), report
+    report = CalibrationReport(_by_name(names, biased[:, 0]), {}, {}, before, after, grown)
+    return Calibration(rig, report.bias, grown), report
+
+
+def spread_stations(recording: Recording, settings: ReconstructionSettings) -> list[Station]:
+    """The stations of a recording that calibration looks at, spread over it; those that cannot be read are left out."""
+    count = max(0, settings.calibration_stations) if len(recording) else 0
+    numbers = np.unique(np.linspace(0, len(recording) - 1, count).round().astype(int))
+
+    def read(i: int) -> Station | None:
+        try:
+            return recording[i]
+        except FileFormatError:
+            return None  # the walk through the recording reports it
+
+    with ThreadPoolExecutor(2) as pool:
+        return [station for station in pool.map(read, numbers.tolist()) if station]
+
+
+def fattening_of(stations: Sequence[Station], settings: ReconstructionSettings) -> Fattening:
+    """By how much near things grow over far ones in what cameras of one kind saw, where that is to be found out."""
+    if not settings.calibrate_edges:
+        return Fattening()
+    frames = (frame for station in stations for frame in station.frames.values())
+    return edge_fattening(frames, _EDGES * settings.foreground)
 
 
 def _by_name(names: list[str], values: Array) -> dict[str, float]:
@@ -121,20 +154,13 @@ def _placed(camera: Camera, correction: Array) -> Camera:
     return Camera(camera.intrinsics, moved, camera.depth_scale)
 
 
-def _stations(recording: Recording, settings: ReconstructionSettings) -> _Stations:
-    chosen = np.unique(np.linspace(0, len(recording) - 1, settings.calibration_stations).round().astype(int))
-    known = Calibration(recording.rig)
-
-    def look(i: int) -> Mapping[str, _Sampled]:
-        try:
-            station = recording[i]
-        except FileFormatError:
-            return {}  # the walk through the recording reports it
+def _stations(stations: Sequence[Station], known: Calibration, settings: ReconstructionSettings) -> _Stations:
+    def look(station: Station) -> Mapping[str, _Sampled]:
         views = {name: view_camera(frame, name, known, settings) for name, frame in station.frames.items()}
         return {name: _Sampled(view, view.sample(_SAMPLES)) for name, view in views.items()}
 
     with ThreadPoolExecutor(2) as pool:
-        return [station for station in pool.map(look, chosen.tolist()) if station]
+        return [*pool.map(look, stations)]
 
 
 def _fit(

@@ -12,6 +12,7 @@ from greenhouse_gym.capture.rig import Rig
 from greenhouse_gym.clouds import Cloud, merge, voxel_means
 from greenhouse_gym.errors import InvalidValueError, ReconstructionError
 from greenhouse_gym.geometry import Array, invert
+from greenhouse_gym.reconstruction.calibration import fattening_of, spread_stations
 from greenhouse_gym.reconstruction.fitting import settings_for
 from greenhouse_gym.reconstruction.graph import Edge
 from greenhouse_gym.reconstruction.joining import register_near
@@ -58,7 +59,8 @@ def add_looks(
             f"looks {looks.name!r}: expected a finite (4, 4) pose of the arm's stand for each of {len(looks)} stands, "
             f"got an array of shape {nominal.shape} with {(~np.isfinite(nominal)).sum()} numbers that are not finite"
         )
-    known = Calibration(recording.rig, row.report.calibration.bias)
+    known = Calibration(recording.rig, row.report.calibration.bias, row.report.calibration.fattening)
+    grown = fattening_of(spread_stations(looks, settings), settings)
     found = np.empty_like(nominal)
     seen: list[Cloud] = []
     sights: list[Look] = []
@@ -66,7 +68,7 @@ def add_looks(
         nearest = _nearest(row, start)
         depth = row.world_from_station[nearest[0], 0, 3] + _reference_x(recording.rig) + settings.foreground
         cut = replace(settings, foreground=float(depth - start[0, 3] - _reference_x(looks.rig)))
-        look = view_station(looks[k], Calibration(looks.rig), cut)
+        look = view_station(looks[k], Calibration(looks.rig, fattening=grown), cut)
         reasons = []
         for i in nearest:
             station = view_station(recording[i], known, settings)

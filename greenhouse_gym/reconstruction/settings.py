@@ -46,6 +46,7 @@ class ReconstructionSettings:
     # calibration of the cameras
     calibration_stations: int = 5  # from which depth errors and the rig are estimated; 0 = not at all
     calibrate_rig: bool = True  # also where the cameras stand, if that explains the overlap notably better
+    calibrate_edges: bool = True  # also how far near things grow over far ones, where the photographs tell
     # the merged cloud
     voxel: float = 0.002  # m, one point of the cloud per cube of this size
     outlier_radius: float = 0.006  # m around a point within which other points support it

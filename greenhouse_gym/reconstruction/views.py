@@ -14,6 +14,7 @@ from greenhouse_gym.capture.frames import RgbdFrame, Station
 from greenhouse_gym.capture.rig import D435_DEPTH, Camera, Rig
 from greenhouse_gym.clouds import Cloud, PackedCloud, merge
 from greenhouse_gym.geometry import Array, transform
+from greenhouse_gym.reconstruction.fattening import Fattening, without_fattening
 from greenhouse_gym.reconstruction.foreground import foreground_mask
 from greenhouse_gym.reconstruction.normals import image_normals
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings
@@ -30,10 +31,12 @@ class Calibration:
     Attributes:
         rig: The rig with the cameras where they stand.
         bias: Relative depth error by camera: it reports ``(1 + bias)`` times the depth; 0 where not named.
+        fattening: By how much near things grow over far ones in the depth images of all cameras.
     """
 
     rig: Rig
     bias: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    fattening: Fattening = field(default_factory=Fattening)
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +46,7 @@ class CameraView:
     Attributes:
         camera: The camera.
         color: (height, width, 3) uint8 RGB.
-        depth: (height, width) float32 metres, the depth error taken out; 0 = no reading.
+        depth: (height, width) float32 metres, the depth error and the fattening taken out; 0 = no reading.
         foreground: (height, width) mask of the row's pixels.
         normals: (height, width, 3) float32 unit normals of the foreground in the rig frame, toward the camera.
     """
@@ -121,9 +124,10 @@ def _window(camera: Camera, settings: ReconstructionSettings) -> int:
 
 
 def view_camera(frame: RgbdFrame, name: str, calibration: Calibration, settings: ReconstructionSettings) -> CameraView:
-    """What one image shows, the camera's depth error taken out."""
+    """What one image shows, the camera's depth error and its fattening taken out."""
     camera = calibration.rig.cameras[name]
     depth = np.nan_to_num(frame.depth, posinf=0.0, neginf=0.0) / np.float32(1.0 + calibration.bias.get(name, 0.0))
+    depth = without_fattening(depth, calibration.fattening)
     mask = foreground_mask(depth, camera, calibration.rig, settings.foreground)
     normals = np.zeros((*depth.shape, 3), dtype=np.float32)
     in_camera = image_normals(depth, mask, camera.intrinsics, _window(camera, settings))

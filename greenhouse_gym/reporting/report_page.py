@@ -128,22 +128,41 @@ def segment_name(segment: int) -> str:
 
 
 def _cameras(found: CalibrationReport) -> str:
-    """Depth errors, and where the cameras stand."""
+    """Depth errors, where the cameras stand, and by how much edges have grown."""
+    grown = pieces.paragraph(_fattening(found)) if any(found.fattening) else ""
     if not found.gap_before:
-        return pieces.paragraph("The cameras saw too little in common to be calibrated; the rig file was trusted.")
+        text = "The cameras saw too little in common to be calibrated; the rig file was trusted."
+        return pieces.paragraph(text) + grown
     gaps = f"{1e3 * found.gap_before:.2f} mm before calibration and {1e3 * found.gap_after:.2f} mm after it"
     text = f"Where two cameras see one surface, the median distance between their readings is {gaps}. "
     if not found.turned:
         text += "The cameras stand where the rig file has them."
-        return pieces.paragraph(text) + pieces.table(
-            ("camera", "reports depths"), ((name, _depth_error(bias)) for name, bias in found.bias.items()), {0}
+        return (
+            pieces.paragraph(text)
+            + pieces.table(
+                ("camera", "reports depths"), ((name, _depth_error(bias)) for name, bias in found.bias.items()), {0}
+            )
+            + grown
         )
     text += "The rig was corrected: cameras stand elsewhere than the rig file has them."
     rows = (
         (name, _depth_error(bias), f"{np.degrees(found.turned[name]):.2f}°", f"{1e3 * found.shifted[name]:.1f} mm")
         for name, bias in found.bias.items()
     )
-    return pieces.paragraph(text) + pieces.table(("camera", "reports depths", "turned by", "shifted by"), rows, {0})
+    return (
+        pieces.paragraph(text)
+        + pieces.table(("camera", "reports depths", "turned by", "shifted by"), rows, {0})
+        + grown
+    )
+
+
+def _fattening(found: CalibrationReport) -> str:
+    """By how much edges had grown."""
+    along_rows, along_columns = found.fattening
+    return (
+        f"Beside the edges that photographs show, near things reached {along_rows} px too far along the rows of the "
+        f"depth images and {along_columns} px along their columns; this was taken out."
+    )
 
 
 def _depth_error(bias: float) -> str:
