@@ -31,7 +31,8 @@ _FEWEST = 10  # boxes that any cloud may have
 _MOST_SPLIT = 3  # so many times the wanted number of boxes are made before they are joined
 _NEIGHBORS = 6  # neighbors that a box may be joined with, itself counted
 _HELD, _FEWEST_HELD = 0.001, 3  # metres inside a box, and so many, that points must be to be cut out of it
-_MOST_CUTS = 3  # most cuts of one box, one after the other
+_HELPS = 0.8  # most of these points that the parts of a cut box may hold
+_MOST_CUTS, _FEWEST_CUT = 4, 5  # most cuts of one box, one after the other, and cells that a part of it must have
 _CUTS = (0.3, 0.4, 0.5, 0.6, 0.7)  # where along its axes a box may be split
 
 
@@ -146,23 +147,28 @@ def _fewer(cloud: _Cloud, pieces: Sequence[_Piece], budget: int, settings: Shape
 
 
 def _cut_clear(cloud: _Cloud, piece: _Piece, settings: ShapeSettings, cuts: int = _MOST_CUTS) -> list[_Piece]:
-    """A piece in parts whose boxes end before the points that they should not hold, or as it is if all are small.
+    """A piece in parts whose boxes end before the points that they should not hold, or as it is if that does not help.
 
-    It is cut across an axis, at the first or last of these points, where most is left on the clear side.
+    It is cut across an axis, at the first or last of these points, where most is left on the clear side; among them,
+    where hardly anything would be left.
     """
     held = _held(cloud, piece.bounds)
     if len(held) < _FEWEST_HELD or not cuts:
         return [piece]
     local = (cloud.centers[piece.rows] - piece.bounds.center) @ piece.bounds.rotation
-    sides = [*(local < held.min(axis=0)).T, *(local > held.max(axis=0)).T]
-    clear = max(sides, key=np.count_nonzero)
+    clear = max([*(local < held.min(axis=0)).T, *(local > held.max(axis=0)).T], key=np.count_nonzero)
+    if np.count_nonzero(clear) < _FEWEST_CUT:
+        longest = int(piece.bounds.half_extents.argmax())
+        clear = local[:, longest] < np.median(held[:, longest])
+        if min(np.count_nonzero(clear), np.count_nonzero(~clear)) < _FEWEST_CUT:
+            return [piece]
     parts = [
         part
         for rows in (piece.rows[clear], piece.rows[~clear])
-        if len(rows) >= settings.min_lump_cells
+        if len(rows) >= _FEWEST_CUT
         for part in _cut_clear(cloud, _boxed(cloud, rows, settings), settings, cuts - 1)
     ]
-    return parts if clear.any() and parts else [piece]
+    return parts if sum(len(_held(cloud, part.bounds)) for part in parts) < _HELPS * len(held) else [piece]
 
 
 def _held(cloud: _Cloud, box: _Bounds) -> Array:

@@ -424,6 +424,25 @@ def test_a_leaf_right_before_a_fruit_keeps_its_box() -> None:
     assert distance_to_shapes(near[0], shapes.clutter).min(axis=1).max() < SETTINGS.clutter_near + 0.003
 
 
+def test_the_boxes_of_a_leaf_that_is_curled_around_a_fruit_leave_it_clear() -> None:
+    held, covered = [], []
+    for seed in range(6):
+        random = np.random.default_rng(seed)
+        fruit = half_sphere((0.5, 0.2, 1.1), 0.02, seed)[0]
+        angle, along = random.uniform(-1.7, 1.7, 1500), random.uniform(-0.01, 0.01, 1500)
+        normals = np.column_stack([-np.cos(angle), np.sin(angle), 0 * angle])
+        leaf = [0.5, 0.2, 1.1] + 0.026 * normals + along[:, None] * [0.0, 0.0, 1.0]
+        leaf += random.normal(0, 0.001, leaf.shape)
+        kept = [cover(leaf, normals, 1, SETTINGS), *(cover(leaf, normals, n, SETTINGS, fruit) for n in (1, 20))]
+        held.append([(distance_to_shapes(fruit, boxes).min(axis=1) < -0.001).mean() for boxes in kept])
+        covered.append([(distance_to_shapes(leaf, b).min(axis=1) < SETTINGS.clutter_near).mean() for b in kept])
+    regardless, one, many = np.mean(held, axis=0)
+    assert regardless > 0.5  # one box around the leaf holds most of the fruit
+    assert one < 0.2
+    assert many < 0.02
+    assert np.mean(covered, axis=0).min() > 0.96
+
+
 def test_foliage_gets_boxes_by_its_area() -> None:
     leaves = np.concatenate([plane(seed)[0] + [0, 0, 0.5 * seed] for seed in range(4)])  # one above the other
     budgets = [box_budget(leaves[: 20_000 * count], SETTINGS) for count in (1, 2, 4)]
