@@ -51,9 +51,9 @@ def labeled(fits: Sequence[SphereFit], measures: Array, true: Sequence[Tomato]) 
     return Labeled(measures[clear], (sized & (away < 0.5))[clear])
 
 
-def surfaces_of(row: Row, workdir: Path) -> tuple[SurfaceCloud, SurfaceCloud, Sequence[Tomato]]:
-    """A row's noisy cloud in the frame of the truth, thinned and fine, and its true tomatoes."""
-    cloud, settings = cloud_of(row, "noisy", workdir), ShapeSettings()
+def surfaces_of(row: Row, workdir: Path, cause: str = "noisy") -> tuple[SurfaceCloud, SurfaceCloud, Sequence[Tomato]]:
+    """A row's cloud of one of the `CAUSES` in the frame of the truth, thinned and fine, and its true tomatoes."""
+    cloud, settings = cloud_of(row, cause, workdir), ShapeSettings()
     known = truth_of(row, cloud, workdir)
     whole = Cloud(cloud.points, cloud.colors, cloud.normals).moved(known.world_from_row)
     surface = look_at_surfaces(thinned(whole, True, settings, Notes()), settings)

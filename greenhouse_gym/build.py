@@ -189,7 +189,8 @@ def _cut(row: _Row) -> tuple[str, list[Scene]]:
 def _certified(piece: tuple[Scene, BuildSettings]) -> Scene:
     """A scene with its targets."""
     scene, settings = piece
-    return scene.model_copy(update={"targets": certify_targets(scene, settings.robot, most=settings.targets)})
+    targets = certify_targets(scene, settings.robot, most=settings.targets, smallest=settings.smallest_target)
+    return scene.model_copy(update={"targets": targets})
 
 
 def _is_certified(folder: Path, scene: Scene) -> bool:

@@ -36,6 +36,7 @@ class BuildSettings:
     reach: float = 1.35  # from the shoulder; what lies farther is left out
     primitives: int = 600  # most shapes in a scene; dense foliage seen from top to bottom has as many within reach
     targets: int | None = None  # most targets in a scene, near and far ones; None for every tomato
+    smallest_target: float = 0.0075  # radius below which nobody picks a tomato, so that it is no target
     leaves: float = 0.02  # how far from a leaf of meshes the boxes of its truth may lie
     robot: str = "ur5e"  # the arm that targets are rated for
     reconstruction: ReconstructionSettings | None = None  # by default what each recording's protocol needs

@@ -63,6 +63,7 @@ def certify_targets(
     seed: int = 0,
     unseen: str | float = "free",
     most: int | None = None,
+    smallest: float = 0.0,
 ) -> tuple[Target, ...]:
     """Rate the tomatoes of a scene as targets, by the rule of this module.
 
@@ -76,6 +77,7 @@ def certify_targets(
         unseen: What space that the scan did not see is for a witness, as `plan` takes it: a tomato is rated by the
             first depth at which it can be reached.
         most: How many to rate, spread evenly over their distances from the shoulder; None for all.
+        smallest: Radius below which tomatoes are not rated, unless all of them are as small, metres.
 
     Returns:
         A target for each of these tomatoes, in their order. Where the scene says what was seen, they tell the share of
@@ -85,7 +87,7 @@ def certify_targets(
         PlannerFailedError: The planner died or hung, which says nothing about a target.
     """
     arm, targets = get_robot(robot), dict[int, Target]()
-    chosen = _spread(scene, most)
+    chosen = _spread(scene, most, smallest)
     for depth in depths_of(unseen):
         compiled = guarded(scene, arm, arm.start, depth)
         for tomato in chosen:
@@ -94,14 +96,16 @@ def certify_targets(
     return _with_unseen_shares(scene, arm, [targets[tomato] for tomato in chosen])
 
 
-def _spread(scene: Scene, most: int | None) -> list[int]:
-    """Tomatoes to rate, so many at most, near ones and far ones."""
-    count = len(scene.tomatoes)
-    if most is None or count <= most:
-        return list(range(count))
+def _spread(scene: Scene, most: int | None, smallest: float) -> list[int]:
+    """Tomatoes to rate, so many at most, near ones and far ones, none smaller than it must be."""
+    large = [k for k, tomato in enumerate(scene.tomatoes) if tomato.radius >= smallest]
+    rows = np.array(large or range(len(scene.tomatoes)), dtype=np.int64)
+    if most is None or len(rows) <= most:
+        return rows.tolist()
     shoulder = scene.stand.position + [0.0, 0.0, scene.stand.shoulder_height]
-    by_distance = np.argsort([np.linalg.norm(tomato.center - shoulder) for tomato in scene.tomatoes], kind="stable")
-    return sorted(by_distance[np.linspace(0, count - 1, most).round().astype(int)].tolist())
+    distances = [np.linalg.norm(scene.tomatoes[k].center - shoulder) for k in rows]
+    by_distance = rows[np.argsort(distances, kind="stable")]
+    return sorted(by_distance[np.linspace(0, len(rows) - 1, most).round().astype(int)].tolist())
 
 
 def certify_target(compiled: CompiledScene, tomato: int, seed: int = 0) -> Target:

@@ -20,25 +20,22 @@ class ShapeSettings:
 
     voxel: float = 0.003  # the cloud is thinned out to this first
     fine_voxel: float = 0.002  # and to this where small fruit is looked for
-    leaf_contrast: float = 0.10  # what is redder than the leaves by this much, as (R - G) / (R + G), is no leaf
+    leaf_contrast: float = 0.07  # what is redder than the leaves by this much, as (R - G) / (R + G), is no leaf
     fruit_bend: float = 6.0  # 1/m: what bulges more both ways may be fruit, whatever its color
     stem_bend: float = 25.0  # 1/m: what bends more than this in one direction may be a main stem
     stem_length: float = 4.0  # what spreads so many times as much (a variance) along as across may be a stem, too
-    peduncle_bend: float = 40.0  # 1/m: what bends more than this in one direction may be a peduncle
-    most_redness: float = 0.1  # peduncles stay green: they are no redder than this
+    peduncle_bend: float = 25.0  # 1/m: what bends more than this in one direction may be a peduncle
+    most_redness: float = 0.05  # peduncles stay green: they are no redder than this
     least_saturation: float = 0.15  # fruit and stems have more color than this; gutters and strings are white
     radii: tuple[float, float] = (0.006, 0.050)  # smallest and largest radius of tomatoes
-    small_radii: tuple[float, float] = (
-        0.0036,
-        0.0123,
-    )  # smallest and largest radius of those that are looked for there
+    small_radii: tuple[float, float] | None = (0.0036, 0.0123)  # of those that are looked for there; None for none
     radius_step: float = 0.003  # step from one radius that is tried to the next
     vote_cell: float = 0.005  # side of the cells in which votes for centers are counted
     min_score: float = 0.12  # share of a half sphere's points that vote for its center
     min_score_small: float = 0.25  # the same share for the smallest radii, which leaves are full of
     shell: float = 0.004  # points this near a sphere belong to it
     skin_noise: float = 0.0015  # points that stand out of a fruit by no more than this belong to it
-    skin_alignment: float = 0.8  # so do points whose normals have a larger cosine than this with the sphere's
+    skin_alignment: float = 0.9  # so do points whose normals have a larger cosine than this with the sphere's
     skin_margin: float = 0.008  # and those that far off it at most, which a camera farther away makes of the skin
     min_confidence: float = 0.4  # least confidence of a tomato
     least_bend: float = 0.35  # times its sphere's bend, both ways, of a fruit that nothing sure hangs beside
@@ -60,7 +57,7 @@ class ShapeSettings:
     pedicel_radius: float = 0.0013  # radius of a pedicel, too thin to measure
     longest_pedicel: float = 0.030  # length of the longest pedicel
     truss_reach: float = 0.12  # how far from the center of a fruit what holds it is looked for
-    path_step: float = 0.003  # peduncles are traced from point to point this far apart
+    path_step: float = 0.004  # peduncles are traced from point to point this far apart
     path_crowd: float = 0.010  # points of a peduncle have others within this distance
     min_path_crowd: int = 4  # as many of them, the point itself counted; fewer are noise
     path_gap: float = 0.015  # hidden part of a peduncle that is bridged
@@ -69,7 +66,7 @@ class ShapeSettings:
     stem_margin: float = 0.008  # points this near a main stem are its own bumps, no peduncle
     root_reach: float = 0.025  # how far from a main stem's axis a peduncle may begin
     pedicel_reach: float = 0.008  # how far from the skin of its fruit a pedicel may end
-    axis_tolerance: float = 0.009  # a chain of capsules may be this far from the traced axis
+    axis_tolerance: float = 0.007  # a chain of capsules may be this far from the traced axis
     upright_tolerance: float = 0.008  # the same for main stems and strings
     clutter_per_area: float = 130.0  # most boxes per square metre of what is left
     clutter_claim: float = 0.003  # square metres of empty surface at which two boxes still become one

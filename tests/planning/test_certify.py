@@ -64,6 +64,12 @@ def test_targets_are_spread_over_their_distances(scene: Scene, monkeypatch: pyte
     assert {int(np.argmin(distance)), int(np.argmax(distance))} < set(few)
     assert len(few) == 3
     assert len(certify_targets(scene, most=100)) == len(scene.tomatoes)
+    sizes = sorted(tomato.radius for tomato in scene.tomatoes)
+    assert sizes[0] < sizes[-1]
+    large = [t.tomato for t in certify_targets(scene, smallest=sizes[-1])]
+    assert {scene.tomatoes[k].radius for k in large} == {sizes[-1]}
+    assert large == [t.tomato for t in certify_targets(scene, most=len(large), smallest=sizes[-1])]
+    assert len(certify_targets(scene, smallest=1.0)) == len(scene.tomatoes)  # young rows have targets, too
 
 
 def test_an_easy_target_is_reached_by_one_straight_motion(targets: tuple[Target, ...]) -> None:
