@@ -250,7 +250,7 @@ class Calls:
         self.reconstructed.append(recording.name)
         return made_up_row(len(recording))
 
-    def certify(self, scene: Scene, robot: str, most: int | None) -> tuple[Target, ...]:
+    def certify(self, scene: Scene, robot: str, most: int | None, smallest: float) -> tuple[Target, ...]:
         if scene.name == self.fail_at:
             raise KeyboardInterrupt
         self.certified.append(scene.name)
@@ -518,7 +518,7 @@ def test_a_bank_from_a_recording_on_disk(tmp_path: Path, monkeypatch: pytest.Mon
     """Every stage is the real one, but for the certificates."""
     from greenhouse_gym.capture import open_recording
 
-    monkeypatch.setattr(build, "certify_targets", lambda scene, robot, most: ())
+    monkeypatch.setattr(build, "certify_targets", lambda scene, robot, most, smallest: ())
     opened = open_recording(write_recording(half_recording(), tmp_path / "recording"))
     bank = build_bank([opened], tmp_path / "bank", "real", on_stage=lambda text: None)
     (scene,) = bank
