@@ -30,6 +30,7 @@ _LEAST = 0.06  # log length / width below which fruit is round
 _SAVED = 0.06  # share of the cost of round fruit that other fruit must save
 _TRIED = 12  # fruits that are asked
 _LEAN = 1.5  # standard deviation of an axis from the vertical, a tangent: fruit hangs more upright than not
+_LOOKS = 3  # at the skin, each by what the one before found
 _ROUNDS = 12
 _STEP = 1e-5  # by which the parameters are changed to tell slopes
 _SIZE = 0.15  # standard deviation of a width from the sphere's, a logarithm
@@ -68,10 +69,21 @@ class Spheroid(NamedTuple):
 
 def stretched(fits: Sequence[SphereFit], cloud: SurfaceCloud, settings: ShapeSettings) -> list[Spheroid] | None:
     """The spheres as spheroids of one length per width, or None where the row's fruit is round."""
-    skins = _skins(fits, cloud, settings)
-    seen = [k for k, fit in enumerate(fits) if fit.coverage > _WELL_SEEN and len(skins[k]) >= 40]
-    if len(seen) < _FEWEST_SEEN:
-        return None
+    tree = cKDTree(cloud.points)
+    balls = [Spheroid(fit.center, fit.radius, 0.0, np.array([0.0, 0.0, 1.0])) for fit in fits]
+    found: list[Spheroid] | None = None
+    for _ in range(_LOOKS):  # the ends of long fruit are too far from balls to be taken for their skin at first
+        skins = _skins(found or balls, cloud, tree, settings)
+        seen = [k for k, fit in enumerate(fits) if fit.coverage > _WELL_SEEN and len(skins[k]) >= 40]
+        stretch = _common_stretch(found or balls, skins, seen) if len(seen) >= _FEWEST_SEEN else None
+        if stretch is None:
+            break
+        found = _fit(found or balls, skins, np.full(len(fits), stretch))[0]
+    return found
+
+
+def _common_stretch(fits: Sequence[Spheroid], skins: Sequence[Array], seen: Sequence[int]) -> float | None:
+    """The log of the length per width that explains best what shows of some fruits; None if they are round."""
     asked = seen[:: max(1, len(seen) // _TRIED)]
     tried = np.repeat(_STRETCHES, len(asked))
     each = _fit([fits[k] for k in asked] * len(_STRETCHES), [skins[k] for k in asked] * len(_STRETCHES), tried)[1]
@@ -82,23 +94,26 @@ def stretched(fits: Sequence[SphereFit], cloud: SurfaceCloud, settings: ShapeSet
         below, here, above = costs[best - 1 : best + 2]
         stretch += float(_STRETCHES[1] - _STRETCHES[0]) * float((below - above) / (2 * (below - 2 * here + above)))
     round_cost = float(np.interp(0.0, _STRETCHES, costs))
-    if abs(stretch) < _LEAST or costs[best] > (1 - _SAVED) * round_cost:
-        return None
-    return _fit(fits, skins, np.full(len(fits), stretch))[0]
+    return None if abs(stretch) < _LEAST or costs[best] > (1 - _SAVED) * round_cost else stretch
 
 
-def _skins(fits: Sequence[SphereFit], cloud: SurfaceCloud, settings: ShapeSettings) -> list[Array]:
-    """Points (k, 3) that each sphere is the nearest to, and that lie about on it."""
-    tree = cKDTree(cloud.points)
-    near = [np.array(tree.query_ball_point(fit.center, 1.3 * fit.radius), dtype=np.int64) for fit in fits]
+def _skins(fits: Sequence[Spheroid], cloud: SurfaceCloud, tree: cKDTree, settings: ShapeSettings) -> list[Array]:
+    """Points (k, 3) of a cloud, and of its tree, that each spheroid is the nearest to, and that lie about on it."""
+    longest = [1.3 * float(fit.semi_axes.max()) for fit in fits]
+    near = [
+        np.array(tree.query_ball_point(fit.center, r), dtype=np.int64) for fit, r in zip(fits, longest, strict=True)
+    ]
     nearest = np.full(len(cloud), np.inf)
     residuals = []
     for fit, rows in zip(fits, near, strict=True):
-        residuals.append(np.linalg.norm(cloud.points[rows] - fit.center, axis=1) - fit.radius)
+        away = cloud.points[rows] - fit.center
+        axis, width, stretch = fit.axis[None], np.array([[fit.width]]), np.array([fit.stretch])
+        residuals.append(_distances(away[None], axis, width, stretch)[0])
         nearest[rows] = np.minimum(nearest[rows], np.abs(residuals[-1]))
     skins = []
     for fit, rows, residual in zip(fits, near, residuals, strict=True):
-        unit = (cloud.points[rows] - fit.center) / np.maximum(residual + fit.radius, 1e-9)[:, None]
+        away = cloud.points[rows] - fit.center
+        unit = away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
         own = np.abs(residual) < max(shell_of(fit.radius, settings), 0.2 * fit.radius)
         own &= (np.abs(residual) <= nearest[rows]) & ((unit * cloud.normals[rows]).sum(axis=1) > _ALIGNED)
         kept = rows[own]
@@ -141,7 +156,7 @@ class _Seen(NamedTuple):
         return np.column_stack([off, weight * lean / _LEAN, weight * x[:, 3] / _SIZE])
 
 
-def _fit(fits: Sequence[SphereFit], skins: Sequence[Array], stretches: Array) -> tuple[list[Spheroid], Array]:
+def _fit(fits: Sequence[Spheroid], skins: Sequence[Array], stretches: Array) -> tuple[list[Spheroid], Array]:
     """The spheroids of given stretches (k,) with least robust distances from their skins, and their costs (k,).
 
     All are refined at once by the method of Levenberg and Marquardt.

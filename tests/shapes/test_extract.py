@@ -602,8 +602,9 @@ def test_the_edge_of_a_table_is_no_stem_that_lies() -> None:
     assert not extract_shapes(points[:, [0, 2, 1]], brown, normals[:, [0, 2, 1]]).warnings
 
 
-def test_plum_fruit_becomes_ellipsoids_of_its_length() -> None:
-    semi_axes = np.array([0.020, 0.020, 0.026])
+@pytest.mark.parametrize(("long", "fewest", "off"), [(0.026, 8, 0.03), (0.031, 7, 0.08)])
+def test_plum_fruit_becomes_ellipsoids_of_its_length(long: float, fewest: int, off: float) -> None:
+    semi_axes = np.array([0.020, 0.020, long])
     centers = [(0.45 + 0.005 * (k % 2), 0.1 + 0.07 * k, 1.1) for k in range(8)]
     parts = []
     for k, center in enumerate(centers):
@@ -612,12 +613,12 @@ def test_plum_fruit_becomes_ellipsoids_of_its_length() -> None:
         normals = unit / semi_axes / np.linalg.norm(unit / semi_axes, axis=1, keepdims=True)
         parts.append((center + unit * semi_axes, colors, normals))
     shapes = extract_shapes(*together(*parts))
-    assert len(shapes.tomatoes) == len(centers)
+    assert fewest <= len(shapes.tomatoes) <= len(centers)
     for tomato in shapes.tomatoes:
         assert tomato.semi_axes is not None
-        np.testing.assert_allclose(np.sort(tomato.semi_axes), semi_axes, rtol=0.1)
+        np.testing.assert_allclose(np.sort(tomato.semi_axes), semi_axes, rtol=off)
         assert abs(tomato.rotation[2, int(np.argmax(tomato.semi_axes))]) > 0.97
-        assert np.linalg.norm(np.array(centers) - tomato.center, axis=1).min() < 0.003
+        assert np.linalg.norm(np.array(centers) - tomato.center, axis=1).min() < 0.0035
 
 
 def test_round_fruit_stays_round() -> None:
