@@ -156,6 +156,8 @@ def first_fault(error: ValidationError) -> str:
     """The first field at fault, what is wrong with it and what it holds, in one line."""
     first = error.errors(include_url=False, include_context=False)[0]
     where = ".".join(map(str, first["loc"])) or "the file"
+    if first["type"] == "value_error":  # raised by a class of ours, which says what it got
+        return f"{where}: {first['msg'].removeprefix('Value error, ')}"
     return f"{where}: {first['msg']} (got {reprlib.repr(first['input'])})"
 
 

@@ -11,7 +11,7 @@ import re
 import textwrap
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, fields, is_dataclass
+from dataclasses import MISSING, asdict, fields, is_dataclass
 from inspect import cleandoc, getsource
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_type_hints
@@ -23,6 +23,10 @@ from greenhouse_gym.paths import first_fault, parsing, read_bytes
 
 Settings = TypeVar("Settings")
 Tree = dict[str, Any]
+
+
+_NOTHING = "null"
+"""What stands for None, since TOML has no word for it."""
 
 
 def resolve(defaults: Settings, file: str | Path | None = None, assignments: Sequence[str] = ()) -> Settings:
@@ -115,7 +119,7 @@ def _merged(settings: object, content: Mapping[str, Any], where: str) -> Tree:
         elif inner is None and isinstance(value, dict) and (kind := _inner_class(settings, name)) is not None:
             tree[name] = _merged(kind(), value, f"{where}{name}.")
         else:
-            tree[name] = value
+            tree[name] = None if value == _NOTHING else value
     return tree
 
 
@@ -137,6 +141,8 @@ def _lines(settings: Any, where: str, comments: bool) -> list[str]:
             inner += ["", *([f"# {said_of}"] if said_of else []), *_table(value, where + field.name, comments)]
         elif is_dataclass(value):
             inner += ["", *_table(value, where + field.name, comments)]
+        elif value is None and field.default not in (None, MISSING):
+            own.append(f"{field.name} = {_value(_NOTHING)}")
         elif value is not None or comments:
             line = f"{field.name} = {_value(value)}" if value is not None else f"# {field.name} ="
             own.append(f"{line}  # {said[field.name]}" if said.get(field.name) else line)

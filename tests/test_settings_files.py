@@ -121,3 +121,21 @@ def test_every_field_is_shown_with_what_its_class_says_of_it() -> None:
     assert "foreground = 0.6  # m, the paper's cut" in shown
     assert "spacing = 0.5  # between the stands of two scenes of a row" in shown
     assert "[shapes]\n# How a cloud becomes shapes. Lengths are metres.\nvoxel = 0.003  # the cloud is thinned" in shown
+
+
+def test_null_stands_for_none_and_is_kept(tmp_path: Path) -> None:
+    chosen = resolve(BuildSettings(), None, ["shapes.small_radii=null", "targets=null"])
+    assert chosen.shapes.small_radii is None
+    assert chosen.targets is None
+    file = tmp_path / "settings.toml"
+    file.write_text(as_toml(chosen))
+    assert resolve(BuildSettings(), file) == chosen
+    assert "targets" not in file.read_text()  # as it is by default
+    with pytest.raises(InvalidValueError, match=r"setting shapes\.voxel: Input should be a valid number"):
+        resolve(BuildSettings(), None, ["shapes.voxel=null"])
+
+
+def test_what_a_class_says_of_its_values_is_the_message() -> None:
+    with pytest.raises(InvalidValueError) as refused:
+        resolve(BuildSettings(), None, ["shapes.voxel=0"])
+    assert str(refused.value) == "setting shapes: voxel must be a positive number of metres, got 0.0"
