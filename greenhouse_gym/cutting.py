@@ -15,6 +15,7 @@ from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.crop import Stem, Tomato
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, Box, Capsule, Shape, Sphere, distance_to_shapes, invert, pose, transform
+from greenhouse_gym.limits import check_numbers
 from greenhouse_gym.packing import as_tables, from_tables, moved, near
 from greenhouse_gym.plants.truth import truth_of
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud
@@ -28,7 +29,11 @@ DECIMALS = 5  # 0.01 mm
 
 @dataclass(frozen=True)
 class BuildSettings:
-    """How scenes are cut out of a row, and all settings of the stages before. Lengths are metres."""
+    """How scenes are cut out of a row, and all settings of the stages before. Lengths are metres.
+
+    Raises:
+        InvalidValueError: A value is not what it can be, such as a distance that is not positive.
+    """
 
     spacing: float = 0.5  # between the stands of two scenes of a row
     width: float = 1.6  # of a scene along the row
@@ -42,6 +47,9 @@ class BuildSettings:
     reconstruction: ReconstructionSettings | None = None  # by default what each recording's protocol needs
     shapes: ShapeSettings = field(default_factory=ShapeSettings)
     carving: CarvingSettings = field(default_factory=CarvingSettings)
+
+    def __post_init__(self) -> None:
+        check_numbers(self, ("spacing", "width", "stem_distance", "reach", "primitives", "targets", "leaves"))
 
 
 def provenance_of(

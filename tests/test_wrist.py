@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import mujoco
@@ -11,13 +12,16 @@ from conftest import make_scene
 from row_helpers import HALF, rendered
 
 from greenhouse_gym.accuracy import distance_to_surface
-from greenhouse_gym.capture import Recording, simulate_recording
+from greenhouse_gym.capture import Recording, Station, simulate_recording
 from greenhouse_gym.capture.simulated import photograph
 from greenhouse_gym.errors import InvalidValueError, ReconstructionError
 from greenhouse_gym.geometry import invert, pose, rotation_about, rotation_angle, transform
 from greenhouse_gym.plants import grow_row
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, add_looks, reconstruct_row
+from greenhouse_gym.reconstruction import looks as module
+from greenhouse_gym.reconstruction.fattening import Fattening
 from greenhouse_gym.reconstruction.seen import carve
+from greenhouse_gym.reconstruction.views import Calibration, StationView, view_station
 from greenhouse_gym.robots import ROBOTS, get_robot, load_robot
 from greenhouse_gym.scene import compile_scene
 from greenhouse_gym.scene.seen import UNSEEN
@@ -89,6 +93,24 @@ def test_what_the_arm_sees_joins_the_cloud_where_it_belongs() -> None:
     before, after = (carve(cloud, np.eye(4), *corners).states != UNSEEN for cloud in (row, whole))
     assert (after | ~before).all()
     assert after.mean() > 1.6 * before.mean()
+
+
+def test_edges_of_what_the_arm_saw_are_thinned_by_what_its_own_camera_tells(monkeypatch: pytest.MonkeyPatch) -> None:
+    recording, row = scanned()
+    thinned: dict[int, Fattening] = {}
+
+    def view(station: Station, calibration: Calibration, settings: ReconstructionSettings) -> StationView:
+        thinned[len(calibration.rig.cameras)] = calibration.fattening
+        # images this small would lose too much by it to be registered
+        return view_station(station, replace(calibration, fattening=Fattening()), settings)
+
+    monkeypatch.setattr(module, "fattening_of", lambda stations, settings: Fattening(1, 0))
+    monkeypatch.setattr(module, "view_station", view)
+    first = recording[0].world_from_station
+    assert first is not None
+    add_looks(row, recording, looks(), (invert(first) @ STAND)[None], KNOWN)
+    own, arm = len(recording.rig.cameras), len(looks().rig.cameras)
+    assert thinned == {own: row.report.calibration.fattening, arm: Fattening(1, 0)}
 
 
 def test_looks_that_fit_nothing_or_stand_nowhere_are_errors() -> None:

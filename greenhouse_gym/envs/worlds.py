@@ -18,7 +18,7 @@ from greenhouse_gym.geometry import Array, invert, pose, rotation_about, transfo
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import CompiledScene, Scene, SceneBank, Shapes, compile_scene
 from greenhouse_gym.scene.field import FieldStore, obstacle_field
-from greenhouse_gym.scene.mjcf import DEFAULT_CAPACITY, base_position
+from greenhouse_gym.scene.mjcf import DEFAULT_CAPACITY, MOST_CAPACITY, base_position
 from greenhouse_gym.scene.plant_motion import PlantMotion, moved_plants
 
 _ROUND = 100
@@ -48,8 +48,11 @@ def room_for(bank: SceneBank, physics: str) -> int:
 
 
 def room_for_shapes(count: int) -> int:
-    """Obstacles that a model needs room for to be a scene with so many shapes, as `room_for` has it for a bank."""
-    return max(DEFAULT_CAPACITY, -_ROUND * (-count // _ROUND))
+    """Obstacles that a model needs room for to be a scene with so many shapes, as `room_for` has it for a bank.
+
+    No more than are allowed: scenes with more of them say so when they are loaded.
+    """
+    return min(max(DEFAULT_CAPACITY, -_ROUND * (-count // _ROUND)), MOST_CAPACITY)
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,10 +193,12 @@ class Worlds:
 
     def _check_size(self, scene: Scene) -> None:
         """Refuse what would take more room than there is before any of it is taken."""
-        if len(scene.obstacles) > self.capacity:
-            raise InvalidValueError(
-                f"scene {scene.name!r} has {len(scene.obstacles)} obstacles, more than the {self.capacity} allowed"
-            )
+        count = len(scene.obstacles)
+        if count > self.capacity:
+            problem = f"scene {scene.name!r} has {count} obstacles, more than the {self.capacity} allowed"
+            if self.physics == "truth" and self.capacity == MOST_CAPACITY:
+                problem += "; a bank built with a larger BuildSettings.leaves has fewer boxes for its leaves"
+            raise InvalidValueError(problem)
 
 
 def _spheres(scene: Shapes, scene_from_base: Array) -> Array:

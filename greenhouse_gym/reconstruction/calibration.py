@@ -122,7 +122,7 @@ def calibrate(recording: Recording, settings: ReconstructionSettings) -> tuple[C
 
 def spread_stations(recording: Recording, settings: ReconstructionSettings) -> list[Station]:
     """The stations of a recording that calibration looks at, spread over it; those that cannot be read are left out."""
-    count = max(0, settings.calibration_stations) if len(recording) else 0
+    count = settings.calibration_stations if len(recording) else 0
     numbers = np.unique(np.linspace(0, len(recording) - 1, count).round().astype(int))
 
     def read(i: int) -> Station | None:

@@ -14,13 +14,12 @@ import numpy.typing as npt
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.capture.rig import Rig
 from greenhouse_gym.clouds import Cloud, exposure_failure
-from greenhouse_gym.errors import require_choice
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.reconstruction.fitting import settings_for
 from greenhouse_gym.reconstruction.graph import optimize
 from greenhouse_gym.reconstruction.merging import merge_stations, outliers
 from greenhouse_gym.reconstruction.report import RowReport
-from greenhouse_gym.reconstruction.settings import POSES, ReconstructionSettings
+from greenhouse_gym.reconstruction.settings import ReconstructionSettings
 from greenhouse_gym.reconstruction.views import Screen
 from greenhouse_gym.reconstruction.walk import Walk, walk_through
 
@@ -98,7 +97,7 @@ def reconstruct_row(
     """
     settings = settings or settings_for(recording)
     if poses is not None:
-        settings = replace(settings, poses=require_choice("way to pose stations", poses, POSES))  # type: ignore[arg-type]
+        settings = replace(settings, poses=poses)  # type: ignore[arg-type]
     return reconstruct_segments(recording, settings, on_station, folder, most=1)[0]
 
 

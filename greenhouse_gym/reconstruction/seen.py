@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from greenhouse_gym.errors import ReconstructionError
 from greenhouse_gym.geometry import Array, invert, transform
+from greenhouse_gym.limits import check_numbers
 from greenhouse_gym.reconstruction.row import Look, RowCloud
 from greenhouse_gym.reconstruction.views import BLOCK
 from greenhouse_gym.scene.seen import CORNERS, EMPTY, SURFACE, UNSEEN, States
@@ -23,12 +24,19 @@ _FARTHEST = 2.0  # m from a camera up to which its readings are asked
 
 @dataclass(frozen=True)
 class CarvingSettings:
-    """How the seen space is carved."""
+    """How the seen space is carved.
+
+    Raises:
+        InvalidValueError: A value is not what it can be, such as the size of a voxel that is not positive.
+    """
 
     voxel: float = 0.05  # m
     margin: float = 0.01  # m before a reading that may still be surface
     points: int = 2  # points of the cloud that make a voxel surface
     aisle: bool = True  # what lies behind all cameras counts as empty: somebody pushed the rig through it
+
+    def __post_init__(self) -> None:
+        check_numbers(self, positive=("voxel", "points"))
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,14 +6,30 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from greenhouse_gym.capture.protocols import PROTOCOLS, Protocol
+from greenhouse_gym.errors import InvalidValueError, require_choice
+from greenhouse_gym.limits import check_numbers
 
 Poses = Literal["estimate", "given", "refine"]
 POSES: tuple[str, ...] = get_args(Poses)
 
+_POSITIVE = (
+    "foreground", "normal_window", "shift_step", "shifts_tried", "samples", "coarse_distance", "fine_distance",
+    "icp_iterations", "longest_gap", "max_rmse", "voxel", "outlier_radius", "max_rotation", "max_sideways",
+)  # fmt: skip
+_SHARES = (
+    "min_foreground", "max_foreground", "max_shift_difference", "facing", "min_overlap", "min_fitness",
+    "max_contradicted", "min_registered",
+)  # fmt: skip
+
 
 @dataclass(frozen=True)
 class ReconstructionSettings:
-    """How a recording becomes a row."""
+    """How a recording becomes a row.
+
+    Raises:
+        InvalidValueError: A value is not what it can be, such as the size of a voxel that is not positive.
+        UnknownNameError: There are no such ``poses``.
+    """
 
     # what belongs to the row
     foreground: float = 0.60  # m, the paper's cut
@@ -53,6 +69,14 @@ class ReconstructionSettings:
     outlier_neighbours: int = 2  # fewest points within that radius
     outlier_stations: int = 2  # fewest stations that must have seen something where others see through
     outlier_views: int = 2  # fewest stations that must see through a place to put it in doubt
+
+    def __post_init__(self) -> None:
+        check_numbers(self, _POSITIVE, _SHARES)
+        require_choice("way to pose stations", self.poses, POSES)
+        if self.normal_window % 2 == 0:
+            raise InvalidValueError(f"normal_window must be odd, so that it has a middle, got {self.normal_window}")
+        if not all(isinstance(link, int) and link >= 2 for link in self.links):
+            raise InvalidValueError(f"links must be whole numbers of steps from 2 on, got {self.links}")
 
     @classmethod
     def of(cls, protocol: Protocol) -> ReconstructionSettings:

@@ -22,6 +22,7 @@ _STRAY_CELL = 0.25  # metres that stray points are away from everything
 _FAR = 4000  # so many of these lengths are told apart; what is farther off is in one place
 _MOST_STRAYS = 0.01  # share of all points; more are no strays
 _FEWEST = 50  # points that hold a shape
+_NOTABLE = 0.01  # share of normals that are zero; fewer are where surfaces back to back share a cube
 
 
 class ShapeWarning(UserWarning):
@@ -85,7 +86,7 @@ def thinned(whole: Cloud, with_normals: bool, settings: ShapeSettings, notes: No
     missing = np.linalg.norm(cloud.normals, axis=1) < 0.5
     if not missing.any():
         return cloud
-    if with_normals:
+    if with_normals and missing.mean() >= _NOTABLE:
         notes.say(f"the normals of {missing.mean():.0%} of the points are zero; they were estimated instead")
     return replace(cloud, normals=np.where(missing[:, None], estimate_normals(cloud.points, settings), cloud.normals))
 

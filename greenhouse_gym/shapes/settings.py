@@ -4,10 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.limits import check_numbers
 
-_SIZES = ("voxel", "fine_voxel", "vote_cell", "radius_step", "clutter_cell", "path_step", "stem_slab")
-_RANGES = ("radii", "small_radii", "pipe_radii", "stem_radii")
+_POSITIVE = (
+    "voxel", "fine_voxel", "vote_cell", "radius_step", "clutter_cell", "path_step", "stem_slab", "shell", "explained",
+    "string_radius", "peduncle_radius", "pedicel_radius",
+)  # fmt: skip
+_SHARES = (
+    "min_score", "min_score_small", "min_confidence", "skin_alignment", "pipe_alignment", "pipe_filled",
+    "clutter_facing", "clutter_aligned", "least_saturation",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -15,7 +21,7 @@ class ShapeSettings:
     """How a cloud becomes shapes. Lengths are metres.
 
     Raises:
-        InvalidValueError: The size of a cell or a step is not positive, or a range of radii does not go up from there.
+        InvalidValueError: A value is not what it can be, such as the size of a cell that is not positive.
     """
 
     voxel: float = 0.003  # the cloud is thinned out to this first
@@ -82,14 +88,7 @@ class ShapeSettings:
     explained: float = 0.008  # points this near a shape speak for it
 
     def __post_init__(self) -> None:
-        for name in _SIZES:
-            size = getattr(self, name)
-            if not 0 < size < float("inf"):
-                raise InvalidValueError(f"{name} must be a positive number of metres, got {size!r}")
-        for name in _RANGES:
-            ends = getattr(self, name)
-            if ends is not None and not 0 < ends[0] < ends[1] < float("inf"):
-                raise InvalidValueError(f"{name} must be two radii, the smaller first, in metres, got {ends!r}")
+        check_numbers(self, _POSITIVE, _SHARES)
 
 
 FINE_SHAPES = ShapeSettings(

@@ -58,6 +58,18 @@ def test_truth_chooses_its_capacity_from_the_bank(bank: SceneBank, tmp_path: Pat
         TomatoReachVectorEnv(2, bank=bank, physics="truth").reset(seed=0)
 
 
+def test_truth_of_more_shapes_than_are_allowed_names_the_scene_and_the_remedy(
+    bank: SceneBank, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(worlds, "MOST_CAPACITY", 640)
+    crowd = tuple(Box([2.0, 0.01 * k, 1.0], [0.01, 0.001, 0.01], np.eye(3)) for k in range(633))
+    scenes = [scene.model_copy(update={"truth": Shapes(tomatoes=scene.tomatoes, clutter=crowd)}) for scene in bank]
+    crowded = write_bank(tmp_path, [(scene, bank.split_of(scene.name)) for scene in scenes], name="crowded")
+    assert worlds.room_for(crowded, "truth") == 640
+    with pytest.raises(InvalidValueError, match=r"made-up-\d.* has 645 obstacles, more than the 640.*larger .*leaves"):
+        TomatoReachVectorEnv(2, bank=crowded, physics="truth").reset(seed=0)
+
+
 def test_an_environment_has_room_for_the_largest_scene_of_its_bank(bank: SceneBank, tmp_path: Path) -> None:
     crowd = tuple(Box([2.0, 0.01 * k, 1.0], [0.01, 0.001, 0.01], np.eye(3)) for k in range(633))
     scenes = [scene.model_copy(update={"clutter": crowd}) for scene in bank]

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.clouds import Cloud
-from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.shapes import ShapeSettings, extract_shapes
 from greenhouse_gym.shapes.credibility import SMALL_FRUIT, small_fruit_network
 from greenhouse_gym.shapes.small_fruit import Credited, find_small, small_spheres
@@ -71,20 +70,6 @@ def test_small_fruit_need_not_be_looked_for() -> None:
     arrays = (cloud.points, cloud.colors, cloud.normals)
     assert len(extract_shapes(*arrays).tomatoes) == 1
     assert extract_shapes(*arrays, ShapeSettings(small_radii=None)).tomatoes == ()
-
-
-@pytest.mark.parametrize("name", ["voxel", "fine_voxel", "vote_cell", "clutter_cell"])
-@pytest.mark.parametrize("size", [0.0, -0.002, float("nan"), float("inf")])
-def test_cells_without_a_size_are_refused(name: str, size: float) -> None:
-    with pytest.raises(InvalidValueError, match=rf"^{name} must be a positive number of metres, got {size}"):
-        ShapeSettings(**{name: size})
-
-
-@pytest.mark.parametrize("name", ["radii", "small_radii", "pipe_radii", "stem_radii"])
-@pytest.mark.parametrize("ends", [(0.012, 0.004), (0.01, 0.01), (0.0, 0.01), (-0.01, 0.01), (0.01, float("nan"))])
-def test_radii_that_do_not_go_up_are_refused(name: str, ends: tuple[float, float]) -> None:
-    with pytest.raises(InvalidValueError, match=f"^{name} must be two radii, the smaller first"):
-        ShapeSettings(**{name: ends})
 
 
 def test_what_larger_fruit_explains_is_no_small_fruit() -> None:
