@@ -15,7 +15,7 @@ def check_numbers(settings: Any, positive: Collection[str] = (), shares: Collect
     """Raise an error unless every number of a dataclass is one that makes sense.
 
     Fields are told apart by their annotations: a ``float`` is finite and at least 0, an ``int`` whole and at least 0, a
-    ``bool`` true or false, a ``tuple[float, float]`` two positive numbers that go up. Only what is annotated with
+    ``bool`` true or false, a ``tuple[float, float]`` two such numbers that go up. Only what is annotated with
     ``| None`` may be None. Other fields are not looked at.
 
     Args:
@@ -37,12 +37,12 @@ def check_numbers(settings: Any, positive: Collection[str] = (), shares: Collect
 
 
 def _expected(kind: str, positive: bool, share: bool) -> str:
-    above, least = ("a number above 0", 1) if positive else ("a number from 0 on", 0)
+    start, least = ("above 0", 1) if positive else ("from 0 on", 0)
     return {
-        "float": f"{above.removesuffix(' on')} up to 1" if share else above,
+        "float": f"a number {start.removesuffix(' on')} up to 1" if share else f"a number {start}",
         "int": f"a whole number from {least} on",
         "bool": "true or false",
-        "tuple[float, float]": "two numbers above 0, the smaller one first",
+        "tuple[float, float]": f"two numbers {start}, the smaller one first",
     }.get(kind, "")
 
 
@@ -51,7 +51,7 @@ def _fits(kind: str, value: Any, positive: bool, share: bool) -> bool:
         return isinstance(value, bool)
     if kind == "tuple[float, float]":
         pair = isinstance(value, tuple | list) and len(value) == 2 and all(map(_is_number, value))
-        return pair and 0 < value[0] < value[1]
+        return pair and _fits("float", value[0], positive, share) and value[0] < value[1]
     if not _is_number(value) or (kind == "int" and not isinstance(value, Integral)):
         return False
     return (value > 0 or (value == 0 and not positive)) and not (share and value > 1)

@@ -65,7 +65,7 @@ def test_none_is_for_fields_that_can_do_without() -> None:
         (ReconstructionSettings, {"min_overlap": 1.2}, "min_overlap must be a number from 0 up to 1, got 1.2"),
         (ReconstructionSettings, {"normal_window": 4}, "normal_window must be odd, so that it has a middle, got 4"),
         (ReconstructionSettings, {"links": (1,)}, "links must be whole numbers of steps from 2 on, got (1,)"),
-        (ReconstructionSettings, {"step_range": (0.2, 0.1)}, "step_range must be two numbers above 0, the smaller"),
+        (ReconstructionSettings, {"step_range": (0.2, 0.1)}, "step_range must be two numbers from 0 on, the smaller"),
         (ReconstructionSettings, {"calibrate_edges": 1}, "calibrate_edges must be true or false, got 1"),
         (CarvingSettings, {"aisle": "no"}, "aisle must be true or false, got 'no'"),
         (BuildSettings, {"targets": 0}, "targets must be a whole number from 1 on, got 0"),
@@ -85,4 +85,5 @@ def test_unknown_ways_to_pose_stations_are_named() -> None:
 
 def test_whole_numbers_do_where_fractions_are_meant() -> None:
     assert BuildSettings(width=2).width == 2
+    assert ReconstructionSettings(step_range=(0, 1)).step_range == (0, 1)
     assert FINE_SHAPES.clutter_claim == 0

@@ -8,7 +8,7 @@ from greenhouse_gym.limits import check_numbers
 
 _POSITIVE = (
     "voxel", "fine_voxel", "vote_cell", "radius_step", "clutter_cell", "path_step", "stem_slab", "shell", "explained",
-    "string_radius", "peduncle_radius", "pedicel_radius",
+    "string_radius", "peduncle_radius", "pedicel_radius", "radii", "small_radii", "pipe_radii", "stem_radii",
 )  # fmt: skip
 _SHARES = (
     "min_score", "min_score_small", "min_confidence", "skin_alignment", "pipe_alignment", "pipe_filled",
