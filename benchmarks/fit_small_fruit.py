@@ -13,27 +13,24 @@ written to greenhouse_gym/shapes/small_fruit.json.
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import torch
 from fit_credibility import Labeled, labeled, surfaces_of
+from fit_network import fitted_network, write_network
 from shape_rows import CAUSES, DRAWN_MESHES, Row, visible_of
 
 from greenhouse_gym.accuracy import Visibility, compare_tomatoes
 from greenhouse_gym.crop import Tomato
-from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.shapes import ShapeSettings
 from greenhouse_gym.shapes.candidates import COMPANY, MEASURES
-from greenhouse_gym.shapes.credibility import SMALL_FRUIT, Network
+from greenhouse_gym.shapes.networks import Network, network_file
 from greenhouse_gym.shapes.small_fruit import Credited, Small, chosen_small, small_spheres, sure_small
 from greenhouse_gym.shapes.tomatoes import large_tomatoes, look
 
-HIDDEN, STEPS, BATCH, RATE, DECAY = 64, 3000, 4096, 5e-3, 0.3
 FIFTHS = 5
 SETTINGS = ShapeSettings()
 
@@ -66,8 +63,8 @@ def looked_at(row: Row, workdir: Path, cause: str) -> Looked:
 def fitted(rows: Sequence[Looked]) -> Network:
     """The network that learned both judgements from rows."""
     first = [part for row in rows for part in (row.beside([]), _colorless(row))]
-    judge = _trained(first)
-    return _trained([*first, *(row.beside(sure_small(row.small, row.found, SETTINGS, judge)) for row in rows)])
+    judge = _learned(first)
+    return _learned([*first, *(row.beside(sure_small(row.small, row.found, SETTINGS, judge)) for row in rows)])
 
 
 def _colorless(row: Looked) -> Labeled:
@@ -78,24 +75,8 @@ def _colorless(row: Looked) -> Labeled:
     return labeled(row.small.fits, np.column_stack([alone, company]), row.true)
 
 
-def _trained(parts: Sequence[Labeled]) -> Network:
-    """A network by cross entropy on standardized measures."""
-    measures = np.concatenate([part.measures for part in parts])
-    right = torch.tensor(np.concatenate([part.right for part in parts]), dtype=torch.float32)
-    center, scale = measures.mean(axis=0), measures.std(axis=0) + 1e-9
-    inputs = torch.tensor((measures - center) / scale, dtype=torch.float32)
-    torch.manual_seed(0)
-    hidden, out = torch.nn.Linear(inputs.shape[1], HIDDEN), torch.nn.Linear(HIDDEN, 1)
-    network = torch.nn.Sequential(hidden, torch.nn.Tanh(), out)
-    optimizer = torch.optim.AdamW(network.parameters(), lr=RATE, weight_decay=DECAY)
-    for _ in range(STEPS):
-        batch = torch.randint(len(inputs), (BATCH,))
-        loss = torch.nn.functional.binary_cross_entropy_with_logits(network(inputs[batch])[:, 0], right[batch])
-        optimizer.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
-        optimizer.step()
-    layers = (hidden.weight.T, hidden.bias, out.weight[0], out.bias)
-    return Network(center, scale, *(layer.detach().double().numpy() for layer in layers))
+def _learned(parts: Sequence[Labeled]) -> Network:
+    return fitted_network(np.concatenate([p.measures for p in parts]), np.concatenate([p.right for p in parts]))
 
 
 def counted(row: Looked, network: Network | None) -> np.ndarray:
@@ -133,11 +114,7 @@ def main() -> None:
         for name, (visible, found, false) in (("without", without), ("with", with_it[cause])):
             f1 = 2 * found / (visible + found + false)
             print(f"{cause}, {name}: {found} of {visible} found, {false} false, F1 {f1:.3f}")
-    network = fitted([looked for row in rows for looked in row.values()])
-    stored = {name: [float(f"{v:.5g}") for v in np.ravel(values)] for name, values in asdict(network).items()}
-    stored["hidden"] = np.reshape(stored["hidden"], network.hidden.shape).tolist()
-    lines = ",\n".join(f' "{name}": {json.dumps(values)}' for name, values in stored.items())
-    write_atomically(SMALL_FRUIT, "{\n" + lines + "\n}\n")
+    write_network(fitted([looked for row in rows for looked in row.values()]), network_file("small_fruit"))
 
 
 if __name__ == "__main__":

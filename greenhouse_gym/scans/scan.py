@@ -23,6 +23,7 @@ from greenhouse_gym.shapes.normals import estimate_normals
 _VOXEL = 0.002  # m; as dense as a reconstructed row
 _FAR = 100.0  # m from the file's origin beyond which it is moved
 _GRAY = 0.5
+_GREEN = 0.05  # redness, (R - G) / (R + G), below which something is not red
 _AGREE = 0.3  # mean cosine, with normals of its own, at which normals point to one side all in all
 _DIRECTIONS = {sign + axis: factor * np.eye(3)[k] for sign, factor in (("", 1.0), ("-", -1.0))
                for k, axis in enumerate("xyz")}  # fmt: skip
@@ -123,7 +124,7 @@ def extract_from_scan(scan: Scan, settings: ShapeSettings | None = None) -> tupl
 
 def fruit_hangs(cloud: Cloud, shapes: RowShapes) -> float:
     """Standard errors by which what is around the fruits, and less red than they are, lies above them; 0 of few."""
-    less_red = redness(cloud.colors) < ShapeSettings().most_redness
+    less_red = redness(cloud.colors) < _GREEN
     near = cKDTree(cloud.points[less_red])
     above = []
     for tomato in shapes.tomatoes:

@@ -33,23 +33,6 @@ def could_be_stem(cloud: SurfaceCloud, settings: ShapeSettings) -> Mask:
     return is_colorful(cloud.colors, settings) & (stem | (cloud.lengths > settings.stem_length))
 
 
-def could_be_peduncle(cloud: SurfaceCloud, stem: float, settings: ShapeSettings) -> Mask:
-    """Which points (n,) may lie on a peduncle or pedicel: no leaf, or as thin as that, and not as red as ripe fruit.
-
-    Args:
-        cloud: The points.
-        stem: Redness of the row's main stems, or that of its leaves where it is unknown. Edges of leaves are as thin as
-            peduncles, but have the leaves' color rather than that of stems.
-        settings: All settings.
-    """
-    thin = (cloud.bends[:, 1] > settings.peduncle_bend) & (cloud.tones >= (cloud.leaf + stem) / 2)
-    return (
-        is_colorful(cloud.colors, settings)
-        & (_is_no_leaf(cloud, settings) | thin)
-        & (redness(cloud.colors) < settings.most_redness)
-    )
-
-
 def could_be_pipe(cloud: SurfaceCloud, settings: ShapeSettings) -> Mask:
     """Which points (n,) may lie on a pipe: all but those of leaves."""
     return ~is_colorful(cloud.colors, settings) | _is_no_leaf(cloud, settings)

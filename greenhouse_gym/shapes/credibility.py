@@ -1,14 +1,6 @@
-"""How credible a sphere is as a tomato: logistic regressions, and for small fruit a network.
-
-They are fitted by benchmarks/fit_credibility.py and benchmarks/fit_small_fruit.py.
-"""
+"""How credible a sphere is as a tomato: logistic regressions, fitted by benchmarks/fit_credibility.py."""
 
 from __future__ import annotations
-
-import json
-from dataclasses import dataclass
-from functools import cache
-from pathlib import Path
 
 import numpy as np
 
@@ -32,46 +24,7 @@ BESIDE = np.array([
 ])  # fmt: skip
 """Such weights for spheres of the second look, beside others that are sure."""
 
-SMALL_FRUIT = Path(__file__).with_name("small_fruit.json")
-"""The file of `small_fruit_network`, written by benchmarks/fit_small_fruit.py."""
-
-_MOST = 8.0  # deviations from the mean beyond which a measure counts no more
-
 
 def credibility(measures: Array, weights: Array) -> Array:
     """How likely spheres are tomatoes, 0 to 1 (k,), by their measures (k, m) and the weights (m + 1,) of these."""
     return np.asarray(1 / (1 + np.exp(-np.clip(measures @ weights[:-1] + weights[-1], -30.0, 30.0))))
-
-
-@dataclass(frozen=True, eq=False)
-class Network:
-    """Says how credible spheres are, with one hidden layer.
-
-    Attributes:
-        center: (m,) of the measures.
-        scale: (m,) of them.
-        hidden: (m, h) weights of the hidden layer.
-        hidden_offset: (h,) offsets of it.
-        out: (h,) weights of what it says.
-        out_offset: (1,) offset of that.
-    """
-
-    center: Array
-    scale: Array
-    hidden: Array
-    hidden_offset: Array
-    out: Array
-    out_offset: Array
-
-    def __call__(self, measures: Array) -> Array:
-        """How likely spheres are tomatoes, 0 to 1 (k,), by their measures (k, m)."""
-        inputs = np.clip((measures - self.center) / self.scale, -_MOST, _MOST)
-        hidden = np.tanh(inputs @ self.hidden + self.hidden_offset)
-        return np.asarray(1 / (1 + np.exp(-(hidden @ self.out + self.out_offset))))
-
-
-@cache
-def small_fruit_network() -> Network:
-    """The one for small spheres, by `candidates.MEASURES` and `candidates.COMPANY`."""
-    stored = json.loads(SMALL_FRUIT.read_text())
-    return Network(**{name: np.array(values) for name, values in stored.items()})

@@ -13,13 +13,15 @@ from greenhouse_gym.crop import Stem, Tomato
 from greenhouse_gym.geometry import Box, Shape
 from greenhouse_gym.shapes.checks import Notes, checked, thinned
 from greenhouse_gym.shapes.clutter import box_budget, cover
-from greenhouse_gym.shapes.colors import could_be_peduncle, could_be_pipe, could_be_stem, is_colorful, redness
+from greenhouse_gym.shapes.colors import could_be_pipe, could_be_stem, is_colorful, redness
 from greenhouse_gym.shapes.evidence import Evidence, nearest_shapes
-from greenhouse_gym.shapes.peduncles import find_peduncles, stands_out
+from greenhouse_gym.shapes.networks import network
+from greenhouse_gym.shapes.peduncles import find_peduncles
 from greenhouse_gym.shapes.pipes import find_pipes
 from greenhouse_gym.shapes.settings import ShapeSettings
 from greenhouse_gym.shapes.stems import find_main_stems, find_strings
 from greenhouse_gym.shapes.surfaces import SurfaceCloud, look_at_surfaces, looked_at_finer
+from greenhouse_gym.shapes.thin_stems import places_near_fruit
 from greenhouse_gym.shapes.tomatoes import find_tomatoes
 
 _LYING = 0.5  # metres of main stems that show that a cloud lies on its side
@@ -97,12 +99,9 @@ def extract_shapes(
     main = [stem for stem in upright if stem.kind == "main"]
     if not main:
         _say_if_not_upright(woody, settings, notes)
-    on_main = nearest_shapes(woody.points, main, settings.shell).owner >= 0
-    stem_tone = float(np.median(woody.tones[on_main])) if on_main.any() else cloud.leaf
-    green = surface.select(could_be_peduncle(surface, stem_tone, settings))
-    green = green.select(stands_out(green.points, green.normals, tomatoes, settings))
-    green = _without(green, main, settings.stem_margin)
-    hanging = find_peduncles(green.points, green.normals, tomatoes, main, settings)
+    places = places_near_fruit(surface, tomatoes, main, settings)
+    likely = network("peduncles")(places.measures) > settings.min_peduncle
+    hanging = find_peduncles(places.nodes[likely], tomatoes, main, settings)
     stems = (*upright, *hanging, *pipes)
     cloud = _without(_without(cloud, upright, settings.stem_margin), hanging, settings.shell)
     cloud = _without_skin(cloud, tomatoes, settings)

@@ -10,16 +10,20 @@ from greenhouse_gym.geometry import Array
 
 
 class Neighborhoods:
-    """For each of some points (n, 3) the points within ``reach`` metres, itself included."""
+    """For each of some points (n, 3) the points within ``reach`` metres, itself included.
+
+    Attributes:
+        count: (n,) how many these are.
+    """
 
     def __init__(self, points: Array, reach: float):
         pairs = cKDTree(points).query_pairs(reach, output_type="ndarray")
         self._near = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(len(points),) * 2).tocsr()
-        self._count = self._near.sum(axis=0) + self._near.sum(axis=1) + 1.0
+        self.count: Array = np.asarray(self._near.sum(axis=0) + self._near.sum(axis=1) + 1.0)
 
     def mean(self, values: Array) -> Array:
         """Means (n, k) of values (n, k) over the neighborhoods."""
-        return np.asarray((self._near @ values + self._near.T @ values + values) / self._count[:, None])
+        return np.asarray((self._near @ values + self._near.T @ values + values) / self.count[:, None])
 
     def moments(self, a: Array, b: Array) -> Array:
         """Means (n, 3, 3) of the outer products of vectors (n, 3) and (n, 3)."""

@@ -1,4 +1,4 @@
-"""Peduncles and pedicels: the shortest ways through thin green points from the main stem to each fruit of a truss.
+"""Peduncles and pedicels: the shortest ways through likely places from the main stem to each fruit of a truss.
 
 What holds a fruit is known before it is seen: a peduncle leaves the main stem, above the middle of the fruits that hang
 on it, and branches into one pedicel per fruit. So each truss is a tree that spans its fruits and the stem, and gaps
@@ -18,10 +18,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
 
-from greenhouse_gym.clouds import means_by_voxel
 from greenhouse_gym.crop import Stem, StemKind, Tomato
 from greenhouse_gym.geometry import Array, closest_on_segments, distance_to_spheres
-from greenhouse_gym.shapes.evidence import nearest_shapes
 from greenhouse_gym.shapes.polylines import fitted
 from greenhouse_gym.shapes.settings import ShapeSettings
 
@@ -32,25 +30,11 @@ _KEPT = 0.5  # share of its cost that is left of an edge that belongs to the tre
 _ADRIFT = 100.0  # so many times its length a hop costs that is no stem: from the main stem to what hangs on nothing
 
 
-def stands_out(points: Array, normals: Array, tomatoes: tuple[Tomato, ...], settings: ShapeSettings) -> Mask:
-    """Which points (n, 3) with normals (n, 3) are no skin of a tomato; a stem on it is off the sphere and turned."""
-    skin = nearest_shapes(points, tomatoes, settings.shell)
-    on = np.flatnonzero(skin.owner >= 0)
-    outwards = points[on] - np.array([t.center for t in tomatoes]).reshape(-1, 3)[skin.owner[on]]
-    aligned = (outwards * normals[on]).sum(axis=1) > settings.skin_alignment * np.linalg.norm(outwards, axis=1)
-    free = skin.owner < 0
-    free[on] = ~aligned & (skin.residual[on] > settings.skin_noise)
-    return free
-
-
-def find_peduncles(
-    points: Array, normals: Array, tomatoes: tuple[Tomato, ...], main: list[Stem], settings: ShapeSettings
-) -> list[Stem]:
+def find_peduncles(nodes: Array, tomatoes: tuple[Tomato, ...], main: list[Stem], settings: ShapeSettings) -> list[Stem]:
     """Trace what holds the fruits.
 
     Args:
-        points: (n, 3) what is green and neither tomato nor main stem nor leaf, metres.
-        normals: (n, 3) unit vectors.
+        nodes: (n, 3) places on axes of what may be peduncles, metres.
         tomatoes: The fruits, with the trusses they hang on.
         main: The main stems.
         settings: All settings.
@@ -58,13 +42,8 @@ def find_peduncles(
     Returns:
         Chains of capsules of the kinds ``peduncle`` and ``pedicel``.
     """
-    if not len(points) or not tomatoes:
+    if not len(nodes) or not tomatoes:
         return []
-    # only the near side is seen; the axis lies behind it
-    inside = points - settings.peduncle_radius * normals
-    (nodes,), _ = means_by_voxel(inside, settings.path_step, inside)
-    crowd = cKDTree(nodes).query_ball_point(nodes, settings.path_crowd, return_length=True)
-    nodes = nodes[crowd >= settings.min_path_crowd]
     tree = cKDTree(nodes)
     stems: list[Stem] = []
     for truss in sorted({t.truss for t in tomatoes}):

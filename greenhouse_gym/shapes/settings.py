@@ -12,7 +12,7 @@ _POSITIVE = (
 )  # fmt: skip
 _SHARES = (
     "min_score", "min_score_small", "min_confidence", "skin_alignment", "pipe_alignment", "pipe_filled",
-    "clutter_facing", "clutter_aligned", "least_saturation",
+    "clutter_facing", "clutter_aligned", "least_saturation", "min_peduncle",
 )  # fmt: skip
 
 
@@ -30,8 +30,6 @@ class ShapeSettings:
     fruit_bend: float = 6.0  # 1/m: what bulges more both ways may be fruit, whatever its color
     stem_bend: float = 25.0  # 1/m: what bends more than this in one direction may be a main stem
     stem_length: float = 4.0  # what spreads so many times as much (a variance) along as across may be a stem, too
-    peduncle_bend: float = 25.0  # 1/m: what bends more than this in one direction may be a peduncle
-    most_redness: float = 0.05  # peduncles stay green: they are no redder than this
     least_saturation: float = 0.15  # fruit and stems have more color than this; gutters and strings are white
     radii: tuple[float, float] = (0.006, 0.050)  # smallest and largest radius of tomatoes
     small_radii: tuple[float, float] | None = (0.0036, 0.0123)  # of those that are looked for there; None for none
@@ -64,15 +62,14 @@ class ShapeSettings:
     longest_pedicel: float = 0.030  # length of the longest pedicel
     truss_reach: float = 0.12  # how far from the center of a fruit what holds it is looked for
     path_step: float = 0.004  # peduncles are traced from point to point this far apart
-    path_crowd: float = 0.010  # points of a peduncle have others within this distance
-    min_path_crowd: int = 4  # as many of them, the point itself counted; fewer are noise
+    min_peduncle: float = 0.2  # least probability of a place on a peduncle
     path_gap: float = 0.015  # hidden part of a peduncle that is bridged
     path_bridge: float = 0.060  # hidden part that is bridged where several fruits hang on the peduncle
     bridge_fruits: int = 2  # fewest fruits that count as several
     stem_margin: float = 0.008  # points this near a main stem are its own bumps, no peduncle
     root_reach: float = 0.025  # how far from a main stem's axis a peduncle may begin
-    pedicel_reach: float = 0.008  # how far from the skin of its fruit a pedicel may end
-    axis_tolerance: float = 0.007  # a chain of capsules may be this far from the traced axis
+    pedicel_reach: float = 0.016  # how far from the skin of its fruit a pedicel may end
+    axis_tolerance: float = 0.0035  # a chain of capsules may be this far from the traced axis
     upright_tolerance: float = 0.008  # the same for main stems and strings
     clutter_per_area: float = 130.0  # most boxes per square metre of what is left
     clutter_claim: float = 0.003  # square metres of empty surface at which two boxes still become one

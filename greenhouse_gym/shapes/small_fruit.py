@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.shapes.candidates import company, measures
 from greenhouse_gym.shapes.colors import is_colorful
-from greenhouse_gym.shapes.credibility import small_fruit_network
+from greenhouse_gym.shapes.networks import network
 from greenhouse_gym.shapes.settings import ShapeSettings
 from greenhouse_gym.shapes.spheres import IN_SHAPE, SphereFit, all_apart, crowded, fit_spheres, peaks
 from greenhouse_gym.shapes.surfaces import NO_LEAF, SurfaceCloud
@@ -71,7 +71,7 @@ def find_small(
     table = fine.leaf == NO_LEAF and not found.fits  # things on it may be small and round, too
     if table or settings.small_radii is None or not len(fine):
         return Credited([], np.zeros(0), np.zeros(0))
-    return chosen_small(small_spheres(fine, settings), found, settings, judge or small_fruit_network())
+    return chosen_small(small_spheres(fine, settings), found, settings, judge or network("small_fruit"))
 
 
 def chosen_small(small: Small, found: Credited, settings: ShapeSettings, judge: Callable[[Array], Array]) -> Credited:

@@ -14,9 +14,9 @@ from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Sphere, distance_to_shapes, invert, transform
 from greenhouse_gym.shapes import FINE_SHAPES, RowShapes, ShapeSettings, ShapeWarning, extract_shapes
 from greenhouse_gym.shapes.clutter import bounding_box, box_budget, cover
-from greenhouse_gym.shapes.colors import could_be_fruit, could_be_peduncle, could_be_stem, redness
+from greenhouse_gym.shapes.colors import could_be_fruit, could_be_stem, redness
 from greenhouse_gym.shapes.evidence import nearest_shapes
-from greenhouse_gym.shapes.peduncles import find_peduncles, stands_out
+from greenhouse_gym.shapes.peduncles import find_peduncles
 from greenhouse_gym.shapes.polylines import fitted, kept_rows
 from greenhouse_gym.shapes.surfaces import NO_LEAF, SurfaceCloud, look_at_surfaces
 from greenhouse_gym.shapes.tomatoes import group_trusses, ripeness_of
@@ -187,7 +187,7 @@ def test_a_peduncle_forks_into_a_pedicel_for_each_fruit(hidden: bool) -> None:
     fruits, main, points = truss_of_two()
     if hidden:  # a leaf in front of a centimetre of the peduncle
         points = points[np.abs(points[:, 0] - 0.46) > 0.005]
-    stems = find_peduncles(points, np.zeros_like(points), fruits, main, SETTINGS)
+    stems = find_peduncles(points, fruits, main, SETTINGS)
     assert {stem.kind for stem in stems} == {"peduncle", "pedicel"}
     assert distance_to_shapes(truss_of_two()[2], stems).min(axis=1).max() < 0.004
     for fruit in fruits:  # connected where the plant is connected
@@ -197,14 +197,14 @@ def test_a_peduncle_forks_into_a_pedicel_for_each_fruit(hidden: bool) -> None:
 
 def test_fruits_without_anything_near_hang_on_nothing() -> None:
     fruits, main, _ = truss_of_two()
-    assert find_peduncles(np.zeros((0, 3)), np.zeros((0, 3)), fruits, main, SETTINGS) == []
-    assert find_peduncles(np.array([[3.0, 3.0, 3.0]]), np.zeros((1, 3)), fruits, main, SETTINGS) == []
-    assert find_peduncles(truss_of_two()[2], np.zeros((180, 3)), (), main, SETTINGS) == []
+    assert find_peduncles(np.zeros((0, 3)), fruits, main, SETTINGS) == []
+    assert find_peduncles(np.array([[3.0, 3.0, 3.0]]), fruits, main, SETTINGS) == []
+    assert find_peduncles(truss_of_two()[2], (), main, SETTINGS) == []
 
 
 def test_a_truss_without_a_main_stem_is_traced_all_the_same() -> None:
     fruits, _, points = truss_of_two()
-    stems = find_peduncles(points, np.zeros_like(points), fruits, [], SETTINGS)
+    stems = find_peduncles(points, fruits, [], SETTINGS)
     assert [stem.kind for stem in stems].count("pedicel") == 2
     assert sum(stem.length for stem in stems) > 0.04  # from fruit to fruit, for nothing tells where the rest leads
 
@@ -213,7 +213,7 @@ def test_a_truss_without_a_main_stem_is_traced_all_the_same() -> None:
 def test_only_several_fruits_make_a_bridge_over_a_wide_gap(count: int) -> None:
     fruits, main, points = truss_of_two()
     seen = points[np.abs(points[:, 0] - 0.46) > 0.015]  # three centimetres of the peduncle are hidden
-    stems = find_peduncles(seen, np.zeros_like(points[: len(seen)]), fruits[:count], main, SETTINGS)
+    stems = find_peduncles(seen, fruits[:count], main, SETTINGS)
     hidden = points[np.abs(points[:, 0] - 0.46) < 0.01]
     assert (distance_to_shapes(hidden, stems).min(axis=1).max() < 0.004) == (count == 2)
 
@@ -222,40 +222,10 @@ def test_a_truss_hangs_from_above_its_middle() -> None:
     fruits, main, points = truss_of_two()
     below = np.linspace([0.492, 0.2, 0.94], [0.42, 0.2, 0.98], 60)  # a leaf's stalk, nearer to the stem's axis
     near = np.linspace([0.42, 0.2, 0.98], [0.42, 0.2, 1.03], 40)
-    stems = find_peduncles(np.concatenate([points, below, near]), np.zeros((280, 3)), fruits, main, SETTINGS)
+    stems = find_peduncles(np.concatenate([points, below, near]), fruits, main, SETTINGS)
     at_stem = [s for s in stems if distance_to_shapes(s.start[None], main).min() < 0.0]
     assert len(at_stem) == 1
     assert at_stem[0].start[2] > 1.04
-
-
-def test_lone_points_are_no_pedicels() -> None:
-    fruits, main, _ = truss_of_two()
-    lone = np.array([[0.42, 0.2, 1.0], [0.42, 0.201, 1.03], [0.45, 0.2, 1.03], [0.47, 0.2, 1.04]])
-    assert find_peduncles(lone, np.zeros_like(lone), fruits, main, SETTINGS) == []
-
-
-def test_a_stem_on_the_skin_stands_out() -> None:
-    ball = Tomato([0.5, 0.0, 1.0], 0.03, 0)
-    skin, _, outwards = half_sphere((0.5, 0.0, 1.0), 0.03)
-    assert not stands_out(skin, outwards, (ball,), SETTINGS).any()
-    t = np.linspace(-0.02, 0.02, 30)
-    stem = np.column_stack([np.full(30, 0.5 - 0.033), t, np.full(30, 1.0)])  # its upper edge
-    assert stands_out(stem, np.tile([0.0, 0.0, 1.0], (30, 1)), (ball,), SETTINGS).all()
-    assert stands_out(stem, np.tile([0.0, 0.0, 1.0], (30, 1)), (), SETTINGS).all()
-
-
-def test_ripe_skin_is_no_peduncle_and_gray_may_be() -> None:
-    colors = np.array([RIPENESS_COLORS[-1], [0.45, 0.6, 0.3]])
-    np.testing.assert_array_equal(could_be_peduncle(as_surface(colors), NO_LEAF, SETTINGS), [False, True])
-    assert could_be_peduncle(as_surface(np.full((4, 3), 0.5)), NO_LEAF, SETTINGS).all()
-
-
-def test_what_is_as_thin_as_a_peduncle_but_has_the_color_of_leaves_is_an_edge_of_one() -> None:
-    leaf, stem = np.array([0.40, 0.62, 0.30]), np.array([0.45, 0.61, 0.30])
-    tones = redness(np.array([leaf, stem])).tolist()
-    edges = as_surface(np.array([leaf, stem]), bends=(0.0, 60.0), leaf=tones[0])
-    np.testing.assert_array_equal(could_be_peduncle(edges, tones[1], SETTINGS), [False, True])
-    assert could_be_peduncle(edges, tones[0], SETTINGS).all()  # nothing tells stems from leaves
 
 
 @pytest.mark.parametrize("tolerance", [0.001, 0.01])

@@ -9,7 +9,7 @@ import pytest
 
 from greenhouse_gym.clouds import Cloud
 from greenhouse_gym.shapes import ShapeSettings, extract_shapes
-from greenhouse_gym.shapes.credibility import SMALL_FRUIT, small_fruit_network
+from greenhouse_gym.shapes.networks import network
 from greenhouse_gym.shapes.small_fruit import Credited, find_small, small_spheres
 from greenhouse_gym.shapes.surfaces import look_at_surfaces, looked_at_finer
 
@@ -95,10 +95,10 @@ def test_a_finer_cloud_takes_over_what_its_surface_knows() -> None:
     assert len(looked_at_finer(empty, cloud, SETTINGS)) == 0
 
 
-def test_the_network_is_shipped_and_tells_probabilities() -> None:
-    network = small_fruit_network()
-    assert SMALL_FRUIT.is_file()
-    said = network(np.random.default_rng(0).normal(0, 100.0, (50, len(network.center))))
+@pytest.mark.parametrize("name", ["small_fruit", "peduncles"])
+def test_networks_are_shipped_and_tell_probabilities(name: str) -> None:
+    judge = network(name)
+    said = judge(np.random.default_rng(0).normal(0, 100.0, (50, len(judge.center))))
     assert said.shape == (50,)
     assert np.isfinite(said).all()
     assert (said >= 0).all()

@@ -1,0 +1,42 @@
+"""What fit_small_fruit.py and fit_peduncles.py share: a small network is fitted to labeled measures and written."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from greenhouse_gym.paths import write_atomically
+from greenhouse_gym.shapes.networks import Network
+
+HIDDEN, STEPS, BATCH, RATE, DECAY = 64, 3000, 4096, 5e-3, 0.3
+
+
+def fitted_network(measures: np.ndarray, right: np.ndarray) -> Network:
+    """A network by cross entropy on standardized measures (k, m) and which of them (k,) are right."""
+    center, scale = measures.mean(axis=0), measures.std(axis=0) + 1e-9
+    inputs = torch.tensor((measures - center) / scale, dtype=torch.float32)
+    wanted = torch.tensor(right, dtype=torch.float32)
+    torch.manual_seed(0)
+    hidden, out = torch.nn.Linear(inputs.shape[1], HIDDEN), torch.nn.Linear(HIDDEN, 1)
+    network = torch.nn.Sequential(hidden, torch.nn.Tanh(), out)
+    optimizer = torch.optim.AdamW(network.parameters(), lr=RATE, weight_decay=DECAY)
+    for _ in range(STEPS):
+        batch = torch.randint(len(inputs), (BATCH,))
+        loss = torch.nn.functional.binary_cross_entropy_with_logits(network(inputs[batch])[:, 0], wanted[batch])
+        optimizer.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        optimizer.step()
+    layers = (hidden.weight.T, hidden.bias, out.weight[0], out.bias)
+    return Network(center, scale, *(layer.detach().double().numpy() for layer in layers))
+
+
+def write_network(network: Network, path: Path) -> None:
+    """Write a network to five digits."""
+    stored = {name: [float(f"{v:.5g}") for v in np.ravel(values)] for name, values in asdict(network).items()}
+    stored["hidden"] = np.reshape(stored["hidden"], network.hidden.shape).tolist()
+    lines = ",\n".join(f' "{name}": {json.dumps(values)}' for name, values in stored.items())
+    write_atomically(path, "{\n" + lines + "\n}\n")

@@ -1,0 +1,112 @@
+"""Fit the network that says where peduncles and pedicels may run, and check it on rows that it was not fitted to.
+
+python benchmarks/fit_peduncles.py --workdir rows
+
+The rows are those of fit_small_fruit.py, and more of both sources; none is held out. Development rows are looked at in
+perfect images as well, since other cameras have less noise, and all of them without color. A place is right if it lies
+no more than 2 mm off a true peduncle or pedicel, seen or not. By fifths of the rows the network is fitted to the others
+first, and what it finds is compared with the truth. Then it is fitted to all rows and written to
+greenhouse_gym/shapes/peduncles.json.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from fit_credibility import surfaces_of
+from fit_network import fitted_network, write_network
+from fit_small_fruit import causes_of
+from shape_rows import CAUSES, DRAWN_MESHES, Row, cloud_of, truth_of, visible_of
+
+from greenhouse_gym.accuracy import compare_stems
+from greenhouse_gym.crop import Stem, Tomato
+from greenhouse_gym.geometry import Capsule, distance_to_shapes
+from greenhouse_gym.shapes import ShapeSettings, extract_shapes
+from greenhouse_gym.shapes.networks import Network, network_file
+from greenhouse_gym.shapes.peduncles import find_peduncles
+from greenhouse_gym.shapes.thin_stems import OF_COLOR, Places, places_near_fruit
+
+FIFTHS = 5
+KINDS = ("peduncle", "pedicel")
+NEAR = 0.002  # metres
+SETTINGS = ShapeSettings()
+
+
+class Looked(NamedTuple):
+    """What was found in a row, the places to be judged, which of them (n,) are right, and the truth."""
+
+    tomatoes: tuple[Tomato, ...]
+    main: list[Stem]
+    places: Places
+    right: np.ndarray
+    true: Sequence[Stem]
+    visible: Sequence[Stem]
+    petioles: Sequence[Capsule]
+
+
+def looked_at(row: Row, workdir: Path, cause: str) -> Looked:
+    """Look at a row's cloud of one of the `CAUSES`."""
+    surface, _, _ = surfaces_of(row, workdir, cause)
+    cloud = cloud_of(row, cause, workdir)
+    known = truth_of(row, cloud, workdir)
+    cloud = cloud.moved(known.world_from_row)
+    shapes = extract_shapes(cloud.points, cloud.colors, cloud.normals, SETTINGS)
+    main = [stem for stem in shapes.stems if stem.kind == "main"]
+    places = places_near_fruit(surface, shapes.tomatoes, main, SETTINGS)
+    true = known.row.stems
+    away = distance_to_shapes(places.nodes, [stem for stem in true if stem.kind in KINDS]).min(axis=1)
+    petioles = [shape for shape in known.row.clutter if isinstance(shape, Capsule)]
+    return Looked(shapes.tomatoes, main, places, away < NEAR, true, visible_of(row, workdir).stems, petioles)
+
+
+def fitted(rows: Sequence[Looked]) -> Network:
+    """The network that learned from rows, in their colors and without."""
+    measures = np.concatenate([row.places.measures for row in rows])
+    colorless = measures.copy()
+    colorless[:, OF_COLOR] = 0.0
+    right = np.concatenate([row.right for row in rows])
+    return fitted_network(np.concatenate([measures, colorless]), np.concatenate([right, right]))
+
+
+def counted(row: Looked, network: Network) -> np.ndarray:
+    """Metres of what holds a row's fruit: seen by the rig, found of these, extracted, and extracted falsely."""
+    likely = network(row.places.measures) > SETTINGS.min_peduncle
+    stems = find_peduncles(row.places.nodes[likely], row.tomatoes, row.main, SETTINGS)
+    sums = [compare_stems(row.true, row.visible, row.petioles, stems, kind) for kind in KINDS]
+    return np.sum([[s.visible, s.found, s.extracted, s.false] for s in sums], axis=0)
+
+
+def main() -> None:
+    """Check by fifths, fit to all, write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--workdir", type=Path, required=True)
+    parser.add_argument("--own", type=int, nargs="*", default=[302, 303])
+    parser.add_argument("--helios", type=int, nargs="*", default=[*range(501, 507), *DRAWN_MESHES])
+    parser.add_argument("--length", type=float, default=1.0)
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    rows: list[tuple[str, dict[str, Looked]]] = []
+    for source, seeds in (("own", arguments.own), ("helios", arguments.helios)):
+        for seed in seeds:
+            row = Row(seed, arguments.length, source)
+            rows.append((source, {cause: looked_at(row, arguments.workdir, cause) for cause in causes_of(row)}))
+            print(row.name, [len(looked.right) for looked in rows[-1][1].values()], "places", flush=True)
+    sums = {(source, cause): np.zeros(4) for source in ("own", "helios") for cause in CAUSES}
+    for k in range(FIFTHS):
+        network = fitted([looked for i, (_, row) in enumerate(rows) if i % FIFTHS != k for looked in row.values()])
+        for source, row in rows[k::FIFTHS]:
+            for cause, looked in row.items():
+                sums[source, cause] += counted(looked, network)
+    for (source, cause), (visible, found, extracted, false) in sums.items():
+        if visible:
+            print(f"{source}, {cause}: {found / visible:.3f} of {visible:.1f} m found, {false / extracted:.3f} false")
+    write_network(fitted([looked for _, row in rows for looked in row.values()]), network_file("peduncles"))
+
+
+if __name__ == "__main__":
+    main()

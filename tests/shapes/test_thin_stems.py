@@ -1,0 +1,112 @@
+"""Where peduncles may run, in rows whose stems are redder than their leaves, greener, or just like them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from greenhouse_gym.clouds import Cloud, merge, voxel_means
+from greenhouse_gym.crop import Stem, Tomato
+from greenhouse_gym.geometry import frame_along
+from greenhouse_gym.shapes import ShapeSettings
+from greenhouse_gym.shapes.networks import network, network_file
+from greenhouse_gym.shapes.surfaces import look_at_surfaces
+from greenhouse_gym.shapes.thin_stems import MEASURES, OF_COLOR, places_near_fruit, stands_out
+
+SETTINGS = ShapeSettings()
+LEAF, RED = np.array([0.40, 0.50, 0.26]), np.array([0.76, 0.10, 0.07])
+FRUITS = (Tomato([0.42, 0.16, 1.0], 0.025, 0), Tomato([0.42, 0.24, 1.0], 0.025, 0))
+MAIN = [Stem([0.5, 0.2, 0.6], [0.5, 0.2, 1.4], 0.006, "main")]
+FORK = (0.42, 0.2, 1.03)
+
+
+def tube(start: tuple[float, ...], end: tuple[float, ...], radius: float, color: np.ndarray, seed: int = 0) -> Cloud:
+    """The side of a tube that faces the aisle, a point per 1.5 mm square, with a third of a millimetre of noise."""
+    random = np.random.default_rng(seed)
+    way = np.subtract(end, start)
+    length = float(np.linalg.norm(way))
+    count = int(2 * np.pi * radius * length / 0.0015**2)
+    frame, angle = frame_along(way), random.uniform(0, 2 * np.pi, count)
+    normals = np.cos(angle)[:, None] * frame[:, 0] + np.sin(angle)[:, None] * frame[:, 1]
+    points = start + random.uniform(0, 1, (count, 1)) * way + (radius + random.normal(0, 0.0003, (count, 1))) * normals
+    near = normals[:, 0] < 0.2
+    return Cloud(points[near], np.tile(color, (near.sum(), 1)), normals[near])
+
+
+def sheet(color: np.ndarray, x: float = 0.60) -> Cloud:
+    """A leaf of 30 by 30 cm behind everything."""
+    y, z = np.random.default_rng(5).uniform(-0.15, 0.15, (2, 22_500))
+    points = np.column_stack([np.full(len(y), x), 0.2 + y, 1.0 + z])
+    return Cloud(points, np.tile(color, (len(y), 1)), np.tile([-1.0, 0.0, 0.0], (len(y), 1)))
+
+
+def truss(stem: np.ndarray, leaf: np.ndarray) -> Cloud:
+    """A main stem, a peduncle that leaves it, a pedicel to each fruit, and a leaf behind."""
+    parts = [tube((0.5, 0.2, 0.6), (0.5, 0.2, 1.4), 0.006, stem), tube((0.494, 0.2, 1.06), FORK, 0.002, stem, 1)]
+    for fruit in FRUITS:
+        way = np.array(FORK) - fruit.center
+        parts.append(tube(FORK, tuple(fruit.center + 0.025 * way / np.linalg.norm(way)), 0.0014, stem, 2))
+    return voxel_means(merge([*parts, sheet(leaf)]), SETTINGS.voxel)[0]
+
+
+@pytest.mark.parametrize("shift", [-0.06, 0.0, 0.06])
+def test_peduncles_are_likely_whether_redder_or_greener_than_leaves_or_like_them(shift: float) -> None:
+    surface = look_at_surfaces(truss(np.clip(LEAF + [shift, 0.0, 0.0], 0, 1), LEAF), SETTINGS)
+    places = places_near_fruit(surface, FRUITS, MAIN, SETTINGS)
+    likely = network("peduncles")(places.measures) > SETTINGS.min_peduncle
+    on_sheet = places.nodes[:, 0] > 0.59
+    assert on_sheet.sum() > 500
+    assert (~on_sheet).sum() > 20
+    assert likely[~on_sheet].mean() > 0.7
+    assert likely[on_sheet].mean() < 0.02
+
+
+def test_skin_and_main_stems_are_no_places() -> None:
+    cloud = truss(LEAF, LEAF)
+    places = places_near_fruit(look_at_surfaces(cloud, SETTINGS), FRUITS, MAIN, SETTINGS)
+    away = np.linalg.norm(places.nodes[:, None] - [f.center for f in FRUITS], axis=-1).min(axis=1)
+    assert away.max() < SETTINGS.truss_reach + 0.01
+    assert (np.hypot(places.nodes[:, 0] - 0.5, places.nodes[:, 1] - 0.2) > SETTINGS.stem_margin).all()
+
+
+def test_measures_do_not_know_absolute_colors() -> None:
+    """White balance and exposure change all colors of a row alike; a gray row has none at all."""
+    measures = []
+    for stem, leaf in ((LEAF, LEAF), (0.7 * LEAF, 0.7 * LEAF), (np.full(3, 0.5), np.full(3, 0.5))):
+        surface = look_at_surfaces(truss(stem, leaf), SETTINGS)
+        measures.append(places_near_fruit(surface, FRUITS, MAIN, SETTINGS).measures)
+    np.testing.assert_allclose(measures[0], measures[1], atol=1e-6)
+    assert np.abs(measures[2][:, list(OF_COLOR)]).max() < 1e-6
+
+
+@given(st.integers(0, 2**32), st.integers(0, 60), st.integers(0, 3))
+def test_measures_are_numbers_whatever_the_cloud(seed: int, count: int, fruits: int) -> None:
+    random = np.random.default_rng(seed)
+    points = np.array([0.42, 0.2, 1.0]) + random.normal(0, 0.03, (count, 3))
+    cloud = Cloud(points, random.uniform(0, 1, (count, 3)), random.normal(0, 1, (count, 3)))
+    surface = look_at_surfaces(voxel_means(cloud, SETTINGS.voxel)[0] if count else cloud, SETTINGS)
+    places = places_near_fruit(
+        surface, (*FRUITS, Tomato([0.40, 0.2, 0.97], 0.02, 1))[:fruits], MAIN[: seed % 2], SETTINGS
+    )
+    assert places.measures.shape == (len(places.nodes), len(MEASURES))
+    assert np.isfinite(places.measures).all()
+    likely = network("peduncles")(places.measures)
+    assert ((likely >= 0) & (likely <= 1)).all()
+
+
+def test_a_stem_on_the_skin_stands_out() -> None:
+    ball = Tomato([0.5, 0.0, 1.0], 0.03, 0)
+    outwards = np.random.default_rng(0).normal(size=(400, 3))
+    outwards /= np.linalg.norm(outwards, axis=1, keepdims=True)
+    assert not stands_out(ball.center + 0.03 * outwards, outwards, (ball,), SETTINGS).any()
+    t = np.linspace(-0.02, 0.02, 30)
+    stem = np.column_stack([np.full(30, 0.5 - 0.033), t, np.full(30, 1.0)])  # its upper edge
+    assert stands_out(stem, np.tile([0.0, 0.0, 1.0], (30, 1)), (ball,), SETTINGS).all()
+    assert stands_out(stem, np.tile([0.0, 0.0, 1.0], (30, 1)), (), SETTINGS).all()
+
+
+def test_the_networks_are_read_without_torch_and_know_their_measures() -> None:
+    assert network_file("peduncles").is_file()
+    assert len(network("peduncles").center) == len(MEASURES)
