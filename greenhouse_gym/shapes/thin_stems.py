@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from greenhouse_gym.clouds import means_by_voxel
 from greenhouse_gym.crop import Stem, Tomato
-from greenhouse_gym.geometry import Array, closest_on_segments
+from greenhouse_gym.geometry import Array
 from greenhouse_gym.shapes.colors import redness
 from greenhouse_gym.shapes.evidence import nearest_shapes
 from greenhouse_gym.shapes.neighborhoods import Neighborhoods
@@ -113,10 +113,9 @@ def _from_fruit(points: Array, centers: Array, radii: Array, main: list[Stem]) -
     first, second = np.sort(skins, axis=1)[:, [0, min(1, skins.shape[1] - 1)]].T
     fruit = np.take_along_axis(nearest, order[:, :1], axis=1)[:, 0]
     above = (points[:, 2] - centers[fruit, 2]) / radii[fruit]
-    to_main = np.full(len(points), _FAR)
-    if main:
-        axes = closest_on_segments(points, np.array([s.start for s in main]), np.array([s.end for s in main]))
-        to_main = np.minimum(np.linalg.norm(axes - points[:, None], axis=-1).min(axis=1), _FAR)
+    stem = nearest_shapes(points, main, _FAR)
+    to_axis = np.nan_to_num(stem.residual, nan=_FAR) + np.array([*(s.radius for s in main), 0.0])[stem.owner]
+    to_main = np.minimum(to_axis, _FAR)
     return np.column_stack([first, np.log(np.maximum(first, 0.001)), second, above, to_main])
 
 
