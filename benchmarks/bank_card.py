@@ -26,8 +26,9 @@ PICTURE = "difficulty.png"
 COLORS = dict(zip(DIFFICULTIES, ("#4c9f70", "#e0b040", "#c8553d", "#555555"), strict=True))
 
 OLDER = (
-    "These scenes were built before small fruit got a look of its own (`shapes/small_fruit.py`): built now, they\n"
-    "would hold more of it."
+    "These scenes were built before small fruit got a look of its own (`shapes/small_fruit.py`), depth images were\n"
+    "thinned at their edges (`reconstruction/fattening.py`) and peduncles were told by a network\n"
+    "(`shapes/thin_stems.py`): built now, they would hold more fruit and peduncles, and both nearer to their size."
 )
 
 CARD = Template("""\
