@@ -1,18 +1,40 @@
-"""What fit_small_fruit.py and fit_peduncles.py share: a small network is fitted to labeled measures and written."""
+"""What fit_small_fruit.py and fit_peduncles.py share: the rows, and a network that is fitted to them and written."""
 
 from __future__ import annotations
 
+import argparse
 import json
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import torch
+from shape_rows import CAUSES, DRAWN_MESHES, Row
 
 from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.shapes.networks import Network
 
 HIDDEN, STEPS, BATCH, RATE, DECAY = 64, 3000, 4096, 5e-3, 0.3
+FIFTHS = 5
+"""Parts of the rows; each is checked with a network that was fitted to the others."""
+
+
+def rows_to_fit(description: str | None) -> tuple[list[Row], Path]:
+    """The rows that the command line names, and the folder with what was made of them."""
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--workdir", type=Path, required=True)
+    parser.add_argument("--own", type=int, nargs="*", default=[302, 303])
+    parser.add_argument("--helios", type=int, nargs="*", default=[*range(501, 507), *DRAWN_MESHES])
+    parser.add_argument("--length", type=float, default=1.0)
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    seeds = {"own": arguments.own, "helios": arguments.helios}
+    return [Row(seed, arguments.length, source) for source in seeds for seed in seeds[source]], arguments.workdir
+
+
+def causes_of(row: Row) -> tuple[str, ...]:
+    """Which clouds of a row are fitted to: of drawn cultivars the noisy ones alone, since plants take long to grow."""
+    return CAUSES[:1] if row.style == "drawn" else CAUSES
 
 
 def fitted_network(measures: np.ndarray, right: np.ndarray) -> Network:

@@ -2,26 +2,22 @@
 
 python benchmarks/fit_peduncles.py --workdir rows
 
-The rows are those of fit_small_fruit.py, and more of both sources; none is held out. Development rows are looked at in
-perfect images as well, since other cameras have less noise, and all of them without color. A place is right if it lies
-no more than 2 mm off a true peduncle or pedicel, seen or not. By fifths of the rows the network is fitted to the others
-first, and what it finds is compared with the truth. Then it is fitted to all rows and written to
-greenhouse_gym/shapes/peduncles.json.
+The rows are those of fit_small_fruit.py; none is held out. Development rows are looked at in perfect images as well,
+since other cameras have less noise, and all of them without color. A place is right if it lies no more than 2 mm off a
+true peduncle or pedicel, seen or not. By fifths of the rows the network is fitted to the others first, and what it finds
+is compared with the truth. Then it is fitted to all rows and written to greenhouse_gym/shapes/peduncles.json.
 """
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import torch
 from fit_credibility import surfaces_of
-from fit_network import fitted_network, write_network
-from fit_small_fruit import causes_of
-from shape_rows import CAUSES, DRAWN_MESHES, Row, cloud_of, truth_of, visible_of
+from fit_network import FIFTHS, causes_of, fitted_network, rows_to_fit, write_network
+from shape_rows import CAUSES, Row, cloud_of, truth_of, visible_of
 
 from greenhouse_gym.accuracy import compare_stems
 from greenhouse_gym.crop import Stem, Tomato
@@ -31,7 +27,6 @@ from greenhouse_gym.shapes.networks import Network, network_file
 from greenhouse_gym.shapes.peduncles import find_peduncles
 from greenhouse_gym.shapes.thin_stems import OF_COLOR, Places, places_near_fruit
 
-FIFTHS = 5
 KINDS = ("peduncle", "pedicel")
 NEAR = 0.002  # metres
 SETTINGS = ShapeSettings()
@@ -83,19 +78,11 @@ def counted(row: Looked, network: Network) -> np.ndarray:
 
 def main() -> None:
     """Check by fifths, fit to all, write."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--workdir", type=Path, required=True)
-    parser.add_argument("--own", type=int, nargs="*", default=[302, 303])
-    parser.add_argument("--helios", type=int, nargs="*", default=[*range(501, 507), *DRAWN_MESHES])
-    parser.add_argument("--length", type=float, default=1.0)
-    arguments = parser.parse_args()
-    torch.set_num_threads(1)
     rows: list[tuple[str, dict[str, Looked]]] = []
-    for source, seeds in (("own", arguments.own), ("helios", arguments.helios)):
-        for seed in seeds:
-            row = Row(seed, arguments.length, source)
-            rows.append((source, {cause: looked_at(row, arguments.workdir, cause) for cause in causes_of(row)}))
-            print(row.name, [len(looked.right) for looked in rows[-1][1].values()], "places", flush=True)
+    chosen, workdir = rows_to_fit(__doc__)
+    for row in chosen:
+        rows.append((row.source, {cause: looked_at(row, workdir, cause) for cause in causes_of(row)}))
+        print(row.name, [len(looked.right) for looked in rows[-1][1].values()], "places", flush=True)
     sums = {(source, cause): np.zeros(4) for source in ("own", "helios") for cause in CAUSES}
     for k in range(FIFTHS):
         network = fitted([looked for i, (_, row) in enumerate(rows) if i % FIFTHS != k for looked in row.values()])

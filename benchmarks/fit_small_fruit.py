@@ -12,16 +12,14 @@ written to greenhouse_gym/shapes/small_fruit.json.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import torch
 from fit_credibility import Labeled, labeled, surfaces_of
-from fit_network import fitted_network, write_network
-from shape_rows import CAUSES, DRAWN_MESHES, Row, visible_of
+from fit_network import FIFTHS, causes_of, fitted_network, rows_to_fit, write_network
+from shape_rows import CAUSES, Row, visible_of
 
 from greenhouse_gym.accuracy import Visibility, compare_tomatoes
 from greenhouse_gym.crop import Tomato
@@ -31,7 +29,6 @@ from greenhouse_gym.shapes.networks import Network, network_file
 from greenhouse_gym.shapes.small_fruit import Credited, Small, chosen_small, small_spheres, sure_small
 from greenhouse_gym.shapes.tomatoes import large_tomatoes, look
 
-FIFTHS = 5
 SETTINGS = ShapeSettings()
 
 
@@ -46,11 +43,6 @@ class Looked(NamedTuple):
     def beside(self, chosen: Sequence[int]) -> Labeled:
         """The measures of all small spheres beside some that are sure, with labels."""
         return labeled(self.small.fits, self.small.beside(self.found, chosen, SETTINGS), self.true)
-
-
-def causes_of(row: Row) -> tuple[str, ...]:
-    """Which clouds of a row are fitted to: of drawn cultivars the noisy ones alone, since plants take long to grow."""
-    return CAUSES[:1] if row.style == "drawn" else CAUSES
 
 
 def looked_at(row: Row, workdir: Path, cause: str) -> Looked:
@@ -90,19 +82,11 @@ def counted(row: Looked, network: Network | None) -> np.ndarray:
 
 def main() -> None:
     """Check by fifths, fit to all, write."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--workdir", type=Path, required=True)
-    parser.add_argument("--own", type=int, nargs="*", default=[302, 303])
-    parser.add_argument("--helios", type=int, nargs="*", default=[*range(501, 507), *DRAWN_MESHES])
-    parser.add_argument("--length", type=float, default=1.0)
-    arguments = parser.parse_args()
-    torch.set_num_threads(1)
     rows: list[dict[str, Looked]] = []
-    for source, seeds in (("own", arguments.own), ("helios", arguments.helios)):
-        for seed in seeds:
-            row = Row(seed, arguments.length, source)
-            rows.append({cause: looked_at(row, arguments.workdir, cause) for cause in causes_of(row)})
-            print(row.name, [len(looked.small.fits) for looked in rows[-1].values()], "small spheres", flush=True)
+    chosen, workdir = rows_to_fit(__doc__)
+    for row in chosen:
+        rows.append({cause: looked_at(row, workdir, cause) for cause in causes_of(row)})
+        print(row.name, [len(looked.small.fits) for looked in rows[-1].values()], "small spheres", flush=True)
     with_it = dict.fromkeys(CAUSES, np.zeros(3, dtype=int))
     for k in range(FIFTHS):
         network = fitted([looked for i, row in enumerate(rows) if i % FIFTHS != k for looked in row.values()])
