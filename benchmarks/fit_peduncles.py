@@ -4,8 +4,8 @@ python benchmarks/fit_peduncles.py --workdir rows
 
 The rows are those of fit_small_fruit.py; none is held out. Development rows are looked at in perfect images as well,
 since other cameras have less noise, and all of them without color. A place is right if it lies no more than 2 mm off a
-true peduncle or pedicel, seen or not. By fifths of the rows the network is fitted to the others first, and what it finds
-is compared with the truth. Then it is fitted to all rows and written to greenhouse_gym/shapes/peduncles.json.
+true peduncle or pedicel, seen or not. By fifths of the rows the network is fitted to the others first, and what it
+finds is compared with the truth. Then it is fitted to all rows and written to greenhouse_gym/shapes/peduncles.json.
 """
 
 from __future__ import annotations
