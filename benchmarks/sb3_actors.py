@@ -50,7 +50,9 @@ def main() -> None:
     makers: dict[str, Any] = {"here": make_sb3_vec_env, "actors": partial(make_sb3_ray_vec_env, actors=ACTORS)}
     ended = compare(makers, a.num_envs, a.compared)
     rates: dict[str, list[float]] = {way: [] for way in makers}
-    settings = PpoSettings(bank=BANK, total_steps=a.steps, num_envs=a.num_envs, threads=1)
+    settings = PpoSettings(
+        bank=BANK, observation="state", reward="dense", total_steps=a.steps, num_envs=a.num_envs, threads=1
+    )
     with tempfile.TemporaryDirectory() as folder:
         for turn in range(a.rounds):
             for way in sorted(makers, reverse=bool(turn % 2)):

@@ -6,7 +6,7 @@ from greenhouse_gym.envs.images import DepthObservation, PointsObservation, RgbO
 from greenhouse_gym.envs.observations import Observation
 from greenhouse_gym.envs.randomization import Randomization
 from greenhouse_gym.envs.reach_task import Situation
-from greenhouse_gym.envs.rewards import DenseReward, SparseReward, Transition
+from greenhouse_gym.envs.rewards import DenseReward, SparseReward, Transition, WayReward
 from greenhouse_gym.envs.settings import EnvSettings
 from greenhouse_gym.envs.tomato_reach import TomatoReachEnv
 from greenhouse_gym.envs.vector import TomatoReachVectorEnv
@@ -29,4 +29,5 @@ __all__ = [
     "TomatoReachVectorEnv",
     "ToolMotion",
     "Transition",
+    "WayReward",
 ]

@@ -27,7 +27,7 @@ from greenhouse_gym.envs.observations import (
     WaypointObservation,
 )
 from greenhouse_gym.envs.reach_task import Situation
-from greenhouse_gym.envs.rewards import REWARDS, DenseReward, Reward, SparseReward, Transition
+from greenhouse_gym.envs.rewards import REWARDS, DenseReward, Reward, SparseReward, Transition, WayReward
 from greenhouse_gym.errors import InvalidValueError, UnknownNameError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
@@ -88,7 +88,7 @@ def make_reward(kind: str | Reward) -> Reward:
         return _named("reward", kind, REWARDS)
     if isinstance(kind, type) or not callable(kind):
         raise InvalidValueError(f"reward must be one of {_listed(REWARDS)} or a function of a Transition, got {kind!r}")
-    return kind if type(kind) in (DenseReward, SparseReward) else _CheckedReward(kind)
+    return kind if type(kind) in (DenseReward, SparseReward, WayReward) else _CheckedReward(kind)
 
 
 class _Checked(Sight):
@@ -158,6 +158,7 @@ class _CheckedReward:
 
     def __init__(self, own: Callable[[Transition], Any]):
         self._own, self._name = own, f"reward {_name(own)}"
+        self.asks_for_way = bool(getattr(own, "asks_for_way", False))
 
     def __call__(self, step: Transition) -> dict[str, Array]:
         """Its terms, checked and copied."""

@@ -260,3 +260,16 @@ def check_goals_are_known(observation: Sight, hidden: str) -> None:
             f'observation="goal" computes rewards from the goals it tells, which {hidden} makes differ from those that '
             'count; choose observation="state"'
         )
+
+
+def check_goals_stay(observation: Sight, pays_for_way: bool) -> None:
+    """Refuse goal environments whose reward depends on the way to the goal, which no other goal in hindsight has.
+
+    Raises:
+        InvalidValueError: Such a reward is chosen.
+    """
+    if observation.has_goals and pays_for_way:
+        raise InvalidValueError(
+            'a reward that asks for the way, as "way" does, knows none to goals in hindsight; choose reward="dense" '
+            'or "sparse", or observation="waypoint"'
+        )

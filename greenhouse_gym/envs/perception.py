@@ -33,10 +33,20 @@ class Perception:
         observe: What is observed; only what it asks for is looked at.
         worlds: The worlds that episodes are in.
         success_radius: How near the grasp point must come, metres.
+        asks_for_way: Whether it is told where the arm can go straight.
         threads: Threads of the cameras; 0 uses all cores.
     """
 
-    def __init__(self, count: int, robot: Robot, observe: Sight, worlds: Worlds, success_radius: float, threads: int):
+    def __init__(
+        self,
+        count: int,
+        robot: Robot,
+        observe: Sight,
+        worlds: Worlds,
+        success_radius: float,
+        asks_for_way: bool,
+        threads: int,
+    ):
         self._count, self._robot, self._observe, self._worlds = count, robot, observe, worlds
         self._success_radius, self._threads = success_radius, threads
         self._rig: CameraRig | None = None
@@ -53,7 +63,7 @@ class Perception:
         self._goal = np.zeros((count, 3))  # what counts, in the base frame
         self._radius = np.zeros((count, 1))
         self._room = np.empty((count, ROOM if observe.asks_for_room else 0), dtype=np.float32)
-        self._headings = Headings(count, len(robot.joints)) if observe.asks_for_way else None
+        self._headings = Headings(count, len(robot.joints)) if asks_for_way else None
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Perception:
         """The same, without cameras until they are needed."""
@@ -138,7 +148,7 @@ class Perception:
         )
 
     def _headings_of(self, ids: Ids | slice, command: Array, steps: npt.NDArray[np.int64]) -> tuple[Array, Array]:
-        """Offsets (k, j) from the commands to the waypoints, and ways (k, 2), where the observation asks for them."""
+        """Offsets (k, j) from the commands to the waypoints, and ways (k, 2), where they are asked for."""
         if self._headings is None:
             return np.empty((len(command), 0)), np.empty((len(command), 0))
         self._headings.look(np.arange(self._count)[ids], command, steps)

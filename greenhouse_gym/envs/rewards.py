@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from functools import reduce
-from typing import Any, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -67,7 +67,11 @@ class Transition:
 
 Terms: TypeAlias = Mapping[str, Array]
 Reward: TypeAlias = Callable[[Transition], Terms]
-"""From n steps to terms by name, each (n,); the reward is their sum, in their order."""
+"""From n steps to terms by name, each (n,); the reward is their sum, in their order.
+
+A reward with an attribute ``asks_for_way`` that is true is told where the arm can go straight (`Situation.waypoint` and
+`Situation.way`), whatever is observed.
+"""
 
 
 @dataclass(frozen=True)
@@ -128,6 +132,50 @@ class DenseReward:
         }
 
 
+@dataclass(frozen=True)
+class WayReward:
+    """As `DenseReward`, but for the progress, which is made along a way that is free, as far as one is known.
+
+    A grasp point that comes nearer to its goal may be on its way into the leaves. The way that is left is that to the
+    waypoint and from there to the goal, in joint space (`greenhouse_gym.envs.ways`); it is undiscounted, so what is
+    paid over an episode depends on its beginning and its end alone. It is told to the learner in training, not to the
+    policy, unless that observes the waypoint, too. A goal environment cannot have it, since ways do not change in
+    hindsight.
+
+    Attributes:
+        success: What a success is worth.
+        collision: What a collision is worth.
+        progress: What each radian is worth by which the way that is left became shorter.
+        time: What each step is worth.
+        effort: What the sum of the squares of the action's entries is multiplied by.
+    """
+
+    asks_for_way: ClassVar[bool] = True
+    success: float = 10.0
+    collision: float = -1.0
+    progress: float = 2.0
+    time: float = -0.02
+    effort: float = -0.003
+
+    def __post_init__(self) -> None:
+        _check_finite(self)
+
+    def __call__(self, step: Transition) -> dict[str, Array]:
+        """The terms of n steps."""
+        return {
+            "success": np.where(step.success, self.success, 0.0),
+            "collision": np.where(step.touched, self.collision, 0.0),
+            "progress": self.progress * (_left(step.start) - _left(step.end)),
+            "time": np.full(len(step.after), self.time),
+            "effort": self.effort * step.effort,
+        }
+
+
+def _left(situation: Situation) -> Array:
+    """(n,) the way that is left, radians, measured as in `greenhouse_gym.envs.ways`."""
+    return np.asarray(np.sqrt((situation.waypoint * situation.waypoint).sum(axis=1)) + situation.way[:, 0])
+
+
 def total_reward(terms: Terms) -> Array:
     """(n,) sum of the terms, in their order."""
     return np.asarray(reduce(np.add, terms.values()))
@@ -140,5 +188,5 @@ def _check_finite(reward: Any) -> None:
             raise InvalidValueError(f"{type(reward).__name__}.{field.name} must be a finite number, got {value!r}")
 
 
-REWARDS: dict[str, Reward] = {"sparse": SparseReward(), "dense": DenseReward()}
+REWARDS: dict[str, Reward] = {"sparse": SparseReward(), "dense": DenseReward(), "way": WayReward()}
 """Rewards by name."""

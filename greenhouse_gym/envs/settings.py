@@ -38,8 +38,8 @@ class EnvSettings:
         observation: "state", "state_seen", "approach", "waypoint", "goal", "goal_waypoint", "depth", "points",
             "rgb", "rgbd", settings of the last four, or your own `Observation`.
         action: "joint", "joint_velocity", "tip_velocity", or your own `ActionRule`.
-        reward: "dense", "sparse", a `DenseReward` or `SparseReward` with other figures, or your own function from a
-            `Transition` to terms.
+        reward: "dense", "sparse", "way", a `DenseReward`, `SparseReward` or `WayReward` with other figures, or your own
+            function from a `Transition` to terms.
         difficulty: What targets to draw: one difficulty, several (as frequent as the scenes have them), or a weight for
             each, such as ``{"easy": 1, "hard": 3}``. "unreachable" only if named. `set_difficulty` changes it. For an
             arm that a scene was not rated for, the ratings for other arms are used, and told as "unrated".

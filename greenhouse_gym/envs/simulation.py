@@ -13,7 +13,7 @@ import numpy.typing as npt
 from greenhouse_gym.envs.actions import CommandLimits, check_actions, squared_norm
 from greenhouse_gym.envs.choices import make_action, make_observation, make_reward
 from greenhouse_gym.envs.episodes import Episode, EpisodeSampler
-from greenhouse_gym.envs.observations import Observed, check_goals_are_known
+from greenhouse_gym.envs.observations import Observed, check_goals_are_known, check_goals_stay
 from greenhouse_gym.envs.perception import Perception
 from greenhouse_gym.envs.physics import NOTHING, Physics, Touches, prepare
 from greenhouse_gym.envs.randomization import Disturbance, draw_disturbance
@@ -103,7 +103,10 @@ class ReachSimulation:
         self._contact, self._self_collision = np.full(count, None, dtype=object), np.zeros(count, dtype=np.bool_)
         # Counts of the episode so far; the target's index is kept with them.
         self._counts = {key: np.zeros(count, dtype=np.int64) for key in ("steps", "slowed", "limited", "target")}
-        self._perception = Perception(count, robot, self.observe, self.worlds, settings.success_radius, threads)
+        pays_for_way = bool(getattr(self.reward_terms, "asks_for_way", False))
+        check_goals_stay(self.observe, pays_for_way)
+        ways = self.observe.asks_for_way or pays_for_way
+        self._perception = Perception(count, robot, self.observe, self.worlds, settings.success_radius, ways, threads)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> ReachSimulation:
         """The same state, to go on from independently; what is never changed is shared."""

@@ -119,13 +119,16 @@ class TomatoReachEnv(SpecWithStepLimit, gymnasium.Env[Observed, npt.NDArray[np.f
 
     **Reward**, the sum of the terms in ``info["reward_terms"]``:
 
-    | term | ``dense`` | ``sparse`` |
-    |---|---|---|
-    | ``success`` | +10 | +1 |
-    | ``collision`` | -1 | -1 |
-    | ``progress`` | 4 per metre the grasp point came nearer | |
-    | ``time`` | -0.02 | |
-    | ``effort`` | -0.003 times the sum of the action's squares | |
+    | term | ``dense`` | ``way`` | ``sparse`` |
+    |---|---|---|---|
+    | ``success`` | +10 | +10 | +1 |
+    | ``collision`` | -1 | -1 | -1 |
+    | ``progress`` | 4 per metre the grasp point came nearer | 2 per radian of the way | |
+    | ``time`` | -0.02 | -0.02 | |
+    | ``effort`` | -0.003 times the sum of the action's squares | as ``dense`` | |
+
+    The way of ``way`` is the one that ``waypoint`` tells of, to the waypoint and on to the goal, by the joints' changes;
+    it is paid for whatever is observed, but not in goal environments.
 
     **Info**, on reset and step:
 

@@ -16,8 +16,7 @@ from greenhouse_gym.learning.variation import varied_bank
 from greenhouse_gym.scene import SceneBank
 
 FINE_TUNING = PpoSettings(
-    observation="waypoint", activation="relu", log_std=-2.5, learning_rate=5e-5, critic_rollouts=8, epochs=4,
-    batch_size=4096,
+    reward="dense", log_std=-2.5, learning_rate=5e-5, critic_rollouts=8, epochs=4,
 )  # fmt: skip
 """PPO that goes on from a policy that can do something already: little noise, small steps, the critic first."""
 

@@ -45,6 +45,7 @@ class PpoSettings:
         split: Split to train on.
         robot: The arm.
         observation: "state", "approach" or "waypoint".
+        reward: "way", "dense" or "sparse".
         difficulty: Difficulties of the targets.
         total_steps: Steps of all simulations together.
         num_envs: Simulations.
@@ -71,20 +72,21 @@ class PpoSettings:
     bank: str = "default"
     split: str = "train"
     robot: str = "ur5e"
-    observation: str = "state"
+    observation: str = "waypoint"
+    reward: str = "way"
     difficulty: tuple[str, ...] = ("easy", "medium", "hard")
     total_steps: int = 2_000_000
     num_envs: int = 128
     rollout_steps: int = 64
-    batch_size: int = 2048
-    epochs: int = 5
+    batch_size: int = 4096
+    epochs: int = 8
     learning_rate: float = 5e-4
     discount: float = 0.99
     gae_lambda: float = 0.95
     clip_range: float = 0.2
-    log_std: float = -0.7
+    log_std: float = -1.5
     hidden: tuple[int, ...] = (256, 256)
-    activation: str = "tanh"
+    activation: str = "relu"
     critic_rollouts: int = 0
     validation_steps: int = 0
     validation_episodes: int = 100
@@ -139,7 +141,8 @@ def train_ppo(
     torch.set_num_threads(1)
     env = make_env(
         settings.num_envs, bank=settings.bank, split=settings.split, robot=settings.robot,
-        observation=settings.observation, difficulty=settings.difficulty, threads=settings.threads, seed=settings.seed,
+        observation=settings.observation, reward=settings.reward, difficulty=settings.difficulty,
+        threads=settings.threads, seed=settings.seed,
     )  # fmt: skip
     model = make_ppo(settings, env)
     model.set_logger(configure(str(out / "tensorboard"), ["tensorboard"]))

@@ -27,6 +27,7 @@ from greenhouse_gym.envs import (
     SparseReward,
     TomatoReachEnv,
     TomatoReachVectorEnv,
+    WayReward,
 )
 from greenhouse_gym.errors import InvalidValueError, UnknownNameError
 from greenhouse_gym.scene import SceneBank
@@ -184,9 +185,11 @@ def test_what_own_objects_do_wrong_is_told_by_name(bank: SceneBank, keywords: di
 @pytest.mark.parametrize(
     ("keywords", "message"),
     [
-        ({"reward": 3}, "reward must be one of 'sparse', 'dense' or a function"),
+        ({"reward": 3}, "reward must be one of 'sparse', 'dense', 'way' or a function"),
         ({"reward": DenseReward}, "reward must be"),
         ({"reward": None}, "reward must be"),
+        ({"reward": "way", "observation": "goal"}, "goals in hindsight"),
+        ({"reward": WayReward(progress=1.0), "observation": "goal_waypoint"}, "goals in hindsight"),
         ({"observation": 3}, "observation must be a name"),
         ({"observation": lambda robot: 3}, "space"),
         ({"observation": lambda: 3}, "what makes one from Robot"),

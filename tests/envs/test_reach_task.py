@@ -28,7 +28,7 @@ def episode_return(reward: str, distances: np.ndarray, actions: np.ndarray, cras
     return total
 
 
-@pytest.mark.parametrize("reward", REWARDS)
+@pytest.mark.parametrize("reward", ["sparse", "dense"])
 def test_the_worst_success_beats_the_best_crash(reward: str) -> None:
     random = np.random.default_rng(0)
     for start in (0.05, 0.6, 1.5):

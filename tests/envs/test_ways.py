@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.agents import WaypointAgent
-from greenhouse_gym.envs import TomatoReachEnv, ways
+from greenhouse_gym.envs import TomatoReachEnv, Transition, WayReward, ways
 from greenhouse_gym.envs.roadmap import RESOLUTION
 from greenhouse_gym.envs.ways import EVERY, Ends, Heading, Headings, Place, Ways
 from greenhouse_gym.evaluation import evaluate
@@ -103,6 +103,63 @@ def test_goals_are_looked_for_once_in_each_episode_that_is_new(
     for target in (0, 1, 0, 1):
         env.reset(options={"scene": scene, "target": target})
     assert len(calls) == 2
+
+
+def left(env: TomatoReachEnv) -> float:
+    situation = env.simulation.situation
+    assert situation is not None
+    return float(np.linalg.norm(situation.waypoint[0]) + situation.way[0, 0])
+
+
+@pytest.mark.parametrize("observation", ["state", "waypoint"])
+def test_what_is_paid_for_the_way_depends_on_its_ends_alone(scene: Scene, observation: str) -> None:
+    env = TomatoReachEnv(bank="mini", observation=observation, reward="way", step_limit=60)
+    for seed in range(3):
+        random = np.random.default_rng(seed)
+        env.reset(seed=seed, options={"scene": scene, "target": TARGET})
+        before, paid, ended = left(env), 0.0, False
+        while not ended:
+            _, reward, terminated, truncated, info = env.step(random.uniform(-1, 1, JOINTS))
+            assert reward == pytest.approx(sum(info["reward_terms"].values()))
+            paid += info["reward_terms"]["progress"]
+            ended = terminated or truncated
+        assert paid == pytest.approx(2.0 * (before - left(env)), abs=1e-9)
+
+
+def test_going_along_the_way_is_paid_and_staying_is_not(scene: Scene) -> None:
+    env = TomatoReachEnv(bank="mini", observation="waypoint", reward=WayReward(progress=1.0, time=0.0, effort=0.0))
+    seen, info = env.reset(options={"scene": scene, "target": TARGET})
+    assert env.step(np.zeros(JOINTS))[1] == 0
+    total, began = 0.0, left(env)
+    for _ in range(100):
+        seen, reward, terminated, _, info = env.step(seen[-JOINTS - 2 : -2])
+        total += reward
+        if terminated:
+            break
+    assert info["is_success"]
+    assert total == pytest.approx(10.0 + began - left(env))
+
+
+def test_only_who_asks_for_the_way_is_told(scene: Scene) -> None:
+    episode = {"scene": scene, "target": TARGET}
+    paid, other = (TomatoReachEnv(bank="mini", observation="state", reward=kind) for kind in ("way", "dense"))
+    np.testing.assert_array_equal(paid.reset(options=episode)[0], other.reset(options=episode)[0])
+    assert paid.simulation.situation is not None
+    assert other.simulation.situation is not None
+    assert paid.simulation.situation.waypoint.shape == (1, JOINTS)
+    assert other.simulation.situation.waypoint.shape == (1, 0)
+
+
+def test_a_reward_of_ones_own_may_ask_for_the_way(scene: Scene) -> None:
+    class Straight:
+        asks_for_way = True
+
+        def __call__(self, step: Transition) -> dict[str, np.ndarray]:
+            return {"free": step.end.way[:, 1]}
+
+    env = TomatoReachEnv(bank="mini", reward=Straight())
+    env.reset(options={"scene": scene, "target": TARGET})
+    assert env.step(np.zeros(JOINTS))[1] in (0.0, 1.0)
 
 
 class SeenFromTheStartAlone(Ways):

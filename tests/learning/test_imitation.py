@@ -61,7 +61,7 @@ def test_the_learner_comes_to_do_as_the_teacher_does(bank: SceneBank) -> None:
 
 
 def test_an_untrained_policy_can_follow_waypoints_exactly(bank: SceneBank) -> None:
-    settings = PpoSettings(hidden=(24, 16), activation="relu")
+    settings = PpoSettings(hidden=(24, 16))
     env = make_sb3_vec_env(2, bank=bank, observation="waypoint", threads=1)
     model = make_ppo(settings, env)
     follow_waypoint(model.policy)
@@ -71,7 +71,7 @@ def test_an_untrained_policy_can_follow_waypoints_exactly(bank: SceneBank) -> No
     assert seen[0, -1] == 1.0
     assert np.abs(seen[:, -8:-2]).max(axis=1).min() > 0.5
     with pytest.raises(InvalidValueError, match="relu"):
-        follow_waypoint(make_ppo(PpoSettings(), env).policy)
+        follow_waypoint(make_ppo(PpoSettings(activation="tanh"), env).policy)
 
 
 def test_imitation_then_ppo_leaves_a_policy_that_plays(bank: SceneBank, tmp_path: Path) -> None:

@@ -35,8 +35,9 @@ from greenhouse_gym.scene.bank import write_bank
 @pytest.fixture
 def settings(bank: SceneBank) -> PpoSettings:
     return PpoSettings(
-        bank=str(bank.path), total_steps=128, num_envs=4, rollout_steps=8, batch_size=16, epochs=2, hidden=(16, 16)
-    )
+        bank=str(bank.path), observation="state", reward="dense", total_steps=128, num_envs=4, rollout_steps=8,
+        batch_size=16, epochs=2, hidden=(16, 16),
+    )  # fmt: skip
 
 
 def test_plain_ppo_takes_the_environment(bank: SceneBank) -> None:

@@ -24,8 +24,9 @@ from greenhouse_gym.scene import SceneBank
 @pytest.fixture
 def settings(bank: SceneBank) -> PpoSettings:
     return PpoSettings(
-        bank=str(bank.path), total_steps=64, num_envs=4, rollout_steps=8, batch_size=16, epochs=1, hidden=(8,)
-    )
+        bank=str(bank.path), observation="state", reward="dense", total_steps=64, num_envs=4, rollout_steps=8,
+        batch_size=16, epochs=1, hidden=(8,),
+    )  # fmt: skip
 
 
 def test_every_combination_is_trained_elsewhere_and_goes_on_where_it_stopped(
