@@ -1,9 +1,10 @@
-"""What PPO learns from nothing: success and collisions on validation rows, and learning curves, by training seed.
+"""What PPO learns from nothing: success and collisions on rows it has not seen, and learning curves, by training seed.
 
-python benchmarks/ppo_from_nothing.py --seeds 0,1,2 --out-folder runs/ppo-from-nothing
+python benchmarks/ppo_from_nothing.py --seeds 0,1,2 --out-folder runs/ppo-from-nothing --splits validation,test
 
 Trains once for each seed with the usual settings of ``greenhouse-gym train ppo``; a training that is there is gone on
-with, or only judged where it is done. Judged is the policy without its noise, on the same episodes for all seeds.
+with, or only judged where it is done. Judged is the policy without its noise, alone and behind the shield, on the same
+episodes for all seeds: 500 of the validation rows, and the leaderboard's 1,000 of the test rows.
 Writes results/ppo_from_nothing.json after each seed, and a picture of the curves beside it; other seeds that the file
 holds stay.
 """
@@ -13,6 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 from dataclasses import asdict, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +23,16 @@ from imitation import FIRST_SEED
 from policies import rates
 from results_file import RESULTS, write_results
 
-from greenhouse_gym.agents import PolicyAgent
+from greenhouse_gym.agents import PolicyAgent, ShieldedAgent
 from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.learning import PpoSettings, train_ppo
 from greenhouse_gym.learning.checkpoints import NAME as CHECKPOINT
 from greenhouse_gym.learning.curves import CURVE, VALIDATION, read_curve
 from greenhouse_gym.scene import SceneBank
 from greenhouse_gym.settings_files import resolve
+
+EPISODES = {"validation": (500, FIRST_SEED), "test": (1000, 0)}
+"""How many episodes of a split, and the seed of the first."""
 
 EVERY = 8
 """Of so many lines of a learning curve, one is kept."""
@@ -39,7 +44,7 @@ def main() -> None:
     """Train, play, write the figures and the picture."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", default="0,1,2")
-    parser.add_argument("--episodes", type=int, default=500)
+    parser.add_argument("--splits", default="validation")
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
     parser.add_argument("--out-folder", type=Path, default=Path("runs/ppo-from-nothing"))
     parser.add_argument("--out", type=Path, default=RESULTS / "ppo_from_nothing.json")
@@ -47,18 +52,22 @@ def main() -> None:
     settings = resolve(USUAL, None, arguments.set)
     bank = SceneBank.open(settings.bank)
     figures: dict[str, Any] = {
-        "settings": asdict(settings), "bank_sha256": bank.sha256, "split": "validation", "first_seed": FIRST_SEED,
+        "settings": asdict(settings), "bank_sha256": bank.sha256, "episodes": EPISODES,
         "seeds": json.loads(arguments.out.read_text())["seeds"] if arguments.out.is_file() else {},
     }  # fmt: skip
     for seed in arguments.seeds.split(","):
         folder = arguments.out_folder / f"seed-{seed}"
         path = train_ppo(replace(settings, seed=int(seed)), folder, resume=(folder / CHECKPOINT).is_file())
-        played = evaluate(PolicyAgent.load(path), "validation", arguments.episodes, FIRST_SEED, bank=bank, num_envs=64)
-        curve = read_curve(folder / CURVE)
-        figures["seeds"][seed] = {
-            **rates(played, bank), "seconds": curve[-1]["seconds"], "curve": curve[EVERY - 1 :: EVERY],
+        policy, curve = PolicyAgent.load(path), read_curve(folder / CURVE)
+        entry = figures["seeds"].setdefault(seed, {}) | {
+            "seconds": curve[-1]["seconds"], "curve": curve[EVERY - 1 :: EVERY],
             "validation": read_curve(folder / VALIDATION),
         }  # fmt: skip
+        for split, agent in product(arguments.splits.split(","), (policy, ShieldedAgent(policy))):
+            episodes, first = EPISODES[split]
+            played = evaluate(agent, split, episodes, first, bank=bank, num_envs=64, threads=1)
+            entry[f"{'shielded' if agent is not policy else 'alone'}, {split}"] = rates(played, bank)
+        figures["seeds"][seed] = entry
         write_results(arguments.out, figures, ("stable-baselines3", "torch", "mujoco"))
         draw(figures["seeds"], arguments.out.with_suffix(".png"))
 

@@ -97,6 +97,20 @@ def policies() -> Iterator[str]:
         )
 
 
+def learned() -> Iterator[str]:
+    """What PPO learned from nothing on the bank that is shipped now."""
+    results = read("ppo_from_nothing.json")
+    if results and results["bank_sha256"] == SceneBank.open("default").sha256:
+        entries = [entry["alone, validation"] for _, entry in sorted(results["seeds"].items())]
+        steps = results["settings"]["total_steps"]
+        reached, collided = (", ".join(f"{entry[name]:.1%}" for entry in entries) for name in ("success", "collision"))
+        yield (
+            f"| PPO from nothing, {steps / 1e6:.0f} million steps, {len(entries)} training "
+            f"seeds, reconstruction, {entries[0]['episodes']} episodes of the validation rows | {reached} reach, "
+            f"{collided} collide | `benchmarks/ppo_from_nothing.py` |"
+        )
+
+
 def reconstruction() -> Iterator[str]:
     """How straight and how near to the truth rows are."""
     if results := read("reconstruction.json"):
@@ -131,6 +145,7 @@ def table() -> str:
         *shapes("shapes.json", "held-out own rows", "benchmarks/shapes.py"),
         *plans(),
         *policies(),
+        *learned(),
         *reconstruction(),
         *throughput(),
     ]
