@@ -127,8 +127,8 @@ class TomatoReachEnv(SpecWithStepLimit, gymnasium.Env[Observed, npt.NDArray[np.f
     | ``time`` | -0.02 | -0.02 | |
     | ``effort`` | -0.003 times the sum of the action's squares | as ``dense`` | |
 
-    The way of ``way`` is the one that ``waypoint`` tells of, to the waypoint and on to the goal, by the joints' changes;
-    it is paid for whatever is observed, but not in goal environments.
+    The way of ``way`` is the one that ``waypoint`` tells of, to the waypoint and on to the goal, in joint space; it is
+    paid for whatever is observed, but not in goal environments.
 
     **Info**, on reset and step:
 
