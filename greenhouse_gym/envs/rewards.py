@@ -133,42 +133,25 @@ class DenseReward:
 
 
 @dataclass(frozen=True)
-class WayReward:
+class WayReward(DenseReward):
     """As `DenseReward`, but for the progress, which is made along a way that is free, as far as one is known.
 
     A grasp point that comes nearer to its goal may be on its way into the leaves. The way that is left is that to the
-    waypoint and from there to the goal, in joint space (`greenhouse_gym.envs.ways`); it is undiscounted, so what is
-    paid over an episode depends on its beginning and its end alone. It is told to the learner in training, not to the
-    policy, unless that observes the waypoint, too. A goal environment cannot have it, since ways do not change in
-    hindsight.
+    waypoint and from there to the goal, in joint space (`greenhouse_gym.envs.ways`). It is a potential (Ng, Harada and
+    Russell: Policy invariance under reward transformations, 1999), without a discount, so that what is paid over an
+    episode depends on its beginning and its end alone. The learner is told of it in training, the policy only if it
+    observes the waypoint, too. A goal environment cannot have it: no way to a goal in hindsight is known.
 
     Attributes:
-        success: What a success is worth.
-        collision: What a collision is worth.
         progress: What each radian is worth by which the way that is left became shorter.
-        time: What each step is worth.
-        effort: What the sum of the squares of the action's entries is multiplied by.
     """
 
     asks_for_way: ClassVar[bool] = True
-    success: float = 10.0
-    collision: float = -1.0
     progress: float = 2.0
-    time: float = -0.02
-    effort: float = -0.003
-
-    def __post_init__(self) -> None:
-        _check_finite(self)
 
     def __call__(self, step: Transition) -> dict[str, Array]:
         """The terms of n steps."""
-        return {
-            "success": np.where(step.success, self.success, 0.0),
-            "collision": np.where(step.touched, self.collision, 0.0),
-            "progress": self.progress * (_left(step.start) - _left(step.end)),
-            "time": np.full(len(step.after), self.time),
-            "effort": self.effort * step.effort,
-        }
+        return super().__call__(step) | {"progress": self.progress * (_left(step.start) - _left(step.end))}
 
 
 def _left(situation: Situation) -> Array:
