@@ -6,7 +6,7 @@ Trains once for each seed with the usual settings of ``greenhouse-gym train ppo`
 with, or only judged where it is done. Judged is the policy without its noise, alone and behind the shield, on the same
 episodes for all seeds: 500 of the validation rows, and the leaderboard's 1,000 of the test rows.
 Writes results/ppo_from_nothing.json after each seed, and a picture of the curves beside it; other seeds that the file
-holds stay.
+holds stay, if they were trained on the same bank with the same settings.
 """
 
 from __future__ import annotations
@@ -51,10 +51,8 @@ def main() -> None:
     arguments = parser.parse_args()
     settings = resolve(USUAL, None, arguments.set)
     bank = SceneBank.open(settings.bank)
-    figures: dict[str, Any] = {
-        "settings": asdict(settings), "bank_sha256": bank.sha256, "episodes": EPISODES,
-        "seeds": json.loads(arguments.out.read_text())["seeds"] if arguments.out.is_file() else {},
-    }  # fmt: skip
+    about = {"settings": asdict(settings), "bank_sha256": bank.sha256, "episodes": EPISODES}
+    figures: dict[str, Any] = {**about, "seeds": _known(arguments.out, about)}
     for seed in arguments.seeds.split(","):
         folder = arguments.out_folder / f"seed-{seed}"
         path = train_ppo(replace(settings, seed=int(seed)), folder, resume=(folder / CHECKPOINT).is_file())
@@ -70,6 +68,13 @@ def main() -> None:
         figures["seeds"][seed] = entry
         write_results(arguments.out, figures, ("stable-baselines3", "torch", "mujoco"))
         draw(figures["seeds"], arguments.out.with_suffix(".png"))
+
+
+def _known(path: Path, about: dict[str, Any]) -> dict[str, Any]:
+    """The seeds that a file of results holds; none where it is about something else."""
+    found = json.loads(path.read_text()) if path.is_file() else {"seeds": {}}
+    same = all(found.get(name) == value for name, value in json.loads(json.dumps(about)).items())
+    return dict(found["seeds"]) if same else {}
 
 
 def draw(seeds: dict[str, Any], path: Path) -> None:

@@ -10,6 +10,7 @@ import time
 import zipfile
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -22,7 +23,8 @@ from stable_baselines3 import PPO, SAC
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from greenhouse_gym.agents.policy_agent import PolicyAgent, shipped_policies
-from greenhouse_gym.errors import FileFormatError, GreenhouseError, InvalidValueError
+from greenhouse_gym.envs import WayReward
+from greenhouse_gym.errors import FileFormatError, GreenhouseError, InvalidValueError, UnknownNameError
 from greenhouse_gym.integrations.sb3 import make_sb3_vec_env
 from greenhouse_gym.learning.checkpoints import NAME, load_checkpoint, save_checkpoint
 from greenhouse_gym.learning.curves import VALIDATION, read_curve
@@ -44,6 +46,29 @@ def test_plain_ppo_takes_the_environment(bank: SceneBank) -> None:
     model = PPO("MlpPolicy", gymnasium.make("TomatoReach-v0", bank=bank), n_steps=32, batch_size=32, device="cpu")
     model.learn(64)
     assert model.num_timesteps == 64
+
+
+def test_the_reward_is_the_one_of_the_settings(settings: PpoSettings, tmp_path: Path) -> None:
+    seen = []
+
+    def make_env(count: int, **keywords: Any) -> Any:
+        seen.append(make_sb3_vec_env(count, **keywords))
+        return seen[-1]
+
+    train_ppo(replace(settings, total_steps=32, reward="way"), tmp_path / "way", make_env=make_env)
+    [env] = seen
+    assert isinstance(env.get_attr("simulation")[0].reward_terms, WayReward)
+    with pytest.raises(UnknownNameError, match="way"):
+        train_ppo(replace(settings, reward="wya"), tmp_path / "other")
+    assert not (tmp_path / "other").exists()
+
+
+@pytest.mark.slow
+def test_ppo_learns_from_nothing_with_its_usual_settings(tmp_path: Path) -> None:
+    train_ppo(PpoSettings(bank="mini", total_steps=200_000, threads=1), tmp_path)
+    rows = list(csv.DictReader((tmp_path / "curve.csv").read_text().splitlines()))
+    assert float(rows[3]["success_rate"]) < 0.1
+    assert float(rows[-1]["success_rate"]) > 0.3
 
 
 def test_training_leaves_curve_checkpoint_and_policy(settings: PpoSettings, tmp_path: Path) -> None:
