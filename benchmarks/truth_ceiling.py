@@ -21,13 +21,13 @@ from capture_protocols import SAME
 from policies import kinds_of_rows
 from results_file import RESULTS, write_results
 
-from greenhouse_gym.envs.worlds import true_scene
 from greenhouse_gym.evaluation import wilson_interval
 from greenhouse_gym.leaderboard import read_entry
 from greenhouse_gym.parallel import completed, processes
 from greenhouse_gym.planning import plan
 from greenhouse_gym.records import Record
 from greenhouse_gym.scene import SceneBank
+from greenhouse_gym.scene.truth import true_scene
 
 FALSE_TOMATO = "false tomato"
 

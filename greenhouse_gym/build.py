@@ -23,6 +23,7 @@ from greenhouse_gym.reconstruction import reconstruct_row, settings_for
 from greenhouse_gym.scans import ScannedRow
 from greenhouse_gym.scene import Provenance, Scene, SceneBank
 from greenhouse_gym.scene.bank import write_bank
+from greenhouse_gym.scene.truth import stands_free
 from greenhouse_gym.shapes import extract_shapes
 
 UNFINISHED, CUT = "unfinished", "scenes.json"
@@ -64,8 +65,8 @@ def build_bank(
             the same ones, but with an executor a row that is interrupted begins anew, not at its last station.
 
     Raises:
-        InvalidValueError: No recordings, two of one name, one that cannot be a file's, lists of different lengths, or a
-            row in two splits.
+        InvalidValueError: No recordings, two of one name, one that cannot be a file's, lists of different lengths, a
+            row in two splits, or one in whose true plants the arm would begin at all stands.
         FileWriteError: The folder cannot be written, or another process is building in it; told before any work.
         MissingDependencyError: OMPL, which certifies the targets, is not installed.
         ReconstructionError: A recording could not be turned into a row.
@@ -150,8 +151,18 @@ def _certified_scenes(
         uncut = [replace(row, notes=notes[row.name], report=report) for row in uncut]
     settings = {row.name: row.settings for row in rows}
     for name, cut in completed(_cut, uncut, executor):
-        write_atomically(notes[name] / CUT, _SCENES.dump_json(cut))
-        for scene in cut:
+        standing = [scene for scene in cut if stands_free(scene, settings[name].robot)]
+        if not standing:
+            raise InvalidValueError(
+                f"recording {name!r}: at all {len(cut)} stands the arm would begin in the plants of its truth; move "
+                f"them with BuildSettings.spacing or stem_distance, now {settings[name].stem_distance:g} m"
+            )
+        if len(standing) < len(cut):
+            report(
+                f"{name}: {len(cut) - len(standing)} of {len(cut)} stands left out, where the arm would begin in plants"
+            )
+        write_atomically(notes[name] / CUT, _SCENES.dump_json(standing))
+        for scene in standing:
             report(what_was_seen(scene, settings[name]))
 
     def uncertified() -> Iterator[tuple[Scene, BuildSettings]]:

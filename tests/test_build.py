@@ -280,6 +280,22 @@ def test_a_bank_of_three_rows(calls: Calls, tmp_path: Path) -> None:
     assert SceneBank.open(tmp_path).manifest.description == "Made up."
 
 
+def test_nobody_puts_an_arm_up_in_the_plants(calls: Calls, tmp_path: Path) -> None:
+    row, said = known_recording(np.eye(4)), list[str]()
+    leaf = Box([-0.09, 0.95, 1.5], [0.05, 0.05, 0.001], np.eye(3))  # at the second stand, and not in the scan
+    assert row.truth is not None
+    one, all_stands = (
+        replace(row, truth=replace(row.truth, clutter=leaves))
+        for leaves in ((leaf,), tuple(replace(leaf, center=[-0.09, y, 1.5]) for y in (0.45, 0.95, 1.45)))
+    )
+    bank = build_bank([one], tmp_path / "one", "made-up", on_stage=said.append)
+    assert bank.names() == ["row-00", "row-02"]
+    assert calls.certified == bank.names()
+    assert any("1 of 3 stands left out" in line for line in said)
+    with pytest.raises(InvalidValueError, match=r"'row': at all 3 stands.*stem_distance, now 0\.6 m"):
+        built(tmp_path / "all", [all_stands])
+
+
 def test_recordings_of_one_row_in_several_weeks(calls: Calls, tmp_path: Path) -> None:
     known = [Provenance(row=row, style="cherry", source="own") for row in ("x", "x", "y")]
     options: dict[str, Any] = {"weeks": [2, 5, 2], "known": known, "settings": BuildSettings(targets=2)}

@@ -20,6 +20,7 @@ from greenhouse_gym.scene import CompiledScene, Scene, SceneBank, Shapes, compil
 from greenhouse_gym.scene.field import FieldStore, obstacle_field
 from greenhouse_gym.scene.mjcf import DEFAULT_CAPACITY, MOST_CAPACITY, base_position
 from greenhouse_gym.scene.plant_motion import PlantMotion, moved_plants
+from greenhouse_gym.scene.truth import true_scene
 
 _ROUND = 100
 
@@ -216,24 +217,3 @@ def worlds_of(robot: Robot, physics: str, capacity: int, substeps: int = SUBSTEP
     worlds of its own. Kinds beyond the last `KINDS_KEPT` live on as long as an environment uses them.
     """
     return Worlds(robot, physics, capacity, substeps)
-
-
-def true_scene(scene: Scene) -> Scene:
-    """The scene with the shapes of its truth in place of those of its reconstruction, without targets.
-
-    Raises:
-        InvalidValueError: The scene carries no truth.
-    """
-    if scene.truth is None or not scene.truth.tomatoes:
-        raise InvalidValueError(
-            f'scene {scene.name!r} carries no truth, which physics="truth" needs: scenes built from simulated '
-            "recordings carry it, those of a real row cannot"
-        )
-    return Scene(
-        name=scene.name,
-        tomatoes=scene.truth.tomatoes,
-        stems=scene.truth.stems,
-        clutter=scene.truth.clutter,
-        stand=scene.stand,
-        provenance=scene.provenance,
-    )

@@ -1,0 +1,35 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import make_scene
+
+from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.geometry import Box
+from greenhouse_gym.scene import Shapes
+from greenhouse_gym.scene.truth import stands_free, true_scene
+
+
+def test_the_truth_takes_the_place_of_the_scan() -> None:
+    scene = make_scene(0)
+    truth = Shapes(tomatoes=scene.tomatoes[:1])
+    true = true_scene(scene.model_copy(update={"truth": truth}))
+    assert (true.name, true.tomatoes, true.stems, true.clutter, true.targets) == (
+        scene.name,
+        truth.tomatoes,
+        (),
+        (),
+        (),
+    )
+    with pytest.raises(InvalidValueError, match="carries no truth"):
+        true_scene(scene)
+
+
+@pytest.mark.parametrize("robot", ["ur5e", "iiwa14"])
+def test_an_arm_is_put_up_where_it_touches_no_true_plant(robot: str) -> None:
+    scene = make_scene(0)
+    assert stands_free(scene, robot), "nothing is known of a truth"
+    for height, free in ((1.5, False), (4.0, True)):
+        leaf = Box([0.0, 0.0, height], [0.2, 0.2, 0.001], np.eye(3))
+        truth = Shapes(tomatoes=scene.tomatoes[:1], clutter=(leaf,))
+        assert stands_free(scene.model_copy(update={"truth": truth}), robot) == free
