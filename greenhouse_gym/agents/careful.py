@@ -45,11 +45,22 @@ def careful_ways(
         The ways, and the first depth at which they lead to the target, or the last; infinite where the scene does not
         say what was seen.
     """
-    for depth in (np.inf,) if scene.seen is None else depths:
-        ways = Ways(Place(guarded(scene, robot, ends.start, depth)), ends)
-        if ways.nodes.reach:
-            break
-    return ways, depth
+    tried = (np.inf,) if scene.seen is None else tuple(depths)
+
+    def ways_at(depth: float) -> Ways:
+        return Ways(Place(guarded(scene, robot, ends.start, depth)), ends)
+
+    ways = ways_at(tried[0])
+    if ways.nodes.reach or len(tried) == 1:
+        return ways, tried[0]
+    # where the deepest leaves no way, none of those between does: that is known without trying them
+    last = ways_at(tried[-1])
+    if last.nodes.reach or tried[-1] < max(tried):
+        for depth in tried[1:-1]:
+            ways = ways_at(depth)
+            if ways.nodes.reach:
+                return ways, depth
+    return last, tried[-1]
 
 
 class CarefulAgent:

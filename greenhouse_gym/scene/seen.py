@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, Box, Vector
+from greenhouse_gym.packing import upright_boxes
 from greenhouse_gym.scene.packed import compressed, decompressed
 
 UNSEEN, EMPTY, SURFACE = 0, 1, 2
@@ -148,7 +149,7 @@ def _boxes_of_blocks(
         blocks = _joined(blocks, axis)
     low, high = blocks[:, ::2], blocks[:, 1::2]
     centers = np.asarray(origin, dtype=np.float64) + (low + high) * (voxel / 2)
-    return [Box(center, half, np.eye(3)) for center, half in zip(centers, (high - low) * (voxel / 2), strict=True)]
+    return upright_boxes(centers, (high - low) * (voxel / 2))
 
 
 def _joined(blocks: npt.NDArray[np.int64], axis: int) -> npt.NDArray[np.int64]:
