@@ -25,12 +25,6 @@ import matplotlib.pyplot as plt
 PICTURE = "difficulty.png"
 COLORS = dict(zip(DIFFICULTIES, ("#4c9f70", "#e0b040", "#c8553d", "#555555"), strict=True))
 
-OLDER = (
-    "These scenes were built before small fruit got a look of its own (`shapes/small_fruit.py`), depth images were\n"
-    "thinned at their edges (`reconstruction/fattening.py`) and peduncles were told by a network\n"
-    "(`shapes/thin_stems.py`): built now, they would hold more fruit and peduncles, and both nearer to their size."
-)
-
 CARD = Template("""\
 # The shipped banks of scenes
 
@@ -49,8 +43,8 @@ apart, so the scenes of a recording overlap). Nothing in it is real, and nothing
 Every scene holds what was reconstructed (at most $primitives shapes within $width m along the row, what an agent
 is told), the truth (everything within $reach m of the shoulder; the leaves of Helios' plants as boxes within
 $leaves mm of them), what the scan saw of the space around the arm, and targets: at most $targets tomatoes, spread
-over their distances from the shoulder. A recording's row keeps its name in all weeks, and a row is in one split
-only. $older
+over their distances from the shoulder. Where the arm would begin in the true plants nobody would put it up: there
+is no scene of such a place. A recording's row keeps its name in all weeks, and a row is in one split only.
 
 ## Difficulty
 
@@ -102,7 +96,6 @@ def main() -> None:
     rows, made = len({entry.row for entry in entries}), len({entry.name.rsplit("-", 1)[0] for entry in entries})
     recordings = len(list(shipped.shots()))
     settings = SimpleNamespace(**default[0].provenance.settings)  # what they were built with, whatever is usual now
-    older = "" if "small_radii" in settings.shapes else OLDER
     built = ""
     if made < recordings:
         built = (
@@ -113,7 +106,7 @@ def main() -> None:
         rows=rows, length=shipped.ROW_LENGTH, spacing=settings.spacing, progress=built,
         primitives=settings.primitives, width=settings.width, reach=settings.reach,
         leaves=f"{1000 * settings.leaves:g}", targets=settings.targets, goals=certify.GOALS,
-        older=older, hard=certify.HARD, seeds=certify.SEEDS, most=certify.MAX_CHECKS, last=certify.LAST_CHECKS,
+        hard=certify.HARD, seeds=certify.SEEDS, most=certify.MAX_CHECKS, last=certify.LAST_CHECKS,
         samples=certify.SAMPLES, default=tables(default), mini=tables(mini),
     )  # fmt: skip
     draw(shares(default), folder / PICTURE)
