@@ -1,6 +1,7 @@
 """What imitation and PPO make of the observation ``waypoint``: success and collisions on validation rows, by seed.
 
 python benchmarks/imitation.py --seeds 0,1,2 --out-folder runs/imitation
+python benchmarks/imitation.py --set from_rule=false --set ppo.total_steps=0 --agents "" --out FILE
 
 Trains once for each seed with the usual settings of ``training/bc_then_ppo.py``. Judged are, on the same episodes, the
 policy after the imitation, if there is one, and after PPO, and beside them what goes straight to the waypoint without
@@ -62,19 +63,24 @@ def main() -> None:
         write_results(arguments.out, figures, ("stable-baselines3", "torch", "mujoco"))
 
     for seed in filter(None, arguments.seeds.split(",")):
-        minutes = 0.0
+        minutes = elapsed = 0.0
         stages = {"imitation": 0, "imitation and PPO": settings.ppo.total_steps}
         if not settings.imitation.steps:
             stages = {"PPO from the rule": settings.ppo.total_steps}
+        elif not settings.ppo.total_steps:
+            stages = {"imitation": 0}
         for stage, total_steps in stages.items():
             ppo = replace(settings.ppo, seed=int(seed), total_steps=total_steps)
-            began = time.process_time()
+            began, looked = time.process_time(), time.monotonic()
             path = train_bc_then_ppo(
-                replace(settings, ppo=ppo), arguments.out_folder / f"seed-{seed}", resume=stage == "imitation and PPO"
-            )
+                replace(settings, ppo=ppo), arguments.out_folder / f"seed-{seed}", resume=stage == "imitation and PPO",
+                tell=lambda steps, told: print(steps, {name: round(value, 3) for name, value in told.items()}, flush=True),
+            )  # fmt: skip
             minutes += (time.process_time() - began) / 60
+            elapsed += (time.monotonic() - looked) / 60
             steps = {"labeled_steps": settings.imitation.steps, "ppo_steps": total_steps}
-            entry = {**steps, "processor_minutes": round(minutes, 2), **judged(PolicyAgent.load(path))}
+            times = {"processor_minutes": round(minutes, 2), "minutes": round(elapsed, 2)}
+            entry = {**steps, **times, **judged(PolicyAgent.load(path))}
             note("policies", f"{stage}, seed {seed}", entry)
     for name in filter(None, arguments.agents.split(",")):
         note("agents", name, judged(make_agent(name)))

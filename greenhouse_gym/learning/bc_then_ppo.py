@@ -27,13 +27,15 @@ class BcThenPpoSettings:
 
     Attributes:
         variations: Scenes that are made out of the bank's training scenes, beside them.
-        imitation: Settings of the first part; with no steps there is none, and PPO goes on from what follows waypoints.
+        imitation: Settings of the first part; with no steps there is none, and PPO goes on from how the network began.
         ppo: Settings of the second part, and of the network; with no steps there is no second part.
+        from_rule: Whether the network begins as the rule that follows waypoints, and not with random weights.
     """
 
     variations: int = 0
     imitation: ImitationSettings = field(default_factory=ImitationSettings)
     ppo: PpoSettings = FINE_TUNING
+    from_rule: bool = True
 
 
 def train_bc_then_ppo(
@@ -66,7 +68,8 @@ def train_bc_then_ppo(
             name: getattr(ppo, name)
             for name in ("bank", "split", "robot", "observation", "difficulty", "threads")
         }  # fmt: skip
-        follow_waypoint(model.policy)
+        if settings.from_rule:
+            follow_waypoint(model.policy)
         if not settings.imitation.steps:
             return
         env = TomatoReachVectorEnv(settings.imitation.num_envs, autoreset_mode="SameStep", **options)

@@ -86,6 +86,18 @@ def test_imitation_then_ppo_leaves_a_policy_that_plays(bank: SceneBank, tmp_path
     assert len(evaluate(agent, "validation", 2, bank=bank, num_envs=2).records) == 2
 
 
+def test_a_network_may_begin_from_nothing(bank: SceneBank, tmp_path: Path) -> None:
+    ppo = PpoSettings(bank=str(bank.path), num_envs=2, total_steps=0, hidden=(16, 16), threads=1)
+    nothing = ImitationSettings(steps=0)
+    seen = make_sb3_vec_env(2, bank=bank, observation="waypoint", threads=1).reset()
+    follows = {}
+    for from_rule in (True, False):
+        path = train_bc_then_ppo(BcThenPpoSettings(0, nothing, ppo, from_rule), tmp_path / str(from_rule))
+        action = PolicyAgent.load(path).policy(seen)
+        follows[from_rule] = bool(np.allclose(action, seen[:, -8:-2], atol=1e-5))
+    assert follows == {True: True, False: False}
+
+
 def test_at_first_the_critic_alone_learns(bank: SceneBank, tmp_path: Path) -> None:
     settings = PpoSettings(
         bank=str(bank.path), num_envs=4, rollout_steps=8, batch_size=16, epochs=1, total_steps=64, hidden=(16,),
