@@ -74,7 +74,7 @@ def main() -> None:
             began, looked = time.process_time(), time.monotonic()
             path = train_bc_then_ppo(
                 replace(settings, ppo=ppo), arguments.out_folder / f"seed-{seed}", resume=stage == "imitation and PPO",
-                tell=lambda steps, told: print(steps, {name: round(value, 3) for name, value in told.items()}, flush=True),
+                tell=lambda steps, told: print(steps, {name: round(told[name], 3) for name in told}, flush=True),
             )  # fmt: skip
             minutes += (time.process_time() - began) / 60
             elapsed += (time.monotonic() - looked) / 60
