@@ -1,7 +1,7 @@
 """What imitation and PPO make of the observation ``waypoint``: success and collisions on validation rows, by seed.
 
 python benchmarks/imitation.py --seeds 0,1,2 --out-folder runs/imitation
-python benchmarks/imitation.py --set from_rule=false --set ppo.total_steps=0 --agents "" --out FILE
+python benchmarks/imitation.py --agents "" --set from_rule=false --set imitation.steps=64000 --set ppo.total_steps=0 --out F
 
 Trains once for each seed with the usual settings of ``training/bc_then_ppo.py``. Judged are, on the same episodes, the
 policy after the imitation, if there is one, and after PPO, and beside them what goes straight to the waypoint without
