@@ -1,12 +1,13 @@
 """What imitation and PPO make of the observation ``waypoint``: success and collisions on validation rows, by seed.
 
 python benchmarks/imitation.py --seeds 0,1,2 --out-folder runs/imitation
-python benchmarks/imitation.py --agents "" --set from_rule=false --set imitation.steps=64000 --set ppo.total_steps=0 --out F
+python benchmarks/imitation.py --agents "" --set from_rule=false --set imitation.steps=64000 --set ppo.total_steps=0
 
 Trains once for each seed with the usual settings of ``training/bc_then_ppo.py``. Judged are, on the same episodes, the
 policy after the imitation, if there is one, and after PPO, and beside them what goes straight to the waypoint without
-any learning (``waypoint``) and the teacher (``guide``). Writes results/imitation.json after each part; entries of other
-seeds and agents that it holds stay.
+any learning (``waypoint``) and the teacher (``guide``). With ``from_rule=false`` the network begins with random weights.
+Writes results/imitation.json, or with ``from_rule=false`` results/imitation_from_nothing.json, after each part; entries
+of other seeds and agents that it holds stay, if they are of the same settings and bank.
 """
 
 from __future__ import annotations
@@ -41,15 +42,16 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=500)
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
     parser.add_argument("--out-folder", type=Path, default=Path("runs/imitation"))
-    parser.add_argument("--out", type=Path, default=RESULTS / "imitation.json")
+    parser.add_argument("--out", type=Path, help="by default the file of results that the lines above name")
     arguments = parser.parse_args()
     settings = resolve(BcThenPpoSettings(), None, arguments.set)
+    out = arguments.out or RESULTS / f"imitation{'' if settings.from_rule else '_from_nothing'}.json"
     figures: dict[str, Any] = {
         "settings": asdict(settings), "bank_sha256": SceneBank.open(settings.ppo.bank).sha256, "split": "validation",
         "first_seed": FIRST_SEED, "agents": {}, "policies": {},
     }  # fmt: skip
-    if arguments.out.is_file():
-        before = json.loads(arguments.out.read_text())
+    before = json.loads(out.read_text()) if out.is_file() else {}
+    if all(before.get(name) == figures[name] for name in ("settings", "bank_sha256")):
         figures |= {name: before[name] for name in ("agents", "policies")}
 
     def judged(agent: Agent) -> dict[str, Any]:
@@ -60,7 +62,7 @@ def main() -> None:
     def note(part: str, name: str, entry: dict[str, Any]) -> None:
         figures[part][name] = entry
         print(name, json.dumps(entry), flush=True)
-        write_results(arguments.out, figures, ("stable-baselines3", "torch", "mujoco"))
+        write_results(out, figures, ("stable-baselines3", "torch", "mujoco"))
 
     for seed in filter(None, arguments.seeds.split(",")):
         minutes = elapsed = 0.0
