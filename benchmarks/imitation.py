@@ -5,7 +5,7 @@ python benchmarks/imitation.py --agents "" --set from_rule=false --set imitation
 
 Trains once for each seed with the usual settings of ``training/bc_then_ppo.py``. Judged are, on the same episodes, the
 policy after the imitation, if there is one, and after PPO, and beside them what goes straight to the waypoint without
-any learning (``waypoint``) and the teacher (``guide``). With ``from_rule=false`` the network begins with random weights.
+any learning (``waypoint``) and the teacher (``guide``). With ``from_rule=false`` its weights are random at first.
 Writes results/imitation.json, or with ``from_rule=false`` results/imitation_from_nothing.json, after each part; entries
 of other seeds and agents that it holds stay, if they are of the same settings and bank.
 """
@@ -51,7 +51,8 @@ def main() -> None:
         "first_seed": FIRST_SEED, "agents": {}, "policies": {},
     }  # fmt: skip
     before = json.loads(out.read_text()) if out.is_file() else {}
-    if all(before.get(name) == figures[name] for name in ("settings", "bank_sha256")):
+    about = json.loads(json.dumps({name: figures[name] for name in ("settings", "bank_sha256")}))
+    if all(before.get(name) == value for name, value in about.items()):
         figures |= {name: before[name] for name in ("agents", "policies")}
 
     def judged(agent: Agent) -> dict[str, Any]:
