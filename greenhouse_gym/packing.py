@@ -139,8 +139,7 @@ def upright_boxes(centers: Array, half_extents: Array) -> list[Box]:
         InvalidValueError: A center is not finite, or a half extent is not positive.
     """
     unturned = np.tile([1.0, 0.0, 0.0, 0.0], (len(centers), 1))
-    tables = [np.zeros((0, len(columns))) for columns in COLUMNS[:-1]]
-    made = from_tables(ShapeTables(*tables, boxes=np.column_stack([centers, half_extents, unturned])))
+    made = from_tables(as_tables((), (), ())._replace(boxes=np.column_stack([centers, half_extents, unturned])))
     return [box for box in made.clutter if isinstance(box, Box)]
 
 

@@ -149,7 +149,7 @@ def _boxes_of_blocks(
         blocks = _joined(blocks, axis)
     low, high = blocks[:, ::2], blocks[:, 1::2]
     centers = np.asarray(origin, dtype=np.float64) + (low + high) * (voxel / 2)
-    return upright_boxes(centers, (high - low) * (voxel / 2))
+    return upright_boxes(centers, np.asarray((high - low) * (voxel / 2), dtype=np.float64))
 
 
 def _joined(blocks: npt.NDArray[np.int64], axis: int) -> npt.NDArray[np.int64]:
