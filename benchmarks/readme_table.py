@@ -29,7 +29,6 @@ NAMES = {"own": "own", "helios": "Helios"}
 
 TOLD = (
     "hybrid, reconstruction",
-    "ppo-waypoint-ur5e, reconstruction",
     "ppo-waypoint-ur5e, truth",
     "ppo-scratch-ur5e, reconstruction",
     "watchful, truth",
