@@ -39,9 +39,10 @@ def asleep(folder: Path) -> None:
 def alive(pid: int) -> bool:
     try:
         os.kill(pid, 0)
-    except ProcessLookupError:
+        status = Path(f"/proc/{pid}/status").read_text() if Path("/proc").exists() else ""
+    except (ProcessLookupError, FileNotFoundError):  # it may end between the two
         return False
-    return "\nState:\tZ" not in Path(f"/proc/{pid}/status").read_text() if Path("/proc").exists() else True
+    return "\nState:\tZ" not in status
 
 
 def wait_until(met: Callable[[], object], seconds: float = 60.0) -> None:
