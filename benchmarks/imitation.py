@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from policies import rates
-from results_file import RESULTS, write_results
+from results_file import RESULTS, kept_results, write_results
 
 from greenhouse_gym.agents import PolicyAgent
 from greenhouse_gym.agents.agent import Agent
@@ -46,14 +46,11 @@ def main() -> None:
     arguments = parser.parse_args()
     settings = resolve(BcThenPpoSettings(), None, arguments.set)
     out = arguments.out or RESULTS / f"imitation{'' if settings.from_rule else '_from_nothing'}.json"
-    figures: dict[str, Any] = {
+    about: dict[str, Any] = {
         "settings": asdict(settings), "bank_sha256": SceneBank.open(settings.ppo.bank).sha256, "split": "validation",
-        "first_seed": FIRST_SEED, "agents": {}, "policies": {},
+        "first_seed": FIRST_SEED,
     }  # fmt: skip
-    before = json.loads(out.read_text()) if out.is_file() else {}
-    about = json.loads(json.dumps({name: figures[name] for name in ("settings", "bank_sha256")}))
-    if all(before.get(name) == value for name, value in about.items()):
-        figures |= {name: before[name] for name in ("agents", "policies")}
+    figures = about | kept_results(out, about, ["agents", "policies"])
 
     def judged(agent: Agent) -> dict[str, Any]:
         options = {"bank": settings.ppo.bank, "num_envs": 64, "threads": 1}

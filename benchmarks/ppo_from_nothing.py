@@ -12,7 +12,6 @@ holds stay, if they were trained on the same bank with the same settings.
 from __future__ import annotations
 
 import argparse
-import json
 from dataclasses import asdict, replace
 from itertools import product
 from pathlib import Path
@@ -21,7 +20,7 @@ from typing import Any
 import matplotlib.pyplot as plt
 from imitation import FIRST_SEED
 from policies import rates
-from results_file import RESULTS, write_results
+from results_file import RESULTS, kept_results, write_results
 
 from greenhouse_gym.agents import PolicyAgent, ShieldedAgent
 from greenhouse_gym.evaluation import evaluate
@@ -52,7 +51,7 @@ def main() -> None:
     settings = resolve(USUAL, None, arguments.set)
     bank = SceneBank.open(settings.bank)
     about = {"settings": asdict(settings), "bank_sha256": bank.sha256, "episodes": EPISODES}
-    figures: dict[str, Any] = {**about, "seeds": _known(arguments.out, about)}
+    figures: dict[str, Any] = about | kept_results(arguments.out, about, ["seeds"])
     for seed in arguments.seeds.split(","):
         folder = arguments.out_folder / f"seed-{seed}"
         path = train_ppo(replace(settings, seed=int(seed)), folder, resume=(folder / CHECKPOINT).is_file())
@@ -68,13 +67,6 @@ def main() -> None:
         figures["seeds"][seed] = entry
         write_results(arguments.out, figures, ("stable-baselines3", "torch", "mujoco"))
         draw(figures["seeds"], arguments.out.with_suffix(".png"))
-
-
-def _known(path: Path, about: dict[str, Any]) -> dict[str, Any]:
-    """The seeds that a file of results holds; none where it is about something else."""
-    found = json.loads(path.read_text()) if path.is_file() else {"seeds": {}}
-    same = all(found.get(name) == value for name, value in json.loads(json.dumps(about)).items())
-    return dict(found["seeds"]) if same else {}
 
 
 def draw(seeds: dict[str, Any], path: Path) -> None:

@@ -27,6 +27,13 @@ def write_results(path: Path, results: Mapping[str, Any], packages: Sequence[str
     write_atomically(path, json.dumps({**results, "versions": versions, "machine": machine}, indent=1) + "\n")
 
 
+def kept_results(path: Path, about: Mapping[str, Any], parts: Sequence[str]) -> dict[str, Any]:
+    """Parts of the results that a file holds already; empty ones where it is about something else, or missing."""
+    found = json.loads(path.read_text()) if path.is_file() else {}
+    same = all(found.get(name) == value for name, value in json.loads(json.dumps(about)).items())
+    return {part: found[part] if same and part in found else {} for part in parts}
+
+
 def processor() -> str:
     """The processor's name."""
     info = Path("/proc/cpuinfo")

@@ -151,16 +151,7 @@ def _certified_scenes(
         uncut = [replace(row, notes=notes[row.name], report=report) for row in uncut]
     settings = {row.name: row.settings for row in rows}
     for name, cut in completed(_cut, uncut, executor):
-        standing = [scene for scene in cut if stands_free(scene, settings[name].robot)]
-        if not standing:
-            raise InvalidValueError(
-                f"recording {name!r}: at all {len(cut)} stands the arm would begin in the plants of its truth; move "
-                f"them with BuildSettings.spacing or stem_distance, now {settings[name].stem_distance:g} m"
-            )
-        if len(standing) < len(cut):
-            report(
-                f"{name}: {len(cut) - len(standing)} of {len(cut)} stands left out, where the arm would begin in plants"
-            )
+        standing = _standing(name, cut, settings[name], report)
         write_atomically(notes[name] / CUT, _SCENES.dump_json(standing))
         for scene in standing:
             report(what_was_seen(scene, settings[name]))
@@ -195,6 +186,23 @@ def _cut(row: _Row) -> tuple[str, list[Scene]]:
     report(f"{row.name}: extracting shapes from {len(cloud)} points")
     shapes = extract_shapes(cloud.points, cloud.colors, cloud.normals, row.settings.shapes)
     return row.name, cut_scenes(cloud, shapes, row.recording, row.week, row.settings, row.origin)
+
+
+def _standing(name: str, cut: Sequence[Scene], settings: BuildSettings, report: Callable[[str], None]) -> list[Scene]:
+    """The scenes of a recording at whose stands an arm can be put up: it does not begin in the true plants.
+
+    Raises:
+        InvalidValueError: There is none.
+    """
+    free = [scene for scene in cut if stands_free(scene, settings.robot)]
+    if not free:
+        raise InvalidValueError(
+            f"recording {name!r}: at all {len(cut)} stands the arm would begin in the plants of its truth; move them "
+            f"with BuildSettings.spacing or stem_distance, now {settings.stem_distance:g} m"
+        )
+    if len(free) < len(cut):
+        report(f"{name}: {len(cut) - len(free)} of {len(cut)} stands left out, where the arm would begin in plants")
+    return free
 
 
 def _certified(piece: tuple[Scene, BuildSettings]) -> Scene:

@@ -39,39 +39,35 @@ def careful_ways(
         scene: The scene as it is known by now.
         robot: The arm.
         ends: What reaches the target from where the arm is.
-        depths: How deep the arm may go into unseen space, metres; what is tried, one after the other.
+        depths: How deep the arm may go into unseen space, metres, in any order: the least that leaves a way counts.
 
     Returns:
-        The ways, and the first depth at which they lead to the target, or the last; infinite where the scene does not
-        say what was seen.
+        The ways, and the least depth at which they lead to the target, or the deepest; infinite where the scene does
+        not say what was seen. Where the deepest leaves no way, those between are not searched.
     """
-    tried = (np.inf,) if scene.seen is None else tuple(depths)
 
-    def ways_at(depth: float) -> Ways:
-        return Ways(Place(guarded(scene, robot, ends.start, depth)), ends)
+    def at(depth: float) -> tuple[Ways, float]:
+        return Ways(Place(guarded(scene, robot, ends.start, depth)), ends), depth
 
-    ways = ways_at(tried[0])
-    if ways.nodes.reach or len(tried) == 1:
-        return ways, tried[0]
-    # where the deepest leaves no way, none of those between does: that is known without trying them
-    last = ways_at(tried[-1])
-    if last.nodes.reach or tried[-1] < max(tried):
-        for depth in tried[1:-1]:
-            ways = ways_at(depth)
-            if ways.nodes.reach:
-                return ways, depth
-    return last, tried[-1]
+    least, *more = [np.inf] if scene.seen is None else sorted(depths)
+    found = at(least)
+    if found[0].nodes.reach or not more:
+        return found
+    deepest = at(more[-1])
+    if not deepest[0].nodes.reach:  # what lies between would be searched in vain
+        return deepest
+    return next((each for each in map(at, more[:-1]) if each[0].nodes.reach), deepest)
 
 
 class CarefulAgent:
     """Follows the ways of ``observation="waypoint"``, looked for where the scan saw that there is room.
 
-    What was not seen is entered no deeper than each of some depths, one after the other, at last it is as free as it is
-    to an arm that does not care: the first of these that leaves a way to the target is what counts in the episode.
+    What was not seen is entered no deeper than the least of some depths that leaves a way to the target; at the deepest
+    of the usual ones it is as free as it is to an arm that does not care.
     It needs an environment whose actions move the joints.
 
     Args:
-        depths: How deep the arm may go into unseen space, metres; what is tried, one after the other.
+        depths: How deep the arm may go into unseen space, metres, in any order.
 
     Attributes:
         status: How deep it was in the last episode, metres: "inf" where the unseen is free, as in a scene that does not

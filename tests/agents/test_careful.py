@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from seen_helpers import seen_where
 
-from greenhouse_gym.agents import CarefulAgent, Problem, WaypointAgent
+from greenhouse_gym.agents import CarefulAgent, Problem, WaypointAgent, careful
 from greenhouse_gym.agents.agent import Agent
 from greenhouse_gym.envs import TomatoReachEnv
 from greenhouse_gym.errors import InvalidValueError
@@ -52,6 +54,34 @@ def test_where_there_is_no_other_way_it_goes_as_if_all_were_free(scene: Scene, s
     (reached, commands), (also, others) = played(agent, known), played(WaypointAgent(), known)
     assert (reached, agent.status) == (also, "inf") == (True, "inf")
     np.testing.assert_allclose(commands, others, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("free_from", "found", "searched"),
+    [
+        (0.0, 0.1, [0.1]),
+        (0.2, 0.2, [0.1, np.inf, 0.15, 0.2]),
+        (np.inf, np.inf, [0.1, np.inf, 0.15, 0.2]),
+        (None, np.inf, [0.1, np.inf]),
+    ],
+    ids=["at once", "deeper", "at the deepest alone", "nowhere"],
+)
+def test_what_the_deepest_leaves_closed_is_not_searched_again(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch, free_from: float | None, found: float, searched: list[float]
+) -> None:
+    tried: list[float] = []
+
+    def ways(depth: float, ends: object) -> SimpleNamespace:
+        tried.append(depth)
+        return SimpleNamespace(nodes=SimpleNamespace(reach=free_from is not None and depth >= free_from), depth=depth)
+
+    monkeypatch.setattr(careful, "guarded", lambda scene, robot, start, depth: depth)
+    monkeypatch.setattr(careful, "Place", lambda depth: depth)
+    monkeypatch.setattr(careful, "Ways", ways)
+    partly = seen_where(scene, 1.7)
+    ends = careful.ends_of(Problem(scene, TARGET, ARM, ARM.start), ARM.start)
+    best, depth = careful.careful_ways(partly, ARM, ends, (0.2, 0.1, np.inf, 0.15))
+    assert (best.depth, depth, tried) == (found, found, searched)  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("depths", [[], [-0.1], [float("nan")]])
