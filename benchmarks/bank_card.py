@@ -14,6 +14,7 @@ from types import SimpleNamespace
 import matplotlib as mpl
 import numpy as np
 
+from greenhouse_gym.geometry import Box, distance_to_shapes
 from greenhouse_gym.paths import data_path, write_atomically
 from greenhouse_gym.planning import certify
 from greenhouse_gym.scene import DIFFICULTIES, SceneBank
@@ -139,11 +140,28 @@ def tables(bank: SceneBank) -> str:
     for split in SPLITS:
         mine = [entry.row for entry in entries if entry.split == split]
         lines.append(f"| {split} | {len(mine)} | {len(set(mine))} |")
+    thick, inside = foliage(bank)
+    lines += [
+        "",
+        f"Half of the boxes are thicker than {1000 * thick:.0f} mm; {inside:.1%} of the tomatoes' centers lie in one.",
+    ]
     lines += ["", "| targets | " + " | ".join(DIFFICULTIES) + " |", "| --- " * 5 + "|"]
     for kind, counts in shares(bank).items():
         of = [f"{counts[name]} ({counts[name] / max(sum(counts.values()), 1):.1%})" for name in DIFFICULTIES]
         lines.append(f"| {kind} | {' | '.join(of)} |")
     return "\n".join(lines) + "\n"
+
+
+def foliage(bank: SceneBank) -> tuple[float, float]:
+    """The median thickness of boxes, metres, and the share of tomatoes whose center lies in one."""
+    thickness: list[float] = []
+    inside: list[bool] = []
+    for scene in bank:
+        boxes = [shape for shape in scene.clutter if isinstance(shape, Box)]
+        thickness += [2 * float(box.half_extents.min()) for box in boxes]
+        centers = [tomato.center for tomato in scene.tomatoes]
+        inside += (distance_to_shapes(centers, boxes).min(axis=1, initial=np.inf) < 0).tolist()
+    return float(np.median(thickness)), float(np.mean(inside))
 
 
 def draw(found: dict[str, Counter[str]], path: Path) -> None:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import mujoco
+
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.robots import Robot, get_robot
-from greenhouse_gym.scene.collision import CollisionChecker
+from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene.mjcf import compile_scene
 from greenhouse_gym.scene.scene import Scene
 
@@ -33,7 +34,8 @@ def true_scene(scene: Scene) -> Scene:
 def stands_free(scene: Scene, robot: str | Robot) -> bool:
     """Whether an arm in its start touches nothing of the true row, whatever the scan shows of it.
 
-    Whoever puts up an arm sees the plants, and puts it up elsewhere where it would stand in them.
+    Whoever puts up an arm sees the plants, and puts it up elsewhere where it would stand in them. The floor, the cart
+    and the arm itself do not count.
 
     Args:
         scene: A scene; True for one that carries no truth.
@@ -41,5 +43,10 @@ def stands_free(scene: Scene, robot: str | Robot) -> bool:
     """
     if scene.truth is None or not scene.truth.tomatoes:
         return True
-    arm = get_robot(robot)
-    return CollisionChecker(compile_scene(true_scene(scene), arm).model).is_free(arm.start)
+    compiled = compile_scene(true_scene(scene), robot)
+    data = mujoco.MjData(compiled.model)
+    data.qpos[:] = compiled.robot.start
+    mujoco.mj_kinematics(compiled.model, data)
+    mujoco.mj_collision(compiled.model, data)
+    plants = compiled.obstacle_geoms
+    return not ((data.contact.geom >= plants.start) & (data.contact.geom < plants.stop)).any()
