@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from greenhouse_gym.crop import Tomato
 from greenhouse_gym.errors import GreenhouseError, InvalidValueError
 from greenhouse_gym.geometry import (
     Box,
@@ -13,10 +14,12 @@ from greenhouse_gym.geometry import (
     Ellipsoid,
     Shape,
     Sphere,
+    bounding_balls,
     closest_on_segments,
     distance_to_boxes,
     distance_to_capsules,
     distance_to_ellipsoids,
+    distance_to_nearest,
     distance_to_shapes,
     distance_to_spheres,
     frame_along,
@@ -233,6 +236,30 @@ def test_a_mixed_list_gives_each_shape_its_column(mixed: list[Shape], chunk: int
         else:
             own = distance_to_boxes(points, shape.center, shape.half_extents, shape.rotation)
         np.testing.assert_allclose(column, own[:, 0], atol=1e-12)
+
+
+@given(st.lists(shapes, max_size=6), st.floats(0.0, 1.0), clouds)
+def test_the_nearest_of_some_shapes_is_exact_up_to_a_limit(
+    mixed: list[Shape], limit: float, points: np.ndarray
+) -> None:
+    nearest = distance_to_nearest(points, mixed, limit)
+    expected = distance_to_shapes(points, mixed).min(axis=1, initial=np.inf)
+    within = expected <= limit
+    np.testing.assert_allclose(nearest[within], expected[within], atol=1e-12)
+    assert (nearest[~within] > limit - 1e-12).all()
+    np.testing.assert_array_equal(nearest, distance_to_nearest(points, mixed, limit, bounding_balls(mixed)))
+
+
+@given(shapes)
+def test_a_ball_holds_its_shape(shape: Shape) -> None:
+    centers, radii = bounding_balls([shape])
+    assert (np.linalg.norm(surface_points(shape, 200) - centers, axis=1) <= radii + 1e-9).all()
+
+
+def test_a_ball_holds_a_stretched_tomato() -> None:
+    tomato = Tomato([0.1, 0.2, 0.3], 0.03, truss=0, semi_axes=[0.025, 0.03, 0.036], rotation=np.eye(3))
+    centers, radii = bounding_balls([tomato])
+    assert (centers.tolist(), radii.tolist()) == ([[0.1, 0.2, 0.3]], [0.036])
 
 
 def test_distances_of_no_points() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -14,12 +14,26 @@ from greenhouse_gym.agents.guide import towards
 from greenhouse_gym.envs.ways import Ends, Headings, Place, Ways
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.planning.margins import with_margin
 from greenhouse_gym.planning.unseen import depths_of, guarded
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene, compile_scene
 
 CAREFUL_DEPTHS = (0.1, 0.15, 0.2, float("inf"))
 """How deep an arm may go into unseen space, metres. Without any of it there was no way to any of 15 tomatoes tried."""
+
+
+class Care(NamedTuple):
+    """How careful a way is.
+
+    Attributes:
+        margin: How far the arm keeps from boxes of clutter, metres; see `greenhouse_gym.planning.margins`.
+        depth: How deep it goes into unseen space at most, metres.
+    """
+
+    margin: float
+    depth: float
+
 
 _ONLY = np.zeros(1, dtype=np.int64)
 
@@ -30,33 +44,35 @@ def ends_of(problem: Problem, start: Array) -> Ends:
     return Ends(compile_scene(problem.scene, problem.robot), problem.target, center, start)
 
 
-def careful_ways(
-    scene: Scene, robot: Robot, ends: Ends, depths: Sequence[float] = CAREFUL_DEPTHS
-) -> tuple[Ways, float]:
-    """The ways to a target that enter unseen space no deeper than they must.
+def careful_ways(scene: Scene, robot: Robot, ends: Ends, cares: Sequence[Care]) -> tuple[Ways, Care]:
+    """The ways to a target that are as careful as can be.
 
     Args:
         scene: The scene as it is known by now.
         robot: The arm.
         ends: What reaches the target from where the arm is.
-        depths: How deep the arm may go into unseen space, metres, in any order: the least that leaves a way counts.
+        cares: What is tried, the most careful first; the last should ask least. In a scene that does not say what was
+            seen of it, all unseen space is free to each of them.
 
     Returns:
-        The ways, and the least depth at which they lead to the target, or the deepest; infinite where the scene does
-        not say what was seen. Where the deepest leaves no way, those between are not searched.
+        The ways, and the first care with which they lead to the target, or the last. Where the last leaves no way,
+        those between are not searched.
     """
 
-    def at(depth: float) -> tuple[Ways, float]:
-        return Ways(Place(guarded(scene, robot, ends.start, depth)), ends), depth
+    def by(care: Care) -> tuple[Ways, Care]:
+        roomy = with_margin(scene, robot, ends.start, care.margin)
+        return Ways(Place(guarded(roomy, robot, ends.start, care.depth)), ends), care
 
-    least, *more = [np.inf] if scene.seen is None else sorted(depths)
-    found = at(least)
+    if scene.seen is None:
+        cares = list(dict.fromkeys(care._replace(depth=np.inf) for care in cares))
+    first, *more = cares
+    found = by(first)
     if found[0].nodes.reach or not more:
         return found
-    deepest = at(more[-1])
-    if not deepest[0].nodes.reach:  # what lies between would be searched in vain
-        return deepest
-    return next((each for each in map(at, more[:-1]) if each[0].nodes.reach), deepest)
+    last = by(more[-1])
+    if not last[0].nodes.reach:  # what lies between would be searched in vain
+        return last
+    return next((each for each in map(by, more[:-1]) if each[0].nodes.reach), last)
 
 
 class CarefulAgent:
@@ -82,8 +98,8 @@ class CarefulAgent:
 
     def __init__(self, depths: Sequence[float] = CAREFUL_DEPTHS):
         self.status = ""
-        self._depths = tuple(depth for each in depths for depth in depths_of(float(each)))
-        if not self._depths:
+        self._cares = [Care(0.0, depth) for each in sorted(depths) for depth in depths_of(float(each))]
+        if not self._cares:
             raise InvalidValueError("depths: expected at least one depth in metres, got none")
         self._headings = Headings(1, 0)
         self._command = self._steps = np.zeros(0)
@@ -92,8 +108,8 @@ class CarefulAgent:
     def reset(self, problem: Problem) -> None:
         """Look for a way."""
         ends = ends_of(problem, problem.start)
-        ways, depth = careful_ways(problem.scene, problem.robot, ends, self._depths)
-        self.status = f"{depth:g}"
+        ways, care = careful_ways(problem.scene, problem.robot, ends, self._cares)
+        self.status = f"{care.depth:g}"
         self._headings = Headings(1, len(problem.start))
         self._headings.begin(0, ways)
         self._command, self._steps, self._age = problem.start.copy(), problem.joint_steps, 0

@@ -10,7 +10,16 @@ from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.agents.arm_balls import arm_balls
 from greenhouse_gym.agents.sight_map import SightMap
 from greenhouse_gym.envs.cameras import DepthCamera
-from greenhouse_gym.geometry import Array, distance_to_shapes, invert, pose, rotation_about, transform
+from greenhouse_gym.geometry import (
+    Array,
+    bounding_balls,
+    distance_to_nearest,
+    distance_to_shapes,
+    invert,
+    pose,
+    rotation_about,
+    transform,
+)
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.mjcf import base_position
 from greenhouse_gym.scene.seen import EMPTY, SURFACE, UNSEEN, SeenSpace, boxes_around
@@ -48,6 +57,7 @@ class Knowledge:
         self._scene_from_base = pose(rotation_about([0, 0, 1], scene.stand.yaw), base_position(scene, problem.robot))
         self._base_from_scene = invert(self._scene_from_base)
         self._shapes, self._taken = scene.obstacles, 0
+        self._balls = bounding_balls(self._shapes)
         self._tomato = scene.tomatoes[problem.target]
 
     def add(self, depth: npt.NDArray[np.float32], joints: Array) -> bool:
@@ -57,7 +67,7 @@ class Knowledge:
         self._taken += len(fresh)
         if len(fresh):
             places = transform(self._scene_from_base, fresh)
-            away = distance_to_shapes(places, self._shapes).min(axis=1, initial=np.inf)
+            away = distance_to_nearest(places, self._shapes, _KNOWN, self._balls)
             beside = distance_to_shapes(places, [self._tomato])[:, 0]
             fresh = fresh[(away > _KNOWN) & (beside > _SKIN)]
             self.points = np.concatenate([self.points, fresh])

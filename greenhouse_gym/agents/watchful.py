@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.agents.approaches import FRONT, glance
 from greenhouse_gym.agents.arm_balls import arm_balls
-from greenhouse_gym.agents.careful import CAREFUL_DEPTHS, careful_ways, ends_of
+from greenhouse_gym.agents.careful import Care, careful_ways, ends_of
 from greenhouse_gym.agents.guide import towards
 from greenhouse_gym.agents.judging import between
 from greenhouse_gym.agents.knowledge import Knowledge
@@ -24,6 +24,7 @@ from greenhouse_gym.envs.roadmap import RESOLUTION
 from greenhouse_gym.envs.ways import GOALS, MARGIN, MOST_ROUNDS, REACHED, Ways, free_goals
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning import plan
+from greenhouse_gym.planning.margins import with_margin
 from greenhouse_gym.planning.unseen import guarded
 from greenhouse_gym.scene import Scene, compile_scene
 from greenhouse_gym.scene.collision import CollisionChecker, planning_model
@@ -31,6 +32,10 @@ from greenhouse_gym.scene.reaches import arm_reaches
 
 PLANS, LOOKS = 10, 4
 """How many times the agent looks for a way in an episode at most, and for what nobody has seen on its way."""
+
+CARES = (Care(0.02, 0.1), Care(0.02, 0.2), Care(0.01, 0.2), Care(0.0, 0.2), Care(0.0, float("inf")))
+"""How careful a way of a few straight motions is, the most careful first: most leaves that the arm hits where the scan
+saw something reach up to 2.5 cm beyond its boxes."""
 
 VOXELS = (0.01, 0.004)
 """Sides of the voxels that stand for what only the camera has shown, metres: the next where the one before leaves no
@@ -41,6 +46,9 @@ CHECKS, ANY_GOALS, FREE = 30_000, 60, 4
 the arm is, and where it finds none, for one from the start, to which the arm goes back as it came. Once there is
 nothing left to look at either, it is asked again and again, each time with so many other goals and another seed, and in
 the last so many plans with all unseen space free."""
+
+ANY_WAY, AT_FIRST = (Care(0.01, float("inf")), Care(0.0, float("inf"))), Care(0.01, 0.2)
+"""How careful a way of RRTConnect is, where it is asked at first, and then where it is asked again."""
 
 _EVERY = 2  # steps between images
 _MOTIONS = 30  # motions of a way at most
@@ -58,8 +66,8 @@ class WatchfulAgent:
     RRTConnect, and fails if OMPL is not installed. It stays where it is once it has planned `PLANS` times in vain.
 
     Attributes:
-        status: How many times it looked for a way in the last episode, and how deep into unseen space the last one may
-            lead, metres: "inf" where the unseen is free.
+        status: How many times it looked for a way in the last episode, how deep into unseen space the last one may
+            lead, metres, "inf" where the unseen is free, and how far it keeps from boxes of clutter, metres.
     """
 
     name = "watchful"
@@ -133,8 +141,8 @@ class _Episode:
         if self._plans == PLANS:
             return
         self._plans += 1
-        scene, depth = self._plan(command)
-        self.status = f"{self._plans}, {depth:g}" if self._way else f"{self._plans}, no way"
+        scene, care = self._plan(command)
+        self._tell(care)
         dark = self._known.dark(self._ahead(command)) if self._way else self._known.unlooked()
         if len(dark) and len(self._looked_at):
             dark = dark[cKDTree(self._looked_at).query(dark)[0] > _SAME]
@@ -149,34 +157,43 @@ class _Episode:
             return
         self._plans += 1
         scene, seed = self._known.scene(command, VOXELS[-1]), self._problem.seed + self._plans
-        depth = CAREFUL_DEPTHS[-2] if scene.seen is not None and self._plans <= PLANS - FREE else np.inf
-        self._way = self._search(scene, command, ANY_GOALS, seed, depth)
-        self.status, self._stuck = f"{self._plans}, {f'{depth:g}' if self._way else 'no way'}", not self._way
+        care = AT_FIRST if self._plans <= PLANS - FREE else CARES[-1]
+        self._way = self._search(scene, command, ANY_GOALS, seed, care)
+        self._tell(care)
+        self._stuck = not self._way
 
-    def _plan(self, command: Array) -> tuple[Scene, float]:
-        """Look for a way to the target: the scene it leads through, and how deep into unseen space it may, metres."""
+    def _tell(self, care: Care) -> None:
+        """Say how many times was planned, and how careful the way is."""
+        found = f"{care.depth:g}, {care.margin:g}" if self._way else "no way"
+        self.status = f"{self._plans}, {found}"
+
+    def _plan(self, command: Array) -> tuple[Scene, Care]:
+        """Look for a way to the target: the scene as it is known, and how careful the way through it is."""
         problem = self._problem
         ends = ends_of(problem, command)
         for voxel in VOXELS:
             scene = self._known.scene(command, voxel)
-            ways, depth = careful_ways(scene, problem.robot, ends)
+            ways, care = careful_ways(scene, problem.robot, ends, CARES)
             self._way = _followed(ways, command)
             if self._way:
-                return scene, depth
+                return scene, care
         model = planning_model(compile_scene(scene, problem.robot), problem.target, MARGIN)
         goals = free_goals(CollisionChecker(model, arm_reaches(problem.robot)), ends, GOALS, MOST_ROUNDS)
-        self._way = self._search(scene, command, goals, problem.seed) if len(goals) else []
-        return scene, np.inf
+        care = CARES[-1]
+        for care in ANY_WAY if len(goals) else ():
+            self._way = self._search(scene, command, goals, problem.seed, care)
+            if self._way:
+                break
+        return scene, care
 
-    def _search(
-        self, scene: Scene, command: Array, goals: Array | int, seed: int, depth: float = np.inf
-    ) -> list[Array]:
+    def _search(self, scene: Scene, command: Array, goals: Array | int, seed: int, care: Care) -> list[Array]:
         """A way of any kind to the target, to goals (k, j) or so many others, by RRTConnect."""
         problem = self._problem
+        unseen: str | float = "free" if scene.seen is None or np.isinf(care.depth) else care.depth
         for back in ([], self._came[::-1]):
             path = plan(
                 scene, problem.target, problem.robot, start=back[-1] if back else command, goals=goals, time_limit=None,
-                max_checks=CHECKS, seed=seed, unseen="free" if np.isinf(depth) else depth,
+                max_checks=CHECKS, seed=seed, unseen=unseen, margin=care.margin,
             ).path  # fmt: skip
             if path is not None:
                 return [*back, *path[1:]]
@@ -185,7 +202,8 @@ class _Episode:
     def _look(self, scene: Scene, command: Array, dark: Array) -> None:
         """Go where the camera sees many of places (k, 3), if there is a free motion to one."""
         problem, self._looks = self._problem, self._looks + 1
-        compiled = guarded(scene, problem.robot, command, CAREFUL_DEPTHS[0])
+        roomy = with_margin(scene, problem.robot, command, CARES[0].margin)
+        compiled = guarded(roomy, problem.robot, command, CARES[0].depth)
         checker = CollisionChecker(planning_model(compiled, problem.target, MARGIN), arm_reaches(problem.robot))
         found = views(self._arm, problem.robot, command, dark, self._known.surface, self._random)
         for view, seen in islice(found, _TRIED):

@@ -5,10 +5,12 @@ Lengths are metres. A pose is a 4x4 matrix named ``target_from_source``: ``world
 
 from greenhouse_gym.geometry.arrays import Array, Rotation, Vector
 from greenhouse_gym.geometry.distances import (
+    bounding_balls,
     closest_on_segments,
     distance_to_boxes,
     distance_to_capsules,
     distance_to_ellipsoids,
+    distance_to_nearest,
     distance_to_shapes,
     distance_to_spheres,
 )
@@ -34,10 +36,12 @@ __all__ = [
     "Shape",
     "Sphere",
     "Vector",
+    "bounding_balls",
     "closest_on_segments",
     "distance_to_boxes",
     "distance_to_capsules",
     "distance_to_ellipsoids",
+    "distance_to_nearest",
     "distance_to_shapes",
     "distance_to_spheres",
     "frame_along",

@@ -113,3 +113,35 @@ def distance_to_shapes(points: npt.ArrayLike, shapes: Sequence[Shape], chunk: in
                 p[rows], [s.center for s in boxes], [s.half_extents for s in boxes], [s.rotation for s in boxes]
             )
     return result
+
+
+def bounding_balls(shapes: Sequence[Shape]) -> tuple[Array, Array]:
+    """Centers (k, 3) and radii (k,) of balls that hold k shapes, metres."""
+    balls = [_bounding_ball(shape) for shape in shapes]
+    return np.array([center for center, _ in balls]).reshape(-1, 3), np.array([radius for _, radius in balls])
+
+
+def _bounding_ball(shape: Shape) -> tuple[Array, float]:
+    if isinstance(shape, Box):
+        return shape.center, float(np.linalg.norm(shape.half_extents))
+    if isinstance(shape, Capsule):
+        return (shape.start + shape.end) / 2, shape.length / 2 + shape.radius
+    stretched = shape.ellipsoid
+    return shape.center, shape.radius if stretched is None else float(stretched.semi_axes.max())
+
+
+def distance_to_nearest(
+    points: npt.ArrayLike, shapes: Sequence[Shape], limit: float, balls: tuple[Array, Array] | None = None
+) -> Array:
+    """Signed distances (n,), negative inside, from points (n, 3) to the nearest of some shapes, where it matters.
+
+    Args:
+        points: (n, 3) metres.
+        shapes: Spheres, capsules or boxes, in the points' frame.
+        limit: Distances up to here are exact, and others are larger: shapes farther from all points are passed over.
+        balls: `bounding_balls` of the shapes, for whoever asks often.
+    """
+    p = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+    centers, radii = bounding_balls(shapes) if balls is None else balls
+    near = np.flatnonzero((distance_to_spheres(p, centers, radii) <= limit).any(axis=0))
+    return np.asarray(distance_to_shapes(p, [shapes[int(k)] for k in near]).min(axis=1, initial=np.inf))

@@ -10,11 +10,14 @@ from seen_helpers import seen_where
 
 from greenhouse_gym.agents import CarefulAgent, Problem, WaypointAgent, careful
 from greenhouse_gym.agents.agent import Agent
+from greenhouse_gym.agents.careful import Care
 from greenhouse_gym.envs import TomatoReachEnv
 from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.geometry import Box
+from greenhouse_gym.planning.margins import with_margin
 from greenhouse_gym.planning.unseen import guarded
 from greenhouse_gym.robots import get_robot
-from greenhouse_gym.scene import Scene
+from greenhouse_gym.scene import Scene, compile_scene
 from greenhouse_gym.scene.collision import CollisionChecker, planning_model
 
 ARM = get_robot("ur5e")
@@ -64,9 +67,9 @@ def test_where_there_is_no_other_way_it_goes_as_if_all_were_free(scene: Scene, s
         (np.inf, np.inf, [0.1, np.inf, 0.15, 0.2]),
         (None, np.inf, [0.1, np.inf]),
     ],
-    ids=["at once", "deeper", "at the deepest alone", "nowhere"],
+    ids=["at once", "deeper", "at the last alone", "nowhere"],
 )
-def test_what_the_deepest_leaves_closed_is_not_searched_again(
+def test_what_the_last_care_leaves_closed_is_not_searched_again(
     scene: Scene, monkeypatch: pytest.MonkeyPatch, free_from: float | None, found: float, searched: list[float]
 ) -> None:
     tried: list[float] = []
@@ -80,8 +83,29 @@ def test_what_the_deepest_leaves_closed_is_not_searched_again(
     monkeypatch.setattr(careful, "Ways", ways)
     partly = seen_where(scene, 1.7)
     ends = careful.ends_of(Problem(scene, TARGET, ARM, ARM.start), ARM.start)
-    best, depth = careful.careful_ways(partly, ARM, ends, (0.2, 0.1, np.inf, 0.15))
-    assert (best.depth, depth, tried) == (found, found, searched)  # type: ignore[attr-defined]
+    best, care = careful.careful_ways(partly, ARM, ends, [Care(0.0, depth) for depth in (0.1, 0.15, 0.2, np.inf)])
+    assert (best.depth, care, tried) == (found, (0.0, found), searched)  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("asked", [0.02, 0.3], ids=["there is room", "there is none"])
+def test_ways_keep_from_boxes_where_there_is_room(scene: Scene, asked: float) -> None:
+    beside = Box(scene.tomatoes[TARGET].center - [0.1, 0.15, 0.0], [0.02, 0.02, 0.02], np.eye(3))
+    leafy = scene.model_copy(update={"clutter": (*scene.clutter, beside)})
+    ends = careful.ends_of(Problem(leafy, TARGET, ARM, ARM.start), ARM.start)
+    ways, care = careful.careful_ways(leafy, ARM, ends, [Care(asked, 0.1), Care(0.0, 0.1), Care(0.0, np.inf)])
+    assert care == (0.02 if asked == 0.02 else 0.0, np.inf), "the scene does not say what was seen of it"
+    around = with_margin(leafy, ARM, ARM.start, care.margin)
+    checker = CollisionChecker(planning_model(compile_scene(around, ARM), TARGET, margin=0.0))
+    at, left = ARM.start, np.inf
+    while left > 0:
+        heading = ways.heading(at)
+        assert heading.free
+        assert checker.motion_is_free(at, heading.waypoint, 0.005)
+        at, left = heading.waypoint, heading.left
+
+
+def test_depths_count_from_the_least_on_in_any_order() -> None:
+    assert CarefulAgent([0.2, 0.1, np.inf])._cares == [(0.0, 0.1), (0.0, 0.2), (0.0, np.inf)]
 
 
 @pytest.mark.parametrize("depths", [[], [-0.1], [float("nan")]])

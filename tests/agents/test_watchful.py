@@ -64,7 +64,7 @@ def test_it_looks_at_what_nobody_has_seen_before_it_goes_there(scene: Scene) -> 
     seen, dark = WatchfulAgent(), WatchfulAgent()
     assert played(seen, seen_where(scene, None), scene)[0] == "reached"
     assert played(dark, seen_where(scene, 1.2, aisle=0.3), scene)[0] == "reached"
-    assert seen.status == "1, 0.1"
+    assert seen.status == "1, 0.1, 0.02"
     assert int(dark.status.split(",")[0]) > 1, "it looked for a way anew once it had looked"
 
 
@@ -99,7 +99,7 @@ def test_where_nothing_else_leads_on_it_goes_back_as_it_came(scene: Scene, monke
     ends = [np.abs(np.array(been) - place).max(axis=1).argmin() for place in (here, goal)]
     between = np.abs(np.array(been[ends[0] : ends[1]]) - ARM.start).max(axis=1)
     assert between.min() < 0.05, "it came by the start again"
-    assert agent.status == "1, inf"
+    assert agent.status == "1, inf, 0.01"
 
 
 def test_where_it_would_stay_it_asks_again_but_not_for_ever(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -123,8 +123,9 @@ def test_where_it_would_stay_it_asks_again_but_not_for_ever(scene: Scene, monkey
         episode = watchful._Episode(Problem(told, TARGET, ARM, ARM.start, 40), scene.tomatoes[TARGET].center)
         episode._way = []
         acted = [episode.act(image, ARM.start, ARM.start) for _ in range(watchful.PLANS + 3)]
-        first, again = asked[:2], asked[2:]
-        assert [each["seed"] for each in first] == [40, 40], "from where it is, and from the start"
+        first, again = asked[:4], asked[4:]
+        assert [each["seed"] for each in first] == [40] * 4, "from where it is, and from the start"
+        assert [each["margin"] for each in first] == [0.01, 0.01, 0.0, 0.0]
         careful = watchful.PLANS - watchful.FREE - 1
         seeds = np.repeat(41 + np.arange(1, watchful.PLANS), 2)[: len(again)]
         assert [each["seed"] for each in again] == seeds.tolist()
@@ -132,7 +133,7 @@ def test_where_it_would_stay_it_asks_again_but_not_for_ever(scene: Scene, monkey
         if finds:
             assert len(again) == 2 * careful + 1
             assert np.abs(acted[-1]).max() > 0, "it goes"
-            assert episode.status == f"{careful + 2}, inf"
+            assert episode.status == f"{careful + 2}, inf, 0"
         else:
             assert len(again) == 2 * (watchful.PLANS - 1)
             assert not np.abs(acted).any(), "it stays"
