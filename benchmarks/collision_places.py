@@ -1,6 +1,6 @@
 """Where an agent collides in true rows, and what its scan knew of the place.
 
-python benchmarks/collision_places.py --agent watchful --episodes 500
+python benchmarks/collision_places.py --agent watchful --margin 0.02 --episodes 500
 
 Plays episodes of the validation rows (``physics="truth"``, seeds 20000 on, as the trainings' validation has them), then
 those that ended in a collision with a plant once more, and looks at the place between the parts that touched: how far
@@ -24,6 +24,8 @@ from imitation import FIRST_SEED
 from policies import rates
 from results_file import RESULTS, write_results
 
+from greenhouse_gym.agents import PlannerAgent, WatchfulAgent
+from greenhouse_gym.agents.agent import Agent
 from greenhouse_gym.agents.named import make_agent
 from greenhouse_gym.evaluation import Trace, evaluate, retrace
 from greenhouse_gym.geometry import Array, distance_to_shapes
@@ -42,6 +44,7 @@ def main() -> None:
     """Play, look, write the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--agent", default="watchful")
+    parser.add_argument("--margin", type=float, help="that a planner or watchful keeps from boxes, metres")
     parser.add_argument("--bank", default="default")
     parser.add_argument("--split", default="validation")
     parser.add_argument("--episodes", type=int, default=500)
@@ -51,19 +54,27 @@ def main() -> None:
     a = parser.parse_args()
     bank = SceneBank.open(a.bank)
     where = {"split": a.split, "bank": bank.path, "physics": "truth"}
+    name = a.agent if a.margin is None else f"{a.agent}, margin {100 * a.margin:g} cm"
     with processes(a.workers) as executor:
-        evaluation = evaluate(make_agent(a.agent), episodes=a.episodes, seed=a.seed, executor=executor, **where)
+        evaluation = evaluate(agent_of(a.agent, a.margin), episodes=a.episodes, seed=a.seed, executor=executor, **where)
     seeds = [record.seed for record in evaluation.records if record.collision]
-    traces = retrace(make_agent(a.agent), seeds, **where) if seeds else ()
+    traces = retrace(agent_of(a.agent, a.margin), seeds, **where) if seeds else ()
     counts: Counter[str] = Counter()
     for trace in traces:
         scene = bank.scene(trace.record.scene)
         counts[seen_there(scene, place_of(scene, trace))] += 1
     about = {"bank_sha256": bank.sha256, "split": a.split, "first_seed": a.seed}
     figures = about | rates(evaluation, bank) | {"collisions": dict(counts.most_common())}
-    print(a.agent, json.dumps(figures, indent=1))
+    print(name, json.dumps(figures, indent=1))
     kept: dict[str, Any] = json.loads(a.out.read_text())["agents"] if a.out.is_file() else {}
-    write_results(a.out, {"agents": kept | {a.agent: figures}}, ["mujoco"])
+    write_results(a.out, {"agents": kept | {name: figures}}, ["mujoco"])
+
+
+def agent_of(name: str, margin: float | None) -> Agent:
+    """The agent of a name, with a margin where one is given, metres."""
+    if margin is None:
+        return make_agent(name)
+    return WatchfulAgent(margin) if name == WatchfulAgent.name else PlannerAgent(name, margin=margin)
 
 
 def place_of(scene: Scene, trace: Trace) -> Array | None:

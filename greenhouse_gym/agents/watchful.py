@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import islice
 from types import MappingProxyType
 from typing import Any
@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.agents.approaches import FRONT, glance
 from greenhouse_gym.agents.arm_balls import arm_balls
-from greenhouse_gym.agents.careful import Care, careful_ways, ends_of
+from greenhouse_gym.agents.careful import CAREFUL_DEPTHS, Care, careful_ways, ends_of
 from greenhouse_gym.agents.guide import towards
 from greenhouse_gym.agents.judging import between
 from greenhouse_gym.agents.knowledge import Knowledge
@@ -24,7 +24,7 @@ from greenhouse_gym.envs.roadmap import RESOLUTION
 from greenhouse_gym.envs.ways import GOALS, MARGIN, MOST_ROUNDS, REACHED, Ways, free_goals
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning import plan
-from greenhouse_gym.planning.margins import with_margin
+from greenhouse_gym.planning.margins import check_margin, with_margin
 from greenhouse_gym.planning.unseen import guarded
 from greenhouse_gym.scene import Scene, compile_scene
 from greenhouse_gym.scene.collision import CollisionChecker, planning_model
@@ -32,10 +32,6 @@ from greenhouse_gym.scene.reaches import arm_reaches
 
 PLANS, LOOKS = 10, 4
 """How many times the agent looks for a way in an episode at most, and for what nobody has seen on its way."""
-
-CARES = (Care(0.02, 0.1), Care(0.02, 0.2), Care(0.01, 0.2), Care(0.0, 0.2), Care(0.0, float("inf")))
-"""How careful a way of a few straight motions is, the most careful first: most leaves that the arm hits where the scan
-saw something reach up to 2.5 cm beyond its boxes."""
 
 VOXELS = (0.01, 0.004)
 """Sides of the voxels that stand for what only the camera has shown, metres: the next where the one before leaves no
@@ -46,9 +42,6 @@ CHECKS, ANY_GOALS, FREE = 30_000, 60, 4
 the arm is, and where it finds none, for one from the start, to which the arm goes back as it came. Once there is
 nothing left to look at either, it is asked again and again, each time with so many other goals and another seed, and in
 the last so many plans with all unseen space free."""
-
-ANY_WAY, AT_FIRST = (Care(0.01, float("inf")), Care(0.0, float("inf"))), Care(0.01, 0.2)
-"""How careful a way of RRTConnect is, where it is asked at first, and then where it is asked again."""
 
 _EVERY = 2  # steps between images
 _MOTIONS = 30  # motions of a way at most
@@ -65,16 +58,21 @@ class WatchfulAgent:
     its way, it looks for another from where it is. Where no few straight motions lead to the target, it asks
     RRTConnect, and fails if OMPL is not installed. It stays where it is once it has planned `PLANS` times in vain.
 
+    Args:
+        margin: How far it keeps from boxes of clutter where there is room, metres: leaves reach farther than a scan
+            shows, see `greenhouse_gym.planning.margins`. Where there is none, half of it has to do, and then nothing.
+
     Attributes:
-        status: How many times it looked for a way in the last episode, how deep into unseen space the last one may
-            lead, metres, "inf" where the unseen is free, and how far it keeps from boxes of clutter, metres.
+        status: How many times it looked for a way in the last episode, and how deep into unseen space the last one may
+            lead, metres: "inf" where the unseen is free.
     """
 
     name = "watchful"
     env_options: Mapping[str, Any] = MappingProxyType({"observation": "depth"})
 
-    def __init__(self) -> None:
+    def __init__(self, margin: float = 0.0) -> None:
         self.status = ""
+        self._cares = cares_with(check_margin(margin))
         self._problem: Problem | None = None
         self._episode: _Episode | None = None
 
@@ -88,7 +86,7 @@ class WatchfulAgent:
             raise RuntimeError("reset the agent before it acts")
         now = sensed(observation, self._problem.robot)
         if self._episode is None:
-            self._episode = _Episode(self._problem, now.target)
+            self._episode = _Episode(self._problem, now.target, self._cares)
         action = self._episode.act(now.depth, now.joints, now.command)
         self.status = self._episode.status
         return action
@@ -97,8 +95,8 @@ class WatchfulAgent:
 class _Episode:
     """What the agent does in one episode; it begins with the first observation."""
 
-    def __init__(self, problem: Problem, target: Array):
-        self.status = ""
+    def __init__(self, problem: Problem, target: Array, cares: Sequence[Care]):
+        self.status, self._cares = "", cares
         self._problem, self._arm = problem, arm_balls(problem.robot)
         self._known = Knowledge(problem, target)
         self._way, self._came = self._first_glance(target), [problem.start]
@@ -157,15 +155,15 @@ class _Episode:
             return
         self._plans += 1
         scene, seed = self._known.scene(command, VOXELS[-1]), self._problem.seed + self._plans
-        care = AT_FIRST if self._plans <= PLANS - FREE else CARES[-1]
+        care = self._cares[-2] if self._plans <= PLANS - FREE else self._cares[-1]
         self._way = self._search(scene, command, ANY_GOALS, seed, care)
         self._tell(care)
         self._stuck = not self._way
 
     def _tell(self, care: Care) -> None:
         """Say how many times was planned, and how careful the way is."""
-        found = f"{care.depth:g}, {care.margin:g}" if self._way else "no way"
-        self.status = f"{self._plans}, {found}"
+        depth = np.inf if self._problem.scene.seen is None else care.depth
+        self.status = f"{self._plans}, {depth:g}" if self._way else f"{self._plans}, no way"
 
     def _plan(self, command: Array) -> tuple[Scene, Care]:
         """Look for a way to the target: the scene as it is known, and how careful the way through it is."""
@@ -173,18 +171,14 @@ class _Episode:
         ends = ends_of(problem, command)
         for voxel in VOXELS:
             scene = self._known.scene(command, voxel)
-            ways, care = careful_ways(scene, problem.robot, ends, CARES)
+            ways, care = careful_ways(scene, problem.robot, ends, self._cares)
             self._way = _followed(ways, command)
             if self._way:
                 return scene, care
         model = planning_model(compile_scene(scene, problem.robot), problem.target, MARGIN)
         goals = free_goals(CollisionChecker(model, arm_reaches(problem.robot)), ends, GOALS, MOST_ROUNDS)
-        care = CARES[-1]
-        for care in ANY_WAY if len(goals) else ():
-            self._way = self._search(scene, command, goals, problem.seed, care)
-            if self._way:
-                break
-        return scene, care
+        self._way = self._search(scene, command, goals, problem.seed, self._cares[-1]) if len(goals) else []
+        return scene, self._cares[-1]
 
     def _search(self, scene: Scene, command: Array, goals: Array | int, seed: int, care: Care) -> list[Array]:
         """A way of any kind to the target, to goals (k, j) or so many others, by RRTConnect."""
@@ -202,8 +196,8 @@ class _Episode:
     def _look(self, scene: Scene, command: Array, dark: Array) -> None:
         """Go where the camera sees many of places (k, 3), if there is a free motion to one."""
         problem, self._looks = self._problem, self._looks + 1
-        roomy = with_margin(scene, problem.robot, command, CARES[0].margin)
-        compiled = guarded(roomy, problem.robot, command, CARES[0].depth)
+        roomy = with_margin(scene, problem.robot, command, self._cares[0].margin)
+        compiled = guarded(roomy, problem.robot, command, self._cares[0].depth)
         checker = CollisionChecker(planning_model(compiled, problem.target, MARGIN), arm_reaches(problem.robot))
         found = views(self._arm, problem.robot, command, dark, self._known.surface, self._random)
         for view, seen in islice(found, _TRIED):
@@ -215,6 +209,15 @@ class _Episode:
     def _ahead(self, command: Array) -> Array:
         """(m, j) configurations on the rest of the way, from one (j,) on."""
         return between(self._arm.checker.reaches, np.array([command, *self._way]))
+
+
+def cares_with(margin: float) -> list[Care]:
+    """How careful the ways of an agent with a margin may be, metres, the most careful first."""
+    least = [Care(0.0, depth) for depth in CAREFUL_DEPTHS]
+    if not margin:
+        return least
+    shallow, *_, deep, _ = CAREFUL_DEPTHS
+    return [Care(margin, shallow), Care(margin, deep), Care(margin / 2, deep), *least[-2:]]
 
 
 def _followed(ways: Ways, command: Array) -> list[Array]:

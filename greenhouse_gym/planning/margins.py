@@ -33,11 +33,20 @@ def with_margin(scene: Scene, robot: Robot, start: npt.ArrayLike, margin: float)
     Raises:
         InvalidValueError: The margin is negative or not finite.
     """
-    if not (margin >= 0 and math.isfinite(margin)):
-        raise InvalidValueError(f"margin must be a finite number of metres from 0 on, got {margin!r}")
-    if not margin:
+    if not check_margin(margin):
         return scene
     return _with_margin(ByIdentity(scene), robot, tuple(np.asarray(start, dtype=np.float64).tolist()), float(margin))
+
+
+def check_margin(margin: float) -> float:
+    """A margin, metres.
+
+    Raises:
+        InvalidValueError: It is negative or not finite.
+    """
+    if not (margin >= 0 and math.isfinite(margin)):
+        raise InvalidValueError(f"margin must be a finite number of metres from 0 on, got {margin!r}")
+    return margin
 
 
 @lru_cache(maxsize=4)

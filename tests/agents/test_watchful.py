@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -11,20 +12,26 @@ from seen_helpers import seen_where
 from greenhouse_gym.agents import CarefulAgent, Problem, watchful
 from greenhouse_gym.agents.agent import Agent
 from greenhouse_gym.agents.arm_balls import ArmBalls, arm_balls
+from greenhouse_gym.agents.careful import CAREFUL_DEPTHS
 from greenhouse_gym.agents.knowledge import ROOM, Knowledge
 from greenhouse_gym.agents.views import FARTHEST, WORTH, views, visible
-from greenhouse_gym.agents.watchful import WatchfulAgent
+from greenhouse_gym.agents.watchful import WatchfulAgent, cares_with
 from greenhouse_gym.envs import TomatoReachEnv
 from greenhouse_gym.envs.cameras import MAX_RANGE
+from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Box, distance_to_shapes
 from greenhouse_gym.planning import PlanResult
+from greenhouse_gym.planning.margins import with_margin
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.robots.kinematics import tool_state
-from greenhouse_gym.scene import Scene
+from greenhouse_gym.scene import Scene, compile_scene
+from greenhouse_gym.scene.collision import CollisionChecker, planning_model
 from greenhouse_gym.scene.mjcf import base_position
+from greenhouse_gym.scene.reaches import arm_reaches
 
 ARM = get_robot("ur5e")
 TARGET = 4
+CARES = cares_with(0.0)
 
 
 @pytest.fixture(scope="module")
@@ -64,8 +71,48 @@ def test_it_looks_at_what_nobody_has_seen_before_it_goes_there(scene: Scene) -> 
     seen, dark = WatchfulAgent(), WatchfulAgent()
     assert played(seen, seen_where(scene, None), scene)[0] == "reached"
     assert played(dark, seen_where(scene, 1.2, aisle=0.3), scene)[0] == "reached"
-    assert seen.status == "1, 0.1, 0.02"
+    assert seen.status == "1, 0.1"
     assert int(dark.status.split(",")[0]) > 1, "it looked for a way anew once it had looked"
+
+
+@pytest.mark.parametrize("margin", [-0.01, float("nan"), float("inf")])
+def test_a_margin_without_a_meaning_is_refused(margin: float) -> None:
+    with pytest.raises(InvalidValueError, match="margin"):
+        WatchfulAgent(margin)
+
+
+def test_a_margin_comes_before_depth_and_goes_at_last() -> None:
+    cares, usual = cares_with(0.02), cares_with(0.0)
+    assert [care.margin for care in cares] == [0.02, 0.02, 0.01, 0.0, 0.0]
+    assert [care.depth for care in cares] == [0.1, 0.2, 0.2, 0.2, np.inf]
+    assert usual == [(0.0, depth) for depth in CAREFUL_DEPTHS]
+
+
+def planned_way(scene: Scene, margin: float) -> list[np.ndarray]:
+    """The configurations (j,) of the way that the agent finds at first."""
+    episode = watchful._Episode(
+        Problem(scene, TARGET, ARM, ARM.start), scene.tomatoes[TARGET].center, cares_with(margin)
+    )
+    care = episode._plan(ARM.start)[1]
+    assert care == (margin, np.inf), "the scene does not say what was seen of it"
+    return [ARM.start, *episode._way]
+
+
+def keeps(way: list[np.ndarray], scene: Scene, margin: float) -> bool:
+    """Whether a way keeps a margin from the boxes of a scene, metres."""
+    around = compile_scene(with_margin(scene, ARM, ARM.start, margin), ARM)
+    checker = CollisionChecker(planning_model(around, TARGET, margin=0.0), arm_reaches(ARM))
+    return all(checker.motion_is_free(*ends, 0.005) for ends in itertools.pairwise(way))
+
+
+def test_with_a_margin_its_way_keeps_from_what_the_scan_shows(scene: Scene) -> None:
+    way = planned_way(scene, 0.0)
+    tip = tool_state(arm_balls(ARM).chain, (way[0] + way[1])[None] / 2).point[0] + base_position(scene, ARM)
+    leaves = [Box(tip + [0.0, 0.0, up], [0.02, 0.02, 0.005], np.eye(3)) for up in np.arange(0.0, 0.3, 0.01)]
+    leafy = [scene.model_copy(update={"clutter": (*scene.clutter, leaf)}) for leaf in leaves]
+    beside = next(each for each in leafy if keeps(way, each, 0.005))
+    assert not keeps(way, beside, 0.02), "the leaf hangs close to the way"
+    assert keeps(planned_way(beside, 0.02), beside, 0.02)
 
 
 def test_where_nothing_else_leads_on_it_goes_back_as_it_came(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -99,7 +146,7 @@ def test_where_nothing_else_leads_on_it_goes_back_as_it_came(scene: Scene, monke
     ends = [np.abs(np.array(been) - place).max(axis=1).argmin() for place in (here, goal)]
     between = np.abs(np.array(been[ends[0] : ends[1]]) - ARM.start).max(axis=1)
     assert between.min() < 0.05, "it came by the start again"
-    assert agent.status == "1, inf, 0.01"
+    assert agent.status == "1, inf"
 
 
 def test_where_it_would_stay_it_asks_again_but_not_for_ever(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -120,12 +167,11 @@ def test_where_it_would_stay_it_asks_again_but_not_for_ever(scene: Scene, monkey
     image = np.zeros((48, 64), dtype=np.float32)
     for finds in (True, False):
         asked.clear()
-        episode = watchful._Episode(Problem(told, TARGET, ARM, ARM.start, 40), scene.tomatoes[TARGET].center)
+        episode = watchful._Episode(Problem(told, TARGET, ARM, ARM.start, 40), scene.tomatoes[TARGET].center, CARES)
         episode._way = []
         acted = [episode.act(image, ARM.start, ARM.start) for _ in range(watchful.PLANS + 3)]
-        first, again = asked[:4], asked[4:]
-        assert [each["seed"] for each in first] == [40] * 4, "from where it is, and from the start"
-        assert [each["margin"] for each in first] == [0.01, 0.01, 0.0, 0.0]
+        first, again = asked[:2], asked[2:]
+        assert [each["seed"] for each in first] == [40, 40], "from where it is, and from the start"
         careful = watchful.PLANS - watchful.FREE - 1
         seeds = np.repeat(41 + np.arange(1, watchful.PLANS), 2)[: len(again)]
         assert [each["seed"] for each in again] == seeds.tolist()
@@ -133,7 +179,7 @@ def test_where_it_would_stay_it_asks_again_but_not_for_ever(scene: Scene, monkey
         if finds:
             assert len(again) == 2 * careful + 1
             assert np.abs(acted[-1]).max() > 0, "it goes"
-            assert episode.status == f"{careful + 2}, inf, 0"
+            assert episode.status == f"{careful + 2}, inf"
         else:
             assert len(again) == 2 * (watchful.PLANS - 1)
             assert not np.abs(acted).any(), "it stays"
@@ -141,7 +187,7 @@ def test_where_it_would_stay_it_asks_again_but_not_for_ever(scene: Scene, monkey
 
 
 def test_what_it_went_back_on_is_forgotten(scene: Scene) -> None:
-    episode = watchful._Episode(Problem(scene, TARGET, ARM, ARM.start), scene.tomatoes[TARGET].center)
+    episode = watchful._Episode(Problem(scene, TARGET, ARM, ARM.start), scene.tomatoes[TARGET].center, CARES)
     start, there, farther = ARM.start, ARM.start + 0.1, ARM.start + 0.2
     episode._came = [start]
     for place in (there, farther, there, start, farther):
