@@ -13,18 +13,23 @@ from types import SimpleNamespace
 
 import matplotlib as mpl
 import numpy as np
+import numpy.typing as npt
 
-from greenhouse_gym.geometry import Box, distance_to_shapes
+from greenhouse_gym.geometry import Box, distance_to_nearest, distance_to_shapes
 from greenhouse_gym.paths import data_path, write_atomically
 from greenhouse_gym.planning import certify
 from greenhouse_gym.scene import DIFFICULTIES, SceneBank
 from greenhouse_gym.scene.manifest import SPLITS
+from greenhouse_gym.scene.seen import REACH, SURFACE
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
 
 PICTURE = "difficulty.png"
 COLORS = dict(zip(DIFFICULTIES, ("#4c9f70", "#e0b040", "#c8553d", "#555555"), strict=True))
+
+NEAR = 0.045
+"""A voxel of 5 cm whose middle is farther than this from a shape has no part of it, metres."""
 
 CARD = Template("""\
 # The shipped banks of scenes
@@ -76,7 +81,8 @@ $mini
 - A witness is free in the reconstruction. What the reconstruction missed or invented is told by the truth; a plan
   that is free here can touch a leaf there. Most witnesses pass through unseen space, above and behind what the
   rig saw.
-- At most $primitives shapes are kept; in dense rows and cherry rows the farthest are left out.
+- At most $primitives shapes are kept; in dense rows and cherry rows the farthest are left out. That there are
+  surfaces is still told by what the scan saw of the space around the arm.
 - Boxes of Helios' leaves claim up to $leaves mm around a leaf, so the truth is a little stricter than the plants.
 
 ## Splits, license, citing
@@ -145,6 +151,9 @@ def tables(bank: SceneBank) -> str:
         "",
         f"Half of the boxes are thicker than {1000 * thick:.0f} mm; {inside:.1%} of the tomatoes' centers lie in one.",
     ]
+    bare = surfaces_without_shapes(bank)
+    told = " and ".join(f"{share:.0%} ({source} rows)" for source, share in sorted(bare.items()))
+    lines += ["", f"In {told} of the voxels within reach in which the scan saw a surface, there is no shape."]
     lines += ["", "| targets | " + " | ".join(DIFFICULTIES) + " |", "| --- " * 5 + "|"]
     for kind, counts in shares(bank).items():
         of = [f"{counts[name]} ({counts[name] / max(sum(counts.values()), 1):.1%})" for name in DIFFICULTIES]
@@ -162,6 +171,20 @@ def foliage(bank: SceneBank) -> tuple[float, float]:
         centers = [tomato.center for tomato in scene.tomatoes]
         inside += (distance_to_shapes(centers, boxes).min(axis=1, initial=np.inf) < 0).tolist()
     return float(np.median(thickness)), float(np.mean(inside))
+
+
+def surfaces_without_shapes(bank: SceneBank) -> dict[str, float]:
+    """Of the voxels within reach in which the scan saw a surface, the share that is far from all shapes, by source."""
+    far: dict[str, list[npt.NDArray[np.bool_]]] = {}
+    for entry, scene in zip(bank.manifest.scenes, bank, strict=True):
+        if scene.seen is None:
+            continue
+        centers = scene.seen.centers[scene.seen.states == SURFACE]
+        shoulder = scene.stand.position + [0.0, 0.0, scene.stand.shoulder_height]
+        centers = centers[np.linalg.norm(centers - shoulder, axis=1) < REACH]
+        away = distance_to_nearest(centers, scene.obstacles, NEAR)
+        far.setdefault(entry.source or "unknown", []).append(away > NEAR)
+    return {source: float(np.concatenate(shares).mean()) for source, shares in far.items()}
 
 
 def draw(found: dict[str, Counter[str]], path: Path) -> None:
