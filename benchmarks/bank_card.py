@@ -28,9 +28,6 @@ import matplotlib.pyplot as plt
 PICTURE = "difficulty.png"
 COLORS = dict(zip(DIFFICULTIES, ("#4c9f70", "#e0b040", "#c8553d", "#555555"), strict=True))
 
-NEAR = 0.045
-"""A voxel of 5 cm whose middle is farther than this from a shape has no part of it, metres."""
-
 CARD = Template("""\
 # The shipped banks of scenes
 
@@ -174,7 +171,10 @@ def foliage(bank: SceneBank) -> tuple[float, float]:
 
 
 def surfaces_without_shapes(bank: SceneBank) -> dict[str, float]:
-    """Of the voxels within reach in which the scan saw a surface, the share that is far from all shapes, by source."""
+    """Of the voxels within reach in which the scan saw a surface, the share that no shape is in, by source of the row.
+
+    A shape farther from a voxel's middle than its corners are is not in it; one nearer than that is taken to be.
+    """
     far: dict[str, list[npt.NDArray[np.bool_]]] = {}
     for entry, scene in zip(bank.manifest.scenes, bank, strict=True):
         if scene.seen is None:
@@ -182,8 +182,9 @@ def surfaces_without_shapes(bank: SceneBank) -> dict[str, float]:
         centers = scene.seen.centers[scene.seen.states == SURFACE]
         shoulder = scene.stand.position + [0.0, 0.0, scene.stand.shoulder_height]
         centers = centers[np.linalg.norm(centers - shoulder, axis=1) < REACH]
-        away = distance_to_nearest(centers, scene.obstacles, NEAR)
-        far.setdefault(entry.source or "unknown", []).append(away > NEAR)
+        corner = scene.seen.voxel * np.sqrt(3) / 2
+        away = distance_to_nearest(centers, scene.obstacles, corner)
+        far.setdefault(entry.source or "unknown", []).append(away > corner)
     return {source: float(np.concatenate(shares).mean()) for source, shares in far.items()}
 
 

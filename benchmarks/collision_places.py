@@ -1,13 +1,15 @@
 """Where an agent collides in true rows, and what its scan knew of the place.
 
 python benchmarks/collision_places.py --agent watchful --margin 0.02 --episodes 500
+python benchmarks/collision_places.py --agent RRTConnect --unseen avoid --split train --seed 50000 --episodes 250
 
 Plays episodes of the validation rows (``physics="truth"``, seeds 20000 on, as the trainings' validation has them), then
 those that ended in a collision with a plant once more, and looks at the place between the parts that touched: how far
 the nearest shape of the scan is, and whether the scan saw a surface, empty space or nothing there. A surface that was
 seen, with a shape near by, is the rim of a leaf or the like, against which a margin helps; what was seen as surface or
 empty far from all shapes is missing among the shapes; for the unseen only another look helps.
-Writes results/collision_places.json, an entry per agent; those of others that it holds stay.
+Writes results/collision_places.json, an entry per agent; those of others that it holds stay. On two cores, 500 episodes
+take an hour with `watchful`, and five minutes with RRTConnect.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +33,7 @@ from greenhouse_gym.agents.named import make_agent
 from greenhouse_gym.evaluation import Trace, evaluate, retrace
 from greenhouse_gym.geometry import Array, distance_to_shapes
 from greenhouse_gym.parallel import processes
+from greenhouse_gym.planning.unseen import UNSEEN_RULES
 from greenhouse_gym.scene import Scene, SceneBank, compile_scene
 from greenhouse_gym.scene.seen import EMPTY, SURFACE, UNSEEN
 from greenhouse_gym.scene.truth import true_scene
@@ -45,6 +49,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--agent", default="watchful")
     parser.add_argument("--margin", type=float, help="that a planner or watchful keeps from boxes, metres")
+    parser.add_argument("--unseen", type=depth_or_rule, help="what unseen space is to a planner: a rule, or a depth")
     parser.add_argument("--bank", default="default")
     parser.add_argument("--split", default="validation")
     parser.add_argument("--episodes", type=int, default=500)
@@ -54,11 +59,13 @@ def main() -> None:
     a = parser.parse_args()
     bank = SceneBank.open(a.bank)
     where = {"split": a.split, "bank": bank.path, "physics": "truth"}
-    name = a.agent if a.margin is None else f"{a.agent}, margin {100 * a.margin:g} cm"
+    options = {key: value for key, value in (("margin", a.margin), ("unseen", a.unseen)) if value is not None}
+    name = ", ".join([a.agent, *(f"{key} {value}" for key, value in options.items())])
+    agent = agent_of(a.agent, options)
     with processes(a.workers) as executor:
-        evaluation = evaluate(agent_of(a.agent, a.margin), episodes=a.episodes, seed=a.seed, executor=executor, **where)
+        evaluation = evaluate(agent, episodes=a.episodes, seed=a.seed, executor=executor, **where)
     seeds = [record.seed for record in evaluation.records if record.collision]
-    traces = retrace(agent_of(a.agent, a.margin), seeds, **where) if seeds else ()
+    traces = retrace(agent, seeds, **where) if seeds else ()
     counts: Counter[str] = Counter()
     for trace in traces:
         scene = bank.scene(trace.record.scene)
@@ -70,11 +77,16 @@ def main() -> None:
     write_results(a.out, {"agents": kept | {name: figures}}, ["mujoco"])
 
 
-def agent_of(name: str, margin: float | None) -> Agent:
-    """The agent of a name, with a margin where one is given, metres."""
-    if margin is None:
+def depth_or_rule(text: str) -> str | float:
+    """What `greenhouse_gym.planning.plan` takes for ``unseen``."""
+    return text if text in UNSEEN_RULES else float(text)
+
+
+def agent_of(name: str, options: Mapping[str, Any]) -> Agent:
+    """The agent of a name; with options, it must be `watchful` or a planner."""
+    if not options:
         return make_agent(name)
-    return WatchfulAgent(margin) if name == WatchfulAgent.name else PlannerAgent(name, margin=margin)
+    return WatchfulAgent(**options) if name == WatchfulAgent.name else PlannerAgent(name, **options)
 
 
 def place_of(scene: Scene, trace: Trace) -> Array | None:
@@ -96,9 +108,10 @@ def seen_there(scene: Scene, place: Array | None) -> str:
     if place is None:
         return "no plant"
     away = float(distance_to_shapes(place[None], scene.obstacles).min(initial=np.inf))
-    up_to = next((edge for edge in EDGES if away < edge), np.inf)
+    up_to = next((edge for edge in EDGES if away < edge), None)
     state = "unsaid" if scene.seen is None else STATES[int(scene.seen.at(place[None])[0])]
-    return f"{state}, shape within {100 * up_to:g} cm" if np.isfinite(up_to) else f"{state}, no shape within 5 cm"
+    near = f"no shape within {100 * EDGES[-1]:g} cm" if up_to is None else f"shape within {100 * up_to:g} cm"
+    return f"{state}, {near}"
 
 
 if __name__ == "__main__":
