@@ -148,9 +148,10 @@ def tables(bank: SceneBank) -> str:
         "",
         f"Half of the boxes are thicker than {1000 * thick:.0f} mm; {inside:.1%} of the tomatoes' centers lie in one.",
     ]
-    bare = surfaces_without_shapes(bank)
-    told = " and ".join(f"{share:.0%} ({source} rows)" for source, share in sorted(bare.items()))
-    lines += ["", f"In {told} of the voxels within reach in which the scan saw a surface, there is no shape."]
+    lines += ["", "Voxels within reach in which the scan saw a surface, and the share of them that no shape is in:"]
+    lines += ["", "| scenes | voxels | without a shape |", "| --- | --- | --- |"]
+    for scenes, (count, share) in sorted(surfaces_without_shapes(bank).items()):
+        lines.append(f"| {scenes} | {count} | {share:.0%} |")
     lines += ["", "| targets | " + " | ".join(DIFFICULTIES) + " |", "| --- " * 5 + "|"]
     for kind, counts in shares(bank).items():
         of = [f"{counts[name]} ({counts[name] / max(sum(counts.values()), 1):.1%})" for name in DIFFICULTIES]
@@ -170,8 +171,8 @@ def foliage(bank: SceneBank) -> tuple[float, float]:
     return float(np.median(thickness)), float(np.mean(inside))
 
 
-def surfaces_without_shapes(bank: SceneBank) -> dict[str, float]:
-    """Of the voxels within reach in which the scan saw a surface, the share that no shape is in, by source of the row.
+def surfaces_without_shapes(bank: SceneBank) -> dict[str, tuple[int, float]]:
+    """Voxels within reach in which the scan saw a surface, and the share of them that no shape is in, by kind of scene.
 
     A shape farther from a voxel's middle than its corners are is not in it; one nearer than that is taken to be.
     """
@@ -183,9 +184,11 @@ def surfaces_without_shapes(bank: SceneBank) -> dict[str, float]:
         shoulder = scene.stand.position + [0.0, 0.0, scene.stand.shoulder_height]
         centers = centers[np.linalg.norm(centers - shoulder, axis=1) < REACH]
         corner = scene.seen.voxel * np.sqrt(3) / 2
+        most = scene.provenance.settings["primitives"]
+        size = f"with all of the {most} shapes" if len(scene.obstacles) == most else "with fewer shapes"
         away = distance_to_nearest(centers, scene.obstacles, corner)
-        far.setdefault(entry.source or "unknown", []).append(away > corner)
-    return {source: float(np.concatenate(shares).mean()) for source, shares in far.items()}
+        far.setdefault(f"{entry.source or 'unknown'}, {size}", []).append(away > corner)
+    return {kind: (sum(map(len, parts)), float(np.concatenate(parts).mean())) for kind, parts in far.items()}
 
 
 def draw(found: dict[str, Counter[str]], path: Path) -> None:
