@@ -17,6 +17,7 @@ from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, Box, Capsule, Shape, Sphere, distance_to_shapes, invert, pose, transform
 from greenhouse_gym.limits import check_numbers
 from greenhouse_gym.packing import as_tables, from_tables, moved, near
+from greenhouse_gym.plants.thin import TOLERANCE
 from greenhouse_gym.plants.truth import truth_of
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud
 from greenhouse_gym.reconstruction.seen import Carving, CarvingSettings, carve
@@ -42,7 +43,7 @@ class BuildSettings:
     primitives: int = 600  # most shapes in a scene; dense foliage seen from top to bottom has as many within reach
     targets: int | None = None  # most targets in a scene, near and far ones; None for every tomato
     smallest_target: float = 0.0075  # radius below which nobody picks a tomato, so that it is no target
-    leaves: float = 0.02  # how far from a leaf of meshes the boxes of its truth may lie
+    leaves: float = TOLERANCE  # how far from a leaf of meshes the boxes of its truth may lie
     robot: str = "ur5e"  # the arm that targets are rated for
     reconstruction: ReconstructionSettings | None = None  # by default what each recording's protocol needs
     shapes: ShapeSettings = field(default_factory=ShapeSettings)

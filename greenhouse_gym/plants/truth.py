@@ -19,8 +19,8 @@ def truth_of(row: PlantRow, tolerance: float = TOLERANCE) -> PlantRow:
     """A row as shapes to collide with: capsules, spheres or ellipsoids, and thin boxes.
 
     A row of our own generator is made of such shapes already. Of a row of meshes, the fruit and stems are known as
-    such; leaves, calyces and flowers are cut into thin boxes (`greenhouse_gym.plants.thin`), which takes about half a
-    second each. The row behind, which no arm reaches, keeps its leaves as they are.
+    such; leaves, calyces and flowers are cut into thin boxes (`greenhouse_gym.plants.thin`), which takes about a fifth
+    of a second each. The row behind, which no arm reaches, keeps its leaves as they are.
 
     Args:
         row: The row.

@@ -29,11 +29,12 @@ def test_boxes_lie_on_the_leaf_and_cover_it(bend: float) -> None:
     boxes = leaf_boxes(vertices, triangles)
     surface = surface_points(vertices, triangles, 0.0015)
     uncovered = distance_to_shapes(surface, boxes).min(axis=1)
-    assert uncovered.max() < 1e-3
+    assert np.quantile(uncovered, 0.95) < 0.003
+    assert uncovered.max() < 0.005
     samples = outer_samples(boxes, 1000, np.random.default_rng(0))
     gaps, _ = cKDTree(surface).query(samples)
     assert np.quantile(gaps, 0.95) < 0.004
-    assert len(boxes) < 60
+    assert len(boxes) < 30
     assert len(boxes) >= (3 if bend else 1)
 
 
