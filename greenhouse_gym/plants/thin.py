@@ -25,8 +25,8 @@ def leaf_boxes(vertices: Array, triangles: npt.NDArray[np.int64], tolerance: flo
     """Cut a leaf into thin boxes that lie on it.
 
     Each box has the smallest rectangle around a piece of the surface, seen along its thinnest direction, and its depth,
-    or 3 mm less at each side where too much of that would lie off the surface. A piece for which neither
-    will do is cut in two, so that the boxes around both are as small as they can be.
+    or 3 mm less at each side where too much of that would lie off the surface. A piece for which neither will do is
+    cut in two, so that the boxes around both are as small as they can be.
 
     Args:
         vertices: (v, 3) metres.

@@ -25,7 +25,7 @@ def truth_of(row: PlantRow, tolerance: float = TOLERANCE) -> PlantRow:
     Args:
         row: The row.
         tolerance: How far from a leaf its boxes may lie, metres, as in `greenhouse_gym.plants.thin.leaf_boxes`. Twice
-            as much makes about a third as many boxes.
+            as much makes about half as many boxes.
     """
     if not row.organs:
         return row

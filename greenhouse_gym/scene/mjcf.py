@@ -23,7 +23,7 @@ from greenhouse_gym.scene.surroundings import Surroundings
 DEFAULT_CAPACITY = 600
 """Number of obstacles that a padded model has room for."""
 
-MOST_CAPACITY = 20_000
+MOST_CAPACITY = 30_000
 """The largest such number that is allowed; every padded geom costs memory and time in every simulation."""
 
 ARM_AND_CUP, ARM_ONLY = 3, 1
