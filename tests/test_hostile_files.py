@@ -189,5 +189,5 @@ def test_scenes_have_limits(tmp_path: Path, fields: dict[str, Any], problem: str
 
 @pytest.mark.parametrize("capacity", [0, -1, 10**9, "a", 1.5])
 def test_what_is_no_capacity(capacity: Any) -> None:
-    with pytest.raises(InvalidValueError, match=r"capacity must be a whole number from 1 to 20000"):
+    with pytest.raises(InvalidValueError, match=r"capacity must be a whole number from 1 to 30000"):
         compile_scene(make_scene(0, stems=1), capacity=capacity)
