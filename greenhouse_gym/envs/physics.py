@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from greenhouse_gym.envs.actions import ToolMotion
+from greenhouse_gym.envs.geom_order import id_in_compiled, put_arm_first
 from greenhouse_gym.envs.randomization import Disturbance, displace_base
 from greenhouse_gym.envs.reach_task import Bools, Pace
 from greenhouse_gym.envs.stepping import Ids, ManyStepper, OneStepper, Stepper
@@ -64,8 +65,9 @@ class Physics:
         pace: How the time goes.
 
     Attributes:
-        models: Each simulation's model. They are set to compute the poses of what never moves only when their data are
-            reset (MuJoCo's sleep flag), which saves a third of the time; the arm itself never sleeps.
+        models: Each simulation's model, the arm's geoms before those of the world. They are set to compute the poses of
+            what never moves only when their data are reset (MuJoCo's sleep flag), which saves a third of the time; the
+            arm itself never sleeps.
     """
 
     def __init__(self, count: int, world: World, threads: int, pace: Pace):
@@ -73,6 +75,7 @@ class Physics:
         self.models = [copy.copy(compiled.model) for _ in range(count)]
         for model in self.models:
             model.opt.enableflags |= _SLEEP
+            put_arm_first(model)
         self._pace = pace
         self._worlds: list[World | None] = [None] * count
         self._stepper: Stepper = (
@@ -158,13 +161,15 @@ class Physics:
         world = self._worlds[i]
         assert world is not None
         # The simulation's own model has the names of the first scene, so they are read from the world's.
-        names = tuple(name_of(world.compiled.model, g) for g in geoms)
+        names = tuple(name_of(world.compiled.model, id_in_compiled(model, g)) for g in geoms)
         return Contact(names, of_arm_alone=bool(model.geom_bodyid[geoms[1]] > 0))
 
 
 def name_of(model: mujoco.MjModel, geom: int) -> str:
     """A geom's name, or that of its body where it has none, as in files of other makers' arms."""
-    return str(model.geom(geom).name or model.body(model.geom_bodyid[geom]).name or f"geom {geom}")
+    # asked for by id: `MjModel.geom` makes a table of all names first, of which there are thousands
+    own = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_GEOM, geom)
+    return str(own or model.body(model.geom_bodyid[geom]).name or f"geom {geom}")
 
 
 def prepare(model: mujoco.MjModel, world: World, target: int, disturbance: Disturbance) -> None:

@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from greenhouse_gym.envs.geom_order import world_begins
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.scene import CompiledScene, compile_scene
 from greenhouse_gym.scene.surroundings import Surroundings
@@ -73,14 +74,14 @@ class RayCaster:
         """What m rays hit.
 
         Args:
-            model: A model of the layout.
+            model: A model of the layout, its geoms in either order (`greenhouse_gym.envs.geom_order`).
             joints: (j,) joint positions, radians.
             origin: (3,) where the rays start in the scene, metres.
             directions: (m, 3) unit vectors, less than 90 degrees from their mean.
             reach: Hits farther away do not count, metres.
             surfaces: Whether to tell colors and normals.
         """
-        obstacles = np.arange(self._obstacles.start, self._obstacles.stop)
+        obstacles = world_begins(model) + np.arange(self._obstacles.start, self._obstacles.stop)
         distance, on_arm = np.empty(len(directions)), np.empty(len(directions), dtype=np.bool_)
         told = len(directions) if surfaces else 0
         rgba, normal = np.empty((told, 4), dtype=np.float32), np.empty((told, 3))
@@ -104,7 +105,7 @@ class RayCaster:
         """As `cast`, where the rays hit no other obstacles than some."""
         room, view, data = next(own for own in self._views if own[0] >= len(seen))
         first = self._obstacles.start
-        rows = np.concatenate([np.arange(first), seen])
+        rows = np.concatenate([world_begins(model) + np.arange(first), seen])
         for name in _GEOM_FIELDS:
             getattr(view, name)[: len(rows)] = getattr(model, name)[rows]
         view.geom_rgba[len(rows) : first + room, 3] = 0.0  # rays pass through what cannot be seen

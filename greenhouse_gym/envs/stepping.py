@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from mujoco.batch import Batch
 
+from greenhouse_gym.envs.geom_order import ShortLists
 from greenhouse_gym.envs.reach_task import Bools
 from greenhouse_gym.errors import GreenhouseError
 from greenhouse_gym.geometry import Array
@@ -27,14 +28,6 @@ Ids = npt.NDArray[np.int64]
 _VELOCITIES = mujoco.mjtStage.mjSTAGE_VEL
 _STATE = ("time", "qpos", "qvel", "act", "ctrl", "qacc_warmstart", "history")
 _CHUNK = 32
-
-_LISTED = 2
-"""How many geoms of the world the broad phase of the collision detection lists at least while an arm moves.
-
-For each pair of bodies it asks all their geoms what they may touch, which takes a tenth of the time among the thousands
-of boxes of a true row. The first ones, with the floor among them, may touch whatever any of them may, and which geoms
-do touch is found through the tree over all of them. Two bodies of one geom each would be tested without their trees.
-"""
 
 
 class ForkedError(GreenhouseError, RuntimeError):
@@ -85,29 +78,6 @@ class Stepper(Protocol):
         """Make the physics steps of an action; tell (n,) which touched anything in them, or where they stood before."""
 
 
-class _WorldList:
-    """The lengths of the lists of the world's geoms in some models, cut short within a ``with`` block.
-
-    Only there: whoever places the geoms or renders them has to know of all.
-    """
-
-    def __init__(self, models: Sequence[mujoco.MjModel]):
-        self._lengths = [model.body_geomnum for model in models]
-        self._whole = whole = int(self._lengths[0][0])
-        masks = np.stack([models[0].geom_contype[:whole], models[0].geom_conaffinity[:whole]])
-        told = np.bitwise_or.accumulate(masks, axis=1)
-        enough = int((told == told[:, -1:]).all(axis=0).argmax()) + 1
-        self._few = min(max(enough, _LISTED), whole)
-
-    def __enter__(self) -> None:
-        for length in self._lengths:
-            length[0] = self._few
-
-    def __exit__(self, *error: object) -> None:
-        for length in self._lengths:
-            length[0] = self._whole
-
-
 class OneStepper:
     """A single simulation, without the detour over a batch.
 
@@ -123,7 +93,7 @@ class OneStepper:
         self.command, self.speed = data.act[None], data.ctrl[None]
         self.site_xpos, self.site_xmat = data.site_xpos[None], data.site_xmat[None]
         self.xanchor, self.xaxis = data.xanchor[None], data.xaxis[None]
-        self._counts, self._listed = data.history[None, -substeps:], _WorldList([model])
+        self._counts, self._listed = data.history[None, -substeps:], ShortLists([model])
 
     def __deepcopy__(self, memo: dict[int, Any]) -> OneStepper:
         twin = OneStepper(copy.deepcopy(self._model, memo), self._substeps)
@@ -168,7 +138,7 @@ class ManyStepper:
         self.site_xpos, self.site_xmat = batch.bind("site_xpos"), batch.bind("site_xmat")
         self.xanchor, self.xaxis = batch.bind("xanchor"), batch.bind("xaxis")
         self._counts, self._ncon = batch.bind("history")[:, -substeps:], batch.bind("ncon")
-        self._listed = _WorldList(models)
+        self._listed = ShortLists(models)
         size = _CHUNK * batch.nthread
         starts = range(0, count, size)
         self._chunks = [np.arange(i, min(i + size, count), dtype=np.int32) for i in starts] if count > size else [None]

@@ -10,6 +10,7 @@ from functools import lru_cache, partial
 import mujoco
 import numpy as np
 
+from greenhouse_gym.envs.geom_order import world_begins
 from greenhouse_gym.envs.reach_task import SUBSTEPS
 from greenhouse_gym.envs.stepping import drive_and_record
 from greenhouse_gym.envs.window import LARGEST_WHOLE
@@ -30,11 +31,13 @@ KEPT = LARGEST_WHOLE
 KINDS_KEPT = 8
 """How many kinds of worlds (arm, physics, capacity, rate) are kept ready for the next environment."""
 
+_GEOM_FIELDS = (
+    "geom_type", "geom_contype", "geom_conaffinity", "geom_size", "geom_pos", "geom_quat", "geom_aabb", "geom_rbound",
+    "geom_sameframe", "geom_rgba",
+)  # fmt: skip
 _SCENE_FIELDS = (
     # The bounding-volume tree goes with the geoms: with a stale tree MuJoCo misses contacts.
-    "geom_type", "geom_contype", "geom_conaffinity", "geom_size", "geom_pos", "geom_quat", "geom_aabb", "geom_rbound",
-    "geom_sameframe", "geom_rgba", "body_pos", "body_quat", "body_sameframe", "bvh_depth", "bvh_child", "bvh_nodeid",
-    "bvh_aabb",
+    "body_pos", "body_quat", "body_sameframe", "bvh_depth", "bvh_child", "bvh_aabb",
 )  # fmt: skip
 
 
@@ -94,10 +97,21 @@ class World:
             )
 
     def load(self, model: mujoco.MjModel, target: int) -> None:
-        """Make ``model``, compiled with the same robot and capacity, this world with the cup allowed on the target."""
+        """Make ``model`` this world with the cup allowed on the target.
+
+        Args:
+            model: Compiled with the same robot and capacity; its geoms in either order (`put_arm_first`).
+            target: Index of the tomato.
+        """
         source = self.compiled.model
+        first, count = world_begins(model), int(source.body_geomnum[0])
+        for name in _GEOM_FIELDS:
+            getattr(model, name)[first : first + count] = getattr(source, name)[:count]
         for name in _SCENE_FIELDS:
             getattr(model, name)[:] = getattr(source, name)
+        nodes = slice(source.body_bvhadr[0], source.body_bvhadr[0] + source.body_bvhnum[0])
+        ids = source.bvh_nodeid[nodes]
+        model.bvh_nodeid[nodes] = np.where(ids >= 0, ids + first, ids)
         self.compiled.allow_cup_on(model, int(self.bodies[target]))
 
     def goal(self, target: int) -> tuple[Array, float]:

@@ -68,9 +68,9 @@ class CompiledScene:
         return int(self.obstacle_geoms.start) + tomato
 
     def allow_cup_on(self, model: mujoco.MjModel, tomato: int, allowed: bool = True) -> None:
-        """In ``model`` (a copy of this one), let the cup touch a tomato, or forbid it again."""
+        """In ``model`` (a copy of this one, its geoms in either order), let the cup touch a tomato, or forbid it."""
         mask = ARM_ONLY if allowed else ARM_AND_CUP
-        geom = self.tomato_geom(tomato)
+        geom = int(model.body_geomadr[0]) + self.tomato_geom(tomato)
         model.geom_contype[geom] = mask
         model.geom_conaffinity[geom] = mask
 

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from greenhouse_gym.envs import TomatoReachEnv, TomatoReachVectorEnv, stepping
+from greenhouse_gym.envs import TomatoReachEnv, TomatoReachVectorEnv, geom_order, physics
 from greenhouse_gym.robots import ROBOTS
 from greenhouse_gym.scene import SceneBank, compile_scene
 
@@ -49,31 +49,25 @@ def test_servos_move_as_if_told_where_to_be_in_every_physics_step(bank: SceneBan
 
 
 @pytest.mark.parametrize("count", [1, 3])
-def test_how_the_broad_phase_lists_the_world_changes_nothing(
+def test_how_the_broad_phase_lists_the_geoms_changes_nothing(
     bank: SceneBank, monkeypatch: pytest.MonkeyPatch, count: int
 ) -> None:
-    """The same motions and touches, bit for bit, as MuJoCo that is told of every geom; then all are listed again."""
-    played, random = [], np.random.default_rng(0)
+    """The same motions and touches, bit for bit, as MuJoCo that goes through all geoms in its own order."""
+    played, touched, random = [], [], np.random.default_rng(0)
     actions = np.repeat(random.uniform(-1, 1, (12, count, 6)), 40, axis=0)
-    for listed in (stepping._LISTED, 10**9):
-        monkeypatch.setattr(stepping, "_LISTED", listed)
+    for told_of_all in (False, True):
+        if told_of_all:
+            monkeypatch.setattr(geom_order, "_LISTED", 10**9)
+            monkeypatch.setattr(physics, "put_arm_first", lambda model: None)
         env = TomatoReachVectorEnv(count, bank=bank, autoreset_mode="SameStep", threads=1)
         env.reset(seed=0)
         seen = [env.step(action) for action in actions]
         played.append([np.concatenate([part.ravel() for part in step[:4]]) for step in seen])
+        touched.append([list(step[4]["contact"]) for step in seen])
         models = env.simulation._physics.models
         assert len({int(model.body_geomnum[0]) for model in models}) == 1
         assert models[0].body_geomnum[0] > env.simulation.worlds.capacity
+        assert models[0].ngeom > env.simulation.worlds.capacity + 10
         assert sum(step[2].sum() for step in seen) > 2, "arms touch something"
     np.testing.assert_array_equal(*played)
-
-
-def test_the_list_is_long_enough_for_what_any_geom_of_the_world_may_touch() -> None:
-    """A robot's file may begin with geoms of the world that touch nothing."""
-    spec = mujoco.MjSpec()
-    for contype, conaffinity in ((0, 0), (1, 0), (1, 1), (3, 1), (1, 3), (3, 3)):
-        spec.worldbody.add_geom(size=[0.1, 0, 0], contype=contype, conaffinity=conaffinity)
-    model = spec.compile()
-    with stepping._WorldList([model]):
-        assert model.body_geomnum[0] == 5
-    assert model.body_geomnum[0] == 6
+    assert touched[0] == touched[1]

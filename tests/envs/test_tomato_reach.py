@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import copy
 import subprocess
 import sys
 import warnings
@@ -19,6 +20,7 @@ from greenhouse_gym.crop import Stem, Tomato
 from greenhouse_gym.envs import TomatoReachEnv
 from greenhouse_gym.envs.actions import ACTIONS
 from greenhouse_gym.envs.choices import OBSERVATIONS
+from greenhouse_gym.envs.geom_order import put_arm_first, world_begins
 from greenhouse_gym.envs.rewards import REWARDS
 from greenhouse_gym.errors import InvalidValueError, UnknownKeywordError, UnknownNameError
 from greenhouse_gym.robots import ROBOTS
@@ -110,10 +112,12 @@ def test_private_model_equals_the_compiled_scene(bank: SceneBank) -> None:
         env.reset(seed=seed)
         simulation = env.simulation
         private, compiled = simulation._physics.models[0], simulation._worlds[0].compiled
-        geom = compiled.tomato_geom(env.target)
+        reordered = copy.copy(compiled.model)
+        put_arm_first(reordered)
+        geom = world_begins(private) + compiled.tomato_geom(env.target)
         assert private.geom_contype[geom] == private.geom_conaffinity[geom] == 1
         for name in dir(compiled.model):
-            value = getattr(compiled.model, name)
+            value = getattr(reordered, name)
             if not isinstance(value, np.ndarray) or name.startswith(("name", "paths")) or name.endswith("nameadr"):
                 continue
             mine = getattr(private, name).copy()

@@ -1,0 +1,106 @@
+"""Give the scenes of the shipped banks a finer, or a coarser, truth of leaves without building the banks anew.
+
+python benchmarks/renew_truth.py --out runs/renewed
+
+Each recording's row is grown once more, and its leaves are cut as `BuildSettings.leaves` has it now. The row is brought
+into a scene's frame by the true tomatoes that the scene has already: they are the same in both, to the 0.1 mm to which
+a scene file keeps them, and the script stops where they are not. What was reconstructed, seen and certified stays as it
+is. A stand that was left out because the coarser leaves reached into the arm's start stays left out.
+Takes about half an hour of two cores; what an interrupted run has finished is not made again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from greenhouse_gym.cutting import BuildSettings
+from greenhouse_gym.geometry import Array, distance_to_shapes, pose, transform
+from greenhouse_gym.packing import as_tables, from_tables, moved, near
+from greenhouse_gym.parallel import completed, processes
+from greenhouse_gym.plants import PlantRow, grow_row
+from greenhouse_gym.plants.truth import truth_of
+from greenhouse_gym.scene import Scene, SceneBank, Shapes
+from greenhouse_gym.scene.bank import write_bank
+from greenhouse_gym.scene.truth import stands_free
+from greenhouse_gym.shipped import ROW_LENGTH, SETTINGS, Shot, shots
+
+SAME = 2e-4
+"""Metres between a tomato of the grown row and the same one of a scene, at most."""
+
+
+def main() -> None:
+    """Renew the scenes of every recording, then write both banks."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--banks", type=Path, default=Path("scenes"), help="the folder of default and mini")
+    parser.add_argument("--out", type=Path, default=Path("runs/renewed"))
+    arguments = parser.parse_args()
+    default, mini = (SceneBank.open(arguments.banks / name) for name in ("default", "mini"))
+    with processes(os.cpu_count()) as executor:
+        order = sorted(shots(), key=lambda shot: shot.split == "train")
+        for name in completed(partial(renew, bank=default, out=arguments.out / "scenes"), order, executor):
+            print(name, flush=True)
+    for bank in (default, mini):
+        scenes = ((Scene.load(arguments.out / "scenes" / f"{name}.json"), bank.split_of(name)) for name in bank.names())
+        write_bank(arguments.out / bank.manifest.name, scenes, bank.manifest.name, bank.manifest.description)
+
+
+def renew(shot: Shot, bank: SceneBank, out: Path) -> str:
+    """Write the scenes of a recording with their truth as it is now; give the recording's name."""
+    out.mkdir(parents=True, exist_ok=True)
+    names = [name for name in bank.names() if name.rpartition("-")[0] == shot.name]
+    if all((out / f"{name}.json").exists() for name in names):
+        return shot.name
+    row = grow_row(shot.seed, ROW_LENGTH, shot.week, shot.cultivar, source=shot.source)
+    for name in names:
+        scene = bank.scene(name)
+        settings = {**(scene.provenance.settings or {}), "leaves": SETTINGS.leaves}
+        changes = {"provenance": scene.provenance.model_copy(update={"settings": settings})}
+        if row.organs:
+            changes["truth"] = renewed(row, scene)
+        after = scene.model_copy(update=changes)
+        if not stands_free(after, SETTINGS.robot):
+            raise SystemExit(f"{name}: the arm would begin in the finer leaves")
+        after.save(out / f"{name}.json")
+    return shot.name
+
+
+def renewed(row: PlantRow, scene: Scene) -> Shapes:
+    """The truth of a scene with the leaves of the row as they are cut now, tomatoes and stems as they are."""
+    settings = BuildSettings()
+    frame = frame_of(row, scene)
+    true = truth_of(row, settings.leaves)
+    shoulder = np.array([0.0, 0.0, scene.stand.shoulder_height])
+    parts = from_tables(near(moved(as_tables((), (), true.clutter), frame), shoulder, settings.reach))
+    distance = distance_to_shapes(shoulder[None], parts.clutter)[0]
+    clutter = tuple(shape for shape, far in zip(parts.clutter, distance, strict=True) if far < settings.reach)
+    assert scene.truth is not None
+    return scene.truth.model_copy(update={"clutter": clutter}).compact()
+
+
+def frame_of(row: PlantRow, scene: Scene) -> Array:
+    """(4, 4) pose of the row's frame in the scene's, by those of its tomatoes that their truss and size tell apart."""
+    assert scene.truth is not None
+    pairs = []
+    for known in scene.truth.tomatoes:
+        alike = [t for t in row.tomatoes if t.truss == known.truss and abs(t.radius - known.radius) < SAME]
+        if len(alike) == 1:
+            pairs.append((alike[0].center, known.center))
+    of_row, of_scene = (np.array(points) for points in zip(*pairs, strict=True))
+    turn, _ = Rotation.align_vectors(of_scene - of_scene.mean(axis=0), of_row - of_row.mean(axis=0))
+    frame = pose(turn.as_matrix(), of_scene.mean(axis=0) - turn.apply(of_row.mean(axis=0)))
+    grown = cKDTree(transform(frame, np.array([t.center for t in row.tomatoes])))
+    apart, _ = grown.query([t.center for t in scene.truth.tomatoes])
+    if apart.max() > SAME:
+        raise SystemExit(f"{scene.name}: its tomatoes are not those of the row, {1000 * apart.max():.2f} mm apart")
+    return frame
+
+
+if __name__ == "__main__":
+    main()
