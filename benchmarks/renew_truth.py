@@ -1,11 +1,12 @@
 """Give the scenes of the shipped banks a finer, or a coarser, truth of leaves without building the banks anew.
 
-python benchmarks/renew_truth.py --out runs/renewed
+python benchmarks/renew_truth.py --out runs/renewed --entries benchmarks/leaderboard
 
 Each recording's row is grown once more, and its leaves are cut as `BuildSettings.leaves` has it now. The row is brought
 into a scene's frame by the true tomatoes that the scene has already: they are the same in both, to the 0.1 mm to which
 a scene file keeps them, and the script stops where they are not. What was reconstructed, seen and certified stays as it
-is. A stand that was left out because the coarser leaves reached into the arm's start stays left out.
+is, so entries of the leaderboard keep the track on which that is all that matters, and lose the others, which have to
+be submitted again. A stand that was left out because the coarser leaves reached into the arm's start stays left out.
 Takes about half an hour of two cores; what an interrupted run has finished is not made again.
 """
 
@@ -22,14 +23,19 @@ from scipy.spatial.transform import Rotation
 
 from greenhouse_gym.cutting import BuildSettings
 from greenhouse_gym.geometry import Array, distance_to_shapes, pose, transform
+from greenhouse_gym.leaderboard import read_entry
 from greenhouse_gym.packing import as_tables, from_tables, moved, near
 from greenhouse_gym.parallel import completed, processes
+from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.plants import PlantRow, grow_row
 from greenhouse_gym.plants.truth import truth_of
 from greenhouse_gym.scene import Scene, SceneBank, Shapes
 from greenhouse_gym.scene.bank import write_bank
 from greenhouse_gym.scene.truth import stands_free
 from greenhouse_gym.shipped import ROW_LENGTH, SETTINGS, Shot, shots
+
+KEPT = "reconstruction"
+"""The track on which the truth does not matter."""
 
 SAME = 2e-4
 """Metres between a tomato of the grown row and the same one of a scene, at most."""
@@ -40,6 +46,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--banks", type=Path, default=Path("scenes"), help="the folder of default and mini")
     parser.add_argument("--out", type=Path, default=Path("runs/renewed"))
+    parser.add_argument("--entries", type=Path, help="the folder of entries that are to go over to the new bank")
     arguments = parser.parse_args()
     default, mini = (SceneBank.open(arguments.banks / name) for name in ("default", "mini"))
     with processes(os.cpu_count()) as executor:
@@ -48,7 +55,9 @@ def main() -> None:
             print(name, flush=True)
     for bank in (default, mini):
         scenes = ((Scene.load(arguments.out / "scenes" / f"{name}.json"), bank.split_of(name)) for name in bank.names())
-        write_bank(arguments.out / bank.manifest.name, scenes, bank.manifest.name, bank.manifest.description)
+        after = write_bank(arguments.out / bank.manifest.name, scenes, bank.manifest.name, bank.manifest.description)
+        for path in sorted(arguments.entries.glob("*.json")) if arguments.entries else ():
+            take_over(path, bank, after)
 
 
 def renew(shot: Shot, bank: SceneBank, out: Path) -> str:
@@ -82,6 +91,28 @@ def renewed(row: PlantRow, scene: Scene) -> Shapes:
     clutter = tuple(shape for shape, far in zip(parts.clutter, distance, strict=True) if far < settings.reach)
     assert scene.truth is not None
     return scene.truth.model_copy(update={"clutter": clutter}).compact()
+
+
+def take_over(path: Path, before: SceneBank, after: SceneBank) -> None:
+    """Let an entry of the bank before stand for the one after, on the track that is the same on both."""
+    entry = read_entry(path)
+    if entry.bank_sha256 != before.sha256 or KEPT not in entry.tracks:
+        return
+    for name in before.names(entry.protocol["split"]):
+        old, new = (told(bank.scene(name)) for bank in (before, after))
+        if old != new:
+            raise SystemExit(f"{name}: more than the truth has changed; {path} has to be submitted again")
+    kept = {
+        "bank_sha256": after.sha256,
+        "machine": {name: value for name, value in entry.machine.items() if name.startswith(f"{KEPT}: ")},
+        "tracks": {KEPT: entry.tracks[KEPT]},
+    }
+    write_atomically(path, entry.model_copy(update=kept).model_dump_json() + "\n")
+
+
+def told(scene: Scene) -> str:
+    """What an agent is told of a scene, and what is touched on the track of the reconstruction."""
+    return scene.model_dump_json(exclude={"truth": True, "provenance": {"settings"}})
 
 
 def frame_of(row: PlantRow, scene: Scene) -> Array:
