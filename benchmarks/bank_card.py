@@ -33,7 +33,8 @@ CARD = Template("""\
 
 `default` is the bank that environments, planners and benchmarks use when nothing else is said; `mini` holds a
 scene of each kind of row of it, for tests. Both are data only. This card is written by `python
-benchmarks/bank_card.py`, the banks by `greenhouse-gym build-shipped`; nothing here is edited by hand.
+benchmarks/bank_card.py`, the banks by `greenhouse-gym build-shipped`, the leaves of their truth once more by `python
+benchmarks/renew_truth.py`; nothing here is edited by hand.
 `greenhouse-gym bank check` replays every witness.
 
 ## How a scene is made
@@ -80,7 +81,8 @@ $mini
   rig saw.
 - At most $primitives shapes are kept; in dense rows and cherry rows the farthest are left out. That there are
   surfaces is still told by what the scan saw of the space around the arm.
-- Boxes of Helios' leaves claim up to $leaves mm around a leaf, so the truth is a little stricter than the plants.
+- Boxes of Helios' leaves lie within $leaves mm of a leaf with nearly all of their surface; at its edges the leaf sticks
+  out of them by up to 3 mm.
 
 ## Splits, license, citing
 
