@@ -26,7 +26,7 @@ from greenhouse_gym.scene.truth import true_scene
 _ROUND = 100
 
 KEPT = LARGEST_WHOLE
-"""How many worlds of one kind are kept ready: about 4 MB each with its scene, and up to 26 MB where the truth is touched."""
+"""How many worlds of one kind are kept ready: each takes about 4 MB with its scene, one of a truth up to 26 MB."""
 
 KINDS_KEPT = 8
 """How many kinds of worlds (arm, physics, capacity, rate) are kept ready for the next environment."""
