@@ -12,6 +12,9 @@ import pytest
 
 ROOT = Path(__file__).parent.parent
 
+LARGEST = 40e6
+"""Bytes of a wheel or a source distribution, at most; package indexes take 100 MB, and the scenes alone are 29."""
+
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -61,7 +64,7 @@ def test_the_wheel_carries_the_shipped_banks(unpacked: Path, bank: str) -> None:
 
 
 def test_the_wheel_is_small(wheel: Path) -> None:
-    assert wheel.stat().st_size < 30e6
+    assert wheel.stat().st_size < LARGEST
 
 
 def test_an_installed_package_uses_its_own_data(unpacked: Path, tmp_path: Path) -> None:
@@ -99,12 +102,12 @@ def test_an_installed_package_plans_and_writes_nothing_beside_itself(unpacked: P
 
 
 def test_the_source_distribution_is_whole(tmp_path: Path) -> None:
-    """Data, license, tests and documentation, and no more than a mail would carry."""
+    """Data, license, tests and documentation, and little beside them."""
     command = [sys.executable, "-m", "build", "--sdist", "--no-isolation", "--outdir", str(tmp_path), str(ROOT)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     (built,) = tmp_path.glob("*.tar.gz")
-    assert built.stat().st_size < 30e6
+    assert built.stat().st_size < LARGEST
     with tarfile.open(built) as archive:
         held = {name.partition("/")[2] for name in archive.getnames()}
     wanted = {"LICENSE", "README.md", "CITATION.cff", "Makefile", "constraints.txt", "docs/index.md"}
