@@ -5,7 +5,7 @@ from __future__ import annotations
 import weakref
 from collections import OrderedDict
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 
 import mujoco
 import numpy as np
@@ -96,15 +96,23 @@ class World:
                 "all scenes need the same kind of stand"
             )
 
-    def load(self, model: mujoco.MjModel, target: int) -> None:
+    @cached_property
+    def used(self) -> int:
+        """How many geoms of the world come before those that are parked, which are alike in all worlds."""
+        return int(self.compiled.obstacle_geoms.start) + len(self.compiled.scene.obstacles)
+
+    def load(self, model: mujoco.MjModel, target: int, last: World | None = None) -> None:
         """Make ``model`` this world with the cup allowed on the target.
 
         Args:
             model: Compiled with the same robot and capacity; its geoms in either order (`put_arm_first`).
             target: Index of the tomato.
+            last: The world that the model is, where that is known: what is parked in both is not copied.
         """
         source = self.compiled.model
         first, count = world_begins(model), int(source.body_geomnum[0])
+        if last is not None:
+            count = max(self.used, last.used)
         for name in _GEOM_FIELDS:
             getattr(model, name)[first : first + count] = getattr(source, name)[:count]
         for name in _SCENE_FIELDS:
