@@ -27,10 +27,7 @@ from greenhouse_gym.scene.seen import EMPTY, SURFACE, UNSEEN, SeenSpace, boxes_a
 ROOM = 0.002
 """How near the arm may come to what its camera has shown, metres."""
 
-_KNOWN, _SKIN = (
-    0.001,
-    0.008,
-)  # what the camera shows so near to a scan's shape, or the target's, is that, metres
+_KNOWN, _SKIN = 0.001, 0.008  # what the camera shows so near to a scan's shape, or the target's, is that, metres
 _CLEAR = 0.01  # what the camera shows nearer to the arm than this is no obstacle to a way that begins there, metres
 _DARK = 0.03  # places in unseen space that are told are that far apart, metres
 _ABOUT = 0.2  # places about the target are told up to here, metres
