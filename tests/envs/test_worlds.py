@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import copy
 import dataclasses
 import gc
 import json
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.envs import TomatoReachEnv, TomatoReachVectorEnv, worlds
+from greenhouse_gym.envs.geom_order import put_arm_first
 from greenhouse_gym.envs.physics import name_of
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Box
@@ -126,3 +128,21 @@ def test_parts_without_a_name_are_told_by_their_body() -> None:
         "<body><geom size='1'/></body></worldbody></mujoco>"
     )
     assert [name_of(model, geom) for geom in range(4)] == ["world", "link", "cup", "geom 3"]
+
+
+def test_what_is_parked_twice_need_not_be_copied() -> None:
+    bank = SceneBank.open("mini")
+    kept = worlds.worlds_of(get_robot("ur5e"), "reconstruction", 600)
+    made = sorted((kept.world(bank.scene(name)) for name in bank.names()[:3]), key=lambda world: world.used)
+    assert len({world.used for world in made}) == 3
+    least, _, most = made
+    for before, after in ((least, most), (most, least)):
+        model = copy.copy(before.compiled.model)
+        put_arm_first(model)
+        whole = copy.copy(model)
+        before.load(model, 0)
+        after.load(model, 1, last=before)
+        after.load(whole, 1)
+        for name in dir(model):
+            if name.startswith(("geom_", "bvh_", "body_")):
+                np.testing.assert_array_equal(getattr(model, name), getattr(whole, name), err_msg=name)
