@@ -21,14 +21,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from greenhouse_gym.cutting import BuildSettings
-from greenhouse_gym.geometry import Array, distance_to_shapes, pose, transform
+from greenhouse_gym.cutting import truth_in_scene
+from greenhouse_gym.geometry import Array, pose, transform
 from greenhouse_gym.leaderboard import read_entry
-from greenhouse_gym.packing import as_tables, from_tables, moved, near
 from greenhouse_gym.parallel import completed, processes
 from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.plants import PlantRow, grow_row
-from greenhouse_gym.plants.truth import truth_of
 from greenhouse_gym.scene import Scene, SceneBank, Shapes
 from greenhouse_gym.scene.bank import write_bank
 from greenhouse_gym.scene.truth import stands_free
@@ -39,6 +37,10 @@ KEPT = "reconstruction"
 
 SAME = 2e-4
 """Metres between a tomato of the grown row and the same one of a scene, at most."""
+
+
+LEAST = 3
+"""Tomatoes by which a frame is found, at least."""
 
 
 def main() -> None:
@@ -82,15 +84,9 @@ def renew(shot: Shot, bank: SceneBank, out: Path) -> str:
 
 def renewed(row: PlantRow, scene: Scene) -> Shapes:
     """The truth of a scene with the leaves of the row as they are cut now, tomatoes and stems as they are."""
-    settings = BuildSettings()
-    frame = frame_of(row, scene)
-    true = truth_of(row, settings.leaves)
-    shoulder = np.array([0.0, 0.0, scene.stand.shoulder_height])
-    parts = from_tables(near(moved(as_tables((), (), true.clutter), frame), shoulder, settings.reach))
-    distance = distance_to_shapes(shoulder[None], parts.clutter)[0]
-    clutter = tuple(shape for shape, far in zip(parts.clutter, distance, strict=True) if far < settings.reach)
     assert scene.truth is not None
-    return scene.truth.model_copy(update={"clutter": clutter}).compact()
+    clutter = truth_in_scene(row, frame_of(row, scene), SETTINGS).clutter
+    return scene.truth.model_copy(update={"clutter": clutter})
 
 
 def take_over(path: Path, before: SceneBank, after: SceneBank) -> None:
@@ -123,6 +119,8 @@ def frame_of(row: PlantRow, scene: Scene) -> Array:
         alike = [t for t in row.tomatoes if t.truss == known.truss and abs(t.radius - known.radius) < SAME]
         if len(alike) == 1:
             pairs.append((alike[0].center, known.center))
+    if len(pairs) < LEAST:
+        raise SystemExit(f"{scene.name}: only {len(pairs)} of its tomatoes are told apart in the row, {LEAST} are needed")
     of_row, of_scene = (np.array(points) for points in zip(*pairs, strict=True))
     turn, _ = Rotation.align_vectors(of_scene - of_scene.mean(axis=0), of_row - of_row.mean(axis=0))
     frame = pose(turn.as_matrix(), of_scene.mean(axis=0) - turn.apply(of_row.mean(axis=0)))

@@ -17,6 +17,7 @@ from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, Box, Capsule, Shape, Sphere, distance_to_shapes, invert, pose, transform
 from greenhouse_gym.limits import check_numbers
 from greenhouse_gym.packing import as_tables, from_tables, moved, near
+from greenhouse_gym.plants import PlantRow
 from greenhouse_gym.plants.thin import TOLERANCE
 from greenhouse_gym.plants.truth import truth_of
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud
@@ -228,9 +229,22 @@ def _truth_around(
             f"recording {recording.name!r} carries the truth of its row but not where station {station} stood: give "
             "its stations their world_from_station, or leave the truth out (remove truth.npz)"
         )
-    frame = scene_from_row @ row.world_from_station[station] @ invert(true_from_station)
-    true = truth_of(recording.truth, settings.leaves)
-    tables = moved(as_tables(true.tomatoes, true.stems, true.clutter), frame)  # a row of meshes has thousands of shapes
+    return truth_in_scene(
+        recording.truth, scene_from_row @ row.world_from_station[station] @ invert(true_from_station), settings
+    )
+
+
+def truth_in_scene(row: PlantRow, scene_from_row: Array, settings: BuildSettings) -> Shapes:
+    """All of a true row within the arm's reach, as a scene file keeps it.
+
+    Args:
+        row: The row.
+        scene_from_row: (4, 4) pose of the row's frame in the scene's.
+        settings: All settings.
+    """
+    true = truth_of(row, settings.leaves)
+    # as tables, since a row of meshes has thousands of shapes
+    tables = moved(as_tables(true.tomatoes, true.stems, true.clutter), scene_from_row)
     parts = from_tables(near(tables, _shoulder(), settings.reach))
     return _shapes(*(_within_reach(list(part), settings.reach) for part in parts)).compact()
 
