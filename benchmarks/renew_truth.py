@@ -120,7 +120,7 @@ def frame_of(row: PlantRow, scene: Scene) -> Array:
         if len(alike) == 1:
             pairs.append((alike[0].center, known.center))
     if len(pairs) < LEAST:
-        raise SystemExit(f"{scene.name}: only {len(pairs)} of its tomatoes are told apart in the row, {LEAST} are needed")
+        raise SystemExit(f"{scene.name}: {len(pairs)} of its tomatoes are told apart in the row, {LEAST} are needed")
     of_row, of_scene = (np.array(points) for points in zip(*pairs, strict=True))
     turn, _ = Rotation.align_vectors(of_scene - of_scene.mean(axis=0), of_row - of_row.mean(axis=0))
     frame = pose(turn.as_matrix(), of_scene.mean(axis=0) - turn.apply(of_row.mean(axis=0)))
