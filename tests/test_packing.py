@@ -1,6 +1,9 @@
 from __future__ import annotations
 
+import base64
 import json
+import lzma
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +25,11 @@ from greenhouse_gym.geometry import (
     rotations_from,
     transform,
 )
-from greenhouse_gym.packing import ShapeTables, as_tables, from_tables, moved, near, upright_boxes
+from greenhouse_gym.packing import COLUMNS, ShapeTables, as_tables, from_tables, moved, near, upright_boxes
 from greenhouse_gym.plants import grow_row
 from greenhouse_gym.scene import Scene, Shapes
+from greenhouse_gym.scene.differences import differences, restored, width
+from greenhouse_gym.scene.packed import pack, unpack
 
 
 @given(st.lists(st.floats(-1, 1), min_size=3, max_size=3).filter(lambda v: np.linalg.norm(v) > 0.01), st.floats(-4, 4))
@@ -108,6 +113,49 @@ def test_a_file_keeps_truth_to_a_tenth_of_a_millimetre_and_then_for_good(tmp_pat
     assert values(Scene.load(again).truth) == values(loaded.truth)
 
 
+def xz_of(data: bytes, dict_size: int = 2**20) -> str:
+    filters = [{"id": lzma.FILTER_LZMA2, "preset": 6, "dict_size": dict_size}]
+    return base64.b64encode(lzma.compress(data, filters=filters)).decode()
+
+
+@pytest.mark.parametrize("columns", COLUMNS)
+@given(data=st.data())
+def test_differences_are_undone_exactly(columns: str, data: st.DataObject) -> None:
+    """Of any numbers, whether or not four of them are a unit quaternion."""
+    rows = data.draw(st.integers(0, 5))
+    values = data.draw(
+        st.lists(st.integers(-(10**8), 10**8), min_size=rows * len(columns), max_size=rows * len(columns))
+    )
+    table = np.array(values, dtype=np.int64).reshape(rows, len(columns))
+    told = differences(table, columns)
+    assert told.shape == (rows, width(columns))
+    np.testing.assert_array_equal(restored(told, columns), table)
+
+
+def test_a_quaternion_of_a_fifth_number_is_refused() -> None:
+    told = np.zeros((2, width("xxxqqqq")), dtype=np.int64)
+    told[1, -2] = 8
+    with pytest.raises(InvalidValueError, match="quaternion"):
+        restored(told, "xxxqqqq")
+
+
+def test_shapes_in_the_first_packed_form_are_the_same() -> None:
+    """Bank files of before have the numbers themselves, by zlib."""
+    shapes = a_bit_of_everything()
+    tables = as_tables(shapes.tomatoes, shapes.stems, shapes.clutter)
+    units = {"x": 1e-4, "a": 1e-4, "r": 1e-4, "t": 1.0, "i": 1e-3, "k": 1.0, "q": 1e-5}
+    numbers = [
+        np.rint(table / [units[column] for column in columns]).T.astype("<i4").reshape(-1)
+        for table, columns in zip(tables, COLUMNS, strict=True)
+    ]
+    planes = np.concatenate(numbers).view(np.uint8).reshape(-1, 4).T.tobytes()
+    rows = {name: len(table) for name, table in zip(ShapeTables._fields, tables, strict=True)}
+    old = unpack({"rows": rows, "data": base64.b64encode(zlib.compress(planes, 9)).decode()})
+    new = unpack(pack(shapes.tomatoes, shapes.stems, shapes.clutter))
+    for one, other in zip(as_tables(*old), as_tables(*new), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
 def test_truth_written_as_lists_still_loads(tmp_path: Path) -> None:
     scene = make_scene(0)
     data = scene.model_dump(mode="json")
@@ -130,9 +178,11 @@ def test_a_grown_rows_truth_is_small() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"data": "%%%"}, "damaged"),
-        ({"data": "AAAA"}, "damaged"),
-        ({"data": 3}, "damaged"),
+        ({"xz": "%%%"}, "damaged"),
+        ({"xz": "AAAA"}, "damaged"),
+        ({"xz": 3}, "damaged"),
+        ({"xz": xz_of(bytes(10**6))}, "expected [0-9]+ bytes"),
+        ({"xz": xz_of(b"", dict_size=2**28)}, "damaged"),
         ({"rows": {}}, "rows"),
         ({"rows": dict.fromkeys(ShapeTables._fields, 10**9)}, "in all"),
         ({"rows": dict.fromkeys(ShapeTables._fields, -1)}, "in all"),

@@ -104,7 +104,7 @@ DAMAGE: list[tuple[str, Callable[[dict[str, Any]], None], str]] = [
     ("NaN shoulder", at("stand", "shoulder_height", value=float("nan")), r"stand\.shoulder_height"),
     ("NaN yaw", at("stand", "yaw", value=float("nan")), r"stand\.yaw"),
     ("NaN witness", at("targets", 0, "witness", value=[[0.0, float("nan")]]), r"targets\.0\.witness"),
-    ("damaged truth", at("truth", "data", value="%%"), r"truth.*damaged"),
+    ("damaged truth", at("truth", "xz", value="%%"), r"truth.*damaged"),
     (
         "NaN in listed truth",
         at("truth", value={"tomatoes": [{"center": [0, 0, 0], "radius": float("nan"), "truss": 0}]}),
