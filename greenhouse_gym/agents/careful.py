@@ -15,6 +15,7 @@ from greenhouse_gym.envs.ways import Ends, Headings, Place, Ways
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning.margins import with_margin
+from greenhouse_gym.planning.surfaces import with_surfaces
 from greenhouse_gym.planning.unseen import depths_of, guarded
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene, compile_scene
@@ -29,10 +30,13 @@ class Care(NamedTuple):
     Attributes:
         margin: How far the arm keeps from boxes of clutter, metres; see `greenhouse_gym.planning.margins`.
         depth: How deep it goes into unseen space at most, metres.
+        surfaces: Whether it keeps out of where the scan saw a surface without a shape; see
+            `greenhouse_gym.planning.surfaces`.
     """
 
     margin: float
     depth: float
+    surfaces: bool = False
 
 
 _ONLY = np.zeros(1, dtype=np.int64)
@@ -60,8 +64,7 @@ def careful_ways(scene: Scene, robot: Robot, ends: Ends, cares: Sequence[Care]) 
     """
 
     def by(care: Care) -> tuple[Ways, Care]:
-        roomy = with_margin(scene, robot, ends.start, care.margin)
-        return Ways(Place(guarded(roomy, robot, ends.start, care.depth)), ends), care
+        return Ways(Place(guarded(cared(scene, robot, ends.start, care), robot, ends.start, care.depth)), ends), care
 
     if scene.seen is None:
         cares = list(dict.fromkeys(care._replace(depth=np.inf) for care in cares))
@@ -73,6 +76,12 @@ def careful_ways(scene: Scene, robot: Robot, ends: Ends, cares: Sequence[Care]) 
     if not last[0].nodes.reach:  # what lies between would be searched in vain
         return last
     return next((each for each in map(by, more[:-1]) if each[0].nodes.reach), last)
+
+
+def cared(scene: Scene, robot: Robot, start: Array, care: Care) -> Scene:
+    """A scene for a way from one configuration (j,): with its margin, and with surfaces where it heeds them."""
+    roomy = with_margin(scene, robot, start, care.margin)
+    return with_surfaces(roomy, robot, start) if care.surfaces else roomy
 
 
 class CarefulAgent:

@@ -20,6 +20,7 @@ from greenhouse_gym.geometry import (
     rotation_about,
     transform,
 )
+from greenhouse_gym.planning.surfaces import shapeless
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.mjcf import base_position
 from greenhouse_gym.scene.seen import EMPTY, SURFACE, UNSEEN, SeenSpace, boxes_around
@@ -93,7 +94,7 @@ class Knowledge:
         return bool((away - radius).min() < ROOM)
 
     def dark(self, configurations: Array) -> Array:
-        """(k, 3) places that nobody has seen and an arm in configurations (m, j) is in.
+        """(k, 3) places that nobody has seen, or the scan has no shape for, and an arm in configurations (m, j) is in.
 
         Those where it is at first and those at the target are left out. There are none in a scene that does not say
         what was seen of it.
@@ -104,7 +105,8 @@ class Knowledge:
         balls, moving = self._arm.centers(configurations), self._arm.part >= 0
         outside = self._arm.radius[moving, None, None] * np.concatenate([np.eye(3), -np.eye(3)])
         ahead = np.concatenate([balls[:, moving, None], balls[:, moving, None] + outside], axis=2).reshape(-1, 3)
-        ahead = ahead[~space(transform(self._scene_from_base, ahead)) & ~self._map.seen(ahead)]
+        places = transform(self._scene_from_base, ahead)
+        ahead = ahead[(~space(places) | self._without_shape(places)) & ~self._map.seen(ahead)]
         ahead = (np.unique(np.floor(ahead / _DARK), axis=0) + 0.5) * _DARK
         ahead = ahead[np.linalg.norm(ahead - self._target, axis=1) > self._radius + _AT_TARGET]
         return np.asarray(ahead[self._gap(ahead, balls[0]) > _AROUND])
@@ -124,6 +126,17 @@ class Knowledge:
             return np.zeros(len(places), dtype=np.bool_)
         return np.asarray(space.at(transform(self._scene_from_base, places)) == SURFACE)
 
+    def _without_shape(self, places: Array) -> npt.NDArray[np.bool_]:
+        """Which of places (n, 3) of the scene are where the scan saw a surface and has no shape, (n,)."""
+        space = self._problem.scene.seen
+        if space is None:
+            return np.zeros(len(places), dtype=np.bool_)
+        cells = np.floor((places - space.origin) / space.voxel).astype(np.int64)
+        inside = ((cells >= 0) & (cells < space.shape)).all(axis=1)
+        found = np.zeros(len(places), dtype=np.bool_)
+        found[inside] = shapeless(self._problem.scene)[tuple(cells[inside].T)]
+        return found
+
     def _gap(self, points: Array, centers: Array) -> Array:
         """(n,) distances of points (n, 3) to the arm with its balls at centers (b, 3), metres, negative inside."""
         away = np.sqrt(((points[:, None] - centers) ** 2).sum(axis=-1)) - self._arm.radius
@@ -134,7 +147,7 @@ class Knowledge:
         if space is None:
             return None
         states = space.states.copy()
-        cells = np.argwhere(states == UNSEEN)
+        cells = np.argwhere((states == UNSEEN) | shapeless(self._problem.scene))
         centers = transform(self._base_from_scene, space.origin + (cells + 0.5) * space.voxel)
         states[tuple(cells[self._map.seen(centers)].T)] = EMPTY
         return SeenSpace.of(states, space.origin, space.voxel)

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.agents.approaches import FRONT, glance
 from greenhouse_gym.agents.arm_balls import arm_balls
-from greenhouse_gym.agents.careful import CAREFUL_DEPTHS, Care, careful_ways, ends_of
+from greenhouse_gym.agents.careful import CAREFUL_DEPTHS, Care, cared, careful_ways, ends_of
 from greenhouse_gym.agents.guide import towards
 from greenhouse_gym.agents.judging import between
 from greenhouse_gym.agents.knowledge import Knowledge
@@ -24,7 +24,8 @@ from greenhouse_gym.envs.roadmap import RESOLUTION
 from greenhouse_gym.envs.ways import GOALS, MARGIN, MOST_ROUNDS, REACHED, Ways, free_goals
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning import plan
-from greenhouse_gym.planning.margins import check_margin, with_margin
+from greenhouse_gym.planning.margins import check_margin
+from greenhouse_gym.planning.surfaces import with_surfaces
 from greenhouse_gym.planning.unseen import guarded
 from greenhouse_gym.scene import Scene, compile_scene
 from greenhouse_gym.scene.collision import CollisionChecker, planning_model
@@ -43,6 +44,7 @@ the arm is, and where it finds none, for one from the start, to which the arm go
 nothing left to look at either, it is asked again and again, each time with so many other goals and another seed, and in
 the last so many plans with all unseen space free."""
 
+_ANY_WAY = (Care(0.0, np.inf, surfaces=True), Care(0.0, np.inf))
 _EVERY = 2  # steps between images
 _MOTIONS = 30  # motions of a way at most
 _TRIED = 60  # views to which it looks for a free motion
@@ -177,16 +179,20 @@ class _Episode:
                 return scene, care
         model = planning_model(compile_scene(scene, problem.robot), problem.target, MARGIN)
         goals = free_goals(CollisionChecker(model, arm_reaches(problem.robot)), ends, GOALS, MOST_ROUNDS)
-        self._way = self._search(scene, command, goals, problem.seed, self._cares[-1]) if len(goals) else []
-        return scene, self._cares[-1]
+        for care in _ANY_WAY if len(goals) else ():
+            self._way = self._search(scene, command, goals, problem.seed, care)
+            if self._way:
+                return scene, care
+        return scene, _ANY_WAY[-1]
 
     def _search(self, scene: Scene, command: Array, goals: Array | int, seed: int, care: Care) -> list[Array]:
         """A way of any kind to the target, to goals (k, j) or so many others, by RRTConnect."""
         problem = self._problem
         unseen: str | float = "free" if scene.seen is None or np.isinf(care.depth) else care.depth
+        known = with_surfaces(scene, problem.robot, command) if care.surfaces else scene
         for back in ([], self._came[::-1]):
             path = plan(
-                scene, problem.target, problem.robot, start=back[-1] if back else command, goals=goals, time_limit=None,
+                known, problem.target, problem.robot, start=back[-1] if back else command, goals=goals, time_limit=None,
                 max_checks=CHECKS, seed=seed, unseen=unseen, margin=care.margin,
             ).path  # fmt: skip
             if path is not None:
@@ -196,8 +202,8 @@ class _Episode:
     def _look(self, scene: Scene, command: Array, dark: Array) -> None:
         """Go where the camera sees many of places (k, 3), if there is a free motion to one."""
         problem, self._looks = self._problem, self._looks + 1
-        roomy = with_margin(scene, problem.robot, command, self._cares[0].margin)
-        compiled = guarded(roomy, problem.robot, command, self._cares[0].depth)
+        care, robot = self._cares[0], problem.robot
+        compiled = guarded(cared(scene, robot, command, care), robot, command, care.depth)
         checker = CollisionChecker(planning_model(compiled, problem.target, MARGIN), arm_reaches(problem.robot))
         found = views(self._arm, problem.robot, command, dark, self._known.surface, self._random)
         for view, seen in islice(found, _TRIED):
@@ -213,11 +219,12 @@ class _Episode:
 
 def cares_with(margin: float) -> list[Care]:
     """How careful the ways of an agent with a margin may be, metres, the most careful first."""
-    least = [Care(0.0, depth) for depth in CAREFUL_DEPTHS]
+    shallow, *_, deep, free = CAREFUL_DEPTHS
+    bare = [Care(0.0, depth) for depth in (shallow, deep, free)]
     if not margin:
-        return least
-    shallow, *_, deep, _ = CAREFUL_DEPTHS
-    return [Care(margin, shallow), Care(margin, deep), Care(margin / 2, deep), *least[-2:]]
+        return [*(care._replace(surfaces=True) for care in bare), *bare]
+    roomy = [Care(margin, shallow, True), Care(margin, deep, True), Care(margin / 2, deep, True)]
+    return [*roomy, *(care._replace(surfaces=True) for care in bare[1:]), *bare[1:]]
 
 
 def _followed(ways: Ways, command: Array) -> list[Array]:

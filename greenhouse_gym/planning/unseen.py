@@ -141,7 +141,7 @@ def _depths(kept: ByIdentity, robot: Robot, start: tuple[float, ...]) -> tuple[A
     beyond = np.linalg.norm(space.centers - shoulder, axis=-1) > REACH
     cells = np.argwhere(unseen & ~beyond)
     centers = space.origin + (cells + 0.5) * space.voxel
-    known = inside_boxes(centers, _boxes_around_arm(scene, robot, start), space.voxel)
+    known = inside_boxes(centers, boxes_around_arm(scene, robot, start), space.voxel)
     known |= _inside_tomatoes(centers, scene.tomatoes)
     depths[tuple(cells[known].T)] = 0.0
     return depths, beyond
@@ -160,7 +160,7 @@ def _inside_tomatoes(points: Array, tomatoes: Sequence[Tomato]) -> npt.NDArray[n
     return inside
 
 
-def _boxes_around_arm(scene: Scene, robot: Robot, start: npt.ArrayLike) -> list[tuple[Array, Array, Array]]:
+def boxes_around_arm(scene: Scene, robot: Robot, start: npt.ArrayLike) -> list[tuple[Array, Array, Array]]:
     """Center, half extents and rotation of a box around each geom of the arm at its start, and of its cart."""
     bare = Scene(name=scene.name, stand=scene.stand, provenance=scene.provenance)
     model = compile_scene(bare, robot).model
