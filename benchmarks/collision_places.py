@@ -1,6 +1,7 @@
 """Where an agent collides in true rows, and what its scan knew of the place.
 
 python benchmarks/collision_places.py --agent watchful --margin 0.02 --episodes 500
+python benchmarks/collision_places.py --agent watchful --surfaces --episodes 500
 python benchmarks/collision_places.py --agent RRTConnect --unseen avoid --split train --seed 50000 --episodes 250
 
 Plays episodes of the validation rows (``physics="truth"``, seeds 20000 on, as the trainings' validation has them), then
@@ -50,6 +51,7 @@ def main() -> None:
     parser.add_argument("--agent", default="watchful")
     parser.add_argument("--margin", type=float, help="that a planner or watchful keeps from boxes, metres")
     parser.add_argument("--unseen", type=depth_or_rule, help="what unseen space is to a planner: a rule, or a depth")
+    parser.add_argument("--surfaces", action="store_true", default=None, help="watchful heeds surfaces without a shape")
     parser.add_argument("--bank", default="default")
     parser.add_argument("--split", default="validation")
     parser.add_argument("--episodes", type=int, default=500)
@@ -59,8 +61,9 @@ def main() -> None:
     a = parser.parse_args()
     bank = SceneBank.open(a.bank)
     where = {"split": a.split, "bank": bank.path, "physics": "truth"}
-    options = {key: value for key, value in (("margin", a.margin), ("unseen", a.unseen)) if value is not None}
-    name = ", ".join([a.agent, *(f"{key} {value}" for key, value in options.items())])
+    asked = {"margin": a.margin, "unseen": a.unseen, "surfaces": a.surfaces}
+    options = {key: value for key, value in asked.items() if value is not None}
+    name = ", ".join([a.agent, *(key if value is True else f"{key} {value}" for key, value in options.items())])
     agent = agent_of(a.agent, options)
     with processes(a.workers) as executor:
         evaluation = evaluate(agent, episodes=a.episodes, seed=a.seed, executor=executor, **where)

@@ -15,7 +15,7 @@ from greenhouse_gym.envs.ways import Ends, Headings, Place, Ways
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning.margins import with_margin
-from greenhouse_gym.planning.surfaces import with_surfaces
+from greenhouse_gym.planning.surfaces import shapeless, with_surfaces
 from greenhouse_gym.planning.unseen import depths_of, guarded
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene, compile_scene
@@ -67,8 +67,10 @@ def careful_ways(scene: Scene, robot: Robot, ends: Ends, cares: Sequence[Care]) 
         return Ways(Place(guarded(cared(scene, robot, ends.start, care), robot, ends.start, care.depth)), ends), care
 
     if scene.seen is None:
-        cares = list(dict.fromkeys(care._replace(depth=np.inf) for care in cares))
-    first, *more = cares
+        cares = [care._replace(depth=np.inf) for care in cares]
+    if not shapeless(scene).any():
+        cares = [care._replace(surfaces=False) for care in cares]
+    first, *more = dict.fromkeys(cares)
     found = by(first)
     if found[0].nodes.reach or not more:
         return found

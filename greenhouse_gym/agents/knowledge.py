@@ -41,13 +41,15 @@ class Knowledge:
     Args:
         problem: The episode.
         target: (3,) the target's center, metres.
+        surfaces: Whether a surface for which the scan has no shape is dark until the camera has looked there.
 
     Attributes:
         points: (n, 3) what the camera has shown where the scan has no shape, metres.
     """
 
-    def __init__(self, problem: Problem, target: Array):
+    def __init__(self, problem: Problem, target: Array, surfaces: bool = False):
         scene = problem.scene
+        self._shapeless = shapeless(scene) if surfaces and scene.seen is not None else None
         self.points: Array = np.zeros((0, 3))
         self._problem, self._arm, self._target = problem, arm_balls(problem.robot), target
         self._radius = scene.tomatoes[problem.target].radius
@@ -129,12 +131,12 @@ class Knowledge:
     def _without_shape(self, places: Array) -> npt.NDArray[np.bool_]:
         """Which of places (n, 3) of the scene are where the scan saw a surface and has no shape, (n,)."""
         space = self._problem.scene.seen
-        if space is None:
+        if space is None or self._shapeless is None:
             return np.zeros(len(places), dtype=np.bool_)
         cells = np.floor((places - space.origin) / space.voxel).astype(np.int64)
         inside = ((cells >= 0) & (cells < space.shape)).all(axis=1)
         found = np.zeros(len(places), dtype=np.bool_)
-        found[inside] = shapeless(self._problem.scene)[tuple(cells[inside].T)]
+        found[inside] = self._shapeless[tuple(cells[inside].T)]
         return found
 
     def _gap(self, points: Array, centers: Array) -> Array:
@@ -147,7 +149,7 @@ class Knowledge:
         if space is None:
             return None
         states = space.states.copy()
-        cells = np.argwhere((states == UNSEEN) | shapeless(self._problem.scene))
+        cells = np.argwhere(states == UNSEEN if self._shapeless is None else (states == UNSEEN) | self._shapeless)
         centers = transform(self._base_from_scene, space.origin + (cells + 0.5) * space.voxel)
         states[tuple(cells[self._map.seen(centers)].T)] = EMPTY
         return SeenSpace.of(states, space.origin, space.voxel)

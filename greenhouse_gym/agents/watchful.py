@@ -25,7 +25,7 @@ from greenhouse_gym.envs.ways import GOALS, MARGIN, MOST_ROUNDS, REACHED, Ways, 
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning import plan
 from greenhouse_gym.planning.margins import check_margin
-from greenhouse_gym.planning.surfaces import with_surfaces
+from greenhouse_gym.planning.surfaces import shapeless, with_surfaces
 from greenhouse_gym.planning.unseen import guarded
 from greenhouse_gym.scene import Scene, compile_scene
 from greenhouse_gym.scene.collision import CollisionChecker, planning_model
@@ -63,6 +63,8 @@ class WatchfulAgent:
     Args:
         margin: How far it keeps from boxes of clutter where there is room, metres: leaves reach farther than a scan
             shows, see `greenhouse_gym.planning.margins`. Where there is none, half of it has to do, and then nothing.
+        surfaces: Whether it keeps out of where the scan saw a surface without a shape, as far as that goes, and looks
+            there as at what nobody has seen; see `greenhouse_gym.planning.surfaces`.
 
     Attributes:
         status: How many times it looked for a way in the last episode, and how deep into unseen space the last one may
@@ -72,9 +74,9 @@ class WatchfulAgent:
     name = "watchful"
     env_options: Mapping[str, Any] = MappingProxyType({"observation": "depth"})
 
-    def __init__(self, margin: float = 0.0) -> None:
+    def __init__(self, margin: float = 0.0, surfaces: bool = False) -> None:
         self.status = ""
-        self._cares = cares_with(check_margin(margin))
+        self._cares, self._surfaces = cares_with(check_margin(margin), surfaces), surfaces
         self._problem: Problem | None = None
         self._episode: _Episode | None = None
 
@@ -88,7 +90,7 @@ class WatchfulAgent:
             raise RuntimeError("reset the agent before it acts")
         now = sensed(observation, self._problem.robot)
         if self._episode is None:
-            self._episode = _Episode(self._problem, now.target, self._cares)
+            self._episode = _Episode(self._problem, now.target, self._cares, self._surfaces)
         action = self._episode.act(now.depth, now.joints, now.command)
         self.status = self._episode.status
         return action
@@ -97,10 +99,10 @@ class WatchfulAgent:
 class _Episode:
     """What the agent does in one episode; it begins with the first observation."""
 
-    def __init__(self, problem: Problem, target: Array, cares: Sequence[Care]):
-        self.status, self._cares = "", cares
+    def __init__(self, problem: Problem, target: Array, cares: Sequence[Care], surfaces: bool):
+        self.status, self._cares, self._surfaces = "", cares, surfaces
         self._problem, self._arm = problem, arm_balls(problem.robot)
-        self._known = Knowledge(problem, target)
+        self._known = Knowledge(problem, target, surfaces)
         self._way, self._came = self._first_glance(target), [problem.start]
         self._looking, self._stuck, self._age, self._plans, self._looks = True, False, 0, 0, 0
         self._looked_at: Array = np.zeros((0, 3))
@@ -179,7 +181,7 @@ class _Episode:
                 return scene, care
         model = planning_model(compile_scene(scene, problem.robot), problem.target, MARGIN)
         goals = free_goals(CollisionChecker(model, arm_reaches(problem.robot)), ends, GOALS, MOST_ROUNDS)
-        for care in _ANY_WAY if len(goals) else ():
+        for care in (_ANY_WAY if self._surfaces and shapeless(scene).any() else _ANY_WAY[1:]) if len(goals) else ():
             self._way = self._search(scene, command, goals, problem.seed, care)
             if self._way:
                 return scene, care
@@ -217,14 +219,20 @@ class _Episode:
         return between(self._arm.checker.reaches, np.array([command, *self._way]))
 
 
-def cares_with(margin: float) -> list[Care]:
-    """How careful the ways of an agent with a margin may be, metres, the most careful first."""
+def cares_with(margin: float, surfaces: bool = False) -> list[Care]:
+    """How careful the ways of an agent may be, the most careful first.
+
+    Args:
+        margin: What it keeps from boxes where there is room, metres.
+        surfaces: Whether it keeps out of where the scan saw a surface without a shape, before it asks for less.
+    """
     shallow, *_, deep, free = CAREFUL_DEPTHS
-    bare = [Care(0.0, depth) for depth in (shallow, deep, free)]
-    if not margin:
-        return [*(care._replace(surfaces=True) for care in bare), *bare]
-    roomy = [Care(margin, shallow, True), Care(margin, deep, True), Care(margin / 2, deep, True)]
-    return [*roomy, *(care._replace(surfaces=True) for care in bare[1:]), *bare[1:]]
+    bare = [Care(0.0, depth) for depth in CAREFUL_DEPTHS]
+    if margin:
+        bare = [Care(margin, shallow), Care(margin, deep), Care(margin / 2, deep), Care(0.0, deep), Care(0.0, free)]
+    if not surfaces:
+        return bare
+    return [*(care._replace(surfaces=True) for care in bare), Care(0.0, deep), Care(0.0, free)]
 
 
 def _followed(ways: Ways, command: Array) -> list[Array]:

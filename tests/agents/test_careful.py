@@ -84,7 +84,7 @@ def test_what_the_last_care_leaves_closed_is_not_searched_again(
     partly = seen_where(scene, 1.7)
     ends = careful.ends_of(Problem(scene, TARGET, ARM, ARM.start), ARM.start)
     best, care = careful.careful_ways(partly, ARM, ends, [Care(0.0, depth) for depth in (0.1, 0.15, 0.2, np.inf)])
-    assert (best.depth, care, tried) == (found, (0.0, found), searched)  # type: ignore[attr-defined]
+    assert (best.depth, care, tried) == (found, Care(0.0, found), searched)  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("asked", [0.02, 0.3], ids=["there is room", "there is none"])
@@ -93,7 +93,7 @@ def test_ways_keep_from_boxes_where_there_is_room(scene: Scene, asked: float) ->
     leafy = scene.model_copy(update={"clutter": (*scene.clutter, beside)})
     ends = careful.ends_of(Problem(leafy, TARGET, ARM, ARM.start), ARM.start)
     ways, care = careful.careful_ways(leafy, ARM, ends, [Care(asked, 0.1), Care(0.0, 0.1), Care(0.0, np.inf)])
-    assert care == (0.02 if asked == 0.02 else 0.0, np.inf), "the scene does not say what was seen of it"
+    assert care == Care(0.02 if asked == 0.02 else 0.0, np.inf), "the scene does not say what was seen of it"
     around = with_margin(leafy, ARM, ARM.start, care.margin)
     checker = CollisionChecker(planning_model(compile_scene(around, ARM), TARGET, margin=0.0))
     at, left = ARM.start, np.inf
@@ -105,7 +105,7 @@ def test_ways_keep_from_boxes_where_there_is_room(scene: Scene, asked: float) ->
 
 
 def test_depths_count_from_the_least_on_in_any_order() -> None:
-    assert CarefulAgent([0.2, 0.1, np.inf])._cares == [(0.0, 0.1), (0.0, 0.2), (0.0, np.inf)]
+    assert CarefulAgent([0.2, 0.1, np.inf])._cares == [Care(0.0, 0.1), Care(0.0, 0.2), Care(0.0, np.inf)]
 
 
 @pytest.mark.parametrize("depths", [[], [-0.1], [float("nan")]])

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from seen_helpers import seen_where
+from seen_helpers import seen_where, with_surface_at
 
 from greenhouse_gym.agents import CarefulAgent, Problem, watchful
 from greenhouse_gym.agents.agent import Agent
 from greenhouse_gym.agents.arm_balls import ArmBalls, arm_balls
-from greenhouse_gym.agents.careful import CAREFUL_DEPTHS
+from greenhouse_gym.agents.careful import CAREFUL_DEPTHS, Care
 from greenhouse_gym.agents.knowledge import ROOM, Knowledge
 from greenhouse_gym.agents.views import FARTHEST, WORTH, views, visible
 from greenhouse_gym.agents.watchful import WatchfulAgent, cares_with
@@ -22,6 +23,7 @@ from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Box, distance_to_shapes
 from greenhouse_gym.planning import PlanResult
 from greenhouse_gym.planning.margins import with_margin
+from greenhouse_gym.planning.surfaces import shapeless
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.robots.kinematics import tool_state
 from greenhouse_gym.scene import Scene, compile_scene
@@ -83,18 +85,24 @@ def test_a_margin_without_a_meaning_is_refused(margin: float) -> None:
 
 def test_a_margin_comes_before_depth_and_goes_at_last() -> None:
     cares, usual = cares_with(0.02), cares_with(0.0)
-    assert [care.margin for care in cares] == [0.02, 0.02, 0.01, 0.0, 0.0]
-    assert [care.depth for care in cares] == [0.1, 0.2, 0.2, 0.2, np.inf]
-    assert usual == [(0.0, depth) for depth in CAREFUL_DEPTHS]
+    assert cares == [Care(0.02, 0.1), Care(0.02, 0.2), Care(0.01, 0.2), Care(0.0, 0.2), Care(0.0, np.inf)]
+    assert usual == [Care(0.0, depth) for depth in CAREFUL_DEPTHS]
+
+
+def test_surfaces_without_a_shape_are_left_out_of_account_at_last() -> None:
+    for margin in (0.0, 0.02):
+        cares, bare = cares_with(margin, surfaces=True), cares_with(margin)
+        assert cares[:-2] == [care._replace(surfaces=True) for care in bare]
+        assert cares[-2:] == bare[-2:]
 
 
 def planned_way(scene: Scene, margin: float) -> list[np.ndarray]:
     """The configurations (j,) of the way that the agent finds at first."""
     episode = watchful._Episode(
-        Problem(scene, TARGET, ARM, ARM.start), scene.tomatoes[TARGET].center, cares_with(margin)
+        Problem(scene, TARGET, ARM, ARM.start), scene.tomatoes[TARGET].center, cares_with(margin), False
     )
     care = episode._plan(ARM.start)[1]
-    assert care == (margin, np.inf), "the scene does not say what was seen of it"
+    assert care == Care(margin, np.inf), "the scene does not say what was seen of it"
     return [ARM.start, *episode._way]
 
 
@@ -167,7 +175,9 @@ def test_where_it_would_stay_it_asks_again_but_not_for_ever(scene: Scene, monkey
     image = np.zeros((48, 64), dtype=np.float32)
     for finds in (True, False):
         asked.clear()
-        episode = watchful._Episode(Problem(told, TARGET, ARM, ARM.start, 40), scene.tomatoes[TARGET].center, CARES)
+        episode = watchful._Episode(
+            Problem(told, TARGET, ARM, ARM.start, 40), scene.tomatoes[TARGET].center, CARES, False
+        )
         episode._way = []
         acted = [episode.act(image, ARM.start, ARM.start) for _ in range(watchful.PLANS + 3)]
         first, again = asked[:2], asked[2:]
@@ -187,7 +197,7 @@ def test_where_it_would_stay_it_asks_again_but_not_for_ever(scene: Scene, monkey
 
 
 def test_what_it_went_back_on_is_forgotten(scene: Scene) -> None:
-    episode = watchful._Episode(Problem(scene, TARGET, ARM, ARM.start), scene.tomatoes[TARGET].center, CARES)
+    episode = watchful._Episode(Problem(scene, TARGET, ARM, ARM.start), scene.tomatoes[TARGET].center, CARES, False)
     start, there, farther = ARM.start, ARM.start + 0.1, ARM.start + 0.2
     episode._came = [start]
     for place in (there, farther, there, start, farther):
@@ -230,6 +240,27 @@ def test_what_is_known_grows_with_the_images(scene: Scene, hung: Scene, balls: A
     known.points = tip[None] + [balls.radius[-1] + ROOM / 2, 0.0, 0.0]
     assert known.blocked(way)
     assert not known.blocked(way[1:]), "what the arm is at already does not keep it there"
+    env.close()
+
+
+def test_a_surface_without_a_shape_is_dark_until_the_camera_has_looked(scene: Scene, balls: ArmBalls) -> None:
+    env = TomatoReachEnv(bank="mini", observation="depth")
+    target = scene.tomatoes[TARGET].center - base_position(scene, ARM)
+    space = seen_where(scene, None).seen
+    assert space is not None
+    told = with_surface_at(scene, space.centers.reshape(-1, 3))
+    aims = next(views(balls, ARM, ARM.start, 0.8 * target[None], lambda at: np.zeros(len(at), bool), _dice()))[0]
+    observation, _ = env.reset(options={"scene": scene, "target": TARGET, "start": aims})
+    way = np.linspace(aims, aims + [0.0, 0.3, 0.0, 0.0, 0.0, 0.0], 20)
+    problem = Problem(told, TARGET, ARM, env.start)
+    known = Knowledge(problem, target, surfaces=True)
+    emptied = Knowledge(replace(problem, scene=seen_where(scene, None)), target)
+    before = known.dark(way)
+    assert len(before) > 0
+    assert len(emptied.dark(way)) == 0, "all of it was seen"
+    known.add(observation["depth"][0] * MAX_RANGE, aims)
+    assert len(known.dark(way)) < len(before)
+    assert shapeless(known.scene(aims, 0.01)).sum() < shapeless(told).sum()
     env.close()
 
 
