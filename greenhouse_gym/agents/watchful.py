@@ -227,12 +227,12 @@ def cares_with(margin: float, surfaces: bool = False) -> list[Care]:
         surfaces: Whether it keeps out of where the scan saw a surface without a shape, before it asks for less.
     """
     shallow, *_, deep, free = CAREFUL_DEPTHS
-    bare = [Care(0.0, depth) for depth in CAREFUL_DEPTHS]
     if margin:
-        bare = [Care(margin, shallow), Care(margin, deep), Care(margin / 2, deep), Care(0.0, deep), Care(0.0, free)]
-    if not surfaces:
-        return bare
-    return [*(care._replace(surfaces=True) for care in bare), Care(0.0, deep), Care(0.0, free)]
+        roomy = [Care(margin, shallow), Care(margin, deep), Care(margin / 2, deep), Care(0.0, deep), Care(0.0, free)]
+        least = roomy[-2:]
+    else:
+        roomy = least = [Care(0.0, depth) for depth in ((shallow, deep, free) if surfaces else CAREFUL_DEPTHS)]
+    return [*(care._replace(surfaces=True) for care in roomy), *least] if surfaces else roomy
 
 
 def _followed(ways: Ways, command: Array) -> list[Array]:

@@ -89,11 +89,14 @@ def test_a_margin_comes_before_depth_and_goes_at_last() -> None:
     assert usual == [Care(0.0, depth) for depth in CAREFUL_DEPTHS]
 
 
-def test_surfaces_without_a_shape_are_left_out_of_account_at_last() -> None:
-    for margin in (0.0, 0.02):
-        cares, bare = cares_with(margin, surfaces=True), cares_with(margin)
-        assert cares[:-2] == [care._replace(surfaces=True) for care in bare]
-        assert cares[-2:] == bare[-2:]
+@pytest.mark.parametrize("margin", [0.0, 0.02])
+def test_surfaces_without_a_shape_are_left_out_of_account_at_last(margin: float) -> None:
+    cares = cares_with(margin, surfaces=True)
+    heeding = [care for care in cares if care.surfaces]
+    assert cares[: len(heeding)] == heeding
+    assert heeding[0] == Care(margin, 0.1, surfaces=True)
+    assert heeding[-1] == Care(0.0, np.inf, surfaces=True)
+    assert cares[-2:] == [Care(0.0, 0.2), Care(0.0, np.inf)]
 
 
 def planned_way(scene: Scene, margin: float) -> list[np.ndarray]:
