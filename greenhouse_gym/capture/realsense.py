@@ -21,7 +21,8 @@ from greenhouse_gym.extras import needs
 from greenhouse_gym.geometry import pose
 
 _WIDTH, _HEIGHT, _RATE = 848, 480, 30
-_PATIENCE, _OVER = 5000, 1000  # ms without a frame after which a camera is gone, and after which a file is over
+_PATIENCE = 5000  # ms without a frame after which a camera is gone
+_OVER, _STUCK = 1000, 10  # ms without a frame after which a file may be over, and how often it may not be over yet
 _TOGETHER = 0.025  # s within which images are of one moment
 _MISSES = 300  # images passed over in a row after which clocks run apart
 
@@ -139,17 +140,22 @@ class _Stream:
     name: str
     pipeline: Any
     pair: Pair
-    ends: bool
+    playback: Any = None  # of a file, the SDK's own
 
     def frames(self) -> Iterator[tuple[float, RgbdFrame]]:
         """Time in seconds and image, depth aligned to color, until it is stopped."""
+        stuck = 0
         while True:
             try:
-                both = self.pipeline.wait_for_frames(_OVER if self.ends else _PATIENCE)
+                both = self.pipeline.wait_for_frames(_PATIENCE if self.playback is None else _OVER)
             except RuntimeError as error:
-                if self.ends:
+                if self.playback is None:
+                    raise CameraError(f"camera {self.name!r} shows nothing any more: {error}") from error
+                stuck += 1
+                if stuck > _STUCK or self.playback.current_status() != realsense_sdk().playback_status.playing:
                     return
-                raise CameraError(f"camera {self.name!r} shows nothing any more: {error}") from error
+                continue
+            stuck = 0
             depth, color = both.get_depth_frame(), both.get_color_frame()
             if depth and color:
                 pair = replace(self.pair, depth_scale=depth.get_units())
@@ -159,15 +165,16 @@ class _Stream:
 
 @contextmanager
 def _started(sdk: Any, name: str, config: Any, ends: bool) -> Iterator[_Stream]:
-    pipeline = sdk.pipeline()
+    pipeline, playback = sdk.pipeline(), None
     try:
+        if ends:  # before it starts: in real time, a busy machine would lose frames
+            playback = config.resolve(sdk.pipeline_wrapper(pipeline)).get_device().as_playback()
+            playback.set_real_time(False)
         profile = pipeline.start(config)
     except RuntimeError as error:
         raise CameraError(f"camera {name!r} cannot be started: {error}") from error
     try:
-        if ends:
-            profile.get_device().as_playback().set_real_time(False)
-        yield _Stream(name, pipeline, _pair(sdk, profile), ends)
+        yield _Stream(name, pipeline, _pair(sdk, profile), playback)
     finally:
         pipeline.stop()
 
