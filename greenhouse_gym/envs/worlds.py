@@ -20,6 +20,7 @@ from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import CompiledScene, Scene, SceneBank, Shapes, compile_scene
 from greenhouse_gym.scene.field import FieldStore, obstacle_field
 from greenhouse_gym.scene.mjcf import DEFAULT_CAPACITY, MOST_CAPACITY, base_position
+from greenhouse_gym.scene.moving import moved_to
 from greenhouse_gym.scene.plant_motion import PlantMotion, moved_plants
 from greenhouse_gym.scene.truth import true_scene
 
@@ -177,7 +178,7 @@ class Worlds:
         return world
 
     def moved(self, world: World, motion: PlantMotion, seed: int) -> World:
-        """The world after its true plants moved: what is told stays, what is touched and reached is compiled anew."""
+        """The world after its true plants moved: what is told stays, what is touched and reached is elsewhere."""
         true = world.compiled.scene
         plants = moved_plants(true, motion, np.random.default_rng(seed))
         parts = {name: getattr(plants, name) for name in ("tomatoes", "stems", "clutter")}
@@ -186,7 +187,7 @@ class Worlds:
         scene_from_base = pose(rotation_about([0, 0, 1], scene.stand.yaw), base_position(scene, self.robot))
         return replace(
             world,
-            compiled=compile_scene(moved, self.robot, self.capacity, self._record),
+            compiled=moved_to(world.compiled, moved),
             goals=_spheres(moved, scene_from_base)[world.bodies],
             before=world,
         )

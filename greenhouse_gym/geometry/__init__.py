@@ -25,7 +25,7 @@ from greenhouse_gym.geometry.poses import (
     rotations_from,
     transform,
 )
-from greenhouse_gym.geometry.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
+from greenhouse_gym.geometry.shapes import Box, Capsule, Ellipsoid, Shape, Sphere, centered_at
 
 __all__ = [
     "Array",
@@ -37,6 +37,7 @@ __all__ = [
     "Sphere",
     "Vector",
     "bounding_balls",
+    "centered_at",
     "closest_on_segments",
     "distance_to_boxes",
     "distance_to_capsules",

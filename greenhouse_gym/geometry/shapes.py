@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -113,3 +114,10 @@ class Box:
 
 
 Shape: TypeAlias = Sphere | Capsule | Box
+
+
+def centered_at(shape: Sphere | Box, center: Array) -> Sphere | Box:
+    """A ball or box elsewhere; sizes and turn, which were checked when it was made, are not checked again."""
+    elsewhere = copy.copy(shape)
+    object.__setattr__(elsewhere, "center", VECTOR.parse(center))
+    return elsewhere

@@ -7,14 +7,15 @@ and nothing else of the arm, touch it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.geometry import Box, Capsule, Shape, Sphere
+from greenhouse_gym.geometry import Array, Box, Capsule, Shape, Sphere
 from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.robots.robot import CUP_GEOM, TIP_SITE
 from greenhouse_gym.robots.start import CART_HALF_WIDTH, cart_drop
@@ -30,6 +31,7 @@ ARM_AND_CUP, ARM_ONLY = 3, 1
 """Collision masks of an obstacle, and of the target (which the cup may touch)."""
 
 TIMESTEP = 0.01
+_SHORTEST = 1e-6  # metres between the ends of a capsule that is no sphere
 _PARKED = (0.0, 0.0, -50.0)
 _STEM_COLORS = {
     "main": (0.33, 0.48, 0.2, 1.0),
@@ -116,7 +118,7 @@ def scene_spec(
     colors = [_tomato_color(tomato.ripeness) for tomato in scene.tomatoes]
     colors += [_STEM_COLORS[stem.kind] for stem in scene.stems] + [_CLUTTER_COLOR] * len(scene.clutter)
     for name, shape, color in zip(names, scene.obstacles, colors, strict=True):
-        _add_obstacle(world, name, shape, color)
+        world.add_geom(**geom_of(shape)._asdict(), name=name, rgba=color, contype=ARM_AND_CUP, conaffinity=ARM_AND_CUP)
     if target is not None:
         reached = spec.geom(names[target])
         reached.contype = reached.conaffinity = ARM_ONLY
@@ -199,25 +201,28 @@ def _tomato_color(ripeness: float | None) -> tuple[float, float, float, float]:
     return (0.45 + 0.4 * r, 0.6 - 0.47 * r, 0.2 - 0.1 * r, 1.0)
 
 
-def _add_obstacle(world: mujoco.MjsBody, name: str, shape: Shape, color: tuple[float, ...]) -> None:
-    common = {"name": name, "rgba": color, "contype": ARM_AND_CUP, "conaffinity": ARM_AND_CUP}
+class Geom(NamedTuple):
+    """A shape as MuJoCo has it: size (3,), metres, and position (3,) and quaternion (4,) in the scene."""
+
+    type: mujoco.mjtGeom
+    size: Sequence[float] | Array
+    pos: Array
+    quat: Array
+
+
+def geom_of(shape: Shape) -> Geom:
+    """The geom that stands for a shape."""
+    quat = np.array([1.0, 0.0, 0.0, 0.0])
     if isinstance(shape, Box):
-        quat = np.empty(4)
         mujoco.mju_mat2Quat(quat, shape.rotation.flatten())
-        world.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=shape.half_extents, pos=shape.center, quat=quat, **common)
-    elif isinstance(shape, Capsule) and shape.length > 1e-6:
-        quat = np.empty(4)
+        return Geom(mujoco.mjtGeom.mjGEOM_BOX, shape.half_extents, shape.center, quat)
+    if isinstance(shape, Capsule):
+        middle = (shape.start + shape.end) / 2
+        if shape.length <= _SHORTEST:
+            return Geom(mujoco.mjtGeom.mjGEOM_SPHERE, [shape.radius, 0.0, 0.0], middle, quat)
         mujoco.mju_quatZ2Vec(quat, shape.end - shape.start)
-        world.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[shape.radius, shape.length / 2, 0],
-            pos=(shape.start + shape.end) / 2, quat=quat, **common,
-        )  # fmt: skip
-    elif isinstance(shape, Sphere) and (ellipsoid := shape.ellipsoid) is not None:
-        quat = np.empty(4)
+        return Geom(mujoco.mjtGeom.mjGEOM_CAPSULE, [shape.radius, shape.length / 2, 0.0], middle, quat)
+    if isinstance(shape, Sphere) and (ellipsoid := shape.ellipsoid) is not None:
         mujoco.mju_mat2Quat(quat, ellipsoid.rotation.flatten())
-        world.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_ELLIPSOID, size=ellipsoid.semi_axes, pos=ellipsoid.center, quat=quat, **common
-        )
-    else:
-        center = (shape.start + shape.end) / 2 if isinstance(shape, Capsule) else shape.center
-        world.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[shape.radius, 0, 0], pos=center, **common)
+        return Geom(mujoco.mjtGeom.mjGEOM_ELLIPSOID, ellipsoid.semi_axes, ellipsoid.center, quat)
+    return Geom(mujoco.mjtGeom.mjGEOM_SPHERE, [shape.radius, 0.0, 0.0], shape.center, quat)

@@ -7,7 +7,7 @@ follow smooth fields of shifts, and a truss moves as one piece about the place w
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -21,6 +21,7 @@ from greenhouse_gym.geometry import (
     Capsule,
     Shape,
     Sphere,
+    centered_at,
     distance_to_capsules,
     distance_to_spheres,
     rotation_about,
@@ -98,7 +99,7 @@ def moved_plants(shapes: Shapes, motion: PlantMotion, random: np.random.Generato
     return Shapes(
         tomatoes=tuple(_moved_tomato(t, with_truss(t.truss), turns[t.truss]) for t in shapes.tomatoes),
         stems=tuple(move_stem(k, stem) for k, stem in enumerate(stems)),
-        clutter=tuple(_moved_leaf(shape, with_leaf) for shape in clutter),
+        clutter=_moved_leaves(clutter, with_leaf),
     )
 
 
@@ -147,10 +148,16 @@ def _moved_tomato(tomato: Tomato, field: Field, turn: Array) -> Tomato:
     return replace(tomato, center=field(tomato.center[None])[0], rotation=rotation)
 
 
-def _moved_leaf(shape: Shape, field: Field) -> Sphere | Capsule | Box:
-    if isinstance(shape, Capsule):
-        start, end = field(np.array([shape.start, shape.end]))
-        return replace(shape, start=start, end=end)
-    if isinstance(shape, Box) and shape.half_extents.max() > _FIXED:
-        return shape
-    return replace(shape, center=field(shape.center[None])[0])
+def _moved_leaves(shapes: Sequence[Shape], field: Field) -> tuple[Shape, ...]:
+    """Shapes of leaves after they moved; asked of the field at once, as there may be thousands of them."""
+    places = np.array([[s.start, s.end] if isinstance(s, Capsule) else [s.center, s.center] for s in shapes])
+    after = field(places.reshape(-1, 3)).reshape(-1, 2, 3)
+
+    def moved(shape: Shape, start: Array, end: Array) -> Sphere | Capsule | Box:
+        if isinstance(shape, Capsule):
+            return replace(shape, start=start, end=end)
+        if isinstance(shape, Box) and shape.half_extents.max() > _FIXED:
+            return shape
+        return centered_at(shape, start)
+
+    return tuple(moved(shape, *ends) for shape, ends in zip(shapes, after, strict=True))
