@@ -51,7 +51,7 @@ def main() -> None:
     parser.add_argument("--agent", default="watchful")
     parser.add_argument("--margin", type=float, help="that a planner or watchful keeps from boxes, metres")
     parser.add_argument("--unseen", type=depth_or_rule, help="what unseen space is to a planner: a rule, or a depth")
-    parser.add_argument("--surfaces", action="store_true", default=None, help="watchful heeds surfaces without a shape")
+    parser.add_argument("--surfaces", action="store_true", default=None, help="heed surfaces without a shape")
     parser.add_argument("--bank", default="default")
     parser.add_argument("--split", default="validation")
     parser.add_argument("--episodes", type=int, default=500)

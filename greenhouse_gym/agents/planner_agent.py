@@ -90,6 +90,8 @@ class PlannerAgent:
         margin: How far it keeps from boxes of clutter, metres, as `greenhouse_gym.planning.plan` takes it. When left
             out, `RIM` in scenes whose boxes go by the area of the foliage, as they are built now, and 0 in others.
         attempts: How many times it plans at most while there is no path, each time with another seed.
+        surfaces: Whether it keeps out of where the scan saw a surface without a shape, in scenes that say what was
+            seen; see `greenhouse_gym.planning.surfaces`.
 
     Attributes:
         result: The last episode's plan, or None before the first.
@@ -112,8 +114,10 @@ class PlannerAgent:
         unseen: str | float | None = None,
         margin: float | None = None,
         attempts: int = 1,
+        surfaces: bool = False,
     ):
         self.planner, self.settings, self.unseen, self.margin = PLANNERS[planner].name, settings, unseen, margin
+        self.surfaces = surfaces
         self.time_limit, self.max_checks, self.goals = time_limit, max_checks, goals
         self.name, self.attempts = name or planner, check_whole("attempts", attempts, 1)
         self.result: PlanResult | None = None
@@ -132,6 +136,7 @@ class PlannerAgent:
                 self.goals, seed=problem.seed + attempt, start=problem.start, settings=self.settings,
                 unseen=usual_care(problem.scene) if self.unseen is None else self.unseen,
                 margin=usual_margin(problem.scene) if self.margin is None else self.margin,
+                surfaces=self.surfaces and problem.scene.seen is not None,
             )  # fmt: skip
             if self.result.path is not None:
                 break

@@ -20,6 +20,7 @@ from greenhouse_gym.planning.planner_settings import PlannerSettings
 from greenhouse_gym.planning.planners import PLANNERS, PlannerInfo
 from greenhouse_gym.planning.registered import PlannerFailedError, run_registered
 from greenhouse_gym.planning.result import PlanResult, Status
+from greenhouse_gym.planning.surfaces import with_surfaces
 from greenhouse_gym.planning.unseen import depths_of, guarded, require_seen, unseen_way
 from greenhouse_gym.planning.worker import WorkerCrashedError, WorkerFailedError, WorkerTimeoutError, shared_worker
 from greenhouse_gym.robots import Robot, get_robot
@@ -61,6 +62,7 @@ def plan(
     pairs: Collection[str] = COLLISION_PAIRS,
     unseen: str | float = "free",
     margin: float = 0.0,
+    surfaces: bool = False,
 ) -> PlanResult:
     """Plan a path that brings the tool to a tomato and touches nothing else.
 
@@ -93,19 +95,22 @@ def plan(
             "free", the result says how long the way through the unseen is.
         margin: How far the arm keeps from boxes of clutter, metres, but from those beside its start: leaves reach
             farther than a scan shows, see `greenhouse_gym.planning.margins`.
+        surfaces: Whether the arm keeps out of where the scan saw a surface without a shape, see
+            `greenhouse_gym.planning.surfaces`.
 
     Raises:
         UnknownNameError: No such planner, arm or collision pair.
         InvalidValueError: No such tomato; a limit that is not positive and finite, or none at all; a negative seed or
-            margin; a start or goals outside the limits.
+            margin; a start or goals outside the limits; a scene that does not say what was seen where that is asked.
         MissingDependencyError: OMPL is not installed.
     """
     arm, depths = get_robot(robot), depths_of(unseen)
-    if unseen != "free":
+    if unseen != "free" or surfaces:
         require_seen(scene)
     _seconds(time_limit, max_checks)  # refuses limits that make no sense before anything is searched
     origin = arm.configuration(start)
     scene = with_margin(scene, arm, origin, margin)
+    scene = with_surfaces(scene, arm, origin) if surfaces else scene
     began = time.perf_counter()
     statistics = None
     if isinstance(goals, int | np.integer):

@@ -29,9 +29,15 @@ def with_surfaces(scene: Scene, robot: Robot, start: npt.ArrayLike) -> Scene:
         robot: The arm.
         start: (joints,) where it stands, radians.
     """
-    cells = shapeless(scene)
-    if scene.seen is None or not cells.any():
+    if scene.seen is None or not shapeless(scene).any():
         return scene
+    return _with_surfaces(ByIdentity(scene), robot, tuple(np.asarray(start, dtype=np.float64).tolist()))
+
+
+@lru_cache(maxsize=4)
+def _with_surfaces(kept: ByIdentity, robot: Robot, start: tuple[float, ...]) -> Scene:
+    scene, cells = kept.scene, shapeless(kept.scene)
+    assert scene.seen is not None
     origin, voxel = scene.seen.origin, scene.seen.voxel
     places = np.argwhere(cells)
     beside = inside_boxes(origin + (places + 0.5) * voxel, boxes_around_arm(scene, robot, start), voxel)

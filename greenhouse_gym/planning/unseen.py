@@ -53,7 +53,9 @@ def require_seen(scene: Scene) -> SeenSpace:
     Raises:
         InvalidValueError: The scene does not say; the message tells what helps.
     """
-    return required(scene.seen, scene.name, 'unseen="avoid", "forbid" or a depth', 'plan with unseen="free"')
+    return required(
+        scene.seen, scene.name, 'unseen="avoid", "forbid" or a depth, or surfaces=True', 'plan with unseen="free"'
+    )
 
 
 def unseen_boxes(scene: Scene, robot: Robot, start: npt.ArrayLike, depth: float = 0.0) -> list[Box]:
