@@ -72,6 +72,7 @@ def main() -> None:
     parser.add_argument("--fine", action="store_true", help="have bent leaves become many small boxes")
     parser.add_argument("--leaves", type=float, default=0.02, help="how far off its leaves the truth may lie, metres")
     parser.add_argument("--margin", type=float, default=0.0, help="how far paths keep from boxes of leaves, metres")
+    parser.add_argument("--surfaces", action="store_true", help="keep out of seen surfaces that have no shape")
     parser.add_argument("--per-scene", type=int, default=20, help="most targets of a scene")
     parser.add_argument("--moved", action="store_true", help="follow in plants that moved since they were scanned")
     parser.add_argument("--workers", type=int, default=1)
@@ -92,6 +93,7 @@ def main() -> None:
         a.moved,
         a.leaves,
         a.margin,
+        a.surfaces,
         a.workdir,
     )
     tasks = [(row, *protocol_and_start(name), unseen) for row, name, unseen in product(a.rows, a.protocols, a.unseen)]
@@ -108,7 +110,7 @@ def main() -> None:
             f"--protocols {' '.join(a.protocols)} --unseen {' '.join(a.unseen)} --length {a.length:g} "
             f"--spacing {a.spacing:g} --primitives {a.primitives}{' --fine' * a.fine} --planner {a.planner} "
             f"--checks {a.checks} --leaves {a.leaves:g} --margin {a.margin:g} --per-scene {a.per_scene}"
-            f"{' --moved' * a.moved}{' --only-finished' * a.only_finished}"
+            f"{' --surfaces' * a.surfaces}{' --moved' * a.moved}{' --only-finished' * a.only_finished}"
         )
         rows = sorted({task[0] for task in tasks})
         figures = {"command": command, "source": a.source, "rows_measured": rows, "figures": summaries(episodes)}
@@ -156,8 +158,8 @@ def reach_in(scenes: Sequence[Scene], unseen: str, start: str, seed: int, option
 
 
 def _episodes_file(seed: int, protocol: str, start: str, unseen: str, options: Options) -> Path:
-    moved = f"-{options.margin:g}" * (options.margin > 0) + "-moved" * options.moved
-    name = f"{options.robot}-{options.planner}-{options.checks}-{options.per_scene}-{start}-{unseen}{moved}.json"
+    care = f"-{options.margin:g}" * (options.margin > 0) + "-surfaces" * options.surfaces + "-moved" * options.moved
+    name = f"{options.robot}-{options.planner}-{options.checks}-{options.per_scene}-{start}-{unseen}{care}.json"
     return folder_of(seed, protocol, options) / name
 
 
@@ -207,6 +209,7 @@ def plan_of(scene: Scene, target: int, unseen: str, start: str, options: Options
     return plan(
         scene, target, options.robot, options.planner, time_limit=120.0, max_checks=options.checks, start=start,
         unseen=unseen if unseen in UNSEEN_RULES else float(unseen), margin=options.margin,
+        surfaces=options.surfaces,
     )  # fmt: skip
 
 

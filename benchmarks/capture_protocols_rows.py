@@ -39,6 +39,7 @@ class Options:
         moved: Whether the true plants have moved since they were scanned, in each episode elsewhere.
         leaves: How far from a leaf of meshes the boxes of its truth may lie, metres.
         margin: How far planned paths keep from boxes of clutter, metres.
+        surfaces: Whether they keep out of where the scan saw a surface without a shape.
         workdir: Where scenes and episodes are kept.
     """
 
@@ -54,6 +55,7 @@ class Options:
     moved: bool = False
     leaves: float = 0.02
     margin: float = 0.0
+    surfaces: bool = False
     workdir: Path = Path("capture_protocols")
 
 

@@ -35,6 +35,7 @@ def main() -> None:
     parser.add_argument("--planner", default="RRTConnect")
     parser.add_argument("--checks", type=int, default=10_000, help="collision checks of a plan")
     parser.add_argument("--margin", type=float, default=0.01, help="how far paths keep from boxes of leaves, metres")
+    parser.add_argument("--surfaces", action="store_true", help="keep out of seen surfaces that have no shape")
     parser.add_argument("--per-scene", type=int, default=50, help="most targets of a scene")
     parser.add_argument("--moved", action="store_true", help="follow in plants that moved since they were scanned")
     parser.add_argument("--workdir", type=Path, default=Path("careful_plans"))
@@ -47,6 +48,7 @@ def main() -> None:
         per_scene=a.per_scene,
         moved=a.moved,
         margin=a.margin,
+        surfaces=a.surfaces,
         workdir=a.workdir / a.bank,
     )
     bank = SceneBank.open(a.bank)
@@ -65,7 +67,8 @@ def main() -> None:
         command = (
             f"benchmarks/careful_plans.py --bank {a.bank} --split {' '.join(a.split)} --starts {' '.join(a.starts)} "
             f"--unseen {' '.join(a.unseen)} --planner {a.planner} --checks {a.checks} --margin {a.margin:g} "
-            f"--per-scene {a.per_scene}{' --moved' * a.moved}{' --only-finished' * a.only_finished}"
+            f"--per-scene {a.per_scene}{' --surfaces' * a.surfaces}{' --moved' * a.moved}"
+            f"{' --only-finished' * a.only_finished}"
         )
         scenes = sorted({episode["scene"] for episode in episodes})
         figures = {"command": command, "scenes_measured": scenes, "figures": summaries(episodes)}
@@ -74,7 +77,7 @@ def main() -> None:
 
 def file_of(name: str, start: str, unseen: str, options: Options) -> Path:
     """Where the episodes of a scene are kept."""
-    how = f"{start}-{unseen}-{options.margin:g}" + "-moved" * options.moved
+    how = f"{start}-{unseen}-{options.margin:g}" + "-surfaces" * options.surfaces + "-moved" * options.moved
     return options.workdir / name / f"{options.planner}-{options.checks}-{options.per_scene}-{how}.json"
 
 

@@ -1,7 +1,7 @@
 """Where an agent collides in true rows, and what its scan knew of the place.
 
 python benchmarks/collision_places.py --agent watchful --margin 0.02 --episodes 500
-python benchmarks/collision_places.py --agent watchful --surfaces --episodes 500
+python benchmarks/collision_places.py --agent watchful --no-surfaces --episodes 500
 python benchmarks/collision_places.py --agent RRTConnect --unseen avoid --split train --seed 50000 --episodes 250
 
 Plays episodes of the validation rows (``physics="truth"``, seeds 20000 on, as the trainings' validation has them), then
@@ -51,7 +51,7 @@ def main() -> None:
     parser.add_argument("--agent", default="watchful")
     parser.add_argument("--margin", type=float, help="that a planner or watchful keeps from boxes, metres")
     parser.add_argument("--unseen", type=depth_or_rule, help="what unseen space is to a planner: a rule, or a depth")
-    parser.add_argument("--surfaces", action="store_true", default=None, help="heed surfaces without a shape")
+    parser.add_argument("--surfaces", action=argparse.BooleanOptionalAction, help="heed surfaces without a shape")
     parser.add_argument("--bank", default="default")
     parser.add_argument("--split", default="validation")
     parser.add_argument("--episodes", type=int, default=500)
@@ -63,7 +63,7 @@ def main() -> None:
     where = {"split": a.split, "bank": bank.path, "physics": "truth"}
     asked = {"margin": a.margin, "unseen": a.unseen, "surfaces": a.surfaces}
     options = {key: value for key, value in asked.items() if value is not None}
-    name = ", ".join([a.agent, *(key if value is True else f"{key} {value}" for key, value in options.items())])
+    name = ", ".join([a.agent, *(told(key, value) for key, value in options.items()), f"{a.split} rows"])
     agent = agent_of(a.agent, options)
     with processes(a.workers) as executor:
         evaluation = evaluate(agent, episodes=a.episodes, seed=a.seed, executor=executor, **where)
@@ -78,6 +78,11 @@ def main() -> None:
     print(name, json.dumps(figures, indent=1))
     kept: dict[str, Any] = json.loads(a.out.read_text())["agents"] if a.out.is_file() else {}
     write_results(a.out, {"agents": kept | {name: figures}}, ["mujoco"])
+
+
+def told(option: str, value: str | float | bool) -> str:
+    """An option in an entry's name."""
+    return f"{option} {value}" if not isinstance(value, bool) else option if value else f"no {option}"
 
 
 def depth_or_rule(text: str) -> str | float:
