@@ -74,7 +74,7 @@ class WatchfulAgent:
     name = "watchful"
     env_options: Mapping[str, Any] = MappingProxyType({"observation": "depth"})
 
-    def __init__(self, margin: float = 0.0, surfaces: bool = False) -> None:
+    def __init__(self, margin: float = 0.0, surfaces: bool = True) -> None:
         self.status = ""
         self._cares, self._surfaces = cares_with(check_margin(margin), surfaces), surfaces
         self._problem: Problem | None = None
@@ -219,7 +219,7 @@ class _Episode:
         return between(self._arm.checker.reaches, np.array([command, *self._way]))
 
 
-def cares_with(margin: float, surfaces: bool = False) -> list[Care]:
+def cares_with(margin: float, surfaces: bool) -> list[Care]:
     """How careful the ways of an agent may be, the most careful first.
 
     Args:

@@ -33,7 +33,7 @@ from greenhouse_gym.scene.reaches import arm_reaches
 
 ARM = get_robot("ur5e")
 TARGET = 4
-CARES = cares_with(0.0)
+CARES = cares_with(0.0, surfaces=False)
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +84,7 @@ def test_a_margin_without_a_meaning_is_refused(margin: float) -> None:
 
 
 def test_a_margin_comes_before_depth_and_goes_at_last() -> None:
-    cares, usual = cares_with(0.02), cares_with(0.0)
+    cares, usual = cares_with(0.02, surfaces=False), cares_with(0.0, surfaces=False)
     assert cares == [Care(0.02, 0.1), Care(0.02, 0.2), Care(0.01, 0.2), Care(0.0, 0.2), Care(0.0, np.inf)]
     assert usual == [Care(0.0, depth) for depth in CAREFUL_DEPTHS]
 
@@ -102,7 +102,7 @@ def test_surfaces_without_a_shape_are_left_out_of_account_at_last(margin: float)
 def planned_way(scene: Scene, margin: float) -> list[np.ndarray]:
     """The configurations (j,) of the way that the agent finds at first."""
     episode = watchful._Episode(
-        Problem(scene, TARGET, ARM, ARM.start), scene.tomatoes[TARGET].center, cares_with(margin), False
+        Problem(scene, TARGET, ARM, ARM.start), scene.tomatoes[TARGET].center, cares_with(margin, surfaces=False), False
     )
     care = episode._plan(ARM.start)[1]
     assert care == Care(margin, np.inf), "the scene does not say what was seen of it"
