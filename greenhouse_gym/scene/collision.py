@@ -3,7 +3,8 @@
 A configuration is free when MuJoCo reports no contact for it. Planning keeps a small margin on top: an obstacle
 counts as touched from `MARGIN` metres on. A motion is checked at configurations so close together that no point of
 the arm moves farther than a resolution between two of them; with the resolution `PROOF` = 2 * `MARGIN` every point of
-the arm is at all times within a margin of a checked place that keeps this margin, which proves the motion free.
+the arm is at all times within a margin of a checked place that keeps this margin, which proves the motion free of
+obstacles. Between the arm's own parts there is no margin: whether they touch is told at the checked configurations.
 """
 
 from __future__ import annotations
