@@ -52,6 +52,8 @@ def main() -> None:
     parser.add_argument("--margin", type=float, help="that a planner or watchful keeps from boxes, metres")
     parser.add_argument("--unseen", type=depth_or_rule, help="what unseen space is to a planner: a rule, or a depth")
     parser.add_argument("--surfaces", action=argparse.BooleanOptionalAction, help="heed surfaces without a shape")
+    parser.add_argument("--depth", type=float, help="how deep watchful goes into unseen space at first, metres")
+    parser.add_argument("--image", type=int, nargs=2, metavar=("WIDTH", "HEIGHT"), help="of watchful's camera, pixels")
     parser.add_argument("--bank", default="default")
     parser.add_argument("--split", default="validation")
     parser.add_argument("--episodes", type=int, default=500)
@@ -61,7 +63,7 @@ def main() -> None:
     a = parser.parse_args()
     bank = SceneBank.open(a.bank)
     where = {"split": a.split, "bank": bank.path, "physics": "truth"}
-    asked = {"margin": a.margin, "unseen": a.unseen, "surfaces": a.surfaces}
+    asked = {"margin": a.margin, "unseen": a.unseen, "surfaces": a.surfaces, "depth": a.depth, "image": a.image}
     options = {key: value for key, value in asked.items() if value is not None}
     name = ", ".join([a.agent, *(told(key, value) for key, value in options.items()), f"{a.split} rows"])
     agent = agent_of(a.agent, options)
@@ -80,9 +82,11 @@ def main() -> None:
     write_results(a.out, {"agents": kept | {name: figures}}, ["mujoco"])
 
 
-def told(option: str, value: str | float | bool) -> str:
+def told(option: str, value: str | float | bool | list[int]) -> str:
     """An option in an entry's name."""
-    return f"{option} {value}" if not isinstance(value, bool) else option if value else f"no {option}"
+    if isinstance(value, bool):
+        return option if value else f"no {option}"
+    return f"{option} {' x '.join(map(str, value))}" if isinstance(value, list) else f"{option} {value}"
 
 
 def depth_or_rule(text: str) -> str | float:

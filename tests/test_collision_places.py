@@ -65,8 +65,6 @@ def test_options_make_planners_and_watchful_agents(places: Any) -> None:
     planner = places.agent_of("RRTConnect", {"margin": 0.01, "unseen": places.depth_or_rule("0.1")})
     assert (planner.margin, planner.unseen, places.depth_or_rule("avoid")) == (0.01, 0.1, "avoid")
     assert places.agent_of("straight-line", {}).name == "straight-line"
-    assert [places.told(*each) for each in (("margin", 0.02), ("surfaces", True), ("surfaces", False))] == [
-        "margin 0.02",
-        "surfaces",
-        "no surfaces",
-    ]
+    options: dict[str, Any] = {"margin": 0.02, "image": [128, 96], "surfaces": True}
+    assert [places.told(*each) for each in options.items()] == ["margin 0.02", "image 128 x 96", "surfaces"]
+    assert places.told("surfaces", False) == "no surfaces"

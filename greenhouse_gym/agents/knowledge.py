@@ -41,19 +41,20 @@ class Knowledge:
     Args:
         problem: The episode.
         target: (3,) the target's center, metres.
+        camera: The camera at the arm's wrist.
         surfaces: Whether a surface for which the scan has no shape is dark until the camera has looked there.
 
     Attributes:
         points: (n, 3) what the camera has shown where the scan has no shape, metres.
     """
 
-    def __init__(self, problem: Problem, target: Array, surfaces: bool = False):
+    def __init__(self, problem: Problem, target: Array, camera: DepthCamera, surfaces: bool = False):
         scene = problem.scene
         self._shapeless = shapeless(scene) if surfaces and scene.seen is not None else None
         self.points: Array = np.zeros((0, 3))
         self._problem, self._arm, self._target = problem, arm_balls(problem.robot), target
         self._radius = scene.tomatoes[problem.target].radius
-        self._map = SightMap(self._arm, DepthCamera(), target, self._radius)
+        self._map = SightMap(self._arm, camera, target, self._radius)
         self._scene_from_base = pose(rotation_about([0, 0, 1], scene.stand.yaw), base_position(scene, problem.robot))
         self._base_from_scene = invert(self._scene_from_base)
         self._shapes, self._taken = scene.obstacles, 0

@@ -20,13 +20,15 @@ from greenhouse_gym.agents.judging import between
 from greenhouse_gym.agents.knowledge import Knowledge
 from greenhouse_gym.agents.sight_map import sensed
 from greenhouse_gym.agents.views import views
+from greenhouse_gym.envs.cameras import DepthCamera
+from greenhouse_gym.envs.images import DepthObservation
 from greenhouse_gym.envs.roadmap import RESOLUTION
 from greenhouse_gym.envs.ways import GOALS, MARGIN, MOST_ROUNDS, REACHED, Ways, free_goals
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning import plan
 from greenhouse_gym.planning.margins import check_margin
 from greenhouse_gym.planning.surfaces import shapeless, with_surfaces
-from greenhouse_gym.planning.unseen import guarded
+from greenhouse_gym.planning.unseen import depths_of, guarded
 from greenhouse_gym.scene import Scene, compile_scene
 from greenhouse_gym.scene.collision import CollisionChecker, planning_model
 from greenhouse_gym.scene.reaches import arm_reaches
@@ -65,6 +67,13 @@ class WatchfulAgent:
             shows, see `greenhouse_gym.planning.margins`. Where there is none, half of it has to do, and then nothing.
         surfaces: Whether it keeps out of where the scan saw a surface without a shape, as far as that goes, and looks
             there as at what nobody has seen; see `greenhouse_gym.planning.surfaces`.
+        depth: How deep it goes into unseen space where it can do with that, metres. Voxels of what a scan saw have
+            sides of about 0.05.
+        image: Width and height of its camera's images, pixels; None for those of ``observation="depth"``. With these, a
+            strip of a leaf as thin as 4 mm may hang unseen between two rays at half a metre.
+
+    Raises:
+        InvalidValueError: A negative margin or depth, or an image without pixels.
 
     Attributes:
         status: How many times it looked for a way in the last episode, and how deep into unseen space the last one may
@@ -74,9 +83,17 @@ class WatchfulAgent:
     name = "watchful"
     env_options: Mapping[str, Any] = MappingProxyType({"observation": "depth"})
 
-    def __init__(self, margin: float = 0.0, surfaces: bool = True) -> None:
+    def __init__(
+        self,
+        margin: float = 0.0,
+        surfaces: bool = True,
+        depth: float = CAREFUL_DEPTHS[0],
+        image: tuple[int, int] | None = None,
+    ) -> None:
         self.status = ""
-        self._cares, self._surfaces = cares_with(check_margin(margin), surfaces), surfaces
+        self._cares, self._surfaces = cares_with(check_margin(margin), surfaces, *depths_of(float(depth))), surfaces
+        if image is not None:
+            self.env_options = {"observation": DepthObservation(DepthCamera("wrist", *image))}
         self._problem: Problem | None = None
         self._episode: _Episode | None = None
 
@@ -90,7 +107,9 @@ class WatchfulAgent:
             raise RuntimeError("reset the agent before it acts")
         now = sensed(observation, self._problem.robot)
         if self._episode is None:
-            self._episode = _Episode(self._problem, now.target, self._cares, self._surfaces)
+            height, width = now.depth.shape
+            camera = DepthCamera(width=width, height=height)
+            self._episode = _Episode(self._problem, now.target, camera, self._cares, self._surfaces)
         action = self._episode.act(now.depth, now.joints, now.command)
         self.status = self._episode.status
         return action
@@ -99,10 +118,10 @@ class WatchfulAgent:
 class _Episode:
     """What the agent does in one episode; it begins with the first observation."""
 
-    def __init__(self, problem: Problem, target: Array, cares: Sequence[Care], surfaces: bool):
+    def __init__(self, problem: Problem, target: Array, camera: DepthCamera, cares: Sequence[Care], surfaces: bool):
         self.status, self._cares, self._surfaces = "", cares, surfaces
         self._problem, self._arm = problem, arm_balls(problem.robot)
-        self._known = Knowledge(problem, target, surfaces)
+        self._known = Knowledge(problem, target, camera, surfaces)
         self._way, self._came = self._first_glance(target), [problem.start]
         self._looking, self._stuck, self._age, self._plans, self._looks = True, False, 0, 0, 0
         self._looked_at: Array = np.zeros((0, 3))
@@ -219,20 +238,22 @@ class _Episode:
         return between(self._arm.checker.reaches, np.array([command, *self._way]))
 
 
-def cares_with(margin: float, surfaces: bool) -> list[Care]:
+def cares_with(margin: float, surfaces: bool, depth: float) -> list[Care]:
     """How careful the ways of an agent may be, the most careful first.
 
     Args:
         margin: What it keeps from boxes where there is room, metres.
         surfaces: Whether it keeps out of where the scan saw a surface without a shape, before it asks for less.
+        depth: How deep it goes into unseen space before it asks for more, metres.
     """
     shallow, *_, deep, free = CAREFUL_DEPTHS
     if margin:
         roomy = [Care(margin, shallow), Care(margin, deep), Care(margin / 2, deep), Care(0.0, deep), Care(0.0, free)]
         least = roomy[-2:]
     else:
-        roomy = least = [Care(0.0, depth) for depth in ((shallow, deep, free) if surfaces else CAREFUL_DEPTHS)]
-    return [*(care._replace(surfaces=True) for care in roomy), *least] if surfaces else roomy
+        roomy = least = [Care(0.0, each) for each in ((shallow, deep, free) if surfaces else CAREFUL_DEPTHS)]
+    usual = [*(care._replace(surfaces=True) for care in roomy), *least] if surfaces else roomy
+    return list(dict.fromkeys([Care(margin, depth, surfaces), *usual]))
 
 
 def _followed(ways: Ways, command: Array) -> list[Array]:

@@ -18,7 +18,7 @@ from greenhouse_gym.agents.knowledge import ROOM, Knowledge
 from greenhouse_gym.agents.views import FARTHEST, WORTH, views, visible
 from greenhouse_gym.agents.watchful import WatchfulAgent, cares_with
 from greenhouse_gym.envs import TomatoReachEnv
-from greenhouse_gym.envs.cameras import MAX_RANGE
+from greenhouse_gym.envs.cameras import MAX_RANGE, DepthCamera
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Box, distance_to_shapes
 from greenhouse_gym.planning import PlanResult
@@ -33,7 +33,8 @@ from greenhouse_gym.scene.reaches import arm_reaches
 
 ARM = get_robot("ur5e")
 TARGET = 4
-CARES = cares_with(0.0, surfaces=False)
+CARES = cares_with(0.0, surfaces=False, depth=0.1)
+CAMERA = DepthCamera()
 
 
 @pytest.fixture(scope="module")
@@ -75,6 +76,18 @@ def test_it_looks_at_what_nobody_has_seen_before_it_goes_there(scene: Scene) -> 
     assert played(dark, seen_where(scene, 1.2, aisle=0.3), scene)[0] == "reached"
     assert seen.status == "1, 0.1"
     assert int(dark.status.split(",")[0]) > 1, "it looked for a way anew once it had looked"
+    shy = WatchfulAgent(depth=0.05)
+    assert played(shy, seen_where(scene, None), scene)[0] == "reached"
+    assert shy.status == "1, 0.05"
+
+
+def test_its_images_may_be_larger(scene: Scene, hung: Scene) -> None:
+    agent = WatchfulAgent(image=(96, 72))
+    env = TomatoReachEnv(bank="mini", **agent.env_options)
+    assert env.observation_space["depth"].shape == (1, 72, 96)  # type: ignore[index]
+    env.close()
+    assert played(agent, scene, hung)[0] == "reached"
+    assert "depth" in WatchfulAgent().env_options.values(), "those of others stay as they were"
 
 
 @pytest.mark.parametrize("margin", [-0.01, float("nan"), float("inf")])
@@ -83,18 +96,25 @@ def test_a_margin_without_a_meaning_is_refused(margin: float) -> None:
         WatchfulAgent(margin)
 
 
+def test_a_depth_or_an_image_without_a_meaning_is_refused() -> None:
+    with pytest.raises(InvalidValueError, match="depth"):
+        WatchfulAgent(depth=-0.05)
+    with pytest.raises(InvalidValueError, match="size"):
+        WatchfulAgent(image=(0, 48))
+
+
 def test_a_margin_comes_before_depth_and_goes_at_last() -> None:
-    cares, usual = cares_with(0.02, surfaces=False), cares_with(0.0, surfaces=False)
+    cares, usual = cares_with(0.02, surfaces=False, depth=0.1), cares_with(0.0, surfaces=False, depth=0.1)
     assert cares == [Care(0.02, 0.1), Care(0.02, 0.2), Care(0.01, 0.2), Care(0.0, 0.2), Care(0.0, np.inf)]
     assert usual == [Care(0.0, depth) for depth in CAREFUL_DEPTHS]
 
 
 @pytest.mark.parametrize("margin", [0.0, 0.02])
 def test_surfaces_without_a_shape_are_left_out_of_account_at_last(margin: float) -> None:
-    cares = cares_with(margin, surfaces=True)
+    cares = cares_with(margin, surfaces=True, depth=0.05)
     heeding = [care for care in cares if care.surfaces]
     assert cares[: len(heeding)] == heeding
-    assert heeding[0] == Care(margin, 0.1, surfaces=True)
+    assert heeding[:2] == [Care(margin, 0.05, surfaces=True), Care(margin, 0.1, surfaces=True)]
     assert heeding[-1] == Care(0.0, np.inf, surfaces=True)
     assert cares[-2:] == [Care(0.0, 0.2), Care(0.0, np.inf)]
 
@@ -102,7 +122,11 @@ def test_surfaces_without_a_shape_are_left_out_of_account_at_last(margin: float)
 def planned_way(scene: Scene, margin: float) -> list[np.ndarray]:
     """The configurations (j,) of the way that the agent finds at first."""
     episode = watchful._Episode(
-        Problem(scene, TARGET, ARM, ARM.start), scene.tomatoes[TARGET].center, cares_with(margin, surfaces=False), False
+        Problem(scene, TARGET, ARM, ARM.start),
+        scene.tomatoes[TARGET].center,
+        CAMERA,
+        cares_with(margin, surfaces=False, depth=0.1),
+        False,
     )
     care = episode._plan(ARM.start)[1]
     assert care == Care(margin, np.inf), "the scene does not say what was seen of it"
@@ -179,7 +203,7 @@ def test_where_it_would_stay_it_asks_again_but_not_for_ever(scene: Scene, monkey
     for finds in (True, False):
         asked.clear()
         episode = watchful._Episode(
-            Problem(told, TARGET, ARM, ARM.start, 40), scene.tomatoes[TARGET].center, CARES, False
+            Problem(told, TARGET, ARM, ARM.start, 40), scene.tomatoes[TARGET].center, CAMERA, CARES, False
         )
         episode._way = []
         acted = [episode.act(image, ARM.start, ARM.start) for _ in range(watchful.PLANS + 3)]
@@ -200,7 +224,9 @@ def test_where_it_would_stay_it_asks_again_but_not_for_ever(scene: Scene, monkey
 
 
 def test_what_it_went_back_on_is_forgotten(scene: Scene) -> None:
-    episode = watchful._Episode(Problem(scene, TARGET, ARM, ARM.start), scene.tomatoes[TARGET].center, CARES, False)
+    episode = watchful._Episode(
+        Problem(scene, TARGET, ARM, ARM.start), scene.tomatoes[TARGET].center, CAMERA, CARES, False
+    )
     start, there, farther = ARM.start, ARM.start + 0.1, ARM.start + 0.2
     episode._came = [start]
     for place in (there, farther, there, start, farther):
@@ -221,7 +247,7 @@ def test_what_is_known_grows_with_the_images(scene: Scene, hung: Scene, balls: A
     aims = next(views(balls, ARM, ARM.start, leaf[None], lambda places: np.zeros(len(places), bool), _dice()))[0]
     told = seen_where(scene, 0.0)
     observation, _ = env.reset(options={"scene": hung, "target": TARGET, "start": aims})
-    known = Knowledge(Problem(told, TARGET, ARM, env.start), target)
+    known = Knowledge(Problem(told, TARGET, ARM, env.start), target, CAMERA)
     way = np.array([aims, aims + [0.0, 0.3, 0.0, 0.0, 0.0, 0.0]])
     dark = known.dark(way)
     assert not known.blocked(way)
@@ -238,7 +264,7 @@ def test_what_is_known_grows_with_the_images(scene: Scene, hung: Scene, balls: A
     assert then.seen.states.astype(bool).sum() > told.seen.states.astype(bool).sum()  # type: ignore[union-attr]
     assert len(known.dark(way)) < len(dark)
     unlooked = known.unlooked()
-    assert 0 < len(unlooked) < len(Knowledge(Problem(told, TARGET, ARM, env.start), target).unlooked())
+    assert 0 < len(unlooked) < len(Knowledge(Problem(told, TARGET, ARM, env.start), target, CAMERA).unlooked())
     tip = balls.centers(way[1:])[0, -1]
     known.points = tip[None] + [balls.radius[-1] + ROOM / 2, 0.0, 0.0]
     assert known.blocked(way)
@@ -256,8 +282,8 @@ def test_a_surface_without_a_shape_is_dark_until_the_camera_has_looked(scene: Sc
     observation, _ = env.reset(options={"scene": scene, "target": TARGET, "start": aims})
     way = np.linspace(aims, aims + [0.0, 0.3, 0.0, 0.0, 0.0, 0.0], 20)
     problem = Problem(told, TARGET, ARM, env.start)
-    known = Knowledge(problem, target, surfaces=True)
-    emptied = Knowledge(replace(problem, scene=seen_where(scene, None)), target)
+    known = Knowledge(problem, target, CAMERA, surfaces=True)
+    emptied = Knowledge(replace(problem, scene=seen_where(scene, None)), target, CAMERA)
     before = known.dark(way)
     assert len(before) > 0
     assert len(emptied.dark(way)) == 0, "all of it was seen"
