@@ -138,10 +138,27 @@ def distance_to_nearest(
     Args:
         points: (n, 3) metres.
         shapes: Spheres, capsules or boxes, in the points' frame.
-        limit: Distances up to here are exact, and others are larger: shapes farther from all points are passed over.
+        limit: Distances up to here are exact, and others are larger: shapes farther from a point may be passed over.
         balls: `bounding_balls` of the shapes, for whoever asks often.
     """
     p = np.asarray(points, dtype=np.float64).reshape(-1, 3)
     centers, radii = bounding_balls(shapes) if balls is None else balls
-    near = np.flatnonzero((distance_to_spheres(p, centers, radii) <= limit).any(axis=0))
-    return np.asarray(distance_to_shapes(p, [shapes[int(k)] for k in near]).min(axis=1, initial=np.inf))
+    result = np.full(len(p), np.inf)
+    for rows in _blocks(p):
+        low, high = p[rows].min(axis=0), p[rows].max(axis=0)
+        reach = float(np.linalg.norm(high - low)) / 2 + limit + _ROUNDING
+        near = np.flatnonzero(np.linalg.norm(centers - (low + high) / 2, axis=1) - radii <= reach)
+        if len(near):
+            result[rows] = distance_to_shapes(p[rows], [shapes[k] for k in near.tolist()]).min(axis=1)
+    return result
+
+
+_BLOCK, _ROUNDING = 0.12, 1e-9  # metres
+
+
+def _blocks(points: Array) -> list[npt.NDArray[np.int64]]:
+    """Indices of points (n, 3) that lie in the same cube of space, cube by cube."""
+    if not len(points):
+        return []
+    _, block, counts = np.unique(np.floor(points / _BLOCK), axis=0, return_inverse=True, return_counts=True)
+    return np.split(np.argsort(block, kind="stable"), np.cumsum(counts)[:-1])
