@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
 from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.agents.arm_balls import arm_balls
@@ -142,8 +143,7 @@ class Knowledge:
 
     def _gap(self, points: Array, centers: Array) -> Array:
         """(n,) distances of points (n, 3) to the arm with its balls at centers (b, 3), metres, negative inside."""
-        away = np.sqrt(((points[:, None] - centers) ** 2).sum(axis=-1)) - self._arm.radius
-        return np.asarray(away.min(axis=1, initial=np.inf))
+        return np.asarray((cdist(points, centers) - self._arm.radius).min(axis=1, initial=np.inf))
 
     def _seen(self) -> SeenSpace | None:
         space = self._problem.scene.seen

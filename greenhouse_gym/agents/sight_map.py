@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import binary_erosion
+from scipy.spatial.distance import cdist
 
 from greenhouse_gym.agents.arm_balls import ArmBalls
 from greenhouse_gym.envs.cameras import MAX_RANGE, TIP_FROM_WRIST, DepthCamera
@@ -133,7 +134,7 @@ class SightMap:
         foreign = inside & ~stand & ~target
         centers = self.arm.centers(joints[None])[0]
         near = np.flatnonzero(foreign)
-        gap = np.sqrt(((points[near, None] - centers) ** 2).sum(axis=-1)) - self.arm.radius
+        gap = cdist(points[near], centers) - self.arm.radius
         foreign[near[gap.min(axis=1) < _OWN]] = False
         return foreign
 
