@@ -24,11 +24,12 @@ from greenhouse_gym.envs.cameras import DepthCamera
 from greenhouse_gym.envs.images import DepthObservation
 from greenhouse_gym.envs.roadmap import RESOLUTION
 from greenhouse_gym.envs.ways import GOALS, MARGIN, MOST_ROUNDS, REACHED, Ways, free_goals
+from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning import plan
 from greenhouse_gym.planning.margins import check_margin
 from greenhouse_gym.planning.surfaces import shapeless, with_surfaces
-from greenhouse_gym.planning.unseen import depths_of, guarded
+from greenhouse_gym.planning.unseen import guarded
 from greenhouse_gym.scene import Scene, compile_scene
 from greenhouse_gym.scene.collision import CollisionChecker, planning_model
 from greenhouse_gym.scene.reaches import arm_reaches
@@ -90,8 +91,10 @@ class WatchfulAgent:
         depth: float = CAREFUL_DEPTHS[0],
         image: tuple[int, int] | None = None,
     ) -> None:
+        if not depth >= 0:
+            raise InvalidValueError(f"depth must be 0 m or more, got {depth!r}")
         self.status = ""
-        self._cares, self._surfaces = cares_with(check_margin(margin), surfaces, *depths_of(float(depth))), surfaces
+        self._cares, self._surfaces = cares_with(check_margin(margin), surfaces, depth), surfaces
         if image is not None:
             self.env_options = {"observation": DepthObservation(DepthCamera("wrist", *image))}
         self._problem: Problem | None = None

@@ -97,8 +97,9 @@ def test_a_margin_without_a_meaning_is_refused(margin: float) -> None:
 
 
 def test_a_depth_or_an_image_without_a_meaning_is_refused() -> None:
-    with pytest.raises(InvalidValueError, match="depth"):
-        WatchfulAgent(depth=-0.05)
+    for depth in (-0.05, float("nan")):
+        with pytest.raises(InvalidValueError, match=f"depth must be 0 m or more, got {depth}"):
+            WatchfulAgent(depth=depth)
     with pytest.raises(InvalidValueError, match="size"):
         WatchfulAgent(image=(0, 48))
 
