@@ -96,7 +96,8 @@ def planner_parameters(ompl: Ompl, name: str) -> dict[str, str] | None:
     problem = OmplProblem(ompl, -one, one, 0 * one, one[None], lambda _: True, lambda *_: 1.0, 0.1)
     names = ompl.util.vectorString()
     try:
-        parameters = getattr(ompl.geometric, name)(problem.information).params()
+        planner = getattr(ompl.geometric, name)(problem.information)  # its parameters read from it while they are asked
+        parameters = planner.params()
     except RuntimeError:
         return None
     parameters.getParamNames(names)

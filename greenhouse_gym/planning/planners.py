@@ -32,7 +32,8 @@ class PlannerInfo:
         single_goal: Whether it gets one of the goals instead of all, the one from which the straight way back to the
             start is free the longest: it works on several threads, of which only one may ask Python for a goal.
         reproducible: Whether the same seed and number of checks give the same path. Threads take turns as they like,
-            and LazyPRMstar checks so little that the time and not the checks end its search.
+            LazyPRMstar checks so little that the time and not the checks end its search, and LBTRRT reads the lower
+            bound of the start's cost from memory that OMPL 1.7.0 never writes.
         solve: The planner itself; None for OMPL's.
     """
 
@@ -84,7 +85,7 @@ _KNOWN = (
                 settings.KPIECESettings()),
     PlannerInfo("LBKPIECE1", "lazy bidirectional KPIECE", settings.LBKPIECESettings(range=_RANGE)),
     PlannerInfo("LBTRRT", "lower bound tree RRT: near-optimal within a given factor", settings.LowerBoundTreeSettings(),
-                optimizing=True),
+                optimizing=True, reproducible=False),
     PlannerInfo("LazyLBTRRT", "lower bound tree RRT with lazy collision checks (its paths are often not free)",
                 settings.LowerBoundTreeSettings(), optimizing=True),
     PlannerInfo("LazyPRM", "probabilistic roadmap with lazy collision checks", settings.LazyPRMSettings()),
