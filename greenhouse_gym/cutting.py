@@ -14,7 +14,7 @@ from greenhouse_gym.capture.fingerprint import fingerprint
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.crop import Stem, Tomato
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.geometry import Array, Box, Capsule, Shape, Sphere, distance_to_shapes, invert, pose, transform
+from greenhouse_gym.geometry import Array, Box, Capsule, Shape, Sphere, invert, pose, transform
 from greenhouse_gym.limits import check_numbers
 from greenhouse_gym.packing import as_tables, from_tables, moved, near
 from greenhouse_gym.plants import PlantRow
@@ -25,8 +25,7 @@ from greenhouse_gym.reconstruction.seen import Carving, CarvingSettings, carve
 from greenhouse_gym.scene import Provenance, Scene, Shapes, Stand
 from greenhouse_gym.scene.seen import UNSEEN, SeenSpace
 from greenhouse_gym.shapes import RowShapes, ShapeSettings
-
-DECIMALS = 5  # 0.01 mm
+from greenhouse_gym.surroundings import DECIMALS, at_most, in_frame, shoulder_point, within_reach
 
 
 @dataclass(frozen=True)
@@ -81,7 +80,7 @@ def what_was_seen(scene: Scene, settings: BuildSettings) -> str:
     """A line on how much of the space around an arm the scan saw."""
     if scene.seen is None:
         return f"{scene.name}: what the scan saw is not known"
-    shoulder = _shoulder()
+    shoulder = shoulder_point()
     text = f"{scene.name}: {scene.seen.share(shoulder, settings.reach):.0%} of the space within reach was seen"
     plants = scene.seen.states[scene.seen.centers[..., 0] > settings.stem_distance / 2]
     above = scene.seen.centers[..., 2][scene.seen.centers[..., 0] > settings.stem_distance / 2]
@@ -145,7 +144,7 @@ def cut_scenes(
     """
     leveled = level(row)
     tomatoes, stems, clutter = (
-        [_moved(shape, leveled) for shape in part] for part in (shapes.tomatoes, shapes.stems, shapes.clutter)
+        [in_frame(shape, leveled) for shape in part] for part in (shapes.tomatoes, shapes.stems, shapes.clutter)
     )
     heads = transform(leveled, row.world_from_station[row.registered][:, :3, 3])
     numbers = np.flatnonzero(row.registered)
@@ -157,10 +156,10 @@ def cut_scenes(
         shift = pose(translation=-place)
         station = int(numbers[np.argmin(np.abs(heads[:, 1] - place[1]))])
         around = [
-            _within_reach([_moved(shape, shift) for shape in part], settings.reach, settings.width)
+            within_reach([in_frame(shape, shift) for shape in part], settings.reach, settings.width)
             for part in (tomatoes, stems, clutter)
         ]
-        around = _at_most(around, settings.primitives)
+        around = at_most(around, settings.primitives)
         scenes.append(
             Scene(
                 name=scene_name(recording, k),
@@ -182,7 +181,7 @@ def stand_poses(row: RowCloud, shapes: RowShapes, recording: Recording, settings
     """(stands, 4, 4) where `cut_scenes` puts the arm up: the frame of each scene in that of the row."""
     leveled = level(row)
     heads = transform(leveled, row.world_from_station[row.registered][:, :3, 3])
-    origins = _stand_origins([_moved(stem, leveled) for stem in shapes.stems], heads, recording, settings)
+    origins = _stand_origins([in_frame(stem, leveled) for stem in shapes.stems], heads, recording, settings)
     return np.array([invert(leveled) @ pose(translation=origin) for origin in origins])
 
 
@@ -245,8 +244,8 @@ def truth_in_scene(row: PlantRow, scene_from_row: Array, settings: BuildSettings
     true = truth_of(row, settings.leaves)
     # as tables, since a row of meshes has thousands of shapes
     tables = moved(as_tables(true.tomatoes, true.stems, true.clutter), scene_from_row)
-    parts = from_tables(near(tables, _shoulder(), settings.reach))
-    return _shapes(*(_within_reach(list(part), settings.reach) for part in parts)).compact()
+    parts = from_tables(near(tables, shoulder_point(), settings.reach))
+    return _shapes(*(within_reach(list(part), settings.reach) for part in parts)).compact()
 
 
 def _shapes(tomatoes: Sequence[Shape], stems: Sequence[Shape], clutter: Sequence[Shape]) -> Shapes:
@@ -262,62 +261,6 @@ def _stem_line(stems: Sequence[Shape], recording: Recording) -> float:
     main = [(s.start[0] + s.end[0]) / 2 for s in stems if isinstance(s, Stem) and s.kind == "main"]
     camera = recording.rig.cameras[recording.rig.reference].rig_from_camera[0, 3]
     return float(np.median(main)) if main else float(camera) + 0.5
-
-
-def _shoulder() -> Array:
-    """(3,) the shoulder in the frame of a scene, metres."""
-    return np.array([0.0, 0.0, Stand().shoulder_height])
-
-
-def _within_reach(shapes: list[Shape], reach: float, width: float = np.inf) -> list[Shape]:
-    """The shapes within the arm's reach whose middles lie within a width along the row."""
-    if not shapes:
-        return []
-    distance = distance_to_shapes(_shoulder()[None], shapes)[0]
-    return [
-        shape for shape, far in zip(shapes, distance, strict=True) if far < reach and abs(_middle(shape)[1]) < width / 2
-    ]
-
-
-def _at_most(parts: list[list[Shape]], most: int) -> list[list[Shape]]:
-    """All shapes if they are few enough; else the pedicels, which matter least, go first, those far away before others.
-
-    What is still too much goes by its distance from the shoulder: the arm meets the farthest last.
-    """
-    everything = [shape for part in parts for shape in part]
-    if len(everything) <= most:
-        return parts
-    distance = distance_to_shapes(_shoulder()[None], everything)[0]
-    pedicel = [isinstance(shape, Stem) and shape.kind == "pedicel" for shape in everything]
-    keep = {id(everything[i]) for i in np.lexsort([distance, pedicel])[:most]}
-    return [[shape for shape in part if id(shape) in keep] for part in parts]
-
-
-def _middle(shape: Shape) -> Array:
-    return (shape.start + shape.end) / 2 if isinstance(shape, Capsule) else shape.center
-
-
-def _moved(shape: Shape, target_from_source: Array) -> Shape:
-    """A shape expressed in another frame, rounded to 0.01 mm."""
-
-    def point(p: Array) -> Array:
-        return np.round(transform(target_from_source, p[None])[0], DECIMALS)
-
-    if isinstance(shape, Box):
-        turned = Rotation.from_matrix(target_from_source[:3, :3] @ shape.rotation).as_matrix()
-        return Box(point(shape.center), np.round(shape.half_extents, DECIMALS), np.round(turned, 7))
-    radius = round(shape.radius, DECIMALS)
-    if isinstance(shape, Tomato):
-        turned_axes = None
-        if shape.rotation is not None:
-            turned_axes = np.round(Rotation.from_matrix(target_from_source[:3, :3] @ shape.rotation).as_matrix(), 7)
-        axes = None if shape.semi_axes is None else np.round(shape.semi_axes, DECIMALS)
-        return Tomato(point(shape.center), radius, shape.truss, shape.ripeness, axes, turned_axes)
-    if isinstance(shape, Stem):
-        return Stem(point(shape.start), point(shape.end), radius, shape.kind)
-    if isinstance(shape, Capsule):
-        return Capsule(point(shape.start), point(shape.end), radius)
-    return type(shape)(point(shape.center), radius)
 
 
 def _plain(settings: BuildSettings) -> dict[str, Any]:

@@ -26,6 +26,7 @@ from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, RowR
 from greenhouse_gym.scene import Provenance, Scene, SceneBank, Target
 from greenhouse_gym.scene.manifest import MANIFEST
 from greenhouse_gym.shapes import RowShapes, ShapeSettings, extract_shapes
+from greenhouse_gym.surroundings import in_frame, middle
 
 
 def recording(name: str = "row", stations: int = 20, shade: int = 0) -> Recording:
@@ -209,7 +210,7 @@ def test_truth_comes_by_the_pose_of_the_station_nearest_to_the_arm() -> None:
     there = pose(rotation_about([0.2, 0.1, 1.0], 0.7), [3.0, -2.0, 0.1])
     seen = made_up_shapes()
     moved_row = PlantRow(
-        *(tuple(cutting._moved(s, there) for s in part) for part in (seen.tomatoes, seen.stems, seen.clutter)), 2.0, 0
+        *(tuple(in_frame(s, there) for s in part) for part in (seen.tomatoes, seen.stems, seen.clutter)), 2.0, 0
     )
     known = replace(known_recording(there), truth=moved_row)
     for scene, plain in zip(cut_scenes(made_up_row(20), seen, known, 2, BuildSettings()), scenes_of(seen), strict=True):
@@ -217,8 +218,8 @@ def test_truth_comes_by_the_pose_of_the_station_nearest_to_the_arm() -> None:
         assert scene.truth is not None
         # what was found is exactly what is there, in this row; truth is not cut to the scene's width or number
         for found in scene.obstacles:
-            gap = distance_to_shapes(cutting._middle(found)[None], scene.truth.obstacles).min()
-            assert gap == pytest.approx(distance_to_shapes(cutting._middle(found)[None], [found])[0, 0], abs=3e-4)
+            gap = distance_to_shapes(middle(found)[None], scene.truth.obstacles).min()
+            assert gap == pytest.approx(distance_to_shapes(middle(found)[None], [found])[0, 0], abs=3e-4)
         assert len(scene.truth.obstacles) >= len(scene.obstacles)
         shoulder = np.array([[0.0, 0.0, 1.1]])
         assert distance_to_shapes(shoulder, scene.truth.obstacles).max() < BuildSettings().reach + 1e-3
