@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.agents.agent import Problem
+from greenhouse_gym.agents.careful import CAREFUL_DEPTHS
 from greenhouse_gym.agents.watchful import WatchfulAgent
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene
@@ -21,14 +25,15 @@ class ExploringAgent:
     """Does what `WatchfulAgent` does, in a scene that holds the target alone and of which nothing was seen.
 
     It is told the target's place and radius; of the scan it asks nothing else. What it saves a robot is the scan, and
-    what it costs are looks around before it reaches.
+    what it costs are looks around before it reaches. Its images are those of ``observation="depth"``, so that a policy
+    for that observation can learn from it; and where nothing was seen, it goes as deep as `CarefulAgent` at once.
     """
 
     name = "exploring"
-    env_options = WatchfulAgent.env_options
+    env_options: Mapping[str, Any] = MappingProxyType({"observation": "depth"})
 
     def __init__(self) -> None:
-        self._watchful = WatchfulAgent()
+        self._watchful = WatchfulAgent(depth=CAREFUL_DEPTHS[0])
 
     @property
     def status(self) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import islice
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -47,6 +46,11 @@ the arm is, and where it finds none, for one from the start, to which the arm go
 nothing left to look at either, it is asked again and again, each time with so many other goals and another seed, and in
 the last so many plans with all unseen space free."""
 
+DEPTH, IMAGE = 0.05, (128, 96)
+"""How deep the agent goes into unseen space where it can do with that, metres, about a voxel of what a scan saw; and
+width and height of its camera's images, pixels, whose rays are 7 mm apart at half a metre: what is thinner may hang
+unseen between them."""
+
 _ANY_WAY = (Care(0.0, np.inf, surfaces=True), Care(0.0, np.inf))
 _EVERY = 2  # steps between images
 _MOTIONS = 30  # motions of a way at most
@@ -68,35 +72,34 @@ class WatchfulAgent:
             shows, see `greenhouse_gym.planning.margins`. Where there is none, half of it has to do, and then nothing.
         surfaces: Whether it keeps out of where the scan saw a surface without a shape, as far as that goes, and looks
             there as at what nobody has seen; see `greenhouse_gym.planning.surfaces`.
-        depth: How deep it goes into unseen space where it can do with that, metres. Voxels of what a scan saw have
-            sides of about 0.05.
-        image: Width and height of its camera's images, pixels; None for those of ``observation="depth"``. With these, a
-            strip of a leaf as thin as 4 mm may hang unseen between two rays at half a metre.
+        depth: How deep it goes into unseen space where it can do with that, metres.
+        image: Width and height of its camera's images, pixels.
 
     Raises:
-        InvalidValueError: A negative margin or depth, or an image without pixels.
+        InvalidValueError: A negative margin or depth, or an image that is not a width and a height of a pixel or more.
 
     Attributes:
+        env_options: Has the camera's images in the observation.
         status: How many times it looked for a way in the last episode, and how deep into unseen space the last one may
             lead, metres: "inf" where the unseen is free.
     """
 
     name = "watchful"
-    env_options: Mapping[str, Any] = MappingProxyType({"observation": "depth"})
 
     def __init__(
         self,
         margin: float = 0.0,
         surfaces: bool = True,
-        depth: float = CAREFUL_DEPTHS[0],
-        image: tuple[int, int] | None = None,
+        depth: float = DEPTH,
+        image: tuple[int, int] = IMAGE,
     ) -> None:
         if not depth >= 0:
             raise InvalidValueError(f"depth must be 0 m or more, got {depth!r}")
+        if len(image) != 2:
+            raise InvalidValueError(f"image must be a width and a height, pixels, got {image!r}")
         self.status = ""
         self._cares, self._surfaces = cares_with(check_margin(margin), surfaces, depth), surfaces
-        if image is not None:
-            self.env_options = {"observation": DepthObservation(DepthCamera("wrist", *image))}
+        self.env_options: Mapping[str, Any] = {"observation": DepthObservation(DepthCamera("wrist", *image))}
         self._problem: Problem | None = None
         self._episode: _Episode | None = None
 

@@ -74,20 +74,20 @@ def test_it_looks_at_what_nobody_has_seen_before_it_goes_there(scene: Scene) -> 
     seen, dark = WatchfulAgent(), WatchfulAgent()
     assert played(seen, seen_where(scene, None), scene)[0] == "reached"
     assert played(dark, seen_where(scene, 1.2, aisle=0.3), scene)[0] == "reached"
-    assert seen.status == "1, 0.1"
+    assert seen.status == "1, 0.05"
     assert int(dark.status.split(",")[0]) > 1, "it looked for a way anew once it had looked"
-    shy = WatchfulAgent(depth=0.05)
-    assert played(shy, seen_where(scene, None), scene)[0] == "reached"
-    assert shy.status == "1, 0.05"
+    bold = WatchfulAgent(depth=0.1)
+    assert played(bold, seen_where(scene, None), scene)[0] == "reached"
+    assert bold.status == "1, 0.1"
 
 
-def test_its_images_may_be_larger(scene: Scene, hung: Scene) -> None:
+def test_its_images_may_be_of_another_size(scene: Scene, hung: Scene) -> None:
     agent = WatchfulAgent(image=(96, 72))
     env = TomatoReachEnv(bank="mini", **agent.env_options)
     assert env.observation_space["depth"].shape == (1, 72, 96)  # type: ignore[index]
     env.close()
     assert played(agent, scene, hung)[0] == "reached"
-    assert "depth" in WatchfulAgent().env_options.values(), "those of others stay as they were"
+    assert WatchfulAgent().env_options != agent.env_options, "those of others stay as they were"
 
 
 @pytest.mark.parametrize("margin", [-0.01, float("nan"), float("inf")])
@@ -102,6 +102,8 @@ def test_a_depth_or_an_image_without_a_meaning_is_refused() -> None:
             WatchfulAgent(depth=depth)
     with pytest.raises(InvalidValueError, match="size"):
         WatchfulAgent(image=(0, 48))
+    with pytest.raises(InvalidValueError, match=r"a width and a height, pixels, got \(64,\)"):
+        WatchfulAgent(image=(64,))  # type: ignore[arg-type]
 
 
 def test_a_margin_comes_before_depth_and_goes_at_last() -> None:
@@ -165,7 +167,7 @@ def test_where_nothing_else_leads_on_it_goes_back_as_it_came(scene: Scene, monke
     monkeypatch.setattr(watchful, "_followed", lambda ways, command: [])
     monkeypatch.setattr(watchful, "plan", planned)
     monkeypatch.setattr(watchful, "LOOKS", 0)
-    env = TomatoReachEnv(bank="mini", **WatchfulAgent.env_options)
+    env = TomatoReachEnv(bank="mini", **WatchfulAgent().env_options)
     observation, _ = env.reset(options={"scene": scene, "target": TARGET})
     agent = WatchfulAgent()
     agent.reset(Problem(scene, TARGET, ARM, env.start))
