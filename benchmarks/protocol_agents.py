@@ -2,17 +2,20 @@
 
 python benchmarks/protocol_agents.py --agents watchful careful --source helios --rows 811-820 --workdir WORKDIR
 
-Takes the scenes that `capture_protocols.py` made with the same options under the same workdir, draws some of the
-tomatoes within reach in each, whether any planner finds a way to them or not, and has each agent play one episode with
-each (``physics="truth"``). Episodes are kept under the workdir as they are finished, so an interrupted run goes on
-where it stopped.
+Takes the scenes that `capture_protocols.py` made with the same options under the same workdir, but for those where the
+arm would touch something at its start. It draws some of the tomatoes within reach in each, whether any planner finds a
+way to them or not, and has each agent play one episode with each (``physics="truth"``). Since nobody rated these, rates
+are told once more for those to which a planner that knows the true row finds a path, as in `truth_ceiling.py`. Episodes
+are kept under the workdir as they are finished, so an interrupted run goes on where it stopped.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import tempfile
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +23,19 @@ import numpy as np
 from capture_protocols import ENDS, protocol_and_start, room_for, row_numbers, targets_of
 from capture_protocols_rows import SCENES, Options, folder_of, scenes_in
 from results_file import RESULTS, write_results
+from truth_ceiling import path_in_truth
 
 from greenhouse_gym.agents.named import make_agent
 from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.kept_records import KeptRecords
+from greenhouse_gym.parallel import completed, processes
+from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.records import Record, wilson_interval
-from greenhouse_gym.scene import Scene, Target
+from greenhouse_gym.robots import get_robot
+from greenhouse_gym.scene import Scene, Target, compile_scene
 from greenhouse_gym.scene.bank import write_bank
+from greenhouse_gym.scene.collision import CollisionChecker, planning_model
+from greenhouse_gym.scene.reaches import arm_reaches
 
 
 def main() -> None:
@@ -41,6 +50,7 @@ def main() -> None:
     parser.add_argument("--primitives", type=int, default=600)
     parser.add_argument("--leaves", type=float, default=0.01)
     parser.add_argument("--per-scene", type=int, default=8, help="most targets of a scene")
+    parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--workdir", type=Path, default=Path("capture_protocols"))
     parser.add_argument("--out", type=Path, default=RESULTS / "protocol_agents.json")
     a = parser.parse_args()
@@ -51,22 +61,68 @@ def main() -> None:
     protocol, start = protocol_and_start(a.protocol)
     rows = [row for row in a.rows if (folder_of(row, protocol, options) / SCENES).exists()]
     figures: dict[str, Any] = {}
-    for agent in a.agents:
-        records = [record for row in rows for record in played(agent, row, protocol, start, options)]
-        figures[agent] = rates(records)
-        print(agent, figures[agent], flush=True)
-        about = {"source": a.source, "protocol": protocol, "start": start, "rows": rows, "per_scene": a.per_scene}
-        write_results(a.out, about | {"leaves": a.leaves, "agents": figures}, ["mujoco", "ompl"])
+    with processes(a.workers) as executor:
+        drawn = {row: drawn_in(row, protocol, start, options) for row in rows}
+        possible = {row: paths_in_truth(row, drawn[row], protocol, start, options, executor) for row in rows}
+        for agent in a.agents:
+            ended: list[tuple[Record, bool]] = []
+            for row in rows:
+                records = played(agent, row, drawn[row], protocol, start, options, executor)
+                ended += zip(records, possible[row], strict=True)
+                figures[agent] = rates([record for record, _ in ended])
+                figures[agent]["with a path in the truth"] = rates([record for record, path in ended if path])
+                print(agent, row, figures[agent], flush=True)
+            about = {"source": a.source, "protocol": protocol, "start": start, "rows": rows, "per_scene": a.per_scene}
+            write_results(a.out, about | {"leaves": a.leaves, "agents": figures}, ["mujoco", "ompl"])
 
 
-def played(agent: str, row: int, protocol: str, start: str, options: Options) -> Sequence[Record]:
+def drawn_in(row: int, protocol: str, start: str, options: Options) -> list[tuple[Scene, int]]:
+    """Tomatoes of a row, each with its scene."""
+    ends = round(ENDS / options.spacing)
+    scenes = scenes_in(folder_of(row, protocol, options))[ends:-ends]
+    usable = [scene for scene in scenes if stands_free(scene, options.robot, start)]
+    return [(scene, k) for scene in usable for k in targets_of(scene, row, options)[0]]
+
+
+def stands_free(scene: Scene, robot: str, start: str) -> bool:
+    """Whether the arm touches no shape of the scan where it starts."""
+    arm = get_robot(robot)
+    checker = CollisionChecker(planning_model(compile_scene(scene, arm), target=0), arm_reaches(arm))
+    return checker.is_free(arm.configuration(start))
+
+
+def paths_in_truth(
+    row: int, drawn: list[tuple[Scene, int]], protocol: str, start: str, options: Options, executor: Executor
+) -> list[bool]:
+    """Whether a planner that knows the row finds a path, for each of some tomatoes; looked for once."""
+    file = folder_of(row, protocol, options) / f"truth-{start}-{options.per_scene}.json"
+    if not file.exists():
+        tasks = [(k, scene, target, start) for k, (scene, target) in enumerate(drawn)]
+        found = dict(completed(_path, tasks, executor))
+        write_atomically(file, json.dumps([found[k] for k in range(len(drawn))]))
+    return [status == "solved" for status in json.loads(file.read_text())]
+
+
+def _path(task: tuple[int, Scene, int, str]) -> tuple[int, str]:
+    number, scene, target, start = task
+    return number, path_in_truth(scene, target, seed=target, start=start)
+
+
+def played(
+    agent: str,
+    row: int,
+    drawn: list[tuple[Scene, int]],
+    protocol: str,
+    start: str,
+    options: Options,
+    executor: Executor,
+) -> Sequence[Record]:
     """The episodes of an agent in a row, played unless they are kept."""
     folder = folder_of(row, protocol, options)
-    ends = round(ENDS / options.spacing)
-    scenes = scenes_in(folder)[ends:-ends]
-    problems = [(scene.name, k) for scene in scenes for k in targets_of(scene, row, options)[0]]
+    scenes = {scene.name: scene for scene, _ in drawn}
+    problems = [(scene.name, k) for scene, k in drawn]
     with tempfile.TemporaryDirectory() as bank:
-        write_bank(bank, [(with_targets(scene), "test") for scene in scenes], "rows")
+        write_bank(bank, [(with_targets(scene), "test") for scene in scenes.values()], "rows")
         kept = KeptRecords(
             folder / f"{agent}-{start}-{options.per_scene}.jsonl", {"agent": agent, "problems": problems}
         )
@@ -75,9 +131,10 @@ def played(agent: str, row: int, protocol: str, start: str, options: Options) ->
             bank=bank,
             problems=problems,
             physics="truth",
-            capacity=room_for(scenes),
+            capacity=room_for(list(scenes.values())),
             start=start,
             kept=kept,
+            executor=executor,
         )
     return result.records
 
@@ -89,7 +146,7 @@ def with_targets(scene: Scene) -> Scene:
 
 
 def rates(records: Sequence[Record]) -> dict[str, Any]:
-    """How many reached and collided, with 95 % intervals."""
+    """How many reached, and how many collided, with 95 % intervals; the others gave up or were late."""
     count = len(records)
     result: dict[str, Any] = {"episodes": count}
     for name in ("success", "collision"):

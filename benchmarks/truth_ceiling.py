@@ -26,7 +26,7 @@ from greenhouse_gym.leaderboard import read_entry
 from greenhouse_gym.parallel import completed, processes
 from greenhouse_gym.planning import plan
 from greenhouse_gym.records import Record
-from greenhouse_gym.scene import SceneBank
+from greenhouse_gym.scene import Scene, SceneBank
 from greenhouse_gym.scene.truth import true_scene
 
 FALSE_TOMATO = "false tomato"
@@ -69,19 +69,24 @@ def main() -> None:
 
 def planned(record: Record, bank: Path, checks: int, attempts: int) -> tuple[Record, str]:
     """What became of the search for a path in the truth of an episode."""
-    scene = SceneBank.open(bank).scene(record.scene)
+    return record, path_in_truth(SceneBank.open(bank).scene(record.scene), record.target, record.seed, checks, attempts)
+
+
+def path_in_truth(
+    scene: Scene, target: int, seed: int, checks: int = 100_000, attempts: int = 2, start: str | None = None
+) -> str:
+    """The status of the search for a path to a tomato among the true shapes; "solved" where there is one."""
     true = true_scene(scene)
-    gaps = np.linalg.norm(
-        np.array([tomato.center for tomato in true.tomatoes]) - scene.tomatoes[record.target].center, axis=1
-    )
+    gaps = np.linalg.norm(np.array([tomato.center for tomato in true.tomatoes]) - scene.tomatoes[target].center, axis=1)
     if gaps.min() > SAME:
-        return record, FALSE_TOMATO
+        return FALSE_TOMATO
     for attempt in range(attempts):
-        seed = record.seed + attempt
-        status = plan(true, int(gaps.argmin()), time_limit=None, max_checks=checks, seed=seed).status
+        status = plan(
+            true, int(gaps.argmin()), time_limit=None, max_checks=checks, seed=seed + attempt, start=start
+        ).status
         if status == "solved":
             break
-    return record, status
+    return status
 
 
 def shares(group: list[tuple[Record, str]], reached: dict[int, bool]) -> dict[str, Any]:
