@@ -1,7 +1,7 @@
 """Where an agent collides in true rows, and what its scan knew of the place.
 
 python benchmarks/collision_places.py --agent watchful --margin 0.02 --episodes 500
-python benchmarks/collision_places.py --agent watchful --no-surfaces --episodes 500
+python benchmarks/collision_places.py --agent watchful --noise --episodes 150
 python benchmarks/collision_places.py --agent RRTConnect --unseen avoid --split train --seed 50000 --episodes 250
 
 Plays episodes of the validation rows (``physics="truth"``, seeds 20000 on, as the trainings' validation has them), then
@@ -31,6 +31,7 @@ from results_file import RESULTS, write_results
 from greenhouse_gym.agents import PlannerAgent, WatchfulAgent
 from greenhouse_gym.agents.agent import Agent
 from greenhouse_gym.agents.named import make_agent
+from greenhouse_gym.envs import Randomization
 from greenhouse_gym.evaluation import Trace, evaluate, retrace
 from greenhouse_gym.geometry import Array, distance_to_shapes
 from greenhouse_gym.parallel import processes
@@ -54,6 +55,7 @@ def main() -> None:
     parser.add_argument("--surfaces", action=argparse.BooleanOptionalAction, help="heed surfaces without a shape")
     parser.add_argument("--depth", type=float, help="how deep watchful goes into unseen space at first, metres")
     parser.add_argument("--image", type=int, nargs=2, metavar=("WIDTH", "HEIGHT"), help="of watchful's camera, pixels")
+    parser.add_argument("--noise", action="store_true", help="noise of a D435 in the images of the arm's camera")
     parser.add_argument("--bank", default="default")
     parser.add_argument("--split", default="validation")
     parser.add_argument("--episodes", type=int, default=500)
@@ -62,10 +64,13 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=RESULTS / "collision_places.json")
     a = parser.parse_args()
     bank = SceneBank.open(a.bank)
-    where = {"split": a.split, "bank": bank.path, "physics": "truth"}
+    where: dict[str, Any] = {"split": a.split, "bank": bank.path, "physics": "truth"}
+    if a.noise:
+        where["randomization"] = Randomization(depth_noise=True)
     asked = {"margin": a.margin, "unseen": a.unseen, "surfaces": a.surfaces, "depth": a.depth, "image": a.image}
     options = {key: value for key, value in asked.items() if value is not None}
-    name = ", ".join([a.agent, *(told(key, value) for key, value in options.items()), f"{a.split} rows"])
+    told_options = [told(key, value) for key, value in options.items()] + ["noise"] * a.noise
+    name = ", ".join([a.agent, *told_options, f"{a.split} rows"])
     agent = agent_of(a.agent, options)
     with processes(a.workers) as executor:
         evaluation = evaluate(agent, episodes=a.episodes, seed=a.seed, executor=executor, **where)
