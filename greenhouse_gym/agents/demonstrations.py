@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -71,19 +72,22 @@ def record_demonstrations(
         raise InvalidValueError(
             f"agent {agent.name!r} reached nothing in {episodes} episodes: there is nothing to keep"
         )
+    about = f"TomatoReach-v0, split {split} of bank {bank.manifest.name}, manifest sha256 {bank.sha256}"
     with _datasets_in(Path(out)):
         if name in minari.list_local_datasets():
             raise InvalidValueError(f"{out} holds a data set {name} already: choose another folder")
-        minari.create_dataset_from_buffers(
-            name,
-            buffers,
-            observation_space=env.observation_space,
-            action_space=env.action_space,
-            algorithm_name=agent.name,
-            description=f"TomatoReach-v0, split {split} of bank {bank.manifest.name}, manifest sha256 {bank.sha256}",
-            requirements=["greenhouse-gym"],
-            code_permalink=None, author=None, author_email=None,
-        )  # fmt: skip
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # that there is no author, permalink or environment's entry
+            minari.create_dataset_from_buffers(
+                name,
+                buffers,
+                observation_space=env.observation_space,
+                action_space=env.action_space,
+                algorithm_name=agent.name,
+                description=about,
+                requirements=["greenhouse-gym"],
+                code_permalink=None, author=None, author_email=None,
+            )  # fmt: skip
     return name
 
 
@@ -102,7 +106,7 @@ def _datasets_in(folder: Path) -> Iterator[None]:
             os.environ["MINARI_DATASETS_PATH"] = before
 
 
-def _played(agent: Agent, env: TomatoReachEnv, seed: int) -> dict[str, list[Any]]:
+def _played(agent: Agent, env: TomatoReachEnv, seed: int) -> dict[str, Any]:
     """An episode's columns."""
     observation, info = env.reset(seed=seed)
     rule, interval = env.simulation.action_rule, env.simulation.interval
@@ -122,7 +126,12 @@ def _played(agent: Agent, env: TomatoReachEnv, seed: int) -> dict[str, list[Any]
         columns["terminations"].append(terminated)
         columns["truncations"].append(truncated)
         infos.append(_told(info))
-    return {**columns, "infos": {key: [row[key] for row in infos] for key in infos[0]}}  # type: ignore[dict-item]
+    return {**columns, "observations": _by_key(columns["observations"]), "infos": _by_key(infos)}
+
+
+def _by_key(rows: list[Any]) -> Any:
+    """Dictionaries with the same keys as one of lists, as Minari takes them; anything else as it is."""
+    return {key: [row[key] for row in rows] for key in rows[0]} if isinstance(rows[0], Mapping) else rows
 
 
 def _told(info: Mapping[str, Any]) -> dict[str, Any]:

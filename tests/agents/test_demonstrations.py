@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,6 +30,23 @@ def test_minari_reads_what_was_played(bank: SceneBank, tmp_path: Path, monkeypat
         np.testing.assert_allclose(episode.rewards, rewards)
         assert len(episode.infos["distance"]) == len(episode.actions) + 1
     env.close()
+
+
+@pytest.mark.parametrize("observation", ["goal", "depth"])
+def test_observations_in_parts_are_kept_part_by_part(
+    bank: SceneBank, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, observation: str
+) -> None:
+    options: dict[str, Any] = {"bank": bank, "observation": observation}
+    name = record_demonstrations(RandomAgent(), tmp_path, 1, seed=3, successes_only=False, step_limit=3, **options)
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    episode = minari.load_dataset(name)[0]
+    env = TomatoReachEnv(step_limit=3, **options)
+    seen = [env.reset(seed=3)[0], *(env.step(action)[0] for action in episode.actions)]
+    env.close()
+    assert isinstance(seen[0], dict)
+    assert set(episode.observations) == set(seen[0])
+    for part, kept in episode.observations.items():
+        np.testing.assert_array_equal(kept, [each[part] for each in seen])
 
 
 def test_nothing_to_keep_and_the_test_split_are_told(bank: SceneBank, tmp_path: Path) -> None:
