@@ -13,6 +13,7 @@ from typing import Any
 
 from greenhouse_gym.errors import InvalidValueError, UnknownNameError, require_choice
 from greenhouse_gym.planning import planner_settings as settings
+from greenhouse_gym.planning import roadmap_settings as roadmaps
 from greenhouse_gym.planning.planner_settings import PlannerSettings
 from greenhouse_gym.planning.registered import Solve
 from greenhouse_gym.planning.shortcut_connect import ShortcutConnectSettings, shortcut_connect
@@ -62,13 +63,13 @@ _RANGE = 0.8  # radians
 
 _KNOWN = (
     PlannerInfo("ABITstar", "advanced batch informed trees: truncated, inflated search over batches",
-                settings.ABITstarSettings(), optimizing=True),
+                roadmaps.ABITstarSettings(), optimizing=True),
     PlannerInfo("AITstar", "adaptively informed trees: a lazy reverse search guides the forward one",
-                settings.AITstarSettings(), optimizing=True),
+                roadmaps.AITstarSettings(), optimizing=True),
     PlannerInfo("AORRTC", "asymptotically optimal RRTConnect", settings.RangeSettings(), optimizing=True),
-    PlannerInfo("BFMT", "bidirectional fast marching trees over a fixed set of samples", settings.BFMTSettings()),
+    PlannerInfo("BFMT", "bidirectional fast marching trees over a fixed set of samples", roadmaps.BFMTSettings()),
     PlannerInfo("BITstar", "batch informed trees: an ordered search over growing batches of samples",
-                settings.BITstarSettings(), optimizing=True),
+                roadmaps.BITstarSettings(), optimizing=True),
     PlannerInfo("BKPIECE1", "bidirectional KPIECE", settings.BKPIECESettings()),
     PlannerInfo("BiEST", "bidirectional expansive space trees", settings.RangeSettings()),
     PlannerInfo("BiTRRT", "bidirectional transition-based RRT: prefers cheap regions",
@@ -76,9 +77,9 @@ _KNOWN = (
     PlannerInfo("CForest", "several RRT* side by side that share their best paths", settings.CForestSettings(),
                 optimizing=True, single_goal=True, reproducible=False),
     PlannerInfo("EITstar", "effort informed trees: guided by estimates of cost and of the effort of checking",
-                settings.EITstarSettings(), optimizing=True),
+                roadmaps.EITstarSettings(), optimizing=True),
     PlannerInfo("EST", "expansive space trees: grows where samples are sparse", settings.BiasedRangeSettings()),
-    PlannerInfo("FMT", "fast marching tree over a fixed set of samples", settings.FMTSettings()),
+    PlannerInfo("FMT", "fast marching tree over a fixed set of samples", roadmaps.FMTSettings()),
     PlannerInfo("InformedRRTstar", "RRT* that samples only where the path can still get shorter",
                 settings.InformedRRTstarSettings(), optimizing=True),
     PlannerInfo("KPIECE1", "kinodynamic planning by interior-exterior cell exploration, one level of cells",
@@ -88,11 +89,11 @@ _KNOWN = (
                 optimizing=True, reproducible=False),
     PlannerInfo("LazyLBTRRT", "lower bound tree RRT with lazy collision checks (its paths are often not free)",
                 settings.LowerBoundTreeSettings(), optimizing=True),
-    PlannerInfo("LazyPRM", "probabilistic roadmap with lazy collision checks", settings.LazyPRMSettings()),
+    PlannerInfo("LazyPRM", "probabilistic roadmap with lazy collision checks", roadmaps.LazyPRMSettings()),
     PlannerInfo("LazyPRMstar", "PRM* with lazy collision checks", optimizing=True, reproducible=False),
     PlannerInfo("LazyRRT", "RRT with lazy collision checks", settings.BiasedRangeSettings()),
     PlannerInfo("PDST", "path-directed subdivision tree", settings.GoalBiasSettings()),
-    PlannerInfo("PRM", "probabilistic roadmap", settings.RoadmapSettings(), single_goal=True, reproducible=False),
+    PlannerInfo("PRM", "probabilistic roadmap", roadmaps.RoadmapSettings(), single_goal=True, reproducible=False),
     PlannerInfo("PRMstar", "asymptotically optimal probabilistic roadmap",
                 optimizing=True, single_goal=True, reproducible=False),
     PlannerInfo("ProjEST", "expansive space trees on a projection of the space", settings.BiasedRangeSettings()),
@@ -109,9 +110,9 @@ _KNOWN = (
                 settings.RangeSettings(range=_RANGE)),
     PlannerInfo("SORRTstar", "informed RRT* that takes its samples in order", settings.SORRTstarSettings(),
                 optimizing=True),
-    PlannerInfo("SPARS", "sparse roadmap spanner", settings.SPARSSettings(),
+    PlannerInfo("SPARS", "sparse roadmap spanner", roadmaps.SPARSSettings(),
                 optimizing=True, single_goal=True, reproducible=False),
-    PlannerInfo("SPARStwo", "sparse roadmap spanner without the dense roadmap", settings.SPARStwoSettings(),
+    PlannerInfo("SPARStwo", "sparse roadmap spanner without the dense roadmap", roadmaps.SPARStwoSettings(),
                 optimizing=True, single_goal=True, reproducible=False),
     PlannerInfo("SST", "stable sparse RRT", settings.SSTSettings(), optimizing=True),
     PlannerInfo("STRIDE", "search tree with resolution-independent density estimation", settings.STRIDESettings()),

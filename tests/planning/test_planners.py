@@ -8,7 +8,8 @@ import pytest
 
 from greenhouse_gym.errors import GreenhouseError, InvalidValueError, UnknownNameError
 from greenhouse_gym.planning import PAPER_PLANNERS, PLANNERS, goal_configurations, plan
-from greenhouse_gym.planning.planner_settings import FMTSettings, PlannerSettings, RRTConnectSettings
+from greenhouse_gym.planning.planner_settings import PlannerSettings, RRTConnectSettings
+from greenhouse_gym.planning.roadmap_settings import FMTSettings
 from greenhouse_gym.planning.worker import shared_worker
 from greenhouse_gym.scene import Scene
 
