@@ -5,8 +5,8 @@ python benchmarks/protocol_agents.py --agents watchful careful --source helios -
 Takes the scenes that `capture_protocols.py` made with the same options under the same workdir, but for those where the
 arm would touch something at its start. It draws some of the tomatoes within reach in each, whether any planner finds a
 way to them or not, and has each agent play one episode with each (``physics="truth"``). Since nobody rated these, rates
-are told once more for those to which a planner that knows the true row finds a path, as in `truth_ceiling.py`. Episodes
-are kept under the workdir as they are finished, so an interrupted run goes on where it stopped.
+are told once more by how a planner fares with them that knows the true row, as in `truth_ceiling.py`. Episodes are kept
+under the workdir as they are finished, so an interrupted run goes on where it stopped.
 """
 
 from __future__ import annotations
@@ -63,14 +63,13 @@ def main() -> None:
     figures: dict[str, Any] = {}
     with processes(a.workers) as executor:
         drawn = {row: drawn_in(row, protocol, start, options) for row in rows}
-        possible = {row: paths_in_truth(row, drawn[row], protocol, start, options, executor) for row in rows}
+        searched = {row: searched_in_truth(row, drawn[row], protocol, start, options, executor) for row in rows}
         for agent in a.agents:
-            ended: list[tuple[Record, bool]] = []
+            ended: list[tuple[Record, str]] = []
             for row in rows:
                 records = played(agent, row, drawn[row], protocol, start, options, executor)
-                ended += zip(records, possible[row], strict=True)
-                figures[agent] = rates([record for record, _ in ended])
-                figures[agent]["with a path in the truth"] = rates([record for record, path in ended if path])
+                ended += zip(records, searched[row], strict=True)
+                figures[agent] = rates([record for record, _ in ended]) | {"search in the truth": by_search(ended)}
                 print(agent, row, figures[agent], flush=True)
             about = {"source": a.source, "protocol": protocol, "start": start, "rows": rows, "per_scene": a.per_scene}
             write_results(a.out, about | {"leaves": a.leaves, "agents": figures}, ["mujoco", "ompl"])
@@ -91,16 +90,17 @@ def stands_free(scene: Scene, robot: str, start: str) -> bool:
     return checker.is_free(arm.configuration(start))
 
 
-def paths_in_truth(
+def searched_in_truth(
     row: int, drawn: list[tuple[Scene, int]], protocol: str, start: str, options: Options, executor: Executor
-) -> list[bool]:
-    """Whether a planner that knows the row finds a path, for each of some tomatoes; looked for once."""
+) -> list[str]:
+    """How a planner that knows the row fares with each of some tomatoes, see `path_in_truth`; looked for once."""
     file = folder_of(row, protocol, options) / f"truth-{start}-{options.per_scene}.json"
     if not file.exists():
         tasks = [(k, scene, target, start) for k, (scene, target) in enumerate(drawn)]
         found = dict(completed(_path, tasks, executor))
         write_atomically(file, json.dumps([found[k] for k in range(len(drawn))]))
-    return [status == "solved" for status in json.loads(file.read_text())]
+    statuses: list[str] = json.loads(file.read_text())
+    return statuses
 
 
 def _path(task: tuple[int, Scene, int, str]) -> tuple[int, str]:
@@ -143,6 +143,15 @@ def with_targets(scene: Scene) -> Scene:
     """A scene of which every tomato may be a target; nobody rated how hard they are."""
     targets = tuple(Target(tomato=k, difficulty="easy") for k in range(len(scene.tomatoes)))
     return scene.model_copy(update={"targets": targets})
+
+
+def by_search(ended: list[tuple[Record, str]]) -> dict[str, Any]:
+    """The rates, and from how many stands, by the status of the search in the truth; "solved" where there is a path."""
+    result: dict[str, Any] = {}
+    for status in sorted({status for _, status in ended}):
+        records = [record for record, each in ended if each == status]
+        result[status] = rates(records) | {"stands": len({record.scene for record in records})}
+    return result
 
 
 def rates(records: Sequence[Record]) -> dict[str, Any]:
