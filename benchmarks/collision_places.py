@@ -1,7 +1,7 @@
 """Where an agent collides in true rows, and what its scan knew of the place.
 
 python benchmarks/collision_places.py --agent watchful --margin 0.02 --episodes 500
-python benchmarks/collision_places.py --agent watchful --noise --episodes 150
+python benchmarks/collision_places.py --agent watchful --noise --noisy --episodes 150
 python benchmarks/collision_places.py --agent RRTConnect --unseen avoid --split train --seed 50000 --episodes 250
 
 Plays episodes of the validation rows (``physics="truth"``, seeds 20000 on, as the trainings' validation has them), then
@@ -56,6 +56,7 @@ def main() -> None:
     parser.add_argument("--depth", type=float, help="how deep watchful goes into unseen space at first, metres")
     parser.add_argument("--image", type=int, nargs=2, metavar=("WIDTH", "HEIGHT"), help="of watchful's camera, pixels")
     parser.add_argument("--noise", action="store_true", help="noise of a D435 in the images of the arm's camera")
+    parser.add_argument("--noisy", action=argparse.BooleanOptionalAction, help="watchful reads its images as such")
     parser.add_argument("--bank", default="default")
     parser.add_argument("--split", default="validation")
     parser.add_argument("--episodes", type=int, default=500)
@@ -67,7 +68,10 @@ def main() -> None:
     where: dict[str, Any] = {"split": a.split, "bank": bank.path, "physics": "truth"}
     if a.noise:
         where["randomization"] = Randomization(depth_noise=True)
-    asked = {"margin": a.margin, "unseen": a.unseen, "surfaces": a.surfaces, "depth": a.depth, "image": a.image}
+    asked = {
+        "margin": a.margin, "unseen": a.unseen, "surfaces": a.surfaces, "depth": a.depth, "image": a.image,
+        "noisy": a.noisy,
+    }  # fmt: skip
     options = {key: value for key, value in asked.items() if value is not None}
     told_options = [told(key, value) for key, value in options.items()] + ["noise"] * a.noise
     name = ", ".join([a.agent, *told_options, f"{a.split} rows"])

@@ -44,18 +44,21 @@ class Knowledge:
         target: (3,) the target's center, metres.
         camera: The camera at the arm's wrist.
         surfaces: Whether a surface for which the scan has no shape is dark until the camera has looked there.
+        noisy: Whether the camera's images have the noise of a D435.
 
     Attributes:
         points: (n, 3) what the camera has shown where the scan has no shape, metres.
     """
 
-    def __init__(self, problem: Problem, target: Array, camera: DepthCamera, surfaces: bool = False):
+    def __init__(
+        self, problem: Problem, target: Array, camera: DepthCamera, surfaces: bool = False, noisy: bool = False
+    ):
         scene = problem.scene
         self._shapeless = shapeless(scene) if surfaces and scene.seen is not None else None
         self.points: Array = np.zeros((0, 3))
         self._problem, self._arm, self._target = problem, arm_balls(problem.robot), target
         self._radius = scene.tomatoes[problem.target].radius
-        self._map = SightMap(self._arm, camera, target, self._radius)
+        self._map = SightMap(self._arm, camera, target, self._radius, noisy)
         self._scene_from_base = pose(rotation_about([0, 0, 1], scene.stand.yaw), base_position(scene, problem.robot))
         self._base_from_scene = invert(self._scene_from_base)
         self._shapes, self._taken = scene.obstacles, 0
@@ -65,13 +68,14 @@ class Knowledge:
     def add(self, depth: npt.NDArray[np.float32], joints: Array) -> bool:
         """Take in an image (h, w), metres along the view, from a configuration (j,); whether it showed anything new."""
         self._map.add(depth, joints)
-        fresh = self._map.points[self._taken :]
+        fresh, doubt = self._map.points[self._taken :], self._map.doubt[self._taken :]
         self._taken += len(fresh)
         if len(fresh):
             places = transform(self._scene_from_base, fresh)
-            away = distance_to_nearest(places, self._shapes, _KNOWN, self._balls)
+            known = np.maximum(_KNOWN, doubt)
+            away = distance_to_nearest(places, self._shapes, float(known.max()), self._balls)
             beside = distance_to_shapes(places, [self._tomato])[:, 0]
-            fresh = fresh[(away > _KNOWN) & (beside > _SKIN)]
+            fresh = fresh[(away > known) & (beside > _SKIN + doubt)]
             self.points = np.concatenate([self.points, fresh])
         return bool(len(fresh))
 

@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import binary_erosion
 from scipy.spatial.distance import cdist
 
 from greenhouse_gym.agents.arm_balls import ArmBalls
+from greenhouse_gym.agents.depth_reading import perfect_reading, stereo_reading
 from greenhouse_gym.envs.cameras import MAX_RANGE, TIP_FROM_WRIST, DepthCamera
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
@@ -82,16 +82,19 @@ class SightMap:
         camera: The camera at its wrist.
         target: (3,) the target's center, metres: known without seeing it.
         radius: The target's radius, metres.
+        noisy: Whether the images have the noise of a D435.
 
     Attributes:
         arm: The arm.
+        doubt: (n,) by how much the points may be wrong, metres.
         version: Changes with what was seen on surfaces.
     """
 
-    def __init__(self, arm: ArmBalls, camera: DepthCamera, target: Array, radius: float):
+    def __init__(self, arm: ArmBalls, camera: DepthCamera, target: Array, radius: float, noisy: bool = False):
         self.version = 0
-        self.arm, self._camera, self._target, self._radius = arm, camera, target, radius
+        self.arm, self._camera, self._target, self._radius, self._noisy = arm, camera, target, radius, noisy
         self._points: Array = np.full((1, 3), np.inf)  # the first stands for none
+        self.doubt: Array = np.empty(0)
         self._keys = np.empty(0, dtype=np.int64)
         self._reach = int((FAR + float(arm.radius.max())) / _NEAR) + 1
         self._shape = tuple(_NEAR_SHAPE + 2 * self._reach)
@@ -115,22 +118,31 @@ class SightMap:
     def add(self, depth: npt.NDArray[np.float32], joints: Array) -> None:
         """Take in a depth image (h, w) along the view, metres, 0 without a reading, from a configuration (j,)."""
         turn, origin = (poses[0] for poses in wrist_camera(self.arm.chain, joints[None]))
-        z = depth.reshape(-1).astype(np.float64)
         rays = self._camera.rays @ turn.T
-        hit = z > 0
-        points = origin + z[hit, None] * rays[hit]
-        nothing = binary_erosion(~hit.reshape(depth.shape), np.ones((3, 3)), border_value=1).reshape(-1)
-        through = np.where(nothing, MAX_RANGE, z)[::_EVERY_RAY]  # a reading missing among others may be a lost one
+        reading = stereo_reading(depth, self._camera) if self._noisy else perfect_reading(depth)
+        z, doubt = reading.depth.reshape(-1), reading.doubt.reshape(-1)
+        few, through = rays[::_EVERY_RAY], reading.through.reshape(-1)[::_EVERY_RAY]
+        if self._noisy:  # the arm is too near for a reading
+            through = np.where(self._meets_arm(origin, few, joints), 0.0, through)
         shares = np.arange(0.5, MAX_RANGE / _CELL) * _CELL
         ahead = np.nonzero(shares < through[:, None])
-        self._seen[_cells(origin + shares[ahead[1], None] * rays[::_EVERY_RAY][ahead[0]])] = True
-        self._keep(points[self._foreign(points, joints)])
+        self._seen[_cells(origin + shares[ahead[1], None] * few[ahead[0]])] = True
+        points, doubt = origin + z[z > 0, None] * rays[z > 0], doubt[z > 0]
+        foreign = self._foreign(points, doubt, joints)
+        self._keep(points[foreign], doubt[foreign])
 
-    def _foreign(self, points: Array, joints: Array) -> npt.NDArray[np.bool_]:
+    def _meets_arm(self, origin: Array, rays: Array, joints: Array) -> npt.NDArray[np.bool_]:
+        """Which of rays (k, 3) from a place (3,) meet the arm in a configuration (j,)."""
+        off = self.arm.centers(joints[None])[0] - origin
+        along = (rays / np.linalg.norm(rays, axis=1, keepdims=True)) @ off.T
+        beside = (off * off).sum(axis=1) - along**2
+        return np.asarray(((along > 0) & (beside < (self.arm.radius + _OWN) ** 2)).any(axis=1))
+
+    def _foreign(self, points: Array, doubt: Array, joints: Array) -> npt.NDArray[np.bool_]:
         """Which points (k, 3) belong neither to the arm, nor to its stand, nor to the target, and are near."""
         inside = ((points > _LOW) & (points < _HIGH)).all(axis=1)
         stand = (points[:, 2] < _BASE) & ((points[:, :2] ** 2).sum(axis=1) < _STAND**2)
-        target = ((points - self._target) ** 2).sum(axis=1) < (self._radius + _TARGET) ** 2
+        target = ((points - self._target) ** 2).sum(axis=1) < (self._radius + _TARGET + doubt) ** 2
         foreign = inside & ~stand & ~target
         centers = self.arm.centers(joints[None])[0]
         near = np.flatnonzero(foreign)
@@ -138,13 +150,14 @@ class SightMap:
         foreign[near[gap.min(axis=1) < _OWN]] = False
         return foreign
 
-    def _keep(self, points: Array) -> None:
+    def _keep(self, points: Array, doubt: Array) -> None:
         cells = np.floor((points - _LOW) / _POINT).astype(np.int64)
         keys = (cells[:, 0] << 40) | (cells[:, 1] << 20) | cells[:, 2]
         keys, first = np.unique(keys, return_index=True)
-        fresh = points[first[~np.isin(keys, self._keys, assume_unique=True)]]
+        first = first[~np.isin(keys, self._keys, assume_unique=True)]
+        fresh = points[first]
         self._keys = np.union1d(self._keys, keys)
-        self._points = np.concatenate([self._points, fresh])
+        self._points, self.doubt = np.concatenate([self._points, fresh]), np.concatenate([self.doubt, doubt[first]])
         self.version += bool(len(fresh))
         cell = ((fresh - _LOW) / _NEAR).astype(np.int64)
         off = _LOW + (cell + 0.5) * _NEAR - fresh

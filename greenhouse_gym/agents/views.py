@@ -19,8 +19,8 @@ VIEWS, SPREADS = 400, (0.24, 1.2)
 WORTH = 0.2
 """Share of the places that a view must show."""
 
-NEAREST, FARTHEST = 0.1, 1.2
-"""Depths at which a place is seen well, metres."""
+DEPTHS, NOISY_DEPTHS = (0.1, 1.2), (0.2, 1.0)
+"""Depths at which a place is seen well, by a perfect camera and by one with the noise of a D435, metres."""
 
 _PARTS = 10  # parts in which the configurations are looked at, which take less memory than all
 _MOVE = 0.1  # share of the places that is worth a motion of a radian
@@ -37,6 +37,7 @@ def views(
     places: Array,
     hidden: Callable[[Array], Seen],
     random: np.random.Generator,
+    depths: tuple[float, float] = DEPTHS,
 ) -> Iterator[tuple[Array, Seen]]:
     """Configurations (j,) from which the camera sees many places, and which of these it sees, the best first.
 
@@ -47,25 +48,32 @@ def views(
         places: (k, 3) what is to be seen, in the frame of its base, metres.
         hidden: Which of places (n, 3) are in something that hides what is behind it, (n,).
         random: Strews the configurations that are tried.
+        depths: At which a place is seen well, from and to, metres.
     """
     spreads = np.linspace(*SPREADS, VIEWS)[:, None]
     tried = np.clip(command + spreads * random.normal(size=(VIEWS, len(command))), robot.lower, robot.upper)
     tried[:, -1] = command[-1]  # the tool need not turn
-    seen = np.concatenate([visible(arm, some, places, hidden) for some in np.split(tried, _PARTS)])
+    seen = np.concatenate([visible(arm, some, places, hidden, depths) for some in np.split(tried, _PARTS)])
     gains = seen.mean(axis=1)
     costs = np.where(gains < WORTH, np.inf, _MOVE * np.abs(tried - command).max(axis=1) - gains)
     for k in costs.argsort(kind="stable")[: np.isfinite(costs).sum()]:
         yield tried[k], seen[k]
 
 
-def visible(arm: ArmBalls, configurations: Array, places: Array, hidden: Callable[[Array], Seen]) -> Seen:
-    """Which of places (k, 3) the camera sees from configurations (m, j): (m, k)."""
+def visible(
+    arm: ArmBalls,
+    configurations: Array,
+    places: Array,
+    hidden: Callable[[Array], Seen],
+    depths: tuple[float, float] = DEPTHS,
+) -> Seen:
+    """Which of places (k, 3) the camera sees at such depths from configurations (m, j): (m, k)."""
     turn, origin = wrist_camera(arm.chain, configurations)
     away = places - origin[:, None]
     x, y, z = np.moveaxis(np.einsum("mkx,mxy->mky", away, turn), -1, 0)
     camera = DepthCamera()
     wide, high = (_EDGE * size / 2 / camera.focal for size in (camera.width, camera.height))
-    seen = np.asarray((z > NEAREST) & (z < FARTHEST) & (np.abs(x) < wide * z) & (np.abs(y) < high * z))
+    seen = np.asarray((z > depths[0]) & (z < depths[1]) & (np.abs(x) < wide * z) & (np.abs(y) < high * z))
     m, k = np.nonzero(seen)
     length = np.linalg.norm(away[m, k], axis=1)[:, None]
     along = np.arange(_STEP, float(length.max(initial=0.0)), _STEP)

@@ -18,7 +18,7 @@ from greenhouse_gym.agents.guide import towards
 from greenhouse_gym.agents.judging import between
 from greenhouse_gym.agents.knowledge import Knowledge
 from greenhouse_gym.agents.sight_map import sensed
-from greenhouse_gym.agents.views import views
+from greenhouse_gym.agents.views import DEPTHS, NOISY_DEPTHS, views
 from greenhouse_gym.envs.cameras import DepthCamera
 from greenhouse_gym.envs.images import DepthObservation
 from greenhouse_gym.envs.roadmap import RESOLUTION
@@ -74,6 +74,8 @@ class WatchfulAgent:
             there as at what nobody has seen; see `greenhouse_gym.planning.surfaces`.
         depth: How deep it goes into unseen space where it can do with that, metres.
         image: Width and height of its camera's images, pixels.
+        noisy: Whether it reads its images as ones with the noise of a D435, as ``Randomization(depth_noise=True)`` has
+            them, and not as perfect ones.
 
     Raises:
         InvalidValueError: A negative margin or depth, or an image that is not a width and a height of a pixel or more.
@@ -92,13 +94,15 @@ class WatchfulAgent:
         surfaces: bool = True,
         depth: float = DEPTH,
         image: tuple[int, int] = IMAGE,
+        noisy: bool = False,
     ) -> None:
         if not depth >= 0:
             raise InvalidValueError(f"depth must be 0 m or more, got {depth!r}")
         if len(image) != 2:
             raise InvalidValueError(f"image must be a width and a height, pixels, got {image!r}")
         self.status = ""
-        self._cares, self._surfaces = cares_with(check_margin(margin), surfaces, depth), surfaces
+        self._cares = cares_with(check_margin(margin), surfaces, depth)
+        self._surfaces, self._noisy = surfaces, noisy
         self.env_options: Mapping[str, Any] = {"observation": DepthObservation(DepthCamera("wrist", *image))}
         self._problem: Problem | None = None
         self._episode: _Episode | None = None
@@ -115,7 +119,7 @@ class WatchfulAgent:
         if self._episode is None:
             height, width = now.depth.shape
             camera = DepthCamera(width=width, height=height)
-            self._episode = _Episode(self._problem, now.target, camera, self._cares, self._surfaces)
+            self._episode = _Episode(self._problem, now.target, camera, self._cares, self._surfaces, self._noisy)
         action = self._episode.act(now.depth, now.joints, now.command)
         self.status = self._episode.status
         return action
@@ -124,10 +128,19 @@ class WatchfulAgent:
 class _Episode:
     """What the agent does in one episode; it begins with the first observation."""
 
-    def __init__(self, problem: Problem, target: Array, camera: DepthCamera, cares: Sequence[Care], surfaces: bool):
+    def __init__(
+        self,
+        problem: Problem,
+        target: Array,
+        camera: DepthCamera,
+        cares: Sequence[Care],
+        surfaces: bool,
+        noisy: bool = False,
+    ):
         self.status, self._cares, self._surfaces = "", cares, surfaces
         self._problem, self._arm = problem, arm_balls(problem.robot)
-        self._known = Knowledge(problem, target, camera, surfaces)
+        self._known = Knowledge(problem, target, camera, surfaces, noisy)
+        self._depths = NOISY_DEPTHS if noisy else DEPTHS
         self._way, self._came = self._first_glance(target), [problem.start]
         self._looking, self._stuck, self._age, self._plans, self._looks = True, False, 0, 0, 0
         self._looked_at: Array = np.zeros((0, 3))
@@ -232,7 +245,7 @@ class _Episode:
         care, robot = self._cares[0], problem.robot
         compiled = guarded(cared(scene, robot, command, care), robot, command, care.depth)
         checker = CollisionChecker(planning_model(compiled, problem.target, MARGIN), arm_reaches(problem.robot))
-        found = views(self._arm, problem.robot, command, dark, self._known.surface, self._random)
+        found = views(self._arm, robot, command, dark, self._known.surface, self._random, self._depths)
         for view, seen in islice(found, _TRIED):
             if checker.is_free(view) and checker.inside_is_free(command, view, RESOLUTION):
                 self._way, self._looking = [view], True

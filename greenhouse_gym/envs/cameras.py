@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import mujoco
 import numpy as np
@@ -17,6 +17,9 @@ from greenhouse_gym.errors import InvalidValueError, require_choice
 from greenhouse_gym.geometry import Array, invert, pose, rotation_about
 from greenhouse_gym.scene import CompiledScene
 from greenhouse_gym.scene.render import surface_colors
+
+if TYPE_CHECKING:
+    from greenhouse_gym.capture.sensor import StereoNoise
 
 Float32 = npt.NDArray[np.float32]
 Bytes = npt.NDArray[np.uint8]
@@ -215,18 +218,24 @@ def _camera_poses(cameras: Sequence[DepthCamera], base_from_tip: Array) -> Array
     return result
 
 
-def _with_noise(depth: Float32, camera: DepthCamera, random: np.random.Generator) -> Float32:
-    """What a D435 would report for an image (h, w), its figures scaled to the image's width.
+def stereo_noise(camera: DepthCamera) -> StereoNoise:
+    """The noise of a D435, its figures scaled to the width of a camera's images.
 
     See `greenhouse_gym.capture.sensor`.
     """
-    from greenhouse_gym.capture.sensor import StereoNoise, sense_depth
+    from greenhouse_gym.capture.sensor import StereoNoise
 
     scale = camera.focal / D435_FOCAL
     full = StereoNoise()
-    noise = replace(
+    return replace(
         full, disparity_noise=full.disparity_noise * scale, disparity_step=full.disparity_step * scale, fatten=0
     )
-    sensed = sense_depth(depth, camera.focal, random, noise)
+
+
+def _with_noise(depth: Float32, camera: DepthCamera, random: np.random.Generator) -> Float32:
+    """What a D435 would report for an image (h, w)."""
+    from greenhouse_gym.capture.sensor import sense_depth
+
+    sensed = sense_depth(depth, camera.focal, random, stereo_noise(camera))
     sensed[sensed > MAX_RANGE] = 0.0
     return sensed

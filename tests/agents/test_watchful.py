@@ -15,7 +15,7 @@ from greenhouse_gym.agents.agent import Agent
 from greenhouse_gym.agents.arm_balls import ArmBalls, arm_balls
 from greenhouse_gym.agents.careful import CAREFUL_DEPTHS, Care
 from greenhouse_gym.agents.knowledge import ROOM, Knowledge
-from greenhouse_gym.agents.views import FARTHEST, WORTH, views, visible
+from greenhouse_gym.agents.views import DEPTHS, WORTH, views, visible
 from greenhouse_gym.agents.watchful import WatchfulAgent, cares_with
 from greenhouse_gym.envs import TomatoReachEnv
 from greenhouse_gym.envs.cameras import MAX_RANGE, DepthCamera
@@ -304,7 +304,7 @@ def test_a_view_shows_what_is_before_the_camera_and_not_hidden(balls: ArmBalls) 
     best = np.array([view for view, _ in found])
     seen = visible(balls, best, places, lambda at: np.zeros(len(at), bool))
     assert np.array_equal(seen, [shown for _, shown in found])
-    assert not visible(balls, best, places + [2 * FARTHEST, 0, 0], lambda at: np.zeros(len(at), bool)).any()
+    assert not visible(balls, best, places + [2 * DEPTHS[1], 0, 0], lambda at: np.zeros(len(at), bool)).any()
     behind = visible(balls, best, places, lambda at: at[:, 0] > 0.3)
     assert behind.sum() < seen.sum()
     assert not (behind & ~seen).any()
