@@ -13,6 +13,7 @@ from greenhouse_gym.agents.sight_map import SightMap
 from greenhouse_gym.envs.cameras import DepthCamera
 from greenhouse_gym.geometry import (
     Array,
+    Box,
     bounding_balls,
     distance_to_nearest,
     distance_to_shapes,
@@ -31,6 +32,7 @@ ROOM = 0.002
 
 _KNOWN, _SKIN = 0.001, 0.008  # what the camera shows so near to a scan's shape, or the target's, is that, metres
 _CLEAR = 0.01  # what the camera shows nearer to the arm than this is no obstacle to a way that begins there, metres
+_MOST = 0.8  # share of a box that the camera has seen, which from then on is what the camera shows
 _DARK = 0.03  # places in unseen space that are told are that far apart, metres
 _ABOUT = 0.2  # places about the target are told up to here, metres
 _AROUND, _AT_TARGET = 0.02, 0.02  # unseen space so near to where the arm is, or to the target, is not told, metres
@@ -48,6 +50,7 @@ class Knowledge:
 
     Attributes:
         points: (n, 3) what the camera has shown where the scan has no shape, metres.
+        boxed: (n, 3) what it has shown where the scan has none but boxes of clutter, metres.
     """
 
     def __init__(
@@ -56,6 +59,7 @@ class Knowledge:
         scene = problem.scene
         self._shapeless = shapeless(scene) if surfaces and scene.seen is not None else None
         self.points: Array = np.zeros((0, 3))
+        self.boxed: Array = np.zeros((0, 3))
         self._problem, self._arm, self._target = problem, arm_balls(problem.robot), target
         self._radius = scene.tomatoes[problem.target].radius
         self._map = SightMap(self._arm, camera, target, self._radius, noisy)
@@ -63,6 +67,7 @@ class Knowledge:
         self._base_from_scene = invert(self._scene_from_base)
         self._shapes, self._taken = scene.obstacles, 0
         self._balls = bounding_balls(self._shapes)
+        self._firm = [shape for shape in self._shapes if not isinstance(shape, Box)]
         self._tomato = scene.tomatoes[problem.target]
 
     def add(self, depth: npt.NDArray[np.float32], joints: Array) -> bool:
@@ -75,26 +80,44 @@ class Knowledge:
             known = np.maximum(_KNOWN, doubt)
             away = distance_to_nearest(places, self._shapes, float(known.max()), self._balls)
             beside = distance_to_shapes(places, [self._tomato])[:, 0]
-            fresh = fresh[(away > known) & (beside > _SKIN + doubt)]
+            foreign = beside > _SKIN + doubt
+            boxed = foreign & (away <= known)
+            boxed[boxed] = distance_to_nearest(places[boxed], self._firm, float(known.max())) > known[boxed]
+            self.boxed = np.concatenate([self.boxed, fresh[boxed]])
+            fresh = fresh[foreign & (away > known)]
             self.points = np.concatenate([self.points, fresh])
         return bool(len(fresh))
 
-    def scene(self, command: Array, voxel: float) -> Scene:
+    def scene(self, command: Array, voxel: float, boxes: bool = True) -> Scene:
         """The scene for an arm in a configuration (j,): the scan's, and clutter where the camera has shown more.
 
         The clutter is made of voxels, metres: the smaller they are, the less they stand for beside what was shown.
+        Without ``boxes``, what the camera has shown also stands for those of the scan's boxes that it has looked at.
         """
         scene = self._problem.scene
+        shown = self._shown(boxes)
         centers = self._arm.centers(command[None])[0]
-        points = transform(self._scene_from_base, self.points[self._gap(self.points, centers) > _CLEAR])
-        return scene.model_copy(
-            update={"clutter": (*scene.clutter, *boxes_around(points, voxel)), "seen": self._seen()}
-        )
+        points = transform(self._scene_from_base, shown[self._gap(shown, centers) > _CLEAR])
+        kept = [shape for shape in scene.clutter if boxes or not isinstance(shape, Box) or not self._looked_at(shape)]
+        return scene.model_copy(update={"clutter": (*kept, *boxes_around(points, voxel)), "seen": self._seen()})
 
-    def blocked(self, configurations: Array) -> bool:
-        """Whether what only the camera has shown is in the way of an arm that goes on from the first of some (m, j)."""
+    def _shown(self, boxes: bool) -> Array:
+        return self.points if boxes else np.concatenate([self.points, self.boxed])
+
+    def _looked_at(self, box: Box) -> bool:
+        """Whether the camera has seen most of a box of the scan's clutter."""
+        along = [np.linspace(-1, 1, 2 + int(2 * half / _DARK)) * half for half in np.asarray(box.half_extents)]
+        inside = np.stack(np.meshgrid(*along), axis=-1).reshape(-1, 3) @ np.asarray(box.rotation).T + box.center
+        return bool(self._map.seen(transform(self._base_from_scene, inside)).mean() > _MOST)
+
+    def blocked(self, configurations: Array, boxes: bool = True) -> bool:
+        """Whether what only the camera has shown is in the way of an arm that goes on from the first of some (m, j).
+
+        Without ``boxes``, that is also what it has shown in or on boxes of the scan.
+        """
         centers, moving = self._arm.centers(configurations), self._arm.part >= 0
-        points = self.points[self._gap(self.points, centers[0]) > _CLEAR]
+        points = self._shown(boxes)
+        points = points[self._gap(points, centers[0]) > _CLEAR]
         if not len(points):
             return False
         radius = self._arm.radius[moving]

@@ -36,6 +36,11 @@ from greenhouse_gym.scene.reaches import arm_reaches
 PLANS, LOOKS = 10, 4
 """How many times the agent looks for a way in an episode at most, and for what nobody has seen on its way."""
 
+MORE = 4
+"""How many times it looks for a way after that, with what its camera has shown in place of those of the scan's boxes
+that it has looked at: boxes may be larger than the leaves that they stand for. In the latter half of these plans, all
+unseen space is free."""
+
 VOXELS = (0.01, 0.004)
 """Sides of the voxels that stand for what only the camera has shown, metres: the next where the one before leaves no
 way of a few straight motions."""
@@ -65,7 +70,8 @@ class WatchfulAgent:
     seen, it first goes where its camera can look there, if it finds such a place and has not looked `LOOKS` times, and
     looks for a way anew. What its images show where the scan has no shape is an obstacle: when one is in the rest of
     its way, it looks for another from where it is. Where no few straight motions lead to the target, it asks
-    RRTConnect, and fails if OMPL is not installed. It stays where it is once it has planned `PLANS` times in vain.
+    RRTConnect, and fails if OMPL is not installed. Once it has planned `PLANS` times in vain, it believes its camera
+    rather than the scan's boxes, and after `MORE` plans of that kind it stays where it is.
 
     Args:
         margin: How far it keeps from boxes of clutter where there is room, metres: leaves reach farther than a scan
@@ -160,7 +166,7 @@ class _Episode:
             self._arrive(self._way.pop(0))
         there = self._looking and not self._way
         news = (there or self._age % _EVERY == 0) and self._known.add(depth, joints)
-        blocked = news and self._way and self._known.blocked(self._ahead(command))
+        blocked = news and self._way and self._known.blocked(self._ahead(command), self._plans <= PLANS)
         if there or blocked:
             self._decide(command)
         elif self._stuck:
@@ -177,8 +183,8 @@ class _Episode:
 
     def _decide(self, command: Array) -> None:
         """Look for a way to the target, and if it is dark, for one to where it can be looked at."""
-        self._way, self._looking, self._stuck = [], False, False
-        if self._plans == PLANS:
+        self._way, self._looking, self._stuck = [], False, self._plans >= PLANS
+        if self._stuck:
             return
         self._plans += 1
         scene, care = self._plan(command)
@@ -193,11 +199,13 @@ class _Episode:
     def _insist(self, command: Array) -> None:
         """Look for any way to the target once more, where there was none and there is nothing to look at."""
         self._stuck = False
-        if self._plans == PLANS:
+        if self._plans == PLANS + MORE:
             return
         self._plans += 1
-        scene, seed = self._known.scene(command, VOXELS[-1]), self._problem.seed + self._plans
-        care = self._cares[-2] if self._plans <= PLANS - FREE else self._cares[-1]
+        scene = self._known.scene(command, VOXELS[-1], boxes=self._plans <= PLANS)
+        seed = self._problem.seed + self._plans
+        free = PLANS - FREE < self._plans <= PLANS or self._plans > PLANS + MORE // 2
+        care = self._cares[-1] if free else self._cares[-2]
         self._way = self._search(scene, command, ANY_GOALS, seed, care)
         self._tell(care)
         self._stuck = not self._way

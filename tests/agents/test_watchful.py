@@ -209,11 +209,11 @@ def test_where_it_would_stay_it_asks_again_but_not_for_ever(scene: Scene, monkey
             Problem(told, TARGET, ARM, ARM.start, 40), scene.tomatoes[TARGET].center, CAMERA, CARES, False
         )
         episode._way = []
-        acted = [episode.act(image, ARM.start, ARM.start) for _ in range(watchful.PLANS + 3)]
+        acted = [episode.act(image, ARM.start, ARM.start) for _ in range(watchful.PLANS + watchful.MORE + 3)]
         first, again = asked[:2], asked[2:]
         assert [each["seed"] for each in first] == [40, 40], "from where it is, and from the start"
         careful = watchful.PLANS - watchful.FREE - 1
-        seeds = np.repeat(41 + np.arange(1, watchful.PLANS), 2)[: len(again)]
+        seeds = np.repeat(41 + np.arange(1, watchful.PLANS + watchful.MORE), 2)[: len(again)]
         assert [each["seed"] for each in again] == seeds.tolist()
         assert [each["unseen"] for each in again[: 2 * careful]] == [0.2] * (2 * careful)
         if finds:
@@ -221,9 +221,43 @@ def test_where_it_would_stay_it_asks_again_but_not_for_ever(scene: Scene, monkey
             assert np.abs(acted[-1]).max() > 0, "it goes"
             assert episode.status == f"{careful + 2}, inf"
         else:
-            assert len(again) == 2 * (watchful.PLANS - 1)
+            assert len(again) == 2 * (watchful.PLANS + watchful.MORE - 1)
+            more = [0.2] * watchful.MORE + ["free"] * watchful.MORE
+            assert [each["unseen"] for each in again[-len(more) :]] == more
             assert not np.abs(acted).any(), "it stays"
-            assert episode.status == f"{watchful.PLANS}, no way"
+            assert episode.status == f"{watchful.PLANS + watchful.MORE}, no way"
+
+
+def test_a_box_of_the_scan_in_which_it_sees_nothing_is_no_obstacle_in_the_end(scene: Scene) -> None:
+    """The scan has a box about the whole target, of which nothing is there in truth."""
+    box = Box(scene.tomatoes[TARGET].center - [0.02, 0.0, 0.0], [0.07, 0.07, 0.07], np.eye(3))
+    told = seen_where(scene.model_copy(update={"clutter": (*scene.clutter, box)}), None)
+    agent = WatchfulAgent()
+    assert played(agent, told, scene)[0] == "reached"
+    assert int(agent.status.split(",")[0]) > watchful.PLANS
+
+
+def test_the_camera_stands_for_boxes_that_it_has_looked_at_and_for_no_others(scene: Scene) -> None:
+    env = TomatoReachEnv(bank="mini", observation="depth")
+    base = base_position(scene, ARM)
+    target = scene.tomatoes[TARGET].center - base
+    aims = next(views(arm_balls(ARM), ARM, ARM.start, target[None], lambda at: np.zeros(len(at), bool), _dice()))[0]
+    leaf = Box(scene.tomatoes[TARGET].center + [-0.1, 0.0, 0.0], [0.002, 0.03, 0.03], np.eye(3))
+    about = Box(leaf.center, [0.04, 0.05, 0.05], np.eye(3))
+    away = Box(base + [-0.5, 0.0, 0.5], [0.05, 0.05, 0.05], np.eye(3))
+    true = scene.model_copy(update={"clutter": (*scene.clutter, leaf)})
+    told = scene.model_copy(update={"clutter": (about, away)})
+    observation, _ = env.reset(options={"scene": true, "target": TARGET, "start": aims})
+    known = Knowledge(Problem(told, TARGET, ARM, env.start), target, CAMERA)
+    known.add(observation["depth"][0] * MAX_RANGE, aims)
+    on_leaf = distance_to_shapes(known.boxed + base, [leaf])[:, 0] < 1e-3
+    assert on_leaf.any()
+    assert not (distance_to_shapes(known.points + base, [leaf]) < 1e-3).any(), "the scan's box stands for it"
+    trusting, wary = (known.scene(aims, 0.004, boxes).clutter for boxes in (True, False))
+    assert trusting[:2] == (about, away)
+    assert away in wary
+    assert about not in wary
+    assert (distance_to_shapes(leaf.center[None], wary[1:]) < 0.005).any(), "the leaf does"
 
 
 def test_what_it_went_back_on_is_forgotten(scene: Scene) -> None:
