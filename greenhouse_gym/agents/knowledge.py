@@ -68,6 +68,7 @@ class Knowledge:
         self._shapes, self._taken = scene.obstacles, 0
         self._balls = bounding_balls(self._shapes)
         self._firm = [shape for shape in self._shapes if not isinstance(shape, Box)]
+        self._firm_balls = bounding_balls(self._firm)
         self._tomato = scene.tomatoes[problem.target]
 
     def add(self, depth: npt.NDArray[np.float32], joints: Array) -> bool:
@@ -82,7 +83,8 @@ class Knowledge:
             beside = distance_to_shapes(places, [self._tomato])[:, 0]
             foreign = beside > _SKIN + doubt
             boxed = foreign & (away <= known)
-            boxed[boxed] = distance_to_nearest(places[boxed], self._firm, float(known.max())) > known[boxed]
+            firm = distance_to_nearest(places[boxed], self._firm, float(known.max()), self._firm_balls)
+            boxed[boxed] = firm > known[boxed]
             self.boxed = np.concatenate([self.boxed, fresh[boxed]])
             fresh = fresh[foreign & (away > known)]
             self.points = np.concatenate([self.points, fresh])

@@ -43,7 +43,7 @@ def spoiled(true: np.ndarray, seed: int) -> np.ndarray:
     return image
 
 
-def test_a_perfect_image_is_taken_at_its_word_and_a_single_hole_tells_nothing():
+def test_a_perfect_image_is_taken_at_its_word_and_a_single_hole_tells_nothing() -> None:
     image = np.full((9, 9), 0.5, dtype=np.float32)
     image[2, 2], image[5:, 5:] = 0.0, 0.0
     reading = perfect_reading(image)
@@ -53,7 +53,7 @@ def test_a_perfect_image_is_taken_at_its_word_and_a_single_hole_tells_nothing():
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_readings_are_within_their_doubt_and_believed_only_where_that_is_small(seed):
+def test_readings_are_within_their_doubt_and_believed_only_where_that_is_small(seed: int) -> None:
     true = leaves(seed)
     reading = stereo_reading(spoiled(true, seed), CAMERA)
     read = reading.depth > 0
@@ -64,7 +64,7 @@ def test_readings_are_within_their_doubt_and_believed_only_where_that_is_small(s
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_hardly_anything_hidden_counts_as_looked_through(seed):
+def test_hardly_anything_hidden_counts_as_looked_through(seed: int) -> None:
     """Of a noisy image taken for a perfect one, much does: behind what is too near, and beside what is near."""
     true = leaves(seed)
     image = spoiled(true, seed)
@@ -77,7 +77,7 @@ def test_hardly_anything_hidden_counts_as_looked_through(seed):
     assert wrong[1] > 3 * wrong[0]
 
 
-def test_empty_space_beside_far_leaves_is_seen_but_not_beside_what_may_be_too_near():
+def test_empty_space_beside_far_leaves_is_seen_but_not_beside_what_may_be_too_near() -> None:
     true = np.zeros((96, 128))
     true[30:60, 60:100] = 0.8
     seen = stereo_reading(spoiled(true, 0), CAMERA).through
@@ -86,7 +86,7 @@ def test_empty_space_beside_far_leaves_is_seen_but_not_beside_what_may_be_too_ne
     assert np.median(stereo_reading(spoiled(true, 0), CAMERA).through[:20, 40:]) == 0.0
 
 
-def test_what_a_near_leaf_hides_from_the_right_imager_is_not_seen():
+def test_what_a_near_leaf_hides_from_the_right_imager_is_not_seen() -> None:
     true = np.zeros((96, 128))
     true[:, 90:120] = 0.4
     seen = stereo_reading(spoiled(true, 0), CAMERA).through[10:80]
@@ -94,7 +94,7 @@ def test_what_a_near_leaf_hides_from_the_right_imager_is_not_seen():
     assert np.median(seen[:, 60]) > 0.9
 
 
-def test_an_image_without_any_reading_tells_nothing():
+def test_an_image_without_any_reading_tells_nothing() -> None:
     image = np.zeros((96, 128), dtype=np.float32)
     reading = stereo_reading(image, CAMERA)
     assert not reading.depth.any()
@@ -102,7 +102,7 @@ def test_an_image_without_any_reading_tells_nothing():
     assert (perfect_reading(image).through == MAX_RANGE).all()
 
 
-def test_nobody_looks_through_the_arm():
+def test_nobody_looks_through_the_arm() -> None:
     """The cup is before the camera, nearer than its range: behind it is nothing that was seen."""
     arm = arm_balls(ARM)
     joints = np.array([0.3, -1.2, 1.4, -0.6, -1.5, 0.0])
@@ -123,7 +123,7 @@ def noisy_views(scene: Scene, agent: WatchfulAgent) -> tuple[TomatoReachEnv, dic
     return env, observation
 
 
-def test_noise_about_the_shapes_of_the_scan_is_no_obstacle(scene: Scene):
+def test_noise_about_the_shapes_of_the_scan_is_no_obstacle(scene: Scene) -> None:
     agent = WatchfulAgent()
     env, observation = noisy_views(scene, agent)
     problem = Problem(scene, TARGET, ARM, env.start)
@@ -138,7 +138,7 @@ def test_noise_about_the_shapes_of_the_scan_is_no_obstacle(scene: Scene):
     assert len(wary.points) < len(credulous.points) / 4
 
 
-def test_with_noise_it_reaches(scene: Scene):
+def test_with_noise_it_reaches(scene: Scene) -> None:
     agent = WatchfulAgent(noisy=True)
     env, observation = noisy_views(scene, agent)
     agent.reset(Problem(scene, TARGET, ARM, env.start))
