@@ -44,6 +44,7 @@ class ShapeSettings:
     min_confidence: float = 0.4  # least confidence of a tomato
     least_bend: float = 0.35  # times its sphere's bend, both ways, of a fruit that nothing sure hangs beside
     truss_gap: float = 0.035  # largest gap between the skins of neighbors on one truss
+    truss_spread: float = 0.09  # largest mean gap between the skins of two parts of one truss
     pipe_radii: tuple[float, float] = (0.014, 0.057)  # from 28 mm grow pipes to mains 114 mm across
     pipe_gap: float = 0.05  # hidden part of a pipe that is bridged
     pipe_arc: float = 1.75  # radians of its round that must show; the near side alone shows about 2.2

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
+from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.spatial.distance import squareform
 
 from greenhouse_gym.crop import Tomato
 from greenhouse_gym.geometry import Array, Sphere
@@ -76,7 +76,7 @@ def _tomatoes(
     fits: list[SphereFit], ripeness: list[float], spheroids: list[Spheroid] | None, settings: ShapeSettings
 ) -> Iterator[Tomato]:
     """Spheres as tomatoes, or the spheroids that the row's fruit is."""
-    trusses = group_trusses(fits if spheroids is None else spheroids, settings.truss_gap)
+    trusses = group_trusses(fits if spheroids is None else spheroids, settings.truss_spread)
     for k, (fit, truss, ripe) in enumerate(zip(fits, trusses.tolist(), ripeness, strict=True)):
         if spheroids is None:
             yield Tomato(fit.center, fit.radius, truss, ripe)
@@ -109,7 +109,7 @@ def look(cloud: SurfaceCloud, settings: ShapeSettings) -> Looks:
     fits = fit_spheres(skin.points, skin.normals, vote(skin.points, skin.normals, settings), settings)
     alone = measures(fits, cloud, settings)
     sure = choose(fits, credibility(alone, ALONE).tolist(), len(skin), _SURE)
-    trusses = group_trusses(sure, settings.truss_gap)
+    trusses = group_neighbors(sure, settings.truss_gap)
     beside = look_again(skin.points, skin.normals, skin.tones, sure, trusses, settings)
 
     def in_company(fits: list[SphereFit], alone: Array) -> Array:
@@ -151,11 +151,31 @@ def _tones_of(fits: Sequence[SphereFit], cloud: SurfaceCloud) -> Array:
     return np.array([np.median(cloud.tones[fit.points]) for fit in fits])
 
 
-def group_trusses(fruits: Sequence[Sphere | Spheroid], gap: float) -> npt.NDArray[np.int32]:
-    """Truss number (n,) of each fruit: fruits whose skins are less than ``gap`` metres apart hang together."""
+def group_neighbors(fruits: Sequence[Sphere], gap: float) -> npt.NDArray[np.int32]:
+    """Group number (n,) of each fruit: fruits whose skins are at most ``gap`` metres apart are of one group."""
+    return _grouped(fruits, gap, "single")
+
+
+def group_trusses(fruits: Sequence[Sphere | Spheroid], spread: float) -> npt.NDArray[np.int32]:
+    """Truss number (n,) of each fruit, counted along the row.
+
+    The two groups whose skins are least far apart, in the mean over all pairs of their fruits, become one truss, as
+    long as that is at most ``spread`` metres (average linkage; Sokal and Michener, 1958). So a fruit between two
+    trusses does not join them, and fruit that is hidden does not part one.
+    """
+    return _grouped(fruits, spread, "average")
+
+
+def _grouped(fruits: Sequence[Sphere | Spheroid], reach: float, method: str) -> npt.NDArray[np.int32]:
+    """Group number (n,) of each fruit by scipy's linkage of the gaps between their skins, in order of appearance."""
+    if len(fruits) < 2:
+        return np.zeros(len(fruits), dtype=np.int32)
     centers, radii = _centers_and_radii(fruits)
-    distance = np.linalg.norm(centers[:, None] - centers[None], axis=-1) - radii[:, None] - radii[None]
-    return np.asarray(connected_components(coo_array(distance < gap), directed=False)[1], dtype=np.int32)
+    gaps = np.linalg.norm(centers[:, None] - centers[None], axis=-1) - radii[:, None] - radii[None]
+    np.fill_diagonal(gaps, 0.0)
+    groups = fcluster(linkage(squareform(np.maximum(gaps, 0.0), checks=False), method), reach, "distance")
+    _, first, group = np.unique(groups, return_index=True, return_inverse=True)
+    return np.asarray(first.argsort().argsort()[group], dtype=np.int32)
 
 
 def ripeness_of(colors: Array) -> float:
