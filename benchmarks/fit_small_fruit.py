@@ -27,6 +27,7 @@ from greenhouse_gym.shapes import ShapeSettings
 from greenhouse_gym.shapes.candidates import COMPANY, MEASURES
 from greenhouse_gym.shapes.networks import Network, network_file
 from greenhouse_gym.shapes.small_fruit import Credited, Small, chosen_small, small_spheres, sure_small
+from greenhouse_gym.shapes.surroundings import OF_COLOR
 from greenhouse_gym.shapes.tomatoes import large_tomatoes, look
 
 SETTINGS = ShapeSettings()
@@ -63,6 +64,7 @@ def _colorless(row: Looked) -> Labeled:
     """The measures of a row's small spheres as in a cloud of one color that holds no other fruit."""
     alone = row.small.alone.copy()
     alone[:, [MEASURES.index(name) for name in ("contrast", "tone spread")]] = 0.0
+    alone[:, len(MEASURES) + np.array(OF_COLOR)] = 0.0
     company = np.zeros((len(alone), len(COMPANY)))
     return labeled(row.small.fits, np.column_stack([alone, company]), row.true)
 

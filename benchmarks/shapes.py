@@ -14,7 +14,9 @@ Tomatoes match within one true radius, one to one. A place on a stem's axis coun
 of the other side lies within 10 mm and runs within 30 degrees of it; stems count by length. Only what was visible must
 be found, and what was hidden may be: tomatoes as a whole, stems and leaves in pieces of 2 cm, visible if some frame
 shows at least 30 % of the pixels that they alone would cover in it, after the cut at 60 cm and with a depth: the band
-along the image's side in which a stereo camera measures none shows nothing. Tomatoes are also counted with this band.
+along the image's side in which a stereo camera measures none shows nothing. Tomatoes are also counted with this band,
+and without those of whose skin the cloud holds fewer than 10 points, such as what the right imager of a stereo camera
+does not see.
 
 Rows of Helios' plants (``--source helios``) are development rows unless ``--held-out`` is given, and are measured by
 the truth that lies beside their recordings; their clouds are placed by the true pose of the middle station. Instead of
@@ -56,7 +58,9 @@ from greenhouse_gym.accuracy import (
     excess,
     match_tomatoes,
     moved,
+    skin_points,
 )
+from greenhouse_gym.clouds import Cloud
 from greenhouse_gym.crop import STEM_KINDS
 from greenhouse_gym.cutting import BuildSettings, cut_scenes, stand_positions
 from greenhouse_gym.geometry import Array, Capsule, Shape, transform
@@ -67,6 +71,9 @@ from greenhouse_gym.shapes import RowShapes, extract_shapes
 
 HELD_OUT = range(401, 411)
 DEVELOPMENT_MESHES = range(501, 507)
+FEWEST_POINTS = 10
+"""Points of skin in the cloud without which a tomato counts as not measured; no sphere is fitted to fewer."""
+
 CONFIGURATIONS = 3000
 """Random arm configurations per row and cause."""
 
@@ -88,6 +95,9 @@ def measure(row: Row, cause: str, workdir: Path) -> dict[str, Any]:
     points = transform(known.world_from_row, cloud.points)
     whole = visible.tomatoes._replace(in_image=visible.tomatoes.whole)  # beyond the image's edge counts as hidden
     colored = visible.tomatoes._replace(in_image=visible.tomatoes.in_color)  # the band without depth hides nothing
+    skin = skin_points(Cloud(cloud.points, cloud.colors, cloud.normals).moved(known.world_from_row), known.row.tomatoes)
+    in_cloud = np.where(skin >= FEWEST_POINTS, visible.tomatoes.in_image, 0.0)
+    measured = visible.tomatoes._replace(in_image=in_cloud)  # what no depth was measured of counts as hidden
     petioles = [shape for shape in known.row.clutter if isinstance(shape, Capsule)]
     unaligned = in_frame(shapes, known.world_from_station[np.flatnonzero(cloud.registered)[0]])
     true = known.row.tomatoes
@@ -97,6 +107,7 @@ def measure(row: Row, cause: str, workdir: Path) -> dict[str, Any]:
         "shapes": {"tomatoes": len(shapes.tomatoes), "stems": len(shapes.stems), "clutter": len(shapes.clutter)},
         "tomatoes": plain(compare_tomatoes(true, visible.tomatoes, placed.tomatoes)),
         "whole_tomatoes": plain(compare_tomatoes(true, whole, placed.tomatoes)),
+        "measured_tomatoes": plain(compare_tomatoes(true, measured, placed.tomatoes)),
         "colored_tomatoes": plain(compare_tomatoes(true, colored, placed.tomatoes)),
         "small_tomatoes": small_tomatoes(true, visible.tomatoes.visible, placed.tomatoes),
         "confidence": [list(shapes.confidence), credited(true, placed.tomatoes)],

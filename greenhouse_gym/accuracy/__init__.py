@@ -16,6 +16,7 @@ from greenhouse_gym.accuracy.clouds import (
 )
 from greenhouse_gym.accuracy.completeness import completeness, visible_surface
 from greenhouse_gym.accuracy.cover import coverage, excess
+from greenhouse_gym.accuracy.measured import skin_points
 from greenhouse_gym.accuracy.stems import StemComparison, compare_stems, pool_stems
 from greenhouse_gym.accuracy.tomatoes import (
     OCCLUSION_BANDS,
@@ -63,6 +64,7 @@ __all__ = [
     "place_by_windows",
     "pool_stems",
     "pool_tomatoes",
+    "skin_points",
     "visibility",
     "visible_row",
     "visible_surface",

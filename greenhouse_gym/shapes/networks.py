@@ -54,8 +54,8 @@ def network(name: str) -> Network:
     """One of the networks that are shipped.
 
     Args:
-        name: "small_fruit", for spheres by `candidates.MEASURES` and `candidates.COMPANY`, or "peduncles", for places
-            by `thin_stems.MEASURES`.
+        name: "small_fruit", for spheres by `candidates.MEASURES`, `surroundings.SURROUNDINGS` and `candidates.COMPANY`,
+            or "peduncles", for places by `thin_stems.MEASURES`.
     """
     stored = json.loads(network_file(name).read_text())
     return Network(**{name: np.array(values) for name, values in stored.items()})

@@ -21,6 +21,7 @@ from greenhouse_gym.shapes.networks import network
 from greenhouse_gym.shapes.settings import ShapeSettings
 from greenhouse_gym.shapes.spheres import IN_SHAPE, SphereFit, all_apart, crowded, fit_spheres, peaks
 from greenhouse_gym.shapes.surfaces import NO_LEAF, SurfaceCloud
+from greenhouse_gym.shapes.surroundings import surroundings
 
 _RADII = 8  # radii that are tried, half of them in each octave
 _BENDS = (35.0, 20.0)  # 1/m: what bends less even the one way does not vote for the radii of an octave
@@ -94,7 +95,8 @@ def small_spheres(fine: SurfaceCloud, settings: ShapeSettings) -> Small:
     candidates = _vote(fine, np.geomspace(low, high, _RADII), settings)
     fits = fit_spheres(fine.points, fine.normals, candidates, bounds, IN_SHAPE)
     tones = np.array([np.median(fine.tones[fit.points]) for fit in fits])
-    return Small(fine, fits, measures(fits, fine, settings), tones)
+    alone = np.column_stack([measures(fits, fine, settings), surroundings(fits, fine, settings.fine_voxel)])
+    return Small(fine, fits, alone, tones)
 
 
 def _vote(fine: SurfaceCloud, radii: Array, settings: ShapeSettings) -> Array:
