@@ -28,8 +28,12 @@ _REDNESS = np.array([-0.12, 0.07, 0.34, 0.77])
 _SURE = 0.8
 """How credible a tomato must be for others to be looked for beside it."""
 
+_LONE_BEND = 0.2
+"""Times its sphere's bend, the way that it bends less, of the surface of a fruit that nothing sure hangs beside; stems
+have less."""
 
-_SMALLER_BEND = MEASURES.index("patch's smaller bend")
+_SMALLER_BEND = MEASURES.index("smaller bend")
+_PATCH_BEND = MEASURES.index("patch's smaller bend")
 _NEIGHBORS = len(MEASURES) + COMPANY.index("neighbors")
 
 
@@ -52,18 +56,36 @@ def find_tomatoes(cloud: SurfaceCloud, fine: SurfaceCloud, settings: ShapeSettin
     found = large_tomatoes(looks, settings)
     small = find_small(fine, found, settings)
     fits = [*found.fits, *small.fits]
-    order = in_order(fits)
+    confidence = np.concatenate([found.confidence, small.confidence])
     ripeness = [ripeness_of(looks.skin.colors[fit.points]) for fit in found.fits]
     ripeness += [ripeness_of(fine.colors[fit.points]) for fit in small.fits]
+    order = in_order(fits)
+    spheroids = stretched([fits[k] for k in order], looks.skin, settings)
+    if spheroids is not None and len(one_in_each_place(spheroids, confidence[order])) < len(order):
+        order = [order[k] for k in one_in_each_place(spheroids, confidence[order])]
+        spheroids = stretched([fits[k] for k in order], looks.skin, settings)
     fits, ripeness = [fits[k] for k in order], [ripeness[k] for k in order]
-    tomatoes = _tomatoes(fits, ripeness, stretched(fits, looks.skin, settings), settings)
-    return FoundTomatoes(tuple(tomatoes), tuple(np.concatenate([found.confidence, small.confidence])[order].tolist()))
+    return FoundTomatoes(tuple(_tomatoes(fits, ripeness, spheroids, settings)), tuple(confidence[order].tolist()))
+
+
+def one_in_each_place(spheroids: Sequence[Spheroid], confidence: Array) -> list[int]:
+    """Indices of spheroids, in their order, without those in the place of a more credible one.
+
+    The two ends of a long fruit may have been found as a ball each.
+    """
+    kept: list[int] = []
+    balls = [Sphere(spheroid.center, spheroid.radius) for spheroid in spheroids]
+    for k in np.argsort(-confidence, kind="stable").tolist():
+        if all_apart(balls[k], [balls[i] for i in kept]):
+            kept.append(k)
+    return sorted(kept)
 
 
 def large_tomatoes(looks: Looks, settings: ShapeSettings) -> Credited:
     """The tomatoes that the first two looks show."""
     alone = looks.first[:, _NEIGHBORS] == 0
-    unbent = looks.first[:, _SMALLER_BEND] < settings.least_bend
+    unbent = looks.first[:, _PATCH_BEND] < settings.least_bend
+    unbent |= looks.first[:, _SMALLER_BEND] < _LONE_BEND
     first = np.where(alone & unbent, 0.0, credibility(looks.first, IN_ROW))
     credible = np.concatenate([first, credibility(looks.second, BESIDE)]).tolist()
     fits = [*looks.fits, *looks.beside]
