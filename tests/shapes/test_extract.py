@@ -584,6 +584,8 @@ def test_plum_fruit_becomes_ellipsoids_of_its_length(long: float, fewest: int, o
         parts.append((center + unit * semi_axes, colors, normals))
     shapes = extract_shapes(*together(*parts))
     assert fewest <= len(shapes.tomatoes) <= len(centers)
+    places = [int(np.linalg.norm(np.array(centers) - t.center, axis=1).argmin()) for t in shapes.tomatoes]
+    assert len(set(places)) == len(places), "the ends of a long fruit are not two"
     for tomato in shapes.tomatoes:
         assert tomato.semi_axes is not None
         np.testing.assert_allclose(np.sort(tomato.semi_axes), semi_axes, rtol=off)
