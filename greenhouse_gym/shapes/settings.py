@@ -11,8 +11,8 @@ _POSITIVE = (
     "string_radius", "peduncle_radius", "pedicel_radius", "radii", "small_radii", "pipe_radii", "stem_radii",
 )  # fmt: skip
 _SHARES = (
-    "min_score", "min_score_small", "min_confidence", "skin_alignment", "pipe_alignment", "pipe_filled",
-    "clutter_facing", "clutter_aligned", "least_saturation", "min_peduncle",
+    "min_score", "min_score_small", "min_confidence", "min_confidence_small", "skin_alignment", "pipe_alignment",
+    "pipe_filled", "clutter_facing", "clutter_aligned", "least_saturation", "min_peduncle",
 )  # fmt: skip
 
 
@@ -42,6 +42,7 @@ class ShapeSettings:
     skin_alignment: float = 0.9  # so do points whose normals have a larger cosine than this with the sphere's
     skin_margin: float = 0.008  # and those that far off it at most, which a camera farther away makes of the skin
     min_confidence: float = 0.3  # least confidence of a tomato
+    min_confidence_small: float = 0.4  # the same of one that the third look finds, since leaves have many tips
     least_bend: float = 0.35  # times its sphere's bend, both ways, of a fruit that nothing sure hangs beside
     truss_gap: float = 0.035  # largest gap between the skins of neighbors on one truss
     truss_spread: float = 0.09  # largest mean gap between the skins of two parts of one truss
