@@ -48,6 +48,9 @@ HELD_OUT_MESHES = range(601, 611)
 DRAWN_MESHES = range(901, 931)
 """Seeds of rows of Helios' plants whose cultivars are drawn; credibility is fitted to them, and nothing measured."""
 
+CHOICE_MESHES = range(931, 951)
+"""Seeds of more such rows, to which nothing is fitted; settings may be chosen by them."""
+
 
 @dataclass(frozen=True)
 class Row:
@@ -71,7 +74,7 @@ class Row:
     @property
     def style(self) -> str:
         """Fruit style; every style meets every week."""
-        if self.source == "helios" and self.seed in DRAWN_MESHES:
+        if self.source == "helios" and self.seed in (*DRAWN_MESHES, *CHOICE_MESHES):
             return "drawn"
         if self.source == "helios":
             cultivars = list(HELD_OUT_CULTIVARS if self.seed in HELD_OUT_MESHES else DEVELOPMENT_CULTIVARS)
