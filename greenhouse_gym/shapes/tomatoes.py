@@ -6,9 +6,6 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
-from scipy.cluster.hierarchy import fcluster, linkage
-from scipy.spatial.distance import squareform
 
 from greenhouse_gym.crop import Tomato
 from greenhouse_gym.geometry import Array, Sphere
@@ -21,6 +18,7 @@ from greenhouse_gym.shapes.settings import ShapeSettings
 from greenhouse_gym.shapes.small_fruit import Credited, find_small
 from greenhouse_gym.shapes.spheres import SphereFit, all_apart, fit_spheres, vote
 from greenhouse_gym.shapes.surfaces import SurfaceCloud
+from greenhouse_gym.shapes.trusses import group_neighbors, group_trusses
 
 _REDNESS = np.array([-0.12, 0.07, 0.34, 0.77])
 """(R - G) / (R + G) of the skin at ripeness 0, 1/3, 2/3, 1: green, turning, orange, red."""
@@ -61,8 +59,9 @@ def find_tomatoes(cloud: SurfaceCloud, fine: SurfaceCloud, settings: ShapeSettin
     ripeness += [ripeness_of(fine.colors[fit.points]) for fit in small.fits]
     order = in_order(fits)
     spheroids = stretched([fits[k] for k in order], looks.skin, settings)
-    if spheroids is not None and len(one_in_each_place(spheroids, confidence[order])) < len(order):
-        order = [order[k] for k in one_in_each_place(spheroids, confidence[order])]
+    kept = range(len(order)) if spheroids is None else one_in_each_place(spheroids, confidence[order])
+    if len(kept) < len(order):
+        order = [order[k] for k in kept]
         spheroids = stretched([fits[k] for k in order], looks.skin, settings)
     fits, ripeness = [fits[k] for k in order], [ripeness[k] for k in order]
     return FoundTomatoes(tuple(_tomatoes(fits, ripeness, spheroids, settings)), tuple(confidence[order].tolist()))
@@ -173,38 +172,6 @@ def _tones_of(fits: Sequence[SphereFit], cloud: SurfaceCloud) -> Array:
     return np.array([np.median(cloud.tones[fit.points]) for fit in fits])
 
 
-def group_neighbors(fruits: Sequence[Sphere], gap: float) -> npt.NDArray[np.int32]:
-    """Group number (n,) of each fruit: fruits whose skins are at most ``gap`` metres apart are of one group."""
-    return _grouped(fruits, gap, "single")
-
-
-def group_trusses(fruits: Sequence[Sphere | Spheroid], spread: float) -> npt.NDArray[np.int32]:
-    """Truss number (n,) of each fruit, counted along the row.
-
-    The two groups whose skins are least far apart, in the mean over all pairs of their fruits, become one truss, as
-    long as that is at most ``spread`` metres (average linkage; Sokal and Michener, 1958). So a fruit between two
-    trusses does not join them, and fruit that is hidden does not part one.
-    """
-    return _grouped(fruits, spread, "average")
-
-
-def _grouped(fruits: Sequence[Sphere | Spheroid], reach: float, method: str) -> npt.NDArray[np.int32]:
-    """Group number (n,) of each fruit by scipy's linkage of the gaps between their skins, in order of appearance."""
-    if len(fruits) < 2:
-        return np.zeros(len(fruits), dtype=np.int32)
-    centers, radii = _centers_and_radii(fruits)
-    gaps = np.linalg.norm(centers[:, None] - centers[None], axis=-1) - radii[:, None] - radii[None]
-    np.fill_diagonal(gaps, 0.0)
-    groups = fcluster(linkage(squareform(np.maximum(gaps, 0.0), checks=False), method), reach, "distance")
-    _, first, group = np.unique(groups, return_index=True, return_inverse=True)
-    return np.asarray(first.argsort().argsort()[group], dtype=np.int32)
-
-
 def ripeness_of(colors: Array) -> float:
     """Ripeness, 0 to 1, from the skin's colors (n, 3): by the median of (R - G) / (R + G), which ignores shading."""
     return float(np.round(np.interp(np.median(redness(colors)), _REDNESS, np.linspace(0, 1, len(_REDNESS))), 3))
-
-
-def _centers_and_radii(spheres: Sequence[Sphere | Spheroid]) -> tuple[Array, Array]:
-    """(n, 3) and (n,)."""
-    return np.array([s.center for s in spheres]).reshape(-1, 3), np.array([s.radius for s in spheres])

@@ -19,7 +19,8 @@ from greenhouse_gym.shapes.evidence import nearest_shapes
 from greenhouse_gym.shapes.peduncles import find_peduncles
 from greenhouse_gym.shapes.polylines import fitted, kept_rows
 from greenhouse_gym.shapes.surfaces import NO_LEAF, SurfaceCloud, look_at_surfaces
-from greenhouse_gym.shapes.tomatoes import group_trusses, ripeness_of
+from greenhouse_gym.shapes.tomatoes import ripeness_of
+from greenhouse_gym.shapes.trusses import group_trusses
 
 SETTINGS = ShapeSettings()
 RED = np.array([0.76, 0.10, 0.07])

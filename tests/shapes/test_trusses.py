@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from greenhouse_gym.geometry import Sphere
 from greenhouse_gym.shapes import ShapeSettings
-from greenhouse_gym.shapes.tomatoes import group_neighbors, group_trusses
+from greenhouse_gym.shapes.trusses import group_neighbors, group_trusses
 
 SPREAD = ShapeSettings().truss_spread
 RADIUS = 0.02

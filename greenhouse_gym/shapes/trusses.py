@@ -1,0 +1,40 @@
+"""Which fruits hang together, by the gaps between their skins."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.spatial.distance import squareform
+
+from greenhouse_gym.geometry import Sphere
+from greenhouse_gym.shapes.ellipsoids import Spheroid
+
+
+def group_neighbors(fruits: Sequence[Sphere], gap: float) -> npt.NDArray[np.int32]:
+    """Group number (n,) of each fruit: fruits whose skins are at most ``gap`` metres apart are of one group."""
+    return _grouped(fruits, gap, "single")
+
+
+def group_trusses(fruits: Sequence[Sphere | Spheroid], spread: float) -> npt.NDArray[np.int32]:
+    """Truss number (n,) of each fruit, counted along the row.
+
+    The two groups whose skins are least far apart, in the mean over all pairs of their fruits, become one truss, as
+    long as that is at most ``spread`` metres (average linkage; Sokal and Michener, 1958). So a fruit between two
+    trusses does not join them, and fruit that is hidden does not part one.
+    """
+    return _grouped(fruits, spread, "average")
+
+
+def _grouped(fruits: Sequence[Sphere | Spheroid], reach: float, method: str) -> npt.NDArray[np.int32]:
+    """Group number (n,) of each fruit by scipy's linkage of the gaps between their skins, in order of appearance."""
+    if len(fruits) < 2:
+        return np.zeros(len(fruits), dtype=np.int32)
+    centers, radii = np.array([f.center for f in fruits]), np.array([f.radius for f in fruits])
+    gaps = np.linalg.norm(centers[:, None] - centers[None], axis=-1) - radii[:, None] - radii[None]
+    np.fill_diagonal(gaps, 0.0)
+    groups = fcluster(linkage(squareform(np.maximum(gaps, 0.0), checks=False), method), reach, "distance")
+    _, first, group = np.unique(groups, return_index=True, return_inverse=True)
+    return np.asarray(first.argsort().argsort()[group], dtype=np.int32)
