@@ -23,6 +23,7 @@ from greenhouse_gym.accuracy import compare_stems
 from greenhouse_gym.crop import Stem, Tomato
 from greenhouse_gym.geometry import Capsule, distance_to_shapes
 from greenhouse_gym.shapes import ShapeSettings, extract_shapes
+from greenhouse_gym.shapes.bare_peduncles import find_bare_peduncles
 from greenhouse_gym.shapes.networks import Network, network_file
 from greenhouse_gym.shapes.peduncles import find_peduncles
 from greenhouse_gym.shapes.thin_stems import OF_COLOR, Places, places_near_fruit
@@ -70,8 +71,9 @@ def fitted(rows: Sequence[Looked]) -> Network:
 
 def counted(row: Looked, network: Network) -> np.ndarray:
     """Metres of what holds a row's fruit: seen by the rig, found of these, extracted, and extracted falsely."""
-    likely = network(row.places.measures) > SETTINGS.min_peduncle
-    stems = find_peduncles(row.places.nodes[likely], row.tomatoes, row.main, SETTINGS)
+    likely, nodes = network(row.places.measures), row.places.nodes
+    stems = find_peduncles(nodes[likely > SETTINGS.min_peduncle], row.tomatoes, row.main, SETTINGS)
+    stems += find_bare_peduncles(nodes[likely > SETTINGS.min_bare_peduncle], [*row.main, *stems], SETTINGS)
     sums = [compare_stems(row.true, row.visible, row.petioles, stems, kind) for kind in KINDS]
     return np.sum([[s.visible, s.found, s.extracted, s.false] for s in sums], axis=0)
 

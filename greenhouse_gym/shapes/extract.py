@@ -11,6 +11,7 @@ import numpy.typing as npt
 from greenhouse_gym.clouds import Cloud, voxel_means
 from greenhouse_gym.crop import Stem, Tomato
 from greenhouse_gym.geometry import Box, Shape
+from greenhouse_gym.shapes.bare_peduncles import find_bare_peduncles
 from greenhouse_gym.shapes.checks import Notes, checked, thinned
 from greenhouse_gym.shapes.clutter import box_budget, cover
 from greenhouse_gym.shapes.colors import could_be_pipe, could_be_stem, is_colorful, redness
@@ -100,8 +101,9 @@ def extract_shapes(
     if not main:
         _say_if_not_upright(woody, settings, notes)
     places = places_near_fruit(surface, tomatoes, main, settings)
-    likely = network("peduncles")(places.measures) > settings.min_peduncle
-    hanging = find_peduncles(places.nodes[likely], tomatoes, main, settings)
+    likely = network("peduncles")(places.measures)
+    hanging = find_peduncles(places.nodes[likely > settings.min_peduncle], tomatoes, main, settings)
+    hanging += find_bare_peduncles(places.nodes[likely > settings.min_bare_peduncle], [*main, *hanging], settings)
     stems = (*upright, *hanging, *pipes)
     cloud = _without(_without(cloud, upright, settings.stem_margin), hanging, settings.shell)
     cloud = _without_skin(cloud, tomatoes, settings)

@@ -13,14 +13,13 @@ from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
 
 from greenhouse_gym.crop import Stem, StemKind, Tomato
 from greenhouse_gym.geometry import Array, closest_on_segments, distance_to_spheres
-from greenhouse_gym.shapes.polylines import fitted
+from greenhouse_gym.shapes.polylines import fitted, smoothed
 from greenhouse_gym.shapes.settings import ShapeSettings
 
 Mask = npt.NDArray[np.bool_]
@@ -183,8 +182,7 @@ def _places(way: list[int], nodes: Array, fruits: list[Tomato], feet: Array, bef
         inner = np.vstack([feet[way[1]], inner])
     away = inner[-1] - fruit.center
     skin = fruit.center + fruit.radius * away / np.linalg.norm(away)
-    inner[1:-1] = ndimage.uniform_filter1d(inner, 7, axis=0, mode="nearest")[1:-1]
-    return np.vstack([inner, skin])
+    return np.vstack([smoothed(inner), skin])
 
 
 def _capsules(places: Array, settings: ShapeSettings) -> list[Stem]:

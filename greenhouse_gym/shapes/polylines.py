@@ -3,8 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy import ndimage
 
 from greenhouse_gym.geometry import Array, closest_on_segments
+
+_WINDOW = 7  # points that are averaged
+
+
+def smoothed(line: Array) -> Array:
+    """The points (k, 3) of a line, each but the ends in the middle of its neighbors."""
+    inner = ndimage.uniform_filter1d(line, _WINDOW, axis=0, mode="nearest")[1:-1]
+    return np.concatenate([line[:1], inner, line[-1:]])
 
 
 def fitted(line: Array, tolerance: float) -> Array:

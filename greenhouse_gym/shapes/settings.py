@@ -13,6 +13,7 @@ _POSITIVE = (
 _SHARES = (
     "min_score", "min_score_small", "min_confidence", "min_confidence_small", "skin_alignment", "pipe_alignment",
     "pipe_filled", "clutter_facing", "clutter_aligned", "least_saturation", "min_peduncle",
+    "min_bare_peduncle",
 )  # fmt: skip
 
 
@@ -65,15 +66,17 @@ class ShapeSettings:
     truss_reach: float = 0.12  # how far from the center of a fruit what holds it is looked for
     path_step: float = 0.004  # peduncles are traced from point to point this far apart
     min_peduncle: float = 0.2  # least probability of a place on a peduncle
-    path_gap: float = 0.015  # hidden part of a peduncle that is bridged
+    min_bare_peduncle: float = 0.4  # the same where no fruit that was found hangs on it
+    shortest_bare_peduncle: float = 0.025  # from end to end
+    path_gap: float = 0.020  # hidden part of a peduncle that is bridged
     path_bridge: float = 0.060  # hidden part that is bridged where several fruits hang on the peduncle
     bridge_fruits: int = 2  # fewest fruits that count as several
     stem_margin: float = 0.008  # points this near a main stem are its own bumps, no peduncle
     root_reach: float = 0.025  # how far from a main stem's axis a peduncle may begin
-    pedicel_reach: float = 0.016  # how far from the skin of its fruit a pedicel may end
+    pedicel_reach: float = 0.020  # how far from the skin of its fruit a pedicel may end
     axis_tolerance: float = 0.005  # a chain of capsules may be this far from the traced axis
     upright_tolerance: float = 0.006  # the same for main stems and strings
-    clutter_per_area: float = 124.0  # most boxes per square metre of what is left
+    clutter_per_area: float = 120.0  # most boxes per square metre of what is left
     clutter_claim: float = 0.003  # square metres of empty surface at which two boxes still become one
     clutter_cell: float = 0.005  # boxes are looked for among the cells of this size that hold points
     clutter_facing: float = 0.9  # cosine between the normals of neighbors on one smooth patch
