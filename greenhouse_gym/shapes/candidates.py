@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.shapes.robust import quantiles
 from greenhouse_gym.shapes.settings import ShapeSettings
 from greenhouse_gym.shapes.spheres import SphereFit, shell_of
 from greenhouse_gym.shapes.surfaces import NO_LEAF, SurfaceCloud
@@ -54,11 +55,12 @@ def _measures(fit: SphereFit, cloud: SurfaceCloud, tree: cKDTree, settings: Shap
     )
     if not on.any():
         on = skin
-    bends = np.clip(np.median(cloud.bends[near[on]], axis=0) * fit.radius, -1.0, _MOST_BEND)
-    spread = np.linalg.eigvalsh(np.cov(cloud.points[near[on]].T) if np.count_nonzero(on) > 3 else np.eye(3))
+    own = away[on]
+    bends = (quantiles(cloud.bends[near[on]], 0.5) * fit.radius).clip(-1.0, _MOST_BEND)
+    spread = np.linalg.eigvalsh(_scatter(own) / (len(own) - 1)) if len(own) > 3 else np.ones(3)
     even = float(np.log((np.sqrt(max(spread[0], 0.0)) + 1e-4) / (fit.rmse + 1e-4)))
     middle = float(np.linalg.norm(unit[on].mean(axis=0)))  # 1 - |middle| of a cap is the share of the sphere it covers
-    low, tone, high = np.quantile(cloud.tones[near[on]], (0.25, 0.5, 0.75))
+    low, tone, high = quantiles(cloud.tones[near[on]], np.array([0.25, 0.5, 0.75]))
     contrast = (
         float(np.clip((tone - cloud.leaf) / 0.1, -_MOST_CONTRAST, _MOST_CONTRAST)) if cloud.leaf > NO_LEAF else 0.0
     )
@@ -79,10 +81,17 @@ def _bends(outward: Array, normals: Array) -> list[float]:
     if len(outward) < 4:
         return [0.0, 0.0]
     away, turned = outward - outward.mean(axis=0), normals - normals.mean(axis=0)
-    across = np.linalg.svd(away, full_matrices=False)[2][:2].T  # the two directions in which the patch is widest
-    place = (away @ across).T @ (away @ across) + 1e-3 * len(away) * np.eye(2)
-    slope = np.linalg.solve(place, (away @ across).T @ (turned @ across))
-    return np.clip(np.linalg.eigvalsh((slope + slope.T) / 2), -1.0, _MOST_BEND).tolist()
+    across = np.linalg.eigh(away.T @ away)[1][:, 1:]  # the two directions in which the patch is widest
+    along = away @ across
+    place = along.T @ along + 1e-3 * len(away) * np.eye(2)
+    slope = np.linalg.solve(place, along.T @ (turned @ across))
+    return np.linalg.eigvalsh((slope + slope.T) / 2).clip(-1.0, _MOST_BEND).tolist()
+
+
+def _scatter(points: Array) -> Array:
+    """Sum (3, 3) of the outer products of the points' distances (k, 3) from their mean."""
+    away = points - points.mean(axis=0)
+    return np.asarray(away.T @ away)
 
 
 def company(

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.clouds import Cloud, voxel_means
+from greenhouse_gym.clouds import Cloud
 from greenhouse_gym.crop import Stem, Tomato
 from greenhouse_gym.geometry import Box, Shape
 from greenhouse_gym.shapes.bare_peduncles import find_bare_peduncles
@@ -16,12 +16,13 @@ from greenhouse_gym.shapes.checks import Notes, checked, thinned
 from greenhouse_gym.shapes.clutter import box_budget, cover
 from greenhouse_gym.shapes.colors import could_be_pipe, could_be_stem, is_colorful, redness
 from greenhouse_gym.shapes.evidence import Evidence, nearest_shapes
+from greenhouse_gym.shapes.grids import by_grids
 from greenhouse_gym.shapes.networks import network
 from greenhouse_gym.shapes.peduncles import find_peduncles
 from greenhouse_gym.shapes.pipes import find_pipes
 from greenhouse_gym.shapes.settings import ShapeSettings
 from greenhouse_gym.shapes.stems import find_main_stems, find_strings
-from greenhouse_gym.shapes.surfaces import SurfaceCloud, look_at_surfaces, looked_at_finer
+from greenhouse_gym.shapes.surfaces import SurfaceCloud, look_at_surfaces
 from greenhouse_gym.shapes.thin_stems import places_near_fruit
 from greenhouse_gym.shapes.tomatoes import find_tomatoes
 
@@ -84,10 +85,7 @@ def extract_shapes(
     cloud = look_at_surfaces(thin, settings)
     pipes = find_pipes(cloud.select(could_be_pipe(cloud, settings)), settings)
     cloud = _without(cloud, pipes, settings.shell)
-    fine = looked_at_finer(cloud, voxel_means(whole, settings.fine_voxel)[0], settings)
-    # estimated normals do not tell well how thin things bend
-    fine = fine.select(np.full(len(fine), normals is not None))
-    tomatoes, confidence = find_tomatoes(cloud, fine, settings)
+    tomatoes, confidence = find_tomatoes(list(by_grids(whole, cloud, settings)), settings)
     surface = cloud
     skin = cloud.points[nearest_shapes(cloud.points, tomatoes, settings.skin_noise).owner >= 0]
     cloud = _without(cloud, tomatoes, settings.shell)

@@ -9,6 +9,7 @@ from greenhouse_gym.limits import check_numbers
 _POSITIVE = (
     "voxel", "fine_voxel", "vote_cell", "radius_step", "clutter_cell", "path_step", "stem_slab", "shell", "explained",
     "string_radius", "peduncle_radius", "pedicel_radius", "radii", "small_radii", "pipe_radii", "stem_radii",
+    "grids",
 )  # fmt: skip
 _SHARES = (
     "min_score", "min_score_small", "min_confidence", "min_confidence_small", "skin_alignment", "pipe_alignment",
@@ -27,6 +28,7 @@ class ShapeSettings:
 
     voxel: float = 0.003  # the cloud is thinned out to this first
     fine_voxel: float = 0.002  # and to this where small fruit is looked for
+    grids: int = 2  # grids of voxels by which tomatoes are looked for; what is found is what they agree upon
     leaf_contrast: float = 0.07  # what is redder than the leaves by this much, as (R - G) / (R + G), is no leaf
     fruit_bend: float = 6.0  # 1/m: what bulges more both ways may be fruit, whatever its color
     stem_bend: float = 25.0  # 1/m: what bends more than this in one direction may be a main stem

@@ -39,6 +39,11 @@ class Credited(NamedTuple):
     confidence: Array
     tones: Array
 
+    def above(self, least: float) -> Credited:
+        """Those that are as credible as that at least."""
+        rows = np.flatnonzero(self.confidence >= least)
+        return Credited([self.fits[k] for k in rows], self.confidence[rows], self.tones[rows])
+
 
 class Small(NamedTuple):
     """Small spheres (k,) in a fine cloud, their measures (k, m) by themselves, and how red each is in the middle."""

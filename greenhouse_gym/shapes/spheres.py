@@ -22,7 +22,8 @@ from greenhouse_gym.shapes.settings import ShapeSettings
 
 _ABOVE_PLANE = 1.2  # a sphere has so many times the votes that a plane gathers in one place
 _MOST_POINTS = 300  # most points that a fit looks at
-_APART = 0.75  # sums of two radii by which spheres that are beside each other are apart
+_TOGETHER = 256  # candidates that are refined at once
+APART = 0.75  # sums of two radii by which spheres that are beside each other are apart
 _DIRECTIONS = 100  # directions in which a sphere's coverage is counted
 
 
@@ -128,9 +129,9 @@ def crowded(positions: Array, least: float) -> tuple[Array, Array]:
     return centers, votes[crowded].astype(np.float64)
 
 
-def shell_of(radius: float, settings: ShapeSettings) -> float:
-    """How near to a sphere its points lie, metres: nearer to smaller ones."""
-    return min(settings.shell, 0.3 * radius)
+def shell_of(radii: npt.ArrayLike, settings: ShapeSettings) -> Array:
+    """How near to spheres their points lie, metres: nearer to smaller ones."""
+    return np.minimum(settings.shell, 0.3 * np.asarray(radii))
 
 
 def fit_spheres(
@@ -140,11 +141,7 @@ def fit_spheres(
     tree = cKDTree(points)
     directions = even_directions(_DIRECTIONS)
     fits = []
-    for candidate in candidates:
-        near = np.array(tree.query_ball_point(candidate[:3], 1.4 * candidate[3]), dtype=np.int64)
-        refined = _refine(points[near], normals[near], candidate, settings, trust)
-        if refined is None:
-            continue
+    for refined in _refined(points, normals, candidates, tree, settings, trust):
         near = np.array(tree.query_ball_point(refined[:3], 1.3 * refined[3]), dtype=np.int64)
         fit = _assess(points, normals, near, refined[:3], float(refined[3]), directions, settings, trust)
         if fit is not None:
@@ -152,26 +149,66 @@ def fit_spheres(
     return fits
 
 
-def _refine(cloud: Array, normals: Array, candidate: Array, settings: ShapeSettings, trust: Trust) -> Array | None:
-    """Gauss-Newton with Tukey weights on ``distance - radius``; points whose normals look away do not count."""
-    stride = max(1, len(cloud) // _MOST_POINTS)
-    cloud, normals = cloud[::stride], normals[::stride]
-    center, radius = candidate[:3], float(candidate[3])
-    shell = shell_of(radius, settings)
+def _refined(
+    points: Array, normals: Array, candidates: Array, tree: cKDTree, settings: ShapeSettings, trust: Trust
+) -> Array:
+    """The candidates (k, 4) that fit something, refined, (j, 4).
+
+    Those with about as many points are refined together.
+    """
+    spheres = np.full(candidates.shape, np.nan)
+    order = np.argsort(tree.query_ball_point(candidates[:, :3], 1.4 * candidates[:, 3], return_length=True))
+    for some in np.split(order, range(_TOGETHER, len(order), _TOGETHER)):
+        near = tree.query_ball_point(candidates[some, :3], 1.4 * candidates[some, 3])
+        thinner = [rows[:: max(1, len(rows) // _MOST_POINTS)] for rows in near]
+        filled = np.zeros((len(some), max(map(len, thinner), default=0)), dtype=np.int64)
+        real = np.zeros(filled.shape, dtype=np.bool_)
+        for k, rows in enumerate(thinner):
+            filled[k, : len(rows)], real[k, : len(rows)] = rows, True
+        spheres[some] = _refine(points[filled], normals[filled], real, candidates[some], settings, trust)
+    return spheres[np.isfinite(spheres[:, 3])]
+
+
+def _refine(
+    points: Array,
+    normals: Array,
+    real: npt.NDArray[np.bool_],
+    candidates: Array,
+    settings: ShapeSettings,
+    trust: Trust,
+) -> Array:
+    """Gauss-Newton with Tukey weights on ``distance - radius``; points whose normals look away do not count.
+
+    Args:
+        points: (k, n, 3) near each candidate.
+        normals: (k, n, 3) of them.
+        real: (k, n) which are points; others fill up.
+        candidates: (k, 4) centers and radii.
+        settings: All settings.
+        trust: What the fits may rely on.
+
+    Returns:
+        (k, 4) centers and radii; NaN where nothing fits.
+    """
+    refined = candidates.copy()
+    shells = shell_of(candidates[:, 3], settings)
+    fitting = np.arange(len(candidates))  # rows of the candidates that still fit something
     for scale, aligned in zip(SCALES, trust.aligned, strict=True):
-        away = cloud - center
-        distance = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
-        unit = away / distance[:, None]
-        residual = distance - radius
-        weight = tukey_weights(residual, scale * shell) * ((unit * normals).sum(axis=1) > aligned)
-        if np.count_nonzero(weight) < trust.fewest:
-            return None
-        jacobian = np.column_stack([-unit, -np.ones(len(unit))])
-        step = gauss_newton_step(jacobian, weight, residual, np.array([1e-3, 1e-3, 1e-3, trust.radius]))
-        center, radius = center + step[:3], radius + float(step[3])
-        if not settings.radii[0] * 0.9 <= radius <= settings.radii[1] * 1.1:
-            return None
-    return np.append(center, radius)
+        away = points - refined[fitting, None, :3]
+        distance = np.maximum(np.linalg.norm(away, axis=2), 1e-9)
+        unit = away / distance[:, :, None]
+        residual = distance - refined[fitting, None, 3]
+        weight = tukey_weights(residual, scale * shells[fitting, None])
+        weight *= real & ((unit * normals).sum(axis=2) > aligned)
+        enough = np.count_nonzero(weight, axis=1) >= trust.fewest
+        jacobian = np.concatenate([-unit, np.full((*unit.shape[:2], 1), -1.0)], axis=2)[enough]
+        damping = np.array([1e-3, 1e-3, 1e-3, trust.radius])
+        refined[fitting[enough]] += gauss_newton_step(jacobian, weight[enough], residual[enough], damping)
+        radii = refined[fitting, 3]
+        kept = enough & (radii >= settings.radii[0] * 0.9) & (radii <= settings.radii[1] * 1.1)
+        refined[fitting[~kept]] = np.nan
+        points, normals, real, fitting = points[kept], normals[kept], real[kept], fitting[kept]
+    return refined
 
 
 def _assess(
@@ -204,7 +241,7 @@ def _assess(
 def all_apart(fit: Sphere, others: Sequence[Sphere]) -> bool:
     """Whether a sphere is beside all others, and not in one of their places."""
     centers, radii = np.array([o.center for o in others]).reshape(-1, 3), np.array([o.radius for o in others])
-    return bool((np.linalg.norm(centers - fit.center, axis=1) > _APART * (radii + fit.radius)).all())
+    return bool((np.linalg.norm(centers - fit.center, axis=1) > APART * (radii + fit.radius)).all())
 
 
 def even_directions(count: int) -> Array:

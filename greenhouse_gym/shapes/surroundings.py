@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from greenhouse_gym.geometry import Array, Sphere
@@ -33,26 +34,54 @@ _TONE, _BRIGHT = 0.1, 0.1  # redness and brightness that count as 1
 _MOST = 3.0  # of these
 
 
+_TOGETHER = 1000  # spheres that are looked at at once
+
+
 def surroundings(fits: Sequence[Sphere], cloud: SurfaceCloud, spacing: float) -> Array:
     """Measures (k, len(SURROUNDINGS)) of spheres in a cloud with a point per ``spacing`` metres."""
     tree = cKDTree(cloud.points)
-    tones = cloud.tones / _TONE
-    leaf = cloud.leaf / _TONE if cloud.leaf > NO_LEAF else None
-    brightness = cloud.colors.mean(axis=1) / _BRIGHT
-    rows = np.zeros((len(fits), len(_EDGES) - 1, len(_OF_SHELL)))
-    for row, fit in zip(rows, fits, strict=True):
-        near = np.array(tree.query_ball_point(fit.center, _EDGES[-1] * fit.radius), dtype=np.int64)
-        away = cloud.points[near] - fit.center
-        distance = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
-        facing = (away * cloud.normals[near]).sum(axis=1) / distance
-        shell = np.minimum(np.searchsorted(_EDGES, distance / fit.radius, "right") - 1, len(row) - 1)
-        half = 2 * np.pi * fit.radius**2 / spacing**2
-        on = near[shell == _SKIN]
-        red, bright = (float(np.median(values[on])) if len(on) else 0.0 for values in (tones, brightness))
-        for k in np.unique(shell).tolist():
-            own = shell == k
-            values = tones[near[own]].mean() - red, brightness[near[own]].mean() - bright
-            if k == _SKIN:
-                values = 0.0 if leaf is None else red - leaf, brightness[on].std()
-            row[k] = np.log1p(_PER_SHARE * len(near[own]) / half), facing[own].mean(), *np.clip(values, -_MOST, _MOST)
-    return rows.reshape(len(fits), len(SURROUNDINGS))
+    found = [
+        _surroundings(fits[first : first + _TOGETHER], cloud, tree, spacing) for first in range(0, len(fits), _TOGETHER)
+    ]
+    return np.concatenate([np.zeros((0, len(SURROUNDINGS))), *found])
+
+
+def _surroundings(fits: Sequence[Sphere], cloud: SurfaceCloud, tree: cKDTree, spacing: float) -> Array:
+    centers, radii = np.array([fit.center for fit in fits]), np.array([fit.radius for fit in fits])
+    members = tree.query_ball_point(centers, _EDGES[-1] * radii)
+    owner = np.repeat(np.arange(len(fits)), [len(rows) for rows in members])
+    near = np.concatenate(members).astype(np.int64)
+    away = cloud.points[near] - centers[owner]
+    distance = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
+    facing = (away * cloud.normals[near]).sum(axis=1) / distance
+    shells = len(_EDGES) - 1
+    shell = np.minimum(np.searchsorted(_EDGES, distance / radii[owner], "right") - 1, shells - 1)
+    tones, brightness = cloud.tones[near] / _TONE, cloud.colors[near].mean(axis=1) / _BRIGHT
+
+    def of_shells(weights: Array | None = None) -> Array:
+        sums = np.bincount(owner * shells + shell, weights, minlength=len(fits) * shells)
+        return sums.reshape(len(fits), shells).astype(np.float64)
+
+    count, on = of_shells(), shell == _SKIN
+    some = np.maximum(count, 1.0)
+    red, bright = (_medians(values[on], owner[on], len(fits)) for values in (tones, brightness))
+    mean = of_shells(brightness) / some
+    redder, brighter = of_shells(tones) / some - red[:, None], mean - bright[:, None]
+    redder[:, _SKIN] = red - cloud.leaf / _TONE if cloud.leaf > NO_LEAF else 0.0
+    spread = of_shells((brightness - mean[owner, shell]) ** 2) / some
+    brighter[:, _SKIN] = np.sqrt(spread[:, _SKIN])
+    half = 2 * np.pi * radii**2 / spacing**2
+    filled = np.log1p(_PER_SHARE * count / half[:, None])
+    colors = np.clip([redder, brighter], -_MOST, _MOST)
+    measured = np.stack([filled, of_shells(facing) / some, *colors], axis=2)
+    measured[count == 0] = 0.0
+    return measured.reshape(len(fits), len(SURROUNDINGS))
+
+
+def _medians(values: Array, owner: npt.NDArray[np.int64], count: int) -> Array:
+    """Median (count,) of the values (n,) of each owner, 0 where one has none."""
+    each = np.bincount(owner, minlength=count)
+    ordered = np.append(values[np.lexsort((values, owner))], 0.0)
+    before = np.cumsum(each) - each
+    middle = (ordered[before + np.maximum(each - 1, 0) // 2] + ordered[before + each // 2]) / 2
+    return np.where(each > 0, middle, 0.0)

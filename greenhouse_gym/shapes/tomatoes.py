@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from greenhouse_gym.crop import Tomato
 from greenhouse_gym.geometry import Array, Sphere
+from greenhouse_gym.shapes.agreement import Find, agreed
 from greenhouse_gym.shapes.candidates import COMPANY, MEASURES, company, measures
 from greenhouse_gym.shapes.colors import could_be_fruit, redness
 from greenhouse_gym.shapes.credibility import ALONE, BESIDE, IN_ROW, credibility
 from greenhouse_gym.shapes.ellipsoids import Spheroid, stretched
+from greenhouse_gym.shapes.grids import Grid
 from greenhouse_gym.shapes.second_look import look_again
 from greenhouse_gym.shapes.settings import ShapeSettings
 from greenhouse_gym.shapes.small_fruit import Credited, find_small
@@ -25,6 +28,9 @@ _REDNESS = np.array([-0.12, 0.07, 0.34, 0.77])
 
 _SURE = 0.8
 """How credible a tomato must be for others to be looked for beside it."""
+
+_DOUBTED = 0.1
+"""How credible a tomato must be to one grid for what the others say of it to count."""
 
 _LONE_BEND = 0.2
 """Times its sphere's bend, the way that it bends less, of the surface of a fruit that nothing sure hangs beside; stems
@@ -42,29 +48,43 @@ class FoundTomatoes(NamedTuple):
     confidence: tuple[float, ...]
 
 
-def find_tomatoes(cloud: SurfaceCloud, fine: SurfaceCloud, settings: ShapeSettings) -> FoundTomatoes:
+def find_tomatoes(grids: Sequence[Grid], settings: ShapeSettings) -> FoundTomatoes:
     """Find tomatoes in a cloud.
 
     Args:
-        cloud: One point per voxel of ``settings.voxel``.
-        fine: The same with one per voxel of ``settings.fine_voxel``, where small fruit is looked for.
+        grids: The cloud by one grid of voxels or several.
         settings: All settings.
     """
-    looks = look(cloud, settings)
-    found = large_tomatoes(looks, settings)
-    small = find_small(fine, found, settings)
-    fits = [*found.fits, *small.fits]
-    confidence = np.concatenate([found.confidence, small.confidence])
-    ripeness = [ripeness_of(looks.skin.colors[fit.points]) for fit in found.fits]
-    ripeness += [ripeness_of(fine.colors[fit.points]) for fit in small.fits]
-    order = in_order(fits)
-    spheroids = stretched([fits[k] for k in order], looks.skin, settings)
-    kept = range(len(order)) if spheroids is None else one_in_each_place(spheroids, confidence[order])
-    if len(kept) < len(order):
-        order = [order[k] for k in kept]
-        spheroids = stretched([fits[k] for k in order], looks.skin, settings)
-    fits, ripeness = [fits[k] for k in order], [ripeness[k] for k in order]
-    return FoundTomatoes(tuple(_tomatoes(fits, ripeness, spheroids, settings)), tuple(confidence[order].tolist()))
+    finds = agreed([_found_by(grid, settings) for grid in grids])
+    finds = [finds[k] for k in in_order([find.ball for find in finds])]
+    skin = _skin(grids[0].surface, settings)
+    spheroids = stretched([find.ball for find in finds], skin, settings)
+    if spheroids is not None:
+        kept = one_in_each_place(spheroids, np.array([find.confidence for find in finds]))
+        if len(kept) < len(finds):
+            finds = [finds[k] for k in kept]
+            spheroids = stretched([find.ball for find in finds], skin, settings)
+    return FoundTomatoes(tuple(_tomatoes(finds, spheroids, settings)), tuple(find.confidence for find in finds))
+
+
+def _found_by(grid: Grid, settings: ShapeSettings) -> list[Find]:
+    """What may be a tomato by one grid, be it hardly credible."""
+    lenient = replace(
+        settings,
+        min_confidence=min(settings.min_confidence, _DOUBTED),
+        min_confidence_small=min(settings.min_confidence_small, _DOUBTED),
+    )
+    looks = look(grid.surface, settings)
+    large = large_tomatoes(looks, lenient)
+    small = find_small(grid.fine, large.above(settings.min_confidence), lenient)
+    return [
+        Find(replace(fit, center=fit.center - grid.shift), credible, least, ripeness_of(cloud.colors[fit.points]))
+        for found, cloud, least in (
+            (large, looks.skin, settings.min_confidence),
+            (small, grid.fine, settings.min_confidence_small),
+        )
+        for fit, credible in zip(found.fits, found.confidence.tolist(), strict=True)
+    ]
 
 
 def one_in_each_place(spheroids: Sequence[Spheroid], confidence: Array) -> list[int]:
@@ -93,17 +113,15 @@ def large_tomatoes(looks: Looks, settings: ShapeSettings) -> Credited:
     return Credited(found, np.array([confidence[fit] for fit in found]), _tones_of(found, looks.skin))
 
 
-def _tomatoes(
-    fits: list[SphereFit], ripeness: list[float], spheroids: list[Spheroid] | None, settings: ShapeSettings
-) -> Iterator[Tomato]:
+def _tomatoes(finds: Sequence[Find], spheroids: list[Spheroid] | None, settings: ShapeSettings) -> Iterator[Tomato]:
     """Spheres as tomatoes, or the spheroids that the row's fruit is."""
-    trusses = group_trusses(fits if spheroids is None else spheroids, settings.truss_spread)
-    for k, (fit, truss, ripe) in enumerate(zip(fits, trusses.tolist(), ripeness, strict=True)):
+    trusses = group_trusses([find.ball for find in finds] if spheroids is None else spheroids, settings.truss_spread)
+    for k, (find, truss) in enumerate(zip(finds, trusses.tolist(), strict=True)):
         if spheroids is None:
-            yield Tomato(fit.center, fit.radius, truss, ripe)
+            yield Tomato(find.ball.center, find.ball.radius, truss, find.ripeness)
         else:
             own = spheroids[k]
-            yield Tomato(own.center, own.radius, truss, ripe, own.semi_axes, own.rotation)
+            yield Tomato(own.center, own.radius, truss, find.ripeness, own.semi_axes, own.rotation)
 
 
 class Looks(NamedTuple):
@@ -126,7 +144,7 @@ class Looks(NamedTuple):
 
 def look(cloud: SurfaceCloud, settings: ShapeSettings) -> Looks:
     """Fit spheres to a cloud, and measure them by themselves and by those that are sure."""
-    skin = cloud.select(could_be_fruit(cloud, settings))
+    skin = _skin(cloud, settings)
     fits = fit_spheres(skin.points, skin.normals, vote(skin.points, skin.normals, settings), settings)
     alone = measures(fits, cloud, settings)
     sure = choose(fits, credibility(alone, ALONE).tolist(), len(skin), _SURE)
@@ -138,6 +156,11 @@ def look(cloud: SurfaceCloud, settings: ShapeSettings) -> Looks:
         return np.column_stack([alone, company(fits, tones, sure, sure_tones, settings)])
 
     return Looks(skin, fits, in_company(fits, alone), beside, in_company(beside, measures(beside, cloud, settings)))
+
+
+def _skin(cloud: SurfaceCloud, settings: ShapeSettings) -> SurfaceCloud:
+    """The points that may be fruit."""
+    return cloud.select(could_be_fruit(cloud, settings))
 
 
 def choose(fits: list[SphereFit], credible: list[float], count: int, least: float) -> list[SphereFit]:
