@@ -18,17 +18,15 @@ class Find(NamedTuple):
     Attributes:
         ball: Where it is.
         confidence: How credible it is, 0 to 1.
-        least: How credible it must be.
         ripeness: 0 to 1.
     """
 
     ball: SphereFit
     confidence: float
-    least: float
     ripeness: float
 
 
-def agreed(looks: Sequence[Sequence[Find]]) -> list[Find]:
+def agreed(looks: Sequence[Sequence[Find]], least: float) -> list[Find]:
     """The finds that are credible enough in the mean over all looks, each where the look that is surest sees it.
 
     Two finds are the same fruit if they are in one place; of overlapping ones the more credible is kept.
@@ -50,6 +48,6 @@ def agreed(looks: Sequence[Sequence[Find]]) -> list[Find]:
         means.append(find._replace(confidence=confidence / len(looks)))
     chosen: list[Find] = []
     for find in sorted(means, key=lambda find: -find.confidence):
-        if find.confidence >= find.least and all_apart(find.ball, [other.ball for other in chosen]):
+        if find.confidence >= least and all_apart(find.ball, [other.ball for other in chosen]):
             chosen.append(find)
     return chosen

@@ -83,7 +83,7 @@ def find_small(
 def chosen_small(small: Small, found: Credited, settings: ShapeSettings, judge: Callable[[Array], Array]) -> Credited:
     """Those of the small spheres that are fruit."""
     confidence = judge(small.beside(found, sure_small(small, found, settings, judge), settings))
-    chosen = _chosen(small, confidence, found, settings.min_confidence_small, settings)
+    chosen = _chosen(small, confidence, found, settings.min_confidence, settings)
     return Credited([small.fits[k] for k in chosen], confidence[chosen], small.tones[chosen])
 
 

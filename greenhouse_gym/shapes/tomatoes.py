@@ -55,7 +55,7 @@ def find_tomatoes(grids: Sequence[Grid], settings: ShapeSettings) -> FoundTomato
         grids: The cloud by one grid of voxels or several.
         settings: All settings.
     """
-    finds = agreed([_found_by(grid, settings) for grid in grids])
+    finds = agreed([_found_by(grid, settings) for grid in grids], settings.min_confidence)
     finds = [finds[k] for k in in_order([find.ball for find in finds])]
     skin = _skin(grids[0].surface, settings)
     spheroids = stretched([find.ball for find in finds], skin, settings)
@@ -69,20 +69,13 @@ def find_tomatoes(grids: Sequence[Grid], settings: ShapeSettings) -> FoundTomato
 
 def _found_by(grid: Grid, settings: ShapeSettings) -> list[Find]:
     """What may be a tomato by one grid, be it hardly credible."""
-    lenient = replace(
-        settings,
-        min_confidence=min(settings.min_confidence, _DOUBTED),
-        min_confidence_small=min(settings.min_confidence_small, _DOUBTED),
-    )
+    lenient = replace(settings, min_confidence=min(settings.min_confidence, _DOUBTED))
     looks = look(grid.surface, settings)
     large = large_tomatoes(looks, lenient)
     small = find_small(grid.fine, large.above(settings.min_confidence), lenient)
     return [
-        Find(replace(fit, center=fit.center - grid.shift), credible, least, ripeness_of(cloud.colors[fit.points]))
-        for found, cloud, least in (
-            (large, looks.skin, settings.min_confidence),
-            (small, grid.fine, settings.min_confidence_small),
-        )
+        Find(replace(fit, center=fit.center - grid.shift), credible, ripeness_of(cloud.colors[fit.points]))
+        for found, cloud in ((large, looks.skin), (small, grid.fine))
         for fit, credible in zip(found.fits, found.confidence.tolist(), strict=True)
     ]
 
