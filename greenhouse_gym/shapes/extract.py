@@ -17,7 +17,7 @@ from greenhouse_gym.shapes.clutter import box_budget, cover
 from greenhouse_gym.shapes.colors import could_be_pipe, could_be_stem, is_colorful, redness
 from greenhouse_gym.shapes.evidence import Evidence, nearest_shapes
 from greenhouse_gym.shapes.grids import by_grids
-from greenhouse_gym.shapes.networks import network
+from greenhouse_gym.shapes.likely_places import likelihood
 from greenhouse_gym.shapes.peduncles import find_peduncles
 from greenhouse_gym.shapes.pipes import find_pipes
 from greenhouse_gym.shapes.settings import ShapeSettings
@@ -99,7 +99,7 @@ def extract_shapes(
     if not main:
         _say_if_not_upright(woody, settings, notes)
     places = places_near_fruit(surface, tomatoes, main, settings)
-    likely = network("peduncles")(places.measures)
+    likely = likelihood(places)
     hanging = find_peduncles(places.nodes[likely > settings.min_peduncle], tomatoes, main, settings)
     hanging += find_bare_peduncles(places.nodes[likely > settings.min_bare_peduncle], [*main, *hanging], settings)
     stems = (*upright, *hanging, *pipes)

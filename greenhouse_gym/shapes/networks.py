@@ -55,7 +55,8 @@ def network(name: str) -> Network:
 
     Args:
         name: "small_fruit", for spheres by `candidates.MEASURES`, `surroundings.SURROUNDINGS` and `candidates.COMPANY`,
-            or "peduncles", for places by `thin_stems.MEASURES`.
+            "peduncles", for places by `thin_stems.MEASURES`, or "peduncles_in_context", for them by these and
+            `likely_places.CONTEXT`.
     """
     stored = json.loads(network_file(name).read_text())
     return Network(**{name: np.array(values) for name, values in stored.items()})
