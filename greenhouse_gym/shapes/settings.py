@@ -69,7 +69,7 @@ class ShapeSettings:
     min_peduncle: float = 0.2  # least probability of a place on a peduncle
     min_bare_peduncle: float = 0.5  # the same where no fruit that was found hangs on it
     shortest_bare_peduncle: float = 0.025  # from end to end
-    path_gap: float = 0.025  # hidden part of a peduncle that is bridged
+    path_gap: float = 0.015  # hidden part of a peduncle that is bridged
     path_bridge: float = 0.060  # hidden part that is bridged where several fruits hang on the peduncle
     bridge_fruits: int = 2  # fewest fruits that count as several
     stem_margin: float = 0.008  # points this near a main stem are its own bumps, no peduncle
