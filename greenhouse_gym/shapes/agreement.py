@@ -16,7 +16,7 @@ class Find(NamedTuple):
     """A sphere that may be a tomato.
 
     Attributes:
-        ball: Where it is.
+        ball: Where it is; its points are rows of the cloud that it was found in.
         confidence: How credible it is, 0 to 1.
         ripeness: 0 to 1.
     """

@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 from greenhouse_gym.crop import Stem
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.shapes.evidence import nearest_shapes
+from greenhouse_gym.shapes.peduncles import hop_costs
 from greenhouse_gym.shapes.polylines import fitted, smoothed
 from greenhouse_gym.shapes.settings import ShapeSettings
 
@@ -47,8 +48,7 @@ def _chains(nodes: Array, settings: ShapeSettings) -> Iterator[Array]:
     """The longest of the shortest ways (k, 3) through each part of the places (n, 3) that are near each other."""
     pairs = cKDTree(nodes).query_pairs(_STEPS * settings.path_step, output_type="ndarray")
     lengths = np.linalg.norm(nodes[pairs[:, 0]] - nodes[pairs[:, 1]], axis=1)
-    costs = lengths * (1 + (lengths / settings.path_step) ** 2)
-    graph = coo_array((costs, tuple(pairs.T)), shape=(len(nodes), len(nodes))).tocsr()
+    graph = coo_array((hop_costs(lengths, settings), tuple(pairs.T)), shape=(len(nodes), len(nodes))).tocsr()
     _, first = np.unique(connected_components(graph, directed=False)[1], return_index=True)
     for inside in first.tolist():
         start = _farthest(dijkstra(graph, directed=False, indices=inside))

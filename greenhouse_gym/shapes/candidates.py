@@ -55,9 +55,9 @@ def _measures(fit: SphereFit, cloud: SurfaceCloud, tree: cKDTree, settings: Shap
     )
     if not on.any():
         on = skin
-    own = away[on]
+    own = away[on] - away[on].mean(axis=0)
     bends = (quantiles(cloud.bends[near[on]], 0.5) * fit.radius).clip(-1.0, _MOST_BEND)
-    spread = np.linalg.eigvalsh(_scatter(own) / (len(own) - 1)) if len(own) > 3 else np.ones(3)
+    spread = np.linalg.eigvalsh(own.T @ own / (len(own) - 1)) if len(own) > 3 else np.ones(3)
     even = float(np.log((np.sqrt(max(spread[0], 0.0)) + 1e-4) / (fit.rmse + 1e-4)))
     middle = float(np.linalg.norm(unit[on].mean(axis=0)))  # 1 - |middle| of a cap is the share of the sphere it covers
     low, tone, high = quantiles(cloud.tones[near[on]], np.array([0.25, 0.5, 0.75]))
@@ -86,12 +86,6 @@ def _bends(outward: Array, normals: Array) -> list[float]:
     place = along.T @ along + 1e-3 * len(away) * np.eye(2)
     slope = np.linalg.solve(place, along.T @ (turned @ across))
     return np.linalg.eigvalsh((slope + slope.T) / 2).clip(-1.0, _MOST_BEND).tolist()
-
-
-def _scatter(points: Array) -> Array:
-    """Sum (3, 3) of the outer products of the points' distances (k, 3) from their mean."""
-    away = points - points.mean(axis=0)
-    return np.asarray(away.T @ away)
 
 
 def company(

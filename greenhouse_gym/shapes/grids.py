@@ -39,16 +39,15 @@ def by_grids(whole: Cloud, surface: SurfaceCloud, settings: ShapeSettings) -> It
         surface: What is known of it by the first grid, without what is left out.
         settings: All settings.
     """
+    # estimated normals do not tell well how thin things bend
+    measured = bool((np.linalg.norm(whole.normals, axis=1) > 0.5).any())
     for k in range(settings.grids):
         shift = k * _SHIFT
         moved = replace(whole, points=whole.points + shift)
         seen = surface
         if k:
-            moved_surface = replace(surface, points=surface.points + shift)
-            seen = look_at_surfaces(
-                looked_at_finer(moved_surface, voxel_means(moved, settings.voxel)[0], settings), settings
-            )
+            near = replace(surface, points=surface.points + shift)
+            near = looked_at_finer(near, voxel_means(moved, settings.voxel)[0], settings)
+            seen = look_at_surfaces(near, settings)
         fine = looked_at_finer(seen, voxel_means(moved, settings.fine_voxel)[0], settings)
-        # estimated normals do not tell well how thin things bend
-        measured = (np.linalg.norm(whole.normals, axis=1) > 0.5).any()
-        yield Grid(seen, fine if measured else fine.select(np.zeros(0, dtype=np.int64)), shift)
+        yield Grid(seen, fine.select(np.full(len(fine), measured)), shift)

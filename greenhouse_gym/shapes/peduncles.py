@@ -120,7 +120,12 @@ def _edges(
         np.column_stack([at, count + 1 + of]),
         np.column_stack([np.full_like(roots, count), roots]),
     ]
-    return np.concatenate(edges), np.concatenate([lengths * (1 + (lengths / settings.path_step) ** 2), root_costs])
+    return np.concatenate(edges), np.concatenate([hop_costs(lengths, settings), root_costs])
+
+
+def hop_costs(lengths: Array, settings: ShapeSettings) -> Array:
+    """Costs (m,) of hops of some lengths (m,), metres: longer ones cost more than their length."""
+    return lengths * (1 + (lengths / settings.path_step) ** 2)
 
 
 def _bridges(nodes: Array, part: Rows, settings: ShapeSettings) -> Rows:

@@ -32,8 +32,6 @@ OF_COLOR = tuple(k for k, name in enumerate(SURROUNDINGS) if name.startswith(("r
 _PER_SHARE = 20.0  # of a half sphere's points, below which the logarithm is nearly linear
 _TONE, _BRIGHT = 0.1, 0.1  # redness and brightness that count as 1
 _MOST = 3.0  # of these
-
-
 _TOGETHER = 1000  # spheres that are looked at at once
 
 
