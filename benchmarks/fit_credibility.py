@@ -11,7 +11,7 @@ row is printed for weights of all, of own and of Helios rows.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,15 +19,16 @@ import numpy as np
 import numpy.typing as npt
 from shape_rows import Row, cloud_of, truth_of
 
-from greenhouse_gym.clouds import Cloud, voxel_means
+from greenhouse_gym.clouds import Cloud
 from greenhouse_gym.crop import Tomato
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.shapes import ShapeSettings
 from greenhouse_gym.shapes.candidates import MEASURES
 from greenhouse_gym.shapes.checks import Notes, thinned
-from greenhouse_gym.shapes.credibility import credibility
+from greenhouse_gym.shapes.credibility import IN_ROW, credibility
+from greenhouse_gym.shapes.grids import Grid, by_grids
 from greenhouse_gym.shapes.spheres import SphereFit
-from greenhouse_gym.shapes.surfaces import SurfaceCloud, look_at_surfaces, looked_at_finer
+from greenhouse_gym.shapes.surfaces import SurfaceCloud, look_at_surfaces
 from greenhouse_gym.shapes.tomatoes import look
 
 _RIDGE = 2.0
@@ -51,21 +52,28 @@ def labeled(fits: Sequence[SphereFit], measures: Array, true: Sequence[Tomato]) 
     return Labeled(measures[clear], (sized & (away < 0.5))[clear])
 
 
-def surfaces_of(row: Row, workdir: Path, cause: str = "noisy") -> tuple[SurfaceCloud, SurfaceCloud, Sequence[Tomato]]:
-    """A row's cloud of one of the `CAUSES` in the frame of the truth, thinned and fine, and its true tomatoes."""
+def grids_of(row: Row, workdir: Path, cause: str = "noisy") -> tuple[Iterator[Grid], Sequence[Tomato]]:
+    """A row's cloud of one of the `CAUSES` in the frame of the truth, grid by grid, and its true tomatoes."""
     cloud, settings = cloud_of(row, cause, workdir), ShapeSettings()
     known = truth_of(row, cloud, workdir)
     whole = Cloud(cloud.points, cloud.colors, cloud.normals).moved(known.world_from_row)
     surface = look_at_surfaces(thinned(whole, True, settings, Notes()), settings)
-    fine = looked_at_finer(surface, voxel_means(whole, settings.fine_voxel)[0], settings)
-    return surface, fine, known.row.tomatoes
+    return by_grids(whole, surface, settings), known.row.tomatoes
+
+
+def surfaces_of(row: Row, workdir: Path, cause: str = "noisy") -> tuple[SurfaceCloud, SurfaceCloud, Sequence[Tomato]]:
+    """The same by the first grid, thinned and fine."""
+    grids, true = grids_of(row, workdir, cause)
+    first = next(grids)
+    return first.surface, first.fine, true
 
 
 def looks_at(row: Row, workdir: Path) -> tuple[Labeled, Labeled]:
     """The candidates of the first and of the second look at a row."""
     surface, _, true = surfaces_of(row, workdir)
     looks = look(surface, ShapeSettings())
-    return labeled(looks.fits, looks.first, true), labeled(looks.beside, looks.second, true)
+    count = len(IN_ROW) - 1  # what networks are told beside these hangs too much on what they are fitted to
+    return labeled(looks.fits, looks.first[:, :count], true), labeled(looks.beside, looks.second[:, :count], true)
 
 
 def fitted(parts: Sequence[Labeled], columns: int | None = None) -> Array:

@@ -47,6 +47,7 @@ from greenhouse_gym.accuracy import (
 )
 from greenhouse_gym.capture import (
     Recording,
+    Rig,
     StereoNoise,
     WalkSettings,
     open_recording,
@@ -55,7 +56,7 @@ from greenhouse_gym.capture import (
 )
 from greenhouse_gym.geometry import Array, invert
 from greenhouse_gym.open3d_loader import open3d
-from greenhouse_gym.plants import grow_row
+from greenhouse_gym.plants import PlantRow, grow_row
 from greenhouse_gym.reconstruction import reconstruct_row
 
 METHODS: dict[str, Callable[[Recording], ReconstructedRow]] = {
@@ -126,27 +127,12 @@ def measure(case: Case, folder: Path) -> dict[str, Any]:
     seconds = time.perf_counter() - started
     memory = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
-    truth = grow_row(case.seed, case.length, case.week)
     poses = np.array([station.world_from_station for station in recording])
     good = ~np.isin(np.arange(len(recording)), list(broken))
-    surface = visible_surface(truth, recording.rig, poses[good])
-    placed, aligned = place(row, poses), place_by_windows(row, truth, poses)
-    plain_distance, distance = distance_to_surface(placed, truth), distance_to_surface(aligned, truth)
-    error = drift(row, poses)
     figures = {
         "code": sources(),
         "week": case.week,
-        "stations": len(recording),
-        "registered": int(row.registered.sum()),
-        "points": len(row.points),
-        "walked": error.length,
-        "drift": error.share,
-        "distance_mean": float(distance.mean()),
-        "distance_95": float(np.quantile(distance, 0.95)),
-        "distance_mean_unaligned": float(plain_distance.mean()),
-        "distance_95_unaligned": float(np.quantile(plain_distance, 0.95)),
-        "completeness": completeness(aligned, surface),
-        "completeness_unaligned": completeness(placed, surface),
+        **compared(row, grow_row(case.seed, case.length, case.week), poses, recording.rig, good),
         "seconds_per_station": seconds / len(recording),
         "peak_memory": memory,
     }
@@ -160,6 +146,29 @@ def measure(case: Case, folder: Path) -> dict[str, Any]:
             "broken_misplaced": [int(i) for i in np.flatnonzero(accepted) if _misplaced(int(i), row, poses, good)],
         }
     return asdict(case) | figures
+
+
+def compared(
+    row: ReconstructedRow, truth: PlantRow, poses: Array, rig: Rig, good: npt.NDArray[np.bool_]
+) -> dict[str, Any]:
+    """Figures of a reconstructed row beside its truth; nothing is asked of stations that are not ``good``."""
+    surface = visible_surface(truth, rig, poses[good])
+    placed, aligned = place(row, poses), place_by_windows(row, truth, poses)
+    plain_distance, distance = distance_to_surface(placed, truth), distance_to_surface(aligned, truth)
+    error = drift(row, poses)
+    return {
+        "stations": len(poses),
+        "registered": int(row.registered.sum()),
+        "points": len(row.points),
+        "walked": error.length,
+        "drift": error.share,
+        "distance_mean": float(distance.mean()),
+        "distance_95": float(np.quantile(distance, 0.95)),
+        "distance_mean_unaligned": float(plain_distance.mean()),
+        "distance_95_unaligned": float(np.quantile(plain_distance, 0.95)),
+        "completeness": completeness(aligned, surface),
+        "completeness_unaligned": completeness(placed, surface),
+    }
 
 
 def _misplaced(i: int, row: ReconstructedRow, poses: Array, good: npt.NDArray[np.bool_]) -> bool:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import io
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,6 +21,7 @@ import greenhouse_gym
 from greenhouse_gym.accuracy import Visibility, VisibleRow, align, visible_row
 from greenhouse_gym.capture import (
     SEED_RIG,
+    Light,
     Recording,
     WalkSettings,
     open_recording,
@@ -41,7 +42,6 @@ CAUSES = ("noisy", "noise-free")
 BARE = "noisy-without-normals"
 """The noisy cloud, of which the extraction is not told the normals."""
 
-
 HELD_OUT_MESHES = range(601, 611)
 """Seeds of held-out rows of Helios' plants."""
 
@@ -50,6 +50,16 @@ DRAWN_MESHES = range(901, 931)
 
 CHOICE_MESHES = range(931, 951)
 """Seeds of more such rows, to which nothing is fitted; settings may be chosen by them."""
+
+LIGHTS = {
+    "overcast": Light(sun=0.0, diffuse=1.0, gloss=0.3),
+    "low sun behind the cameras": Light(azimuth=float(np.pi), elevation=0.35, sun=1.2, diffuse=0.6, gloss=0.8),
+    "low sun against the cameras": Light(azimuth=0.0, elevation=0.35, sun=1.2, diffuse=0.6, gloss=0.8),
+    "passing clouds": Light(sun=1.0, diffuse=0.7, flicker=0.4),
+    "warm and overexposed": Light(exposure=1.6, white_balance=(1.12, 1.0, 0.82)),
+    "cold and dark": Light(exposure=0.55, white_balance=(0.88, 1.0, 1.18)),
+}
+"""Light that a row of organs may be photographed in, by name."""
 
 
 @dataclass(frozen=True)
@@ -60,11 +70,13 @@ class Row:
         seed: Of the plants, the walk and the noise; those of `HELD_OUT_MESHES` are of held-out cultivars.
         length: Metres.
         source: Where its plants come from, as `grow_row` has it.
+        light: One of `LIGHTS`; None for a light that follows from the seed.
     """
 
     seed: int
     length: float = 2.0
     source: str = "own"
+    light: str | None = None
 
     @property
     def week(self) -> int:
@@ -85,7 +97,9 @@ class Row:
     def name(self) -> str:
         """What its files are called."""
         source = "" if self.source == "own" else f"{self.source}-"
-        return f"{source}{self.length:g}m-{self.seed}-week{self.week}-{self.style}"
+        return f"{source}{self.length:g}m-{self.seed}-week{self.week}-{self.style}" + (
+            f"-{self.light.replace(' ', '-')}" if self.light else ""
+        )
 
     def grow(self) -> PlantRow:
         """The truth."""
@@ -98,7 +112,8 @@ class Row:
 
     def simulate(self, settings: WalkSettings | None = None) -> Recording:
         """Its recording, rendered as it is read."""
-        return simulate_recording(self.grow(), self.seed, settings=settings)
+        light = LIGHTS[self.light] if self.light else None
+        return simulate_recording(self.grow(), self.seed, settings=settings, light=light)
 
 
 def sources(*parts: str | Path) -> str:
@@ -158,6 +173,7 @@ def visible_of(row: Row, workdir: Path) -> VisibleRow:
     """What a row's recording could show of it."""
     made = sources("plants/*.py", "capture/*.py", "accuracy/visibility.py", "accuracy/silhouettes.py")
     folder = workdir / f"visible-{made}"
+    row = replace(row, light=None)  # whatever it is photographed in, the same things are in front of the cameras
     shares, pieces = folder / f"{row.name}.npy", folder / f"{row.name}.json"
     if not (shares.exists() and pieces.exists()):
         seen = visible_row(row.grow(), SEED_RIG, row.poses())

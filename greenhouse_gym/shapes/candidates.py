@@ -27,8 +27,10 @@ MEASURES = (
 COMPANY = ("larger", "smaller", "unlike neighbors", "neighbors", "gap / cm", "unlike tone")
 """Names of what `company` gives."""
 
+MOST_CONTRAST = 0.5
+"""Times 0.1 of redness: that fruit may be redder than leaves counts, not how much."""
+
 _BEYOND = 0.010  # metres outside the shell: what goes on there is no part of a ball
-_MOST_CONTRAST = 0.5  # times 0.1 of redness: that fruit may be redder than leaves counts, not how much
 _MOST_BEND = 2.5  # most bend that counts, as a multiple of the sphere's own
 
 
@@ -61,9 +63,7 @@ def _measures(fit: SphereFit, cloud: SurfaceCloud, tree: cKDTree, settings: Shap
     even = float(np.log((np.sqrt(max(spread[0], 0.0)) + 1e-4) / (fit.rmse + 1e-4)))
     middle = float(np.linalg.norm(unit[on].mean(axis=0)))  # 1 - |middle| of a cap is the share of the sphere it covers
     low, tone, high = quantiles(cloud.tones[near[on]], np.array([0.25, 0.5, 0.75]))
-    contrast = (
-        float(np.clip((tone - cloud.leaf) / 0.1, -_MOST_CONTRAST, _MOST_CONTRAST)) if cloud.leaf > NO_LEAF else 0.0
-    )
+    contrast = float(np.clip((tone - cloud.leaf) / 0.1, -MOST_CONTRAST, MOST_CONTRAST)) if cloud.leaf > NO_LEAF else 0.0
     return [
         fit.coverage, fit.coverage**2, float(np.log(count)), 1e3 * fit.rmse, fit.alignment, inside, beyond, crossing,
         float(bends[0]), float(bends[1]), even, fit.coverage / (1.02 - middle), contrast,

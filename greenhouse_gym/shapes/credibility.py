@@ -1,10 +1,21 @@
-"""How credible a sphere is as a tomato: logistic regressions, fitted by benchmarks/fit_credibility.py."""
+"""How credible a sphere is as a tomato: by logistic regressions, and among leaves by the mean of these and of networks.
+
+benchmarks/fit_credibility.py fits the regressions, and benchmarks/fit_large_fruit.py the networks. Both learned from
+rows of plants. The regressions hold on tables, too, where the networks take more for fruit.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.shapes.networks import network
+
+Judge = Callable[[Array], Array]
+"""Says how likely spheres are fruit, 0 to 1 (k,), by their measures (k, m)."""
 
 ALONE = np.array([
     12.54, -12.55, -1.977, 1.232, 55.67, -4.928, -2.524, 5.869, -1.454, -2.269, 5.039, 2.666, 9.603, 0.4137,
@@ -23,6 +34,30 @@ BESIDE = np.array([
     0.6909, -0.773, 0.02517, -0.4492, -1.034, -1.841, -6.552, 0.5026, -0.5502, -0.6841, -1.945,
 ])  # fmt: skip
 """Such weights for spheres of the second look, beside others that are sure."""
+
+
+class Judges(NamedTuple):
+    """Who judges, among leaves, spheres of the first look and of the second; None where there are no leaves."""
+
+    first: Judge | None
+    second: Judge | None
+
+
+def shipped_judges() -> Judges:
+    """The networks that are shipped."""
+    return Judges(network("large_fruit"), network("large_fruit_beside"))
+
+
+def judged(measures: Array, weights: Array, judge: Judge | None) -> Array:
+    """How credible spheres are (k,), by all of their measures (k, m).
+
+    Args:
+        measures: Begin with those that the weights are of.
+        weights: Of a regression.
+        judge: Whose judgement counts as much, if anybody's.
+    """
+    credible = credibility(measures[:, : len(weights) - 1], weights)
+    return credible if judge is None else (credible + judge(measures)) / 2
 
 
 def credibility(measures: Array, weights: Array) -> Array:

@@ -1,6 +1,6 @@
 """Small networks that say how likely something is by its measures; read from JSON, and played without PyTorch.
 
-benchmarks/fit_small_fruit.py and benchmarks/fit_peduncles.py fit them.
+benchmarks/fit_large_fruit.py, benchmarks/fit_small_fruit.py and benchmarks/fit_peduncles.py fit them.
 """
 
 from __future__ import annotations
@@ -54,9 +54,10 @@ def network(name: str) -> Network:
     """One of the networks that are shipped.
 
     Args:
-        name: "small_fruit", for spheres by `candidates.MEASURES`, `surroundings.SURROUNDINGS` and `candidates.COMPANY`,
-            "peduncles", for places by `thin_stems.MEASURES`, or "peduncles_in_context", for them by these and
-            `likely_places.CONTEXT`.
+        name: "large_fruit" and "large_fruit_beside", for spheres of the first look and of the second by
+            `candidates.MEASURES`, `candidates.COMPANY` and `surroundings.SURROUNDINGS`, "small_fruit", for others by
+            the same in another order, "peduncles", for places by `thin_stems.MEASURES`, or "peduncles_in_context", for
+            them by these and `likely_places.CONTEXT`.
     """
     stored = json.loads(network_file(name).read_text())
     return Network(**{name: np.array(values) for name, values in stored.items()})

@@ -44,7 +44,7 @@ class ShapeSettings:
     skin_noise: float = 0.0015  # points that stand out of a fruit by no more than this belong to it
     skin_alignment: float = 0.9  # so do points whose normals have a larger cosine than this with the sphere's
     skin_margin: float = 0.008  # and those that far off it at most, which a camera farther away makes of the skin
-    min_confidence: float = 0.3  # least confidence of a tomato, in the mean over the grids
+    min_confidence: float = 0.35  # least confidence of a tomato, in the mean over the grids
     least_bend: float = 0.35  # times its sphere's bend, both ways, of a fruit that nothing sure hangs beside
     truss_gap: float = 0.035  # largest gap between the skins of neighbors on one truss
     truss_spread: float = 0.09  # largest mean gap between the skins of two parts of one truss

@@ -11,16 +11,17 @@ import numpy as np
 from greenhouse_gym.crop import Tomato
 from greenhouse_gym.geometry import Array, Sphere
 from greenhouse_gym.shapes.agreement import Find, agreed
-from greenhouse_gym.shapes.candidates import COMPANY, MEASURES, company, measures
+from greenhouse_gym.shapes.candidates import COMPANY, MEASURES, MOST_CONTRAST, company, measures
 from greenhouse_gym.shapes.colors import could_be_fruit, redness
-from greenhouse_gym.shapes.credibility import ALONE, BESIDE, IN_ROW, credibility
+from greenhouse_gym.shapes.credibility import ALONE, BESIDE, IN_ROW, Judges, credibility, judged, shipped_judges
 from greenhouse_gym.shapes.ellipsoids import Spheroid, stretched
 from greenhouse_gym.shapes.grids import Grid
 from greenhouse_gym.shapes.second_look import look_again
 from greenhouse_gym.shapes.settings import ShapeSettings
 from greenhouse_gym.shapes.small_fruit import Credited, find_small
 from greenhouse_gym.shapes.spheres import SphereFit, all_apart, fit_spheres, vote
-from greenhouse_gym.shapes.surfaces import SurfaceCloud
+from greenhouse_gym.shapes.surfaces import NO_LEAF, SurfaceCloud
+from greenhouse_gym.shapes.surroundings import surroundings
 from greenhouse_gym.shapes.trusses import group_neighbors, group_trusses
 
 _REDNESS = np.array([-0.12, 0.07, 0.34, 0.77])
@@ -34,8 +35,10 @@ _DOUBTED = 0.1
 
 _LONE_BEND = 0.2
 """Times its sphere's bend, the way that it bends less, of the surface of a fruit that nothing sure hangs beside; stems
-have less."""
+have less. Where little of a fruit shows its bends are not known well, so one that is sure and redder than leaves need
+have neither this nor ``ShapeSettings.least_bend``."""
 
+_CONTRAST = MEASURES.index("contrast")
 _SMALLER_BEND = MEASURES.index("smaller bend")
 _PATCH_BEND = MEASURES.index("patch's smaller bend")
 _NEIGHBORS = len(MEASURES) + COMPANY.index("neighbors")
@@ -93,13 +96,21 @@ def one_in_each_place(spheroids: Sequence[Spheroid], confidence: Array) -> list[
     return sorted(kept)
 
 
-def large_tomatoes(looks: Looks, settings: ShapeSettings) -> Credited:
-    """The tomatoes that the first two looks show."""
+def large_tomatoes(looks: Looks, settings: ShapeSettings, judges: Judges | None = None) -> Credited:
+    """The tomatoes that the first two looks show.
+
+    Args:
+        looks: What they show.
+        settings: All settings.
+        judges: Who judges where there are leaves; the networks that are shipped when left out.
+    """
+    judges = Judges(None, None) if looks.skin.leaf == NO_LEAF else judges or shipped_judges()
+    first, second = judged(looks.first, IN_ROW, judges.first), judged(looks.second, BESIDE, judges.second)
     alone = looks.first[:, _NEIGHBORS] == 0
     unbent = looks.first[:, _PATCH_BEND] < settings.least_bend
     unbent |= looks.first[:, _SMALLER_BEND] < _LONE_BEND
-    first = np.where(alone & unbent, 0.0, credibility(looks.first, IN_ROW))
-    credible = np.concatenate([first, credibility(looks.second, BESIDE)]).tolist()
+    red = (looks.first[:, _CONTRAST] >= MOST_CONTRAST) & (first >= _SURE)
+    credible = np.concatenate([np.where(alone & unbent & ~red, 0.0, first), second]).tolist()
     fits = [*looks.fits, *looks.beside]
     found = choose(fits, credible, len(looks.skin), settings.min_confidence)
     confidence = dict(zip(fits, credible, strict=True))
@@ -123,7 +134,7 @@ class Looks(NamedTuple):
     Attributes:
         skin: The points that may be fruit.
         fits: Spheres of the first look, among ``skin``.
-        first: Measures (k, m) of these, by themselves and in company.
+        first: Measures (k, m) of these: by themselves, in company, and of their surroundings.
         beside: Spheres of the second look, among ``skin``.
         second: Measures (j, m) of these.
     """
@@ -144,11 +155,12 @@ def look(cloud: SurfaceCloud, settings: ShapeSettings) -> Looks:
     trusses = group_neighbors(sure, settings.truss_gap)
     beside = look_again(skin.points, skin.normals, skin.tones, sure, trusses, settings)
 
-    def in_company(fits: list[SphereFit], alone: Array) -> Array:
+    def in_full(fits: list[SphereFit], alone: Array) -> Array:
         tones, sure_tones = _tones_of(fits, skin), _tones_of(sure, skin)
-        return np.column_stack([alone, company(fits, tones, sure, sure_tones, settings)])
+        around = surroundings(fits, cloud, settings.voxel)
+        return np.column_stack([alone, company(fits, tones, sure, sure_tones, settings), around])
 
-    return Looks(skin, fits, in_company(fits, alone), beside, in_company(beside, measures(beside, cloud, settings)))
+    return Looks(skin, fits, in_full(fits, alone), beside, in_full(beside, measures(beside, cloud, settings)))
 
 
 def _skin(cloud: SurfaceCloud, settings: ShapeSettings) -> SurfaceCloud:
