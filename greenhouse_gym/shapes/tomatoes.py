@@ -58,6 +58,8 @@ def find_tomatoes(grids: Sequence[Grid], settings: ShapeSettings) -> FoundTomato
         grids: The cloud by one grid of voxels or several.
         settings: All settings.
     """
+    if grids[0].surface.leaf == NO_LEAF:
+        settings = replace(settings, min_confidence=settings.min_confidence_leafless)
     finds = agreed([_found_by(grid, settings) for grid in grids], settings.min_confidence)
     finds = [finds[k] for k in in_order([find.ball for find in finds])]
     skin = _skin(grids[0].surface, settings)
