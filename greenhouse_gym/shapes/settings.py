@@ -78,7 +78,7 @@ class ShapeSettings:
     pedicel_reach: float = 0.016  # how far from the skin of its fruit a pedicel may end
     axis_tolerance: float = 0.003  # a chain of capsules may be this far from the traced axis
     upright_tolerance: float = 0.006  # the same for main stems and strings
-    clutter_per_area: float = 110.0  # most boxes per square metre of what is left
+    clutter_per_area: float = 106.0  # most boxes per square metre of what is left
     clutter_claim: float = 0.003  # square metres of empty surface at which two boxes still become one
     clutter_cell: float = 0.005  # boxes are looked for among the cells of this size that hold points
     clutter_facing: float = 0.9  # cosine between the normals of neighbors on one smooth patch
