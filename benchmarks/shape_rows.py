@@ -48,7 +48,7 @@ HELD_OUT_MESHES = range(601, 611)
 DRAWN_MESHES = range(901, 931)
 """Seeds of rows of Helios' plants whose cultivars are drawn; credibility is fitted to them, and nothing measured."""
 
-CHOICE_MESHES = range(931, 951)
+CHOICE_MESHES = range(931, 961)
 """Seeds of more such rows, to which nothing is fitted; settings may be chosen by them."""
 
 LIGHTS = {
