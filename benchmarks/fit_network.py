@@ -1,4 +1,4 @@
-"""What fit_small_fruit.py and fit_peduncles.py share: the rows, and a network that is fitted to them and written."""
+"""What the scripts that fit networks share: the rows, and a network that is fitted to them and written."""
 
 from __future__ import annotations
 
