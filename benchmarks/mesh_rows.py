@@ -2,12 +2,12 @@
 
 python benchmarks/mesh_rows.py --workdir rows
 
-All are development rows of one metre, and everything is measured in one run. The networks were fitted to all of these
-but the dense row, so their tomatoes tell what light changes, and not how many are found in rows that nobody has seen. Photographs: processor time of a station,
+All are development rows of one metre, and everything is measured in one run. Photographs: processor time of a station,
 once the scene is ready. Shapes: processor time per metre, each row in a process of its own, and the tomatoes that are
 found, also among leaves at a leaf area index of 3 and on an untrained vine. Light: some rows are photographed again in
 each of `shape_rows.LIGHTS`; drift, distance of the cloud from the true surfaces and completeness as in
-reconstruction.py, tomatoes as in shapes.py.
+reconstruction.py, tomatoes as in shapes.py. The networks were fitted to all of these rows but the dense one, so their
+tomatoes tell what light changes, and not how many are found in rows that nobody has seen.
 
 Recordings, clouds and measurements are kept under --workdir; started again, the benchmark goes on with what is missing.
 """
