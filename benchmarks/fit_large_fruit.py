@@ -23,9 +23,8 @@ from shape_rows import CAUSES, Row, visible_of
 from greenhouse_gym.accuracy import Visibility, compare_tomatoes
 from greenhouse_gym.crop import Tomato
 from greenhouse_gym.shapes import ShapeSettings
-from greenhouse_gym.shapes.credibility import Judges
+from greenhouse_gym.shapes.credibility import BESIDE, IN_ROW, Judge, Judges, credibility
 from greenhouse_gym.shapes.networks import Network, network_file
-from greenhouse_gym.shapes.surfaces import NO_LEAF
 from greenhouse_gym.shapes.tomatoes import Looks, large_tomatoes, look
 
 SETTINGS = ShapeSettings()
@@ -62,12 +61,14 @@ def _learned(parts: Sequence[Labeled]) -> Network:
     return fitted_network(np.concatenate([p.measures for p in parts]), np.concatenate([p.right for p in parts]))
 
 
-def counted(row: Looked, judges: Judges | None) -> np.ndarray:
+def regression(weights: np.ndarray) -> Judge:
+    """Judges as a regression does, which the mean with it does not change."""
+    return lambda measures: credibility(measures[:, : len(weights) - 1], weights)
+
+
+def counted(row: Looked, judges: Judges) -> np.ndarray:
     """How many tomatoes of a row could be seen, were found of these, and were found where there are none."""
-    looks = row.looks
-    if judges is None:  # as where there are no leaves
-        looks = looks._replace(skin=replace(looks.skin, leaf=NO_LEAF))
-    found = large_tomatoes(looks, SETTINGS, judges).fits
+    found = large_tomatoes(row.looks, SETTINGS, judges).fits
     result = compare_tomatoes(row.true, row.visible, [Tomato(f.center, f.radius, 0, 0.0) for f in found])
     return np.array([len(result.found), np.count_nonzero(result.found), len(result.false)])
 
@@ -83,6 +84,7 @@ def main() -> None:
     def of(some: Sequence[dict[str, list[Looked]]]) -> list[Looked]:
         return [grid for row in some for grids in row.values() for grid in grids]
 
+    alone = Judges(regression(IN_ROW), regression(BESIDE))
     with_them = dict.fromkeys(CAUSES, np.zeros(3, dtype=int))
     for k in range(FIFTHS):
         judges = fitted(of([row for i, row in enumerate(rows) if i % FIFTHS != k]))
@@ -90,7 +92,7 @@ def main() -> None:
             for cause, grids in row.items():
                 with_them[cause] = with_them[cause] + counted(grids[0], judges)
     for cause in CAUSES:
-        without = np.sum([counted(row[cause][0], None) for row in rows if cause in row], axis=0)
+        without = np.sum([counted(row[cause][0], alone) for row in rows if cause in row], axis=0)
         for name, (visible, found, false) in (("without", without), ("with", with_them[cause])):
             f1 = 2 * found / (visible + found + false)
             print(f"{cause}, {name}: {found} of {visible} found, {false} false, F1 {f1:.3f}")

@@ -1,7 +1,6 @@
-"""How credible a sphere is as a tomato: by logistic regressions, and among leaves by the mean of these and of networks.
+"""How credible a sphere is as a tomato: the mean of logistic regressions and of networks that are told more.
 
-benchmarks/fit_credibility.py fits the regressions, and benchmarks/fit_large_fruit.py the networks. Both learned from
-rows of plants. The regressions hold on tables, too, where the networks take more for fruit.
+benchmarks/fit_credibility.py fits the regressions, and benchmarks/fit_large_fruit.py the networks, to rows of plants.
 """
 
 from __future__ import annotations
@@ -37,10 +36,10 @@ BESIDE = np.array([
 
 
 class Judges(NamedTuple):
-    """Who judges, among leaves, spheres of the first look and of the second; None where there are no leaves."""
+    """Who judges, beside the regressions, spheres of the first look and of the second."""
 
-    first: Judge | None
-    second: Judge | None
+    first: Judge
+    second: Judge
 
 
 def shipped_judges() -> Judges:
@@ -48,16 +47,15 @@ def shipped_judges() -> Judges:
     return Judges(network("large_fruit"), network("large_fruit_beside"))
 
 
-def judged(measures: Array, weights: Array, judge: Judge | None) -> Array:
+def judged(measures: Array, weights: Array, judge: Judge) -> Array:
     """How credible spheres are (k,), by all of their measures (k, m).
 
     Args:
         measures: Begin with those that the weights are of.
         weights: Of a regression.
-        judge: Whose judgement counts as much, if anybody's.
+        judge: Whose judgement counts as much.
     """
-    credible = credibility(measures[:, : len(weights) - 1], weights)
-    return credible if judge is None else (credible + judge(measures)) / 2
+    return (credibility(measures[:, : len(weights) - 1], weights) + judge(measures)) / 2
 
 
 def credibility(measures: Array, weights: Array) -> Array:

@@ -12,7 +12,7 @@ _POSITIVE = (
     "grids",
 )  # fmt: skip
 _SHARES = (
-    "min_score", "min_score_small", "min_confidence", "min_confidence_leafless", "skin_alignment",
+    "min_score", "min_score_small", "min_confidence", "skin_alignment",
     "pipe_alignment", "pipe_filled", "clutter_facing", "clutter_aligned", "least_saturation", "min_peduncle",
     "min_bare_peduncle",
 )  # fmt: skip
@@ -45,7 +45,6 @@ class ShapeSettings:
     skin_alignment: float = 0.9  # so do points whose normals have a larger cosine than this with the sphere's
     skin_margin: float = 0.008  # and those that far off it at most, which a camera farther away makes of the skin
     min_confidence: float = 0.35  # least confidence of a tomato, in the mean over the grids
-    min_confidence_leafless: float = 0.3  # the same where there are no leaves, which could be mistaken for one
     least_bend: float = 0.35  # times its sphere's bend, both ways, of a fruit that nothing sure hangs beside
     truss_gap: float = 0.035  # largest gap between the skins of neighbors on one truss
     truss_spread: float = 0.09  # largest mean gap between the skins of two parts of one truss

@@ -20,7 +20,7 @@ from greenhouse_gym.shapes.second_look import look_again
 from greenhouse_gym.shapes.settings import ShapeSettings
 from greenhouse_gym.shapes.small_fruit import Credited, find_small
 from greenhouse_gym.shapes.spheres import SphereFit, all_apart, fit_spheres, vote
-from greenhouse_gym.shapes.surfaces import NO_LEAF, SurfaceCloud
+from greenhouse_gym.shapes.surfaces import SurfaceCloud
 from greenhouse_gym.shapes.surroundings import surroundings
 from greenhouse_gym.shapes.trusses import group_neighbors, group_trusses
 
@@ -58,8 +58,6 @@ def find_tomatoes(grids: Sequence[Grid], settings: ShapeSettings) -> FoundTomato
         grids: The cloud by one grid of voxels or several.
         settings: All settings.
     """
-    if grids[0].surface.leaf == NO_LEAF:
-        settings = replace(settings, min_confidence=settings.min_confidence_leafless)
     finds = agreed([_found_by(grid, settings) for grid in grids], settings.min_confidence)
     finds = [finds[k] for k in in_order([find.ball for find in finds])]
     skin = _skin(grids[0].surface, settings)
@@ -104,9 +102,9 @@ def large_tomatoes(looks: Looks, settings: ShapeSettings, judges: Judges | None 
     Args:
         looks: What they show.
         settings: All settings.
-        judges: Who judges where there are leaves; the networks that are shipped when left out.
+        judges: Who judges beside the regressions; the networks that are shipped when left out.
     """
-    judges = Judges(None, None) if looks.skin.leaf == NO_LEAF else judges or shipped_judges()
+    judges = judges or shipped_judges()
     first, second = judged(looks.first, IN_ROW, judges.first), judged(looks.second, BESIDE, judges.second)
     alone = looks.first[:, _NEIGHBORS] == 0
     unbent = looks.first[:, _PATCH_BEND] < settings.least_bend

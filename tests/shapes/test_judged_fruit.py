@@ -1,4 +1,4 @@
-"""Who judges large fruit: a regression anywhere, among leaves a network beside it; and what must bend to be one."""
+"""Who judges large fruit, a regression and a network beside it, and what must bend to be one."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from greenhouse_gym.shapes import ShapeSettings, tomatoes
 from greenhouse_gym.shapes.candidates import COMPANY, MEASURES, MOST_CONTRAST
 from greenhouse_gym.shapes.credibility import ALONE, BESIDE, IN_ROW, Judges, credibility, judged, shipped_judges
 from greenhouse_gym.shapes.spheres import SphereFit
-from greenhouse_gym.shapes.surfaces import NO_LEAF, SurfaceCloud
+from greenhouse_gym.shapes.surfaces import SurfaceCloud
 from greenhouse_gym.shapes.surroundings import SURROUNDINGS
 from greenhouse_gym.shapes.tomatoes import Looks, large_tomatoes
 
@@ -20,28 +20,20 @@ def constant(value: float):
     return lambda measures: np.full(len(measures), value)
 
 
-def refuses(_: np.ndarray) -> np.ndarray:
-    raise AssertionError("nobody is to be asked")
-
-
-def cloud(leaf: float) -> SurfaceCloud:
-    points = np.zeros((40, 3))
-    return SurfaceCloud(points, points, points, np.zeros((40, 2)), np.zeros(40), np.zeros(40), leaf, 0.02)
-
-
-def looks(leaf: float, **measured: float) -> Looks:
+def looks(**measured: float) -> Looks:
     """A sphere of the first look with some measures, and none of the second."""
+    points = np.zeros((40, 3))
+    cloud = SurfaceCloud(points, points, points, np.zeros((40, 2)), np.zeros(40), np.zeros(40), -0.15, 0.02)
     ball = SphereFit(np.array([0.5, 0.0, 1.2]), 0.02, np.arange(40), 0.3, 0.001, 0.9)
     first = np.zeros((1, COLUMNS))
     for name, value in measured.items():
         first[0, [*MEASURES, *COMPANY].index(name.replace("_", " "))] = value
-    return Looks(cloud(leaf), [ball], first, [], np.zeros((0, COLUMNS)))
+    return Looks(cloud, [ball], first, [], np.zeros((0, COLUMNS)))
 
 
 def test_a_network_counts_as_much_as_a_regression() -> None:
     measures = np.random.default_rng(0).normal(size=(5, COLUMNS))
-    alone = judged(measures, IN_ROW, None)
-    np.testing.assert_array_equal(alone, credibility(measures[:, : len(IN_ROW) - 1], IN_ROW))
+    alone = credibility(measures[:, : len(IN_ROW) - 1], IN_ROW)
     np.testing.assert_allclose(judged(measures, IN_ROW, constant(0.5)), alone / 2 + 0.25)
 
 
@@ -58,18 +50,9 @@ def test_shipped_networks_judge_all_measures(judge) -> None:
     assert np.ptp(likely) > 0
 
 
-def test_without_leaves_no_network_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tomatoes, "shipped_judges", lambda: refuses(np.zeros(0)))
-    settings = ShapeSettings(min_confidence=0.0, least_bend=0.0)
-    one = looks(NO_LEAF, neighbors=1.0)
-    found = large_tomatoes(one, settings)
-    np.testing.assert_array_equal(found.confidence, credibility(one.first[:, : len(IN_ROW) - 1], IN_ROW))
-    np.testing.assert_array_equal(large_tomatoes(one, settings, Judges(refuses, refuses)).confidence, found.confidence)
-
-
-def test_among_leaves_the_judges_are_asked() -> None:
+def test_the_judges_are_asked() -> None:
     settings = ShapeSettings(min_confidence=0.0)
-    one = looks(-0.15, neighbors=1.0)
+    one = looks(neighbors=1.0)
     regression = credibility(one.first[:, : len(IN_ROW) - 1], IN_ROW)
     found = large_tomatoes(one, settings, Judges(constant(1.0), refuses_none))
     np.testing.assert_allclose(found.confidence, (regression + 1) / 2)
@@ -94,16 +77,6 @@ def test_what_hangs_alone_is_bent_or_red(
     monkeypatch: pytest.MonkeyPatch, contrast: float, credible: float, neighbors: float, bend: float, kept: bool
 ) -> None:
     monkeypatch.setattr(tomatoes, "judged", lambda measures, *_: np.full(len(measures), credible))
-    one = looks(-0.15, contrast=contrast, neighbors=neighbors, smaller_bend=bend)
+    one = looks(contrast=contrast, neighbors=neighbors, smaller_bend=bend)
     one.first[0, MEASURES.index("patch's smaller bend")] = bend
     assert (len(large_tomatoes(one, ShapeSettings()).fits) == 1) == kept
-
-
-@pytest.mark.parametrize(("leaf", "count"), [(NO_LEAF, 1), (-0.15, 0)])
-def test_leaves_ask_for_more_confidence(monkeypatch: pytest.MonkeyPatch, leaf: float, count: int) -> None:
-    settings = ShapeSettings()
-    between = (settings.min_confidence_leafless + settings.min_confidence) / 2
-    monkeypatch.setattr(tomatoes, "look", lambda surface, _: looks(leaf, neighbors=1.0))
-    monkeypatch.setattr(tomatoes, "judged", lambda measures, *_: np.full(len(measures), between))
-    grid = tomatoes.Grid(cloud(leaf), cloud(leaf).select(np.zeros(40, dtype=bool)), np.zeros(3))
-    assert len(tomatoes.find_tomatoes([grid], settings).tomatoes) == count
