@@ -72,7 +72,7 @@ def looks_at(row: Row, workdir: Path) -> tuple[Labeled, Labeled]:
     """The candidates of the first and of the second look at a row."""
     surface, _, true = surfaces_of(row, workdir)
     looks = look(surface, ShapeSettings())
-    count = len(IN_ROW) - 1  # what networks are told beside these hangs too much on what they are fitted to
+    count = len(IN_ROW) - 1  # the regressions are not told of the surroundings
     return labeled(looks.fits, looks.first[:, :count], true), labeled(looks.beside, looks.second[:, :count], true)
 
 

@@ -17,14 +17,14 @@ from typing import NamedTuple
 
 import numpy as np
 from fit_credibility import Labeled, grids_of, labeled
-from fit_network import FIFTHS, causes_of, fitted_network, rows_to_fit, write_network
+from fit_network import FIFTHS, causes_of, count_tomatoes, learned, print_counts, rows_to_fit, write_network
 from shape_rows import CAUSES, Row, visible_of
 
-from greenhouse_gym.accuracy import Visibility, compare_tomatoes
+from greenhouse_gym.accuracy import Visibility
 from greenhouse_gym.crop import Tomato
 from greenhouse_gym.shapes import ShapeSettings
 from greenhouse_gym.shapes.credibility import BESIDE, IN_ROW, Judge, Judges, credibility
-from greenhouse_gym.shapes.networks import Network, network_file
+from greenhouse_gym.shapes.networks import network_file
 from greenhouse_gym.shapes.tomatoes import Looks, large_tomatoes, look
 
 SETTINGS = ShapeSettings()
@@ -54,11 +54,7 @@ def looked_at(row: Row, workdir: Path, cause: str) -> list[Looked]:
 
 def fitted(rows: Sequence[Looked]) -> Judges:
     """The networks that learned from rows."""
-    return Judges(_learned([row.first for row in rows]), _learned([row.second for row in rows]))
-
-
-def _learned(parts: Sequence[Labeled]) -> Network:
-    return fitted_network(np.concatenate([p.measures for p in parts]), np.concatenate([p.right for p in parts]))
+    return Judges(learned([row.first for row in rows]), learned([row.second for row in rows]))
 
 
 def regression(weights: np.ndarray) -> Judge:
@@ -67,10 +63,8 @@ def regression(weights: np.ndarray) -> Judge:
 
 
 def counted(row: Looked, judges: Judges) -> np.ndarray:
-    """How many tomatoes of a row could be seen, were found of these, and were found where there are none."""
-    found = large_tomatoes(row.looks, SETTINGS, judges).fits
-    result = compare_tomatoes(row.true, row.visible, [Tomato(f.center, f.radius, 0, 0.0) for f in found])
-    return np.array([len(result.found), np.count_nonzero(result.found), len(result.false)])
+    """The tomatoes of a row that some judges find; see `count_tomatoes`."""
+    return count_tomatoes(row.true, row.visible, large_tomatoes(row.looks, SETTINGS, judges).fits)
 
 
 def main() -> None:
@@ -93,9 +87,7 @@ def main() -> None:
                 with_them[cause] = with_them[cause] + counted(grids[0], judges)
     for cause in CAUSES:
         without = np.sum([counted(row[cause][0], alone) for row in rows if cause in row], axis=0)
-        for name, (visible, found, false) in (("without", without), ("with", with_them[cause])):
-            f1 = 2 * found / (visible + found + false)
-            print(f"{cause}, {name}: {found} of {visible} found, {false} false, F1 {f1:.3f}")
+        print_counts({f"{cause}, without": without, f"{cause}, with": with_them[cause]})
     first, second = fitted(of(rows))
     write_network(first, network_file("large_fruit"))
     write_network(second, network_file("large_fruit_beside"))

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import torch
+from fit_credibility import Labeled
 from shape_rows import CAUSES, DRAWN_MESHES, Row
 
+from greenhouse_gym.accuracy import Visibility, compare_tomatoes
+from greenhouse_gym.crop import Tomato
+from greenhouse_gym.geometry import Sphere
 from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.shapes.networks import Network
 
@@ -54,6 +59,24 @@ def fitted_network(measures: np.ndarray, right: np.ndarray) -> Network:
         optimizer.step()
     layers = (hidden.weight.T, hidden.bias, out.weight[0], out.bias)
     return Network(center, scale, *(layer.detach().double().numpy() for layer in layers))
+
+
+def learned(parts: Sequence[Labeled]) -> Network:
+    """A network that learned from all of these."""
+    return fitted_network(np.concatenate([p.measures for p in parts]), np.concatenate([p.right for p in parts]))
+
+
+def count_tomatoes(true: Sequence[Tomato], visible: Visibility, found: Sequence[Sphere]) -> np.ndarray:
+    """How many tomatoes of a row could be seen, were found of these, and were found where there are none."""
+    result = compare_tomatoes(true, visible, [Tomato(f.center, f.radius, 0, 0.0) for f in found])
+    return np.array([len(result.found), np.count_nonzero(result.found), len(result.false)])
+
+
+def print_counts(counts: Mapping[str, np.ndarray]) -> None:
+    """Print sums of `count_tomatoes` by name, with F1."""
+    for name, (visible, found, false) in counts.items():
+        f1 = 2 * found / (visible + found + false)
+        print(f"{name}: {found} of {visible} found, {false} false, F1 {f1:.3f}")
 
 
 def write_network(network: Network, path: Path) -> None:

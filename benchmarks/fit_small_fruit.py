@@ -18,10 +18,10 @@ from typing import NamedTuple
 
 import numpy as np
 from fit_credibility import Labeled, labeled, surfaces_of
-from fit_network import FIFTHS, causes_of, fitted_network, rows_to_fit, write_network
+from fit_network import FIFTHS, causes_of, count_tomatoes, learned, print_counts, rows_to_fit, write_network
 from shape_rows import CAUSES, Row, visible_of
 
-from greenhouse_gym.accuracy import Visibility, compare_tomatoes
+from greenhouse_gym.accuracy import Visibility
 from greenhouse_gym.crop import Tomato
 from greenhouse_gym.shapes import ShapeSettings
 from greenhouse_gym.shapes.candidates import COMPANY, MEASURES
@@ -56,8 +56,8 @@ def looked_at(row: Row, workdir: Path, cause: str) -> Looked:
 def fitted(rows: Sequence[Looked]) -> Network:
     """The network that learned both judgements from rows."""
     first = [part for row in rows for part in (row.beside([]), _colorless(row))]
-    judge = _learned(first)
-    return _learned([*first, *(row.beside(sure_small(row.small, row.found, SETTINGS, judge)) for row in rows)])
+    judge = learned(first)
+    return learned([*first, *(row.beside(sure_small(row.small, row.found, SETTINGS, judge)) for row in rows)])
 
 
 def _colorless(row: Looked) -> Labeled:
@@ -69,17 +69,12 @@ def _colorless(row: Looked) -> Labeled:
     return labeled(row.small.fits, np.column_stack([alone, company]), row.true)
 
 
-def _learned(parts: Sequence[Labeled]) -> Network:
-    return fitted_network(np.concatenate([p.measures for p in parts]), np.concatenate([p.right for p in parts]))
-
-
 def counted(row: Looked, network: Network | None) -> np.ndarray:
-    """How many tomatoes of a row could be seen, were found of these, and were found where there are none."""
+    """The tomatoes of a row that are found with a network or without; see `count_tomatoes`."""
     found = list(row.found.fits)
     if network is not None:
         found += chosen_small(row.small, row.found, SETTINGS, network).fits
-    result = compare_tomatoes(row.true, row.visible, [Tomato(f.center, f.radius, 0, 0.0) for f in found])
-    return np.array([len(result.found), np.count_nonzero(result.found), len(result.false)])
+    return count_tomatoes(row.true, row.visible, found)
 
 
 def main() -> None:
@@ -97,9 +92,7 @@ def main() -> None:
                 with_it[cause] = with_it[cause] + counted(looked, network)
     for cause in CAUSES:
         without = np.sum([counted(row[cause], None) for row in rows if cause in row], axis=0)
-        for name, (visible, found, false) in (("without", without), ("with", with_it[cause])):
-            f1 = 2 * found / (visible + found + false)
-            print(f"{cause}, {name}: {found} of {visible} found, {false} false, F1 {f1:.3f}")
+        print_counts({f"{cause}, without": without, f"{cause}, with": with_it[cause]})
     write_network(fitted([looked for row in rows for looked in row.values()]), network_file("small_fruit"))
 
 
