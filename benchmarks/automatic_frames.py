@@ -24,12 +24,12 @@ from results_file import RESULTS, write_results
 from scipy.spatial.transform import Rotation
 from shapes_real_data import CYLINDERS, read_table
 
+from greenhouse_gym.build.scans import RawCloud, extract_from_scan, open_scan
 from greenhouse_gym.capture import PROTOCOLS, Protocol, Recording, simulate_protocol
+from greenhouse_gym.crops import grow_row
 from greenhouse_gym.errors import GreenhouseError
 from greenhouse_gym.geometry import Array, invert
-from greenhouse_gym.plants import grow_row
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, reconstruct_row, settings_for
-from greenhouse_gym.scans import RawCloud, extract_from_scan, open_scan
 from greenhouse_gym.shapes import ShapeWarning
 
 SEED, LENGTH, STATIONS = 2, 0.6, 2

@@ -16,8 +16,8 @@ from pathlib import Path
 from hard_targets import seconds_of_worker
 from results_file import RESULTS, write_results
 
-from greenhouse_gym import shipped
-from greenhouse_gym.cutting import cut_scenes, provenance_of
+from greenhouse_gym.build import shipped
+from greenhouse_gym.build.scenes import cut_scenes, provenance_of
 from greenhouse_gym.planning import certify_targets
 from greenhouse_gym.reconstruction import reconstruct_row, settings_for
 from greenhouse_gym.scene import Provenance, SceneBank

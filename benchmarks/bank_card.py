@@ -15,12 +15,12 @@ import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
 
+from greenhouse_gym.common.files import data_path, write_atomically
 from greenhouse_gym.geometry import Box, distance_to_nearest, distance_to_shapes
-from greenhouse_gym.paths import data_path, write_atomically
 from greenhouse_gym.planning import certify
 from greenhouse_gym.scene import DIFFICULTIES, SceneBank
 from greenhouse_gym.scene.manifest import SPLITS
-from greenhouse_gym.scene.seen import REACH, SURFACE
+from greenhouse_gym.scene.occupancy import REACH, SURFACE
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
@@ -95,7 +95,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scenes", type=Path, default=data_path("scenes"))
     folder = parser.parse_args().scenes
-    from greenhouse_gym import shipped
+    from greenhouse_gym.build import shipped
 
     default, mini = (SceneBank.open(folder / name) for name in ("default", "mini"))
     entries = default.manifest.scenes

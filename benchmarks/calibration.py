@@ -22,8 +22,8 @@ from results_file import RESULTS, write_results
 from greenhouse_gym.capture import SEED_RIG, Camera, Recording, Rig, Station, simulate_recording
 from greenhouse_gym.capture.boards import calibrate_from_boards
 from greenhouse_gym.capture.rig_file import Mounting
+from greenhouse_gym.crops import grow_row
 from greenhouse_gym.geometry import invert, pose, rotation_about, rotation_angle
-from greenhouse_gym.plants import grow_row
 from greenhouse_gym.reconstruction.overlap import calibrate_from_overlap
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "capture"))  # the boards are those of the tests

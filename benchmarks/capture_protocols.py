@@ -30,14 +30,14 @@ from greenhouse_gym import ENV_IDS
 from greenhouse_gym.agents import Problem
 from greenhouse_gym.agents.planner_agent import PathFollower
 from greenhouse_gym.capture import PROTOCOLS, get_protocol
+from greenhouse_gym.common.executors import completed, executor_for
+from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.envs import PlantMotion, Randomization
 from greenhouse_gym.envs.tomato_reach import TomatoReachEnv
-from greenhouse_gym.parallel import completed, executor_for
-from greenhouse_gym.paths import write_atomically
+from greenhouse_gym.motion.unknown_space import UNSEEN_RULES
 from greenhouse_gym.planning import PlanResult, plan
-from greenhouse_gym.planning.unseen import UNSEEN_RULES
 from greenhouse_gym.scene import Scene
-from greenhouse_gym.scene.seen import EMPTY, SURFACE, UNSEEN
+from greenhouse_gym.scene.occupancy import EMPTY, SURFACE, UNSEEN
 
 REACH = 0.95
 """Metres from the shoulder up to which a tomato is a target."""

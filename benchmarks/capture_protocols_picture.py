@@ -27,13 +27,13 @@ from matplotlib.colors import ListedColormap
 from greenhouse_gym.agents import Problem
 from greenhouse_gym.agents.planner_agent import PathFollower
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.motion.collision import planning_model
 from greenhouse_gym.planning import CollisionChecker, resample
+from greenhouse_gym.rendering.renderer import Viewpoint
+from greenhouse_gym.rendering.task_pictures import picture_of_path
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.robots.kinematics import tool_chain, tool_state
 from greenhouse_gym.scene import Scene, SceneBank, compile_scene
-from greenhouse_gym.scene.collision import planning_model
-from greenhouse_gym.scene.render import Viewpoint
-from greenhouse_gym.scene.task_pictures import picture_of_path
 
 VIEW = Viewpoint((-0.75, -1.7, 1.75), (0.25, 0.0, 1.25))
 COLORS = ListedColormap(["0.55", "white", "#2e7d32"])  # unseen, empty, surface

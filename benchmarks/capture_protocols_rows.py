@@ -8,12 +8,12 @@ from time import perf_counter
 
 import numpy as np
 
+from greenhouse_gym.build.scenes import BuildSettings, cut_scenes, stand_poses
 from greenhouse_gym.capture import Recording, get_protocol, simulate_protocol
 from greenhouse_gym.capture.simulated import photograph
-from greenhouse_gym.cutting import BuildSettings, cut_scenes, stand_poses
+from greenhouse_gym.common.files import write_atomically
+from greenhouse_gym.crops import CULTIVARS, STYLES, PlantRow, grow_row
 from greenhouse_gym.geometry import Array, pose, rotation_about
-from greenhouse_gym.paths import write_atomically
-from greenhouse_gym.plants import CULTIVARS, STYLES, PlantRow, grow_row
 from greenhouse_gym.reconstruction import RowCloud, add_looks, reconstruct_row
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.shapes import FINE_SHAPES, ShapeSettings, extract_shapes

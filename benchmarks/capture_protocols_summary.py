@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from greenhouse_gym.records import wilson_interval
+from greenhouse_gym.evaluation.records import wilson_interval
 
 AISLE, BEHIND = 0.50, 0.75
 """Metres from the arm's axis: what is nearer hangs in the aisle, what is farther grows behind the stems at 0.60."""

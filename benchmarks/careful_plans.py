@@ -21,7 +21,7 @@ from capture_protocols_rows import Options
 from capture_protocols_summary import summaries, table
 from results_file import write_results
 
-from greenhouse_gym.paths import write_atomically
+from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.scene import SceneBank
 
 

@@ -28,12 +28,12 @@ from results_file import RESULTS, write_results
 
 from greenhouse_gym.agents import PlannerAgent
 from greenhouse_gym.build import build_bank
+from greenhouse_gym.build.scenes import BuildSettings
 from greenhouse_gym.capture import Recording, open_recording, simulate_recording, write_recording
-from greenhouse_gym.cutting import BuildSettings
+from greenhouse_gym.common.executors import RayExecutor, processes
+from greenhouse_gym.crops import grow_row
 from greenhouse_gym.evaluation import evaluate
-from greenhouse_gym.parallel import RayExecutor, processes
 from greenhouse_gym.planning.sweep import SweepSettings, reachable_targets, sweep_planners
-from greenhouse_gym.plants import grow_row
 from greenhouse_gym.scene import SceneBank
 
 FIRST_SEED = 950

@@ -31,13 +31,13 @@ from results_file import RESULTS, write_results
 from greenhouse_gym.agents import PlannerAgent, WatchfulAgent
 from greenhouse_gym.agents.agent import Agent
 from greenhouse_gym.agents.named import make_agent
+from greenhouse_gym.common.executors import processes
 from greenhouse_gym.envs import Randomization
 from greenhouse_gym.evaluation import Trace, evaluate, retrace
 from greenhouse_gym.geometry import Array, distance_to_shapes
-from greenhouse_gym.parallel import processes
-from greenhouse_gym.planning.unseen import UNSEEN_RULES
+from greenhouse_gym.motion.unknown_space import UNSEEN_RULES
 from greenhouse_gym.scene import Scene, SceneBank, compile_scene
-from greenhouse_gym.scene.seen import EMPTY, SURFACE, UNSEEN
+from greenhouse_gym.scene.occupancy import EMPTY, SURFACE, UNSEEN
 from greenhouse_gym.scene.truth import true_scene
 
 EDGES = (0.01, 0.02, 0.03, 0.05)

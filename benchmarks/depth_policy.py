@@ -24,7 +24,7 @@ from greenhouse_gym.agents.depth_agent import DepthAgent
 from greenhouse_gym.agents.named import make_agent
 from greenhouse_gym.agents.policy import Policy
 from greenhouse_gym.evaluation import Evaluation, evaluate
-from greenhouse_gym.records import Record
+from greenhouse_gym.evaluation.records import Record
 from greenhouse_gym.scene import SceneBank
 
 FIRST_SEED = 20_000

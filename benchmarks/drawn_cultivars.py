@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from greenhouse_gym.plants.cultivars import RED, Cultivar
+from greenhouse_gym.crops.cultivars import RED, Cultivar
 
 _SMALL = 0.35
 """Share of cultivars with cherry tomatoes."""

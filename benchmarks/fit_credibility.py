@@ -19,9 +19,9 @@ import numpy as np
 import numpy.typing as npt
 from shape_rows import Row, cloud_of, truth_of
 
-from greenhouse_gym.clouds import Cloud
-from greenhouse_gym.crop import Tomato
+from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.reconstruction.point_clouds import Cloud
 from greenhouse_gym.shapes import ShapeSettings
 from greenhouse_gym.shapes.candidates import MEASURES
 from greenhouse_gym.shapes.checks import Notes, thinned

@@ -14,9 +14,9 @@ from fit_credibility import Labeled
 from shape_rows import CAUSES, DRAWN_MESHES, Row
 
 from greenhouse_gym.accuracy import Visibility, compare_tomatoes
-from greenhouse_gym.crop import Tomato
+from greenhouse_gym.common.files import write_atomically
+from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.geometry import Sphere
-from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.shapes.networks import Network
 
 HIDDEN, STEPS, BATCH, RATE, DECAY = 64, 3000, 4096, 5e-3, 0.3

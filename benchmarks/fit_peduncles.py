@@ -22,7 +22,7 @@ from fit_network import FIFTHS, causes_of, fitted_network, rows_to_fit, write_ne
 from shape_rows import CAUSES, Row, cloud_of, truth_of, visible_of
 
 from greenhouse_gym.accuracy import compare_stems
-from greenhouse_gym.crop import Stem, Tomato
+from greenhouse_gym.crops.parts import Stem, Tomato
 from greenhouse_gym.geometry import Capsule, distance_to_shapes
 from greenhouse_gym.shapes import ShapeSettings, extract_shapes
 from greenhouse_gym.shapes.bare_peduncles import find_bare_peduncles

@@ -22,7 +22,7 @@ from fit_network import FIFTHS, causes_of, count_tomatoes, learned, print_counts
 from shape_rows import CAUSES, Row, visible_of
 
 from greenhouse_gym.accuracy import Visibility
-from greenhouse_gym.crop import Tomato
+from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.shapes import ShapeSettings
 from greenhouse_gym.shapes.candidates import COMPANY, MEASURES
 from greenhouse_gym.shapes.networks import Network, network_file

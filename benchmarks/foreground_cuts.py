@@ -17,7 +17,7 @@ import numpy as np
 from results_file import RESULTS, write_results
 
 from greenhouse_gym.capture import PROTOCOLS, Protocol, Recording, Rig, open_recording, simulate_protocol
-from greenhouse_gym.plants import grow_row
+from greenhouse_gym.crops import grow_row
 from greenhouse_gym.reconstruction import settings_for
 from greenhouse_gym.reconstruction.fitting import sensor_noise
 

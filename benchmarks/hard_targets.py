@@ -22,9 +22,9 @@ from typing import Any
 import numpy as np
 from results_file import RESULTS, write_results
 
+from greenhouse_gym.evaluation.records import wilson_interval
 from greenhouse_gym.planning import PAPER_PLANNERS, goal_configurations, plan
 from greenhouse_gym.planning.worker import shared_worker
-from greenhouse_gym.records import wilson_interval
 from greenhouse_gym.scene import SceneBank
 
 SPLITS = ("train", "validation")

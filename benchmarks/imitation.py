@@ -25,10 +25,10 @@ from results_file import RESULTS, kept_results, write_results
 from greenhouse_gym.agents import PolicyAgent
 from greenhouse_gym.agents.agent import Agent
 from greenhouse_gym.agents.named import make_agent
+from greenhouse_gym.common.settings_files import resolve
 from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.learning import BcThenPpoSettings, train_bc_then_ppo
 from greenhouse_gym.scene import SceneBank
-from greenhouse_gym.settings_files import resolve
 
 FIRST_SEED = 20_000
 """Of the episodes."""

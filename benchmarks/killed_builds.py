@@ -23,10 +23,10 @@ from typing import Any
 from results_file import RESULTS, write_results
 
 from greenhouse_gym.build import build_bank
+from greenhouse_gym.build.scenes import BuildSettings
 from greenhouse_gym.capture import open_recording, simulate_recording, write_recording
-from greenhouse_gym.cutting import BuildSettings
-from greenhouse_gym.parallel import executor_for
-from greenhouse_gym.plants import grow_row
+from greenhouse_gym.common.executors import executor_for
+from greenhouse_gym.crops import grow_row
 
 BACKENDS = ("serial", "processes")
 

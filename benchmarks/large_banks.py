@@ -28,9 +28,9 @@ from results_file import RESULTS, write_results
 
 import greenhouse_gym
 from greenhouse_gym.agents import PolicyAgent
+from greenhouse_gym.common.executors import processes
 from greenhouse_gym.envs import TomatoReachVectorEnv
-from greenhouse_gym.envs.window import DRAWS_PER_SCENE, WINDOW
-from greenhouse_gym.parallel import processes
+from greenhouse_gym.envs.scene_window import DRAWS_PER_SCENE, WINDOW
 from greenhouse_gym.scene import SceneBank
 from greenhouse_gym.scene.manifest import MANIFEST
 

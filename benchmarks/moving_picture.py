@@ -18,15 +18,15 @@ from PIL import Image, ImageDraw
 from results_file import RESULTS
 
 from greenhouse_gym.agents import PlannerAgent, Problem
+from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.errors import GreenhouseError
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.paths import write_atomically
+from greenhouse_gym.rendering.opengl import OpenGLMissingError, OpenGLRenderer
+from greenhouse_gym.rendering.renderer import Viewpoint, render_scene
+from greenhouse_gym.rendering.task_pictures import task_lines
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene, SceneBank, compile_scene
-from greenhouse_gym.scene.opengl import OpenGLMissingError, OpenGLRenderer
-from greenhouse_gym.scene.render import Viewpoint, render_scene
-from greenhouse_gym.scene.surroundings import Surroundings
-from greenhouse_gym.scene.task_pictures import task_lines
+from greenhouse_gym.scene.obstacles import Surroundings
 
 WIDTH, HEIGHT = 400, 400
 VIEW = Viewpoint((-1.0, -1.75, 1.7), (0.22, -0.1, 1.15), 46.0)

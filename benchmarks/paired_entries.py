@@ -13,8 +13,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.leaderboard import read_entry
-from greenhouse_gym.records import pairing
+from greenhouse_gym.evaluation.leaderboard import read_entry
+from greenhouse_gym.evaluation.records import pairing
 
 
 def main() -> None:

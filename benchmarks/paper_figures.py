@@ -24,26 +24,26 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from results_file import RESULTS, write_results
 
+from greenhouse_gym.build.scenes import BuildSettings, cut_scenes
 from greenhouse_gym.capture import Recording, open_recording, simulate_recording, write_recording
 from greenhouse_gym.capture.rig import Rig
-from greenhouse_gym.cutting import BuildSettings, cut_scenes
+from greenhouse_gym.common.files import write_atomically
+from greenhouse_gym.common.progress import progress
+from greenhouse_gym.crops import grow_row
 from greenhouse_gym.geometry import Array, pose, transform
-from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.planning import PlanResult, goal_configurations, plan, resample
-from greenhouse_gym.plants import grow_row
-from greenhouse_gym.progress import progress
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, simplify_points, triangulate
 from greenhouse_gym.reconstruction.foreground import blacked_out
 from greenhouse_gym.reconstruction.registration import register
 from greenhouse_gym.reconstruction.row import merge_segment, remove_outliers
 from greenhouse_gym.reconstruction.views import Calibration, view_station
 from greenhouse_gym.reconstruction.walk import walk_through
+from greenhouse_gym.rendering.renderer import Viewpoint, default_camera, render_scene
+from greenhouse_gym.rendering.task_pictures import picture_of_path
 from greenhouse_gym.reporting.pictures import BLUE, RED, Image, shifted_silhouettes, splat, upright
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
-from greenhouse_gym.scene.render import Viewpoint, default_camera, render_scene
-from greenhouse_gym.scene.task_pictures import picture_of_path
 from greenhouse_gym.shapes import RowShapes, extract_shapes
 
 STATIONS = 50

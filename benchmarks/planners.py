@@ -25,8 +25,8 @@ import numpy as np
 from planner_reports import planner_arena_database, plots, summary, table
 from results_file import RESULTS, write_results
 
-from greenhouse_gym.parallel import BACKENDS, executor_for
-from greenhouse_gym.paths import write_atomically
+from greenhouse_gym.common.executors import BACKENDS, executor_for
+from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.planning import PAPER_PLANNERS, PLANNERS
 from greenhouse_gym.planning.sweep import SweepSettings, reachable_targets, sweep_planners
 from greenhouse_gym.scene import SceneBank

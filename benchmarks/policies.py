@@ -25,8 +25,8 @@ from results_file import RESULTS, write_results
 from greenhouse_gym.agents.named import make_agent
 from greenhouse_gym.agents.policy_agent import BEST
 from greenhouse_gym.evaluation import Evaluation, evaluate, wilson_interval
-from greenhouse_gym.leaderboard import follows, read_entry
-from greenhouse_gym.records import Record
+from greenhouse_gym.evaluation.leaderboard import follows, read_entry
+from greenhouse_gym.evaluation.records import Record
 from greenhouse_gym.scene import DIFFICULTIES, SceneBank
 
 AGENTS = ",".join(

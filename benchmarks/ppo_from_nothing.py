@@ -23,12 +23,12 @@ from policies import rates
 from results_file import RESULTS, kept_results, write_results
 
 from greenhouse_gym.agents import PolicyAgent, ShieldedAgent
+from greenhouse_gym.common.settings_files import resolve
 from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.learning import PpoSettings, train_ppo
 from greenhouse_gym.learning.checkpoints import NAME as CHECKPOINT
 from greenhouse_gym.learning.curves import CURVE, VALIDATION, read_curve
 from greenhouse_gym.scene import SceneBank
-from greenhouse_gym.settings_files import resolve
 
 EPISODES = {"validation": (500, FIRST_SEED), "test": (1000, 0)}
 """How many episodes of a split, and the seed of the first."""

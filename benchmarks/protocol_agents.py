@@ -26,16 +26,16 @@ from results_file import RESULTS, write_results
 from truth_ceiling import path_in_truth
 
 from greenhouse_gym.agents.named import make_agent
+from greenhouse_gym.common.executors import completed, processes
+from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.evaluation import evaluate
-from greenhouse_gym.kept_records import KeptRecords
-from greenhouse_gym.parallel import completed, processes
-from greenhouse_gym.paths import write_atomically
-from greenhouse_gym.records import Record, wilson_interval
+from greenhouse_gym.evaluation.journal import KeptRecords
+from greenhouse_gym.evaluation.records import Record, wilson_interval
+from greenhouse_gym.motion.collision import CollisionChecker, planning_model
+from greenhouse_gym.motion.reach import arm_reaches
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene, Target, compile_scene
 from greenhouse_gym.scene.bank import write_bank
-from greenhouse_gym.scene.collision import CollisionChecker, planning_model
-from greenhouse_gym.scene.reaches import arm_reaches
 
 
 def main() -> None:

@@ -27,8 +27,8 @@ from typer.testing import CliRunner
 from greenhouse_gym.capture import Recording, open_recording, simulate_recording, write_recording
 from greenhouse_gym.capture.rig_file import Mounting, save_mounting
 from greenhouse_gym.cli import app
+from greenhouse_gym.crops import grow_row
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.plants import grow_row
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, reconstruct_row
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # the writers are those of the tests

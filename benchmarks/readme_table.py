@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from results_file import RESULTS
 
-from greenhouse_gym.paths import write_atomically
-from greenhouse_gym.records import wilson_interval
+from greenhouse_gym.common.files import write_atomically
+from greenhouse_gym.evaluation.records import wilson_interval
 from greenhouse_gym.scene import SceneBank
 
 README = RESULTS.parent.parent / "README.md"

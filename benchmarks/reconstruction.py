@@ -54,9 +54,9 @@ from greenhouse_gym.capture import (
     simulate_recording,
     write_recording,
 )
+from greenhouse_gym.common.open3d_loader import open3d
+from greenhouse_gym.crops import PlantRow, grow_row
 from greenhouse_gym.geometry import Array, invert
-from greenhouse_gym.open3d_loader import open3d
-from greenhouse_gym.plants import PlantRow, grow_row
 from greenhouse_gym.reconstruction import reconstruct_row
 
 METHODS: dict[str, Callable[[Recording], ReconstructedRow]] = {

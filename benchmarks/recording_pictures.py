@@ -16,8 +16,8 @@ from results_file import RESULTS
 
 from greenhouse_gym.capture import Recording, RgbdFrame, Rig, Station, simulate_recording, three_camera_rig
 from greenhouse_gym.capture.inspection import inspect_recording
-from greenhouse_gym.paths import write_atomically
-from greenhouse_gym.plants import grow_row
+from greenhouse_gym.common.files import write_atomically
+from greenhouse_gym.crops import grow_row
 
 SEED, STATIONS, WIDTH = 1, 4, 300
 FARTHEST = 1.5  # m, drawn darkest

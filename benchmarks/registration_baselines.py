@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.capture import Recording, Rig, Station
+from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.geometry import Array, invert, pose, transform
-from greenhouse_gym.open3d_loader import open3d
 from greenhouse_gym.reconstruction.foreground import foreground_mask
 from greenhouse_gym.reconstruction.registration import row_axis
 from greenhouse_gym.reconstruction.shift import along, best_shifts, overlap

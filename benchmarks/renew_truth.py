@@ -23,16 +23,16 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from greenhouse_gym.cutting import truth_in_scene
+from greenhouse_gym.build.scenes import truth_in_scene
+from greenhouse_gym.build.shipped import ROW_LENGTH, SETTINGS, Shot, shots
+from greenhouse_gym.common.executors import completed, processes
+from greenhouse_gym.common.files import write_atomically
+from greenhouse_gym.crops import PlantRow, grow_row
+from greenhouse_gym.evaluation.leaderboard import read_entry
 from greenhouse_gym.geometry import Array, pose, transform
-from greenhouse_gym.leaderboard import read_entry
-from greenhouse_gym.parallel import completed, processes
-from greenhouse_gym.paths import write_atomically
-from greenhouse_gym.plants import PlantRow, grow_row
 from greenhouse_gym.scene import Scene, SceneBank, Shapes
 from greenhouse_gym.scene.bank import write_bank
 from greenhouse_gym.scene.truth import stands_free
-from greenhouse_gym.shipped import ROW_LENGTH, SETTINGS, Shot, shots
 
 KEPT = "reconstruction"
 """The track on which the truth does not matter."""

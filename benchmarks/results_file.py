@@ -10,7 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from greenhouse_gym.paths import write_atomically
+from greenhouse_gym.common.files import write_atomically
 
 RESULTS = Path(__file__).parent / "results"
 

@@ -23,9 +23,9 @@ from results_file import RESULTS, write_results
 from greenhouse_gym.agents import Agent, RandomAgent
 from greenhouse_gym.agents.named import make_agent
 from greenhouse_gym.evaluation import Evaluation, evaluate, wilson_interval
-from greenhouse_gym.integrations.sb3 import Sb3Agent
 from greenhouse_gym.learning.sac import SacSettings, env_options, load_sac, train_sac
 from greenhouse_gym.learning.sac_report import SacProgress
+from greenhouse_gym.learning.sb3 import Sb3Agent
 
 GUIDED: dict[str, Any] = {
     "bank": "default",

@@ -16,14 +16,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from greenhouse_gym.accuracy import VisibleRow, moved
-from greenhouse_gym.crop import Tomato
-from greenhouse_gym.cutting import BuildSettings
+from greenhouse_gym.build.scenes import BuildSettings
+from greenhouse_gym.crops import PlantRow
+from greenhouse_gym.crops.parts import Tomato
+from greenhouse_gym.crops.row import STEM_LINE
 from greenhouse_gym.geometry import Array, Box, Capsule, Shape, Sphere, distance_to_shapes, pose
-from greenhouse_gym.plants import PlantRow
-from greenhouse_gym.plants.row import STEM_LINE
+from greenhouse_gym.motion.collision import CollisionChecker
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Provenance, Scene, Stand
-from greenhouse_gym.scene.collision import CollisionChecker
 from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
 
 NEAR = 0.3

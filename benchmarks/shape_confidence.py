@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.accuracy import match_tomatoes
-from greenhouse_gym.crop import Tomato
+from greenhouse_gym.crops.parts import Tomato
 
 SMALL = 0.012
 """Radius in metres below which fruit counts as small."""

@@ -20,8 +20,8 @@ from results_file import RESULTS, write_results
 from shape_rows import HELD_OUT_MESHES, Row, cloud_of, truth_of, visible_of
 
 from greenhouse_gym.accuracy import TomatoComparison, compare_tomatoes, moved, pool_tomatoes
-from greenhouse_gym.clouds import Cloud
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.reconstruction.point_clouds import Cloud
 from greenhouse_gym.shapes import ShapeSettings
 from greenhouse_gym.shapes.checks import Notes, thinned
 from greenhouse_gym.shapes.grids import by_grids

@@ -30,11 +30,11 @@ from greenhouse_gym.capture import (
 )
 from greenhouse_gym.capture.recordings import INDEX
 from greenhouse_gym.capture.simulated import walk
+from greenhouse_gym.common.files import write_atomically
+from greenhouse_gym.crops import DEVELOPMENT_CULTIVARS, HELD_OUT_CULTIVARS, STYLES, PlantRow, grow_row
 from greenhouse_gym.geometry import Array, invert
-from greenhouse_gym.paths import write_atomically
-from greenhouse_gym.plants import DEVELOPMENT_CULTIVARS, HELD_OUT_CULTIVARS, STYLES, PlantRow, grow_row
 from greenhouse_gym.reconstruction import RowCloud, load_row, reconstruct_row, save_row
-from greenhouse_gym.scene.surroundings import Shapes
+from greenhouse_gym.scene.obstacles import Shapes
 
 CAUSES = ("noisy", "noise-free")
 """Where a cloud comes from: `reconstruct_row` of a noisy recording, or perfect images merged at their true poses."""

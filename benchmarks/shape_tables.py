@@ -16,7 +16,7 @@ from greenhouse_gym.accuracy import (
     pool_stems,
     pool_tomatoes,
 )
-from greenhouse_gym.crop import STEM_KINDS
+from greenhouse_gym.crops.parts import STEM_KINDS
 from greenhouse_gym.geometry import Array
 
 Record = Mapping[str, Any]

@@ -60,13 +60,13 @@ from greenhouse_gym.accuracy import (
     moved,
     skin_points,
 )
-from greenhouse_gym.clouds import Cloud
-from greenhouse_gym.crop import STEM_KINDS
-from greenhouse_gym.cutting import BuildSettings, cut_scenes, stand_positions
+from greenhouse_gym.build.scenes import BuildSettings, cut_scenes, stand_positions
+from greenhouse_gym.common.files import write_atomically
+from greenhouse_gym.common.open3d_loader import open3d
+from greenhouse_gym.crops.parts import STEM_KINDS
 from greenhouse_gym.geometry import Array, Capsule, Shape, transform
-from greenhouse_gym.open3d_loader import open3d
-from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.reconstruction import RowCloud
+from greenhouse_gym.reconstruction.point_clouds import Cloud
 from greenhouse_gym.shapes import RowShapes, extract_shapes
 
 HELD_OUT = range(401, 411)

@@ -31,7 +31,7 @@ from results_file import RESULTS, write_results
 from rich.console import Console
 from rich.table import Table
 
-from greenhouse_gym.crop import Tomato
+from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.envs import TomatoReachEnv, TomatoReachVectorEnv
 from greenhouse_gym.envs.reach_task import ACTION_STEP, SUBSTEPS
 from greenhouse_gym.envs.settings import PHYSICS

@@ -21,11 +21,11 @@ from capture_protocols import SAME
 from policies import kinds_of_rows
 from results_file import RESULTS, write_results
 
+from greenhouse_gym.common.executors import completed, processes
 from greenhouse_gym.evaluation import wilson_interval
-from greenhouse_gym.leaderboard import read_entry
-from greenhouse_gym.parallel import completed, processes
+from greenhouse_gym.evaluation.leaderboard import read_entry
+from greenhouse_gym.evaluation.records import Record
 from greenhouse_gym.planning import plan
-from greenhouse_gym.records import Record
 from greenhouse_gym.scene import Scene, SceneBank
 from greenhouse_gym.scene.truth import true_scene
 

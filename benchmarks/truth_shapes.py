@@ -20,12 +20,12 @@ from results_file import RESULTS, write_results
 from scipy.spatial import cKDTree
 from shape_boxes import box_surface
 
-from greenhouse_gym.crop import STEM_KINDS
-from greenhouse_gym.cutting import BuildSettings
+from greenhouse_gym.build.scenes import BuildSettings
+from greenhouse_gym.crops import CULTIVARS, PlantRow, grow_row
+from greenhouse_gym.crops.decimation import leaf_boxes, surface_points
+from greenhouse_gym.crops.organs import THIN_KINDS, Organ
+from greenhouse_gym.crops.parts import STEM_KINDS
 from greenhouse_gym.geometry import Array, Box, Shape, distance_to_shapes
-from greenhouse_gym.plants import CULTIVARS, PlantRow, grow_row
-from greenhouse_gym.plants.organs import THIN_KINDS, Organ
-from greenhouse_gym.plants.thin import leaf_boxes, surface_points
 
 SPACING = 0.002
 """Metres between the points on a mesh."""

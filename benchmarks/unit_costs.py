@@ -18,10 +18,10 @@ from hard_targets import seconds_of_worker
 from results_file import RESULTS, write_results
 
 from greenhouse_gym.capture import simulate_recording, write_recording
+from greenhouse_gym.common.executors import completed, processes
+from greenhouse_gym.crops import grow_row
 from greenhouse_gym.envs.worlds import Worlds
-from greenhouse_gym.parallel import completed, processes
 from greenhouse_gym.planning import plan
-from greenhouse_gym.plants import grow_row
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene, SceneBank
 from greenhouse_gym.scene.mjcf import DEFAULT_CAPACITY

@@ -7,9 +7,9 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.capture.rig import D435_DEPTH, Camera, Intrinsics, Rig
-from greenhouse_gym.envs.cameras import TIP_FROM_WRIST
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import pose
+from greenhouse_gym.rendering.cameras import TIP_FROM_WRIST
 from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.robots.robot import TIP_SITE
 from greenhouse_gym.scene import Stand

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from greenhouse_gym.crop import Stem, Tomato
+from greenhouse_gym.common.executors import RayExecutor
+from greenhouse_gym.crops.parts import Stem, Tomato
 from greenhouse_gym.geometry import Box, Sphere, rotation_about
-from greenhouse_gym.parallel import RayExecutor
 from greenhouse_gym.scene import Provenance, Scene, SceneBank, Target
 from greenhouse_gym.scene.bank import write_bank
 

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.capture import Intrinsics, Recording, RgbdFrame, Station, simulate_recording, three_camera_rig
+from greenhouse_gym.crops import PlantRow, grow_row
 from greenhouse_gym.geometry import Array, invert, rotation_angle, transform
-from greenhouse_gym.plants import PlantRow, grow_row
 from greenhouse_gym.reconstruction import RowCloud, reconstruct_row
 
 HALF = three_camera_rig(Intrinsics(424, 240, 212.1, 212.1, 211.5, 119.5))

@@ -6,7 +6,7 @@ import numpy as np
 
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.scene import Scene
-from greenhouse_gym.scene.seen import EMPTY, SURFACE, UNSEEN, SeenSpace
+from greenhouse_gym.scene.occupancy import EMPTY, SURFACE, UNSEEN, SeenSpace
 
 LOW, HIGH, VOXEL = np.array([-1.35, -1.35, 0.0]), np.array([1.35, 1.35, 2.45]), 0.05
 

@@ -11,9 +11,9 @@ import pytest
 from conftest import make_scene, with_ellipsoids
 
 from greenhouse_gym.envs import TomatoReachEnv
+from greenhouse_gym.motion.collision import CollisionChecker, planning_model
 from greenhouse_gym.scene import SceneBank, compile_scene
 from greenhouse_gym.scene.bank import write_bank
-from greenhouse_gym.scene.collision import CollisionChecker, planning_model
 
 
 def disagreements_on_the_way(bank: SceneBank, episodes: int, names: list[str]) -> tuple[int, int, int]:

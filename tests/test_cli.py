@@ -19,8 +19,8 @@ from greenhouse_gym.capture import open_recording, simulate_recording, write_rec
 from greenhouse_gym.capture.images import read_color
 from greenhouse_gym.capture.recordings import INDEX
 from greenhouse_gym.cli import app
+from greenhouse_gym.crops import grow_row
 from greenhouse_gym.errors import FileFormatError, FileWriteError, GreenhouseError, UnknownNameError
-from greenhouse_gym.plants import grow_row
 from greenhouse_gym.reconstruction import load_row
 from greenhouse_gym.scene import SceneBank
 
@@ -276,7 +276,7 @@ def test_plan_names_settings_that_are_none(bank: SceneBank) -> None:
 
 
 def test_plan_to_what_cannot_be_reached_exits_with_2(bank: SceneBank, tmp_path: Path) -> None:
-    from greenhouse_gym.crop import Tomato
+    from greenhouse_gym.crops.parts import Tomato
     from greenhouse_gym.scene import Provenance, Scene
     from greenhouse_gym.scene.bank import write_bank
 
@@ -452,9 +452,9 @@ def test_resolved_settings_lie_beside_the_results(recording: Path, reconstructed
 
 
 def test_a_build_writes_its_settings(recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from greenhouse_gym import build
-    from greenhouse_gym.cutting import BuildSettings
-    from greenhouse_gym.settings_files import resolve
+    from greenhouse_gym.build import bank as build
+    from greenhouse_gym.build.scenes import BuildSettings
+    from greenhouse_gym.common.settings_files import resolve
 
     def stop(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
@@ -474,7 +474,7 @@ def test_a_build_writes_its_settings(recording: Path, tmp_path: Path, monkeypatc
 
 @pytest.mark.parametrize("name", ["reconstruct", "demo"])
 def test_one_process_at_a_time_and_no_file_for_a_folder(recording: Path, tmp_path: Path, name: str) -> None:
-    from greenhouse_gym.paths import exclusive
+    from greenhouse_gym.common.files import exclusive
 
     arguments = [recording] if name == "reconstruct" else ["--quick"]
     (tmp_path / "file").touch()

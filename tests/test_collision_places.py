@@ -13,7 +13,7 @@ from greenhouse_gym.geometry import Box
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene, Shapes
 from greenhouse_gym.scene.mjcf import base_position
-from greenhouse_gym.scene.seen import EMPTY, SURFACE, UNSEEN, SeenSpace
+from greenhouse_gym.scene.occupancy import EMPTY, SURFACE, UNSEEN, SeenSpace
 
 ARM = get_robot("ur5e")
 

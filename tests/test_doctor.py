@@ -11,10 +11,11 @@ from types import ModuleType
 import pytest
 from typer.testing import CliRunner
 
-from greenhouse_gym import open3d_loader
 from greenhouse_gym.cli import app
 from greenhouse_gym.cli import doctor as examined
-from greenhouse_gym.scene import bank, opengl
+from greenhouse_gym.common import open3d_loader
+from greenhouse_gym.rendering import opengl
+from greenhouse_gym.scene import bank
 
 
 @pytest.fixture

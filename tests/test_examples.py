@@ -12,8 +12,8 @@ import pytest
 
 from greenhouse_gym.agents.named import make_agent
 from greenhouse_gym.capture.images import encode_png
+from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.evaluation import evaluate
-from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.planning.planners import _ALL
 
 EXAMPLES = Path(__file__).parent.parent / "examples"

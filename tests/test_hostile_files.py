@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 from conftest import make_scene
 
-from greenhouse_gym import paths
 from greenhouse_gym.capture import Camera, Intrinsics, Recording, RgbdFrame, Rig, Station, open_recording
 from greenhouse_gym.capture.images import read_color, read_depth
 from greenhouse_gym.capture.recordings import INDEX, write_recording
+from greenhouse_gym.common import files as paths
+from greenhouse_gym.common.files import checked_name, read_bytes
 from greenhouse_gym.errors import FileFormatError, InvalidValueError
-from greenhouse_gym.paths import checked_name, read_bytes
 from greenhouse_gym.scene import Scene, SceneBank, compile_scene
 from greenhouse_gym.scene.bank import write_bank
 from greenhouse_gym.scene.manifest import MANIFEST

@@ -26,7 +26,7 @@ def test_nothing_but_posix_is_needed_to_plan_and_evaluate() -> None:
         "for name in ('sched_getaffinity', 'sched_setaffinity'): delattr(os, name)\n"
         "import greenhouse_gym.evaluation, greenhouse_gym.planning, greenhouse_gym.planning.ompl_worker\n"
         "import greenhouse_gym.envs, greenhouse_gym.cli\n"
-        "from greenhouse_gym.parallel import usable_cores\n"
+        "from greenhouse_gym.common.executors import usable_cores\n"
         "assert usable_cores() >= 1\n"
         "from greenhouse_gym.agents import StillAgent\n"
         "from greenhouse_gym.evaluation import evaluate\n"

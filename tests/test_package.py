@@ -138,7 +138,7 @@ def test_the_wheel_installs_into_a_fresh_environment(wheel: Path, tmp_path: Path
 
 def test_the_banks_scenes_are_whole() -> None:
     """Every file of `default` is the manifest's, no row lies in two splits; the scenes of `mini` are read."""
-    from greenhouse_gym.cutting import BuildSettings
+    from greenhouse_gym.build.scenes import BuildSettings
     from greenhouse_gym.scene import DIFFICULTIES, SceneBank
     from greenhouse_gym.scene.manifest import SPLITS
 

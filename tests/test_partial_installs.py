@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from greenhouse_gym.extras import MODULES
+from greenhouse_gym.common.extras import MODULES
 
 ROOT = Path(__file__).parent.parent
 DECLARED = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]

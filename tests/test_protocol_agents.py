@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from greenhouse_gym.agents.arm_balls import arm_balls
 from greenhouse_gym.geometry import Box
+from greenhouse_gym.motion.arm_spheres import arm_balls
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.robots.kinematics import tool_state
 from greenhouse_gym.scene import Scene, Shapes

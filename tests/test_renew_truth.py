@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from greenhouse_gym.cutting import BuildSettings, truth_in_scene
+from greenhouse_gym.build.scenes import BuildSettings, truth_in_scene
+from greenhouse_gym.crops import PlantRow, grow_row
 from greenhouse_gym.geometry import pose, rotation_about
-from greenhouse_gym.plants import PlantRow, grow_row
 from greenhouse_gym.scene import Provenance, Scene, Stand
 
 Find = Callable[[PlantRow, Scene], np.ndarray]

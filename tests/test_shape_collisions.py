@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.accuracy import Visibility, VisibleRow
-from greenhouse_gym.crop import Stem, Tomato
+from greenhouse_gym.crops import PlantRow
+from greenhouse_gym.crops.parts import Stem, Tomato
 from greenhouse_gym.geometry import Box, Shape
-from greenhouse_gym.plants import PlantRow
 
 TOMATOES = tuple(Tomato([0.3, y, 1.2], 0.08, truss=0) for y in (-0.3, 0.0, 0.3))
 STEM = Stem([0.5, 0.0, 0.5], [0.5, 0.0, 1.6], 0.03, "main")

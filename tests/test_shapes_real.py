@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from greenhouse_gym.crop import Stem
+from greenhouse_gym.crops.parts import Stem
 from greenhouse_gym.geometry import Array, rotation_about
 
 FOLDER = Path(os.environ.get("GREENHOUSE_GYM_REAL_DATA", "/nonexistent"))

@@ -14,9 +14,9 @@ from row_helpers import HALF, rendered
 from greenhouse_gym.accuracy import distance_to_surface
 from greenhouse_gym.capture import Recording, Station, simulate_recording
 from greenhouse_gym.capture.simulated import photograph
+from greenhouse_gym.crops import grow_row
 from greenhouse_gym.errors import InvalidValueError, ReconstructionError
 from greenhouse_gym.geometry import invert, pose, rotation_about, rotation_angle, transform
-from greenhouse_gym.plants import grow_row
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, add_looks, reconstruct_row
 from greenhouse_gym.reconstruction import looks as module
 from greenhouse_gym.reconstruction.fattening import Fattening
@@ -24,7 +24,7 @@ from greenhouse_gym.reconstruction.seen import carve
 from greenhouse_gym.reconstruction.views import Calibration, StationView, view_station
 from greenhouse_gym.robots import ROBOTS, get_robot, load_robot
 from greenhouse_gym.scene import compile_scene
-from greenhouse_gym.scene.seen import UNSEEN
+from greenhouse_gym.scene.occupancy import UNSEEN
 from greenhouse_gym.wrist import look_rig
 
 pytestmark = pytest.mark.xdist_group("row")

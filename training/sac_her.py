@@ -13,9 +13,9 @@ from training_arguments import parsed
 
 from greenhouse_gym.agents import RandomAgent
 from greenhouse_gym.evaluation import Evaluation, compare, comparison_table
-from greenhouse_gym.integrations.sb3 import Sb3Agent
 from greenhouse_gym.learning import SacSettings, load_sac, train_sac
 from greenhouse_gym.learning.sac_report import SacProgress
+from greenhouse_gym.learning.sb3 import Sb3Agent
 
 
 def main() -> None:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TypeVar
 
-from greenhouse_gym.settings_files import as_toml, resolve
+from greenhouse_gym.common.settings_files import as_toml, resolve
 
 Settings = TypeVar("Settings")
 

@@ -13,10 +13,10 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from greenhouse_gym.capture.raycast import RowRaycaster
-from greenhouse_gym.crop import Tomato
+from greenhouse_gym.common.open3d_loader import open3d
+from greenhouse_gym.crops import PlantRow
+from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.geometry import Array, Box, Capsule, Shape, invert, pose, transform
-from greenhouse_gym.open3d_loader import open3d
-from greenhouse_gym.plants import PlantRow
 
 AnyShape = TypeVar("AnyShape", bound=Shape)
 

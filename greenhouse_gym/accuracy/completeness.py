@@ -8,8 +8,8 @@ from scipy.spatial import cKDTree
 from greenhouse_gym.capture.frames import RgbdFrame
 from greenhouse_gym.capture.raycast import RowRaycaster
 from greenhouse_gym.capture.rig import Intrinsics, Rig
+from greenhouse_gym.crops import PlantRow
 from greenhouse_gym.geometry import Array, transform
-from greenhouse_gym.plants import PlantRow
 
 
 def visible_surface(

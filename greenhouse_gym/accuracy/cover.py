@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from greenhouse_gym.accuracy.clouds import distance_to_surface
+from greenhouse_gym.crops import PlantRow
 from greenhouse_gym.geometry import Array, Box, Capsule, Shape, Sphere, distance_to_shapes, frame_along
-from greenhouse_gym.plants import PlantRow
 
 COVERED_WITHIN = 0.008
 """Metres from a shape within which a point counts as covered."""

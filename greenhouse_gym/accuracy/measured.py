@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from greenhouse_gym.clouds import Cloud
-from greenhouse_gym.crop import Tomato
+from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.geometry import distance_to_shapes
+from greenhouse_gym.reconstruction.point_clouds import Cloud
 
 _ON_SKIN = 0.003
 """Metres from a tomato's surface within which a point is its skin, with a depth camera's noise."""

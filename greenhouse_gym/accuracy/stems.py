@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.accuracy.shares import share
-from greenhouse_gym.crop import Stem
+from greenhouse_gym.crops.parts import Stem
 from greenhouse_gym.geometry import Array, Capsule, closest_on_segments
 
 AXIS_DISTANCE = 0.010

@@ -12,7 +12,7 @@ from scipy.optimize import linear_sum_assignment
 
 from greenhouse_gym.accuracy.shares import share
 from greenhouse_gym.accuracy.visibility import Visibility
-from greenhouse_gym.crop import Tomato
+from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.geometry import Array
 
 

@@ -14,9 +14,9 @@ from greenhouse_gym.accuracy.silhouettes import Outlines
 from greenhouse_gym.capture.raycast import RowRaycaster
 from greenhouse_gym.capture.rig import Camera, Rig
 from greenhouse_gym.capture.sensor import StereoNoise
-from greenhouse_gym.crop import Stem
+from greenhouse_gym.crops import PlantRow
+from greenhouse_gym.crops.parts import Stem
 from greenhouse_gym.geometry import Array, Box, Capsule, Shape, invert
-from greenhouse_gym.plants import PlantRow
 
 VISIBLE = 0.30
 """Share of its own pixels from which on an object counts as visible."""

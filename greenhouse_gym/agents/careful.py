@@ -11,12 +11,12 @@ import numpy.typing as npt
 
 from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.agents.guide import towards
-from greenhouse_gym.envs.ways import Ends, Headings, Place, Ways
+from greenhouse_gym.envs.waypoints import Ends, Headings, Place, Ways
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.planning.margins import with_margin
-from greenhouse_gym.planning.surfaces import shapeless, with_surfaces
-from greenhouse_gym.planning.unseen import depths_of, guarded
+from greenhouse_gym.motion.margins import with_margin
+from greenhouse_gym.motion.unexplained_cells import shapeless, with_surfaces
+from greenhouse_gym.motion.unknown_space import depths_of, guarded
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene, compile_scene
 
@@ -28,10 +28,10 @@ class Care(NamedTuple):
     """How careful a way is.
 
     Attributes:
-        margin: How far the arm keeps from boxes of clutter, metres; see `greenhouse_gym.planning.margins`.
+        margin: How far the arm keeps from boxes of clutter, metres; see `greenhouse_gym.motion.margins`.
         depth: How deep it goes into unseen space at most, metres.
         surfaces: Whether it keeps out of where the scan saw a surface without a shape; see
-            `greenhouse_gym.planning.surfaces`.
+            `greenhouse_gym.motion.unexplained_cells`.
     """
 
     margin: float

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from greenhouse_gym.agents.agent import Agent, Problem, check_agent
+from greenhouse_gym.common.extras import needs
 from greenhouse_gym.envs import TomatoReachEnv
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.extras import needs
 from greenhouse_gym.scene import SceneBank
 
 DATA_SET = "tomato-reach/{agent}-v0"

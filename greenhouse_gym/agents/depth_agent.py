@@ -10,15 +10,15 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.agents.agent import Problem
-from greenhouse_gym.agents.approaches import FRONT, approaches, glance, looks_at
-from greenhouse_gym.agents.arm_balls import arm_balls
 from greenhouse_gym.agents.guide import towards
 from greenhouse_gym.agents.judging import DEEP, RESOLUTION, Judge, between, features_of, guessed, length
 from greenhouse_gym.agents.policy import Policy
 from greenhouse_gym.agents.policy_agent import PolicyAgent
 from greenhouse_gym.agents.sight_map import SightMap, sensed
-from greenhouse_gym.envs.cameras import DepthCamera
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.motion.approaches import FRONT, approaches, glance, looks_at
+from greenhouse_gym.motion.arm_spheres import arm_balls
+from greenhouse_gym.rendering.cameras import DepthCamera
 
 EVERY = 5
 """Steps after which the agent looks for a way anew; it is also when it has come to the end of one."""

@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import binary_erosion, grey_dilation, label, maximum
 
-from greenhouse_gym.envs.cameras import MAX_RANGE, DepthCamera, stereo_noise
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.rendering.cameras import MAX_RANGE, DepthCamera, stereo_noise
 
 TRUSTED = 0.006
 """Readings whose doubt is larger say nothing, metres."""

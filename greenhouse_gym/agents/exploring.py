@@ -16,7 +16,7 @@ from greenhouse_gym.agents.watchful import WatchfulAgent
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.mjcf import base_position
-from greenhouse_gym.scene.seen import REACH, UNSEEN, SeenSpace
+from greenhouse_gym.scene.occupancy import REACH, UNSEEN, SeenSpace
 
 _VOXEL = 0.05  # metres
 

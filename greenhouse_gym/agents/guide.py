@@ -16,14 +16,14 @@ import numpy.typing as npt
 
 from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.motion.goals import search_goals
+from greenhouse_gym.motion.inverse_kinematics import inverse_kinematics
+from greenhouse_gym.motion.reach import joint_reaches
 from greenhouse_gym.planning import CollisionChecker, planning_model, resample
-from greenhouse_gym.planning.goals import search_goals
 from greenhouse_gym.planning.query import plan_with
 from greenhouse_gym.robots import Robot
-from greenhouse_gym.robots.inverse_kinematics import inverse_kinematics
 from greenhouse_gym.robots.kinematics import tool_chain
 from greenhouse_gym.scene import CompiledScene, compile_scene
-from greenhouse_gym.scene.reaches import joint_reaches
 
 MARGINS = (0.012, 0.004, 0.0)
 """Distances to obstacles that are kept, metres: the next one where there is no way with the one before."""

@@ -9,10 +9,10 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.agents.arm_balls import PARTS
 from greenhouse_gym.agents.policy import Policy
 from greenhouse_gym.agents.sight_map import SightMap
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.motion.arm_spheres import PARTS
 
 RESOLUTION = 0.04
 """How far any point of the arm may move between the configurations of a way that are looked at, metres."""

@@ -8,9 +8,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
 from greenhouse_gym.agents.agent import Problem
-from greenhouse_gym.agents.arm_balls import arm_balls
 from greenhouse_gym.agents.sight_map import SightMap
-from greenhouse_gym.envs.cameras import DepthCamera
 from greenhouse_gym.geometry import (
     Array,
     Box,
@@ -22,10 +20,12 @@ from greenhouse_gym.geometry import (
     rotation_about,
     transform,
 )
-from greenhouse_gym.planning.surfaces import shapeless
+from greenhouse_gym.motion.arm_spheres import arm_balls
+from greenhouse_gym.motion.unexplained_cells import shapeless
+from greenhouse_gym.rendering.cameras import DepthCamera
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.mjcf import base_position
-from greenhouse_gym.scene.seen import EMPTY, SURFACE, UNSEEN, SeenSpace, boxes_around
+from greenhouse_gym.scene.occupancy import EMPTY, SURFACE, UNSEEN, SeenSpace, boxes_around
 
 ROOM = 0.002
 """How near the arm may come to what its camera has shown, metres."""

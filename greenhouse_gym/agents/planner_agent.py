@@ -23,7 +23,7 @@ SEEN_ENOUGH = ("upright-back",)
 """Protocols that see the leaves in the aisle: plans held there without care, and with it many tomatoes had none."""
 
 RIM = 0.01
-"""How far planned paths keep from boxes of leaves by default, metres; see `greenhouse_gym.planning.margins`."""
+"""How far planned paths keep from boxes of leaves by default, metres; see `greenhouse_gym.motion.margins`."""
 
 
 def usual_care(scene: Scene) -> str | float:
@@ -91,7 +91,7 @@ class PlannerAgent:
             out, `RIM` in scenes whose boxes go by the area of the foliage, as they are built now, and 0 in others.
         attempts: How many times it plans at most while there is no path, each time with another seed.
         surfaces: Whether it keeps out of where the scan saw a surface without a shape, in scenes that say what was
-            seen; see `greenhouse_gym.planning.surfaces`.
+            seen; see `greenhouse_gym.motion.unexplained_cells`.
 
     Attributes:
         result: The last episode's plan, or None before the first.

@@ -14,8 +14,8 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError
 
 from greenhouse_gym.agents.goal_features import flaw_of
+from greenhouse_gym.common.files import first_fault, parsing, read_bytes, write_atomically
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, MissingDependencyError
-from greenhouse_gym.paths import first_fault, parsing, read_bytes, write_atomically
 
 Float32 = npt.NDArray[np.float32]
 

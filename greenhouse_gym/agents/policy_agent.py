@@ -11,8 +11,8 @@ import numpy.typing as npt
 from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.agents.goal_features import GOAL_FEATURES, goal_vector
 from greenhouse_gym.agents.policy import Float32, Policy, described_at
+from greenhouse_gym.common.files import data_path
 from greenhouse_gym.errors import InvalidValueError, UnknownNameError
-from greenhouse_gym.paths import data_path
 
 __all__ = ["BEST", "Policy", "PolicyAgent", "shipped_policies"]
 

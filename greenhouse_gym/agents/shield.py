@@ -12,9 +12,9 @@ import numpy.typing as npt
 from greenhouse_gym.agents.agent import Agent, Problem
 from greenhouse_gym.agents.policy_agent import BEST, PolicyAgent
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.motion.collision import MARGIN, PROOF
 from greenhouse_gym.planning import CollisionChecker, planning_model
 from greenhouse_gym.scene import compile_scene
-from greenhouse_gym.scene.collision import MARGIN, PROOF
 
 CANDIDATES = 32
 """Other actions that are tried where the agent's own would touch something."""

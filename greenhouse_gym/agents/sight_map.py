@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.distance import cdist
 
-from greenhouse_gym.agents.arm_balls import ArmBalls
 from greenhouse_gym.agents.depth_reading import perfect_reading, stereo_reading
-from greenhouse_gym.envs.cameras import MAX_RANGE, TIP_FROM_WRIST, DepthCamera
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.motion.arm_spheres import ArmBalls
+from greenhouse_gym.rendering.cameras import MAX_RANGE, TIP_FROM_WRIST, DepthCamera
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.robots.kinematics import Chain, joint_frames
 

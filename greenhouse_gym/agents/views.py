@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.agents.arm_balls import ArmBalls
 from greenhouse_gym.agents.sight_map import wrist_camera
-from greenhouse_gym.envs.cameras import DepthCamera
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.motion.arm_spheres import ArmBalls
+from greenhouse_gym.rendering.cameras import DepthCamera
 from greenhouse_gym.robots import Robot
 
 VIEWS, SPREADS = 400, (0.24, 1.2)

@@ -11,27 +11,27 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from greenhouse_gym.agents.agent import Problem
-from greenhouse_gym.agents.approaches import FRONT, glance
-from greenhouse_gym.agents.arm_balls import arm_balls
 from greenhouse_gym.agents.careful import CAREFUL_DEPTHS, Care, cared, careful_ways, ends_of
 from greenhouse_gym.agents.guide import towards
 from greenhouse_gym.agents.judging import between
 from greenhouse_gym.agents.knowledge import Knowledge
 from greenhouse_gym.agents.sight_map import sensed
 from greenhouse_gym.agents.views import DEPTHS, NOISY_DEPTHS, views
-from greenhouse_gym.envs.cameras import DepthCamera
-from greenhouse_gym.envs.images import DepthObservation
-from greenhouse_gym.envs.roadmap import RESOLUTION
-from greenhouse_gym.envs.ways import GOALS, MARGIN, MOST_ROUNDS, REACHED, Ways, free_goals
+from greenhouse_gym.envs.image_observations import DepthObservation
+from greenhouse_gym.envs.waypoints import GOALS, MARGIN, MOST_ROUNDS, REACHED, Ways, free_goals
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.motion.approaches import FRONT, glance
+from greenhouse_gym.motion.arm_spheres import arm_balls
+from greenhouse_gym.motion.collision import CollisionChecker, planning_model
+from greenhouse_gym.motion.margins import check_margin
+from greenhouse_gym.motion.reach import arm_reaches
+from greenhouse_gym.motion.roadmap import RESOLUTION
+from greenhouse_gym.motion.unexplained_cells import shapeless, with_surfaces
+from greenhouse_gym.motion.unknown_space import guarded
 from greenhouse_gym.planning import plan
-from greenhouse_gym.planning.margins import check_margin
-from greenhouse_gym.planning.surfaces import shapeless, with_surfaces
-from greenhouse_gym.planning.unseen import guarded
+from greenhouse_gym.rendering.cameras import DepthCamera
 from greenhouse_gym.scene import Scene, compile_scene
-from greenhouse_gym.scene.collision import CollisionChecker, planning_model
-from greenhouse_gym.scene.reaches import arm_reaches
 
 PLANS, LOOKS = 10, 4
 """How many times the agent looks for a way in an episode at most, and for what nobody has seen on its way."""
@@ -75,9 +75,9 @@ class WatchfulAgent:
 
     Args:
         margin: How far it keeps from boxes of clutter where there is room, metres: leaves reach farther than a scan
-            shows, see `greenhouse_gym.planning.margins`. Where there is none, half of it has to do, and then nothing.
+            shows, see `greenhouse_gym.motion.margins`. Where there is none, half of it has to do, and then nothing.
         surfaces: Whether it keeps out of where the scan saw a surface without a shape, as far as that goes, and looks
-            there as at what nobody has seen; see `greenhouse_gym.planning.surfaces`.
+            there as at what nobody has seen; see `greenhouse_gym.motion.unexplained_cells`.
         depth: How deep it goes into unseen space where it can do with that, metres.
         image: Width and height of its camera's images, pixels.
         noisy: Whether it reads its images as ones with the noise of a D435, as ``Randomization(depth_noise=True)`` has

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 from greenhouse_gym.capture.frames import RgbdFrame, Station
 from greenhouse_gym.capture.rig import Intrinsics, Rig
 from greenhouse_gym.capture.rig_file import Mounting
+from greenhouse_gym.common.extras import needs
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.extras import needs
 from greenhouse_gym.geometry import Array, invert, pose, rotation_angle, transform
 
 with needs("reconstruct"):

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from greenhouse_gym.capture.recordings import Recording
+from greenhouse_gym.common.files import parsing
 from greenhouse_gym.errors import FileFormatError
-from greenhouse_gym.paths import parsing
 
 _BLOCK = 2**20  # bytes
 

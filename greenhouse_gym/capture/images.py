@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from greenhouse_gym.common.extras import needs
+from greenhouse_gym.common.files import parsing, read_bytes
 from greenhouse_gym.errors import FileFormatError
-from greenhouse_gym.extras import needs
-from greenhouse_gym.paths import parsing, read_bytes
 
 with needs("reconstruct"):
     import cv2

@@ -10,9 +10,9 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from greenhouse_gym.capture.light import Skin
+from greenhouse_gym.crops import Organ, PlantRow
+from greenhouse_gym.crops.organs import THIN_KINDS
 from greenhouse_gym.geometry import Array, Box, Capsule, Shape
-from greenhouse_gym.plants import Organ, PlantRow
-from greenhouse_gym.plants.organs import THIN_KINDS
 
 _SHINE = {"fruit": 0.35, "leaf": 0.06, "calyx": 0.04, "pipe": 0.3, "gutter": 0.1}
 _SPACING = 0.005  # m between the points that stand for a shape

@@ -15,8 +15,8 @@ from greenhouse_gym.capture.passes import join_passes
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.capture.rig import SEED_RIG, Rig, three_camera_rig
 from greenhouse_gym.capture.simulated import WalkSettings, simulate_recording
+from greenhouse_gym.crops.plant_row import STEM_LINE, PlantRow
 from greenhouse_gym.errors import require_choice
-from greenhouse_gym.plants.plant_row import STEM_LINE, PlantRow
 
 
 @dataclass(frozen=True, eq=False)

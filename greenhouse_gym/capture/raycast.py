@@ -12,10 +12,10 @@ import numpy.typing as npt
 from greenhouse_gym.capture.light import Light, Skin, shade
 from greenhouse_gym.capture.meshes import mesh_of
 from greenhouse_gym.capture.rig import Intrinsics
+from greenhouse_gym.common.open3d_loader import open3d
+from greenhouse_gym.crops import PlantRow
+from greenhouse_gym.crops.plant_row import GUTTER_COLOR
 from greenhouse_gym.geometry import Array, Box, Capsule, Shape, Sphere, frame_along, invert
-from greenhouse_gym.open3d_loader import open3d
-from greenhouse_gym.plants import PlantRow
-from greenhouse_gym.plants.plant_row import GUTTER_COLOR
 
 _STEM_COLORS = {
     "main": (0.36, 0.50, 0.22),

@@ -20,7 +20,7 @@ from greenhouse_gym.capture.images import encode_png
 from greenhouse_gym.capture.inspection import faults_of, near_plants
 from greenhouse_gym.capture.recordings import RecordingWriter
 from greenhouse_gym.capture.rig import Rig
-from greenhouse_gym.paths import write_atomically
+from greenhouse_gym.common.files import write_atomically
 
 PREVIEW = "preview.png"
 """What the cameras show, beside the recording, with all that is too far for plants darkened; renewed on the way."""

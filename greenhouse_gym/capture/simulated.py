@@ -16,9 +16,9 @@ from greenhouse_gym.capture.raycast import RowRaycaster, View
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.capture.rig import SEED_RIG, Camera, Rig
 from greenhouse_gym.capture.sensor import StereoDoubt, StereoNoise, doubtful, draw_biases, mix_edges, sense_depth
+from greenhouse_gym.crops import PlantRow
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, pose, rotation_about
-from greenhouse_gym.plants import PlantRow
 
 
 @dataclass(frozen=True)

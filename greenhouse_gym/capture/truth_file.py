@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from greenhouse_gym.array_files import read_arrays
+from greenhouse_gym.common.array_files import read_arrays
+from greenhouse_gym.common.files import parsing, read_bytes, write_atomically
+from greenhouse_gym.crops.row import PlantRow
+from greenhouse_gym.crops.shape_tables import ShapeTables, as_tables, from_tables
+from greenhouse_gym.crops.truth_shapes import truth_of
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.packing import ShapeTables, as_tables, from_tables
-from greenhouse_gym.paths import parsing, read_bytes, write_atomically
-from greenhouse_gym.plants.row import PlantRow
-from greenhouse_gym.plants.truth import truth_of
 
 TRUTH = "truth.npz"
 LARGEST = 50_000_000

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.progress import track
 
-from greenhouse_gym.progress import CONSOLE, say
+from greenhouse_gym.common.progress import CONSOLE, say
 
 if TYPE_CHECKING:
     from greenhouse_gym.planning import PlanResult
@@ -37,8 +37,8 @@ def plan(
     from greenhouse_gym.errors import InvalidValueError
     from greenhouse_gym.planning import PLANNERS, goal_configurations, resample
     from greenhouse_gym.planning import plan as plan_path
+    from greenhouse_gym.rendering.task_pictures import picture_of_path
     from greenhouse_gym.scene import SceneBank
-    from greenhouse_gym.scene.task_pictures import picture_of_path
 
     if time_limit is None and max_checks is None:
         time_limit = 5.0
@@ -123,10 +123,10 @@ def render(
     bank: Bank = "default",
 ) -> None:
     """Draw a scene with the arm at its start."""
+    from greenhouse_gym.rendering.task_pictures import picture_of_path
     from greenhouse_gym.reporting.pictures import save
     from greenhouse_gym.robots import get_robot
     from greenhouse_gym.scene import SceneBank
-    from greenhouse_gym.scene.task_pictures import picture_of_path
 
     arm = get_robot("ur5e")
     opened = SceneBank.open(bank)

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from greenhouse_gym.progress import progress, say
+from greenhouse_gym.common.progress import progress, say
 
 
 def mount(

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from greenhouse_gym.progress import progress, say
+from greenhouse_gym.common.progress import progress, say
 
 Bank = Annotated[str, typer.Argument(help="A shipped bank's name or a bank's folder.")]
 Several = Annotated[list[str] | None, typer.Option(help="May be given several times; all when left out.")]
@@ -57,7 +57,7 @@ def show(
     robot: Annotated[str, typer.Option(help="Name or file of the arm.")] = "ur5e",
 ) -> None:
     """Write a page that shows a scene from all sides, with truth, seen space and witnesses; it needs no network."""
-    from greenhouse_gym.paths import write_atomically
+    from greenhouse_gym.common.files import write_atomically
     from greenhouse_gym.reporting.scene_page import scene_page
     from greenhouse_gym.robots import get_robot
     from greenhouse_gym.scene import SceneBank
@@ -83,8 +83,8 @@ def filter_(
     difficulty: Several = None,
 ) -> None:
     """Write the scenes of some kinds as a new bank; with --join, those of several banks together."""
+    from greenhouse_gym.common.files import exclusive
     from greenhouse_gym.errors import InvalidValueError
-    from greenhouse_gym.paths import exclusive
     from greenhouse_gym.scene import SceneBank
     from greenhouse_gym.scene.bank import write_bank
 

@@ -12,7 +12,7 @@ import typer
 from greenhouse_gym.cli.acting import Bank
 from greenhouse_gym.cli.acting import parts as _parts
 from greenhouse_gym.cli.spread import Address, Backend, Workers, spread
-from greenhouse_gym.progress import say
+from greenhouse_gym.common.progress import say
 
 if TYPE_CHECKING:
     from greenhouse_gym.agents import Agent
@@ -58,12 +58,12 @@ def compare(
 
     from greenhouse_gym.agents.named import make_agent
     from greenhouse_gym.agents.policy_agent import BEST
+    from greenhouse_gym.common.files import require_writable, write_atomically
     from greenhouse_gym.errors import require_choice
     from greenhouse_gym.evaluation import compare as run
     from greenhouse_gym.evaluation import comparison_table
-    from greenhouse_gym.leaderboard import TRACKS
-    from greenhouse_gym.paths import require_writable, write_atomically
-    from greenhouse_gym.records import pairing
+    from greenhouse_gym.evaluation.leaderboard import TRACKS
+    from greenhouse_gym.evaluation.records import pairing
     from greenhouse_gym.reporting.comparison import comparison_report
 
     asked = [*(names or ()), *_parts(agents)] or ["RRTConnect", BEST, "random"]
@@ -135,8 +135,8 @@ def submit(
     from dataclasses import replace
 
     from greenhouse_gym.agents.named import make_agent
-    from greenhouse_gym.leaderboard import V1, leaderboard_table, read_entry
-    from greenhouse_gym.leaderboard import submit as play
+    from greenhouse_gym.evaluation.leaderboard import V1, leaderboard_table, read_entry
+    from greenhouse_gym.evaluation.leaderboard import submit as play
 
     player, rules = make_agent(agent), replace(V1, episodes=episodes)
     with spread(backend, workers, address) as executor:
@@ -150,9 +150,9 @@ def leaderboard(
     report: Annotated[Path | None, typer.Option(help=_REPORT)] = None,
 ) -> None:
     """Print the table of all entries of a folder, track by track."""
+    from greenhouse_gym.common.files import write_atomically
     from greenhouse_gym.errors import FileFormatError
-    from greenhouse_gym.leaderboard import leaderboard_table, read_entry
-    from greenhouse_gym.paths import write_atomically
+    from greenhouse_gym.evaluation.leaderboard import leaderboard_table, read_entry
 
     entries = [read_entry(path) for path in sorted(folder.glob("*.json"))]
     if not entries:
@@ -177,7 +177,7 @@ def demonstrations(
     """Let an agent act and keep its successful episodes as a Minari data set."""
     from greenhouse_gym.agents.demonstrations import record_demonstrations
     from greenhouse_gym.agents.named import make_agent
-    from greenhouse_gym.progress import progress
+    from greenhouse_gym.common.progress import progress
 
     player = make_agent(agent)
     options = {"bank": bank, "observation": observation, **player.env_options}

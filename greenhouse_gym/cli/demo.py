@@ -18,9 +18,9 @@ from greenhouse_gym.cli.demo_acting import (
 )
 from greenhouse_gym.cli.demo_report import QUICK, DemoSettings, Report
 from greenhouse_gym.cli.demo_sensing import extract, reconstruct, simulate
-from greenhouse_gym.extras import require_extras
-from greenhouse_gym.paths import exclusive, write_atomically
-from greenhouse_gym.progress import CONSOLE, say
+from greenhouse_gym.common.extras import require_extras
+from greenhouse_gym.common.files import exclusive, write_atomically
+from greenhouse_gym.common.progress import CONSOLE, say
 
 
 def demo(

@@ -12,8 +12,8 @@ import numpy as np
 import typer
 
 from greenhouse_gym.cli.demo_report import DemoSettings, Report
-from greenhouse_gym.paths import write_atomically
-from greenhouse_gym.progress import progress
+from greenhouse_gym.common.files import write_atomically
+from greenhouse_gym.common.progress import progress
 
 if TYPE_CHECKING:
     from greenhouse_gym.capture import Recording
@@ -27,7 +27,7 @@ def build(
     out: Path, recording: Recording, cloud: RowCloud, shapes: RowShapes, demo_settings: DemoSettings, report: Report
 ) -> SceneBank:
     """Cut two scenes out of the row and certify their tomatoes; both are for training."""
-    from greenhouse_gym.cutting import BuildSettings, cut_scenes
+    from greenhouse_gym.build.scenes import BuildSettings, cut_scenes
     from greenhouse_gym.planning import certify_targets
     from greenhouse_gym.scene.bank import write_bank
 
@@ -85,9 +85,9 @@ def follow_in_the_true_row(bank: SceneBank, settings: DemoSettings, report: Repo
 def draw_the_arm(out: Path, recording: Recording, cloud: RowCloud, bank: SceneBank, report: Report) -> None:
     """Draw the arm at the start and at the end of a witness, and the overview of the whole chain."""
     from greenhouse_gym.planning import resample
+    from greenhouse_gym.rendering.task_pictures import picture_of_path
     from greenhouse_gym.reporting.pictures import overview, save, splat, upright
     from greenhouse_gym.robots import get_robot
-    from greenhouse_gym.scene.task_pictures import picture_of_path
 
     with report.stage("pictures of the arm") as results:
         scene, target = _showpiece(bank)

@@ -10,7 +10,7 @@ from typing import Any
 
 from rich.table import Table
 
-from greenhouse_gym.progress import CONSOLE
+from greenhouse_gym.common.progress import CONSOLE
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from greenhouse_gym.cli.demo_report import DemoSettings, Report
-from greenhouse_gym.progress import progress
+from greenhouse_gym.common.progress import progress
 
 if TYPE_CHECKING:
     from greenhouse_gym.capture import Recording
-    from greenhouse_gym.plants import PlantRow
+    from greenhouse_gym.crops import PlantRow
     from greenhouse_gym.reconstruction import RowCloud
     from greenhouse_gym.shapes import RowShapes
 
@@ -22,7 +22,7 @@ def simulate(out: Path, seed: int, settings: DemoSettings, report: Report) -> tu
     """Grow a row and record it; the recording is read back from its files."""
     from greenhouse_gym.capture import open_recording, simulate_recording, write_recording
     from greenhouse_gym.capture.recordings import INDEX
-    from greenhouse_gym.plants import grow_row
+    from greenhouse_gym.crops import grow_row
 
     with report.stage("simulate a row") as results:
         row = grow_row(seed, settings.length)

@@ -15,10 +15,10 @@ from typing import NamedTuple
 import typer
 
 from greenhouse_gym import __version__
+from greenhouse_gym.common.extras import MODULES
+from greenhouse_gym.common.files import data_path
+from greenhouse_gym.common.progress import CONSOLE, say
 from greenhouse_gym.errors import GreenhouseError
-from greenhouse_gym.extras import MODULES
-from greenhouse_gym.paths import data_path
-from greenhouse_gym.progress import CONSOLE, say
 
 NOT_FOR_USERS = ("all", "dev", "docs")
 """Extras that gather others, or that only those need who work on the package itself."""
@@ -74,7 +74,7 @@ def _python() -> Finding:
 
 
 def _cores() -> Finding:
-    from greenhouse_gym.parallel import usable_cores
+    from greenhouse_gym.common.executors import usable_cores
 
     cores = usable_cores()
     threads = os.environ.get("OMP_NUM_THREADS")
@@ -110,7 +110,7 @@ def _installed(extra: str, names: list[str]) -> Finding:
 
 
 def _load(module: str) -> None:
-    from greenhouse_gym.open3d_loader import open3d
+    from greenhouse_gym.common.open3d_loader import open3d
 
     if module == "open3d":
         open3d()  # which finds it a library that it may lack
@@ -121,7 +121,7 @@ def _load(module: str) -> None:
 def _opengl() -> Finding:
     import mujoco
 
-    from greenhouse_gym.scene.opengl import OpenGLMissingError, OpenGLRenderer
+    from greenhouse_gym.rendering.opengl import OpenGLMissingError, OpenGLRenderer
 
     try:
         OpenGLRenderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 16, 16).close()

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from greenhouse_gym.cli.sensing import Format
-from greenhouse_gym.progress import progress, say
+from greenhouse_gym.common.progress import progress, say
 
 if TYPE_CHECKING:
     from greenhouse_gym.capture import Recording
@@ -40,8 +40,8 @@ def import_(
     from greenhouse_gym.capture.images import encode_png
     from greenhouse_gym.capture.inspection import inspect_recording
     from greenhouse_gym.capture.recordings import INDEX
+    from greenhouse_gym.common.files import write_atomically
     from greenhouse_gym.errors import FileFormatError
-    from greenhouse_gym.paths import write_atomically
     from greenhouse_gym.reporting.overview import overview
 
     if (out / INDEX).exists():

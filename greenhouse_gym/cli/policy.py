@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from greenhouse_gym.progress import say
+from greenhouse_gym.common.progress import say
 
 app = typer.Typer(help="Write trained policies for others.", no_args_is_help=True)
 
@@ -24,8 +24,8 @@ def export(
 ) -> None:
     """Write a policy as one ONNX file: observation in, action out, for runtimes without this package."""
     from greenhouse_gym.agents import PolicyAgent
+    from greenhouse_gym.common.extras import require_extras
     from greenhouse_gym.export.onnx_model import export_policy
-    from greenhouse_gym.extras import require_extras
 
     require_extras("onnx")
     agent = PolicyAgent.load(policy)

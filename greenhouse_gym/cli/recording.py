@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated, TextIO
 import typer
 
 from greenhouse_gym.cli.importing import RigFile
+from greenhouse_gym.common.progress import say
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.progress import say
 
 if TYPE_CHECKING:
     from greenhouse_gym.capture import Station

@@ -8,8 +8,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from greenhouse_gym.capture import Recording
+from greenhouse_gym.common.files import write_atomically
+from greenhouse_gym.common.settings_files import as_toml
 from greenhouse_gym.errors import FileWriteError
-from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.reconstruction import (
     ReconstructionSettings,
     RowCloud,
@@ -23,7 +24,6 @@ from greenhouse_gym.reconstruction.surface import save_mesh, save_points
 from greenhouse_gym.reconstruction.walk import Walk
 from greenhouse_gym.reporting.pictures import registration_pictures, row_pictures, seen_picture
 from greenhouse_gym.reporting.report_page import report_page, segment_name
-from greenhouse_gym.settings_files import as_toml
 
 
 def write_results(

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from greenhouse_gym.cli.settings import Assignments, SettingsFile, shown
-from greenhouse_gym.progress import say
+from greenhouse_gym.common.progress import say
 
 if TYPE_CHECKING:
-    from greenhouse_gym.scans import Scan, ScannedRow
+    from greenhouse_gym.build.scans import Scan, ScannedRow
 
 Units = Annotated[str | None, typer.Option(help="Unit of the cloud: m, cm, mm or a number of metres; else guessed.")]
 Up = Annotated[
@@ -44,11 +44,11 @@ def shapes(
     Writes shapes.json (metres, z up), cloud.ply (the cloud in that frame) and report.json (what was assumed, and what
     brings the file's points, times its unit, into that frame).
     """
-    from greenhouse_gym.paths import write_atomically
+    from greenhouse_gym.build.scans import extract_from_scan
+    from greenhouse_gym.common.files import write_atomically
+    from greenhouse_gym.common.settings_files import resolve
     from greenhouse_gym.reconstruction.surface import save_points
-    from greenhouse_gym.scans import extract_from_scan
     from greenhouse_gym.scene import Shapes
-    from greenhouse_gym.settings_files import resolve
     from greenhouse_gym.shapes import ShapeSettings, ShapeWarning
 
     resolved = resolve(ShapeSettings(), settings, assignments or ())
@@ -70,13 +70,13 @@ def shapes(
 
 def scanned(cloud: Path, units: str | None, up: str | None, seen_from: str | None, floor: float | None) -> ScannedRow:
     """A cloud as a row to build a bank of, from the texts of the options."""
-    from greenhouse_gym.scans import scanned_row
+    from greenhouse_gym.build.scans import scanned_row
 
     return scanned_row(_opened(cloud, units, up, seen_from), floor)
 
 
 def _opened(cloud: Path, units: str | None, up: str | None, seen_from: str | None) -> Scan:
-    from greenhouse_gym.scans import open_scan
+    from greenhouse_gym.build.scans import open_scan
 
     told = (_number(units), _numbers("--up", up) if up and "," in up else up, _numbers("--seen-from", seen_from))
     if cloud.is_file():

@@ -11,7 +11,7 @@ import typer
 from greenhouse_gym.cli.scans import Floor, SeenFrom, Units, Up, scanned
 from greenhouse_gym.cli.settings import Assignments, SettingsFile, shown
 from greenhouse_gym.cli.spread import Address, Backend, Workers, spread
-from greenhouse_gym.progress import CONSOLE, progress, say
+from greenhouse_gym.common.progress import CONSOLE, progress, say
 
 if TYPE_CHECKING:
     from greenhouse_gym.capture import Recording
@@ -28,7 +28,7 @@ def _reconstruction_settings() -> object:
 
 
 def _build_settings() -> object:
-    from greenhouse_gym.cutting import BuildSettings
+    from greenhouse_gym.build.scenes import BuildSettings
 
     return BuildSettings()
 
@@ -46,7 +46,7 @@ def simulate(
 ) -> None:
     """Grow a row and photograph it with a simulated rig."""
     from greenhouse_gym.capture import simulate_protocol, write_recording
-    from greenhouse_gym.plants import grow_row
+    from greenhouse_gym.crops import grow_row
 
     recording = simulate_protocol(grow_row(seed, length, week, style, source=source), seed, protocol)
     with progress("stations", len(recording)) as done:
@@ -73,10 +73,10 @@ def reconstruct(
     What is done so far is kept in the folder "walk" beside the results until all results are written.
     """
     from greenhouse_gym.capture import open_recording
+    from greenhouse_gym.common.files import exclusive
+    from greenhouse_gym.common.settings_files import resolve
     from greenhouse_gym.errors import require_choice
-    from greenhouse_gym.paths import exclusive
     from greenhouse_gym.reconstruction import METHODS, settings_for
-    from greenhouse_gym.settings_files import resolve
 
     require_choice("meshing method", method, METHODS)
     opened = open_recording(recording, format)
@@ -163,15 +163,15 @@ def build(
 
     Settings of the reconstruction that are not given are those that the recordings' protocol needs.
     """
-    from greenhouse_gym.extras import require_extras
+    from greenhouse_gym.common.extras import require_extras
 
     require_extras("reconstruct", "plan")
     from greenhouse_gym.build import build_bank
+    from greenhouse_gym.build.scenes import BuildSettings
     from greenhouse_gym.capture import open_recording
-    from greenhouse_gym.cutting import BuildSettings
-    from greenhouse_gym.paths import write_atomically
+    from greenhouse_gym.common.files import write_atomically
+    from greenhouse_gym.common.settings_files import as_toml, resolve
     from greenhouse_gym.reconstruction import settings_for
-    from greenhouse_gym.settings_files import as_toml, resolve
 
     opened = [
         scanned(path, units, up, seen_from, floor) if cloud else open_recording(path, format) for path in recordings
@@ -212,8 +212,8 @@ def build_shipped(
 
     An interrupted build goes on where it stopped.
     """
-    from greenhouse_gym import parallel
-    from greenhouse_gym.shipped import build_shipped_banks, join_parts
+    from greenhouse_gym.build.shipped import build_shipped_banks, join_parts
+    from greenhouse_gym.common import executors as parallel
 
     if finished_only:
         banks = join_parts(parts, out)

@@ -24,7 +24,7 @@ def shown(defaults: Callable[[], object]) -> Any:
 
     def show(wanted: bool) -> None:
         if wanted:
-            from greenhouse_gym.settings_files import as_toml
+            from greenhouse_gym.common.settings_files import as_toml
 
             typer.echo(as_toml(defaults(), comments=True), nl=False)
             raise typer.Exit

@@ -30,7 +30,7 @@ def spread(
     Without a backend, processes are taken where they are asked for by their number, or where there are several pieces
     of work and idle cores; a Ray cluster where its address is given.
     """
-    from greenhouse_gym.parallel import executor_for, idle_cores
+    from greenhouse_gym.common.executors import executor_for, idle_cores
 
     if backend is None:
         many = workers is not None or (pieces > 1 and idle_cores() > 1)

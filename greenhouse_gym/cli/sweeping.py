@@ -10,7 +10,7 @@ import typer
 
 from greenhouse_gym.cli.settings import Assignments, SettingsFile
 from greenhouse_gym.cli.spread import Address, Backend, Workers, spread
-from greenhouse_gym.progress import say
+from greenhouse_gym.common.progress import say
 
 _SECONDS_BETWEEN_LINES = 20.0
 
@@ -39,8 +39,8 @@ def sweep(
     Each training has a folder of its own, as `train` leaves it; sweep.json lists all that are done, the best first.
     With ray the trainings are trials of Ray Tune, whose own files are in the folder tune.
     """
+    from greenhouse_gym.common.settings_files import assigned, resolve
     from greenhouse_gym.learning import PpoSettings, sweep_ppo
-    from greenhouse_gym.settings_files import assigned, resolve
 
     shared = resolve(PpoSettings(bank=bank, total_steps=steps), settings, assignments or ())
     choices: dict[str, list[Any]] = {}

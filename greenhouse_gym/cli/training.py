@@ -11,7 +11,7 @@ import typer
 from greenhouse_gym.cli.acting import Bank
 from greenhouse_gym.cli.settings import Assignments, SettingsFile
 from greenhouse_gym.cli.spread import Address
-from greenhouse_gym.progress import say
+from greenhouse_gym.common.progress import say
 
 if TYPE_CHECKING:
     from greenhouse_gym.learning.sac_report import SacProgress
@@ -48,11 +48,11 @@ def train(
     """Train a policy. Settings from a file and from --set replace what --bank, --steps and --seed say."""
     from functools import partial
 
+    from greenhouse_gym.common.files import write_atomically
+    from greenhouse_gym.common.settings_files import as_toml, resolve
     from greenhouse_gym.errors import require_choice
-    from greenhouse_gym.integrations.sb3 import make_sb3_vec_env
-    from greenhouse_gym.integrations.sb3_ray import make_sb3_ray_vec_env
-    from greenhouse_gym.paths import write_atomically
-    from greenhouse_gym.settings_files import as_toml, resolve
+    from greenhouse_gym.learning.sb3 import make_sb3_vec_env
+    from greenhouse_gym.learning.sb3_ray import make_sb3_ray_vec_env
 
     usual = _settings(require_choice("algorithm", algorithm, ALGORITHMS), bank, steps, seed)
     wanted = resolve(usual, settings, assignments or ())

@@ -1,8 +1,7 @@
 """The Gymnasium environments: one simulation, or many in one batch."""
 
 from greenhouse_gym.envs.actions import ActionRule, ToolMotion
-from greenhouse_gym.envs.cameras import DepthCamera
-from greenhouse_gym.envs.images import DepthObservation, PointsObservation, RgbObservation
+from greenhouse_gym.envs.image_observations import DepthObservation, PointsObservation, RgbObservation
 from greenhouse_gym.envs.observations import Observation
 from greenhouse_gym.envs.randomization import Randomization
 from greenhouse_gym.envs.reach_task import Situation
@@ -10,6 +9,7 @@ from greenhouse_gym.envs.rewards import DenseReward, SparseReward, Transition, W
 from greenhouse_gym.envs.settings import EnvSettings
 from greenhouse_gym.envs.tomato_reach import TomatoReachEnv
 from greenhouse_gym.envs.vector import TomatoReachVectorEnv
+from greenhouse_gym.rendering.cameras import DepthCamera
 from greenhouse_gym.scene.plant_motion import PlantMotion
 
 __all__ = [

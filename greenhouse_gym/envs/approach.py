@@ -8,7 +8,7 @@ import numpy as np
 
 from greenhouse_gym.envs.reach_task import Float32
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.scene.field import FieldStore
+from greenhouse_gym.motion.distance_field import FieldStore
 
 AZIMUTHS, ELEVATIONS = np.radians([-80, -48, -16, 16, 48, 80]), np.radians([-50, -17, 17, 50])
 """Directions of the rays from the target toward the arm's side of the plants, radians; the first azimuth is on the

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from greenhouse_gym.envs.actions import ACTIONS, ActionChoice, ActionRule, ToolMotion
-from greenhouse_gym.envs.images import DepthObservation, PointsObservation, RgbObservation
+from greenhouse_gym.envs.image_observations import DepthObservation, PointsObservation, RgbObservation
 from greenhouse_gym.envs.observations import (
     ApproachObservation,
     GoalObservation,

@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from greenhouse_gym.envs.window import WINDOW, SceneWindow
+from greenhouse_gym.envs.scene_window import WINDOW, SceneWindow
 from greenhouse_gym.errors import InvalidValueError, require_choice
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
@@ -50,7 +50,7 @@ class Episode:
 class EpisodeSampler:
     """Draws episodes from one split of a bank: a scene, then one of its targets of the wanted difficulties.
 
-    Of a large bank few scenes are drawn from at a time; see `greenhouse_gym.envs.window`.
+    Of a large bank few scenes are drawn from at a time; see `greenhouse_gym.envs.scene_window`.
 
     An arm that a scene has no ratings for gets the targets that are rated for other arms, as `UNRATED` ones.
 

@@ -12,12 +12,12 @@ from gymnasium import spaces
 
 from greenhouse_gym.envs.actions import max_lead
 from greenhouse_gym.envs.approach import ROOM
-from greenhouse_gym.envs.cameras import DepthCamera
 from greenhouse_gym.envs.reach_task import ACTION_STEP, Float32, Situation
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.motion.distance_field import MAX_DISTANCE
+from greenhouse_gym.rendering.cameras import DepthCamera
 from greenhouse_gym.robots import Robot
-from greenhouse_gym.scene.field import MAX_DISTANCE
 
 JOINT_MARGIN = 0.1
 """How far beyond its limit a joint is reported, radians (limits are soft in the physics)."""

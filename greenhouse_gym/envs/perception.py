@@ -8,20 +8,20 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from greenhouse_gym.common.executors import usable_cores
 from greenhouse_gym.envs.approach import ROOM, room_around
-from greenhouse_gym.envs.cameras import CameraRig, Pictures, no_pictures
 from greenhouse_gym.envs.episodes import Episode
 from greenhouse_gym.envs.observations import Sight
 from greenhouse_gym.envs.physics import Physics
 from greenhouse_gym.envs.randomization import Disturbance
 from greenhouse_gym.envs.reach_task import Bools, Situation, lengths
 from greenhouse_gym.envs.stepping import Ids
-from greenhouse_gym.envs.ways import Ends, Headings, Ways, place_of
+from greenhouse_gym.envs.waypoints import Ends, Headings, Ways, place_of
 from greenhouse_gym.envs.worlds import World, Worlds
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.parallel import usable_cores
+from greenhouse_gym.motion.distance_field import NO_TOMATO
+from greenhouse_gym.rendering.cameras import CameraRig, Pictures, no_pictures
 from greenhouse_gym.robots import Robot
-from greenhouse_gym.scene.field import NO_TOMATO
 
 
 class Perception:

@@ -9,12 +9,12 @@ import mujoco
 import numpy as np
 
 from greenhouse_gym.envs.actions import ToolMotion
-from greenhouse_gym.envs.geom_order import id_in_compiled, put_arm_first
 from greenhouse_gym.envs.randomization import Disturbance, displace_base
 from greenhouse_gym.envs.reach_task import Bools, Pace
 from greenhouse_gym.envs.stepping import Ids, ManyStepper, OneStepper, Stepper
 from greenhouse_gym.envs.worlds import World
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.scene.geom_order import id_in_compiled, put_arm_first
 
 _SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 

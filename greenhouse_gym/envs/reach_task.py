@@ -78,7 +78,7 @@ class Situation(NamedTuple):
         room: (n, `ROOM`) distance to obstacles on rays away from the target, near and far, see `room_around`, metres;
             (n, 0) unless the observation asks for it.
         waypoint: (n, j) from the joint positions that are commanded to those where the arm can go straight, see
-            `greenhouse_gym.envs.ways`, radians; (n, 0) unless the observation asks for it.
+            `greenhouse_gym.envs.waypoints`, radians; (n, 0) unless the observation asks for it.
         way: (n, 2) the way from there to the goal, radians, and 1 where the straight motion is known to be free, else
             0; (n, 0) unless the observation asks for it.
         touched: (n,) whether anything was touched in any substep since the last situation.

@@ -32,7 +32,7 @@ class EnvSettings:
 
     Attributes:
         bank: Name of a shipped bank, folder of one, or a `SceneBank`. Of a split of more than 300 scenes few are drawn
-            from at a time (`greenhouse_gym.envs.window`), in an order that the seed of a reset begins anew.
+            from at a time (`greenhouse_gym.envs.scene_window`), in an order that the seed of a reset begins anew.
         split: "train", "validation" or "test".
         robot: Name of a shipped arm ("ur5e", "iiwa14"), an MJCF file, or a `Robot` of `load_robot`.
         observation: "state", "state_seen", "approach", "waypoint", "goal", "goal_waypoint", "depth", "points",

@@ -26,7 +26,7 @@ from greenhouse_gym.errors import InvalidValueError, NoEpisodeError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import ROBOTS, get_robot
 from greenhouse_gym.scene import CompiledScene, Scene
-from greenhouse_gym.scene.seen import required
+from greenhouse_gym.scene.occupancy import required
 
 STEP_INFOS = ("previous_goal", "effort")
 """Keys of the info that a step has and a reset has not, beside the reward's terms."""

@@ -18,10 +18,10 @@ import numpy as np
 import numpy.typing as npt
 from mujoco.batch import Batch
 
-from greenhouse_gym.envs.geom_order import ShortLists
 from greenhouse_gym.envs.reach_task import Bools
 from greenhouse_gym.errors import GreenhouseError
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.scene.geom_order import ShortLists
 
 Ids = npt.NDArray[np.int64]
 

@@ -12,13 +12,13 @@ from gymnasium import spaces
 
 from greenhouse_gym.envs.episodes import DifficultyChoice
 from greenhouse_gym.envs.hindsight import goal_functions
-from greenhouse_gym.envs.made_by import SpecWithStepLimit
 from greenhouse_gym.envs.observations import Observed, select
 from greenhouse_gym.envs.settings import EnvSettings, settings_with
 from greenhouse_gym.envs.simulation import ReachSimulation, StepResult
-from greenhouse_gym.envs.viewer import RENDER_MODES, Viewer
+from greenhouse_gym.envs.spec import SpecWithStepLimit
 from greenhouse_gym.errors import EpisodeOverError, require_choice
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.rendering.viewer import RENDER_MODES, Viewer
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene
 
@@ -99,7 +99,7 @@ class TomatoReachEnv(SpecWithStepLimit, gymnasium.Env[Observed, npt.NDArray[np.f
     stands in for it. That is a plan of a few straight motions, made from the known scene: it tells more than a sensor
     could, and finding it takes time at the beginning of an episode. What is left to learn is what to do where there is
     none.
-    It is looked for anew every 8 steps and where the arm arrives (`greenhouse_gym.envs.ways`).
+    It is looked for anew every 8 steps and where the arm arrives (`greenhouse_gym.envs.waypoints`).
     ``depth`` comes from a camera beside the flange that looks along the tool; ``points`` is what a camera on a mast
     beside the arm sees of the plants, one per pixel. `DepthObservation`, `PointsObservation` and `RgbObservation` in
     place of the name choose the camera ("wrist" or "mast"), its size and its opening.

@@ -14,15 +14,15 @@ from gymnasium.vector.utils import batch_space
 
 from greenhouse_gym.envs.episodes import DifficultyChoice
 from greenhouse_gym.envs.hindsight import goal_functions
-from greenhouse_gym.envs.made_by import SpecWithStepLimit
 from greenhouse_gym.envs.observations import Observed, select
 from greenhouse_gym.envs.reach_task import Bools
 from greenhouse_gym.envs.settings import EnvSettings, check_whole, settings_with
 from greenhouse_gym.envs.simulation import STEP_INFOS, ReachSimulation, StepResult
+from greenhouse_gym.envs.spec import SpecWithStepLimit
 from greenhouse_gym.envs.stepping import Ids
-from greenhouse_gym.envs.viewer import RENDER_MODES, Viewer
 from greenhouse_gym.errors import EpisodeOverError, InvalidValueError, UnknownNameError, require_choice
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.rendering.viewer import RENDER_MODES, Viewer
 
 Infos = dict[str, Any]
 

@@ -10,18 +10,18 @@ from functools import cached_property, lru_cache, partial
 import mujoco
 import numpy as np
 
-from greenhouse_gym.envs.geom_order import world_begins
 from greenhouse_gym.envs.reach_task import SUBSTEPS
+from greenhouse_gym.envs.scene_window import LARGEST_WHOLE
 from greenhouse_gym.envs.stepping import drive_and_record
-from greenhouse_gym.envs.window import LARGEST_WHOLE
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, invert, pose, rotation_about, transform
+from greenhouse_gym.motion.distance_field import FieldStore, obstacle_field
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import CompiledScene, Scene, SceneBank, Shapes, compile_scene
-from greenhouse_gym.scene.field import FieldStore, obstacle_field
+from greenhouse_gym.scene.geom_order import world_begins
 from greenhouse_gym.scene.mjcf import DEFAULT_CAPACITY, MOST_CAPACITY, base_position
-from greenhouse_gym.scene.moving import moved_to
 from greenhouse_gym.scene.plant_motion import PlantMotion, moved_plants
+from greenhouse_gym.scene.recompile import moved_to
 from greenhouse_gym.scene.truth import true_scene
 
 _ROUND = 100

@@ -7,13 +7,13 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
 
+from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.errors import InvalidValueError, require_choice
 from greenhouse_gym.export import meshes, moveit, problems, xml
 from greenhouse_gym.export.primitives import primitives
-from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.scene import Scene
-from greenhouse_gym.scene.surroundings import Shapes
+from greenhouse_gym.scene.obstacles import Shapes
 
 
 class Format(NamedTuple):

@@ -10,9 +10,9 @@ import numpy as np
 
 from greenhouse_gym import __version__
 from greenhouse_gym.agents.policy import Policy
+from greenhouse_gym.common.extras import needs
+from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.extras import needs
-from greenhouse_gym.paths import write_atomically
 
 OPSET, IR_VERSION = 17, 8  # of 2022: what it needs is older still, and few runtimes are
 _NODES = {"tanh": "Tanh", "relu": "Relu"}

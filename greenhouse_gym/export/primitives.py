@@ -9,9 +9,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from greenhouse_gym.crop import Stem, Tomato
+from greenhouse_gym.crops.parts import Stem, Tomato
 from greenhouse_gym.geometry import Array, Box, Capsule, Shape, frame_along, pose
-from greenhouse_gym.scene.surroundings import Shapes
+from greenhouse_gym.scene.obstacles import Shapes
 
 Kind = Literal["sphere", "ellipsoid", "capsule", "cylinder", "box"]
 Color = tuple[float, float, float]

@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
+from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.export.moveit import FRAME, scene_message
 from greenhouse_gym.export.primitives import Primitive, primitives, without_ellipsoids
 from greenhouse_gym.export.xml import arm_pose
 from greenhouse_gym.geometry import Array, invert, pose, quaternions_from
-from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.planning import goal_configurations
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene

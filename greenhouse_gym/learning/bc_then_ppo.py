@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from greenhouse_gym.envs import TomatoReachVectorEnv
-from greenhouse_gym.integrations.sb3 import make_sb3_vec_env
 from greenhouse_gym.learning.imitation import ImitationSettings, follow_waypoint, imitate
 from greenhouse_gym.learning.ppo import PpoSettings, train_ppo
+from greenhouse_gym.learning.sb3 import make_sb3_vec_env
 from greenhouse_gym.learning.variation import varied_bank
 from greenhouse_gym.scene import SceneBank
 

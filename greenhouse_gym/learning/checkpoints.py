@@ -10,8 +10,8 @@ import torch
 from pydantic import BaseModel, NonNegativeInt
 from safetensors.torch import load, save
 
+from greenhouse_gym.common.files import parsing, read_bytes, write_atomically
 from greenhouse_gym.errors import FileFormatError
-from greenhouse_gym.paths import parsing, read_bytes, write_atomically
 
 NAME = "checkpoint.safetensors"
 

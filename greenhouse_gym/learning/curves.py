@@ -7,7 +7,7 @@ import io
 from collections.abc import Sequence
 from pathlib import Path
 
-from greenhouse_gym.paths import write_atomically
+from greenhouse_gym.common.files import write_atomically
 
 CURVE, VALIDATION = "curve.csv", "validation.csv"
 """Files of a training: how its own episodes went, and those on rows that it does not train on."""

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from greenhouse_gym.common.extras import needs
 from greenhouse_gym.envs.observations import Layout, places_in
-from greenhouse_gym.extras import needs
 
 with needs("train"):
     import torch

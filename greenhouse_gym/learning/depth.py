@@ -22,16 +22,16 @@ from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.agents.depth_agent import DepthAgent, Ways
 from greenhouse_gym.agents.judging import FEATURES, Judge, guessed
 from greenhouse_gym.agents.policy import Policy
+from greenhouse_gym.common.files import parsing, read_bytes, write_atomically
 from greenhouse_gym.envs import TomatoReachEnv
 from greenhouse_gym.envs.settings import check_whole
 from greenhouse_gym.errors import FileFormatError, MissingDependencyError, require_seed
 from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.learning.curves import CURVE, write_curve
 from greenhouse_gym.learning.folders import check_folder
-from greenhouse_gym.paths import parsing, read_bytes, write_atomically
+from greenhouse_gym.motion.collision import CollisionChecker, planning_model
+from greenhouse_gym.motion.reach import arm_reaches
 from greenhouse_gym.scene import SceneBank
-from greenhouse_gym.scene.collision import CollisionChecker, planning_model
-from greenhouse_gym.scene.reaches import arm_reaches
 
 try:
     import torch

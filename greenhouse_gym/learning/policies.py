@@ -13,7 +13,7 @@ from greenhouse_gym.agents.goal_features import GOAL_FEATURES, GOAL_FEATURES_SIZ
 from greenhouse_gym.agents.policy import Policy
 from greenhouse_gym.envs.observations import Layout
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.integrations.sb3 import simulation_of
+from greenhouse_gym.learning.sb3 import simulation_of
 
 # Names, for torch is not imported here: playing a policy needs none.
 _ACTIVATION_NAMES = {"Tanh": "tanh", "ReLU": "relu"}
@@ -55,7 +55,7 @@ def _actor_of(model: Any) -> _Actor:
         raise InvalidValueError(
             f"a policy file holds a plain network from a vector of numbers to the mean action, as PPO and A2C have it, "
             f"or the actor of `greenhouse_gym.learning.sac`; got {type(model).__name__} on a {space} space: save the "
-            "model itself and play it with greenhouse_gym.integrations.sb3.Sb3Agent"
+            "model itself and play it with greenhouse_gym.learning.sb3.Sb3Agent"
         )
     if not activation or hasattr(network, "lstm_actor"):
         raise InvalidValueError(

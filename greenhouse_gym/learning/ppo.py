@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from greenhouse_gym.common.extras import needs
+from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.envs.episodes import EpisodeSampler
 from greenhouse_gym.envs.settings import check_whole
 from greenhouse_gym.errors import require_choice, require_seed
-from greenhouse_gym.extras import needs
-from greenhouse_gym.integrations.sb3 import make_sb3_vec_env
 from greenhouse_gym.learning.folders import check_folder
-from greenhouse_gym.paths import write_atomically
+from greenhouse_gym.learning.sb3 import make_sb3_vec_env
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import SceneBank
 
@@ -26,11 +26,11 @@ with needs("train"):
     from stable_baselines3 import PPO
     from stable_baselines3.common.logger import configure
 
-    from greenhouse_gym.integrations.sb3_features import ScaledObservation
     from greenhouse_gym.learning.checkpoints import NAME as CHECKPOINT
     from greenhouse_gym.learning.checkpoints import load_checkpoint, read_notes
     from greenhouse_gym.learning.policies import save_policy
     from greenhouse_gym.learning.ppo_report import JUDGED_SPLIT, CriticFirst, Report
+    from greenhouse_gym.learning.sb3_features import ScaledObservation
 
 ACTIVATIONS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
 """Activations by name."""
@@ -120,7 +120,7 @@ def train_ppo(
         checkpoint_seconds: Time between checkpoints.
         prepare: Gets the untrained model of a training that is not resumed, to put something into it.
         make_env: Makes the environment, of the same arguments: another one, such as
-            `greenhouse_gym.integrations.sb3_ray.make_sb3_ray_vec_env`, steps the simulations elsewhere.
+            `greenhouse_gym.learning.sb3_ray.make_sb3_ray_vec_env`, steps the simulations elsewhere.
         on_line: Told each new line of ``curve.csv`` when its rollout is done; a `KeyboardInterrupt` that it raises
             interrupts the training there.
 

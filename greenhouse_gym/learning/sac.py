@@ -9,12 +9,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from greenhouse_gym.common.extras import needs
+from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.envs import EnvSettings
 from greenhouse_gym.errors import InvalidValueError, require_seed
-from greenhouse_gym.extras import needs
-from greenhouse_gym.integrations.sb3 import make_sb3_vec_env
 from greenhouse_gym.learning.folders import check_folder
-from greenhouse_gym.paths import write_atomically
+from greenhouse_gym.learning.sb3 import make_sb3_vec_env
 from greenhouse_gym.scene import SceneBank
 
 with needs("train"):
@@ -22,12 +22,12 @@ with needs("train"):
     import torch
     from stable_baselines3.common.logger import configure
 
-    from greenhouse_gym.integrations.sb3_her import GoalFeatures, GoalReplayBuffer
     from greenhouse_gym.learning.checkpoints import NAME as CHECKPOINT
     from greenhouse_gym.learning.checkpoints import load_checkpoint, read_notes
     from greenhouse_gym.learning.demonstrated_sac import Demonstrated, Demonstrator
     from greenhouse_gym.learning.policies import save_policy
     from greenhouse_gym.learning.sac_report import SacProgress, SacReport
+    from greenhouse_gym.learning.sb3_her import GoalFeatures, GoalReplayBuffer
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 from stable_baselines3.common.callbacks import BaseCallback
 
 from greenhouse_gym.evaluation import Evaluation, evaluate
-from greenhouse_gym.integrations.sb3 import Sb3Agent
-from greenhouse_gym.integrations.sb3_steps import TERMS
 from greenhouse_gym.learning.checkpoints import save_checkpoint
 from greenhouse_gym.learning.curves import VALIDATION, read_curve, write_curve
+from greenhouse_gym.learning.sb3 import Sb3Agent
+from greenhouse_gym.learning.sb3_steps import TERMS
 
 if TYPE_CHECKING:
     from greenhouse_gym.learning.sac import SacSettings

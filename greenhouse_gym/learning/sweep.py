@@ -14,13 +14,13 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from greenhouse_gym.common.executors import RayExecutor, WorkerLostError, completed
+from greenhouse_gym.common.files import exclusive, write_atomically
+from greenhouse_gym.common.settings_files import replaced
 from greenhouse_gym.errors import GreenhouseError, InvalidValueError
 from greenhouse_gym.learning.checkpoints import NAME as CHECKPOINT
 from greenhouse_gym.learning.curves import CURVE, read_curve
 from greenhouse_gym.learning.ppo import PpoSettings, train_ppo
-from greenhouse_gym.parallel import RayExecutor, WorkerLostError, completed
-from greenhouse_gym.paths import exclusive, write_atomically
-from greenhouse_gym.settings_files import replaced
 
 Row = dict[str, Any]
 """What was tried in a training, its folder, and the last line of its learning curve or the error that ended it."""
@@ -111,7 +111,7 @@ def _tune(
     on_line: Callable[[Row], None],
     stop_early: bool,
 ) -> None:
-    from greenhouse_gym.parallel.ray_tune import Halving, run_trials
+    from greenhouse_gym.common.executors.ray_tune import Halving, run_trials
 
     whole = max(training.settings.total_steps for training in trainings.values())
     halving = Halving("success_rate", "steps", whole) if stop_early else None

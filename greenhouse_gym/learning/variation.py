@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.crop import Stem, Tomato
+from greenhouse_gym.crops.parts import Stem, Tomato
 from greenhouse_gym.geometry import Array, Box, Capsule, Shape, Sphere
 from greenhouse_gym.scene import Scene, SceneBank, Target
 from greenhouse_gym.scene.bank import write_bank

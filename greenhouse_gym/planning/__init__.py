@@ -1,16 +1,16 @@
 """Motion planning: goal configurations, planners on the simulator's own collision model, commands in time."""
 
+from greenhouse_gym.motion.collision import COLLISION_PAIRS, CollisionChecker, path_clearance, planning_model
+from greenhouse_gym.motion.goals import Goals, GoalStatistics, goal_configurations
+from greenhouse_gym.motion.inverse_kinematics import Approach
+from greenhouse_gym.motion.path import follow_path, path_length, resample
 from greenhouse_gym.planning.certify import certify_target, certify_targets
-from greenhouse_gym.planning.goals import Goals, GoalStatistics, goal_configurations
-from greenhouse_gym.planning.path import follow_path, path_length, resample
 from greenhouse_gym.planning.planner_settings import PlannerSettings
 from greenhouse_gym.planning.planners import PAPER_PLANNERS, PLANNERS, PlannerInfo, register_planner
 from greenhouse_gym.planning.query import plan
 from greenhouse_gym.planning.registered import OutOfBudget, PlanningProblem
 from greenhouse_gym.planning.result import PlanResult
 from greenhouse_gym.planning.trajectory import free_commands
-from greenhouse_gym.robots.inverse_kinematics import Approach
-from greenhouse_gym.scene.collision import COLLISION_PAIRS, CollisionChecker, path_clearance, planning_model
 
 __all__ = [
     "COLLISION_PAIRS",

@@ -9,10 +9,10 @@ import numpy as np
 
 from greenhouse_gym.errors import FileFormatError, UnknownNameError
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.planning.proof import ProvingChecker
+from greenhouse_gym.motion.collision import planning_model
+from greenhouse_gym.motion.proof import ProvingChecker
 from greenhouse_gym.robots.kinematics import tool_chain, tool_state
 from greenhouse_gym.scene import Scene, SceneBank, Target
-from greenhouse_gym.scene.collision import planning_model
 from greenhouse_gym.scene.manifest import Entry, counted
 from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
 

@@ -19,23 +19,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.planning.goals import search_goals
-from greenhouse_gym.planning.proof import ProvingChecker
-from greenhouse_gym.planning.query import plan_with
-from greenhouse_gym.planning.registered import PlannerFailedError
-from greenhouse_gym.planning.result import PlanResult
-from greenhouse_gym.planning.unseen import depths_of, guarded, unseen_ways
-from greenhouse_gym.robots import Robot, get_robot
-from greenhouse_gym.scene import Scene, Target
-from greenhouse_gym.scene.collision import (
+from greenhouse_gym.motion.collision import (
     COARSE,
     PROOF,
     CollisionChecker,
     path_clearance,
     planning_model,
 )
+from greenhouse_gym.motion.goals import search_goals
+from greenhouse_gym.motion.proof import ProvingChecker
+from greenhouse_gym.motion.reach import arm_reaches
+from greenhouse_gym.motion.unknown_space import depths_of, guarded, unseen_ways
+from greenhouse_gym.planning.query import plan_with
+from greenhouse_gym.planning.registered import PlannerFailedError
+from greenhouse_gym.planning.result import PlanResult
+from greenhouse_gym.robots import Robot, get_robot
+from greenhouse_gym.scene import Scene, Target
 from greenhouse_gym.scene.mjcf import CompiledScene
-from greenhouse_gym.scene.reaches import arm_reaches
 from greenhouse_gym.scene.scene import Difficulty
 
 GOALS, SAMPLES = 30, 10_000

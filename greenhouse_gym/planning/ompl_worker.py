@@ -21,6 +21,8 @@ from typing import Any
 import numpy as np
 
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.motion.collision import PROOF, RESOLUTIONS, CollisionChecker
+from greenhouse_gym.motion.proof import ProvingChecker
 from greenhouse_gym.planning.exchange import Answer, Outcome, Query
 from greenhouse_gym.planning.ompl_binding import (
     Ompl,
@@ -32,8 +34,6 @@ from greenhouse_gym.planning.ompl_binding import (
     set_seed,
 )
 from greenhouse_gym.planning.ompl_unbound import JOINING, THREADED
-from greenhouse_gym.planning.proof import ProvingChecker
-from greenhouse_gym.scene.collision import PROOF, RESOLUTIONS, CollisionChecker
 
 LOOK = 0.001
 """Seconds between two looks at the cost of the best path so far, while it is improved."""

@@ -12,20 +12,7 @@ import numpy.typing as npt
 
 from greenhouse_gym.errors import InvalidValueError, require_seed
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.planning.exchange import Answer, Query
-from greenhouse_gym.planning.goals import Goals, sample_budget, search_goals
-from greenhouse_gym.planning.margins import with_margin
-from greenhouse_gym.planning.path import path_length
-from greenhouse_gym.planning.planner_settings import PlannerSettings
-from greenhouse_gym.planning.planners import PLANNERS, PlannerInfo
-from greenhouse_gym.planning.registered import PlannerFailedError, run_registered
-from greenhouse_gym.planning.result import PlanResult, Status
-from greenhouse_gym.planning.surfaces import with_surfaces
-from greenhouse_gym.planning.unseen import depths_of, guarded, require_seen, unseen_way
-from greenhouse_gym.planning.worker import WorkerCrashedError, WorkerFailedError, WorkerTimeoutError, shared_worker
-from greenhouse_gym.robots import Robot, get_robot
-from greenhouse_gym.scene import Scene
-from greenhouse_gym.scene.collision import (
+from greenhouse_gym.motion.collision import (
     COARSE,
     COLLISION_PAIRS,
     PROOF,
@@ -33,6 +20,19 @@ from greenhouse_gym.scene.collision import (
     checker_of,
     path_clearance,
 )
+from greenhouse_gym.motion.goals import Goals, sample_budget, search_goals
+from greenhouse_gym.motion.margins import with_margin
+from greenhouse_gym.motion.path import path_length
+from greenhouse_gym.motion.unexplained_cells import with_surfaces
+from greenhouse_gym.motion.unknown_space import depths_of, guarded, require_seen, unseen_way
+from greenhouse_gym.planning.exchange import Answer, Query
+from greenhouse_gym.planning.planner_settings import PlannerSettings
+from greenhouse_gym.planning.planners import PLANNERS, PlannerInfo
+from greenhouse_gym.planning.registered import PlannerFailedError, run_registered
+from greenhouse_gym.planning.result import PlanResult, Status
+from greenhouse_gym.planning.worker import WorkerCrashedError, WorkerFailedError, WorkerTimeoutError, shared_worker
+from greenhouse_gym.robots import Robot, get_robot
+from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.mjcf import CompiledScene
 
 _POOL = 240  # goal configurations of which those that keep out of unseen space are chosen
@@ -90,13 +90,13 @@ def plan(
         pairs: What the arm is checked against, of `COLLISION_PAIRS`; all of it unless less is asked for.
         unseen: What space that the scan did not see is: "free", as if it were empty; "forbid", as if it were full, but
             where the arm and its cart stand; a number, entered no deeper than that many metres; "avoid", first
-            forbidden, then entered no deeper than each of `greenhouse_gym.planning.unseen.DEPTHS`, at last free. Each
-            of those tries gets an eighth of the time and checks that are left, the last all of them. Unless it is
+            forbidden, then entered no deeper than each of `greenhouse_gym.motion.unknown_space.DEPTHS`, at last free.
+            Each of those tries gets an eighth of the time and checks that are left, the last all of them. Unless it is
             "free", the result says how long the way through the unseen is.
         margin: How far the arm keeps from boxes of clutter, metres, but from those beside its start: leaves reach
-            farther than a scan shows, see `greenhouse_gym.planning.margins`.
+            farther than a scan shows, see `greenhouse_gym.motion.margins`.
         surfaces: Whether the arm keeps out of where the scan saw a surface without a shape, see
-            `greenhouse_gym.planning.surfaces`.
+            `greenhouse_gym.motion.unexplained_cells`.
 
     Raises:
         UnknownNameError: No such planner, arm or collision pair.

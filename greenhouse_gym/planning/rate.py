@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, require_seed
+from greenhouse_gym.motion.collision import CollisionChecker, planning_model
 from greenhouse_gym.planning.certify import certify_target
 from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.scene import Scene, SceneBank, Target
 from greenhouse_gym.scene.bank import write_bank
-from greenhouse_gym.scene.collision import CollisionChecker, planning_model
 from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
 
 RATING = "rating"

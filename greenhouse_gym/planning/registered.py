@@ -17,10 +17,10 @@ import numpy.typing as npt
 
 from greenhouse_gym.errors import GreenhouseError
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.motion.collision import PROOF
+from greenhouse_gym.motion.path import path_length
+from greenhouse_gym.motion.proof import ProvingChecker
 from greenhouse_gym.planning.exchange import Answer, Query
-from greenhouse_gym.planning.path import path_length
-from greenhouse_gym.planning.proof import ProvingChecker
-from greenhouse_gym.scene.collision import PROOF
 
 
 class OutOfBudget(GreenhouseError):  # noqa: N818

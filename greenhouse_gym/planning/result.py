@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.planning.goals import GoalStatistics
+from greenhouse_gym.motion.goals import GoalStatistics
 
 Status = Literal[
     "solved",  # a path was found and proven free

@@ -14,10 +14,10 @@ from itertools import pairwise
 import numpy as np
 
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.planning.path import path_length
+from greenhouse_gym.motion.collision import PROOF, RESOLUTIONS
+from greenhouse_gym.motion.path import path_length
 from greenhouse_gym.planning.planner_settings import PlannerSettings
 from greenhouse_gym.planning.registered import PlanningProblem
-from greenhouse_gym.scene.collision import PROOF, RESOLUTIONS
 
 _NEAREST = 8  # goals that are tried by a straight motion before anything is searched
 _NODES = 4000  # after which a search gives up

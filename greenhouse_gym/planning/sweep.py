@@ -22,12 +22,12 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from greenhouse_gym.common.executors import completed
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.parallel import completed
-from greenhouse_gym.planning.goals import Goals, goal_configurations
+from greenhouse_gym.motion.collision import planning_model
+from greenhouse_gym.motion.goals import Goals, goal_configurations
 from greenhouse_gym.planning.query import plan
 from greenhouse_gym.scene import DIFFICULTIES, Scene, SceneBank, Target
-from greenhouse_gym.scene.collision import planning_model
 from greenhouse_gym.scene.mjcf import compile_scene
 
 Run = dict[str, Any]

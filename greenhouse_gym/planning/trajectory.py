@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.planning.path import CORNER_TOLERANCE, follow_path
-from greenhouse_gym.scene.collision import MARGIN, CollisionChecker, planning_model
+from greenhouse_gym.motion.collision import MARGIN, CollisionChecker, planning_model
+from greenhouse_gym.motion.path import CORNER_TOLERANCE, follow_path
 from greenhouse_gym.scene.mjcf import CompiledScene
 
 _HALVINGS = 4  # how often the corner tolerance is halved, at most

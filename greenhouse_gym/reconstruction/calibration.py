@@ -22,11 +22,11 @@ from scipy.spatial.transform import Rotation
 from greenhouse_gym.capture.frames import Station
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.capture.rig import Camera, Rig
-from greenhouse_gym.clouds import Cloud
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import Array, invert, pose, transform
 from greenhouse_gym.reconstruction.fattening import Fattening, edge_fattening
 from greenhouse_gym.reconstruction.icp import tukey
+from greenhouse_gym.reconstruction.point_clouds import Cloud
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings
 from greenhouse_gym.reconstruction.views import Calibration, CameraView, view_camera
 

@@ -19,10 +19,10 @@ from pydantic import TypeAdapter
 
 from greenhouse_gym.capture.fingerprint import fingerprint
 from greenhouse_gym.capture.recordings import Recording
-from greenhouse_gym.clouds import PackedCloud
+from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.errors import FileWriteError
-from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.reconstruction.graph import Edge
+from greenhouse_gym.reconstruction.point_clouds import PackedCloud
 from greenhouse_gym.reconstruction.report import StationReport
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings
 from greenhouse_gym.reconstruction.views import Screen

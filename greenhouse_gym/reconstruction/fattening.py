@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.capture.frames import RgbdFrame
-from greenhouse_gym.extras import needs
+from greenhouse_gym.common.extras import needs
 
 with needs("reconstruct"):
     import cv2

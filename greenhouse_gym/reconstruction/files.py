@@ -12,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import TypeAdapter
 
-from greenhouse_gym.array_files import read_arrays
+from greenhouse_gym.common.array_files import read_arrays
+from greenhouse_gym.common.files import MOST_BYTES, parsing, read_bytes, write_atomically
 from greenhouse_gym.geometry import is_rotation
-from greenhouse_gym.paths import MOST_BYTES, parsing, read_bytes, write_atomically
 from greenhouse_gym.reconstruction.report import RowReport
 from greenhouse_gym.reconstruction.row import RowCloud
 

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.geometry import Array, invert
-from greenhouse_gym.open3d_loader import open3d
 
 
 class Edge(NamedTuple):

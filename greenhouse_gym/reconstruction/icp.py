@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from greenhouse_gym.clouds import Cloud
 from greenhouse_gym.geometry import Array, invert, pose, transform
+from greenhouse_gym.reconstruction.point_clouds import Cloud
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings
 from greenhouse_gym.reconstruction.views import StationView
 

@@ -9,7 +9,6 @@ from scipy.spatial import cKDTree
 
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.capture.rig import Rig
-from greenhouse_gym.clouds import Cloud, merge, voxel_means
 from greenhouse_gym.errors import InvalidValueError, ReconstructionError
 from greenhouse_gym.geometry import Array, invert
 from greenhouse_gym.reconstruction.calibration import fattening_of, spread_stations
@@ -17,6 +16,7 @@ from greenhouse_gym.reconstruction.fitting import settings_for
 from greenhouse_gym.reconstruction.graph import Edge
 from greenhouse_gym.reconstruction.joining import register_near
 from greenhouse_gym.reconstruction.merging import lonely_points
+from greenhouse_gym.reconstruction.point_clouds import Cloud, merge, voxel_means
 from greenhouse_gym.reconstruction.row import Look, RowCloud
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings
 from greenhouse_gym.reconstruction.views import Calibration, view_station

@@ -14,9 +14,9 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from greenhouse_gym.capture.rig import Rig
-from greenhouse_gym.clouds import Cloud, PackedCloud, merge, voxel_means, voxels
-from greenhouse_gym.extras import needs
+from greenhouse_gym.common.extras import needs
 from greenhouse_gym.geometry import Array, invert, transform
+from greenhouse_gym.reconstruction.point_clouds import Cloud, PackedCloud, merge, voxel_means, voxels
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings
 from greenhouse_gym.reconstruction.views import BLOCK, Screen
 

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.capture.rig import Intrinsics
-from greenhouse_gym.extras import needs
+from greenhouse_gym.common.extras import needs
 from greenhouse_gym.geometry import Array
 
 with needs("reconstruct"):

@@ -7,11 +7,11 @@ from typing import NamedTuple
 import numpy as np
 
 from greenhouse_gym.capture.rig import Camera
-from greenhouse_gym.clouds import merge, to_open3d
+from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.geometry import Array, invert, pose, rotation_angle, transform
-from greenhouse_gym.open3d_loader import open3d
 from greenhouse_gym.reconstruction.foreground import foreground_problem
 from greenhouse_gym.reconstruction.icp import Alignment, align, assess
+from greenhouse_gym.reconstruction.point_clouds import merge, to_open3d
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings
 from greenhouse_gym.reconstruction.shift import Shift, along, best_shifts, overlap
 from greenhouse_gym.reconstruction.views import CameraView, StationView

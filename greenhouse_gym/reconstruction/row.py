@@ -13,11 +13,11 @@ import numpy.typing as npt
 
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.capture.rig import Rig
-from greenhouse_gym.clouds import Cloud, exposure_failure
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.reconstruction.fitting import settings_for
 from greenhouse_gym.reconstruction.graph import optimize
 from greenhouse_gym.reconstruction.merging import merge_stations, outliers
+from greenhouse_gym.reconstruction.point_clouds import Cloud, exposure_failure
 from greenhouse_gym.reconstruction.report import RowReport
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings
 from greenhouse_gym.reconstruction.views import Screen

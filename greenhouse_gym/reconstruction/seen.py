@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from greenhouse_gym.common.setting_checks import check_numbers
 from greenhouse_gym.errors import ReconstructionError
 from greenhouse_gym.geometry import Array, invert, transform
-from greenhouse_gym.limits import check_numbers
 from greenhouse_gym.reconstruction.row import Look, RowCloud
 from greenhouse_gym.reconstruction.views import BLOCK
-from greenhouse_gym.scene.seen import CORNERS, EMPTY, SURFACE, UNSEEN, States
+from greenhouse_gym.scene.occupancy import CORNERS, EMPTY, SURFACE, UNSEEN, States
 
 _FARTHEST = 2.0  # m from a camera up to which its readings are asked
 
@@ -44,7 +44,7 @@ class Carving:
     """The space before a row.
 
     Attributes:
-        states: (x, y, z) what each voxel is, of `greenhouse_gym.scene.seen`.
+        states: (x, y, z) what each voxel is, of `greenhouse_gym.scene.occupancy`.
         origin: (3,) lower corner of the first voxel in the frame asked for, metres.
         voxel: Side of a voxel, metres.
     """

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from greenhouse_gym.capture.protocols import PROTOCOLS, Protocol
+from greenhouse_gym.common.setting_checks import check_numbers
 from greenhouse_gym.errors import InvalidValueError, require_choice
-from greenhouse_gym.limits import check_numbers
 
 Poses = Literal["estimate", "given", "refine"]
 POSES: tuple[str, ...] = get_args(Poses)

@@ -12,11 +12,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from greenhouse_gym.clouds import Cloud, to_open3d
+from greenhouse_gym.common.files import write_atomically
+from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.errors import FileFormatError, FileWriteError, InvalidValueError, require_choice
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.open3d_loader import open3d
-from greenhouse_gym.paths import write_atomically
+from greenhouse_gym.reconstruction.point_clouds import Cloud, to_open3d
 from greenhouse_gym.reconstruction.thinning import apart, first_of_each, spread_out
 
 METHODS = ("ball_pivoting", "poisson", "alpha_shape")

@@ -12,11 +12,11 @@ import numpy.typing as npt
 
 from greenhouse_gym.capture.frames import RgbdFrame, Station
 from greenhouse_gym.capture.rig import D435_DEPTH, Camera, Rig
-from greenhouse_gym.clouds import Cloud, PackedCloud, merge
 from greenhouse_gym.geometry import Array, transform
 from greenhouse_gym.reconstruction.fattening import Fattening, without_fattening
 from greenhouse_gym.reconstruction.foreground import foreground_mask
 from greenhouse_gym.reconstruction.normals import image_normals
+from greenhouse_gym.reconstruction.point_clouds import Cloud, PackedCloud, merge
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings
 
 BLOCK = 4  # px, side of the blocks of a screen

@@ -16,9 +16,8 @@ from time import perf_counter
 import numpy as np
 
 from greenhouse_gym.capture.recordings import Pass, Recording
-from greenhouse_gym.clouds import PackedCloud
+from greenhouse_gym.common.extras import needs
 from greenhouse_gym.errors import FileFormatError, ReconstructionError
-from greenhouse_gym.extras import needs
 from greenhouse_gym.geometry import Array, transform
 from greenhouse_gym.reconstruction.calibration import CalibrationReport, calibrate
 from greenhouse_gym.reconstruction.diary import Diary, Entry
@@ -26,6 +25,7 @@ from greenhouse_gym.reconstruction.foreground import foreground_problem
 from greenhouse_gym.reconstruction.given import place_as_given
 from greenhouse_gym.reconstruction.graph import Edge
 from greenhouse_gym.reconstruction.joining import join_segments, pass_of
+from greenhouse_gym.reconstruction.point_clouds import PackedCloud
 from greenhouse_gym.reconstruction.registration import Registration, refine, register
 from greenhouse_gym.reconstruction.report import StationReport
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings

@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 
 from greenhouse_gym.envs.actions import INTERVAL
+from greenhouse_gym.evaluation.records import Evaluation, Record, pairing
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.records import Evaluation, Record, pairing
 from greenhouse_gym.reporting import pieces
 from greenhouse_gym.reporting.svg import Axis, Series, plot
 

@@ -8,7 +8,7 @@ from string import Template
 from typing import NamedTuple
 
 from greenhouse_gym import __version__
-from greenhouse_gym.records import Evaluation, comparison_notes, comparison_rows, difficulties_of
+from greenhouse_gym.evaluation.records import Evaluation, comparison_notes, comparison_rows, difficulties_of
 from greenhouse_gym.reporting import comparison_figures as drawn
 from greenhouse_gym.reporting import pieces
 from greenhouse_gym.reporting.scene_page import Episode, scene_page
@@ -81,7 +81,7 @@ def comparison_page(
 
     Args:
         title: Its heading.
-        tracks: Per track, of `greenhouse_gym.leaderboard.TRACKS`, the agents' evaluations.
+        tracks: Per track, of `greenhouse_gym.evaluation.leaderboard.TRACKS`, the agents' evaluations.
         colors: A color for each agent.
         notes: What else there is to say of it all.
         rule: How the episodes were chosen.

@@ -10,9 +10,9 @@ from gymnasium.wrappers import RecordVideo
 
 from greenhouse_gym.agents import Agent, Problem
 from greenhouse_gym.agents.agent import check_agent
+from greenhouse_gym.common.extras import require_extras
+from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.envs import TomatoReachEnv
-from greenhouse_gym.extras import require_extras
-from greenhouse_gym.paths import write_atomically
 
 
 def film(agent: Agent, out: str | Path, seed: int = 0, **options: Any) -> bool:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from greenhouse_gym.accuracy.silhouettes import Outlines
 from greenhouse_gym.capture import Recording
 from greenhouse_gym.capture.rig import Intrinsics
-from greenhouse_gym.crop import Stem, Tomato
+from greenhouse_gym.crops.parts import Stem, Tomato
 from greenhouse_gym.geometry import Array, Shape, invert
 from greenhouse_gym.reconstruction import RowCloud
 from greenhouse_gym.shapes import RowShapes

@@ -11,17 +11,17 @@ import numpy.typing as npt
 
 from greenhouse_gym.capture import Recording
 from greenhouse_gym.capture.images import encode_png
-from greenhouse_gym.extras import needs
+from greenhouse_gym.common.extras import needs
+from greenhouse_gym.common.files import write_atomically
+from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.geometry import Array, pose, transform
-from greenhouse_gym.open3d_loader import open3d
-from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, TriangleMesh
 from greenhouse_gym.reconstruction.foreground import blacked_out
 from greenhouse_gym.reconstruction.registration import register
 from greenhouse_gym.reconstruction.seen import carve
 from greenhouse_gym.reconstruction.shift import Shift, along, overlap
 from greenhouse_gym.reconstruction.views import Calibration, CameraView, view_station
-from greenhouse_gym.scene.seen import UNSEEN
+from greenhouse_gym.scene.occupancy import UNSEEN
 
 Image = npt.NDArray[np.uint8]
 

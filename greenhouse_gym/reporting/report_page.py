@@ -14,7 +14,7 @@ import numpy as np
 
 from greenhouse_gym import __version__
 from greenhouse_gym.capture.images import read_color
-from greenhouse_gym.extras import needs
+from greenhouse_gym.common.extras import needs
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, StationReport
 from greenhouse_gym.reconstruction.calibration import CalibrationReport

@@ -21,7 +21,7 @@ from greenhouse_gym.export.xml import arm_pose
 from greenhouse_gym.geometry import Array, pose
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene
-from greenhouse_gym.scene.seen import SURFACE, UNSEEN, SeenSpace
+from greenhouse_gym.scene.occupancy import SURFACE, UNSEEN, SeenSpace
 
 _TRUE_COLOR = (0.20, 0.35, 0.80)
 _UNSEEN_COLOR = (0.25, 0.25, 0.30)

@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.errors import FileFormatError
-from greenhouse_gym.paths import write_atomically
 from greenhouse_gym.robots.load import FLANGE_SITES, choose, load_robot, read_spec
 from greenhouse_gym.robots.prepare import CUP_GEOM, PROBE_PREFIX, TIP_SITE
 

@@ -2,8 +2,8 @@
 
 from greenhouse_gym.scene.bank import SceneBank
 from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene, scene_spec
+from greenhouse_gym.scene.obstacles import Shapes, Stand
 from greenhouse_gym.scene.scene import DIFFICULTIES, Difficulty, Provenance, Scene, Target
-from greenhouse_gym.scene.surroundings import Shapes, Stand
 
 __all__ = [
     "DIFFICULTIES",

@@ -10,8 +10,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, overload
 
+from greenhouse_gym.common.files import checked_name, data_path, inside, parsing, read_bytes, write_atomically
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError, require_choice
-from greenhouse_gym.paths import checked_name, data_path, inside, parsing, read_bytes, write_atomically
 from greenhouse_gym.scene.manifest import MANIFEST, SPLITS, Entry, Manifest, as_file, counted, manifest_of
 from greenhouse_gym.scene.scene import Difficulty, Scene
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from greenhouse_gym.scene.bank import SceneBank
 from greenhouse_gym.scene.manifest import SPLITS
+from greenhouse_gym.scene.occupancy import REACH
 from greenhouse_gym.scene.scene import DIFFICULTIES, Scene
-from greenhouse_gym.scene.seen import REACH
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ QUATERNION_UNIT = 1e-5
 
 
 def width(columns: str) -> int:
-    """How many columns `differences` makes of some, which are named as in `greenhouse_gym.packing.COLUMNS`."""
+    """Number of columns that `differences` makes of some (names: `greenhouse_gym.crops.shape_tables.COLUMNS`)."""
     return len(columns) + ("q" in columns)
 
 

@@ -8,10 +8,10 @@ from typing import Annotated, Literal, TypeVar, get_args
 from pydantic import ConfigDict, Field, ValidationError, model_validator
 from pydantic.dataclasses import dataclass
 
+from greenhouse_gym.common.files import first_fault
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.paths import first_fault
+from greenhouse_gym.scene.obstacles import Part, SceneName, SchemaVersion, is_none
 from greenhouse_gym.scene.scene import Difficulty, Scene
-from greenhouse_gym.scene.surroundings import Part, SceneName, SchemaVersion, is_none
 
 Split = Literal["train", "validation", "test"]
 

@@ -19,7 +19,7 @@ from greenhouse_gym.geometry import Array, Box, Capsule, Shape, Sphere
 from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.robots.robot import CUP_GEOM, TIP_SITE
 from greenhouse_gym.robots.start import CART_HALF_WIDTH, cart_drop
-from greenhouse_gym.scene.surroundings import Surroundings
+from greenhouse_gym.scene.obstacles import Surroundings
 
 DEFAULT_CAPACITY = 600
 """Number of obstacles that a padded model has room for."""

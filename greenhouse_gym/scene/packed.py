@@ -11,10 +11,10 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.crop import Stem, Tomato
+from greenhouse_gym.crops.parts import Stem, Tomato
+from greenhouse_gym.crops.shape_tables import COLUMNS, MOST_SHAPES, ShapeParts, ShapeTables, as_tables, from_tables
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Shape
-from greenhouse_gym.packing import COLUMNS, MOST_SHAPES, ShapeParts, ShapeTables, as_tables, from_tables
 from greenhouse_gym.scene.differences import QUATERNION_UNIT, Numbers, differences, restored, width
 
 _UNITS = {"x": 1e-4, "a": 1e-4, "r": 1e-4, "t": 1.0, "i": 1e-3, "k": 1.0, "q": QUATERNION_UNIT}

@@ -13,7 +13,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.crop import Stem, Tomato
+from greenhouse_gym.crops.parts import Stem, Tomato
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import (
     Array,
@@ -26,7 +26,7 @@ from greenhouse_gym.geometry import (
     distance_to_spheres,
     rotation_about,
 )
-from greenhouse_gym.scene.surroundings import Shapes
+from greenhouse_gym.scene.obstacles import Shapes
 
 _WAVELENGTHS = (0.4, 1.2)  # metres, over which shifts change
 _WAVES = 6

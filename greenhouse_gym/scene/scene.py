@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from pydantic import Field, model_validator
 
+from greenhouse_gym.common.files import parsing, read_bytes, write_atomically
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.paths import parsing, read_bytes, write_atomically
-from greenhouse_gym.scene.seen import SeenSpace
-from greenhouse_gym.scene.surroundings import PackedShapes, Part, SchemaVersion, Surroundings, is_none
+from greenhouse_gym.scene.obstacles import PackedShapes, Part, SchemaVersion, Surroundings, is_none
+from greenhouse_gym.scene.occupancy import SeenSpace
 
 if TYPE_CHECKING:
     from greenhouse_gym.robots import Robot

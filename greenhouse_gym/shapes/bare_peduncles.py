@@ -13,7 +13,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
 
-from greenhouse_gym.crop import Stem
+from greenhouse_gym.crops.parts import Stem
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.shapes.evidence import nearest_shapes
 from greenhouse_gym.shapes.peduncles import hop_costs

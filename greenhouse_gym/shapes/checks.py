@@ -11,9 +11,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from greenhouse_gym.clouds import Cloud, exposure_failure, voxel_means
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.reconstruction.point_clouds import Cloud, exposure_failure, voxel_means
 from greenhouse_gym.shapes.normals import estimate_normals
 from greenhouse_gym.shapes.settings import ShapeSettings
 

@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from greenhouse_gym.clouds import means_by_voxel
 from greenhouse_gym.geometry import Array, Box
+from greenhouse_gym.reconstruction.point_clouds import means_by_voxel
 from greenhouse_gym.shapes.evidence import nearest_shapes
 from greenhouse_gym.shapes.patches import flat_patches, lumps
 from greenhouse_gym.shapes.settings import ShapeSettings

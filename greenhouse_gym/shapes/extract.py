@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.clouds import Cloud
-from greenhouse_gym.crop import Stem, Tomato
+from greenhouse_gym.crops.parts import Stem, Tomato
 from greenhouse_gym.geometry import Box, Shape
+from greenhouse_gym.reconstruction.point_clouds import Cloud
 from greenhouse_gym.shapes.bare_peduncles import find_bare_peduncles
 from greenhouse_gym.shapes.checks import Notes, checked, thinned
 from greenhouse_gym.shapes.clutter import box_budget, cover

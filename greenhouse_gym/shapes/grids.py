@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from greenhouse_gym.clouds import Cloud, voxel_means
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.reconstruction.point_clouds import Cloud, voxel_means
 from greenhouse_gym.shapes.settings import ShapeSettings
 from greenhouse_gym.shapes.surfaces import SurfaceCloud, look_at_surfaces, looked_at_finer
 

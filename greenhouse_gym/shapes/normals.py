@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from greenhouse_gym.clouds import Cloud, to_open3d, voxel_means
+from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.open3d_loader import open3d
+from greenhouse_gym.reconstruction.point_clouds import Cloud, to_open3d, voxel_means
 from greenhouse_gym.shapes.neighborhoods import Neighborhoods
 from greenhouse_gym.shapes.settings import ShapeSettings
 

@@ -17,7 +17,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
 
-from greenhouse_gym.crop import Stem, StemKind, Tomato
+from greenhouse_gym.crops.parts import Stem, StemKind, Tomato
 from greenhouse_gym.geometry import Array, closest_on_segments, distance_to_spheres
 from greenhouse_gym.shapes.polylines import fitted, smoothed
 from greenhouse_gym.shapes.settings import ShapeSettings

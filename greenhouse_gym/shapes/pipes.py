@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from greenhouse_gym.clouds import Cloud, voxel_means
-from greenhouse_gym.crop import Stem
+from greenhouse_gym.crops.parts import Stem
 from greenhouse_gym.geometry import Array, frame_along
+from greenhouse_gym.reconstruction.point_clouds import Cloud, voxel_means
 from greenhouse_gym.shapes.neighborhoods import Neighborhoods
 from greenhouse_gym.shapes.robust import SCALES, gauss_newton_step, tukey_weights
 from greenhouse_gym.shapes.settings import ShapeSettings

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from greenhouse_gym.limits import check_numbers
+from greenhouse_gym.common.setting_checks import check_numbers
 
 _POSITIVE = (
     "voxel", "fine_voxel", "vote_cell", "radius_step", "clutter_cell", "path_step", "stem_slab", "shell", "explained",

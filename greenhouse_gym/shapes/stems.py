@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from greenhouse_gym.crop import Stem, StemKind
+from greenhouse_gym.crops.parts import Stem, StemKind
 from greenhouse_gym.geometry import Array, distance_to_capsules
 from greenhouse_gym.shapes.polylines import fitted
 from greenhouse_gym.shapes.robust import gauss_newton_step, tukey_weights

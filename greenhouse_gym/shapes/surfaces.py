@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from greenhouse_gym.clouds import Cloud, voxel_means
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.reconstruction.point_clouds import Cloud, voxel_means
 from greenhouse_gym.shapes.colors import is_colorful, redness
 from greenhouse_gym.shapes.neighborhoods import Neighborhoods
 from greenhouse_gym.shapes.settings import ShapeSettings

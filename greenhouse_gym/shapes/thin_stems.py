@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from greenhouse_gym.clouds import means_by_voxel
-from greenhouse_gym.crop import Stem, Tomato
+from greenhouse_gym.crops.parts import Stem, Tomato
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.reconstruction.point_clouds import means_by_voxel
 from greenhouse_gym.shapes.colors import redness
 from greenhouse_gym.shapes.evidence import nearest_shapes
 from greenhouse_gym.shapes.neighborhoods import Neighborhoods

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from greenhouse_gym.crop import Tomato
+from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.geometry import Array, Sphere
 from greenhouse_gym.shapes.agreement import Find, agreed
 from greenhouse_gym.shapes.candidates import COMPANY, MEASURES, MOST_CONTRAST, company, measures

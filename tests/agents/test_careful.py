@@ -14,11 +14,11 @@ from greenhouse_gym.agents.careful import Care
 from greenhouse_gym.envs import TomatoReachEnv
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Box
-from greenhouse_gym.planning.margins import with_margin
-from greenhouse_gym.planning.unseen import guarded
+from greenhouse_gym.motion.collision import CollisionChecker, planning_model
+from greenhouse_gym.motion.margins import with_margin
+from greenhouse_gym.motion.unknown_space import guarded
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene, compile_scene
-from greenhouse_gym.scene.collision import CollisionChecker, planning_model
 
 ARM = get_robot("ur5e")
 TARGET = 4

@@ -4,15 +4,15 @@ import mujoco
 import numpy as np
 import pytest
 
-from greenhouse_gym.agents.approaches import approaches, glance, looks_at
-from greenhouse_gym.agents.arm_balls import ArmBalls, arm_balls
 from greenhouse_gym.agents.depth_agent import DepthAgent, Ways
 from greenhouse_gym.agents.judging import FEATURES, guessed
 from greenhouse_gym.agents.sight_map import FAR, SightMap
 from greenhouse_gym.envs import TomatoReachEnv
-from greenhouse_gym.envs.cameras import MAX_RANGE, DepthCamera
 from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.geometry import distance_to_shapes
+from greenhouse_gym.motion.approaches import approaches, glance, looks_at
+from greenhouse_gym.motion.arm_spheres import ArmBalls, arm_balls
+from greenhouse_gym.rendering.cameras import MAX_RANGE, DepthCamera
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.robots.kinematics import tool_state
 from greenhouse_gym.scene import Scene, SceneBank, compile_scene

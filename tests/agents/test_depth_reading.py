@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.agents import Problem
-from greenhouse_gym.agents.arm_balls import arm_balls
 from greenhouse_gym.agents.depth_reading import TRUSTED, perfect_reading, stereo_reading
 from greenhouse_gym.agents.knowledge import Knowledge
 from greenhouse_gym.agents.sight_map import SightMap, sensed, wrist_camera
 from greenhouse_gym.agents.watchful import WatchfulAgent
 from greenhouse_gym.capture import sense_depth
 from greenhouse_gym.envs import Randomization, TomatoReachEnv
-from greenhouse_gym.envs.cameras import MAX_RANGE, DepthCamera, stereo_noise
+from greenhouse_gym.motion.arm_spheres import arm_balls
+from greenhouse_gym.rendering.cameras import MAX_RANGE, DepthCamera, stereo_noise
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene
 

@@ -16,7 +16,7 @@ from greenhouse_gym.agents import (
     StraightLineAgent,
     planner_agent,
 )
-from greenhouse_gym.crop import Tomato
+from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.errors import InvalidValueError, UnknownNameError
 from greenhouse_gym.planning import CollisionChecker, PlanResult, plan, planning_model
 from greenhouse_gym.robots import get_robot

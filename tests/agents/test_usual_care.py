@@ -10,11 +10,11 @@ import pytest
 
 from greenhouse_gym.agents import Problem, planner_agent
 from greenhouse_gym.agents.planner_agent import CAREFUL, RIM, PlannerAgent, usual_care, usual_margin
-from greenhouse_gym.cutting import BuildSettings
+from greenhouse_gym.build.scenes import BuildSettings
 from greenhouse_gym.planning import PlanResult, plan
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene, SceneBank
-from greenhouse_gym.scene.seen import EMPTY, SeenSpace
+from greenhouse_gym.scene.occupancy import EMPTY, SeenSpace
 
 
 @pytest.mark.parametrize(("protocol", "care"), [(None, CAREFUL), ("paper", CAREFUL), ("upright-back", "free")])

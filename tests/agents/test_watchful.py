@@ -12,24 +12,24 @@ from seen_helpers import seen_where, with_surface_at
 
 from greenhouse_gym.agents import CarefulAgent, Problem, watchful
 from greenhouse_gym.agents.agent import Agent
-from greenhouse_gym.agents.arm_balls import ArmBalls, arm_balls
 from greenhouse_gym.agents.careful import CAREFUL_DEPTHS, Care
 from greenhouse_gym.agents.knowledge import ROOM, Knowledge
 from greenhouse_gym.agents.views import DEPTHS, WORTH, views, visible
 from greenhouse_gym.agents.watchful import WatchfulAgent, cares_with
 from greenhouse_gym.envs import TomatoReachEnv
-from greenhouse_gym.envs.cameras import MAX_RANGE, DepthCamera
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Box, distance_to_shapes
+from greenhouse_gym.motion.arm_spheres import ArmBalls, arm_balls
+from greenhouse_gym.motion.collision import CollisionChecker, planning_model
+from greenhouse_gym.motion.margins import with_margin
+from greenhouse_gym.motion.reach import arm_reaches
+from greenhouse_gym.motion.unexplained_cells import shapeless
 from greenhouse_gym.planning import PlanResult
-from greenhouse_gym.planning.margins import with_margin
-from greenhouse_gym.planning.surfaces import shapeless
+from greenhouse_gym.rendering.cameras import MAX_RANGE, DepthCamera
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.robots.kinematics import tool_state
 from greenhouse_gym.scene import Scene, compile_scene
-from greenhouse_gym.scene.collision import CollisionChecker, planning_model
 from greenhouse_gym.scene.mjcf import base_position
-from greenhouse_gym.scene.reaches import arm_reaches
 
 ARM = get_robot("ur5e")
 TARGET = 4

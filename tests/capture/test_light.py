@@ -10,11 +10,11 @@ from greenhouse_gym.capture.light import Light, Skin, draw_light, shade
 from greenhouse_gym.capture.raycast import RowRaycaster
 from greenhouse_gym.capture.rig import Intrinsics
 from greenhouse_gym.capture.sensor import doubtful, mix_edges
-from greenhouse_gym.clouds import exposure_failure
-from greenhouse_gym.crop import Stem
+from greenhouse_gym.crops import Organ, PlantRow
+from greenhouse_gym.crops.organs import tube_organ
+from greenhouse_gym.crops.parts import Stem
 from greenhouse_gym.geometry import pose
-from greenhouse_gym.plants import Organ, PlantRow
-from greenhouse_gym.plants.organs import tube_organ
+from greenhouse_gym.reconstruction.point_clouds import exposure_failure
 
 LEAF = np.array([[0.25, 0.42, 0.10]])
 NOON = Light(elevation=np.pi / 2, sun=1.0, diffuse=0.5, gloss=0.0)

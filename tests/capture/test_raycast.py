@@ -5,9 +5,9 @@ import pytest
 from row_helpers import HALF, grown
 
 from greenhouse_gym.capture.raycast import RowRaycaster, tessellate
-from greenhouse_gym.crop import Tomato
+from greenhouse_gym.crops import PlantRow
+from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.geometry import Box, Capsule, Shape, Sphere, distance_to_shapes, pose, rotation_about
-from greenhouse_gym.plants import PlantRow
 
 TURN = rotation_about([1, 2, 3], 0.7)
 R, L = 0.03, 0.2

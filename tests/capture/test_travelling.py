@@ -14,7 +14,7 @@ from row_helpers import HALF
 from greenhouse_gym.capture import Recording, Station, open_recording, simulate_recording, write_recording
 from greenhouse_gym.capture.fingerprint import fingerprint
 from greenhouse_gym.capture.passes import join_passes
-from greenhouse_gym.plants import grow_row
+from greenhouse_gym.crops import grow_row
 
 
 def simulated(folder: Path) -> Recording:

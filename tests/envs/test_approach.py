@@ -6,13 +6,13 @@ import gymnasium
 import numpy as np
 import pytest
 
-from greenhouse_gym.crop import Tomato
+from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.envs import TomatoReachEnv
 from greenhouse_gym.envs.approach import AZIMUTHS, ELEVATIONS, FAR, NEAR, ROOM
 from greenhouse_gym.envs.reach_task import Situation
 from greenhouse_gym.geometry import Sphere
+from greenhouse_gym.motion.distance_field import MAX_DISTANCE
 from greenhouse_gym.scene import Provenance, Scene, SceneBank, Target
-from greenhouse_gym.scene.field import MAX_DISTANCE
 from greenhouse_gym.scene.mjcf import base_position
 
 TARGET = np.array([0.55, 0.1, 1.3])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from greenhouse_gym.crop import Tomato
+from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.envs import TomatoReachEnv
 from greenhouse_gym.geometry import Sphere
 from greenhouse_gym.scene import Scene, SceneBank

@@ -7,9 +7,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from greenhouse_gym.envs.geom_order import ShortLists, _geom_count, id_in_compiled, put_arm_first, world_begins
 from greenhouse_gym.robots import ROBOTS
 from greenhouse_gym.scene import SceneBank, compile_scene
+from greenhouse_gym.scene.geom_order import ShortLists, _geom_count, id_in_compiled, put_arm_first, world_begins
 from greenhouse_gym.scene.truth import true_scene
 
 WITH_ARM = "<body><joint axis='0 0 1'/><geom name='link' size='0.2' pos='1 0 0'/></body>"

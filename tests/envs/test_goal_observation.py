@@ -8,7 +8,7 @@ import pytest
 from gymnasium import spaces
 from reach_helpers import REACH, scene_of, tool_at
 
-from greenhouse_gym.crop import Tomato
+from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.envs import Randomization, TomatoReachEnv
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.scene import SceneBank
@@ -101,7 +101,7 @@ def test_hindsight_replay_relabels_with_collisions_kept(bank: SceneBank) -> None
     pytest.importorskip("stable_baselines3")
     from stable_baselines3 import SAC, HerReplayBuffer
 
-    from greenhouse_gym.integrations.sb3 import make_sb3_vec_env
+    from greenhouse_gym.learning.sb3 import make_sb3_vec_env
 
     env = make_sb3_vec_env(2, bank=bank, observation="goal", reward="sparse", seed=0)
     model = SAC(

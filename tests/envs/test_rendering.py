@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from greenhouse_gym.envs import TomatoReachEnv, TomatoReachVectorEnv, viewer
+from greenhouse_gym.envs import TomatoReachEnv, TomatoReachVectorEnv
 from greenhouse_gym.errors import GreenhouseError
+from greenhouse_gym.rendering import viewer
+from greenhouse_gym.rendering.renderer import default_camera, render_depth
 from greenhouse_gym.scene import SceneBank, opengl
-from greenhouse_gym.scene.render import default_camera, render_depth
 
 
 def moved(bank: SceneBank, seed: int, **keywords: Any) -> TomatoReachEnv:

@@ -9,12 +9,12 @@ from reach_helpers import scene_of
 from test_tomato_reach import make_for
 from test_vector import compare_with_singles
 
-from greenhouse_gym.crop import Tomato
+from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.envs import EnvSettings, TomatoReachEnv, TomatoReachVectorEnv
 from greenhouse_gym.errors import GreenhouseError, InvalidValueError, NoEpisodeError, UnknownKeywordError
 from greenhouse_gym.geometry import Sphere
+from greenhouse_gym.motion.distance_field import obstacle_field
 from greenhouse_gym.scene import SceneBank
-from greenhouse_gym.scene.field import obstacle_field
 
 WRONG = [
     {"capacity": "a"}, {"capacity": 0}, {"capacity": -3}, {"capacity": 10**9}, {"capacity": True}, {"capacity": 2.5},

@@ -7,9 +7,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from greenhouse_gym.envs import TomatoReachEnv, TomatoReachVectorEnv, geom_order, physics
+from greenhouse_gym.envs import TomatoReachEnv, TomatoReachVectorEnv, physics
 from greenhouse_gym.robots import ROBOTS
-from greenhouse_gym.scene import SceneBank, compile_scene
+from greenhouse_gym.scene import SceneBank, compile_scene, geom_order
 
 
 def with_other_servos(folder: Path) -> Path:

@@ -16,15 +16,15 @@ from gymnasium.utils.env_checker import check_env
 from reach_helpers import REACH, scene_of, tool_at, touched_in_plain_mujoco
 
 import greenhouse_gym
-from greenhouse_gym.crop import Stem, Tomato
+from greenhouse_gym.crops.parts import Stem, Tomato
 from greenhouse_gym.envs import TomatoReachEnv
 from greenhouse_gym.envs.actions import ACTIONS
 from greenhouse_gym.envs.choices import OBSERVATIONS
-from greenhouse_gym.envs.geom_order import put_arm_first, world_begins
 from greenhouse_gym.envs.rewards import REWARDS
 from greenhouse_gym.errors import InvalidValueError, UnknownKeywordError, UnknownNameError
 from greenhouse_gym.robots import ROBOTS
 from greenhouse_gym.scene import Scene, SceneBank, Shapes
+from greenhouse_gym.scene.geom_order import put_arm_first, world_begins
 
 
 def make(bank: SceneBank, **keywords: Any) -> TomatoReachEnv:

@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.agents import WaypointAgent
-from greenhouse_gym.envs import TomatoReachEnv, Transition, WayReward, ways
-from greenhouse_gym.envs.roadmap import RESOLUTION
-from greenhouse_gym.envs.ways import EVERY, Ends, Heading, Headings, Place, Ways
+from greenhouse_gym.envs import TomatoReachEnv, Transition, WayReward
+from greenhouse_gym.envs import waypoints as ways
+from greenhouse_gym.envs.waypoints import EVERY, Ends, Heading, Headings, Place, Ways
 from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.geometry import Capsule
+from greenhouse_gym.motion.collision import CollisionChecker, planning_model
+from greenhouse_gym.motion.roadmap import RESOLUTION
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene, SceneBank, Shapes, compile_scene
-from greenhouse_gym.scene.collision import CollisionChecker, planning_model
 
 ARM = get_robot("ur5e")
 TARGET = 4

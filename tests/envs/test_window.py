@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from greenhouse_gym.envs import TomatoReachEnv, TomatoReachVectorEnv, episodes, window
+from greenhouse_gym.envs import TomatoReachEnv, TomatoReachVectorEnv, episodes
+from greenhouse_gym.envs import scene_window as window
 from greenhouse_gym.envs.episodes import EpisodeSampler
-from greenhouse_gym.envs.window import SceneWindow
+from greenhouse_gym.envs.scene_window import SceneWindow
 from greenhouse_gym.envs.worlds import Worlds
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import SceneBank

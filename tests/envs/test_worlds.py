@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.envs import TomatoReachEnv, TomatoReachVectorEnv, worlds
-from greenhouse_gym.envs.geom_order import put_arm_first
 from greenhouse_gym.envs.physics import name_of
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Box
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene, SceneBank, Shapes
 from greenhouse_gym.scene.bank import write_bank
+from greenhouse_gym.scene.geom_order import put_arm_first
 
 
 def test_old_worlds_make_room_unless_somebody_is_in_them(bank: SceneBank, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,7 +22,7 @@ from greenhouse_gym.geometry import Array, Capsule, distance_to_shapes, transfor
 from greenhouse_gym.planning import CollisionChecker, certify_targets, planning_model
 from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.scene import Scene, compile_scene
-from greenhouse_gym.scene.surroundings import Stand
+from greenhouse_gym.scene.obstacles import Stand
 
 
 @pytest.fixture(scope="module")
@@ -170,7 +170,7 @@ def test_meshes_are_closed_face_outwards_and_keep_the_volume(kind: Any, size: tu
 
 @pytest.mark.parametrize("format", ["ply", "obj", "stl"])
 def test_meshes_open_in_open3d(scene: Scene, format: str, tmp_path: Path) -> None:
-    open3d_loader = pytest.importorskip("greenhouse_gym.open3d_loader")
+    open3d_loader = pytest.importorskip("greenhouse_gym.common.open3d_loader")
     try:
         open3d = open3d_loader.open3d()
     except MissingDependencyError:

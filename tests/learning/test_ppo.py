@@ -25,11 +25,11 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from greenhouse_gym.agents.policy_agent import PolicyAgent, shipped_policies
 from greenhouse_gym.envs import WayReward
 from greenhouse_gym.errors import FileFormatError, GreenhouseError, InvalidValueError, UnknownNameError
-from greenhouse_gym.integrations.sb3 import make_sb3_vec_env
 from greenhouse_gym.learning.checkpoints import NAME, load_checkpoint, save_checkpoint
 from greenhouse_gym.learning.curves import VALIDATION, read_curve
 from greenhouse_gym.learning.policies import load_into, save_policy
 from greenhouse_gym.learning.ppo import PpoSettings, make_ppo, train_ppo
+from greenhouse_gym.learning.sb3 import make_sb3_vec_env
 from greenhouse_gym.scene import SceneBank
 from greenhouse_gym.scene.bank import write_bank
 

@@ -15,11 +15,11 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from greenhouse_gym.agents import PolicyAgent
 from greenhouse_gym.agents.agent import check_agent
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError
-from greenhouse_gym.integrations.sb3 import Sb3Agent
 from greenhouse_gym.learning import load_into
 from greenhouse_gym.learning.curves import read_curve
 from greenhouse_gym.learning.sac import SacSettings, load_sac, make_sac, train_sac
 from greenhouse_gym.learning.sac_report import COLUMNS, SacProgress
+from greenhouse_gym.learning.sb3 import Sb3Agent
 from greenhouse_gym.scene import SceneBank
 
 NEVER = 10**9

@@ -13,11 +13,11 @@ from parallel_helpers import Elsewhere
 from typer.testing import CliRunner
 
 from greenhouse_gym.cli.main import app
+from greenhouse_gym.common.executors import RayExecutor
+from greenhouse_gym.common.files import exclusive
 from greenhouse_gym.errors import FileWriteError, InvalidValueError, UnknownNameError
 from greenhouse_gym.learning import PpoSettings, sweep, sweep_ppo
 from greenhouse_gym.learning.curves import CURVE, read_curve
-from greenhouse_gym.parallel import RayExecutor
-from greenhouse_gym.paths import exclusive
 from greenhouse_gym.scene import SceneBank
 
 
@@ -127,7 +127,7 @@ def test_only_a_training_that_is_not_done_was_stopped_early(
         for name, steps in zip(items, (64.0, 32.0), strict=True):
             ended(name, {"folder": name, "steps": steps}, True)
 
-    monkeypatch.setattr("greenhouse_gym.parallel.ray_tune.run_trials", trials)
+    monkeypatch.setattr("greenhouse_gym.common.executors.ray_tune.run_trials", trials)
     rows: list[sweep.Row] = []
     trainings = sweep._trainings(settings, {"seed": [0, 1]}, tmp_path)
     sweep._tune(trainings, RayExecutor.__new__(RayExecutor), tmp_path, rows.append, rows.append, True)

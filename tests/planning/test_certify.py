@@ -5,15 +5,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from greenhouse_gym.crop import Tomato
+from greenhouse_gym.crops.parts import Tomato
+from greenhouse_gym.motion.collision import path_clearance
 from greenhouse_gym.planning import CollisionChecker, PlanResult, certify, certify_targets, planning_model
 from greenhouse_gym.planning.registered import PlannerFailedError
 from greenhouse_gym.planning.result import Status
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene, Target
-from greenhouse_gym.scene.collision import path_clearance
 from greenhouse_gym.scene.mjcf import compile_scene
-from greenhouse_gym.scene.seen import EMPTY, UNSEEN, SeenSpace
+from greenhouse_gym.scene.occupancy import EMPTY, UNSEEN, SeenSpace
 
 
 @pytest.fixture(scope="module")

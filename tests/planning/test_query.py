@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from greenhouse_gym.crop import Tomato
+from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.errors import InvalidValueError, UnknownNameError
 from greenhouse_gym.geometry import Sphere
 from greenhouse_gym.planning import (

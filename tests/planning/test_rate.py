@@ -10,12 +10,12 @@ from typer.testing import CliRunner
 from greenhouse_gym.cli import app
 from greenhouse_gym.envs import TomatoReachEnv
 from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.motion.collision import PROOF
 from greenhouse_gym.planning import CollisionChecker, plan, planning_model, rate
 from greenhouse_gym.planning.rate import RATING, rate_bank
 from greenhouse_gym.robots import get_robot, load_robot
 from greenhouse_gym.scene import Scene, SceneBank, compile_scene
 from greenhouse_gym.scene.bank import write_bank
-from greenhouse_gym.scene.collision import PROOF
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "robots"))
 from conftest import make_scene

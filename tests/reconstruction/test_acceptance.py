@@ -9,8 +9,8 @@ import pytest
 from row_helpers import HALF, half_recording, true_poses
 
 from greenhouse_gym.capture import Camera, RgbdFrame, Rig, Station, sense_depth
+from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.geometry import Array, invert, pose, rotation_about, rotation_angle
-from greenhouse_gym.open3d_loader import open3d
 from greenhouse_gym.reconstruction import ReconstructionSettings
 from greenhouse_gym.reconstruction.icp import align
 from greenhouse_gym.reconstruction.registration import unconvincing

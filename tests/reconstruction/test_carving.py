@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from row_helpers import HALF, half_cloud, half_recording
 
+from greenhouse_gym.crops import PlantRow
 from greenhouse_gym.errors import ReconstructionError
 from greenhouse_gym.geometry import distance_to_shapes, pose
-from greenhouse_gym.plants import PlantRow
 from greenhouse_gym.reconstruction import RowCloud, RowReport
 from greenhouse_gym.reconstruction.row import Sight
 from greenhouse_gym.reconstruction.seen import CarvingSettings, carve
 from greenhouse_gym.reconstruction.views import BLOCK
-from greenhouse_gym.scene.seen import EMPTY, SURFACE, UNSEEN
+from greenhouse_gym.scene.occupancy import EMPTY, SURFACE, UNSEEN
 
 LOW, HIGH = np.array([-0.3, -0.6, 0.3]), np.array([1.2, 0.6, 2.0])
 

@@ -20,8 +20,8 @@ from greenhouse_gym.capture import (
 from greenhouse_gym.capture.rig import D435_DEPTH
 from greenhouse_gym.capture.sensor import draw_biases
 from greenhouse_gym.capture.simulated import misplaced
+from greenhouse_gym.crops import grow_row
 from greenhouse_gym.geometry import invert, pose, rotation_about, rotation_angle, transform
-from greenhouse_gym.plants import grow_row
 from greenhouse_gym.reconstruction import ReconstructionSettings
 from greenhouse_gym.reconstruction.calibration import calibrate
 from greenhouse_gym.reconstruction.icp import align

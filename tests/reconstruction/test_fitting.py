@@ -9,8 +9,8 @@ import pytest
 from row_helpers import HALF, from_stations, half_recording, with_depth
 
 from greenhouse_gym.capture import PROTOCOLS, RgbdFrame, Rig, sense_depth, simulate_protocol
+from greenhouse_gym.crops import grow_row
 from greenhouse_gym.geometry import invert, pose, rotation_about, rotation_angle
-from greenhouse_gym.plants import grow_row
 from greenhouse_gym.reconstruction import ReconstructionSettings, settings_for
 from greenhouse_gym.reconstruction.fitting import foreground_cut, sensor_noise
 from greenhouse_gym.reconstruction.overlap import calibrate_from_overlap

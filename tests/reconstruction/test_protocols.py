@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from row_helpers import HALF, from_stations, rendered, worst_errors
 
+from greenhouse_gym.build.scenes import BuildSettings, stand_positions
 from greenhouse_gym.capture import (
     PROTOCOLS,
     Camera,
@@ -23,9 +24,8 @@ from greenhouse_gym.capture import (
     three_camera_rig,
     write_recording,
 )
-from greenhouse_gym.cutting import BuildSettings, stand_positions
+from greenhouse_gym.crops import grow_row
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, ReconstructionError, UnknownNameError
-from greenhouse_gym.plants import grow_row
 from greenhouse_gym.reconstruction import ReconstructionSettings, reconstruct_row, settings_for
 
 pytestmark = pytest.mark.xdist_group("row")

@@ -10,9 +10,9 @@ from row_helpers import HALF, from_stations, half_recording, rendered, worst_err
 
 from greenhouse_gym.capture import Camera, Intrinsics, Recording, Rig, simulate_recording, three_camera_rig
 from greenhouse_gym.capture.simulated import WalkSettings, misplaced
+from greenhouse_gym.crops import grow_row
 from greenhouse_gym.errors import ReconstructionError
 from greenhouse_gym.geometry import pose, rotation_about, rotation_angle
-from greenhouse_gym.plants import grow_row
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, reconstruct_row
 from greenhouse_gym.reconstruction.calibration import calibrate
 from greenhouse_gym.reconstruction.registration import row_axis

@@ -10,8 +10,8 @@ import pytest
 from row_helpers import HALF, black, from_stations, full_recording, half_recording, rendered, worst_errors
 
 from greenhouse_gym.capture import Recording, Station, simulate_recording
+from greenhouse_gym.crops import grow_row
 from greenhouse_gym.errors import ReconstructionError
-from greenhouse_gym.plants import grow_row
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, reconstruct_row, reconstruct_segments
 
 pytestmark = pytest.mark.xdist_group("row")

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from row_helpers import half_cloud
 from scipy.spatial import cKDTree
 
-from greenhouse_gym.clouds import Cloud, merge, voxel_means
+from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError
-from greenhouse_gym.open3d_loader import open3d
 from greenhouse_gym.reconstruction import METHODS, TriangleMesh, simplify_points, triangulate
+from greenhouse_gym.reconstruction.point_clouds import Cloud, merge, voxel_means
 from greenhouse_gym.reconstruction.surface import check_mesh, save_mesh, save_points
 
 pytestmark = pytest.mark.xdist_group("row")

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from greenhouse_gym.crop import Tomato
+from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError
 from greenhouse_gym.scene import Provenance, Scene, SceneBank, Target
 from greenhouse_gym.scene import bank as bank_module

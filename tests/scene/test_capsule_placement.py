@@ -3,7 +3,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from greenhouse_gym.crop import Stem
+from greenhouse_gym.crops.parts import Stem
 from greenhouse_gym.scene import Provenance, Scene, compile_scene
 
 

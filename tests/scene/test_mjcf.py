@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from greenhouse_gym.crop import Stem, Tomato
+from greenhouse_gym.crops.parts import Stem, Tomato
 from greenhouse_gym.errors import InvalidValueError, UnknownNameError
 from greenhouse_gym.geometry import Box, Capsule, Sphere, rotation_about
 from greenhouse_gym.robots import get_robot

@@ -10,8 +10,8 @@ from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene, SceneBank
 from greenhouse_gym.scene.mjcf import compile_scene
-from greenhouse_gym.scene.moving import moved_to
 from greenhouse_gym.scene.plant_motion import PlantMotion, moved_plants
+from greenhouse_gym.scene.recompile import moved_to
 from greenhouse_gym.scene.truth import true_scene
 
 ARM = get_robot("ur5e")

@@ -5,9 +5,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from greenhouse_gym.crops import grow_row
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Box
-from greenhouse_gym.plants import grow_row
 from greenhouse_gym.scene import Shapes
 from greenhouse_gym.scene.plant_motion import PlantMotion, moved_plants
 

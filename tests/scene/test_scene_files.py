@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from greenhouse_gym.crop import Stem, Tomato
+from greenhouse_gym.crops.parts import Stem, Tomato
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import Box, Capsule, Sphere, rotation_about
 from greenhouse_gym.scene import Provenance, Scene, Shapes, Stand, Target

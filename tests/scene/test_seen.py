@@ -11,8 +11,8 @@ from conftest import make_scene
 from greenhouse_gym.errors import FileFormatError, InvalidValueError
 from greenhouse_gym.geometry import distance_to_shapes
 from greenhouse_gym.scene import Scene
+from greenhouse_gym.scene.occupancy import EMPTY, SURFACE, UNSEEN, SeenSpace, boxes_of
 from greenhouse_gym.scene.packed import compressed
-from greenhouse_gym.scene.seen import EMPTY, SURFACE, UNSEEN, SeenSpace, boxes_of
 
 
 def some_space(seed: int = 0) -> SeenSpace:

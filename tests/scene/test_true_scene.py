@@ -8,9 +8,9 @@ from conftest import make_scene
 
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Box
+from greenhouse_gym.motion.collision import CollisionChecker
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Shapes, compile_scene
-from greenhouse_gym.scene.collision import CollisionChecker
 from greenhouse_gym.scene.truth import stands_free, true_scene
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from greenhouse_gym.crop import Stem
+from greenhouse_gym.crops.parts import Stem
 from greenhouse_gym.geometry import distance_to_shapes
 from greenhouse_gym.shapes import ShapeSettings
 from greenhouse_gym.shapes.bare_peduncles import find_bare_peduncles

@@ -8,10 +8,10 @@ from row_helpers import full_cloud, full_recording, grown, true_poses
 
 from greenhouse_gym.accuracy import match_tomatoes, visible_tomatoes
 from greenhouse_gym.capture.raycast import RIPENESS_COLORS
-from greenhouse_gym.clouds import Cloud
-from greenhouse_gym.crop import Stem, Tomato
+from greenhouse_gym.crops.parts import Stem, Tomato
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Sphere, distance_to_shapes, invert, transform
+from greenhouse_gym.reconstruction.point_clouds import Cloud
 from greenhouse_gym.shapes import FINE_SHAPES, RowShapes, ShapeSettings, ShapeWarning, extract_shapes
 from greenhouse_gym.shapes.clutter import bounding_box, box_budget, cover
 from greenhouse_gym.shapes.colors import could_be_fruit, could_be_stem, redness

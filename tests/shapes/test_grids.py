@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from greenhouse_gym.clouds import Cloud, voxel_means
 from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.reconstruction.point_clouds import Cloud, voxel_means
 from greenhouse_gym.shapes import ShapeSettings, extract_shapes
 from greenhouse_gym.shapes.grids import by_grids
 from greenhouse_gym.shapes.surfaces import SurfaceCloud, look_at_surfaces

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from greenhouse_gym.clouds import Cloud, voxel_means
 from greenhouse_gym.geometry import Array, frame_along
+from greenhouse_gym.reconstruction.point_clouds import Cloud, voxel_means
 from greenhouse_gym.shapes import ShapeSettings, extract_shapes
 from greenhouse_gym.shapes.pipes import find_pipes
 

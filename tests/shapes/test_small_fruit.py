@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from greenhouse_gym.clouds import Cloud
+from greenhouse_gym.reconstruction.point_clouds import Cloud
 from greenhouse_gym.shapes import ShapeSettings, extract_shapes
 from greenhouse_gym.shapes.networks import network
 from greenhouse_gym.shapes.small_fruit import Credited, find_small, small_spheres

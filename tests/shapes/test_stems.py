@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from greenhouse_gym.crop import Stem
+from greenhouse_gym.crops.parts import Stem
 from greenhouse_gym.geometry import Array, distance_to_shapes, frame_along
 from greenhouse_gym.shapes import ShapeSettings, extract_shapes
 from greenhouse_gym.shapes.normals import estimate_normals

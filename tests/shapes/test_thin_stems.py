@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from greenhouse_gym.clouds import Cloud, merge, voxel_means
-from greenhouse_gym.crop import Stem, Tomato
+from greenhouse_gym.crops.parts import Stem, Tomato
 from greenhouse_gym.geometry import frame_along
+from greenhouse_gym.reconstruction.point_clouds import Cloud, merge, voxel_means
 from greenhouse_gym.shapes import ShapeSettings
 from greenhouse_gym.shapes.networks import network, network_file
 from greenhouse_gym.shapes.surfaces import look_at_surfaces

@@ -12,8 +12,8 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
+from greenhouse_gym.common.extras import needs
 from greenhouse_gym.errors import FileFormatError
-from greenhouse_gym.extras import needs
 
 _REPAIRS = {
     ".bag": "rosbag reindex {0}",

@@ -25,9 +25,9 @@ from greenhouse_gym.capture.formats.videos import POSED_WITHIN, nearest_in_time
 from greenhouse_gym.capture.frames import RgbdFrame, Station
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.capture.rig import Camera, Rig
+from greenhouse_gym.common.files import parsing
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import Array, invert
-from greenhouse_gym.paths import parsing
 
 name = "bag"
 description = "a ROS 1 .bag (RealSense's too), a ROS 2 .mcap or .db3 with its metadata.yaml, or their folder"

@@ -12,9 +12,9 @@ from greenhouse_gym.capture.formats.pairs import Lens, Pair
 from greenhouse_gym.capture.formats.videos import read_any_color, video
 from greenhouse_gym.capture.recordings import Recording, checked_pose
 from greenhouse_gym.capture.rig import Intrinsics
+from greenhouse_gym.common.files import parsing, read_bytes
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import Array, invert
-from greenhouse_gym.paths import parsing, read_bytes
 
 name = "bop"
 description = "the folders rgb/ and depth/ and the file scene_camera.json of a scene of BOP"

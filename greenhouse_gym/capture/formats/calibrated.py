@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 from greenhouse_gym.capture.formats.single_camera import read_numbers, single_camera
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.capture.rig import Intrinsics
+from greenhouse_gym.common.files import parsing, read_bytes
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import Array, pose
-from greenhouse_gym.paths import parsing, read_bytes
 
 name = "calibrated"
 description = "the folders rgb/ and depth/, camera_*.yaml, optionally groundtruth_handeye.txt"

@@ -28,10 +28,10 @@ from greenhouse_gym.capture.formats.videos import poses_by_time, read_any_color,
 from greenhouse_gym.capture.frames import Station
 from greenhouse_gym.capture.recordings import Recording, checked_pose
 from greenhouse_gym.capture.rig import Camera, Intrinsics, Rig
+from greenhouse_gym.common.extras import needs
+from greenhouse_gym.common.files import inside, parsing, read_bytes
 from greenhouse_gym.errors import FileFormatError
-from greenhouse_gym.extras import needs
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.paths import inside, parsing, read_bytes
 
 with needs("reconstruct"):
     import yaml

@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from greenhouse_gym.capture.formats.pairs import Lens
 from greenhouse_gym.capture.rig import Intrinsics
+from greenhouse_gym.common.extras import needs
 from greenhouse_gym.errors import FileFormatError
-from greenhouse_gym.extras import needs
 from greenhouse_gym.geometry import Array, pose
 
 with needs("reconstruct"):

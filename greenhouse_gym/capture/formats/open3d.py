@@ -10,8 +10,8 @@ from pydantic import BaseModel, Field
 from greenhouse_gym.capture.formats.single_camera import single_camera
 from greenhouse_gym.capture.recordings import INDEX, Recording, checked_pose
 from greenhouse_gym.capture.rig import Intrinsics
+from greenhouse_gym.common.files import parsing, read_bytes
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.paths import parsing, read_bytes
 
 name = "open3d"
 description = "the folders color/ and depth/, optionally camera*.json or intrinsic.json, and trajectory.log"

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.array_files import read_array
 from greenhouse_gym.capture.frames import RgbdFrame
 from greenhouse_gym.capture.images import read_exr, read_image
 from greenhouse_gym.capture.rig import Intrinsics
+from greenhouse_gym.common.array_files import read_array
+from greenhouse_gym.common.extras import needs
+from greenhouse_gym.common.files import parsing, read_bytes
 from greenhouse_gym.errors import FileFormatError
-from greenhouse_gym.extras import needs
 from greenhouse_gym.geometry import Array, transform
-from greenhouse_gym.paths import parsing, read_bytes
 
 with needs("reconstruct"):
     import cv2

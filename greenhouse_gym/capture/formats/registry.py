@@ -20,8 +20,8 @@ from typing import Protocol
 from greenhouse_gym.capture.formats import bags, bop, calibrated, described, open3d, own, scannet, tum
 from greenhouse_gym.capture.frames import RgbdFrame, Station
 from greenhouse_gym.capture.recordings import Recording
+from greenhouse_gym.common.files import parsing
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError
-from greenhouse_gym.paths import parsing
 
 ENTRY_POINTS = "greenhouse_gym.formats"
 """The group of entry points by which other packages add formats."""

@@ -15,9 +15,9 @@ import numpy as np
 from greenhouse_gym.capture.frames import Station
 from greenhouse_gym.capture.recordings import Recording, read_frame
 from greenhouse_gym.capture.rig import Camera, Intrinsics, Rig
+from greenhouse_gym.common.files import parsing, read_bytes
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import Array, pose
-from greenhouse_gym.paths import parsing, read_bytes
 
 RIG_FROM_CAMERA = pose(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]))
 """Where the camera of a rig of one stands in the rig's frame."""

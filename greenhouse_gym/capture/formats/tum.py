@@ -17,9 +17,9 @@ from greenhouse_gym.capture.formats.videos import (
 )
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.capture.rig import Intrinsics
+from greenhouse_gym.common.files import inside, parsing, read_bytes
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.paths import inside, parsing, read_bytes
 
 name = "tum"
 description = "rgb.txt and depth.txt as of TUM and ETH3D, optionally groundtruth.txt and calibration.txt"

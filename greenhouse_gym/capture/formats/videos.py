@@ -17,8 +17,8 @@ from greenhouse_gym.capture.frames import Station
 from greenhouse_gym.capture.images import read_image
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.capture.rig import Camera, Rig
+from greenhouse_gym.common.extras import needs
 from greenhouse_gym.errors import FileFormatError
-from greenhouse_gym.extras import needs
 from greenhouse_gym.geometry import Array, pose
 
 with needs("reconstruct"):

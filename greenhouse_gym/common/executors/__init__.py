@@ -1,0 +1,27 @@
+"""Work spread over the cores of one machine or of many, with the same results as on one."""
+
+from greenhouse_gym.common.executors.backends import BACKENDS, executor_for, idle_cores
+from greenhouse_gym.common.executors.ray_actor import RayActor
+from greenhouse_gym.common.executors.ray_executor import RayExecutor
+from greenhouse_gym.common.executors.spreading import (
+    WorkerLostError,
+    completed,
+    processes,
+    require_portable,
+    usable_cores,
+    workers_of,
+)
+
+__all__ = [
+    "BACKENDS",
+    "RayActor",
+    "RayExecutor",
+    "WorkerLostError",
+    "completed",
+    "executor_for",
+    "idle_cores",
+    "processes",
+    "require_portable",
+    "usable_cores",
+    "workers_of",
+]

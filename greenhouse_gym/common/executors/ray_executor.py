@@ -1,0 +1,254 @@
+"""Ray as an executor: the cores of a cluster behind the interface of `concurrent.futures`."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import platform
+import socket
+import sys
+from collections.abc import Callable
+from concurrent.futures import Executor, Future, InvalidStateError, wait
+from contextlib import suppress
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from types import TracebackType
+from typing import Any, TypeVar
+
+from greenhouse_gym import __version__
+from greenhouse_gym.common.executors.spreading import WorkerLostError
+from greenhouse_gym.common.extras import needs
+from greenhouse_gym.errors import GreenhouseError, InvalidValueError
+
+Result = TypeVar("Result")
+
+_PATIENCE = 5.0  # seconds until an address at which nothing answers is given up
+_SETTINGS = b"\x04"  # the kind of frame that opens a connection of HTTP/2, which Ray's head speaks
+_GREETING = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes(3) + _SETTINGS + bytes(5)
+
+
+class RayExecutor(Executor):
+    """Works on the cores of a Ray cluster; use it in a ``with`` block.
+
+    What a worker needs travels by pickle, as with processes: functions of modules, which each node must have, in the
+    same version of this package. Each piece of work is begun in the caller's working folder where a node sees that, so
+    relative paths mean the same. What a lost node was at work on is done again by another.
+
+    Args:
+        address: "local" for the cores of this machine alone, "HOST:PORT" of a cluster's head, or "auto" for the cluster
+            this machine belongs to. A process that has joined one already stays in it.
+        cpus: Cores that each piece of work takes.
+        memory: Bytes that each takes; Ray begins no more at a time than fit. With None, memory is not counted.
+        retries: How often a piece is begun anew when its node or process dies.
+        workers: With "local", how many cores to use; None for all.
+
+    Raises:
+        MissingDependencyError: Ray is not installed.
+        InvalidValueError: No cluster answers at the address, it runs another version of Python or Ray, or none of its
+            nodes has the cores or the memory that a piece of work takes.
+    """
+
+    def __init__(
+        self,
+        address: str = "local",
+        cpus: float = 1,
+        memory: int | None = None,
+        retries: int = 3,
+        workers: int | None = None,
+    ):
+        with needs("cluster"):
+            self.ray: Any = import_module("ray")
+        self.cpus, self.memory, self.retries = cpus, memory, retries
+        if address not in ("local", "auto"):
+            _check_listens(address)
+        self._owns = not self.ray.is_initialized()
+        if self._owns:
+            _join(self.ray, address, workers)
+        elif address not in ("local", "auto"):
+            raise InvalidValueError(f"this process is in a Ray cluster already: leave it before joining {address}")
+        self._futures: set[Future[Any]] = set()
+        self._open = True
+        try:
+            _check_fits([node for node in self.ray.nodes() if node["Alive"]], cpus, memory)
+        except InvalidValueError:
+            self.shutdown()
+            raise
+        options = {"num_cpus": cpus, "max_retries": retries, "retry_exceptions": False}
+        self._call = self.ray.remote(_call).options(**options, **({} if memory is None else {"memory": memory}))
+        self._max_workers = max(1, int(self.ray.cluster_resources().get("CPU", 1) // cpus))
+
+    def submit(self, fn: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:
+        """Have a worker call a function of a module.
+
+        Raises:
+            RuntimeError: The executor was shut down.
+        """
+        if not self._open:
+            raise RuntimeError("cannot schedule new futures after shutdown")
+        reference = self._call.remote(self.message(fn, *args, **kwargs), *self.home())
+        future: Future[Result] = _RayFuture(self.ray, reference)
+        self._futures.add(future)
+        future.add_done_callback(self._futures.discard)
+        reference.future().add_done_callback(partial(_settle, future))
+        return future
+
+    def message(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> bytes:
+        """A function of a module and its arguments, as they travel."""
+        # Not protocol 5, which leaves arrays where the message happens to lie, and products of them in the last bits.
+        return bytes(self.ray.cloudpickle.dumps((fn, args, kwargs), protocol=4))
+
+    def home(self) -> tuple[str, list[str], str]:
+        """The caller's working folder, where it looks for modules, and its version of this package."""
+        return str(Path.cwd()), sys.path, __version__
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Take no more work; leave the cluster if this executor joined it.
+
+        Args:
+            wait: Whether to wait for what was handed out.
+            cancel_futures: Whether to stop that instead, what is being worked on included.
+        """
+        self._open = False
+        if cancel_futures:
+            for future in list(self._futures):
+                future.cancel()
+        if wait:
+            _wait(list(self._futures))
+        if self._owns and self.ray.is_initialized():
+            self.ray.shutdown()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.shutdown(cancel_futures=kind is not None)
+
+
+class _RayFuture(Future[Result]):
+    """A future whose cancellation stops the work, however far it is."""
+
+    def __init__(self, ray: Any, reference: Any):
+        super().__init__()
+        self._ray, self._reference = ray, reference
+
+    def cancel(self) -> bool:
+        canceled = super().cancel()
+        if canceled:
+            with suppress(Exception):  # the cluster may be gone
+                self._ray.cancel(self._reference, force=True)
+        return canceled
+
+
+def _wait(futures: list[Future[Any]]) -> None:
+    wait(futures)
+
+
+def _join(ray: Any, address: str, workers: int | None) -> None:
+    """Start a cluster of this machine's cores, or join one.
+
+    Raises:
+        InvalidValueError: There is no cluster to start or join.
+    """
+    own = (
+        {"num_cpus": workers, "include_dashboard": False, "_system_config": {"worker_niceness": 0}}
+        if address == "local"
+        else {}
+    )
+    try:
+        ray.init(address=address, log_to_driver=False, logging_level="warning", configure_logging=True, **own)
+    except (ConnectionError, RuntimeError, ValueError) as error:
+        first = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+        raise InvalidValueError(f"no Ray cluster can be joined at {address!r}: {first}") from error
+
+
+def _check_fits(nodes: list[dict[str, Any]], cpus: float, memory: int | None) -> None:
+    """Raise `InvalidValueError` where Ray would wait for ever for a node that can do a piece of work."""
+    most = max((node["Resources"].get("CPU", 0.0) for node in nodes), default=0.0)
+    room = max((node["Resources"].get("memory", 0.0) for node in nodes), default=0.0)
+    if not 0 < cpus <= most:
+        raise InvalidValueError(f"the nodes of the cluster have up to {most:g} cores, got cpus={cpus!r}")
+    if memory is not None and not 0 < memory <= room:
+        raise InvalidValueError(f"the nodes of the cluster have up to {room / 1e9:.1f} GB, got memory={memory!r}")
+
+
+def _check_listens(address: str) -> None:
+    """Raise `InvalidValueError` within seconds where Ray would go on trying for minutes."""
+    host, _, port = address.rpartition(":")
+    if not host or not port.isdecimal():
+        raise InvalidValueError(f'address must be "local", "auto" or HOST:PORT, got {address!r}')
+    try:
+        with socket.create_connection((host, int(port)), _PATIENCE) as connection:
+            connection.settimeout(_PATIENCE)
+            connection.sendall(_GREETING)
+            answer = connection.recv(9)
+    except (OSError, OverflowError) as error:
+        raise InvalidValueError(
+            f"nothing that Ray understands listens at {address} ({error}): expected the head of a Ray cluster"
+        ) from error
+    if answer[3:4] != _SETTINGS and os.environ.get("RAY_USE_TLS", "0") in ("", "0"):
+        raise InvalidValueError(f"what listens at {address} is no head of a Ray cluster")
+
+
+def _call(message: bytes, folder: str, path: list[str], version: str) -> tuple[bool, bytes]:
+    """Do a piece of work on a node: whether it went well, and the pickled result or error.
+
+    Args:
+        message: The pickled function and its arguments.
+        folder: The caller's working folder.
+        path: Where the caller looks for modules.
+        version: The caller's version of this package.
+    """
+    try:
+        at_home(folder, path, version)
+        function, arguments, keywords = pickle.loads(message)
+        return True, pickle.dumps(function(*arguments, **keywords))
+    except Exception as error:
+        return False, pickle.dumps(told(error))
+
+
+def told(error: Exception) -> Exception:
+    """An error that names a file which this node does not see, saying so as well."""
+    path = getattr(error, "path", None)
+    if isinstance(error, GreenhouseError) and isinstance(path, str | Path) and not Path(path).exists():
+        error.args = (f"{error} (on node {platform.node()}, which sees no such path; all nodes must see the same)",)
+    return error
+
+
+def at_home(folder: str, path: list[str], version: str) -> None:
+    """Have this process, on a node, look for files and modules as the caller does.
+
+    Raises:
+        InvalidValueError: The node has another version of this package.
+    """
+    if version != __version__:
+        raise InvalidValueError(
+            f"node {platform.node()} has greenhouse-gym {__version__}, the head {version}: install the same on all"
+        )
+    if Path(folder).is_dir():
+        os.chdir(folder)
+    sys.path += [entry for entry in path if entry not in sys.path]
+
+
+def _settle(future: Future[Any], done: Future[tuple[bool, bytes]]) -> None:
+    """Tell a caller's future what Ray's has come to."""
+    with suppress(InvalidStateError):  # it was canceled meanwhile
+        try:
+            went_well, message = done.result()
+        except BaseException as error:
+            future.set_exception(WorkerLostError(f"a piece of work was lost: {reason_of(error)}"))
+            return
+        try:
+            result = pickle.loads(message)
+        except Exception as error:
+            future.set_exception(error)
+            return
+        if went_well:
+            future.set_result(result)
+        else:
+            future.set_exception(result)
+
+
+def reason_of(error: BaseException) -> str:
+    """Ray's error in one line, without its traceback."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return f"{type(error).__name__}: {(lines or ['no reason given'])[0][:300]}"

@@ -1,0 +1,175 @@
+"""Settings from files and from single assignments, and as files: TOML or JSON in, commented TOML out.
+
+Settings are frozen dataclasses, some inside others. Whatever is given replaces fields of settings that are there.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+import re
+import textwrap
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, asdict, fields, is_dataclass
+from inspect import cleandoc, getsource
+from pathlib import Path
+from typing import Any, TypeVar, get_args, get_type_hints
+
+from pydantic import TypeAdapter, ValidationError
+
+from greenhouse_gym.common.files import first_fault, parsing, read_bytes
+from greenhouse_gym.errors import FileFormatError, GreenhouseError, InvalidValueError, UnknownNameError
+
+Settings = TypeVar("Settings")
+Tree = dict[str, Any]
+
+
+_NOTHING = "null"
+"""What stands for None, since TOML has no word for it."""
+
+
+def resolve(defaults: Settings, file: str | Path | None = None, assignments: Sequence[str] = ()) -> Settings:
+    """Settings with some fields replaced.
+
+    Args:
+        defaults: A dataclass of settings.
+        file: A JSON file, or a TOML file by its suffix ``.toml``, that holds any of the fields, inner ones in tables.
+        assignments: Texts such as ``shapes.voxel=0.004``; they come after the file.
+
+    Raises:
+        FileFormatError: The file cannot be read, is damaged, or does not fit the settings.
+        UnknownNameError: An assignment names no field; the message lists the choices.
+        InvalidValueError: A value is none of the field's type, or an assignment is none.
+    """
+    if file is not None:
+        content = _read(Path(file))
+        try:
+            defaults = replaced(defaults, content)
+        except GreenhouseError as error:
+            raise FileFormatError(file, str(error)) from error
+    for text in assignments:
+        defaults = replaced(defaults, assigned(text))
+    return defaults
+
+
+def as_toml(settings: object, comments: bool = False) -> str:
+    """Settings as TOML that `resolve` reads; with ``comments``, each field with what its class says of it.
+
+    Fields that are None are left out, or commented out.
+    """
+    return "\n".join(_lines(settings, "", comments)).strip() + "\n"
+
+
+def _read(path: Path) -> Tree:
+    text = read_bytes(path, "settings")
+    with parsing(path, "file of settings"):
+        content = tomllib.loads(text.decode()) if path.suffix.lower() == ".toml" else json.loads(text)
+        if not isinstance(content, dict):
+            raise ValueError("expected fields with their values")
+    return content
+
+
+def assigned(text: str) -> Tree:
+    """The tree of one assignment such as ``shapes.voxel=0.004``.
+
+    Raises:
+        InvalidValueError: It is none.
+    """
+    name, equals, value = text.partition("=")
+    if not equals or not name.strip():
+        raise InvalidValueError(f"setting {text!r}: expected a field and its value, as shapes.voxel=0.004")
+    try:
+        parsed = tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        parsed = value.strip()  # a word without quotation marks
+    for part in reversed(name.strip().split(".")):
+        parsed = {part: parsed}
+    return parsed
+
+
+def replaced(settings: Settings, content: Tree) -> Settings:
+    """Settings with the fields of a tree in place of their own.
+
+    Args:
+        settings: A dataclass of settings.
+        content: Values by the name of the field, those of inner settings as trees.
+
+    Raises:
+        UnknownNameError: There is no such field; the message lists the choices.
+        InvalidValueError: A value is none of the field's type.
+    """
+    merged = _merged(settings, content, "")
+    try:
+        return TypeAdapter(type(settings)).validate_python(merged)
+    except ValidationError as error:
+        raise InvalidValueError(f"setting {first_fault(error)}") from error
+
+
+def _merged(settings: object, content: Mapping[str, Any], where: str) -> Tree:
+    """The fields of a dataclass as a tree, those of another tree in their places."""
+    names = [field.name for field in fields(settings)]  # type: ignore[arg-type]
+    tree = asdict(settings)  # type: ignore[call-overload]
+    for name, value in content.items():
+        if name not in names:
+            raise UnknownNameError("setting", where + name, [where + known for known in names])
+        inner = getattr(settings, name)
+        if is_dataclass(inner) and isinstance(value, dict):
+            tree[name] = _merged(inner, value, f"{where}{name}.")
+        elif inner is None and isinstance(value, dict) and (kind := _inner_class(settings, name)) is not None:
+            tree[name] = _merged(kind(), value, f"{where}{name}.")
+        else:
+            tree[name] = None if value == _NOTHING else value
+    return tree
+
+
+def _inner_class(settings: object, name: str) -> Any:
+    """The dataclass that an optional field may hold, or None."""
+    hint = get_type_hints(type(settings))[name]
+    return next((kind for kind in get_args(hint) if is_dataclass(kind)), None)
+
+
+def _lines(settings: Any, where: str, comments: bool) -> list[str]:
+    said = _comments(type(settings)) if comments else {}
+    summary = cleandoc(type(settings).__doc__ or "").split("\n\n")[0] if comments else ""
+    own = [f"# {line}" for line in textwrap.wrap(summary, 116)]
+    inner: list[str] = []
+    for field in fields(settings):
+        value = getattr(settings, field.name)
+        if value is None and _inner_class(settings, field.name) is not None and comments:
+            value, said_of = _inner_class(settings, field.name)(), said.get(field.name, "")
+            inner += ["", *([f"# {said_of}"] if said_of else []), *_table(value, where + field.name, comments)]
+        elif is_dataclass(value):
+            inner += ["", *_table(value, where + field.name, comments)]
+        elif value is None and field.default not in (None, MISSING):
+            own.append(f"{field.name} = {_value(_NOTHING)}")
+        elif value is not None or comments:
+            line = f"{field.name} = {_value(value)}" if value is not None else f"# {field.name} ="
+            own.append(f"{line}  # {said[field.name]}" if said.get(field.name) else line)
+    return own + inner
+
+
+def _table(settings: Any, where: str, comments: bool) -> list[str]:
+    return [f"[{where}]", *_lines(settings, f"{where}.", comments)]
+
+
+def _value(value: Any) -> str:
+    """A value as TOML: a path, or whatever else JSON has no word for, as its text."""
+    return json.dumps(value, default=str)
+
+
+def _comments(kind: type) -> dict[str, str]:
+    """What a class says of each field: the comment behind it, or its line among the attributes."""
+    source = textwrap.dedent(getsource(kind))
+    said = {}
+    for attribute in re.finditer(r"^ {8}(\w+): (.*(?:\n {12}\S.*)*)", source, re.M):
+        said[attribute[1]] = " ".join(attribute[2].split())
+    lines = source.splitlines()
+    body = ast.parse(source).body[0]
+    assert isinstance(body, ast.ClassDef)
+    for node in body.body:
+        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+            _, mark, comment = lines[(node.end_lineno or 1) - 1][node.end_col_offset or 0 :].partition("# ")
+            if mark:
+                said[node.target.id] = comment.strip()
+    return said

@@ -1,0 +1,188 @@
+"""Trusses of mesh plants: Helios' peduncles, fruit, calyx and flowers, at the size and ripeness of their age."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from greenhouse_gym.crops.cultivars import Cultivar
+from greenhouse_gym.crops.helios import Vine
+from greenhouse_gym.crops.helios_meshes import Mesh
+from greenhouse_gym.crops.organs import Organ, fruit_ellipsoid, tube_organ
+from greenhouse_gym.crops.parts import Tomato
+from greenhouse_gym.crops.truss import push_apart
+from greenhouse_gym.geometry import Array, frame_along, rotation_about
+
+_TRUSS_COLOR = (0.44, 0.56, 0.28)
+_CALYX_COLOR = (0.36, 0.50, 0.22)
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def fruit_size(age: float) -> float:
+    """Width of a fruit as a share of the grown one, at an age from 0 (flower) to 1 (red): a logistic curve.
+
+    Tomatoes grow along a sigmoid that levels off before they turn (prior: half the width at a quarter of the time).
+    """
+    return float(1 / (1 + np.exp(-9 * (age - 0.25))))
+
+
+def ripeness_at(age: float) -> float:
+    """Ripeness at an age: green until 0.55, red from 1 on."""
+    return float(np.clip((age - 0.55) / 0.45, 0.0, 1.0))
+
+
+class TrussPlace(NamedTuple):
+    """Where a truss grows and how it is counted.
+
+    Attributes:
+        node: (4,) point on the main stem's axis and the stem's radius, metres.
+        azimuth: Direction of growth about z, radians.
+        plant: Number of its plant.
+        truss: Its number.
+        first_fruit: Index of its first tomato in the row.
+    """
+
+    node: Array
+    azimuth: float
+    plant: int
+    truss: int
+    first_fruit: int
+
+
+def grow_mesh_truss(
+    rng: np.random.Generator, vine: Vine, cultivar: Cultivar, aspect: float, place: TrussPlace, age: float
+) -> tuple[list[Organ], list[Tomato]]:
+    """Grow one truss from a node of the main stem.
+
+    Args:
+        rng: Source of all variation; the truss keeps its shape as it ages.
+        vine: Whose organs it takes.
+        cultivar: Numbers and sizes.
+        aspect: Height of a fruit over its width.
+        place: Where it grows.
+        age: 0 when its flowers open, 1 when its fruits are red; below 0 there is none yet.
+
+    Returns:
+        Its organs, and its tomatoes.
+    """
+    node, azimuth, plant, truss, first_fruit = place
+    number = int(rng.integers(cultivar.count[0], cultivar.count[1] + 1))
+    peduncle = vine.peduncles[int(rng.integers(len(vine.peduncles)))]
+    length = cultivar.rachis * rng.uniform(0.85, 1.15) * float(np.clip(0.4 + 2 * age, 0.3, 1.0))
+    thickness = rng.uniform(*cultivar.peduncle_radius)
+    full = rng.uniform(*cultivar.diameter) * rng.uniform(0.88, 1.0, number)
+    stunted = rng.random(number) < 0.06
+    full = np.where(stunted, full * rng.uniform(0.3, 0.6, number), np.clip(full, *cultivar.diameter))
+    ages = age + np.linspace(0.05, -0.05, number) + rng.normal(0, 0.02, number)
+    reach = rng.uniform(0.009, 0.022, number)
+    noise = rng.normal(0, 0.15, (number, 3))
+    spins = rng.uniform(0, 2 * np.pi, number)
+    ribs, rib_count = rng.uniform(*cultivar.ribs), int(rng.integers(5, 9))
+    if age < -0.1:
+        return [], []
+
+    turn = rotation_about(UP, azimuth)
+    outward = turn[:, 0]
+    own = peduncle[:, :3] * length / np.linalg.norm(np.diff(peduncle[:, :3], axis=0), axis=1).sum()
+    points = own @ turn.T + node[:3]
+    radii = thickness * np.interp(np.linspace(0, 1, len(points)), [0, 0.15, 1], [1.4, 1.0, 0.75])
+    rachis = np.column_stack([points, radii])
+    shade = np.array(_TRUSS_COLOR) * rng.uniform(0.9, 1.1)
+    organs = [tube_organ("peduncle", rachis, shade, plant, truss)]
+
+    shares = np.linspace(0.45, 1.0, number)
+    joints = np.column_stack([np.interp(shares, np.linspace(0, 1, len(points)), points[:, k]) for k in range(3)])
+    sideways = np.cross(UP, outward)
+    sides = np.where(np.arange(number) % 2 == 0, 1.0, -1.0) * (np.arange(number) < number - 1)
+    directions = sides[:, None] * sideways + 0.4 * outward + [0.0, 0.0, -0.8] + noise
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    set_fruit = ages > 0.06
+    widths = np.where(set_fruit, full * [fruit_size(a) for a in ages], 0.004)
+    round_radii = widths / 2 * np.cbrt(aspect) * max(1.0, np.sqrt(aspect))
+    centers = joints + (reach + round_radii)[:, None] * directions
+    if number:
+        centers = push_apart(centers, round_radii, joints, reach + round_radii, points, node[:3], float(node[3]))
+    tomatoes: list[Tomato] = []
+    for k in range(number):
+        towards = (centers[k] - joints[k]) / np.linalg.norm(centers[k] - joints[k])
+        if not set_fruit[k]:
+            organs += _flower(vine, joints[k], directions[k], plant, truss, shade)
+            continue
+        frame = frame_along(-towards) @ rotation_about(UP, spins[k])
+        skin = _shaped(vine.fruit, widths[k], aspect, ribs, rib_count)
+        ripe = ripeness_at(ages[k])
+        vertices = skin.vertices @ frame.T + centers[k]
+        organs.append(
+            Organ(
+                "fruit",
+                vertices,
+                skin.triangles,
+                _skin_colors(skin, np.array(cultivar.skin), ripe, rng),
+                plant,
+                truss,
+                first_fruit + len(tomatoes),
+            )
+        )
+        shape = fruit_ellipsoid(vertices, skin.triangles, frame)
+        tomatoes.append(
+            Tomato(shape.center, shape.radius, truss, ripe, semi_axes=shape.semi_axes, rotation=shape.rotation)
+        )
+        top = widths[k] * aspect * vine.fruit.vertices[:, 2].max()
+        organs += _calyx(
+            vine, widths[k], full[k], top, frame, centers[k], plant, truss, first_fruit + len(tomatoes) - 1
+        )
+        stem_end = centers[k] + frame[:, 2] * 0.85 * top
+        organs.append(_pedicel(joints[k], stem_end, 0.7 * thickness, shade, plant, truss))
+    return organs, tomatoes
+
+
+def _shaped(fruit: Mesh, width: float, aspect: float, ribs: float, rib_count: int) -> Mesh:
+    """Helios' fruit with a width, a height over width, and ribs that are deepest at the stem end."""
+    x, y, z = fruit.vertices.T
+    height = (z - z.min()) / (z.max() - z.min())
+    fold = 1 - ribs * (0.35 + 0.65 * height) * (0.5 - 0.5 * np.cos(rib_count * np.arctan2(y, x)))
+    tall = aspect / float(z.max() - z.min())
+    return Mesh(width * np.column_stack([x * fold, y * fold, z * tall]), fruit.triangles)
+
+
+def _skin_colors(skin: Mesh, stops: Array, ripeness: float, rng: np.random.Generator) -> Array:
+    """Colors (t, 3): a fruit reddens from its blossom end, and its shoulders stay green longest."""
+    height = skin.vertices[skin.triangles].mean(axis=1)[:, 2]
+    height = (height - height.min()) / max(float(np.ptp(height)), 1e-9)
+    lag = 0.35 * ripeness * (1 - ripeness) * 2
+    local = np.clip(ripeness + lag * (0.5 - height), 0.0, 1.0)
+    shares = np.linspace(0, 1, len(stops))
+    colors = np.column_stack([np.interp(local, shares, stops[:, k]) for k in range(3)])
+    return np.clip(colors * rng.normal(1.0, 0.05), 0.0, 1.0)
+
+
+def _calyx(
+    vine: Vine, width: float, full: float, top: float, frame: Array, center: Array, plant: int, truss: int, fruit: int
+) -> list[Organ]:
+    """Sepals at the stem end; they are nearly grown when the fruit is not."""
+    size = 0.5 * width + 0.5 * min(full, 2.5 * width)
+    local = vine.calyx.vertices * size
+    local = local + [0.0, 0.0, top - size * vine.fruit.vertices[:, 2].max()]
+    colors = np.tile(_CALYX_COLOR, (len(vine.calyx.triangles), 1))
+    return [Organ("calyx", local @ frame.T + center, vine.calyx.triangles, colors, plant, truss, fruit)]
+
+
+def _flower(vine: Vine, joint: Array, direction: Array, plant: int, truss: int, shade: Array) -> list[Organ]:
+    """An open flower on its pedicel."""
+    foot = joint + 0.012 * direction
+    frame = frame_along(direction)
+    vertices = vine.flower.vertices @ frame.T + foot
+    return [
+        Organ("flower", vertices, vine.flower.triangles, vine.flower_colors, plant, truss),
+        _pedicel(joint, foot, 0.0008, shade, plant, truss),
+    ]
+
+
+def _pedicel(joint: Array, end: Array, radius: float, shade: Array, plant: int, truss: int) -> Organ:
+    """A pedicel with the knuckle at which it breaks, bent a little upwards."""
+    share = np.array([0.0, 0.3, 0.5, 0.62, 0.74, 1.0])
+    bow = 0.15 * np.linalg.norm(end - joint) * np.sin(np.pi * share)
+    points = joint + share[:, None] * (end - joint) + bow[:, None] * UP
+    radii = max(radius, 0.0008) * np.array([1.0, 0.95, 1.0, 1.35, 1.1, 1.25])
+    return tube_organ("pedicel", np.column_stack([points, radii]), shade, plant, truss)

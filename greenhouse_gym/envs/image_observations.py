@@ -1,0 +1,122 @@
+"""Observations with images in them: what a camera sees beside the arm's own state, by ray casting (no OpenGL)."""
+
+from __future__ import annotations
+
+from abc import ABC
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+from greenhouse_gym.envs.observations import MAX_OFFSET, Observed, Sight, Vector
+from greenhouse_gym.envs.reach_task import Situation
+from greenhouse_gym.rendering.cameras import MAX_RANGE, DepthCamera
+from greenhouse_gym.robots import Robot
+
+_BODY = ("joint_position", "joint_velocity", "command_error", "grasp_offset", "target_position")
+
+
+class _WithImages(Sight, ABC):
+    """The arm's own state and the target's place; subclasses put beside it what one camera sees."""
+
+    def __init__(self, robot: Robot, camera: DepthCamera, images: dict[str, spaces.Space[Any]]):
+        self._vector = Vector(robot, _BODY)
+        self.layout = self._vector.layout
+        self.cameras = (camera,)
+        self.space = spaces.Dict({**images, "state": self._vector.space})
+
+
+@dataclass(frozen=True)
+class DepthObservation:
+    """Settings of the observation ``depth``: a depth image beside the arm's own state.
+
+    Attributes:
+        camera: Which camera, its size and opening.
+    """
+
+    camera: DepthCamera = field(default_factory=DepthCamera)
+
+    def __call__(self, robot: Robot) -> _Depth:
+        """The observation for an arm."""
+        return _Depth(robot, self.camera)
+
+
+@dataclass(frozen=True)
+class PointsObservation:
+    """Settings of the observation ``points``: a cloud without the arm beside the arm's own state.
+
+    Attributes:
+        camera: Which camera, and its grid of rays: one point per pixel.
+    """
+
+    camera: DepthCamera = field(default_factory=lambda: DepthCamera("mast", 32, 24))
+
+    def __call__(self, robot: Robot) -> _Points:
+        """The observation for an arm."""
+        return _Points(robot, self.camera)
+
+
+@dataclass(frozen=True)
+class RgbObservation:
+    """Settings of the observations ``rgb`` and ``rgbd``: a color image beside the arm's own state.
+
+    Attributes:
+        camera: Which camera, its size and opening.
+        depth: Whether there is the depth image, too.
+    """
+
+    camera: DepthCamera = field(default_factory=DepthCamera)
+    depth: bool = False
+
+    def __call__(self, robot: Robot) -> _Rgb:
+        """The observation for an arm."""
+        return _Rgb(robot, self.camera, self.depth)
+
+
+class _Depth(_WithImages):
+    sees_arm = True
+
+    def __init__(self, robot: Robot, camera: DepthCamera):
+        super().__init__(robot, camera, {"depth": _depth_space(camera)})
+
+    def __call__(self, situation: Situation) -> Observed:
+        return {"depth": _depth_image(situation), "state": self._vector(situation)}
+
+
+class _Points(_WithImages):
+    def __init__(self, robot: Robot, camera: DepthCamera):
+        self._rays = camera.rays
+        cloud = spaces.Box(-MAX_OFFSET, MAX_OFFSET, (len(self._rays), 3), dtype=np.float32)
+        super().__init__(robot, camera, {"points": cloud})
+
+    def __call__(self, situation: Situation) -> Observed:
+        depth = situation.depth.reshape(len(situation.depth), -1, 1)
+        view = situation.views[:, 0]
+        inside = depth * self._rays  # camera frame
+        points = inside @ view[:, :3, :3].transpose(0, 2, 1) + view[:, None, :3, 3]
+        cloud = np.where(depth > 0, np.clip(points, -MAX_OFFSET, MAX_OFFSET), 0.0).astype(np.float32)
+        return {"points": cloud, "state": self._vector(situation)}
+
+
+class _Rgb(_WithImages):
+    sees_arm = sees_color = True
+
+    def __init__(self, robot: Robot, camera: DepthCamera, depth: bool):
+        color = spaces.Box(0, 255, (3, camera.height, camera.width), dtype=np.uint8)
+        super().__init__(robot, camera, {"rgb": color, **({"depth": _depth_space(camera)} if depth else {})})
+        self._with_depth = depth
+
+    def __call__(self, situation: Situation) -> Observed:
+        color = np.ascontiguousarray(situation.color[:, 0].transpose(0, 3, 1, 2))
+        depth = {"depth": _depth_image(situation)} if self._with_depth else {}
+        return {**depth, "rgb": color, "state": self._vector(situation)}
+
+
+def _depth_space(camera: DepthCamera) -> spaces.Box:
+    return spaces.Box(0.0, 1.0, (1, camera.height, camera.width), dtype=np.float32)
+
+
+def _depth_image(situation: Situation) -> npt.NDArray[np.float32]:
+    return situation.depth / np.float32(MAX_RANGE)

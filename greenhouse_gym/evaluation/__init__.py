@@ -1,0 +1,19 @@
+"""Run agents over a split of a bank, record what happened, compare agents and keep a leaderboard."""
+
+from greenhouse_gym.evaluation.records import Evaluation, Record, comparison_table, wilson_interval
+from greenhouse_gym.evaluation.rollouts import Trace, compare, evaluate, retrace
+from greenhouse_gym.evaluation.runner import AgentError
+from greenhouse_gym.motion.collision import CLEARANCE_RANGE
+
+__all__ = [
+    "CLEARANCE_RANGE",
+    "AgentError",
+    "Evaluation",
+    "Record",
+    "Trace",
+    "compare",
+    "comparison_table",
+    "evaluate",
+    "retrace",
+    "wilson_interval",
+]

@@ -1,1 +1,0 @@
-"""Bridges to other libraries; each module imports its library, so import the one you need."""

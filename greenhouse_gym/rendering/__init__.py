@@ -1,0 +1,1 @@
+"""Images of scenes: ray casting, OpenGL and the viewer."""

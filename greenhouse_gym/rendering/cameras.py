@@ -1,0 +1,241 @@
+"""Depth cameras on the wrist and on a mast beside the arm, by ray casting: no OpenGL."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from greenhouse_gym.errors import InvalidValueError, require_choice
+from greenhouse_gym.geometry import Array, invert, pose, rotation_about
+from greenhouse_gym.rendering.raycaster import Hits, RayCaster
+from greenhouse_gym.rendering.renderer import surface_colors
+from greenhouse_gym.scene import CompiledScene
+
+if TYPE_CHECKING:
+    from greenhouse_gym.capture.sensor import StereoNoise
+
+Float32 = npt.NDArray[np.float32]
+Bytes = npt.NDArray[np.uint8]
+
+CAMERAS = ("wrist", "mast")
+"""The cameras: one rides behind the tool and looks along it, one stands beside the arm and looks at the plants."""
+
+MAX_RANGE = 2.0
+"""Surfaces beyond this depth give no reading, metres."""
+
+COLOR_RANGE = 10.0
+"""Surfaces beyond this distance are not in the color images, metres."""
+
+TIP_FROM_WRIST = pose(translation=[0.07, 0.0, -0.13])
+"""Beside the flange, looking along the tool."""
+
+_BASE_FROM_MAST = pose(
+    rotation_about([0, 0, 1], -0.5) @ rotation_about([0, 1, 0], 0.2) @ [[0, 0, 1], [-1, 0, 0], [0, -1, 0]],
+    [-0.15, 0.5, 0.45],
+)
+"""Left of the arm and above its shoulder, looking to the middle of its workspace."""
+
+D435_FOCAL = 424.2  # px at 848 px width; noise figures are told for this width
+
+
+@dataclass(frozen=True)
+class DepthCamera:
+    """A pinhole depth camera.
+
+    Attributes:
+        mount: One of `CAMERAS`.
+        width: Pixels.
+        height: Pixels.
+        field_of_view: Horizontal opening, degrees.
+    """
+
+    mount: str = "wrist"
+    width: int = 64
+    height: int = 48
+    field_of_view: float = 87.0
+
+    def __post_init__(self) -> None:
+        require_choice("camera", self.mount, CAMERAS)
+        if min(self.width, self.height) < 1 or not 0 < self.field_of_view < 180:
+            raise InvalidValueError(
+                f"a camera needs a positive size and a field of view below 180 degrees, got {self.width} x "
+                f"{self.height} at {self.field_of_view}"
+            )
+
+    @property
+    def focal(self) -> float:
+        """Focal length, pixels."""
+        return float(self.width / (2 * np.tan(np.radians(self.field_of_view) / 2)))
+
+    @cached_property
+    def rays(self) -> Array:
+        """(height * width, 3) directions through the pixels in the camera's frame, with z = 1."""
+        u = (np.arange(self.width) + 0.5 - self.width / 2) / self.focal
+        v = (np.arange(self.height) + 0.5 - self.height / 2) / self.focal
+        x, y = np.meshgrid(u, v)
+        return np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
+
+
+class Pictures(NamedTuple):
+    """What c cameras of n simulations see.
+
+    Attributes:
+        depth: (n, c, h, w) along the view, metres, 0 without a reading.
+        color: (n, c, h, w, 3) 0 to 255; c is 0 where no colors are asked for.
+        views: (n, c, 4, 4) poses of the cameras, base_from_camera.
+    """
+
+    depth: Float32
+    color: Bytes
+    views: Array
+
+    def first(self, count: int) -> Pictures:
+        """The pictures of the first ``count`` simulations."""
+        return self if count == len(self.depth) else Pictures._make(values[:count] for values in self)
+
+
+def no_pictures(count: int) -> Pictures:
+    """Pictures of no camera at all."""
+    return Pictures(
+        np.empty((count, 0, 0, 0), np.float32), np.empty((count, 0, 0, 0, 3), np.uint8), np.empty((count, 0, 4, 4))
+    )
+
+
+class CameraRig:
+    """The cameras of n simulations whose models have one layout.
+
+    Args:
+        cameras: The cameras; all of one size.
+        compiled: Any of the scenes, since all have one layout.
+        threads: Threads that cast rays.
+        sees_arm: Whether the arm is in the depth images; otherwise its pixels give no reading.
+        sees_color: Whether there are color images, too, in which the arm always is.
+    """
+
+    def __init__(
+        self,
+        cameras: Sequence[DepthCamera],
+        compiled: CompiledScene,
+        threads: int,
+        sees_arm: bool,
+        sees_color: bool = False,
+    ):
+        self.cameras = tuple(cameras)
+        self._sees_arm, self._sees_color = sees_arm, sees_color
+        self._rays = [camera.rays for camera in self.cameras]
+        self._lengths = [np.linalg.norm(rays, axis=1) for rays in self._rays]
+        self._casters = [RayCaster(compiled) for _ in range(max(1, threads))]
+        self._pool = ThreadPoolExecutor(len(self._casters)) if len(self._casters) > 1 else None
+
+    def photograph(
+        self,
+        models: Sequence[mujoco.MjModel],
+        qpos: Array,
+        frame: Array,
+        tip: Array,
+        tool: Array,
+        noises: Sequence[np.random.Generator | None],
+    ) -> Pictures:
+        """What the cameras see.
+
+        Args:
+            models: Model of each of the n simulations.
+            qpos: (n, j) joint positions, radians.
+            frame: (n, 5) of the base in the scene: position in metres, cosine and sine of its heading.
+            tip: (n, 3) tool tips in the scene, metres.
+            tool: (n, 3, 3) their rotations scene_from_tool.
+            noises: Generator of each simulation's noise; None: its images are perfect.
+        """
+        scene_from_base, scene_from_tip = np.zeros((2, len(tip), 4, 4))
+        scene_from_base[:, 0, 0] = scene_from_base[:, 1, 1] = frame[:, 3]
+        scene_from_base[:, 1, 0], scene_from_base[:, 0, 1] = frame[:, 4], -frame[:, 4]
+        scene_from_base[:, 2, 2] = scene_from_base[:, 3, 3] = 1.0
+        scene_from_base[:, :3, 3] = frame[:, :3]
+        scene_from_tip[:, :3, :3], scene_from_tip[:, :3, 3], scene_from_tip[:, 3, 3] = tool, tip, 1.0
+        views = _camera_poses(self.cameras, invert(scene_from_base) @ scene_from_tip)
+        depth, color = self._look(models, qpos, scene_from_base[:, None] @ views)
+        for own, noise in zip(depth, noises, strict=True):
+            if noise is not None:
+                for c, camera in enumerate(self.cameras):
+                    own[c] = _with_noise(own[c], camera, noise)
+        return Pictures(depth, color, views)
+
+    def _look(self, models: Sequence[mujoco.MjModel], qpos: Array, views: Array) -> tuple[Float32, Bytes]:
+        """Perfect depth and color from poses scene_from_camera (n, c, 4, 4)."""
+        first = self.cameras[0]
+        shape = (len(models), len(self.cameras), first.height, first.width)
+        depths = np.empty(shape, dtype=np.float32)
+        colors = np.empty((*shape, 3) if self._sees_color else (len(models), 0, 0, 0, 3), dtype=np.uint8)
+
+        def shoot(part: int) -> None:
+            for i in range(part, len(models), len(self._casters)):
+                for k in range(len(self.cameras)):
+                    hits, directions = self._cast(self._casters[part], models[i], qpos[i], k, views[i, k])
+                    depths[i, k] = self._depth(hits, k).reshape(shape[2:])
+                    if self._sees_color:
+                        shown = surface_colors(hits.rgba, hits.normal, directions, hits.distance)
+                        colors[i, k] = (shown * 255.0 + 0.5).astype(np.uint8).reshape(*shape[2:], 3)
+
+        if self._pool is None:
+            shoot(0)
+        else:
+            list(self._pool.map(shoot, range(len(self._casters))))
+        return depths, colors
+
+    def _cast(
+        self, caster: RayCaster, model: mujoco.MjModel, joints: Array, camera: int, view: Array
+    ) -> tuple[Hits, Array]:
+        """What a camera's rays hit, and their directions (m, 3)."""
+        rays, lengths = self._rays[camera], self._lengths[camera]
+        directions = (rays / lengths[:, None]) @ view[:3, :3].T
+        reach = COLOR_RANGE if self._sees_color else MAX_RANGE * float(lengths.max())
+        return caster.cast(model, joints, view[:3, 3].copy(), directions, reach, self._sees_color), directions
+
+    def _depth(self, hits: Hits, camera: int) -> Array:
+        seen = hits.distance >= 0 if self._sees_arm else (hits.distance >= 0) & ~hits.on_arm
+        depth = np.where(seen, hits.distance / self._lengths[camera], 0.0)
+        depth[depth > MAX_RANGE] = 0.0
+        return depth
+
+    def close(self) -> None:
+        """End the threads."""
+        if self._pool is not None:
+            self._pool.shutdown()
+
+
+def _camera_poses(cameras: Sequence[DepthCamera], base_from_tip: Array) -> Array:
+    """(n, c, 4, 4) base_from_camera for tool poses (n, 4, 4)."""
+    result = np.empty((len(base_from_tip), len(cameras), 4, 4))
+    for k, camera in enumerate(cameras):
+        result[:, k] = base_from_tip @ TIP_FROM_WRIST if camera.mount == "wrist" else _BASE_FROM_MAST
+    return result
+
+
+def stereo_noise(camera: DepthCamera) -> StereoNoise:
+    """The noise of a D435, its figures scaled to the width of a camera's images.
+
+    See `greenhouse_gym.capture.sensor`.
+    """
+    from greenhouse_gym.capture.sensor import StereoNoise
+
+    scale = camera.focal / D435_FOCAL
+    full = StereoNoise()
+    return replace(
+        full, disparity_noise=full.disparity_noise * scale, disparity_step=full.disparity_step * scale, fatten=0
+    )
+
+
+def _with_noise(depth: Float32, camera: DepthCamera, random: np.random.Generator) -> Float32:
+    """What a D435 would report for an image (h, w)."""
+    from greenhouse_gym.capture.sensor import sense_depth
+
+    sensed = sense_depth(depth, camera.focal, random, stereo_noise(camera))
+    sensed[sensed > MAX_RANGE] = 0.0
+    return sensed

@@ -1,0 +1,119 @@
+"""What an environment's `render` gives: OpenGL where there is any, else the ray caster; a window for people."""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+from typing import Any
+
+import mujoco
+import numpy.typing as npt
+
+from greenhouse_gym.errors import GreenhouseError
+from greenhouse_gym.geometry import Array
+from greenhouse_gym.rendering.opengl import OpenGLMissingError, OpenGLRenderer, add_line, free_camera
+from greenhouse_gym.rendering.renderer import default_camera, render_depth, render_scene
+from greenhouse_gym.rendering.task_pictures import task_lines
+from greenhouse_gym.scene.obstacles import Stand
+
+RENDER_MODES = ("rgb_array", "human", "depth_array")
+WIDTH, HEIGHT = 640, 480
+
+
+class NoDisplayError(GreenhouseError, RuntimeError):
+    """A window was asked for on a machine without a display."""
+
+
+class Viewer:
+    """Draws simulations whose models have one layout.
+
+    Args:
+        mode: One of `RENDER_MODES`.
+    """
+
+    def __init__(self, mode: str):
+        self.mode = mode
+        # A context works in the thread that made it, so every thread that draws has its own.
+        self._of_thread = threading.local()
+        self._gl_works = mode == "rgb_array"
+        self._window: Any = None
+        self._shown: tuple[mujoco.MjModel, mujoco.MjData] | None = None
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Viewer:
+        """A viewer with a window and a context of its own."""
+        return Viewer(self.mode)
+
+    def draw(
+        self, model: mujoco.MjModel, data: mujoco.MjData, stand: Stand, tip: Array, target: Array, trace: list[Array]
+    ) -> npt.NDArray[Any] | None:
+        """A picture (h, w, 3) uint8 or depth (h, w) float32 in metres, or None after showing it in the window.
+
+        Args:
+            model: The simulation's model.
+            data: Its state.
+            stand: Where the arm stands.
+            tip: (3,) where the red line begins, metres.
+            target: (3,) where the red line ends, metres.
+            trace: Points (3,) the tip went through, in pink.
+
+        Raises:
+            NoDisplayError: Mode "human" without a display.
+        """
+        camera, lines = default_camera(stand), task_lines(tip, target, trace)
+        if self.mode == "depth_array":
+            return render_depth(model, data, camera, WIDTH, HEIGHT)
+        if self.mode == "human":
+            self._show(model, data, stand, tip, target, trace)
+            return None
+        if self._gl_works:
+            try:
+                if self._gl is None:
+                    self._of_thread.gl = OpenGLRenderer(model, WIDTH, HEIGHT)
+                assert self._gl is not None
+                return self._gl.picture(model, data, camera, lines)
+            except OpenGLMissingError:
+                self._gl_works = False
+        return render_scene(model, data, camera, WIDTH, HEIGHT, lines, samples=1)
+
+    def close(self) -> None:
+        """Close the window and free this thread's context; drawing again opens new ones."""
+        if self._gl is not None:
+            self._gl.close()
+        if self._window is not None:
+            self._window.close()
+        self._of_thread.gl = self._window = self._shown = None
+
+    @property
+    def _gl(self) -> OpenGLRenderer | None:
+        """This thread's renderer."""
+        return getattr(self._of_thread, "gl", None)
+
+    def _show(
+        self, model: mujoco.MjModel, data: mujoco.MjData, stand: Stand, tip: Array, target: Array, trace: list[Array]
+    ) -> None:
+        if sys.platform == "linux" and not _has_display():
+            raise NoDisplayError('render_mode="human" needs a display; choose "rgb_array" or "depth_array" here')
+        import mujoco.viewer
+
+        if self._window is None:
+            self._shown = (model, data)
+            self._window = mujoco.viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False)
+            view = free_camera(default_camera(stand))
+            for name in ("lookat", "distance", "azimuth", "elevation"):
+                setattr(self._window.cam, name, getattr(view, name))
+        assert self._shown is not None
+        shown_model, shown_data = self._shown
+        with self._window.lock():
+            for name in ("geom_type", "geom_size", "geom_pos", "geom_quat", "geom_rgba", "body_pos", "body_quat"):
+                getattr(shown_model, name)[:] = getattr(model, name)
+            shown_data.qpos[:] = data.qpos
+            mujoco.mj_forward(shown_model, shown_data)
+            self._window.user_scn.ngeom = 0
+            for line in task_lines(tip, target, trace):
+                add_line(self._window.user_scn, line)
+        self._window.sync()
+
+
+def _has_display() -> bool:
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

@@ -1,0 +1,89 @@
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Any
+
+import pytest
+
+from greenhouse_gym.build.scenes import BuildSettings
+from greenhouse_gym.errors import InvalidValueError, UnknownNameError
+from greenhouse_gym.reconstruction import ReconstructionSettings
+from greenhouse_gym.reconstruction.seen import CarvingSettings
+from greenhouse_gym.shapes import FINE_SHAPES, ShapeSettings
+
+NAN, INFINITE = float("nan"), float("inf")
+CLASSES = (BuildSettings, CarvingSettings, ReconstructionSettings, ShapeSettings)
+LENGTHS = (
+    *((ShapeSettings, name) for name in ("voxel", "fine_voxel", "vote_cell", "clutter_cell", "string_radius")),
+    *((ReconstructionSettings, name) for name in ("voxel", "foreground", "coarse_distance", "outlier_radius")),
+    *((BuildSettings, name) for name in ("spacing", "width", "reach", "leaves")),
+    (CarvingSettings, "voxel"),
+)
+
+
+@pytest.mark.parametrize("kind", CLASSES)
+def test_every_number_of_every_class_is_looked_at(kind: Any) -> None:
+    numbers = [field for field in fields(kind) if str(field.type).partition(" ")[0] in ("float", "int")]
+    assert numbers
+    for field in numbers:
+        for value in (NAN, INFINITE, -1, "7", [1]):
+            with pytest.raises(InvalidValueError, match=f"^{field.name} must be a (whole )?number .*, got "):
+                kind(**{field.name: value})
+
+
+@pytest.mark.parametrize(("kind", "name"), LENGTHS)
+def test_lengths_without_a_size_are_refused(kind: Any, name: str) -> None:
+    with pytest.raises(InvalidValueError, match=f"^{name} must be a number above 0, got 0.0"):
+        kind(**{name: 0.0})
+
+
+@pytest.mark.parametrize("name", ["radii", "small_radii", "pipe_radii", "stem_radii"])
+@pytest.mark.parametrize(
+    "ends",
+    [(0.012, 0.004), (0.01, 0.01), (0.0, 0.01), (-0.01, 0.01), (0.01, NAN), (0.01, INFINITE), (0.01,), 0.01],
+)
+def test_ranges_that_do_not_go_up_are_refused(name: str, ends: Any) -> None:
+    with pytest.raises(InvalidValueError, match=f"^{name} must be two numbers above 0, the smaller one first, got "):
+        ShapeSettings(**{name: ends})
+
+
+def test_none_is_for_fields_that_can_do_without() -> None:
+    assert ShapeSettings(small_radii=None).small_radii is None
+    assert BuildSettings(targets=None).targets is None
+    others: list[tuple[Any, str]] = [(ShapeSettings, "radii"), (ShapeSettings, "voxel"), (BuildSettings, "primitives")]
+    for kind, name in others:
+        with pytest.raises(InvalidValueError, match=f"^{name} must be .*, got None"):
+            kind(**{name: None})
+
+
+@pytest.mark.parametrize(
+    ("kind", "values", "message"),
+    [
+        (ReconstructionSettings, {"samples": 0}, "samples must be a whole number from 1 on, got 0"),
+        (ReconstructionSettings, {"samples": 1.5}, "samples must be a whole number from 1 on, got 1.5"),
+        (ReconstructionSettings, {"samples": True}, "samples must be a whole number from 1 on, got True"),
+        (ReconstructionSettings, {"min_overlap": 1.2}, "min_overlap must be a number from 0 up to 1, got 1.2"),
+        (ReconstructionSettings, {"normal_window": 4}, "normal_window must be odd, so that it has a middle, got 4"),
+        (ReconstructionSettings, {"links": (1,)}, "links must be whole numbers of steps from 2 on, got (1,)"),
+        (ReconstructionSettings, {"step_range": (0.2, 0.1)}, "step_range must be two numbers from 0 on, the smaller"),
+        (ReconstructionSettings, {"calibrate_edges": 1}, "calibrate_edges must be true or false, got 1"),
+        (CarvingSettings, {"aisle": "no"}, "aisle must be true or false, got 'no'"),
+        (BuildSettings, {"targets": 0}, "targets must be a whole number from 1 on, got 0"),
+        (ShapeSettings, {"min_confidence": 40}, "min_confidence must be a number from 0 up to 1, got 40"),
+    ],
+)
+def test_other_values_that_make_no_sense(kind: Any, values: dict[str, Any], message: str) -> None:
+    with pytest.raises(InvalidValueError) as refused:
+        kind(**values)
+    assert str(refused.value).startswith(message)
+
+
+def test_unknown_ways_to_pose_stations_are_named() -> None:
+    with pytest.raises(UnknownNameError, match=r"unknown way to pose stations 'guess'.*estimate, given, refine"):
+        ReconstructionSettings(poses="guess")  # type: ignore[arg-type]
+
+
+def test_whole_numbers_do_where_fractions_are_meant() -> None:
+    assert BuildSettings(width=2).width == 2
+    assert ReconstructionSettings(step_range=(0, 1)).step_range == (0, 1)
+    assert FINE_SHAPES.clutter_claim == 0

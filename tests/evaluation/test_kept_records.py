@@ -1,0 +1,127 @@
+"""An evaluation that is interrupted loses no episode that is over."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from parallel_helpers import Elsewhere
+
+from greenhouse_gym.agents import Problem, RandomAgent
+from greenhouse_gym.errors import FileFormatError
+from greenhouse_gym.evaluation import AgentError, Record, evaluate
+from greenhouse_gym.evaluation.journal import KeptRecords
+from greenhouse_gym.evaluation.leaderboard import V1, read_entry, submit
+from greenhouse_gym.scene import SceneBank
+
+ABOUT = {"agent": "random", "bank": "mini"}
+SHORT = replace(V1, bank="mini", split="validation", episodes=3)
+
+
+class Interrupted(RandomAgent):
+    """Plays at random; somebody presses Ctrl-C when it is to begin another episode than it may."""
+
+    def __init__(self, episodes: int):
+        super().__init__()
+        self.left = episodes
+
+    def reset(self, problem: Problem) -> None:
+        if not self.left:
+            raise KeyboardInterrupt
+        self.left -= 1
+        super().reset(problem)
+
+
+def untimed(records: tuple[Record, ...]) -> list[Record]:
+    return [replace(record, planning_time=0.0, action_time=0.0) for record in records]
+
+
+@pytest.mark.parametrize("executor", [None, Elsewhere()])
+def test_an_interrupted_evaluation_goes_on(bank: SceneBank, tmp_path: Path, executor: Any) -> None:
+    whole = evaluate(RandomAgent(), episodes=4, bank=bank).records
+    file = tmp_path / "records.jsonl"
+    with pytest.raises(KeyboardInterrupt):
+        evaluate(Interrupted(2), episodes=4, bank=bank, kept=KeptRecords(file, ABOUT))
+    agent = Interrupted(2)
+    again = evaluate(agent, episodes=4, bank=bank, kept=KeptRecords(file, ABOUT), executor=executor).records
+    assert untimed(again) == untimed(whole)
+    assert executor is not None or agent.left == 0, "two episodes were left"
+    nobody = Interrupted(0)
+    assert evaluate(nobody, episodes=4, bank=bank, kept=KeptRecords(file, ABOUT)).records == again
+    assert evaluate(nobody, episodes=2, bank=bank, kept=KeptRecords(file, ABOUT)).records == again[:2]
+
+
+@pytest.fixture(scope="module")
+def content(bank: SceneBank, tmp_path_factory: pytest.TempPathFactory) -> str:
+    file = tmp_path_factory.mktemp("kept") / "records.jsonl"
+    evaluate(RandomAgent(), episodes=3, bank=bank, kept=KeptRecords(file, ABOUT))
+    return file.read_text()
+
+
+def test_a_line_that_was_being_written_is_played_again(content: str, tmp_path: Path) -> None:
+    file = tmp_path / "records.jsonl"
+    file.write_text(content[:-20])
+    kept = KeptRecords(file, ABOUT)
+    assert list(kept.records) == [0, 1]
+    kept.add(2, kept.records[0])
+    assert list(KeptRecords(file, ABOUT).records) == [0, 1, 2]
+
+
+def test_records_of_something_else_are_not_taken(content: str, tmp_path: Path) -> None:
+    file = tmp_path / "records.jsonl"
+    file.write_text(content)
+    assert KeptRecords(file, {**ABOUT, "agent": "another"}).records == {}
+    assert KeptRecords(file, ABOUT).records == {}, "the file was begun anew"
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda line: line.replace('"seed"', '"sed"'),
+        lambda line: line[10:],
+        lambda line: "[]",
+        lambda line: line.replace('"place"', '"palace"'),
+    ],
+)
+def test_a_damaged_line_is_named(content: str, tmp_path: Path, spoil: Callable[[str], str]) -> None:
+    file = tmp_path / "records.jsonl"
+    header, first, *others = content.split("\n")
+    file.write_text("\n".join([header, spoil(first), *others]))
+    with pytest.raises(FileFormatError, match=r"records.jsonl.*line 2 is no record"):
+        KeptRecords(file, ABOUT)
+
+
+def test_an_interrupted_entry_goes_on(tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        submit(Interrupted(2), "random", tmp_path, ["truth"], SHORT)
+    assert [path.name for path in tmp_path.iterdir()] == ["random.trial.truth.jsonl"]
+    entry = read_entry(submit(Interrupted(1), "random", tmp_path, ["truth"], SHORT))
+    assert [path.name for path in tmp_path.iterdir()] == ["random.trial.json"]
+    whole = read_entry(submit(RandomAgent(), "random", tmp_path / "whole", ["truth"], SHORT))
+    assert untimed(entry.evaluation("truth").records) == untimed(whole.evaluation("truth").records)
+
+
+class Broken(RandomAgent):
+    def act(self, observation: Any) -> Any:
+        raise ZeroDivisionError
+
+
+def test_records_of_an_agent_that_never_acted_do_not_outlive_the_error(bank: SceneBank, tmp_path: Path) -> None:
+    file = tmp_path / "records.jsonl"
+    with pytest.raises(AgentError):
+        evaluate(Broken(), episodes=2, bank=bank, kept=KeptRecords(file, ABOUT), executor=Elsewhere())
+    assert not file.exists(), "the next try begins anew"
+
+
+def test_an_agent_whose_file_has_changed_begins_anew(tmp_path: Path) -> None:
+    source = tmp_path / "own.py"
+    source.write_text("from greenhouse_gym.agents import RandomAgent\n")
+    out = tmp_path / "entries"
+    for change in ("", "# changed\n"):
+        source.write_text(source.read_text() + change)
+        with pytest.raises(KeyboardInterrupt):
+            submit(Interrupted(2), f"{source}:RandomAgent", out, ["reconstruction"], SHORT)
+    assert (out / "own.py-RandomAgent.trial.reconstruction.jsonl").read_text().count('"place"') == 2

@@ -1,0 +1,229 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from parallel_helpers import Elsewhere
+from typer.testing import CliRunner
+
+from greenhouse_gym.agents import RandomAgent, StillAgent
+from greenhouse_gym.agents.named import make_agent
+from greenhouse_gym.cli.main import app
+from greenhouse_gym.common.executors import workers_of
+from greenhouse_gym.errors import FileFormatError, InvalidValueError
+from greenhouse_gym.evaluation import leaderboard
+from greenhouse_gym.evaluation.leaderboard import (
+    TRACKS,
+    V1,
+    Entry,
+    follows,
+    is_current,
+    leaderboard_table,
+    read_entry,
+    replay,
+    submit,
+)
+from greenhouse_gym.evaluation.records import Evaluation, Record, pairing
+from greenhouse_gym.scene import SceneBank
+
+SHORT = replace(V1, bank="mini", split="validation", episodes=2)
+FOLDER = Path(__file__).parents[2] / "benchmarks" / "leaderboard"
+ENTRIES = sorted(path for path in FOLDER.glob("*.json") if not path.name.endswith(".trial.json"))
+
+
+@pytest.fixture(scope="module")
+def entry(tmp_path_factory: pytest.TempPathFactory) -> Entry:
+    return read_entry(submit(RandomAgent(), "random", tmp_path_factory.mktemp("entries"), protocol=SHORT, note="dice"))
+
+
+def test_an_entry_holds_what_was_played(entry: Entry) -> None:
+    assert list(entry.tracks) == list(TRACKS)
+    assert entry.bank_sha256 == SceneBank.open("mini").sha256
+    assert is_current(entry)
+    for track in TRACKS:
+        records = entry.evaluation(track).records
+        assert [record.seed for record in records] == [0, 1]
+    told, true = ([(r.scene, r.target) for r in entry.evaluation(t).records] for t in ("reconstruction", "truth"))
+    assert told == true, "all tracks have the same episodes"
+
+
+def test_an_entry_can_be_played_again(entry: Entry) -> None:
+    for before, now in replay(entry, RandomAgent(), "truth", 1):
+        assert (before.success, before.collision, before.steps) == (now.success, now.collision, now.steps)
+        assert before.joint_length == pytest.approx(now.joint_length, abs=1e-5)
+    still = replay(entry, StillAgent(), "truth", 1)
+    assert still[0][0].joint_length != still[0][1].joint_length, "a replay by somebody else is found out"
+
+
+def test_entries_of_another_bank_are_not_ranked(entry: Entry) -> None:
+    stale = entry.model_copy(update={"bank_sha256": "0" * 64, "agent": "old"})
+    table = leaderboard_table([entry, stale], SHORT)
+    assert table.count("| random |") == 3
+    assert "| old |" not in table
+    assert "to be submitted again: old" in table
+    assert "Trials" not in table
+
+
+def test_trials_are_not_ranked(entry: Entry) -> None:
+    gone = entry.model_copy(update={"protocol": {**entry.protocol, "bank": "gone"}, "agent": "elsewhere"})
+    table = leaderboard_table([entry, gone])
+    assert not follows(entry)
+    assert "| random |" not in table
+    assert "Trials, by other rules than those in force: random, elsewhere." in table
+
+
+def with_successes(entry: Entry, agent: str, **successes: list[bool]) -> Entry:
+    tracks = {track: {**entry.tracks[track], "success": list(won)} for track, won in successes.items()}
+    return entry.model_copy(update={"agent": agent, "tracks": tracks})
+
+
+def test_entries_are_ranked_within_each_track(entry: Entry) -> None:
+    table = leaderboard_table(
+        [
+            with_successes(entry, "even", reconstruction=[True, True], truth=[False, False]),
+            with_successes(entry, "true", truth=[True, False]),
+            with_successes(entry, "poor", moved=[False, False], reconstruction=[True, False]),
+        ],
+        SHORT,
+    )
+    rows = [tuple(line.split(" | ")[:2]) for line in table.splitlines()[2:]]
+    ranked = [("reconstruction", "even"), ("reconstruction", "poor"), ("truth", "true"), ("truth", "even")]
+    assert rows == [(f"| {track}", agent) for track, agent in [*ranked, ("moved", "poor")]]
+
+
+def test_a_trial_leaves_the_entry_alone(entry: Entry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(leaderboard, "V1", SHORT)
+    proper = submit(RandomAgent(), "random", tmp_path, ["truth"], SHORT)
+    before = proper.read_bytes()
+    trial = submit(RandomAgent(), "random", tmp_path, ["truth"], replace(SHORT, episodes=1))
+    assert (proper.name, trial.name) == ("random.json", "random.trial.json")
+    assert proper.read_bytes() == before
+    assert len(read_entry(trial).evaluation("truth").records) == 1
+
+
+def test_tracks_of_an_entry_are_kept_where_all_else_agrees(
+    entry: Entry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "random.trial.json"
+    monkeypatch.setattr(leaderboard, "evaluate", lambda *_, **__: entry.evaluation("reconstruction"))
+
+    def then(**changes: Any) -> Entry:
+        path.write_text(entry.model_copy(update=changes).model_dump_json())
+        return read_entry(submit(RandomAgent(), "random", tmp_path, ["truth"], SHORT, num_envs=2))
+
+    kept = then(machine={"cores": "99"})
+    assert set(kept.tracks) == set(TRACKS)
+    assert kept.tracks["moved"] == entry.tracks["moved"]
+    assert kept.tracks["truth"] == entry.tracks["reconstruction"], "what was played now"
+    assert kept.note == "dice"
+    assert kept.machine["cores"] == "99", "for the tracks that were there"
+    assert (kept.at_once("truth"), kept.at_once("moved")) == ("2 x 1", "? x ?")
+    for changes in (
+        {"agent": "somebody"},
+        {"bank_sha256": "0" * 64},
+        {"versions": {**entry.versions, "mujoco": "1.0"}},
+        {"protocol": {**entry.protocol, "seed": 1}},
+    ):
+        assert list(then(**changes).tracks) == ["truth"], changes
+
+
+def test_tracks_that_are_played_at_the_same_time_are_all_kept(
+    entry: Entry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def play(*_: object, physics: str = "", **__: object) -> Evaluation:
+        if physics:
+            submit(RandomAgent(), "random", tmp_path, ["reconstruction"], SHORT)
+        return entry.evaluation("truth")
+
+    monkeypatch.setattr(leaderboard, "evaluate", play)
+    path = submit(RandomAgent(), "random", tmp_path, ["truth"], SHORT)
+    assert set(read_entry(path).tracks) == {"reconstruction", "truth"}
+
+
+def test_a_damaged_entry_is_told_before_anything_is_played(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(leaderboard, "evaluate", lambda *_, **__: pytest.fail("it was played"))
+    (tmp_path / "random.trial.json").write_text("{")
+    with pytest.raises(FileFormatError, match=r"random\.trial\.json"):
+        submit(RandomAgent(), "random", tmp_path, ["truth"], SHORT)
+
+
+def timeless(entry: Entry, track: str) -> dict[str, list[Any]]:
+    return {name: values for name, values in entry.tracks[track].items() if not name.endswith("_time")}
+
+
+def test_an_entry_is_the_same_wherever_it_is_played_and_says_where(entry: Entry, tmp_path: Path) -> None:
+    executor = Elsewhere()
+    path = submit(RandomAgent(), "random", tmp_path, ["truth"], SHORT, num_envs=2, executor=executor)
+    assert executor.works, "the executor had something to do"
+    spread = read_entry(path)
+    assert timeless(spread, "truth") == timeless(entry, "truth")
+    assert spread.machine["truth: workers"] == str(workers_of(executor))
+    assert entry.at_once("truth") == "1 x 1"
+
+
+def test_the_command_plays_in_processes(entry: Entry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(leaderboard, "V1", SHORT)
+    asked = ["submit", "random", "--out", str(tmp_path), "--track", "truth", "--episodes", "1"]
+    result = CliRunner().invoke(app, [*asked, "--backend", "processes", "--workers", "2"])
+    assert result.exit_code == 0, repr(result.exception)
+    assert "| truth | random | 1 |" in result.output
+    trial = read_entry(tmp_path / "random.trial.json")
+    assert timeless(trial, "truth") == {name: values[:1] for name, values in timeless(entry, "truth").items()}
+    assert trial.at_once("truth") == "1 x 2"
+
+
+def test_damaged_entries_and_unknown_tracks_are_refused(entry: Entry, tmp_path: Path) -> None:
+    broken = tmp_path / "broken.json"
+    broken.write_text(json.dumps({**json.loads(entry.model_dump_json()), "tracks": 3}))
+    with pytest.raises(FileFormatError, match="tracks"):
+        read_entry(broken)
+    with pytest.raises(InvalidValueError, match="moved"):
+        submit(RandomAgent(), "random", tmp_path, ["rumor"], SHORT)
+
+
+@pytest.mark.parametrize("path", ENTRIES, ids=lambda path: path.stem)
+def test_what_is_on_the_leaderboard_comes_out_again(path: Path) -> None:
+    entry = read_entry(path)
+    track = next(iter(entry.tracks))
+    records = entry.evaluation(track).records
+    seconds = sum(record.planning_time + record.steps * record.action_time for record in records) / len(records)
+    _comes_out_again(entry, track, episodes=10 if seconds < 3.0 else 3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", ENTRIES, ids=lambda path: path.stem)
+def test_what_is_on_the_leaderboard_comes_out_again_on_every_track(path: Path) -> None:
+    entry = read_entry(path)
+    for track in entry.tracks:
+        _comes_out_again(entry, track, episodes=10)
+
+
+def _comes_out_again(entry: Entry, track: str, episodes: int) -> None:
+    if not is_current(entry):
+        pytest.skip("of an earlier bank: the table does not rank it")
+    pairs = replay(entry, make_agent(entry.agent), track, episodes)
+    same = sum(before.success == now.success and before.steps == now.steps for before, now in pairs)
+    assert same >= 9 * episodes // 10, "another machine may round one episode in ten to another end"
+
+
+def record(seed: int, success: bool) -> Record:
+    return Record(seed, "s", 0, "easy", success, False, (), 1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def test_agents_are_paired_by_episode() -> None:
+    first = Evaluation("a", tuple(record(k, k < 9) for k in range(12)))
+    second = Evaluation("b", tuple(record(k, k >= 8) for k in reversed(range(12))))
+    result = pairing(first, second)
+    assert (result.episodes, result.only_first, result.only_second) == (12, 8, 3)
+    assert result.p_value == pytest.approx(2 * sum([1, 11, 55, 165]) / 2**11)  # the exact test by hand
+    assert "may be equally good" in str(result)
+    assert pairing(first, first).p_value == 1.0
+    with pytest.raises(InvalidValueError, match="in common"):
+        pairing(first, Evaluation("c", (record(99, True),)))
+
+
+def test_no_pairing_without_a_test_by_name() -> None:
+    assert str(pairing(Evaluation("a", (record(0, True),)), Evaluation("b", (record(0, True),)))).endswith("p = 1")

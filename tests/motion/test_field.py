@@ -1,0 +1,163 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from greenhouse_gym.geometry import (
+    Box,
+    Capsule,
+    Ellipsoid,
+    Shape,
+    Sphere,
+    distance_to_ellipsoids,
+    distance_to_shapes,
+    pose,
+    rotation_about,
+    transform,
+)
+from greenhouse_gym.motion.distance_field import (
+    CELL,
+    MAX_DISTANCE,
+    NO_TOMATO,
+    ORIGIN,
+    SHAPE,
+    FieldStore,
+    distance_field,
+    obstacle_field,
+)
+
+
+def some_shapes(seed: int, count: int = 40) -> list[Shape]:
+    random = np.random.default_rng(seed)
+    shapes: list[Shape] = []
+    for k in range(count):
+        center = random.uniform([0.0, -1.0, -0.9], [1.1, 1.0, 1.0])
+        if k % 3 == 0:
+            shapes.append(Sphere(center, random.uniform(0.01, 0.06)))
+        elif k % 3 == 1:
+            shapes.append(Capsule(center, center + random.uniform(-0.3, 0.3, 3), random.uniform(0.002, 0.02)))
+        else:
+            turn = rotation_about(random.normal(size=3), random.uniform(0, 3))
+            shapes.append(Box(center, random.uniform(0.005, 0.1, 3), turn))
+    return shapes
+
+
+def test_tomatoes_that_are_ellipsoids_keep_their_shape() -> None:
+    scene_from_base = pose(rotation_about([0, 0, 1], 0.4), [0.1, -0.05, 0.9])
+    turn = rotation_about([1.0, 0.5, 0.2], 1.0)
+    ellipsoid = Ellipsoid(transform(scene_from_base, [[0.5, 0.1, 0.1]])[0], [0.02, 0.04, 0.05], turn)
+    tomatoes = np.array([[0.2, 0.0, 0.0, 0.03], [0.5, 0.1, 0.1, ellipsoid.radius]])
+    field = obstacle_field(tomatoes, [], scene_from_base, {1: ellipsoid})
+    nodes = tuple(np.random.default_rng(0).integers(0, SHAPE, (4000, 3)).T)
+    points = np.stack(nodes, axis=1) * CELL + ORIGIN
+    to_ball = np.linalg.norm(points - tomatoes[0, :3], axis=1) - 0.03
+    stretched = distance_to_ellipsoids(transform(scene_from_base, points), ellipsoid.center, ellipsoid.semi_axes, turn)[
+        :, 0
+    ]
+    expected = np.minimum(np.minimum(to_ball, stretched), MAX_DISTANCE)
+    np.testing.assert_allclose(field[nodes]["distance"], expected, atol=3e-4)
+
+
+def inside_points(seed: int, count: int) -> np.ndarray:
+    top = np.array(ORIGIN) + (np.array(SHAPE) - 1) * CELL
+    return np.random.default_rng(seed).uniform(ORIGIN, top, (count, 3))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_nodes_hold_the_exact_distance(seed: int) -> None:
+    scene_from_base = pose(rotation_about([0, 0, 1], 0.4), [0.1, -0.05, 0.9])
+    shapes = some_shapes(seed)
+    field = distance_field(shapes, pose())
+    nodes = np.random.default_rng(seed).integers(0, SHAPE, (3000, 3))
+    points = nodes * CELL + ORIGIN
+    expected = np.minimum(distance_to_shapes(points, shapes).min(axis=1), MAX_DISTANCE)
+    np.testing.assert_allclose(field[tuple(nodes.T)], expected, atol=3e-4)
+    turned = distance_field(shapes, scene_from_base)
+    expected = np.minimum(distance_to_shapes(transform(scene_from_base, points), shapes).min(axis=1), MAX_DISTANCE)
+    np.testing.assert_allclose(turned[tuple(nodes.T)], expected, atol=3e-4)
+
+
+def test_without_shapes_everything_is_far() -> None:
+    assert (distance_field([]) == np.float16(MAX_DISTANCE)).all()
+    behind = distance_field([Sphere([-5.0, 0.0, 0.0], 0.1)])
+    assert (behind == np.float16(MAX_DISTANCE)).all()
+
+
+def test_nodes_know_the_distance_without_the_tomato_that_is_nearest() -> None:
+    random = np.random.default_rng(0)
+    scene_from_base = pose(rotation_about([0, 0, 1], 0.4), [0.1, -0.05, 0.9])
+    centers = random.uniform([0.0, -1.0, -0.9], [1.1, 1.0, 1.0], (25, 3))
+    centers[1] = centers[0] + [0.03, 0.0, 0.0]  # two that overlap
+    tomatoes = np.column_stack([centers, random.uniform(0.01, 0.04, 25)])
+    others = some_shapes(1, 15)
+    field = obstacle_field(tomatoes, others, scene_from_base)
+    nodes = tuple(random.integers(0, SHAPE, (4000, 3)).T)
+    points = np.stack(nodes, axis=1) * CELL + ORIGIN
+    to_others = distance_to_shapes(transform(scene_from_base, points), others).min(axis=1, keepdims=True)
+    every = np.hstack([np.linalg.norm(points[:, None] - centers, axis=-1) - tomatoes[:, 3], to_others])
+    nearest = every.argmin(axis=1)
+    first, second = np.sort(every, axis=1)[:, :2].T
+    found = field[nodes]
+    np.testing.assert_allclose(found["distance"], np.minimum(first, MAX_DISTANCE), atol=3e-4)
+    known = (nearest < 25) & (first < MAX_DISTANCE - 1e-3) & (second - first > 1e-6)
+    assert known.sum() > 300
+    np.testing.assert_array_equal(found["tomato"][known], nearest[known])
+    np.testing.assert_allclose(found["otherwise"][known], np.minimum(second, MAX_DISTANCE)[known], atol=3e-4)
+    assert (found["tomato"][nearest == 25] == -1).all()
+
+
+def test_a_tomato_that_is_ignored_is_not_there() -> None:
+    random = np.random.default_rng(2)
+    tomatoes = np.column_stack([random.uniform([0.4, -0.3, -0.3], [0.8, 0.3, 0.3], (9, 3)), np.full(9, 0.03)])
+    store = FieldStore()
+    whole = store.add(obstacle_field(tomatoes, some_shapes(3, 5)))
+    points = random.uniform([0.3, -0.4, -0.4], [0.9, 0.4, 0.4], (1, 500, 3))
+    changed = 0
+    for k in range(9):
+        without = store.add(obstacle_field(np.delete(tomatoes, k, axis=0), some_shapes(3, 5)))
+        expected = store.lookup(np.array([without]), np.array([NO_TOMATO]), points)
+        for one, other in zip(store.lookup(np.array([whole]), np.array([k]), points), expected, strict=True):
+            np.testing.assert_array_equal(one, other)
+        changed += (store.lookup(np.array([whole]), np.array([NO_TOMATO]), points)[0] != expected[0]).sum()
+    assert changed > 300
+
+
+def keep(store: FieldStore, shapes: list[Shape]) -> int:
+    return store.add(obstacle_field(np.zeros((0, 4)), shapes))
+
+
+def test_lookup_interpolates_distance_and_direction() -> None:
+    ball = Sphere([0.6, 0.0, 0.0], 0.05)
+    store = FieldStore()
+    slot = keep(store, [ball])
+    points = inside_points(0, 4000)
+    points = points[np.linalg.norm(points - ball.center, axis=1) > 0.08]
+    distance, direction = store.lookup(np.array([slot]), np.array([NO_TOMATO]), points[None])
+    expected = np.linalg.norm(points - ball.center, axis=1) - 0.05
+    np.testing.assert_allclose(distance[0], np.minimum(expected, MAX_DISTANCE), atol=5e-3)
+    near = expected < MAX_DISTANCE - 0.03
+    towards = (ball.center - points) / np.linalg.norm(ball.center - points, axis=1, keepdims=True)
+    assert ((direction[0] * towards).sum(axis=1)[near] > 0.98).all()
+    assert (direction[0][expected > MAX_DISTANCE + 0.03] == 0).all()
+
+
+def test_outside_the_grid_the_way_to_it_is_added() -> None:
+    store = FieldStore()
+    slot = keep(store, [Sphere([0.12, 0.0, 0.0], 0.03)])
+    distance, _ = store.lookup(
+        np.array([slot]), np.array([NO_TOMATO]), np.array([[[0.0, 0.0, 0.0], [-5.0, 0.0, 0.0], [0.5, 30.0, 1.0]]])
+    )
+    np.testing.assert_allclose(distance[0], [0.09, MAX_DISTANCE, MAX_DISTANCE], atol=5e-3)
+
+
+def test_many_scenes_at_once_give_what_each_gives_alone() -> None:
+    store = FieldStore()
+    slots = np.array([keep(store, some_shapes(seed, 6)) for seed in range(18)])  # grows once
+    everything = np.full(18, NO_TOMATO)
+    points = inside_points(1, 18 * 9).reshape(18, 9, 3)
+    distance, direction = store.lookup(slots, everything, points)
+    for i in range(18):
+        alone = store.lookup(slots[i : i + 1], everything[i : i + 1], points[i : i + 1])
+        np.testing.assert_array_equal(alone[0][0], distance[i])
+        np.testing.assert_array_equal(alone[1][0], direction[i])
+    assert len(np.unique(distance[:, 0])) > 3

@@ -1,0 +1,49 @@
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from greenhouse_gym.envs.worlds import worlds_of
+from greenhouse_gym.geometry import rotation_about
+from greenhouse_gym.rendering import raycaster
+from greenhouse_gym.rendering.raycaster import RayCaster
+from greenhouse_gym.robots import get_robot
+from greenhouse_gym.scene import SceneBank
+
+
+@pytest.mark.parametrize(("robot", "many"), [("ur5e", 64), ("ur5e", 2), ("iiwa14", 64)])
+def test_what_is_left_out_is_not_seen(bank: SceneBank, robot: str, many: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same hits as with all geoms, from cameras anywhere, one after the other with the same caster."""
+    monkeypatch.setattr(raycaster, "_MANY", many)
+    arm = get_robot(robot)
+    worlds = worlds_of(arm, "reconstruction", 300)
+    scenes = [bank.scene(name) for split in ("train", "test") for name in bank.names(split)]
+    caster = RayCaster(worlds.world(scenes[0]).compiled)
+    random = np.random.default_rng(0)
+    spread = np.stack(np.meshgrid(*[np.linspace(-0.6, 0.6, 24)] * 2, [1.0]), axis=-1).reshape(-1, 3)
+    spread /= np.linalg.norm(spread, axis=1, keepdims=True)
+    hits, on_the_arm = 0, 0
+    for k in range(24):
+        world = worlds.world(scenes[k % len(scenes)])
+        model = world.compiled.model
+        data = mujoco.MjData(model)
+        data.qpos[:] = random.uniform(arm.lower, arm.upper)
+        mujoco.mj_kinematics(model, data)
+        origin = world.frame[:3] + random.uniform([-0.3, -0.5, -0.3], [0.7, 0.5, 0.6])
+        directions = spread @ rotation_about(random.normal(size=3), random.uniform(0, 3)).T
+        geom, expected = np.empty(len(spread), dtype=np.int32), np.empty(len(spread))
+        normals = np.zeros((len(spread), 3))
+        mujoco.mj_multiRay(
+            model, data, origin, directions.reshape(-1), None, True, -1, geom, expected, normals.reshape(-1),
+            len(spread), 2.0,
+        )  # fmt: skip
+        distance, arm_hit, rgba, normal = caster.cast(model, data.qpos, origin, directions, 2.0, surfaces=True)
+        there = expected >= 0
+        np.testing.assert_array_equal(normal[there], normals[there])
+        np.testing.assert_array_equal(rgba[there], model.geom_rgba[geom[there]])
+        np.testing.assert_array_equal(distance, expected)
+        np.testing.assert_array_equal(arm_hit, (geom >= 0) & (model.geom_bodyid[geom] > 0))
+        hits, on_the_arm = hits + (distance >= 0).sum(), on_the_arm + arm_hit.sum()
+    assert hits > 1000
+    assert on_the_arm > 20
