@@ -13,9 +13,9 @@ import pytest
 
 from greenhouse_gym.envs import TomatoReachEnv, TomatoReachVectorEnv
 from greenhouse_gym.errors import GreenhouseError
-from greenhouse_gym.rendering import viewer
+from greenhouse_gym.rendering import opengl, viewer
 from greenhouse_gym.rendering.renderer import default_camera, render_depth
-from greenhouse_gym.scene import SceneBank, opengl
+from greenhouse_gym.scene import SceneBank
 
 
 def moved(bank: SceneBank, seed: int, **keywords: Any) -> TomatoReachEnv:
