@@ -18,7 +18,7 @@ class GreenhouseError(Exception):
 
 
 def _restore(kind: type[GreenhouseError], args: tuple[object, ...], attributes: dict[str, object]) -> GreenhouseError:
-    """An error as it was pickled: with its message and attributes, whatever its constructor asks for."""
+    """Rebuild a pickled error from its message and attributes, without calling its constructor."""
     error = kind.__new__(kind)
     super(GreenhouseError, error).__init__(*args)
     error.__dict__.update(attributes)
@@ -26,11 +26,11 @@ def _restore(kind: type[GreenhouseError], args: tuple[object, ...], attributes: 
 
 
 class InvalidValueError(GreenhouseError, ValueError):
-    """A value is outside what is allowed."""
+    """A value is not allowed."""
 
 
 class UnknownNameError(GreenhouseError, KeyError):
-    """A name is not among the known ones; the message lists them."""
+    """A name is unknown; the message lists the valid ones."""
 
     def __init__(self, kind: str, name: object, choices: Iterable[str]):
         self.choices = tuple(choices)
@@ -45,19 +45,19 @@ class UnknownNameError(GreenhouseError, KeyError):
 
 
 class UnknownKeywordError(GreenhouseError, TypeError):
-    """A call names a keyword that does not exist; the message lists those that do."""
+    """A call uses an unknown keyword; the message lists the valid ones."""
 
 
 class EpisodeOverError(GreenhouseError, RuntimeError):
-    """An environment was stepped after its episode's end."""
+    """An environment was stepped after the end of its episode."""
 
 
 class NoEpisodeError(GreenhouseError, RuntimeError):
-    """An environment was asked about an episode before its first reset."""
+    """An environment was used before its first reset."""
 
 
 class FileFormatError(GreenhouseError, ValueError):
-    """A file is missing, damaged, or does not hold what its format promises."""
+    """A file is missing, damaged, or does not follow its format."""
 
     def __init__(self, path: object, problem: str):
         self.path = path
@@ -66,7 +66,7 @@ class FileFormatError(GreenhouseError, ValueError):
 
 
 class FileWriteError(GreenhouseError, OSError):
-    """A file could not be written; what was there before is unharmed."""
+    """A file could not be written; its previous content is unharmed."""
 
     def __init__(self, path: object, error: OSError):
         self.path = path
@@ -74,7 +74,7 @@ class FileWriteError(GreenhouseError, OSError):
 
 
 class MissingDependencyError(GreenhouseError, ImportError):
-    """An optional dependency is not installed or cannot be imported; the message names the extra that brings it."""
+    """An optional dependency is not installed or cannot be imported; the message names the extra that installs it."""
 
     def __init__(self, package: str, extra: str, problem: str = ""):
         what = f"cannot be imported ({problem}); it comes with" if problem else "is not installed:"
@@ -82,11 +82,11 @@ class MissingDependencyError(GreenhouseError, ImportError):
 
 
 class GrowthError(GreenhouseError):
-    """A plant could not be grown, or grew without what a row needs; the message gives the reason."""
+    """A plant could not be grown, or lacks organs that a row needs; the message gives the reason."""
 
 
 class CameraError(GreenhouseError):
-    """A camera is not there, cannot be started, or shows nothing any more."""
+    """A camera is missing, cannot be started, or no longer delivers images."""
 
 
 class ReconstructionError(GreenhouseError):
@@ -102,7 +102,7 @@ def require_choice(kind: str, name: str, choices: Iterable[str]) -> str:
 
 
 def require_seed(seed: int) -> int:
-    """Return ``seed`` if it is a whole number from 0 on, else raise `InvalidValueError`."""
+    """Return ``seed`` if it is a non-negative integer, else raise `InvalidValueError`."""
     if isinstance(seed, bool) or not isinstance(seed, Integral) or seed < 0:
         raise InvalidValueError(f"seed must be a whole number from 0 on, got {seed!r}")
     return int(seed)

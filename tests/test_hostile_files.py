@@ -138,13 +138,13 @@ def test_a_file_beyond_its_kinds_limit_is_refused_before_it_is_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = make_scene(0, stems=1).save(tmp_path / "scene.json")
-    monkeypatch.setattr(paths, "MOST_BYTES", paths.MOST_BYTES | {"scene": 100})
+    monkeypatch.setattr(paths, "MAX_BYTES", paths.MAX_BYTES | {"scene": 100})
     with pytest.raises(FileFormatError, match=r"too large for a scene: \d+ bytes, at most 100"):
         Scene.load(path)
     sparse = tmp_path / "sparse"
     with sparse.open("wb") as file:
         file.truncate(2**40)
-    for kind in paths.MOST_BYTES:
+    for kind in paths.MAX_BYTES:
         with pytest.raises(FileFormatError, match="too large"):
             read_bytes(sparse, kind)
 

@@ -1,4 +1,4 @@
-"""How ``.npz`` files from strangers are read: their sizes are checked before anything is allocated."""
+"""Read untrusted ``.npz`` files: sizes are checked before memory is allocated."""
 
 from __future__ import annotations
 
@@ -11,28 +11,29 @@ import numpy as np
 import numpy.typing as npt
 
 
-def read_arrays(content: bytes, most: int) -> dict[str, npt.NDArray[Any]]:
-    """The arrays of an ``.npz`` file by name.
+def read_arrays(content: bytes, max_bytes: int) -> dict[str, npt.NDArray[Any]]:
+    """Return the arrays of an ``.npz`` file by name.
 
     Args:
         content: Content of the file.
-        most: The most bytes it may have unpacked.
+        max_bytes: Largest size that the unpacked file may have.
 
     Raises:
-        ValueError: It is larger, or an array is not what its header says; other errors for what is no such file.
+        ValueError: The file is larger, or an array does not match its header. Content that is not an ``.npz`` file
+            raises the errors of the underlying readers.
     """
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         unpacked = sum(member.file_size for member in archive.infolist())
-        if unpacked > most:
-            raise ValueError(f"unpacked it has {unpacked} bytes, at most {most} are read")
+        if unpacked > max_bytes:
+            raise ValueError(f"unpacked it has {unpacked} bytes, at most {max_bytes} are read")
         return {name.removesuffix(".npy"): read_array(archive.read(name)) for name in archive.namelist()}
 
 
 def read_array(content: bytes) -> npt.NDArray[Any]:
-    """The array of an ``.npy`` file.
+    """Return the array of an ``.npy`` file.
 
     Raises:
-        ValueError: Its header promises something else than what is there.
+        ValueError: The header does not match the content.
     """
     file = io.BytesIO(content)
     version = np.lib.format.read_magic(file)

@@ -1,4 +1,4 @@
-"""Optional dependencies: what is missing is told by the extra of this package that brings it."""
+"""Optional dependencies: errors name the extra of this package that installs what is missing."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MODULES: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "onnx": ("onnx", "safetensors"),
     }
 )
-"""What extras that commands need bring, by the names that are imported."""
+"""Import names of the packages that each extra installs, for the extras that commands need."""
 
 
 @contextmanager
@@ -31,8 +31,9 @@ def needs(extra: str) -> Iterator[None]:
         extra: The extra that brings them.
 
     Raises:
-        MissingDependencyError: One is not installed, or is and cannot be imported; the message tells which of the two.
-        KeyboardInterrupt: The import was interrupted; compiled packages tell that as an `ImportError`.
+        MissingDependencyError: A package is not installed, or is installed and cannot be imported; the message says
+            which.
+        KeyboardInterrupt: The import was interrupted; compiled packages report that as an `ImportError`.
     """
     try:
         yield
@@ -47,7 +48,7 @@ def needs(extra: str) -> Iterator[None]:
 def require_extras(*extras: str) -> None:
     """Raise `MissingDependencyError` for the first package of these extras that is missing, without importing any.
 
-    Long work begins with it, so that what its last part needs is not found missing after hours.
+    Call it before long work, so that a package needed only in the last step is not found missing after hours.
     """
     for extra in extras:
         for module in MODULES[extra]:

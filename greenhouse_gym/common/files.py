@@ -1,8 +1,7 @@
-"""Where the shipped data lies, which names and paths are safe, how files are read and written.
+"""Locate shipped data, check names and paths, read untrusted files and write files atomically.
 
-Files come from strangers, so they are read in one way only, `read_bytes`: regular files, no larger than their kind may
-be. Names that become file names pass `checked_name`, paths that a file names pass `inside`. Files are written to a
-temporary name, then renamed.
+All files are read by `read_bytes`, which accepts regular files up to a size limit per kind. Names that become file
+names pass `checked_name`; paths named inside a file pass `inside`. Files are written to a temporary name, then renamed.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from greenhouse_gym.errors import FileFormatError, FileWriteError, InvalidValueE
 _PACKAGE = Path(__file__).resolve().parents[1]
 _IN_CHECKOUT = {"scenes": Path("scenes"), "policies": Path("training/policies")}
 
-MOST_BYTES = MappingProxyType(
+MAX_BYTES = MappingProxyType(
     {
         "scene": 64 * 2**20,
         "bank manifest": 64 * 2**20,
@@ -44,17 +43,17 @@ MOST_BYTES = MappingProxyType(
         "kept records": 2**28,
     }
 )
-"""The most bytes a file of each kind may have; what is larger is refused before it is read."""
+"""Largest size of a file of each kind, bytes; larger files are refused before they are read."""
 
 _UNSAFE = re.compile(r'[/\\:*?"<>|\x00-\x1f\x7f\ud800-\udfff]')
-_LONGEST_NAME = 200  # bytes; file systems allow 255, suffixes and temporary names take some
+_MAX_NAME_BYTES = 200  # file systems allow 255, suffixes and temporary names take some
 
 
 def data_path(kind: str) -> Path:
-    """The folder of shipped ``"scenes"`` or ``"policies"``.
+    """Return the folder of the shipped ``"scenes"`` or ``"policies"``.
 
-    A checkout's own folder comes first, so that an editable install sees the checkout and never a stale copy;
-    otherwise the package data of the wheel.
+    In a checkout this is the checkout's own folder, so that an editable install never sees a stale copy; otherwise it
+    is the package data of the wheel.
     """
     checkout = _PACKAGE.parent
     if (checkout / "pyproject.toml").is_file() and (checkout / _IN_CHECKOUT[kind]).is_dir():
@@ -63,15 +62,15 @@ def data_path(kind: str) -> Path:
 
 
 def checked_name(kind: str, name: str) -> str:
-    """Return a name that can be a file's name on any system and names no other place; else raise.
+    """Return ``name`` if it is a valid file name on every system, else raise.
 
     Args:
-        kind: What bears the name, for the message.
+        kind: Kind of object that has the name, for the message.
         name: One part of a path, without a suffix.
 
     Raises:
-        InvalidValueError: It is empty, too long, "." or "..", begins with a dot or ends with one or with a space, holds
-            a separator, a control character or one of ``:*?"<>|``, or is "manifest", a bank's own file.
+        InvalidValueError: The name is empty, too long, "." or "..", begins with a dot or ends with one or with a
+            space, contains a separator, a control character or one of ``:*?"<>|``, or is "manifest", a bank's own file.
     """
     unsafe = _UNSAFE.search(name)
     if unsafe or not name or name[0] == "." or name[-1] in ". " or name.casefold() == "manifest":
@@ -79,67 +78,67 @@ def checked_name(kind: str, name: str) -> str:
             f"{kind} cannot be named {name[:80]!r}: expected a file's name without separators, control characters and "
             ':*?"<>|, without a dot in front, and not "manifest"'
         )
-    if len(name.encode()) > _LONGEST_NAME:
-        raise InvalidValueError(f"{kind} cannot be named {name[:40]!r}...: longer than {_LONGEST_NAME} bytes")
+    if len(name.encode()) > _MAX_NAME_BYTES:
+        raise InvalidValueError(f"{kind} cannot be named {name[:40]!r}...: longer than {_MAX_NAME_BYTES} bytes")
     return name
 
 
 def inside(folder: str | Path, relative: str, named_in: object) -> Path:
-    """The path of a file that another file names relative to a folder.
+    """Return the path of a file that another file names relative to a folder.
 
     Args:
-        folder: Everything must lie in it.
-        relative: What the other file says.
+        folder: Folder that must contain the file.
+        relative: Path as the other file gives it.
         named_in: The other file, for the message.
 
     Raises:
-        FileFormatError: It is absolute or leads out of the folder, also through a link.
+        FileFormatError: The path is absolute or leaves the folder, also through a link.
     """
     path = Path(folder) / relative
     try:
         leaves = len(relative) > 1000 or Path(relative).is_absolute() or ".." in Path(relative).parts
         leaves = leaves or not path.resolve().is_relative_to(Path(folder).resolve())
     except (OSError, ValueError, RuntimeError) as error:  # a null character, a loop of links
-        raise FileFormatError(named_in, f"names the file {relative[:200]!r}, which is no path ({error})") from error
+        raise FileFormatError(named_in, f"names the file {relative[:200]!r}, which is not a path ({error})") from error
     if leaves:
         raise FileFormatError(named_in, f"names the file {relative[:200]!r}, which is not inside {folder}")
     return path
 
 
 def read_bytes(path: str | Path, kind: str) -> bytes:
-    """The content of a regular file that is no larger than files of its kind may be.
+    """Return the content of a regular file no larger than the limit for its kind.
 
     Args:
         path: The file; pipes, devices and folders are refused before they are read.
-        kind: A key of `MOST_BYTES`.
+        kind: A key of `MAX_BYTES`.
 
     Raises:
-        FileFormatError: It is missing, cannot be read, is no regular file, or is too large.
+        FileFormatError: The file is missing, unreadable, not a regular file, or too large.
     """
     try:
         with open(path, "rb", opener=_without_waiting) as file:
             status = os.fstat(file.fileno())
-            readable = stat.S_ISREG(status.st_mode) and status.st_size <= MOST_BYTES[kind]
+            readable = stat.S_ISREG(status.st_mode) and status.st_size <= MAX_BYTES[kind]
             content = file.read(status.st_size) if readable else b""
     except (OSError, ValueError) as error:
         raise FileFormatError(path, f"cannot be read ({getattr(error, 'strerror', None) or error})") from error
     if not stat.S_ISREG(status.st_mode):
         raise FileFormatError(path, "cannot be read (not a regular file)")
     if not readable:
-        raise FileFormatError(path, f"too large for a {kind}: {status.st_size} bytes, at most {MOST_BYTES[kind]}")
+        raise FileFormatError(path, f"too large for a {kind}: {status.st_size} bytes, at most {MAX_BYTES[kind]}")
     return content
 
 
 def _without_waiting(path: str, flags: int) -> int:
-    """Open a file; a pipe that nobody writes to is opened as well, not waited for."""
+    """Open a file without blocking, even where it is a pipe without a writer."""
     return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
 @contextmanager
 def parsing(path: object, kind: str) -> Iterator[None]:
-    """Turn whatever a parser raises over damaged content into a `FileFormatError` that names the file.
+    """Turn any error of a parser over damaged content into a `FileFormatError` that names the file.
 
-    What a parser trips over cannot be listed: formats are read by libraries, and damage has any form.
+    The errors cannot be listed: formats are read by libraries, and damage takes any form.
     """
     try:
         yield
@@ -153,7 +152,7 @@ def parsing(path: object, kind: str) -> Iterator[None]:
 
 
 def first_fault(error: ValidationError) -> str:
-    """The first field at fault, what is wrong with it and what it holds, in one line."""
+    """Return one line with the first invalid field, the problem and the value found."""
     first = error.errors(include_url=False, include_context=False)[0]
     where = ".".join(map(str, first["loc"])) or "the file"
     if first["type"] == "value_error":  # raised by a class of ours, which says what it got
@@ -163,12 +162,12 @@ def first_fault(error: ValidationError) -> str:
 
 @contextmanager
 def exclusive(folder: str | Path) -> Iterator[None]:
-    """Work in a folder while no other process does; it is made if missing.
+    """Hold a folder for this process alone; it is created if missing.
 
-    The file ``.lock`` in it is locked meanwhile; the lock goes with the process, however that ends.
+    The file ``.lock`` in it is locked meanwhile; the lock ends with the process, however that ends.
 
     Raises:
-        FileWriteError: The folder cannot be made or written, or another process is at work in it.
+        FileWriteError: The folder cannot be created or written, or another process holds it.
     """
     path = Path(folder) / ".lock"
     try:
@@ -179,7 +178,7 @@ def exclusive(folder: str | Path) -> Iterator[None]:
     with file:
         try:
             _lock(file.fileno())
-            same = path.stat().st_ino == os.fstat(file.fileno()).st_ino  # nobody finished and removed it in between
+            same = path.stat().st_ino == os.fstat(file.fileno()).st_ino  # not removed by its last holder in between
         except OSError:
             same = False
         if not same:
@@ -191,7 +190,7 @@ def exclusive(folder: str | Path) -> Iterator[None]:
 
 
 def _lock(handle: int) -> None:
-    """Lock an open file; `OSError` where another process has."""
+    """Lock an open file; raise `OSError` where another process holds the lock."""
     if sys.platform == "win32":
         import msvcrt
 
@@ -203,7 +202,7 @@ def _lock(handle: int) -> None:
 
 
 def require_writable(path: str | Path) -> None:
-    """Raise `FileWriteError` if a file could not be written there; long work begins with it."""
+    """Raise `FileWriteError` if a file could not be written there; call it before long work."""
     path = Path(path)
     try:
         if path.is_dir():
@@ -215,10 +214,10 @@ def require_writable(path: str | Path) -> None:
 
 
 def write_atomically(path: str | Path, content: str | bytes) -> Path:
-    """Write a file so that a reader sees the old content or the new, never a part: temporary name, then rename.
+    """Write a file under a temporary name and rename it, so that readers see the old content or the new, never a part.
 
     Raises:
-        FileWriteError: It could not be written, say because the disk is full.
+        FileWriteError: The file could not be written, for example because the disk is full.
     """
     path = Path(path)
     data = content.encode() if isinstance(content, str) else content
@@ -243,6 +242,6 @@ def write_atomically(path: str | Path, content: str | bytes) -> Path:
 
 
 def remove_leftovers(folder: Path, suffix: str) -> None:
-    """Remove what `write_atomically` left of files of that suffix in a folder where its process was killed."""
+    """Remove temporary files that `write_atomically` left in a folder when its process was killed."""
     for path in folder.glob(f".*{suffix}.{'[a-z0-9_]' * 8}"):  # as `tempfile` names them
         path.unlink(missing_ok=True)

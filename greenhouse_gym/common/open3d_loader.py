@@ -1,4 +1,4 @@
-"""The one place that imports Open3D: its wheel needs libusb, which the wheel ``libusb-package`` carries."""
+"""The only module that imports Open3D: its wheel needs libusb, which the wheel ``libusb-package`` carries."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from greenhouse_gym.common.extras import needs
 
 @cache
 def open3d() -> ModuleType:
-    """Open3D, imported at first use.
+    """Return Open3D, imported at first use.
 
     Raises:
         MissingDependencyError: The extra ``reconstruct`` is not installed.

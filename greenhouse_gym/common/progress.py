@@ -14,20 +14,20 @@ _SECONDS_BETWEEN_LINES = 10.0
 
 
 def say(text: str, style: str | None = None) -> None:
-    """Print a line as it is: brackets in names, paths and reasons are no markup, and nothing breaks a long path."""
+    """Print a line verbatim: brackets are not markup, and long paths are not wrapped."""
     CONSOLE.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
 
 
 @contextmanager
 def progress(what: str, total: int) -> Iterator[Callable[[int], None]]:
-    """Show how far a piece of work is.
+    """Show the progress of a piece of work.
 
     Args:
-        what: What is being done.
+        what: Description of the work.
         total: Number of parts.
 
     Yields:
-        A function to call with the number of parts that are done.
+        A function to call with the number of finished parts.
     """
     if CONSOLE.is_terminal:
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())

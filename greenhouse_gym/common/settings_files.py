@@ -1,6 +1,6 @@
-"""Settings from files and from single assignments, and as files: TOML or JSON in, commented TOML out.
+"""Read settings from TOML or JSON files and from single assignments; write them as commented TOML.
 
-Settings are frozen dataclasses, some inside others. Whatever is given replaces fields of settings that are there.
+Settings are frozen dataclasses, possibly nested. Given values replace the fields of default settings.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ Tree = dict[str, Any]
 
 
 _NOTHING = "null"
-"""What stands for None, since TOML has no word for it."""
+"""Spelling of None, for which TOML has no word."""
 
 
 def resolve(defaults: Settings, file: str | Path | None = None, assignments: Sequence[str] = ()) -> Settings:
-    """Settings with some fields replaced.
+    """Return settings with some fields replaced.
 
     Args:
         defaults: A dataclass of settings.
-        file: A JSON file, or a TOML file by its suffix ``.toml``, that holds any of the fields, inner ones in tables.
-        assignments: Texts such as ``shapes.voxel=0.004``; they come after the file.
+        file: A JSON file, or a TOML file (suffix ``.toml``), with any of the fields; nested settings are tables.
+        assignments: Texts such as ``shapes.voxel=0.004``, applied after the file.
 
     Raises:
         FileFormatError: The file cannot be read, is damaged, or does not fit the settings.
-        UnknownNameError: An assignment names no field; the message lists the choices.
-        InvalidValueError: A value is none of the field's type, or an assignment is none.
+        UnknownNameError: An assignment names an unknown field; the message lists the choices.
+        InvalidValueError: A value does not have the field's type, or a text is not an assignment.
     """
     if file is not None:
         content = _read(Path(file))
@@ -54,9 +54,9 @@ def resolve(defaults: Settings, file: str | Path | None = None, assignments: Seq
 
 
 def as_toml(settings: object, comments: bool = False) -> str:
-    """Settings as TOML that `resolve` reads; with ``comments``, each field with what its class says of it.
+    """Return settings as TOML that `resolve` reads; with ``comments``, fields carry their documentation.
 
-    Fields that are None are left out, or commented out.
+    Fields that are None are left out, or commented out where ``comments`` is set.
     """
     return "\n".join(_lines(settings, "", comments)).strip() + "\n"
 
@@ -71,10 +71,10 @@ def _read(path: Path) -> Tree:
 
 
 def assigned(text: str) -> Tree:
-    """The tree of one assignment such as ``shapes.voxel=0.004``.
+    """Return the tree of one assignment such as ``shapes.voxel=0.004``.
 
     Raises:
-        InvalidValueError: It is none.
+        InvalidValueError: The text is not an assignment.
     """
     name, equals, value = text.partition("=")
     if not equals or not name.strip():
@@ -89,15 +89,15 @@ def assigned(text: str) -> Tree:
 
 
 def replaced(settings: Settings, content: Tree) -> Settings:
-    """Settings with the fields of a tree in place of their own.
+    """Return settings in which the fields of a tree replace those of ``settings``.
 
     Args:
         settings: A dataclass of settings.
-        content: Values by the name of the field, those of inner settings as trees.
+        content: Values by field name; those of nested settings are trees.
 
     Raises:
-        UnknownNameError: There is no such field; the message lists the choices.
-        InvalidValueError: A value is none of the field's type.
+        UnknownNameError: A field does not exist; the message lists the choices.
+        InvalidValueError: A value does not have the field's type.
     """
     merged = _merged(settings, content, "")
     try:
@@ -107,7 +107,7 @@ def replaced(settings: Settings, content: Tree) -> Settings:
 
 
 def _merged(settings: object, content: Mapping[str, Any], where: str) -> Tree:
-    """The fields of a dataclass as a tree, those of another tree in their places."""
+    """Return the fields of a dataclass as a tree, overridden by those of ``content``."""
     names = [field.name for field in fields(settings)]  # type: ignore[arg-type]
     tree = asdict(settings)  # type: ignore[call-overload]
     for name, value in content.items():
@@ -124,7 +124,7 @@ def _merged(settings: object, content: Mapping[str, Any], where: str) -> Tree:
 
 
 def _inner_class(settings: object, name: str) -> Any:
-    """The dataclass that an optional field may hold, or None."""
+    """Return the dataclass that an optional field may hold, or None."""
     hint = get_type_hints(type(settings))[name]
     return next((kind for kind in get_args(hint) if is_dataclass(kind)), None)
 
@@ -154,12 +154,12 @@ def _table(settings: Any, where: str, comments: bool) -> list[str]:
 
 
 def _value(value: Any) -> str:
-    """A value as TOML: a path, or whatever else JSON has no word for, as its text."""
+    """Return a value as TOML; values without a JSON form, such as paths, become text."""
     return json.dumps(value, default=str)
 
 
 def _comments(kind: type) -> dict[str, str]:
-    """What a class says of each field: the comment behind it, or its line among the attributes."""
+    """Return the documentation of each field: its trailing comment, or its entry in the class docstring."""
     source = textwrap.dedent(getsource(kind))
     said = {}
     for attribute in re.finditer(r"^ {8}(\w+): (.*(?:\n {12}\S.*)*)", source, re.M):

@@ -18,7 +18,7 @@ from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.common.extras import needs
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.common.open3d_loader import open3d
-from greenhouse_gym.common.files import MOST_BYTES, parsing, read_bytes
+from greenhouse_gym.common.files import MAX_BYTES, parsing, read_bytes
 
 MOST_POINTS = 20_000_000
 """The most points of a file that are used; of a larger one it is only every second, third, ... point."""
@@ -70,7 +70,7 @@ def read_cloud(path: str | Path) -> RawCloud:
     if not path.is_file():
         raise FileFormatError(path, "cannot be read (no such file)")
     by_pieces = path.suffix.lower() in _BY_PIECES
-    most = MOST_BYTES[_KIND] if by_pieces else _AT_ONCE
+    most = MAX_BYTES[_KIND] if by_pieces else _AT_ONCE
     if path.stat().st_size > most:
         advice = "" if by_pieces else "; LAS, LAZ and text are read piece by piece, or leave out points"
         raise FileFormatError(
@@ -181,7 +181,7 @@ def _from_array(path: Path) -> _Parts:
 
 
 def _from_arrays(path: Path) -> _Parts:
-    arrays = read_arrays(read_bytes(path, _KIND), MOST_BYTES[_KIND])
+    arrays = read_arrays(read_bytes(path, _KIND), MAX_BYTES[_KIND])
     if "points" not in arrays:
         raise FileFormatError(path, f"expected the arrays points, colors and normals; it has {', '.join(arrays)}")
     return _Parts(arrays["points"], arrays.get("colors"), arrays.get("normals"))
