@@ -122,7 +122,7 @@ def test_an_error_in_a_worker_is_told_as_itself(pool: Executor) -> None:
 
 
 def test_a_lost_process_is_told() -> None:
-    with pytest.raises(WorkerLostError, match="ended before it was done"), processes(1) as executor:
+    with pytest.raises(WorkerLostError, match="ended before its task was done"), processes(1) as executor:
         list(completed(killed, range(3), executor))
 
 

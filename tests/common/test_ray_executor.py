@@ -62,7 +62,7 @@ def test_errors_are_told_as_themselves(cluster: RayExecutor) -> None:
 
 
 def test_a_lost_process_is_told_and_the_cluster_goes_on(cluster: RayExecutor) -> None:
-    with pytest.raises(WorkerLostError, match="a piece of work was lost"):
+    with pytest.raises(WorkerLostError, match="a task was lost"):
         list(completed(killed, range(1), cluster))
     assert sorted(completed(squared, range(3), cluster)) == [(0, 0), (1, 1), (2, 4)]
 
@@ -83,7 +83,7 @@ def test_agents_play_the_same_episodes_on_ray(cluster: RayExecutor, bank: SceneB
 
 def test_addresses_at_which_nothing_listens_are_told() -> None:
     pytest.importorskip("ray")
-    with pytest.raises(InvalidValueError, match=r"nothing that Ray understands listens at 127\.0\.0\.1:1 "):
+    with pytest.raises(InvalidValueError, match=r"no Ray cluster listens at 127\.0\.0\.1:1 "):
         RayExecutor("127.0.0.1:1")
     with pytest.raises(InvalidValueError, match="HOST:PORT"):
         RayExecutor("somewhere")
@@ -163,7 +163,7 @@ def test_an_address_at_which_something_else_listens_is_told() -> None:
 
         with ThreadPoolExecutor(1) as threads:
             threads.submit(refuse)
-            with pytest.raises(InvalidValueError, match=f"what listens at {address} is no head of a Ray cluster"):
+            with pytest.raises(InvalidValueError, match=f"the server at {address} is not the head of a Ray cluster"):
                 RayExecutor(address)
 
 

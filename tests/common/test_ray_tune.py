@@ -18,38 +18,38 @@ pytest.importorskip("ray.tune")
 
 from greenhouse_gym import __version__
 from greenhouse_gym.common.executors import RayExecutor, WorkerLostError
-from greenhouse_gym.common.executors.ray_tune import FOLDER, Halving, Tell, _Trial, run_trials
+from greenhouse_gym.common.executors.ray_tune import FOLDER, Halving, OnProgress, _Trial, run_trials
 from greenhouse_gym.errors import UnknownNameError
 
 pytestmark = pytest.mark.xdist_group("ray")
 
 
-def dying(folder: Path, tell: Tell) -> None:
+def dying(folder: Path, on_progress: OnProgress) -> None:
     (folder / str(os.getpid())).touch()
     killed(0)
 
 
-def racing(item: tuple[Path, float], tell: Tell) -> str:
+def racing(item: tuple[Path, float], on_progress: OnProgress) -> str:
     place, rate = item
     if not rate:
         raise UnknownNameError("rate", "zero", ["one"])
     try:
         for steps in range(1, 9):
-            tell({"steps": steps, "rate": rate}, f"{place.name} at {steps}")
+            on_progress({"steps": steps, "rate": rate}, f"{place.name} at {steps}")
     except KeyboardInterrupt:
         place.touch()
         raise
     return f"{place.name} done"
 
 
-def exiting(code: int, tell: Tell) -> None:
+def exiting(code: int, on_progress: OnProgress) -> None:
     sys.exit(code)
 
 
-def resting(folder: Path, tell: Tell) -> None:
+def resting(folder: Path, on_progress: OnProgress) -> None:
     try:
         while True:
-            tell({"steps": float("nan")}, os.getpid())
+            on_progress({"steps": float("nan")}, os.getpid())
             time.sleep(0.02)
     except KeyboardInterrupt:
         (folder / str(os.getpid())).touch()
@@ -91,7 +91,7 @@ def test_work_that_exits_is_told_and_not_waited_for() -> None:
     thread.start()
     thread.join(30.0)
     assert told, "it would be waited for without end"
-    assert str(pickle.loads(told[0]["raised"])) == "a piece of work ended by SystemExit: 3"
+    assert str(pickle.loads(told[0]["raised"])) == "a task ended by SystemExit: 3"
 
 
 def test_an_interruption_lets_the_work_end_itself(cluster: RayExecutor, tmp_path: Path) -> None:

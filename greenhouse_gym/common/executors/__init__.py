@@ -1,4 +1,4 @@
-"""Work spread over the cores of one machine or of many, with the same results as on one."""
+"""Executors that spread work over the cores of one machine or of a cluster, with the same results as on one core."""
 
 from greenhouse_gym.common.executors.backends import BACKENDS, executor_for, idle_cores
 from greenhouse_gym.common.executors.ray_actor import RayActor

@@ -1,4 +1,4 @@
-"""Executors by name, as the command line asks for them."""
+"""Executors by name, for the command line."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from greenhouse_gym.common.executors.spreading import processes, usable_cores
 from greenhouse_gym.errors import require_choice
 
 BACKENDS = ("serial", "processes", "ray")
-"""Where work may be done: here, in processes of this machine, on a Ray cluster."""
+"""Names of the backends: this process, processes of this machine, or a Ray cluster."""
 
 
 @contextmanager
 def executor_for(backend: str, workers: int | None = None, address: str = "local") -> Iterator[Executor | None]:
-    """The executor of a backend for the time of a ``with`` block.
+    """Provide the executor of a backend for the duration of a ``with`` block.
 
     Args:
         backend: One of `BACKENDS`.
-        workers: Processes on this machine; None for one per core. Another machine's cluster has its own number.
+        workers: Processes on this machine; None for one per core. A cluster elsewhere has its own number.
         address: Address of the Ray cluster, as `RayExecutor` takes it.
 
     Yields:
         The executor; None for "serial".
 
     Raises:
-        UnknownNameError: There is no such backend.
+        UnknownNameError: The backend does not exist.
     """
     require_choice("backend", backend, BACKENDS)
     if backend == "serial":
@@ -42,6 +42,6 @@ def executor_for(backend: str, workers: int | None = None, address: str = "local
 
 
 def idle_cores() -> int:
-    """Cores of this process that nobody seems to use, by the system's load over the last minute, where it is told."""
+    """Return the number of idle cores, estimated from the load of the last minute where the system reports it."""
     busy = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
     return max(0, usable_cores() - round(busy))

@@ -6,7 +6,7 @@ import pickle
 from collections.abc import Callable
 from typing import Any
 
-from greenhouse_gym.common.executors.ray_executor import RayExecutor, at_home, reason_of, told
+from greenhouse_gym.common.executors.ray_executor import RayExecutor, match_caller, reason_of, with_node_name
 from greenhouse_gym.common.executors.spreading import WorkerLostError
 
 
@@ -57,7 +57,7 @@ class _Keeper:
         self._kept: Any = None
         self._failed: Exception | None = None
         try:
-            at_home(folder, path, version)
+            match_caller(folder, path, version)
             make, arguments, _ = pickle.loads(message)
             self._kept = make(*arguments)
         except Exception as error:
@@ -70,4 +70,4 @@ class _Keeper:
                 raise self._failed
             return True, pickle.dumps(getattr(self._kept, method)(*pickle.loads(arguments)), protocol=4)
         except Exception as error:
-            return False, pickle.dumps(told(error))
+            return False, pickle.dumps(with_node_name(error))

@@ -1,4 +1,4 @@
-"""Ray as an executor: the cores of a cluster behind the interface of `concurrent.futures`."""
+"""Executor that runs work on the cores of a Ray cluster, with the interface of `concurrent.futures`."""
 
 from __future__ import annotations
 
@@ -23,30 +23,30 @@ from greenhouse_gym.errors import GreenhouseError, InvalidValueError
 
 Result = TypeVar("Result")
 
-_PATIENCE = 5.0  # seconds until an address at which nothing answers is given up
+_TIMEOUT = 5.0  # seconds to wait for an answer from an address
 _SETTINGS = b"\x04"  # the kind of frame that opens a connection of HTTP/2, which Ray's head speaks
 _GREETING = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes(3) + _SETTINGS + bytes(5)
 
 
 class RayExecutor(Executor):
-    """Works on the cores of a Ray cluster; use it in a ``with`` block.
+    """Executor on the cores of a Ray cluster; use it in a ``with`` block.
 
-    What a worker needs travels by pickle, as with processes: functions of modules, which each node must have, in the
-    same version of this package. Each piece of work is begun in the caller's working folder where a node sees that, so
-    relative paths mean the same. What a lost node was at work on is done again by another.
+    Work travels by pickle, as with processes: functions must belong to modules that every node has, in the same
+    version of this package. Each task starts in the caller's working folder where the node has that folder, so that
+    relative paths keep their meaning. Tasks of a lost node are repeated on another.
 
     Args:
-        address: "local" for the cores of this machine alone, "HOST:PORT" of a cluster's head, or "auto" for the cluster
-            this machine belongs to. A process that has joined one already stays in it.
-        cpus: Cores that each piece of work takes.
-        memory: Bytes that each takes; Ray begins no more at a time than fit. With None, memory is not counted.
-        retries: How often a piece is begun anew when its node or process dies.
-        workers: With "local", how many cores to use; None for all.
+        address: "local" for the cores of this machine, "HOST:PORT" of a cluster's head, or "auto" for the cluster this
+            machine belongs to. A process that has already joined a cluster stays in it.
+        cpus: Cores per task.
+        memory: Bytes per task; Ray starts only as many tasks as fit. With None, memory is not counted.
+        retries: Number of times that a task is repeated after its node or process died.
+        workers: Number of cores to use with "local"; None for all.
 
     Raises:
         MissingDependencyError: Ray is not installed.
         InvalidValueError: No cluster answers at the address, it runs another version of Python or Ray, or none of its
-            nodes has the cores or the memory that a piece of work takes.
+            nodes has the cores or the memory that a task takes.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class RayExecutor(Executor):
         self._max_workers = max(1, int(self.ray.cluster_resources().get("CPU", 1) // cpus))
 
     def submit(self, fn: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:
-        """Have a worker call a function of a module.
+        """Schedule a call of a function of a module.
 
         Raises:
             RuntimeError: The executor was shut down.
@@ -94,20 +94,20 @@ class RayExecutor(Executor):
         return future
 
     def message(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> bytes:
-        """A function of a module and its arguments, as they travel."""
-        # Not protocol 5, which leaves arrays where the message happens to lie, and products of them in the last bits.
+        """Return a function of a module and its arguments, serialized."""
+        # Protocol 5 would leave arrays unaligned in the message, which changes the last bits of matrix products.
         return bytes(self.ray.cloudpickle.dumps((fn, args, kwargs), protocol=4))
 
     def home(self) -> tuple[str, list[str], str]:
-        """The caller's working folder, where it looks for modules, and its version of this package."""
+        """Return the caller's working folder, module search path and version of this package."""
         return str(Path.cwd()), sys.path, __version__
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Take no more work; leave the cluster if this executor joined it.
+        """Accept no more work; leave the cluster if this executor joined it.
 
         Args:
-            wait: Whether to wait for what was handed out.
-            cancel_futures: Whether to stop that instead, what is being worked on included.
+            wait: Whether to wait for scheduled tasks.
+            cancel_futures: Whether to cancel scheduled tasks, running ones included.
         """
         self._open = False
         if cancel_futures:
@@ -125,7 +125,7 @@ class RayExecutor(Executor):
 
 
 class _RayFuture(Future[Result]):
-    """A future whose cancellation stops the work, however far it is."""
+    """Future whose cancellation also stops a running task."""
 
     def __init__(self, ray: Any, reference: Any):
         super().__init__()
@@ -144,10 +144,10 @@ def _wait(futures: list[Future[Any]]) -> None:
 
 
 def _join(ray: Any, address: str, workers: int | None) -> None:
-    """Start a cluster of this machine's cores, or join one.
+    """Start a cluster on this machine's cores, or join one.
 
     Raises:
-        InvalidValueError: There is no cluster to start or join.
+        InvalidValueError: The cluster cannot be started or joined.
     """
     own = (
         {"num_cpus": workers, "include_dashboard": False, "_system_config": {"worker_niceness": 0}}
@@ -162,7 +162,7 @@ def _join(ray: Any, address: str, workers: int | None) -> None:
 
 
 def _check_fits(nodes: list[dict[str, Any]], cpus: float, memory: int | None) -> None:
-    """Raise `InvalidValueError` where Ray would wait for ever for a node that can do a piece of work."""
+    """Raise `InvalidValueError` where no node can run a task; Ray would wait forever."""
     most = max((node["Resources"].get("CPU", 0.0) for node in nodes), default=0.0)
     room = max((node["Resources"].get("memory", 0.0) for node in nodes), default=0.0)
     if not 0 < cpus <= most:
@@ -172,50 +172,50 @@ def _check_fits(nodes: list[dict[str, Any]], cpus: float, memory: int | None) ->
 
 
 def _check_listens(address: str) -> None:
-    """Raise `InvalidValueError` within seconds where Ray would go on trying for minutes."""
+    """Raise `InvalidValueError` within seconds where Ray would retry for minutes."""
     host, _, port = address.rpartition(":")
     if not host or not port.isdecimal():
         raise InvalidValueError(f'address must be "local", "auto" or HOST:PORT, got {address!r}')
     try:
-        with socket.create_connection((host, int(port)), _PATIENCE) as connection:
-            connection.settimeout(_PATIENCE)
+        with socket.create_connection((host, int(port)), _TIMEOUT) as connection:
+            connection.settimeout(_TIMEOUT)
             connection.sendall(_GREETING)
             answer = connection.recv(9)
     except (OSError, OverflowError) as error:
         raise InvalidValueError(
-            f"nothing that Ray understands listens at {address} ({error}): expected the head of a Ray cluster"
+            f"no Ray cluster listens at {address} ({error}): expected the head of a Ray cluster"
         ) from error
     if answer[3:4] != _SETTINGS and os.environ.get("RAY_USE_TLS", "0") in ("", "0"):
-        raise InvalidValueError(f"what listens at {address} is no head of a Ray cluster")
+        raise InvalidValueError(f"the server at {address} is not the head of a Ray cluster")
 
 
 def _call(message: bytes, folder: str, path: list[str], version: str) -> tuple[bool, bytes]:
-    """Do a piece of work on a node: whether it went well, and the pickled result or error.
+    """Run a task on a node; return whether it succeeded, and its pickled result or error.
 
     Args:
         message: The pickled function and its arguments.
         folder: The caller's working folder.
-        path: Where the caller looks for modules.
+        path: The caller's module search path.
         version: The caller's version of this package.
     """
     try:
-        at_home(folder, path, version)
+        match_caller(folder, path, version)
         function, arguments, keywords = pickle.loads(message)
         return True, pickle.dumps(function(*arguments, **keywords))
     except Exception as error:
-        return False, pickle.dumps(told(error))
+        return False, pickle.dumps(with_node_name(error))
 
 
-def told(error: Exception) -> Exception:
-    """An error that names a file which this node does not see, saying so as well."""
+def with_node_name(error: Exception) -> Exception:
+    """Add this node's name to an error about a file that the node does not see."""
     path = getattr(error, "path", None)
     if isinstance(error, GreenhouseError) and isinstance(path, str | Path) and not Path(path).exists():
         error.args = (f"{error} (on node {platform.node()}, which sees no such path; all nodes must see the same)",)
     return error
 
 
-def at_home(folder: str, path: list[str], version: str) -> None:
-    """Have this process, on a node, look for files and modules as the caller does.
+def match_caller(folder: str, path: list[str], version: str) -> None:
+    """Give this process the caller's working folder and module search path.
 
     Raises:
         InvalidValueError: The node has another version of this package.
@@ -230,25 +230,25 @@ def at_home(folder: str, path: list[str], version: str) -> None:
 
 
 def _settle(future: Future[Any], done: Future[tuple[bool, bytes]]) -> None:
-    """Tell a caller's future what Ray's has come to."""
+    """Set the result of a caller's future from Ray's."""
     with suppress(InvalidStateError):  # it was canceled meanwhile
         try:
-            went_well, message = done.result()
+            succeeded, message = done.result()
         except BaseException as error:
-            future.set_exception(WorkerLostError(f"a piece of work was lost: {reason_of(error)}"))
+            future.set_exception(WorkerLostError(f"a task was lost: {reason_of(error)}"))
             return
         try:
             result = pickle.loads(message)
         except Exception as error:
             future.set_exception(error)
             return
-        if went_well:
+        if succeeded:
             future.set_result(result)
         else:
             future.set_exception(result)
 
 
 def reason_of(error: BaseException) -> str:
-    """Ray's error in one line, without its traceback."""
+    """Return Ray's error in one line, without its traceback."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return f"{type(error).__name__}: {(lines or ['no reason given'])[0][:300]}"

@@ -1,8 +1,8 @@
-"""Pieces of work that tell how they are going, each a trial of Ray Tune, which starts, watches and ends them.
+"""Run tasks that report metrics as trials of Ray Tune, which starts, monitors and ends them.
 
-A piece is a function of its item and of what it tells its figures to. It keeps what it has done itself, in a place that
-all nodes see, and goes on from there when it is begun anew: Tune's own folders of trials lie on the nodes until it
-copies them, so what is in them is gone with the node.
+A task is a function of its item and of a callback for its metrics. It keeps its own checkpoints on storage that all
+nodes see and resumes from them when it is restarted: Tune's trial folders stay on a node until Tune copies them, and
+are lost with the node.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any, TypeVar
 
-from greenhouse_gym.common.executors.ray_executor import RayExecutor, at_home, told
+from greenhouse_gym.common.executors.ray_executor import RayExecutor, match_caller, with_node_name
 from greenhouse_gym.common.executors.spreading import WorkerLostError
 from greenhouse_gym.common.extras import needs
 
@@ -31,37 +31,34 @@ with needs("cluster"):
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-Tell = Callable[[Mapping[str, float], Any], None]
-"""Takes the figures of a piece of work so far, and what its result is should it be ended here; to end it, raises
-`KeyboardInterrupt`."""
+OnProgress = Callable[[Mapping[str, float], Any], None]
+"""Callback that takes a task's metrics so far and its result in case it ends here; raises `KeyboardInterrupt` to end
+the task."""
 
 FOLDER = "tune"
-"""Where Tune keeps its own files, below the folder of the work."""
+"""Folder of Tune's own files, below the folder of the work."""
 
 _ITEM, _RESULT, _RAISED, _WHOLE = "item", "result", "raised", "whole"
 _SETTINGS = {
-    "TUNE_DISABLE_AUTO_CALLBACK_LOGGERS": "1",  # the work keeps its own curves
-    "TUNE_DISABLE_STRICT_METRIC_CHECKING": "1",  # work that fails before its first figures has none
-    "TUNE_PRINT_ALL_TRIAL_ERRORS": "0",  # errors are told by the results
+    "TUNE_DISABLE_AUTO_CALLBACK_LOGGERS": "1",  # tasks keep their own curves
+    "TUNE_DISABLE_STRICT_METRIC_CHECKING": "1",  # a task that fails before its first report has no metrics
+    "TUNE_PRINT_ALL_TRIAL_ERRORS": "0",  # results carry the errors
     "RAY_AIR_NEW_OUTPUT": "0",  # which cannot be silent
 }
-_TALKING = (
-    "ray.tune.tune",
-    "ray.tune.analysis.experiment_analysis",
-)  # loggers that tell of trials and how to restore them
+_LOGGERS = ("ray.tune.tune", "ray.tune.analysis.experiment_analysis")  # print trials and how to restore them
 
 
 @dataclass(frozen=True)
 class Halving:
-    """When to end work that falls behind, by asynchronous successive halving.
+    """Rule that ends tasks early by asynchronous successive halving.
 
-    What reaches an eighth, a quarter or a half of the whole is ended there if its measure is below the median of those
-    that came there before.
+    A task that reaches an eighth, a quarter or a half of the whole ends there if its metric is below the median of the
+    tasks that reached that point before.
 
     Attributes:
-        measure: The figure by which they are compared; more is better.
-        clock: The figure that tells how far they are.
-        whole: How far the longest goes.
+        measure: Metric to compare; larger is better.
+        clock: Metric that counts progress.
+        whole: Progress at which the longest task ends.
     """
 
     measure: str
@@ -69,43 +66,40 @@ class Halving:
     whole: int
 
     def scheduler(self) -> ASHAScheduler:
-        """Tune's scheduler that does so."""
+        """Return Tune's scheduler for this rule."""
         first = max(1, self.whole // 8)
-        return ASHAScheduler(
-            self.clock, self.measure, "max", max_t=4 * first, grace_period=first, reduction_factor=2,
-            stop_last_trials=False,
-        )  # fmt: skip
+        stops = {"max_t": 4 * first, "grace_period": first, "reduction_factor": 2, "stop_last_trials": False}
+        return ASHAScheduler(self.clock, self.measure, "max", **stops)
 
 
 def run_trials(
-    work: Callable[[Item, Tell], Result],
+    work: Callable[[Item, OnProgress], Result],
     items: Mapping[str, Item],
     cluster: RayExecutor,
     folder: Path,
     on_end: Callable[[str, Result | WorkerLostError, bool], None],
-    on_told: Callable[[Result], None] = lambda result: None,
+    on_progress: Callable[[Result], None] = lambda result: None,
     halving: Halving | None = None,
 ) -> None:
-    """Have each item worked on in a process of the cluster, as many at a time as that has room for.
+    """Run a task for each item in processes of a cluster, as many at a time as fit.
 
     Args:
-        work: What is done to an item; a function of a module.
-        items: The items, by their names.
-        cluster: The cluster; each piece takes the cores and the memory that it gives to a piece, and is begun anew as
-            often as it says when its process or node dies.
-        folder: Tune's files get a folder in it.
-        on_end: Told the name of each item that is over with, what came of it, and whether it was ended early.
-        on_told: Told the result that a piece of work has till then, each time it tells its figures.
-        halving: Which to end early; None ends none.
+        work: Task to run for an item; a function of a module.
+        items: The items by name.
+        cluster: The cluster; its settings give the cores, the memory and the number of retries of each task.
+        folder: Folder below which Tune keeps its files.
+        on_end: Called with the name of each finished item, its result, and whether it was ended early.
+        on_progress: Called with a task's result so far, each time the task reports its metrics.
+        halving: Rule that ends tasks early; None ends none.
 
     Raises:
-        KeyboardInterrupt: The work was interrupted; each piece had a few seconds to end itself.
-        Exception: What a piece of work or ``on_end`` raised first, a `RuntimeError` where that is no `Exception`, such
-            as `SystemExit`; the others were ended.
+        KeyboardInterrupt: The work was interrupted; each task had a few seconds to end itself.
+        Exception: The first error of a task or of ``on_end``; a `RuntimeError` where that is not an `Exception`, such
+            as `SystemExit`. The other tasks were ended.
     """
     for name, value in _SETTINGS.items():
         os.environ.setdefault(name, value)
-    watch = _Watch(on_end, on_told)
+    watch = _Watch(on_end, on_progress)
     trial = tune.with_parameters(_Trial, message=cluster.message(work, dict(items)), home=cluster.home())
     room = {"cpu": cluster.cpus, **({} if cluster.memory is None else {"memory": cluster.memory})}
     tuner = tune.Tuner(
@@ -133,7 +127,7 @@ def run_trials(
 
 
 class _Trial(tune.Trainable):  # type: ignore[misc]
-    """A piece of work, in a thread that waits at all it tells until Tune asks for more."""
+    """A task in a thread that waits at each report until Tune requests the next."""
 
     def setup(self, config: dict[str, Any], message: bytes, home: tuple[str, list[str], str]) -> None:
         self._message, self._home = message, home
@@ -146,9 +140,9 @@ class _Trial(tune.Trainable):  # type: ignore[misc]
 
     def step(self) -> dict[str, Any]:
         self._turns.put(True)
-        line = self._told.get()
+        line = self._reports.get()
         if isinstance(line, Exception):
-            return {_RAISED: pickle.dumps(told(line)), "done": True}
+            return {_RAISED: pickle.dumps(with_node_name(line)), "done": True}
         return line
 
     def cleanup(self) -> None:
@@ -156,24 +150,24 @@ class _Trial(tune.Trainable):  # type: ignore[misc]
         self._thread.join()
 
     def _begin(self, name: str) -> None:
-        self._told, self._turns = SimpleQueue[dict[str, Any] | Exception](), SimpleQueue[bool]()
+        self._reports, self._turns = SimpleQueue[dict[str, Any] | Exception](), SimpleQueue[bool]()
         self._thread = threading.Thread(target=self._work, args=(name,), daemon=True)
         self._thread.start()
 
     def _work(self, name: str) -> None:
         try:
             self._wait()
-            at_home(*self._home)
+            match_caller(*self._home)
             work, (items,), _ = pickle.loads(self._message)
-            self._told.put({_RESULT: work(items[name], self._tell), _WHOLE: True, "done": True})
+            self._reports.put({_RESULT: work(items[name], self._report), _WHOLE: True, "done": True})
         except Exception as error:
-            self._told.put(error)
-        except BaseException as error:  # nobody asks any more after an interruption of `_wait`; else `step` waits
-            self._told.put(RuntimeError(f"a piece of work ended by {type(error).__name__}: {error}"))
+            self._reports.put(error)
+        except BaseException as error:  # after an interruption of `_wait` no one reads this; otherwise `step` waits
+            self._reports.put(RuntimeError(f"a task ended by {type(error).__name__}: {error}"))
 
-    def _tell(self, figures: Mapping[str, float], result: Any) -> None:
-        known = {name: figure for name, figure in figures.items() if isfinite(figure)}  # others cannot be compared
-        self._told.put({**known, _RESULT: result})
+    def _report(self, metrics: Mapping[str, float], result: Any) -> None:
+        finite = {name: value for name, value in metrics.items() if isfinite(value)}  # others cannot be compared
+        self._reports.put({**finite, _RESULT: result})
         self._wait()
 
     def _wait(self) -> None:
@@ -182,19 +176,19 @@ class _Trial(tune.Trainable):  # type: ignore[misc]
 
 
 class _Watch(tune.Callback):  # type: ignore[misc]
-    """Hands on what Tune tells, between its steps, where an error ends the run."""
+    """Forwards Tune's events between its steps, where an error ends the run."""
 
-    def __init__(self, on_end: Callable[[str, Any, bool], None], on_told: Callable[[Any], None]):
+    def __init__(self, on_end: Callable[[str, Any, bool], None], on_progress: Callable[[Any], None]):
         self.ended = 0
-        self._on_end, self._on_told = on_end, on_told
+        self._on_end, self._on_progress = on_end, on_progress
         self._due: list[Callable[[], None]] = []
 
     def __getstate__(self) -> dict[str, Any]:
-        return {}  # Tune writes what it is given to a file; what is called back stays here
+        return {}  # Tune writes its callbacks to a file; ours cannot be pickled
 
     def on_trial_result(self, result: dict[str, Any], **_: Any) -> None:
         if not result["done"]:
-            self._due.append(lambda: self._on_told(result[_RESULT]))
+            self._due.append(lambda: self._on_progress(result[_RESULT]))
 
     def on_trial_complete(self, trial: Any, **_: Any) -> None:
         self._due.append(lambda: self._end(trial, trial.last_result))
@@ -202,8 +196,8 @@ class _Watch(tune.Callback):  # type: ignore[misc]
     def on_trial_error(self, trial: Any, **_: Any) -> None:
         where = f"{FOLDER}/{_name_of(trial)}/error.txt"
         lost = WorkerLostError(
-            f"its process or node died, or could not begin or hand on the work, {trial.num_failures} times "
-            f"({where} tells more)"
+            f"its process or node died, or could not start or return the task, {trial.num_failures} times "
+            f"(details in {where})"
         )
         self._due.append(lambda: self._end(trial, {_RESULT: lost, _WHOLE: True}))
 
@@ -225,8 +219,8 @@ def _name_of(trial: Any) -> str:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Without what Tune says of trials: what is called back says it."""
-    levels = {logger: logger.level for logger in map(logging.getLogger, _TALKING)}
+    """Silence Tune's messages about trials; the callbacks report them."""
+    levels = {logger: logger.level for logger in map(logging.getLogger, _LOGGERS)}
     try:
         for logger in levels:
             logger.setLevel(logging.CRITICAL)
@@ -238,7 +232,7 @@ def _quiet() -> Iterator[None]:
 
 @contextmanager
 def _interruptions_kept() -> Iterator[None]:
-    """Put back what is done on Ctrl-C, which Tune changes for good."""
+    """Restore the handler of Ctrl-C, which Tune replaces for good."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

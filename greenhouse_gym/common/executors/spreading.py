@@ -1,8 +1,8 @@
-"""Spread independent pieces of work over any executor of `concurrent.futures`.
+"""Spread independent tasks over any executor of `concurrent.futures`.
 
-What travels to the workers are paths, seeds and names, and what comes back are values; the caller, the head, writes
-the files, but for trainings, each of which writes its own folder (`greenhouse_gym.learning.sweep`). Without an
-executor the same work is done here, one piece after the other, with the same results.
+Paths, seeds and names travel to the workers, values come back, and the caller writes the files. Trainings are the
+exception: each writes its own folder (`greenhouse_gym.learning.sweep`). Without an executor the same tasks run here,
+one after the other, with the same results.
 """
 
 from __future__ import annotations
@@ -33,38 +33,36 @@ from greenhouse_gym.errors import GreenhouseError, InvalidValueError
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-_WAITING = (
-    2  # pieces that are handed out per worker, the one at work included: so none runs dry, and few have to be canceled
-)
+_TASKS_PER_WORKER = 2  # scheduled at a time, the running one included: no worker idles, and few tasks need canceling
 
 
 class WorkerLostError(GreenhouseError, RuntimeError):
-    """A process that did a part of the work died, or was shut down; what was done before is unharmed."""
+    """A worker process died or was shut down; finished work is unharmed."""
 
 
 def completed(
     function: Callable[[Item], Result], items: Iterable[Item], executor: Executor | None = None
 ) -> Iterator[Result]:
-    """The results of a function of each item, as they are finished: in any order, unless there is no executor.
+    """Yield the results of a function for each item as they finish: in any order, unless there is no executor.
 
-    Items are taken as workers get free, so there may be any number of them. What has not begun when the caller stops
-    asking, is interrupted or gets an error, is canceled.
+    Items are taken as workers become free, so that there may be any number of them. Tasks that have not started are
+    canceled when the caller stops iterating, is interrupted or receives an error.
 
     Args:
-        function: What is to be done. With an executor it is a function of a module; what it takes and gives can be
-            pickled.
-        items: What it is done to. A function whose results must be told apart gives back which item they are of.
-        executor: Where it is done; None does it here, each piece when it is asked for.
+        function: Function to call. With an executor it must belong to a module, and its arguments and results must be
+            picklable.
+        items: Arguments, one per call. Where results must be matched with items, the function returns the item too.
+        executor: Executor that runs the calls; None runs them here, each when its result is requested.
 
     Raises:
-        InvalidValueError: The executor was shut down before.
-        WorkerLostError: A worker died on the way.
-        Exception: What the function raised, for the first item that failed.
+        InvalidValueError: The executor was already shut down.
+        WorkerLostError: A worker died.
+        Exception: The error of the function for the first item that failed.
     """
     if executor is None:
         yield from map(function, items)
         return
-    rest, most = iter(items), _WAITING * workers_of(executor)
+    rest, most = iter(items), _TASKS_PER_WORKER * workers_of(executor)
     running: set[Future[Result]] = set()
     try:
         while True:
@@ -81,31 +79,31 @@ def completed(
 
 
 def require_portable(executor: Executor | None, what: str, thing: object) -> None:
-    """Raise an error unless a thing can travel to an executor's workers.
+    """Raise an error unless an object can travel to an executor's workers.
 
     Args:
-        executor: The executor; threads and None ask for nothing.
-        what: What to call the thing.
-        thing: What is to travel.
+        executor: The executor; threads and None need no pickling.
+        what: Name of the object in the message.
+        thing: The object.
 
     Raises:
-        InvalidValueError: It cannot be pickled.
+        InvalidValueError: The object cannot be pickled.
     """
     if executor is None or isinstance(executor, ThreadPoolExecutor):
         return
     try:
         pickle.dumps(thing)
-    except Exception as error:  # whatever a part of it raises
+    except Exception as error:  # any part of the object may raise anything
         raise InvalidValueError(f"{what} cannot be sent to another process ({error}); work without executor") from error
 
 
 def workers_of(executor: Executor) -> int:
-    """How many pieces an executor works on at a time, as far as it says; else one per core of this machine."""
+    """Return the number of an executor's workers where it is known, else the number of usable cores."""
     return int(getattr(executor, "_max_workers", 0)) or usable_cores()
 
 
 def usable_cores() -> int:
-    """Cores this process may use, where the system tells; all of them elsewhere."""
+    """Return the number of cores that this process may use; all cores where the system does not say."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -117,7 +115,7 @@ def _submitted(executor: Executor, function: Callable[[Item], Result], item: Ite
     except BrokenExecutor as error:
         raise _lost(error) from error
     except RuntimeError as error:
-        raise InvalidValueError(f"expected an executor that is at work, but: {error}") from error
+        raise InvalidValueError(f"expected an open executor, but: {error}") from error
 
 
 def _result(future: Future[Result]) -> Result:
@@ -129,17 +127,18 @@ def _result(future: Future[Result]) -> Result:
 
 def _lost(error: BaseException) -> WorkerLostError:
     return WorkerLostError(
-        "a process that did a part of the work ended before it was done: killed, out of memory, crashed, or begun by a "
+        "a worker process ended before its task was done: killed, out of memory, crashed, or started by a "
         f"script without 'if __name__ == \"__main__\":' ({str(error) or type(error).__name__})"
     )
 
 
 @contextmanager
 def processes(count: int | None = None) -> Iterator[ProcessPoolExecutor]:
-    """A pool of fresh processes on this machine for the time of a ``with`` block.
+    """Provide a pool of new processes on this machine for the duration of a ``with`` block.
 
-    They end with the block; at once if it ends by an error or an interruption, and also if the caller is killed. A
-    script that uses it keeps its own commands below ``if __name__ == "__main__":``, for each process imports it.
+    The processes end with the block: at once if it ends by an error or an interruption, and also if the caller is
+    killed. Scripts that use it keep their commands below ``if __name__ == "__main__":``, since each process imports
+    them.
 
     Args:
         count: Number of processes; None for one per core.
@@ -148,7 +147,7 @@ def processes(count: int | None = None) -> Iterator[ProcessPoolExecutor]:
         The executor.
 
     Raises:
-        InvalidValueError: The count is not a whole number from 1 up.
+        InvalidValueError: The count is not a positive integer.
     """
     count = usable_cores() if count is None else count
     if isinstance(count, bool) or not isinstance(count, int) or count < 1:
@@ -165,7 +164,7 @@ def processes(count: int | None = None) -> Iterator[ProcessPoolExecutor]:
 
 
 def _begin(lifeline: Connection[Any, Any]) -> None:
-    """Tie this process to the other end of a connection that its caller holds, and leave Ctrl-C to the caller."""
+    """End this process when its caller closes the connection, and leave Ctrl-C to the caller."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with, args=(lifeline,), name="lifeline", daemon=True).start()
 
