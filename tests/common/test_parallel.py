@@ -169,7 +169,7 @@ def test_processes_end_with_their_caller(tmp_path: Path, number: signal.Signals)
     script, notes = tmp_path / "script.py", tmp_path / "notes"
     script.write_text(SCRIPT)
     notes.mkdir()
-    arguments = [sys.executable, str(script), str(Path(__file__).parents[1]), str(notes)]
+    arguments = [sys.executable, str(script), str(Path(__file__).parent), str(notes)]
     caller = subprocess.Popen(arguments, stderr=subprocess.PIPE)
     wait_until(lambda: list(notes.iterdir()))
     caller.send_signal(number)
