@@ -161,7 +161,7 @@ def compared(
         "registered": int(row.registered.sum()),
         "points": len(row.points),
         "walked": error.length,
-        "drift": error.share,
+        "drift": error.fraction,
         "distance_mean": float(distance.mean()),
         "distance_95": float(np.quantile(distance, 0.95)),
         "distance_mean_unaligned": float(plain_distance.mean()),

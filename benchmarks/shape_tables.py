@@ -40,7 +40,9 @@ def pooled(records: Sequence[Record]) -> Figures:
             "measured": _tomato_figures(measured),
             "colored": _tomato_figures(colored),
             "ripeness": {name: _tomato_figures(tomatoes.of_ripeness(*band)) for name, band in RIPENESS_BANDS.items()},
-            "occlusion": {name: _tomato_figures(tomatoes.of_share(*band)) for name, band in OCCLUSION_BANDS.items()},
+            "occlusion": {
+                name: _tomato_figures(tomatoes.of_visible_fraction(*band)) for name, band in OCCLUSION_BANDS.items()
+            },
             "center_error_median_unaligned": _quantile([e for r in records for e in r["unaligned_center_error"]], 0.5),
         },
         "trusses": {
@@ -87,7 +89,7 @@ def _stem_figures(stems: StemComparison) -> Figures:
         "extracted": stems.extracted,
         "recall": stems.recall,
         "recall_as_such": stems.recall_as_such,
-        "false": stems.false_share,
+        "false": stems.false_fraction,
         "false_on_petioles": stems.on_petioles / stems.extracted if stems.extracted else float("nan"),
         "axis_error_median": _quantile(stems.axis_error, 0.5),
         "radius_error_median": _quantile(stems.radius_error, 0.5),

@@ -141,7 +141,7 @@ def measure_seedling(plant: Seedling, pictures: Path | None) -> tuple[StemCompar
     }
     if plant.labels is None:
         figures |= {"whole_skeleton_recall": compare_stems(true, true, [], found, "main").recall}
-        figures |= {"false": compared.false_share}
+        figures |= {"false": compared.false_fraction}
     else:
         stem = plant.points[plant.labels == MAIN]
         near = np.abs(distance_to_nearest(stem, found))

@@ -1,6 +1,6 @@
-"""How right reconstructions and shapes are, where the truth is known.
+"""Accuracy of reconstructions and shapes where the truth is known.
 
-Clouds: drift, cloud to truth, completeness. Shapes: tomatoes and trusses, stems by length, coverage and excess.
+Clouds: drift, distance to the truth, completeness. Shapes: tomatoes and trusses, stems by length, coverage and excess.
 """
 
 from greenhouse_gym.accuracy.clouds import (
@@ -16,7 +16,7 @@ from greenhouse_gym.accuracy.clouds import (
 )
 from greenhouse_gym.accuracy.completeness import completeness, visible_surface
 from greenhouse_gym.accuracy.cover import coverage, excess
-from greenhouse_gym.accuracy.measured import skin_points
+from greenhouse_gym.accuracy.skin import skin_points
 from greenhouse_gym.accuracy.stems import StemComparison, compare_stems, pool_stems
 from greenhouse_gym.accuracy.tomatoes import (
     OCCLUSION_BANDS,

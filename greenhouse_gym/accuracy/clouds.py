@@ -1,6 +1,6 @@
-"""Drift of the stations, and how far a cloud lies from the true surfaces, as a whole or metre by metre.
+"""Drift of the stations, and distance from a cloud to the true surfaces, as a whole or metre by metre.
 
-The true surfaces are the triangles that the simulated cameras saw; they lie within 0.2 mm of the analytic shapes.
+The true surfaces are the triangles that the simulated cameras see; they lie within 0.2 mm of the analytic shapes.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ AnyShape = TypeVar("AnyShape", bound=Shape)
 
 
 class ReconstructedRow(Protocol):
-    """What is compared with the truth: a `RowCloud`, or what another method makes of a recording."""
+    """Reconstruction to compare with the truth: a `RowCloud`, or the result of another method."""
 
     @property
     def points(self) -> Array:
@@ -38,14 +38,14 @@ class ReconstructedRow(Protocol):
 
 
 class Drift(NamedTuple):
-    """Translation error of the last registered station relative to the first, metres, and the length walked."""
+    """Translation error of the last registered station relative to the first, and the length of the path, metres."""
 
     error: float
     length: float
 
     @property
-    def share(self) -> float:
-        """The error as a share of the length."""
+    def fraction(self) -> float:
+        """Error as a fraction of the length."""
         return self.error / self.length
 
 
@@ -53,7 +53,7 @@ def drift(row: ReconstructedRow, world_from_station: Array) -> Drift:
     """Compare a row's stations with their true poses (stations, 4, 4).
 
     The error is that of the last registered station's origin in the frame of the first; the length is that of the true
-    way from station to station.
+    path from station to station.
     """
     good = np.flatnonzero(row.registered)
     true = invert(world_from_station[good[0]]) @ world_from_station[good]
@@ -63,42 +63,47 @@ def drift(row: ReconstructedRow, world_from_station: Array) -> Drift:
 
 
 def distance_to_truth(row: ReconstructedRow, truth: PlantRow, world_from_first: Array, samples: int = 20_000) -> Array:
-    """Unsigned distances (n,) metres from an even sample of a row's points to the nearest true surface.
+    """Return unsigned distances (n,) metres from an even sample of a row's points to the nearest true surface.
 
     Args:
         row: The reconstructed row.
         truth: The grown row.
         world_from_first: (4, 4) true pose of the first registered station.
-        samples: About how many points are looked at.
+        samples: Approximate number of points in the sample.
     """
     return distance_to_surface(transform(world_from_first, row.points), truth, samples)
 
 
 def distance_to_surface(points: Array, truth: PlantRow, samples: int = 20_000) -> Array:
-    """Unsigned distances (n,) metres from an even sample of points (k, 3) in the world to the nearest true surface."""
+    """Return unsigned distances (n,) metres from a sample of points (k, 3) in the world to the nearest true surface."""
     thinned = points[:: max(1, len(points) // samples)]
     return np.asarray(np.linalg.norm(thinned - _closest(RowRaycaster.of(truth), thinned), axis=1))
 
 
 def place(row: ReconstructedRow, world_from_station: Array) -> Array:
-    """A row's points (n, 3) in the world, its first registered station at its true pose (of (stations, 4, 4))."""
+    """Return a row's points (n, 3) in the world, with its first registered station at its true pose.
+
+    Args:
+        row: The reconstructed row.
+        world_from_station: (stations, 4, 4) true poses.
+    """
     return transform(world_from_station[np.flatnonzero(row.registered)[0]], row.points)
 
 
 def place_by_windows(
     row: ReconstructedRow, truth: PlantRow, world_from_station: Array, window: float = 1.0, samples: int = 3000
 ) -> Array:
-    """A row's points in the world after one rigid alignment to the true surfaces per window along the row.
+    """Return a row's points in the world after one rigid alignment to the true surfaces per window along the row.
 
-    This takes the drift out: what stays is how right the cloud is within a metre. An alignment starts from the true
-    pose of a registered station near the window's center and minimizes the distance to the closest true points.
+    This removes the drift and leaves the accuracy within a metre. An alignment starts from the true pose of a
+    registered station near the window's center and minimizes the distance to the closest true points.
 
     Args:
         row: The reconstructed row.
         truth: The grown row.
         world_from_station: (stations, 4, 4) true poses.
         window: Longest window, metres; the row's extent is split evenly.
-        samples: About how many points of each window are aligned.
+        samples: Approximate number of points of each window to align.
 
     Returns:
         (n, 3) metres, in the order of the row's points.
@@ -122,17 +127,17 @@ def place_by_windows(
 
 
 def align(row: ReconstructedRow, truth: PlantRow, world_from_station: Array, samples: int = 6000) -> Array:
-    """The (4, 4) pose of a row's frame in the world that brings its points closest to the true surfaces.
+    """Return the (4, 4) pose of a row's frame in the world that brings its points closest to the true surfaces.
 
-    One rigid motion for the whole row, from the true pose of its first registered station (of (stations, 4, 4)) on: it
-    spreads the drift evenly, where `place` lets it grow.
+    One rigid motion for the whole row, starting from the true pose of its first registered station (of
+    (stations, 4, 4)): it spreads the drift evenly, whereas `place` lets it grow.
     """
     start = world_from_station[np.flatnonzero(row.registered)[0]]
     return _align(RowRaycaster.of(truth), start, row.points[:: max(1, len(row.points) // samples)])
 
 
 def moved(shape: AnyShape, target_from_source: Array) -> AnyShape:
-    """A shape expressed in another frame."""
+    """Return a shape expressed in another frame."""
     if isinstance(shape, Capsule):
         start, end = transform(target_from_source, [shape.start, shape.end])
         return replace(shape, start=start, end=end)
@@ -145,7 +150,7 @@ def moved(shape: AnyShape, target_from_source: Array) -> AnyShape:
 
 
 def _closest(caster: RowRaycaster, points: Array) -> Array:
-    """The points (n, 3) of the true surfaces closest to points (n, 3)."""
+    """Return the points (n, 3) of the true surfaces closest to points (n, 3)."""
     queries = open3d().core.Tensor(points.astype(np.float32))
     return np.asarray(caster.scene.compute_closest_points(queries)["points"].numpy(), dtype=np.float64)
 
@@ -156,7 +161,7 @@ def _median_distance(caster: RowRaycaster, world_from_row: Array, points: Array)
 
 
 def _align(caster: RowRaycaster, start: Array, points: Array, iterations: int = 30) -> Array:
-    """The (4, 4) pose near ``start`` that brings points (n, 3) closest to the true surfaces: Gauss-Newton, robust."""
+    """Return the (4, 4) pose near ``start`` that brings points (n, 3) closest to the truth, by robust Gauss-Newton."""
     world_from_points = start
     for _ in range(iterations):
         moved = transform(world_from_points, points)

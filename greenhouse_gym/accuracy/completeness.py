@@ -1,4 +1,4 @@
-"""How much of the surface that the cameras saw is in a cloud."""
+"""Completeness: the fraction of the visible surface that a cloud contains."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ def visible_surface(
     voxel: float = 0.004,
     skip: int = 2,
 ) -> Array:
-    """Points (n, 3) in the world, evenly spread over the true surface that a recording could show.
+    """Return points (n, 3) in the world, evenly spread over the true surface that a recording could show.
 
-    Every camera looks at the true row without noise; what lies within the cut along the rig's forward axis from the
-    reference camera counts, once however many cameras see it.
+    Every camera views the true row without noise. Surface within the cut along the rig's forward axis from the
+    reference camera counts, once regardless of the number of cameras that see it.
 
     Args:
         truth: The grown row.
@@ -31,7 +31,7 @@ def visible_surface(
         world_from_station: (stations, 4, 4) true poses.
         foreground: The cut, metres.
         voxel: One point per cube of this size, metres.
-        skip: Every so many pixels a ray, in either direction.
+        skip: Distance between rays in either direction, pixels.
     """
     caster = RowRaycaster.of(truth)
     front = rig.cameras[rig.reference].rig_from_camera[0, 3] + foreground
@@ -49,13 +49,13 @@ def visible_surface(
 
 
 def completeness(points: Array, surface: Array, within: float = 0.005) -> float:
-    """Share of surface points (n, 3) that have a point of a cloud (k, 3), in the same frame, ``within`` metres."""
+    """Return the fraction of surface points (n, 3) with a cloud point (k, 3) ``within`` metres, in the same frame."""
     distance, _ = cKDTree(points).query(surface, distance_upper_bound=within)
     return float(np.isfinite(distance).mean())
 
 
 def _every(k: Intrinsics, skip: int) -> Intrinsics:
-    """The camera with one pixel for every ``skip`` x ``skip`` pixels."""
+    """Return the camera with one pixel for every ``skip`` x ``skip`` pixels."""
     return Intrinsics(
         k.width // skip,
         k.height // skip,
@@ -67,7 +67,7 @@ def _every(k: Intrinsics, skip: int) -> Intrinsics:
 
 
 def _one_per_cube(points: Array, size: float) -> Array:
-    """The first point in each occupied cube of the world's grid."""
+    """Return the first point in each occupied cube of the world's grid."""
     cubes = np.floor(points / size).astype(np.int64) + (1 << 20)
     keys = (cubes[:, 0] << 42) | (cubes[:, 1] << 21) | cubes[:, 2]
     return points[np.sort(np.unique(keys, return_index=True)[1])]

@@ -1,4 +1,4 @@
-"""Whether shapes cover a cloud, and whether they claim more than there is."""
+"""Coverage of a cloud by shapes, and excess of shapes over the true surface."""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ from greenhouse_gym.crops import PlantRow
 from greenhouse_gym.geometry import Array, Box, Capsule, Shape, Sphere, distance_to_shapes, frame_along
 
 COVERED_WITHIN = 0.008
-"""Metres from a shape within which a point counts as covered."""
+"""Largest distance from a shape at which a point counts as covered, metres."""
 
 EXCESS_BEYOND = 0.015
-"""Metres from every true surface beyond which a shape's surface counts as excess."""
+"""Distance from every true surface beyond which a shape's surface counts as excess, metres."""
 
 
 def coverage(points: Array, shapes: Sequence[Shape], samples: int = 20_000) -> float:
-    """Share of points (n, 3), of which an even sample is looked at, inside or within `COVERED_WITHIN` of a shape."""
+    """Return the fraction of points (n, 3), evenly sampled, that lie inside or within `COVERED_WITHIN` of a shape."""
     thinned = points[:: max(1, len(points) // samples)]
     return float((distance_to_nearest(thinned, shapes) <= COVERED_WITHIN).mean())
 
 
 def excess(shapes: Sequence[Shape], truth: PlantRow, samples: int = 20_000, seed: int = 0) -> float:
-    """Share of the shapes' outer surface farther than `EXCESS_BEYOND` from every true surface.
+    """Return the fraction of the shapes' outer surface farther than `EXCESS_BEYOND` from every true surface.
 
-    Surface inside another shape does not count; neither does what lies inside a true solid.
+    Surface inside another shape or inside a true solid does not count.
 
     Args:
-        shapes: In the world.
+        shapes: The shapes, in the world.
         truth: The grown row.
-        samples: Points on all surfaces together, spread evenly by area.
+        samples: Number of points on all surfaces, spread evenly by area.
         seed: Seed of the sample.
     """
     points = outer_samples(shapes, samples, np.random.default_rng(seed))
@@ -47,7 +47,7 @@ def excess(shapes: Sequence[Shape], truth: PlantRow, samples: int = 20_000, seed
 
 
 def distance_to_nearest(points: Array, shapes: Sequence[Shape], chunk: int = 1000) -> Array:
-    """Signed distances (n,) from points (n, 3) to the nearest shape, negative inside; inf without shapes."""
+    """Return signed distances (n,) from points (n, 3) to the nearest shape, negative inside; inf without shapes."""
     result = np.full(len(points), np.inf)
     if shapes:
         for first in range(0, len(points), chunk):
@@ -57,17 +57,17 @@ def distance_to_nearest(points: Array, shapes: Sequence[Shape], chunk: int = 100
 
 
 def outer_samples(shapes: Sequence[Shape], count: int, rng: np.random.Generator) -> Array:
-    """Points (n, 3) on the outside: of ``count`` spread evenly over all surfaces, those that lie inside no other."""
+    """Return points (n, 3) on the outside: of ``count`` spread over all surfaces, those not inside another shape."""
     if not shapes:
         return np.zeros((0, 3))
     areas = np.array([_area(shape) for shape in shapes])
     counts = rng.multinomial(count, areas / areas.sum())
-    kept = []
+    outer = []
     for index, shape in enumerate(shapes):
         points = _on_surface(shape, int(counts[index]), rng)
         others = [*shapes[:index], *shapes[index + 1 :]]
-        kept.append(points[distance_to_nearest(points, others) >= 0])
-    return np.concatenate(kept)
+        outer.append(points[distance_to_nearest(points, others) >= 0])
+    return np.concatenate(outer)
 
 
 def _area(shape: Shape) -> float:
@@ -78,7 +78,7 @@ def _area(shape: Shape) -> float:
 
 
 def _on_surface(shape: Shape, count: int, rng: np.random.Generator) -> Array:
-    """Points (count, 3) spread evenly over a shape's surface."""
+    """Return points (count, 3) spread evenly over a shape's surface."""
     if isinstance(shape, Box):
         half = shape.half_extents
         faces = np.array([half[1] * half[2], half[2] * half[0], half[0] * half[1]])

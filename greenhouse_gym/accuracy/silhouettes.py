@@ -1,4 +1,4 @@
-"""Which pixels of an image a sphere, an ellipsoid, a capsule or a box would cover, were it alone."""
+"""Silhouettes of single spheres, ellipsoids, capsules and boxes in an image."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ _CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z i
 
 
 class Silhouette(NamedTuple):
-    """What an object alone covers.
+    """Pixels that an object covers when nothing else is in the image.
 
     Attributes:
-        image: Rows and columns of the part of the image it may cover.
-        covered: Which pixels of that part it covers.
-        whole: Number of pixels it covers on an image without edges.
+        image: Rows and columns of the part of the image that it may cover.
+        covered: Mask of the covered pixels of that part.
+        whole: Number of pixels that it would cover in an unbounded image.
     """
 
     image: tuple[slice, slice]
@@ -45,7 +45,7 @@ class Outlines:
 
     @classmethod
     def of(cls, shapes: Sequence[Shape]) -> Outlines:
-        """The outlines of some shapes, in their frame."""
+        """Return the outlines of shapes, in their frame."""
         points, radii = np.empty((len(shapes), 8, 3)), np.zeros(len(shapes))
         axes = np.full((len(shapes), 3, 3), np.nan)
         for i, shape in enumerate(shapes):
@@ -60,12 +60,12 @@ class Outlines:
         return cls(points, radii, axes)
 
     def seen_from(self, camera_from_world: Array) -> Outlines:
-        """These outlines in a camera's frame."""
+        """Return these outlines in a camera's frame."""
         points = transform(camera_from_world, self.points.reshape(-1, 3)).reshape(-1, 8, 3)
         return Outlines(points, self.radii, camera_from_world[:3, :3] @ self.axes)
 
     def in_view(self, k: Intrinsics, farthest: float, of: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
-        """Which of the objects ``of`` (n,) may show: nearer than ``farthest`` metres, and none around the camera."""
+        """Return indices of the objects ``of`` (n,) that may be visible: ahead and nearer than ``farthest`` (m)."""
         z = self.points[..., 2]
         ahead = of & (z.min(axis=1) > 2 * self.radii + 0.01) & (z.min(axis=1) < farthest)
         u, v, margin = _projected(np.where(ahead[:, None, None], self.points, [0.0, 0.0, 1.0]), self.radii[:, None], k)
@@ -74,7 +74,7 @@ class Outlines:
         return np.flatnonzero(ahead & across & down)
 
     def silhouette(self, i: int, k: Intrinsics) -> Silhouette:
-        """What object ``i`` covers of an image; it is in the camera's frame, and lies in front of the camera."""
+        """Return the silhouette of object ``i``, which is in the camera's frame and in front of the camera."""
         points, radius = self.points[i], float(self.radii[i])
         u, v, margin = _projected(points, radius, k)
         spans = [(int(np.floor((w - margin).min())), int(np.ceil((w + margin).max())) + 1) for w in (v, u)]
@@ -96,17 +96,17 @@ class Outlines:
 
 
 def _projected(points: Array, radius: float | Array, k: Intrinsics) -> tuple[Array, Array, Array]:
-    """Pixel columns and rows of points in the camera frame, and pixels by which a ball around each may go beyond."""
+    """Return pixel columns and rows of points in the camera frame, and a bound on the image radius of a ball there."""
     x, y, z = points[..., 0], points[..., 1], points[..., 2]
     margin = 1.3 * radius * max(k.fx, k.fy) / np.maximum(z - radius, 1e-6) + 1.0
     return k.fx * x / z + k.cx, k.fy * y / z + k.cy, margin
 
 
 def _near_segment(rays: Array, start: Array, end: Array, radius: float) -> npt.NDArray[np.bool_]:
-    """Whether rays (..., 3) from the origin come within ``radius`` of a segment in front of it.
+    """Return a mask of the rays (..., 3) from the origin that come within ``radius`` of a segment in front of it.
 
-    A place start + t along has the squared distance |p|^2 - (p . ray)^2 / ray^2 from a ray, a quadratic in t whose
-    least value on the segment lies at its vertex, or at the end nearer to that.
+    A point p = start + t along has the squared distance |p|^2 - (p . ray)^2 / ray^2 from a ray, a quadratic in t whose
+    minimum on the segment lies at its vertex or at the end nearer to the vertex.
     """
     along = end - start
     squared = (rays * rays).sum(axis=-1)
@@ -119,7 +119,7 @@ def _near_segment(rays: Array, start: Array, end: Array, radius: float) -> npt.N
 
 
 def _through_box(rays: Array, corners: Array) -> npt.NDArray[np.bool_]:
-    """Whether rays (..., 3) from the origin pass through a box with corners (8, 3), by the slabs between its sides."""
+    """Return a mask of the rays (..., 3) from the origin that hit a box with corners (8, 3), by the slab method."""
     axes = (corners[[4, 2, 1]] - corners[0]) / 2
     axes /= (axes * axes).sum(axis=1, keepdims=True)  # in these coordinates the box reaches from -1 to 1
     origin, direction = -axes @ corners.mean(axis=0), rays @ axes.T

@@ -1,4 +1,4 @@
-"""Which tomatoes were found, how many of them, and how well, by ripeness and by how much of them was to be seen."""
+"""Compare found tomatoes with true ones: counts and errors by ripeness and visible fraction."""
 
 from __future__ import annotations
 
@@ -10,10 +10,14 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import linear_sum_assignment
 
-from greenhouse_gym.accuracy.shares import share
 from greenhouse_gym.accuracy.visibility import Visibility
 from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.geometry import Array
+
+
+def fraction(part: float, whole: float) -> float:
+    """Return ``part / whole``, or NaN where ``whole`` is 0."""
+    return part / whole if whole else float("nan")
 
 
 class Matches(NamedTuple):
@@ -33,9 +37,9 @@ class Matches(NamedTuple):
 
 
 def match_tomatoes(true: Sequence[Tomato], found: Sequence[Tomato]) -> Matches:
-    """Match tomatoes one to one with the least total distance; one without a partner counts as its radius away.
+    """Match tomatoes one to one with the least total distance; a tomato without a partner costs its radius.
 
-    So no pair farther apart than a true radius is made, nor does any come at the cost of a nearer one.
+    Pairs are therefore never farther apart than a true radius, and never replace a nearer pair.
     """
     if not true or not found:
         empty = np.zeros(0, dtype=np.int64)
@@ -50,28 +54,28 @@ def match_tomatoes(true: Sequence[Tomato], found: Sequence[Tomato]) -> Matches:
 
 
 RIPENESS_BANDS = {"green": (0.0, 1 / 3), "turning": (1 / 3, 2 / 3), "ripe": (2 / 3, np.inf)}
-"""Ripeness by name, from the lower bound up to below the upper one."""
+"""Named ranges of ripeness, lower bound included, upper bound excluded."""
 
 OCCLUSION_BANDS = {"cut off": (0.0, 0.3), "half hidden": (0.3, 0.6), "partly hidden": (0.6, 0.9), "free": (0.9, np.inf)}
-"""Shares of a tomato's silhouette that were seen, by name, from the lower bound up to below the upper one; of fruit
-that the edge of the image cuts off, less than 0.3 is seen."""
+"""Named ranges of the visible fraction of a tomato's silhouette, lower bound included, upper bound excluded; less than
+0.3 of a fruit cut off by the edge of the image is visible."""
 
 
 @dataclass(frozen=True, eq=False)
 class TomatoComparison:
-    """The visible tomatoes of one row or of several, and what became of them.
+    """Visible tomatoes of one row or several, compared with those found.
 
     Attributes:
         ripeness: (n,) true ripeness of the visible tomatoes.
-        share: (n,) share of their silhouette that was seen (`Visibility.whole`).
+        visible_fraction: (n,) fraction of their silhouette that was visible (`Visibility.whole`).
         center_error: (n,) metres; NaN where a tomato was missed.
         diameter_error: (n,) relative, unsigned; NaN where a tomato was missed.
-        false: (m,) ripeness of found tomatoes where no true one is; NaN where they have none.
+        false: (m,) ripeness of found tomatoes without a true one; NaN where unknown.
         truss_right: (k,) for each truss with a visible tomato, whether one found truss holds exactly its visible ones.
     """
 
     ripeness: Array
-    share: Array
+    visible_fraction: Array
     center_error: Array
     diameter_error: Array
     false: Array
@@ -79,47 +83,45 @@ class TomatoComparison:
 
     @property
     def found(self) -> npt.NDArray[np.bool_]:
-        """(n,) which visible tomatoes were found."""
+        """(n,) mask of the visible tomatoes that were found."""
         return np.isfinite(self.center_error)
 
     @property
     def recall(self) -> float:
-        """Share of the visible tomatoes that were found."""
-        return share(int(np.count_nonzero(self.found)), len(self.found))
+        """Fraction of the visible tomatoes that were found."""
+        return fraction(int(np.count_nonzero(self.found)), len(self.found))
 
     @property
     def precision(self) -> float:
-        """Share of the found tomatoes that are true; those that match a hidden tomato count for neither side."""
+        """Fraction of the found tomatoes that are true; those that match a hidden tomato are not counted."""
         true = int(np.count_nonzero(self.found))
-        return share(true, true + len(self.false))
+        return fraction(true, true + len(self.false))
 
     @property
     def f1(self) -> float:
         """Harmonic mean of precision and recall."""
         true = int(np.count_nonzero(self.found))
-        return share(2 * true, len(self.found) + true + len(self.false))
+        return fraction(2 * true, len(self.found) + true + len(self.false))
 
     def of_ripeness(self, low: float, high: float) -> TomatoComparison:
-        """The tomatoes from a ripeness on up to below another, and the false ones that claim it; without trusses."""
+        """Return the tomatoes with ``low <= ripeness < high``, true and false, without trusses."""
         claimed = (self.false >= low) & (self.false < high)
         return self._select((self.ripeness >= low) & (self.ripeness < high), self.false[claimed])
 
-    def of_share(self, low: float, high: float) -> TomatoComparison:
-        """The tomatoes of which a share between two bounds was seen; without false ones and trusses."""
-        return self._select((self.share >= low) & (self.share < high), np.zeros(0))
+    def of_visible_fraction(self, low: float, high: float) -> TomatoComparison:
+        """Return the tomatoes whose visible fraction lies in a range, without false ones and trusses."""
+        return self._select((self.visible_fraction >= low) & (self.visible_fraction < high), np.zeros(0))
 
     def _select(self, rows: npt.NDArray[np.bool_], false: Array) -> TomatoComparison:
-        return TomatoComparison(
-            self.ripeness[rows], self.share[rows], self.center_error[rows], self.diameter_error[rows],
-            false, np.zeros(0, dtype=bool),
-        )  # fmt: skip
+        columns = (self.ripeness, self.visible_fraction, self.center_error, self.diameter_error)
+        return TomatoComparison(*(column[rows] for column in columns), false, np.zeros(0, dtype=bool))
 
 
 def compare_tomatoes(true: Sequence[Tomato], visibility: Visibility, found: Sequence[Tomato]) -> TomatoComparison:
     """Compare the visible tomatoes of a row with those found.
 
-    Found tomatoes are matched to visible ones first; what is left over is matched to hidden ones, and then counts
-    neither as true nor as false.
+    Found tomatoes are matched to visible ones first. The rest is matched to hidden ones, which count neither as true
+    nor as false.
 
     Args:
         true: All n tomatoes of the row.
@@ -147,7 +149,7 @@ def compare_tomatoes(true: Sequence[Tomato], visibility: Visibility, found: Sequ
 
 
 def pool_tomatoes(comparisons: Sequence[TomatoComparison]) -> TomatoComparison:
-    """Several rows as one."""
+    """Pool the comparisons of several rows."""
     return TomatoComparison(
         *(np.concatenate([getattr(c, field.name) for c in comparisons]) for field in fields(TomatoComparison))
     )
@@ -159,10 +161,10 @@ def _trusses_right(
     found: Sequence[Tomato],
     partner: npt.NDArray[np.int64],
 ) -> npt.NDArray[np.bool_]:
-    """For each truss with visible tomatoes, whether a found truss holds all of these and no others.
+    """Return a mask of the trusses with visible tomatoes for which a found truss holds all of these and no others.
 
-    Each found truss stands for the true truss with which it shares most visible tomatoes, one to one. Hidden tomatoes
-    of the same truss may be found or not.
+    Each found truss is matched one to one with the true truss with which it shares most visible tomatoes. Hidden
+    tomatoes of the same truss may be found or not.
     """
     of_true, of_found = np.array([t.truss for t in true]), np.array([t.truss for t in found])
     trusses, named = np.unique(of_true[visible]), np.unique(of_found)

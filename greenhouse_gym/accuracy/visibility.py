@@ -1,4 +1,4 @@
-"""How much of each object of a row a recording could show: shares of the pixels that the object alone would cover."""
+"""Visibility of each object of a row in a recording, as a fraction of the pixels that the object alone would cover."""
 
 from __future__ import annotations
 
@@ -19,28 +19,27 @@ from greenhouse_gym.crops.parts import Stem
 from greenhouse_gym.geometry import Array, Box, Capsule, Shape, invert
 
 VISIBLE = 0.30
-"""Share of its own pixels from which on an object counts as visible."""
+"""Smallest visible fraction of its own pixels at which an object counts as visible."""
 
 FOREGROUND = 0.60
-"""Metres in front of the reference camera, along the rig's forward axis, beyond which nothing counts as seen."""
+"""Distance from the reference camera along the rig's forward axis beyond which nothing counts as seen, metres."""
 
-LONGEST_PIECE = 0.02
-"""Length of the pieces that stems and leaves are cut into, metres, so that a hidden part is not taken for a visible
-one."""
+MAX_PIECE = 0.02
+"""Largest length of the pieces into which stems and leaves are cut, metres, so that hidden parts count as hidden."""
 
 Part = TypeVar("Part", bound=Shape)
 
 
 class Visibility(NamedTuple):
-    """How much of each object was seen in the frame that shows most of it.
+    """Visible fraction of each object in the frame that shows most of it.
 
     Attributes:
-        in_image: (n,) share of the pixels that the object alone would cover in the image: what hides it are other
+        in_image: (n,) fraction of the pixels that the object alone would cover in the image. It is hidden by other
             objects, the foreground cut, and the band along one side of the image in which a stereo camera measures no
-            depth, because its second imager does not see so far. This decides whether an object counts as visible.
-        whole: (n,) the same as a share of the object's whole silhouette: what the edge of the image cuts off counts as
-            hidden too. This says how much there is to see.
-        in_color: (n,) like ``in_image``, but the band without depth hides nothing: the color image shows it.
+            depth because its second imager does not see it. This decides whether an object counts as visible.
+        whole: (n,) the same as a fraction of the object's whole silhouette: parts beyond the edge of the image count
+            as hidden too.
+        in_color: (n,) like ``in_image``, except that the band without depth hides nothing: the color image shows it.
     """
 
     in_image: Array
@@ -49,7 +48,7 @@ class Visibility(NamedTuple):
 
     @property
     def visible(self) -> npt.NDArray[np.bool_]:
-        """Which objects (n,) count as visible."""
+        """Mask (n,) of the objects that count as visible."""
         return self.in_image >= VISIBLE
 
 
@@ -58,7 +57,7 @@ class Pieces(NamedTuple, Generic[Part]):
 
     Attributes:
         pieces: The pieces.
-        owner: (n,) index of the shape each was cut from.
+        owner: (n,) index of the shape that each piece was cut from.
     """
 
     pieces: tuple[Part, ...]
@@ -66,7 +65,7 @@ class Pieces(NamedTuple, Generic[Part]):
 
 
 class VisibleRow(NamedTuple):
-    """What a recording could show of a row.
+    """Visible parts of a row in a recording.
 
     Attributes:
         tomatoes: Visibility of the row's tomatoes.
@@ -80,45 +79,45 @@ class VisibleRow(NamedTuple):
 
 
 def visible_row(row: PlantRow, rig: Rig, world_from_station: Array) -> VisibleRow:
-    """What a rig at true poses (stations, 4, 4) could show of a row."""
+    """Return the parts of a row that a rig at true poses (stations, 4, 4) can show."""
     stems, clutter = cut(row.stems), cut(row.clutter)
     objects = [*row.tomatoes, *stems.pieces, *clutter.pieces]
     first_stem, first_leaf = len(row.tomatoes), len(row.tomatoes) + len(row.stems)
     owner = np.concatenate([np.arange(first_stem), first_stem + stems.owner, first_leaf + clutter.owner])
-    enough = np.where(np.arange(len(objects)) < first_stem, 1.0, VISIBLE)  # of a piece, no more than that matters
+    enough = np.where(np.arange(len(objects)) < first_stem, 1.0, VISIBLE)  # pieces only need to pass the threshold
     seen = visibility(row, objects, owner, rig, world_from_station, enough=enough)
     ends = np.cumsum([first_stem, len(stems.pieces)])
     of_stems, of_clutter = np.split(seen.visible, ends)[1:]
     return VisibleRow(
-        Visibility(*(shares[:first_stem] for shares in seen)),
+        Visibility(*(fractions[:first_stem] for fractions in seen)),
         tuple(stems.pieces[i] for i in np.flatnonzero(of_stems).tolist()),
         tuple(clutter.pieces[i] for i in np.flatnonzero(of_clutter).tolist()),
     )
 
 
 def visible_tomatoes(row: PlantRow, rig: Rig, world_from_station: Array) -> npt.NDArray[np.bool_]:
-    """Which tomatoes (n,) of a row a recording could show at all, the rig standing at true poses (stations, 4, 4)."""
+    """Return a mask (n,) of the tomatoes of a row that are visible to a rig at true poses (stations, 4, 4)."""
     return visibility(row, row.tomatoes, np.arange(len(row.tomatoes)), rig, world_from_station).visible
 
 
-def cut(shapes: Sequence[Part], longest: float = LONGEST_PIECE) -> Pieces[Part]:
-    """Cut capsules along their axes, and boxes along all three, into equal pieces of at most ``longest`` metres."""
+def cut(shapes: Sequence[Part], max_length: float = MAX_PIECE) -> Pieces[Part]:
+    """Cut capsules along their axes, and boxes along all three, into equal pieces of at most ``max_length`` metres."""
     pieces: list[Part] = []
     owner: list[int] = []
     for index, shape in enumerate(shapes):
-        own = _pieces(shape, longest)
+        own = _pieces(shape, max_length)
         pieces += own
         owner += [index] * len(own)
     return Pieces(tuple(pieces), np.array(owner, dtype=np.int64))
 
 
-def _pieces(shape: Part, longest: float) -> list[Part]:
+def _pieces(shape: Part, max_length: float) -> list[Part]:
     if isinstance(shape, Capsule):
-        shares = np.linspace(0.0, 1.0, max(1, int(np.ceil(shape.length / longest - 1e-9))) + 1)
-        ends = shape.start + shares[:, None] * (shape.end - shape.start)
+        fractions = np.linspace(0.0, 1.0, max(1, int(np.ceil(shape.length / max_length - 1e-9))) + 1)
+        ends = shape.start + fractions[:, None] * (shape.end - shape.start)
         return [replace(shape, start=ends[i], end=ends[i + 1]) for i in range(len(ends) - 1)]
     if isinstance(shape, Box):
-        counts = np.maximum(1, np.ceil(2 * shape.half_extents / longest - 1e-9)).astype(int)
+        counts = np.maximum(1, np.ceil(2 * shape.half_extents / max_length - 1e-9)).astype(int)
         centers = [(2 * np.arange(count) + 1) / count - 1 for count in counts]
         half = shape.half_extents / counts
         return [
@@ -137,7 +136,7 @@ def visibility(
     foreground: float = FOREGROUND,
     enough: float | Array = 1.0,
 ) -> Visibility:
-    """The share of the pixels an object alone would cover that show it, in the frame where it is largest.
+    """Return the visible fraction of each object in the frame where it is largest.
 
     Args:
         row: The grown row.
@@ -145,9 +144,9 @@ def visibility(
         shape: (n,) number of the row's shape that each object is or belongs to, as `RowRaycaster` counts them.
         rig: The cameras.
         world_from_station: (stations, 4, 4) true poses.
-        foreground: What lies beyond this many metres in front of the reference camera, along the rig's forward axis,
-            is not seen.
-        enough: Share, or shares (n,), of its silhouette beyond which an object is not looked at again.
+        foreground: Distance from the reference camera along the rig's forward axis beyond which nothing is seen,
+            metres.
+        enough: Fraction, or fractions (n,), of its silhouette above which an object is not examined again.
     """
     caster, outlines = RowRaycaster.of(row), Outlines.of(objects)
     front = rig.cameras[rig.reference].rig_from_camera[0, 3] + foreground
@@ -159,7 +158,7 @@ def visibility(
             seen[_beyond(depth, camera, front)] = -1
             measured = _in_second_imager(depth, camera)
             here = outlines.seen_from(invert(world_from_camera))
-            shows = np.isin(shape, np.unique(seen)) & (best.whole < enough)  # the others have no pixel in this frame
+            shows = np.isin(shape, np.unique(seen)) & (best.whole < enough)  # others have no pixel in this frame
             for i in here.in_view(camera.intrinsics, 2 * foreground, shows).tolist():
                 alone = here.silhouette(i, camera.intrinsics)
                 count = np.count_nonzero(alone.covered)
@@ -173,7 +172,7 @@ def visibility(
 
 
 def _beyond(depth: npt.NDArray[np.float32], camera: Camera, front: float) -> npt.NDArray[np.bool_]:
-    """Pixels (h, w) whose points lie beyond ``front`` in the rig frame, or that show nothing."""
+    """Return a mask (h, w) of the pixels whose points lie beyond ``front`` in the rig frame, or that are empty."""
     k, turn = camera.intrinsics, camera.rig_from_camera
     x = (np.arange(k.width) - k.cx)[None, :] / k.fx
     y = (np.arange(k.height) - k.cy)[:, None] / k.fy
@@ -183,7 +182,7 @@ def _beyond(depth: npt.NDArray[np.float32], camera: Camera, front: float) -> npt
 
 
 def _in_second_imager(depth: npt.NDArray[np.float32], camera: Camera) -> npt.NDArray[np.bool_]:
-    """Pixels (h, w) whose points a D435's second imager has within its image too, so that their depth is measured."""
+    """Return a mask (h, w) of the pixels that a D435's second imager sees too, so that their depth is measured."""
     k = camera.intrinsics
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray(np.arange(k.width) >= k.fx * StereoNoise().baseline / depth)

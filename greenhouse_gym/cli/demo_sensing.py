@@ -66,13 +66,13 @@ def reconstruct(out: Path, row: PlantRow, recording: Recording, report: Report) 
         first = int(np.flatnonzero(cloud.registered)[0])
         distance = distance_to_truth(cloud, row, poses[first])
         results += [
-            f"drift {error.share:.2%} of {error.length:.2f} m",
+            f"drift {error.fraction:.2%} of {error.length:.2f} m",
             f"cloud to truth {1e3 * distance.mean():.1f} mm mean, {1e3 * np.quantile(distance, 0.95):.1f} mm at 95 %",
         ]
         report.figures |= {
             "stations": len(cloud.registered),
             "stations_registered": int(cloud.registered.sum()),
-            "drift": error.share,
+            "drift": error.fraction,
             "cloud_to_truth_mean": float(distance.mean()),
             "cloud_to_truth_95": float(np.quantile(distance, 0.95)),
             "points": len(cloud),

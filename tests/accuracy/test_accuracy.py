@@ -160,4 +160,4 @@ def test_drift_is_that_of_the_last_registered_station() -> None:
     found = drift(KnownRow(row.points, registered, stations), true_walk())
     assert found.error == pytest.approx(0.05)
     walked = np.linalg.norm(np.diff(true_walk()[:9, :3, 3], axis=0), axis=1).sum()
-    assert found.share == pytest.approx(0.05 / walked)
+    assert found.fraction == pytest.approx(0.05 / walked)

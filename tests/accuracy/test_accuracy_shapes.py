@@ -142,7 +142,7 @@ def test_the_best_frame_counts() -> None:
 def test_pieces_make_up_the_whole() -> None:
     stem = Stem([0, 0, 0], [0, 0, 0.05], 0.002, "peduncle")
     leaf = Box([1, 2, 3], [0.03, 0.015, 0.001], rotation_about([1, 1, 0], 0.4))
-    pieces, owner = cut([stem, Sphere([0, 0, 0], 0.03), leaf], longest=0.02)
+    pieces, owner = cut([stem, Sphere([0, 0, 0], 0.03), leaf], max_length=0.02)
     np.testing.assert_array_equal(owner, [0, 0, 0, 1, 2, 2, 2, 2, 2, 2])
     assert [type(piece) for piece in pieces[:4]] == [Stem, Stem, Stem, Sphere]
     assert sum(p.length for p in pieces if isinstance(p, Stem)) == pytest.approx(0.05)
@@ -195,7 +195,7 @@ def test_perfect_tomatoes_give_perfect_figures() -> None:
     assert {n: len(perfect.of_ripeness(*b).found) for n, b in RIPENESS_BANDS.items()} == {
         "green": 3, "turning": 3, "ripe": 2,
     }  # fmt: skip
-    assert len(perfect.of_share(*OCCLUSION_BANDS["free"]).found) == 8
+    assert len(perfect.of_visible_fraction(*OCCLUSION_BANDS["free"]).found) == 8
 
 
 def test_one_missed_tomato_costs_recall_in_its_band_and_its_truss() -> None:
@@ -247,7 +247,7 @@ def test_hidden_tomatoes_count_for_neither_side() -> None:
         result = compared(found, shares)
         assert (len(result.found), result.f1) == (7, 1.0)
         assert result.truss_right.all()
-    assert compared(fruits(), shares).of_share(0.3, 0.6).share.tolist() == [0.5]
+    assert compared(fruits(), shares).of_visible_fraction(0.3, 0.6).visible_fraction.tolist() == [0.5]
 
 
 def test_nothing_found_or_nothing_there() -> None:
@@ -277,7 +277,7 @@ def stems(found: list[Stem], kind: str = "main", others: list[Capsule] | None = 
 def test_perfect_stems_give_perfect_figures() -> None:
     found = [upright(0.0, 0.0, 1.0), upright(1.0, 0.0, 0.4), upright(1.0, 0.4, 1.0)]
     perfect = stems(found)
-    assert (perfect.recall, perfect.recall_as_such, perfect.false_share) == pytest.approx((1.0, 1.0, 0.0))
+    assert (perfect.recall, perfect.recall_as_such, perfect.false_fraction) == pytest.approx((1.0, 1.0, 0.0))
     assert perfect.visible == pytest.approx(2.0)
     assert max(perfect.axis_error.max(), perfect.radius_error.max()) < 1e-9
     assert stems(found, "peduncle").recall == 0.0  # the stem it leaves runs across it
@@ -294,35 +294,35 @@ def test_a_stem_beside_is_off_within_the_tolerance_and_false_beyond() -> None:
     assert np.median(off.axis_error) == pytest.approx(0.006)
     assert np.median(off.radius_error) == pytest.approx(0.2)
     lost = stems([upright(0.012, 0.0, 1.0)])
-    assert (lost.recall, lost.false_share, len(lost.axis_error)) == (0.0, 1.0, 0)
+    assert (lost.recall, lost.false_fraction, len(lost.axis_error)) == (0.0, 1.0, 0)
 
 
 def test_a_stem_across_is_false() -> None:
     across = stems([Stem([0.5, -0.1, 0.3], [0.5, 0.1, 0.3], 0.005, "main")])
-    assert (across.recall, across.false_share) == (0.0, 1.0)
+    assert (across.recall, across.false_fraction) == (0.0, 1.0)
     slope = 0.01 * np.tan(np.deg2rad(20))
     slanting = Stem([0.5, -slope, 0.29], [0.5, slope, 0.31], 0.005, "main")
-    assert stems([slanting]).false_share == 0.0
+    assert stems([slanting]).false_fraction == 0.0
 
 
 def test_another_kind_counts_for_recall_but_not_as_such() -> None:
     found = stems([upright(0.0, 0.0, 1.0, "string")])
     assert (found.recall, found.recall_as_such, found.extracted) == (0.5, 0.0, 0.0)
-    assert stems([upright(0.0, 0.0, 1.0, "string")], "string").false_share == 0.0
+    assert stems([upright(0.0, 0.0, 1.0, "string")], "string").false_fraction == 0.0
 
 
 def test_false_stems_on_petioles_are_told_apart() -> None:
     petiole = Capsule([0.5, 0.5, 0.5], [0.5, 0.5, 0.7], 0.0025)
     found = [upright(0.5, 0.5, 0.6, "peduncle"), upright(0.7, 0.5, 0.6, "peduncle")]
     result = stems(found, "peduncle", [petiole])
-    assert result.false_share == 1.0
+    assert result.false_fraction == 1.0
     assert result.on_petioles == pytest.approx(0.1)
 
 
 def test_pooled_stems_add_up() -> None:
     both = pool_stems([stems([upright(0.0, 0.0, 1.0)]), stems([])])
     assert (both.recall, both.visible) == pytest.approx((0.25, 4.0))
-    assert np.isnan(stems([]).false_share)
+    assert np.isnan(stems([]).false_fraction)
 
 
 # -- coverage, excess, alignment --------------------------------------------------------------------------------------

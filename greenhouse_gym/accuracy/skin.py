@@ -1,4 +1,4 @@
-"""Of which tomatoes a cloud holds skin: those that a camera saw and measured no depth of, no extraction can find."""
+"""Skin points of tomatoes in a cloud: fruit without measured depth cannot be found by any extraction."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from greenhouse_gym.geometry import distance_to_shapes
 from greenhouse_gym.reconstruction.point_clouds import Cloud
 
 _ON_SKIN = 0.003
-"""Metres from a tomato's surface within which a point is its skin, with a depth camera's noise."""
+"""Largest distance of a skin point from a tomato's surface, metres, given the noise of a depth camera."""
 
-_FACING = 0.5
-"""Least cosine between such a point's normal and the direction away from the tomato's center."""
+_MIN_COSINE = 0.5
+"""Smallest cosine between a skin point's normal and the direction away from the tomato's center."""
 
 
 def skin_points(cloud: Cloud, tomatoes: Sequence[Tomato]) -> npt.NDArray[np.int64]:
-    """How many points (k,) of a cloud are skin of each tomato: on its surface, and facing outwards.
+    """Count the points (k,) of a cloud that are skin of each tomato: on its surface and facing outwards.
 
     Args:
         cloud: Points with normals, in the tomatoes' frame.
@@ -32,7 +32,7 @@ def skin_points(cloud: Cloud, tomatoes: Sequence[Tomato]) -> npt.NDArray[np.int6
         reach = (tomato.radius if tomato.semi_axes is None else float(np.max(tomato.semi_axes))) + _ON_SKIN
         near = np.array(tree.query_ball_point(tomato.center, reach), dtype=np.int64)
         away = cloud.points[near] - tomato.center
-        outwards = (away * cloud.normals[near]).sum(axis=1) > _FACING * np.linalg.norm(away, axis=1)
+        outwards = (away * cloud.normals[near]).sum(axis=1) > _MIN_COSINE * np.linalg.norm(away, axis=1)
         on = np.abs(distance_to_shapes(cloud.points[near], [tomato])[:, 0]) < _ON_SKIN
         counts[k] = np.count_nonzero(on & outwards)
     return counts
