@@ -29,7 +29,7 @@ from greenhouse_gym.agents.named import make_agent
 from greenhouse_gym.common.executors import completed, processes
 from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.evaluation import evaluate
-from greenhouse_gym.evaluation.journal import KeptRecords
+from greenhouse_gym.evaluation.journal import RecordJournal
 from greenhouse_gym.evaluation.records import Record, wilson_interval
 from greenhouse_gym.motion.collision import CollisionChecker, planning_model
 from greenhouse_gym.motion.reach import arm_reaches
@@ -123,7 +123,7 @@ def played(
     problems = [(scene.name, k) for scene, k in drawn]
     with tempfile.TemporaryDirectory() as bank:
         write_bank(bank, [(with_targets(scene), "test") for scene in scenes.values()], "rows")
-        kept = KeptRecords(
+        kept = RecordJournal(
             folder / f"{agent}-{start}-{options.per_scene}.jsonl", {"agent": agent, "problems": problems}
         )
         result = evaluate(
@@ -133,7 +133,7 @@ def played(
             physics="truth",
             capacity=room_for(list(scenes.values())),
             start=start,
-            kept=kept,
+            journal=kept,
             executor=executor,
         )
     return result.records

@@ -8,7 +8,7 @@ import numpy as np
 from gymnasium import spaces
 
 import greenhouse_gym  # noqa: F401 - registers the environments
-from greenhouse_gym.envs import Situation, ToolMotion
+from greenhouse_gym.envs import State, ToolMotion
 
 
 class TwoJoints:
@@ -16,9 +16,9 @@ class TwoJoints:
 
     space = spaces.Box(-1.0, 1.0, (2,), np.float32)
 
-    def __call__(self, action: np.ndarray, situation: Situation, motion: ToolMotion) -> np.ndarray:
+    def __call__(self, action: np.ndarray, state: State, motion: ToolMotion) -> np.ndarray:
         """Changes (n, 6) of the commands, radians."""
-        change = np.zeros_like(situation.joints)
+        change = np.zeros_like(state.joints)
         change[:, 1:3] = 0.08 * action
         change[:, 3] = -change[:, 1] - change[:, 2]
         return change

@@ -8,7 +8,7 @@ import numpy as np
 from gymnasium import spaces
 
 import greenhouse_gym  # noqa: F401 - registers the environments
-from greenhouse_gym.envs import Situation
+from greenhouse_gym.envs import State
 from greenhouse_gym.robots import Robot
 
 
@@ -18,10 +18,10 @@ class Feelers:
     def __init__(self, robot: Robot):
         self.space = spaces.Box(-5.0, 5.0, (3 + len(robot.probes),), np.float32)
 
-    def __call__(self, situation: Situation) -> np.ndarray:
+    def __call__(self, state: State) -> np.ndarray:
         """One row for each of n simulations."""
-        way = situation.target - situation.grasp
-        return np.clip(np.hstack([way, situation.clearance]), -5.0, 5.0).astype(np.float32)
+        way = state.target - state.grasp
+        return np.clip(np.hstack([way, state.clearance]), -5.0, 5.0).astype(np.float32)
 
 
 if __name__ == "__main__":

@@ -51,7 +51,7 @@ def substeps(env: TomatoReachEnv, random: np.random.Generator) -> Iterator[tuple
             mujoco.mj_step(model, data)
             configurations.append(data.qpos.copy())
         last = command
-        np.testing.assert_allclose(configurations[-1], env.simulation.situation.joints[0], atol=1e-9)
+        np.testing.assert_allclose(configurations[-1], env.simulation.state.joints[0], atol=1e-9)
         yield np.array(configurations), info["collision"]
         if terminated or truncated:
             return

@@ -329,7 +329,7 @@ def test_a_recording_that_is_not_there_is_told(tmp_path: Path, command: str, opt
         (("mount", "{}/arm.xml", "--out", "{}/out.xml"), "arm.xml: there is no such file; expected an arm's MJCF file"),
         (("compare", "still", "--robot", "{}/arm.xml", "--bank", "mini"), "arm.xml: there is no such file"),
         (("leaderboard", "{}"), "holds no entry; `greenhouse-gym submit` writes one"),
-        (("compare", "still", "--bank", "mini", "--patience", "-1"), "patience must be a positive number of seconds"),
+        (("compare", "still", "--bank", "mini", "--timeout", "-1"), "timeout must be a positive number of seconds"),
     ],
 )
 def test_what_is_not_there_is_told(tmp_path: Path, arguments: tuple[str, ...], told: str) -> None:

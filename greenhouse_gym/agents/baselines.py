@@ -100,7 +100,7 @@ class WaypointAgent:
         for name, size in WaypointObservation(problem.robot).layout:
             end += size
             ends[name] = slice(end - size, end)
-        self._direction, self._way = ends["waypoint_direction"], ends["way"]
+        self._direction, self._way = ends["waypoint_direction"], ends["path"]
 
     def act(self, observation: Any) -> npt.NDArray[np.float32]:
         """The action that goes as far that way as it may."""

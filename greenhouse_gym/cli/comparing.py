@@ -41,7 +41,7 @@ def compare(
         str, typer.Option(help="What is touched, separated by commas: reconstruction, truth, moved.")
     ] = "reconstruction",
     num_envs: Annotated[int, typer.Option(help="Episodes played side by side.")] = 1,
-    patience: Annotated[float, typer.Option(help="Seconds an agent may take for one answer.")] = 120.0,
+    timeout: Annotated[float, typer.Option(help="Seconds an agent may take for one answer.")] = 120.0,
     report: Annotated[Path | None, typer.Option(help=_REPORT)] = None,
     backend: Backend = None,
     workers: Workers = None,
@@ -69,7 +69,7 @@ def compare(
     asked = [*(names or ()), *_parts(agents)] or ["RRTConnect", BEST, "random"]
     tracks = [require_choice("track", name, TRACKS) for name in _parts(track)]
     chosen = _by_name(asked, [make_agent(name) for name in asked])
-    shared: dict[str, Any] = {"patience": patience}
+    shared: dict[str, Any] = {"timeout": timeout}
     shared |= {key: value for key, value in (("robot", robot), ("difficulty", _parts(difficulty))) if value}
     if report is not None:
         require_writable(report)

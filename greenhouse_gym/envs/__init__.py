@@ -4,8 +4,8 @@ from greenhouse_gym.envs.actions import ActionRule, ToolMotion
 from greenhouse_gym.envs.image_observations import DepthObservation, PointsObservation, RgbObservation
 from greenhouse_gym.envs.observations import Observation
 from greenhouse_gym.envs.randomization import Randomization
-from greenhouse_gym.envs.reach_task import Situation
-from greenhouse_gym.envs.rewards import DenseReward, SparseReward, Transition, WayReward
+from greenhouse_gym.envs.reach_task import State
+from greenhouse_gym.envs.rewards import DenseReward, PathReward, SparseReward, Transition
 from greenhouse_gym.envs.settings import EnvSettings
 from greenhouse_gym.envs.tomato_reach import TomatoReachEnv
 from greenhouse_gym.envs.vector import TomatoReachVectorEnv
@@ -19,15 +19,15 @@ __all__ = [
     "DepthObservation",
     "EnvSettings",
     "Observation",
+    "PathReward",
     "PlantMotion",
     "PointsObservation",
     "Randomization",
     "RgbObservation",
-    "Situation",
     "SparseReward",
+    "State",
     "TomatoReachEnv",
     "TomatoReachVectorEnv",
     "ToolMotion",
     "Transition",
-    "WayReward",
 ]

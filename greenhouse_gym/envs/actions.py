@@ -9,12 +9,19 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from greenhouse_gym.envs.reach_task import ACTION_STEP, MAX_LEAD, USUAL_PACE, Pace, Situation, pace_of
+from greenhouse_gym.envs.reach_task import (
+    ACTION_STEP,
+    DEFAULT_TIMING,
+    MAX_COMMAND_ERROR,
+    ControlTiming,
+    State,
+    control_timing,
+)
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
 
-INTERVAL = USUAL_PACE.interval
+INTERVAL = DEFAULT_TIMING.interval
 """Seconds from one action to the next at the usual rate."""
 
 TIP_SPEED, TIP_TURN = 0.5, 1.6
@@ -55,14 +62,14 @@ class ActionRule(Protocol):
     def space(self) -> spaces.Box:
         """The space of one simulation's action."""
 
-    def __call__(self, action: Array, situation: Situation, motion: ToolMotion) -> Array:
+    def __call__(self, action: Array, state: State, motion: ToolMotion) -> Array:
         """Wished changes (n, j) of the joints' commands, radians (metres for slides).
 
         The environment keeps them to the arm's limits of position and speed, and near the measured joints.
 
         Args:
             action: (n, size) actions within the space, float64.
-            situation: What the simulations look like; read only.
+            state: What the simulations look like; read only.
             motion: How their tools move with the joints; read only.
         """
 
@@ -71,19 +78,19 @@ ActionFactory: TypeAlias = Callable[[Robot, float], ActionRule]
 ActionChoice: TypeAlias = str | ActionRule | ActionFactory
 
 
-def joint_steps(robot: Robot, pace: Pace = USUAL_PACE) -> Array:
+def joint_steps(robot: Robot, timing: ControlTiming = DEFAULT_TIMING) -> Array:
     """(j,) what an entry of 1 of a "joint" action adds to the joints' commands: the step, less for slow slides."""
-    slides = np.minimum(pace.action_step, robot.velocity_limits * pace.interval)
-    return np.where(robot.sliding, slides, pace.action_step)
+    slides = np.minimum(timing.action_step, robot.velocity_limits * timing.interval)
+    return np.where(robot.sliding, slides, timing.action_step)
 
 
-def max_lead(robot: Robot, pace: Pace = USUAL_PACE) -> float:
-    """How far a command may lie from the measured joint: `MAX_LEAD`, more for arms that lag farther behind.
+def max_command_error(robot: Robot, timing: ControlTiming = DEFAULT_TIMING) -> float:
+    """How far a command may lie from the measured joint: `MAX_COMMAND_ERROR`, more for arms that lag farther behind.
 
     What a command is cut by is lost to actions that add to the last one, so joint actions at full speed never are.
     """
-    step = pace.action_step
-    return max(MAX_LEAD + (step - ACTION_STEP), step + 1.1 * robot.lag * step / pace.interval)
+    step = timing.action_step
+    return max(MAX_COMMAND_ERROR + (step - ACTION_STEP), step + 1.1 * robot.lag * step / timing.interval)
 
 
 class JointIncrements:
@@ -91,9 +98,9 @@ class JointIncrements:
 
     def __init__(self, robot: Robot, interval: float):
         self.space = _unit_box(len(robot.joints))
-        self.peak = joint_steps(robot, pace_of(1 / interval))
+        self.peak = joint_steps(robot, control_timing(1 / interval))
 
-    def __call__(self, action: Array, situation: Situation, motion: ToolMotion) -> Array:
+    def __call__(self, action: Array, state: State, motion: ToolMotion) -> Array:
         """The wished changes: the action times the step."""
         return self.peak * action
 
@@ -105,7 +112,7 @@ class JointVelocities:
         self.space = _unit_box(len(robot.joints))
         self.peak = robot.velocity_limits * interval
 
-    def __call__(self, action: Array, situation: Situation, motion: ToolMotion) -> Array:
+    def __call__(self, action: Array, state: State, motion: ToolMotion) -> Array:
         """The wished changes: the action times the way that a joint goes at full speed."""
         return self.peak * action
 
@@ -118,7 +125,7 @@ class TipVelocity:
         self._sliding = robot.sliding[:, None]
         self._scale = interval * np.array([TIP_SPEED] * 3 + [TIP_TURN] * 3)
 
-    def __call__(self, action: Array, situation: Situation, motion: ToolMotion) -> Array:
+    def __call__(self, action: Array, state: State, motion: ToolMotion) -> Array:
         """Joint steps that move the tip as wished, as far as the arm can."""
         wished = (self._scale * action).reshape(-1, 2, 3)
         cosine, sine = motion.heading[:, :1], motion.heading[:, 1:]
@@ -146,13 +153,13 @@ class Command(NamedTuple):
 
     Attributes:
         position: (n, j) radians.
-        slowed: (n,) whether the wish was slowed because a joint would have been too fast.
-        limited: (n,) number of joints stopped at a position limit.
+        speed_limited: (n,) whether the wish was slowed because a joint would have been too fast.
+        position_limited: (n,) number of joints stopped at a position limit.
     """
 
     position: Array
-    slowed: npt.NDArray[np.bool_]
-    limited: npt.NDArray[np.int64]
+    speed_limited: npt.NDArray[np.bool_]
+    position_limited: npt.NDArray[np.int64]
 
 
 class CommandLimits:
@@ -163,12 +170,12 @@ class CommandLimits:
     Args:
         robot: The arm.
         rule: The kind of action; its ``peak`` (j,), where it has one, is the most it may ask of each joint, radians.
-        pace: How the time goes.
+        timing: How the time goes.
     """
 
-    def __init__(self, robot: Robot, rule: ActionRule, pace: Pace = USUAL_PACE):
-        self._lead = max_lead(robot, pace)
-        self._way = robot.velocity_limits * pace.interval
+    def __init__(self, robot: Robot, rule: ActionRule, timing: ControlTiming = DEFAULT_TIMING):
+        self._max_error = max_command_error(robot, timing)
+        self._way = robot.velocity_limits * timing.interval
         self._lower, self._upper = robot.lower, robot.upper
         self._may_be_fast = bool((getattr(rule, "peak", np.inf) > self._way * (1 + 1e-9)).any())
         self._never: dict[int, npt.NDArray[np.bool_]] = {}
@@ -183,13 +190,13 @@ class CommandLimits:
         """
         if self._may_be_fast:
             excess = (np.abs(change) / self._way).max(axis=-1)
-            slowed = np.asarray(excess > 1 + 1e-9)
+            speed_limited = np.asarray(excess > 1 + 1e-9)
             change = change / np.maximum(excess, 1.0)[:, None]
         else:
-            slowed = self._never.setdefault(len(command), np.zeros(len(command), dtype=np.bool_))
-        moved = np.minimum(np.maximum(command + change, joints - self._lead), joints + self._lead)
+            speed_limited = self._never.setdefault(len(command), np.zeros(len(command), dtype=np.bool_))
+        moved = np.minimum(np.maximum(command + change, joints - self._max_error), joints + self._max_error)
         position = np.minimum(np.maximum(moved, self._lower), self._upper)
-        return Command(position, slowed, (position != moved).sum(axis=-1))
+        return Command(position, speed_limited, (position != moved).sum(axis=-1))
 
 
 def check_actions(actions: Any, count: int, space: spaces.Box) -> Array:

@@ -18,27 +18,27 @@ from gymnasium import spaces
 from greenhouse_gym.envs.actions import ACTIONS, ActionChoice, ActionRule, ToolMotion
 from greenhouse_gym.envs.image_observations import DepthObservation, PointsObservation, RgbObservation
 from greenhouse_gym.envs.observations import (
-    ApproachObservation,
+    ClearanceRaysObservation,
     GoalObservation,
     ObservationChoice,
+    ObservationSpec,
     Observed,
-    Sight,
     StateObservation,
     WaypointObservation,
 )
-from greenhouse_gym.envs.reach_task import Situation
-from greenhouse_gym.envs.rewards import REWARDS, DenseReward, Reward, SparseReward, Transition, WayReward
+from greenhouse_gym.envs.reach_task import State
+from greenhouse_gym.envs.rewards import REWARDS, DenseReward, PathReward, Reward, SparseReward, Transition
 from greenhouse_gym.errors import InvalidValueError, UnknownNameError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
 
-OBSERVATIONS: Mapping[str, Callable[[Robot], Sight]] = {
+OBSERVATIONS: Mapping[str, Callable[[Robot], ObservationSpec]] = {
     "state": StateObservation,
-    "state_seen": partial(StateObservation, unseen=True),
-    "approach": ApproachObservation,
+    "state_occupancy": partial(StateObservation, unknown=True),
+    "clearance_rays": ClearanceRaysObservation,
     "waypoint": WaypointObservation,
     "goal": GoalObservation,
-    "goal_waypoint": partial(GoalObservation, way=True),
+    "goal_waypoint": partial(GoalObservation, path=True),
     "depth": DepthObservation(),
     "points": PointsObservation(),
     "rgb": RgbObservation(),
@@ -47,7 +47,7 @@ OBSERVATIONS: Mapping[str, Callable[[Robot], Sight]] = {
 """Kinds of observations by name."""
 
 
-def make_observation(kind: ObservationChoice, robot: Robot) -> Sight:
+def make_observation(kind: ObservationChoice, robot: Robot) -> ObservationSpec:
     """The observation of that name, with those settings, or of the user's own.
 
     Raises:
@@ -57,7 +57,11 @@ def make_observation(kind: ObservationChoice, robot: Robot) -> Sight:
     if isinstance(kind, str):
         return _named("observation", kind, OBSERVATIONS)(robot)
     own = _made("observation", kind, robot)
-    return own if isinstance(own, Sight) and type(own).__module__.startswith("greenhouse_gym.") else _Checked(own)
+    return (
+        own
+        if isinstance(own, ObservationSpec) and type(own).__module__.startswith("greenhouse_gym.")
+        else _Checked(own)
+    )
 
 
 def make_action(kind: ActionChoice, robot: Robot, interval: float) -> ActionRule:
@@ -88,10 +92,10 @@ def make_reward(kind: str | Reward) -> Reward:
         return _named("reward", kind, REWARDS)
     if isinstance(kind, type) or not callable(kind):
         raise InvalidValueError(f"reward must be one of {_listed(REWARDS)} or a function of a Transition, got {kind!r}")
-    return kind if type(kind) in (DenseReward, SparseReward, WayReward) else _CheckedReward(kind)
+    return kind if type(kind) in (DenseReward, SparseReward, PathReward) else _CheckedReward(kind)
 
 
-class _Checked(Sight):
+class _Checked(ObservationSpec):
     """An observation from outside."""
 
     def __init__(self, own: Any):
@@ -103,17 +107,17 @@ class _Checked(Sight):
                 raise InvalidValueError(f"{self._name}{_at(key)}: its space must be made of boxes, got {box}")
         self._boxes = boxes
         for name in (
-            "layout", "cameras", "sees_arm", "sees_color", "asks_what_was_seen", "asks_for_room", "asks_for_way",
-            "target_is_obstacle", "has_goals",
+            "layout", "cameras", "renders_arm", "renders_color", "requires_occupancy",
+            "requires_clearance_rays", "requires_roadmap", "target_is_obstacle", "has_goals",
         ):  # fmt: skip
-            setattr(self, name, getattr(own, name, getattr(Sight, name)))
+            setattr(self, name, getattr(own, name, getattr(ObservationSpec, name)))
         goals = ("achieved_goal", "desired_goal")
         if self.has_goals and not all(key in boxes and boxes[key].shape == (3,) for key in goals):
             raise InvalidValueError(f"{self._name} has goals: its space must have {' and '.join(goals)} of shape (3,)")
 
-    def __call__(self, situation: Situation) -> Observed:
+    def __call__(self, state: State) -> Observed:
         """Its observations, checked and copied."""
-        seen, count = self._own(situation), len(situation.joints)
+        seen, count = self._own(state), len(state.joints)
         if not isinstance(self.space, spaces.Dict):
             return self._part("", seen, count)
         if not isinstance(seen, Mapping) or seen.keys() != self._boxes.keys():
@@ -146,9 +150,9 @@ class _CheckedAction:
         if not isinstance(self.space, spaces.Box) or len(self.space.shape) != 1:
             raise InvalidValueError(f"{self._name}: its space must be a Box of one axis, got {self.space}")
 
-    def __call__(self, action: Array, situation: Situation, motion: ToolMotion) -> Array:
+    def __call__(self, action: Array, state: State, motion: ToolMotion) -> Array:
         """Its changes of the commands, checked."""
-        change = _array(self._name, self._own(action, situation, motion), (len(action), self._joints))
+        change = _array(self._name, self._own(action, state, motion), (len(action), self._joints))
         _check_finite(self._name, change)
         return change.astype(np.float64)
 
@@ -158,7 +162,7 @@ class _CheckedReward:
 
     def __init__(self, own: Callable[[Transition], Any]):
         self._own, self._name = own, f"reward {_name(own)}"
-        self.asks_for_way = bool(getattr(own, "asks_for_way", False))
+        self.requires_roadmap = bool(getattr(own, "requires_roadmap", False))
 
     def __call__(self, step: Transition) -> dict[str, Array]:
         """Its terms, checked and copied."""

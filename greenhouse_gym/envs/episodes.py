@@ -114,7 +114,7 @@ class EpisodeSampler:
         """Weight of each difficulty that is drawn, or 0 for all where they are drawn as the scenes have them."""
         return dict(self._wanted)
 
-    def draw(self, random: np.random.Generator, options: Mapping[str, Any] | None = None) -> Episode:
+    def draw(self, rng: np.random.Generator, options: Mapping[str, Any] | None = None) -> Episode:
         """Draw an episode; ``options`` may fix the scene (name or `Scene`), target (tomato), start and difficulty.
 
         Raises:
@@ -138,24 +138,24 @@ class EpisodeSampler:
         if tomato is not None:
             assert scene is not None
             return Episode(scene, *self._rate(scene, tomato), start)
-        names = _draw_difficulty(wanted, random)
+        names = _draw_difficulty(wanted, rng)
         if scene is None:
-            scene, fitting = self._draw_scene(random, names)
+            scene, fitting = self._draw_scene(rng, names)
         elif not (fitting := self._fitting(scene, names)):
             raise InvalidValueError(self._nothing_fits(f"scene {scene.name!r}", names))
-        target = fitting[int(random.integers(len(fitting)))]
+        target = fitting[int(rng.integers(len(fitting)))]
         return Episode(scene, target.tomato, self._rating(target), start)
 
-    def _draw_scene(self, random: np.random.Generator, names: tuple[str, ...]) -> tuple[Scene, list[Target]]:
+    def _draw_scene(self, rng: np.random.Generator, names: tuple[str, ...]) -> tuple[Scene, list[Target]]:
         # Drawing again when a scene has no fitting target keeps scenes equally likely without reading them all.
         for _ in range(_DRAWS):
-            scene = self.bank.scene(self._window.draw(random))
+            scene = self.bank.scene(self._window.draw(rng))
             if fitting := self._fitting(scene, names):
                 return scene, fitting
         scenes = [scene for scene in map(self.bank.scene, self._names) if self._fitting(scene, names)]
         if not scenes:
             raise InvalidValueError(self._nothing_fits(f"split {self.split!r} of bank {self.bank.path}", names))
-        scene = scenes[int(random.integers(len(scenes)))]
+        scene = scenes[int(rng.integers(len(scenes)))]
         return scene, self._fitting(scene, names)
 
     def _fitting(self, scene: Scene, names: tuple[str, ...]) -> list[Target]:
@@ -232,9 +232,9 @@ def _weight(weight: Any) -> float:
         raise InvalidValueError(f"a difficulty's weight must be a number, got {weight!r}") from error
 
 
-def _draw_difficulty(wanted: Mapping[str, float], random: np.random.Generator) -> tuple[str, ...]:
+def _draw_difficulty(wanted: Mapping[str, float], rng: np.random.Generator) -> tuple[str, ...]:
     names = tuple(wanted)
     total = sum(wanted.values())
     if total == 0 or len(names) == 1:
         return names
-    return (names[int(random.choice(len(names), p=[weight / total for weight in wanted.values()]))],)
+    return (names[int(rng.choice(len(names), p=[weight / total for weight in wanted.values()]))],)

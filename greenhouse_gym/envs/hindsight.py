@@ -58,17 +58,17 @@ def judge(
                 "HerReplayBuffer"
             ) from None
 
-    touched, steps = told("collision").astype(np.bool_), told("steps")
+    collided, steps = told("collision").astype(np.bool_), told("steps")
     after = lengths(goals - np.atleast_2d(np.asarray(achieved, dtype=np.float64)))
     transition = Transition(
         before=lengths(goals - told("previous_goal").astype(np.float64).reshape(-1, 3)),
         after=after,
-        touched=touched,
-        success=(after < settings.success_radius) & ~touched,
+        collided=collided,
+        success=(after < settings.success_radius) & ~collided,
         effort=told("effort").astype(np.float64),
         steps=steps,
     )
-    terminated = transition.success | touched
+    terminated = transition.success | collided
     return Verdict(total_reward(reward(transition)), terminated, (steps >= settings.step_limit) & ~terminated)
 
 

@@ -10,15 +10,15 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from greenhouse_gym.envs.observations import MAX_OFFSET, Observed, Sight, Vector
-from greenhouse_gym.envs.reach_task import Situation
+from greenhouse_gym.envs.observations import MAX_OFFSET, ObservationSpec, Observed, Vector
+from greenhouse_gym.envs.reach_task import State
 from greenhouse_gym.rendering.cameras import MAX_RANGE, DepthCamera
 from greenhouse_gym.robots import Robot
 
 _BODY = ("joint_position", "joint_velocity", "command_error", "grasp_offset", "target_position")
 
 
-class _WithImages(Sight, ABC):
+class _WithImages(ObservationSpec, ABC):
     """The arm's own state and the target's place; subclasses put beside it what one camera sees."""
 
     def __init__(self, robot: Robot, camera: DepthCamera, images: dict[str, spaces.Space[Any]]):
@@ -76,13 +76,13 @@ class RgbObservation:
 
 
 class _Depth(_WithImages):
-    sees_arm = True
+    renders_arm = True
 
     def __init__(self, robot: Robot, camera: DepthCamera):
         super().__init__(robot, camera, {"depth": _depth_space(camera)})
 
-    def __call__(self, situation: Situation) -> Observed:
-        return {"depth": _depth_image(situation), "state": self._vector(situation)}
+    def __call__(self, state: State) -> Observed:
+        return {"depth": _depth_image(state), "state": self._vector(state)}
 
 
 class _Points(_WithImages):
@@ -91,32 +91,32 @@ class _Points(_WithImages):
         cloud = spaces.Box(-MAX_OFFSET, MAX_OFFSET, (len(self._rays), 3), dtype=np.float32)
         super().__init__(robot, camera, {"points": cloud})
 
-    def __call__(self, situation: Situation) -> Observed:
-        depth = situation.depth.reshape(len(situation.depth), -1, 1)
-        view = situation.views[:, 0]
+    def __call__(self, state: State) -> Observed:
+        depth = state.depth.reshape(len(state.depth), -1, 1)
+        view = state.views[:, 0]
         inside = depth * self._rays  # camera frame
         points = inside @ view[:, :3, :3].transpose(0, 2, 1) + view[:, None, :3, 3]
         cloud = np.where(depth > 0, np.clip(points, -MAX_OFFSET, MAX_OFFSET), 0.0).astype(np.float32)
-        return {"points": cloud, "state": self._vector(situation)}
+        return {"points": cloud, "state": self._vector(state)}
 
 
 class _Rgb(_WithImages):
-    sees_arm = sees_color = True
+    renders_arm = renders_color = True
 
     def __init__(self, robot: Robot, camera: DepthCamera, depth: bool):
         color = spaces.Box(0, 255, (3, camera.height, camera.width), dtype=np.uint8)
         super().__init__(robot, camera, {"rgb": color, **({"depth": _depth_space(camera)} if depth else {})})
         self._with_depth = depth
 
-    def __call__(self, situation: Situation) -> Observed:
-        color = np.ascontiguousarray(situation.color[:, 0].transpose(0, 3, 1, 2))
-        depth = {"depth": _depth_image(situation)} if self._with_depth else {}
-        return {**depth, "rgb": color, "state": self._vector(situation)}
+    def __call__(self, state: State) -> Observed:
+        color = np.ascontiguousarray(state.color[:, 0].transpose(0, 3, 1, 2))
+        depth = {"depth": _depth_image(state)} if self._with_depth else {}
+        return {**depth, "rgb": color, "state": self._vector(state)}
 
 
 def _depth_space(camera: DepthCamera) -> spaces.Box:
     return spaces.Box(0.0, 1.0, (1, camera.height, camera.width), dtype=np.float32)
 
 
-def _depth_image(situation: Situation) -> npt.NDArray[np.float32]:
-    return situation.depth / np.float32(MAX_RANGE)
+def _depth_image(state: State) -> npt.NDArray[np.float32]:
+    return state.depth / np.float32(MAX_RANGE)

@@ -1,4 +1,4 @@
-"""What an agent sees: from a `Situation` of n simulations to arrays that fit a Gymnasium space."""
+"""What an agent sees: from a `State` of n simulations to arrays that fit a Gymnasium space."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from greenhouse_gym.envs.actions import max_lead
-from greenhouse_gym.envs.approach import ROOM
-from greenhouse_gym.envs.reach_task import ACTION_STEP, Float32, Situation
+from greenhouse_gym.envs.actions import max_command_error
+from greenhouse_gym.envs.clearance_rays import NUM_CLEARANCES
+from greenhouse_gym.envs.reach_task import ACTION_STEP, Float32, State
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.distance_field import MAX_DISTANCE
@@ -28,7 +28,7 @@ MAX_OFFSET = 3.0
 MIN_CLEARANCE = -0.1
 """Clearances are reported down to here, metres."""
 
-MAX_WAY = 6.3
+MAX_PATH_LENGTH = 6.3
 """Ways of a joint are reported up to here, radians."""
 
 Layout: TypeAlias = tuple[tuple[str, int], ...]
@@ -41,7 +41,7 @@ class Observation(Protocol):
     ``observation=`` takes an object like this, or a class or function that makes one from the arm. Compute elementwise
     (no 2-D matrix products), so that a simulation's numbers do not depend on how many there are.
 
-    An object may have the attributes of `Sight`, too; left out, they are what that class says.
+    An object may have the attributes of `ObservationSpec`, too; left out, they are what that class says.
 
     Attributes:
         space: The space of one simulation's observation: a `Box`, or a `Dict` of boxes.
@@ -51,22 +51,22 @@ class Observation(Protocol):
     def space(self) -> spaces.Space[Any]:
         """The space of one simulation's observation."""
 
-    def __call__(self, situation: Situation) -> Observed:
+    def __call__(self, state: State) -> Observed:
         """Observations of n simulations within the space, (n, *shape) or a dict of such arrays."""
 
 
-class Sight(ABC):
+class ObservationSpec(ABC):
     """An `Observation` that says what it needs to be computed, and what is in it.
 
     Attributes:
         space: The space of one simulation's observation.
         layout: Name of each group of entries of its vector with its number of entries, in order.
         cameras: What takes images for it; all of one size.
-        sees_arm: Whether the arm is in the depth images.
-        sees_color: Whether there are color images, too.
-        asks_what_was_seen: Whether it tells which places the scan saw; all scenes must then say so.
-        asks_for_room: Whether it tells how much room there is around the target.
-        asks_for_way: Whether it tells where the arm can go straight.
+        renders_arm: Whether the arm is in the depth images.
+        renders_color: Whether there are color images, too.
+        requires_occupancy: Whether it tells which places the scan saw; all scenes must then say so.
+        requires_clearance_rays: Whether it tells how much room there is around the target.
+        requires_roadmap: Whether it tells where the arm can go straight.
         target_is_obstacle: Whether the clearances count the target too.
         has_goals: Whether it is a goal environment's.
     """
@@ -74,16 +74,16 @@ class Sight(ABC):
     space: spaces.Space[Any]
     layout: Layout = ()
     cameras: tuple[DepthCamera, ...] = ()
-    sees_arm: bool = False
-    sees_color: bool = False
-    asks_what_was_seen: bool = False
-    asks_for_room: bool = False
-    asks_for_way: bool = False
+    renders_arm: bool = False
+    renders_color: bool = False
+    requires_occupancy: bool = False
+    requires_clearance_rays: bool = False
+    requires_roadmap: bool = False
     target_is_obstacle: bool = False
     has_goals: bool = False
 
     @abstractmethod
-    def __call__(self, situation: Situation) -> Observed:
+    def __call__(self, state: State) -> Observed:
         """Observations of n simulations, new arrays within the space."""
 
 
@@ -91,10 +91,10 @@ ObservationFactory: TypeAlias = Callable[[Robot], Observation]
 ObservationChoice: TypeAlias = str | Observation | ObservationFactory
 
 
-_GROUPS: dict[str, tuple[Callable[[Situation], npt.NDArray[Any]], Callable[[Robot], tuple[Any, Any]]]] = {
+_GROUPS: dict[str, tuple[Callable[[State], npt.NDArray[Any]], Callable[[Robot], tuple[Any, Any]]]] = {
     "joint_position": (lambda s: s.joints, lambda r: (r.lower - JOINT_MARGIN, r.upper + JOINT_MARGIN)),
     "joint_velocity": (lambda s: s.velocities, lambda r: (-2.0 * r.velocity_limits, 2.0 * r.velocity_limits)),
-    "command_error": (lambda s: s.lead, lambda r: _around(2 * max_lead(r), len(r.joints))),
+    "command_error": (lambda s: s.command_error, lambda r: _around(2 * max_command_error(r), len(r.joints))),
     "grasp_offset": (lambda s: s.target - s.grasp, lambda r: _around(MAX_OFFSET, 3)),
     "target_position": (lambda s: s.target, lambda r: _around(MAX_OFFSET, 3)),
     "tip_position": (lambda s: s.tip, lambda r: _around(MAX_OFFSET, 3)),
@@ -107,11 +107,17 @@ _GROUPS: dict[str, tuple[Callable[[Situation], npt.NDArray[Any]], Callable[[Robo
         lambda s: s.obstacle.reshape(len(s.obstacle), -1),
         lambda r: _around(1.0, 3 * len(r.probes)),
     ),
-    "unseen": (lambda s: ~s.seen, lambda r: (np.zeros(len(r.probes)), np.ones(len(r.probes)))),
-    "waypoint_offset": (lambda s: s.waypoint, lambda r: _around(MAX_WAY, len(r.joints))),
+    "unknown": (lambda s: s.unknown, lambda r: (np.zeros(len(r.probes)), np.ones(len(r.probes)))),
+    "waypoint_offset": (lambda s: s.waypoint, lambda r: _around(MAX_PATH_LENGTH, len(r.joints))),
     "waypoint_direction": (lambda s: _direction(s.waypoint), lambda r: _around(1.0, len(r.joints))),
-    "way": (lambda s: s.way, lambda r: (np.zeros(2), np.array([MAX_WAY, 1.0]))),
-    "room": (lambda s: s.room, lambda r: (np.full(ROOM, MIN_CLEARANCE), np.full(ROOM, MAX_DISTANCE))),
+    "path": (
+        lambda s: np.stack([s.path_length, s.path_free], axis=1),
+        lambda r: (np.zeros(2), np.array([MAX_PATH_LENGTH, 1.0])),
+    ),
+    "clearance_rays": (
+        lambda s: s.clearance_rays,
+        lambda r: (np.full(NUM_CLEARANCES, MIN_CLEARANCE), np.full(NUM_CLEARANCES, MAX_DISTANCE)),
+    ),
 }
 
 
@@ -143,10 +149,10 @@ class Vector:
         self.low, self.high = (np.concatenate(side).astype(np.float32) for side in zip(*bounds, strict=True))
         self.space = spaces.Box(self.low, self.high, dtype=np.float32)
 
-    def __call__(self, situation: Situation) -> Float32:
+    def __call__(self, state: State) -> Float32:
         """Vectors (n, size)."""
-        result = np.empty((len(situation.joints), len(self.low)), dtype=np.float32)
-        np.concatenate([part(situation) for part in self._parts], axis=1, out=result, casting="same_kind")
+        result = np.empty((len(state.joints), len(self.low)), dtype=np.float32)
+        np.concatenate([part(state) for part in self._parts], axis=1, out=result, casting="same_kind")
         np.maximum(result, self.low, out=result)
         np.minimum(result, self.high, out=result)
         return result
@@ -159,80 +165,80 @@ _STATE = (
 _GOAL_STATE = (
     "joint_position", "joint_velocity", "command_error", "tip_position", "tool_axis", "clearance", "obstacle_direction",
 )  # fmt: skip
-_WAY = ("waypoint_offset", "waypoint_direction", "way")
+_PATH = ("waypoint_offset", "waypoint_direction", "path")
 
 
-class StateObservation(Sight):
+class StateObservation(ObservationSpec):
     """Joints, target and clearances as one vector; `TomatoReachEnv` documents every index.
 
     Args:
         robot: The arm.
-        unseen: Whether it ends with a 1 for every probe point at a place that the scan did not see, and a 0 for others.
+        unknown: Append one number for each probe point: 1 in space that the scan did not observe, else 0.
     """
 
-    def __init__(self, robot: Robot, unseen: bool = False):
-        self._vector = Vector(robot, (*_STATE, "unseen") if unseen else _STATE)
-        self.asks_what_was_seen = unseen
+    def __init__(self, robot: Robot, unknown: bool = False):
+        self._vector = Vector(robot, (*_STATE, "unknown") if unknown else _STATE)
+        self.requires_occupancy = unknown
         self.space = self._vector.space
         self.layout = self._vector.layout
 
-    def __call__(self, situation: Situation) -> Observed:
+    def __call__(self, state: State) -> Observed:
         """Observations (n, size)."""
-        return self._vector(situation)
+        return self._vector(state)
 
 
-class ApproachObservation(Sight):
+class ClearanceRaysObservation(ObservationSpec):
     """The vector of `StateObservation`, then the room on rays away from the target: how it can be approached."""
 
-    asks_for_room = True
+    requires_clearance_rays = True
 
     def __init__(self, robot: Robot):
-        self._vector = Vector(robot, (*_STATE, "room"))
+        self._vector = Vector(robot, (*_STATE, "clearance_rays"))
         self.space, self.layout = self._vector.space, self._vector.layout
 
-    def __call__(self, situation: Situation) -> Observed:
+    def __call__(self, state: State) -> Observed:
         """Observations (n, size)."""
-        return self._vector(situation)
+        return self._vector(state)
 
 
-class WaypointObservation(Sight):
+class WaypointObservation(ObservationSpec):
     """As `StateObservation`, and where the arm can go straight on its way: not what to do where it cannot."""
 
-    asks_for_way = True
+    requires_roadmap = True
 
     def __init__(self, robot: Robot):
-        self._vector = Vector(robot, (*_STATE, *_WAY))
+        self._vector = Vector(robot, (*_STATE, *_PATH))
         self.space, self.layout = self._vector.space, self._vector.layout
 
-    def __call__(self, situation: Situation) -> Observed:
+    def __call__(self, state: State) -> Observed:
         """Observations (n, size)."""
-        return self._vector(situation)
+        return self._vector(state)
 
 
-class GoalObservation(Sight):
+class GoalObservation(ObservationSpec):
     """The three parts of a goal environment; ``observation`` holds nothing that depends on the target.
 
     Args:
         robot: The arm.
-        way: Whether it does end with what does: where the arm can go straight on its way to the target. A goal in
-            hindsight does not change it.
+        path: Append the waypoint and the remaining path to the target, which do depend on it. A goal in hindsight does
+            not change them.
     """
 
     target_is_obstacle = has_goals = True
 
-    def __init__(self, robot: Robot, way: bool = False):
-        self.asks_for_way = way
-        self._vector = Vector(robot, (*_GOAL_STATE, *_WAY) if way else _GOAL_STATE)
+    def __init__(self, robot: Robot, path: bool = False):
+        self.requires_roadmap = path
+        self._vector = Vector(robot, (*_GOAL_STATE, *_PATH) if path else _GOAL_STATE)
         self.layout = self._vector.layout
         goal = spaces.Box(-MAX_OFFSET, MAX_OFFSET, (3,), dtype=np.float64)
         self.space = spaces.Dict({"observation": self._vector.space, "achieved_goal": goal, "desired_goal": goal})
 
-    def __call__(self, situation: Situation) -> Observed:
+    def __call__(self, state: State) -> Observed:
         """Observations (n, size), grasp points (n, 3) and centers (n, 3); the goals are exact, float64."""
         return {
-            "achieved_goal": situation.grasp.copy(),
-            "desired_goal": situation.target.copy(),
-            "observation": self._vector(situation),
+            "achieved_goal": state.grasp.copy(),
+            "desired_goal": state.target.copy(),
+            "observation": self._vector(state),
         }
 
 
@@ -249,7 +255,7 @@ def select(observed: Observed, ids: Any) -> Any:
     return observed[ids]
 
 
-def check_goals_are_known(observation: Sight, hidden: str) -> None:
+def check_goals_are_known(observation: ObservationSpec, hidden: str) -> None:
     """Refuse goal environments in which the goal that counts differs from the one that is told.
 
     Raises:
@@ -262,14 +268,14 @@ def check_goals_are_known(observation: Sight, hidden: str) -> None:
         )
 
 
-def check_goals_stay(observation: Sight, pays_for_way: bool) -> None:
-    """Refuse goal environments whose reward depends on the way to the goal, which no other goal in hindsight has.
+def check_goals_stay(observation: ObservationSpec, reward_requires_roadmap: bool) -> None:
+    """Reject goal environments whose reward depends on the path to the goal: hindsight goals have no known path.
 
     Raises:
         InvalidValueError: Such a reward is chosen.
     """
-    if observation.has_goals and pays_for_way:
+    if observation.has_goals and reward_requires_roadmap:
         raise InvalidValueError(
-            'a reward that asks for the way, as "way" does, knows none to goals in hindsight; choose reward="dense" '
-            'or "sparse", or observation="waypoint"'
+            'a reward that requires the roadmap, as "path" does, has no path to goals in hindsight; choose '
+            'reward="dense" or "sparse", or observation="waypoint"'
         )

@@ -9,12 +9,12 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.common.executors import usable_cores
-from greenhouse_gym.envs.approach import ROOM, room_around
+from greenhouse_gym.envs.clearance_rays import NUM_CLEARANCES, clearance_rays
 from greenhouse_gym.envs.episodes import Episode
-from greenhouse_gym.envs.observations import Sight
+from greenhouse_gym.envs.observations import ObservationSpec
 from greenhouse_gym.envs.physics import Physics
 from greenhouse_gym.envs.randomization import Disturbance
-from greenhouse_gym.envs.reach_task import Bools, Situation, lengths
+from greenhouse_gym.envs.reach_task import Bools, State, lengths
 from greenhouse_gym.envs.stepping import Ids
 from greenhouse_gym.envs.waypoints import Ends, Headings, Ways, place_of
 from greenhouse_gym.envs.worlds import World, Worlds
@@ -25,7 +25,7 @@ from greenhouse_gym.robots import Robot
 
 
 class Perception:
-    """Makes the situations of n simulations out of their kinematics, in the base frame of each.
+    """Makes the states of n simulations out of their kinematics, in the base frame of each.
 
     Args:
         count: Number of simulations n.
@@ -33,7 +33,7 @@ class Perception:
         observe: What is observed; only what it asks for is looked at.
         worlds: The worlds that episodes are in.
         success_radius: How near the grasp point must come, metres.
-        asks_for_way: Whether it is told where the arm can go straight.
+        requires_roadmap: Whether it is told where the arm can go straight.
         threads: Threads of the cameras; 0 uses all cores.
     """
 
@@ -41,10 +41,10 @@ class Perception:
         self,
         count: int,
         robot: Robot,
-        observe: Sight,
+        observe: ObservationSpec,
         worlds: Worlds,
         success_radius: float,
-        asks_for_way: bool,
+        requires_roadmap: bool,
         threads: int,
     ):
         self._count, self._robot, self._observe, self._worlds = count, robot, observe, worlds
@@ -62,8 +62,10 @@ class Perception:
         self._target = np.zeros((count, 3))  # as told, in the base frame
         self._goal = np.zeros((count, 3))  # what counts, in the base frame
         self._radius = np.zeros((count, 1))
-        self._room = np.empty((count, ROOM if observe.asks_for_room else 0), dtype=np.float32)
-        self._headings = Headings(count, len(robot.joints)) if asks_for_way else None
+        self._clearance_rays = np.empty(
+            (count, NUM_CLEARANCES if observe.requires_clearance_rays else 0), dtype=np.float32
+        )
+        self._headings = Headings(count, len(robot.joints)) if requires_roadmap else None
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Perception:
         """The same, without cameras until they are needed."""
@@ -89,8 +91,10 @@ class Perception:
         self._target[i] = world.tomatoes[episode.target, :3] + disturbance.target
         self._goal[i], self._radius[i] = world.goal(episode.target)
         self._ignored[i] = NO_TOMATO if self._observe.target_is_obstacle else episode.target
-        if self._observe.asks_for_room:
-            self._room[i] = room_around(self._worlds.fields, world.field, self._ignored[i], self._target[i])
+        if self._observe.requires_clearance_rays:
+            self._clearance_rays[i] = clearance_rays(
+                self._worlds.fields, world.field, self._ignored[i], self._target[i]
+            )
         if self._headings is not None:
             center = self._frame[i, :3] + self._axes[i] @ self._target[i]
             place = place_of(world, self._robot)
@@ -102,15 +106,13 @@ class Perception:
             self._rig.close()
         self._rig = None
 
-    def look(
-        self, ids: Ids | slice, physics: Physics, touched: npt.ArrayLike, steps: npt.NDArray[np.int64]
-    ) -> Situation:
-        """The situation of some simulations from their current kinematics.
+    def look(self, ids: Ids | slice, physics: Physics, collided: npt.ArrayLike, steps: npt.NDArray[np.int64]) -> State:
+        """The state of some simulations from their current kinematics.
 
         Args:
             ids: Which of the n simulations, k of them.
             physics: All simulations.
-            touched: (k,) whether something was touched that must not be.
+            collided: (k,) whether something was touched that must not be.
             steps: (n,) steps of the episodes so far.
         """
         frame = self._frame[ids]
@@ -121,14 +123,16 @@ class Perception:
         gap = self._goal[ids] - grasp
         distance, direction = self._worlds.fields.lookup(self._field[ids], self._ignored[ids], points[:, 1:])
         joints = physics.qpos[ids]
-        waypoint, way = self._headings_of(ids, physics.command[ids] + self._joint_offset[ids], steps[ids])
+        waypoint, path_length, path_free = self._headings_of(
+            ids, physics.command[ids] + self._joint_offset[ids], steps[ids]
+        )
         pictures = self._photograph(ids, physics, frame, sites[:, 0], tool)
         away = lengths(gap)
-        touched = np.asarray(touched, dtype=np.bool_)
-        return Situation(
+        collided = np.asarray(collided, dtype=np.bool_)
+        return State(
             joints=joints + self._joint_offset[ids],
             velocities=physics.qvel[ids].copy(),
-            lead=physics.command[ids] - joints,
+            command_error=physics.command[ids] - joints,
             tip=points[:, 0],
             axis=axis,
             grasp=grasp,
@@ -136,35 +140,40 @@ class Perception:
             distance=away,
             clearance=distance - self._probe_radii,
             obstacle=direction,
-            room=self._room[ids].copy(),
+            clearance_rays=self._clearance_rays[ids].copy(),
             waypoint=waypoint,
-            way=way,
-            touched=touched,
-            success=(away < self._success_radius) & ~touched,
-            seen=self._seen_at(ids, sites[:, 1:]),
+            path_length=path_length,
+            path_free=path_free,
+            collided=collided,
+            success=(away < self._success_radius) & ~collided,
+            unknown=self._unknown_at(ids, sites[:, 1:]),
             depth=pictures.depth,
             color=pictures.color,
             views=pictures.views,
         )
 
-    def _headings_of(self, ids: Ids | slice, command: Array, steps: npt.NDArray[np.int64]) -> tuple[Array, Array]:
-        """Offsets (k, j) from the commands to the waypoints, and ways (k, 2), where they are asked for."""
+    def _headings_of(
+        self, ids: Ids | slice, command: Array, steps: npt.NDArray[np.int64]
+    ) -> tuple[Array, Array, Bools]:
+        """Return waypoint offsets (k, j) from the commands, path lengths (k,), and whether the motion is free (k,)."""
         if self._headings is None:
-            return np.empty((len(command), 0)), np.empty((len(command), 0))
+            n = len(command)
+            return np.empty((n, 0)), np.full(n, np.nan), np.zeros(n, dtype=np.bool_)
         self._headings.look(np.arange(self._count)[ids], command, steps)
-        return self._headings.waypoint[ids] - command, self._headings.way[ids].copy()
+        way = self._headings.way[ids]
+        return self._headings.waypoint[ids] - command, way[:, 0].copy(), way[:, 1] > 0
 
-    def _seen_at(self, ids: Ids | slice, probes: Array) -> Bools:
-        """Whether the scan saw the places (n, k, 3) of the probe points, where the observation asks for it."""
-        if not self._observe.asks_what_was_seen:
+    def _unknown_at(self, ids: Ids | slice, probes: Array) -> Bools:
+        """Return (n, k) whether probe points (n, k, 3) lie in unobserved space; k is 0 unless required."""
+        if not self._observe.requires_occupancy:
             return np.empty((len(probes), 0), dtype=np.bool_)
-        seen = np.empty(probes.shape[:2], dtype=np.bool_)
+        unknown = np.empty(probes.shape[:2], dtype=np.bool_)
         for k, i in enumerate(np.arange(self._count)[ids]):
             episode = self._episodes[i]
             assert episode is not None
             assert episode.scene.seen is not None
-            seen[k] = episode.scene.seen(probes[k])
-        return seen
+            unknown[k] = ~episode.scene.seen(probes[k])
+        return unknown
 
     def _photograph(self, ids: Ids | slice, physics: Physics, frame: Array, tip: Array, tool: Array) -> Pictures:
         """What the cameras of some simulations see."""
@@ -175,7 +184,7 @@ class Perception:
             threads = 1 if self._count == 1 else self._threads or usable_cores()
             assert self._first is not None
             self._rig = CameraRig(
-                cameras, self._first.compiled, threads, self._observe.sees_arm, self._observe.sees_color
+                cameras, self._first.compiled, threads, self._observe.renders_arm, self._observe.renders_color
             )
         chosen = np.arange(self._count)[ids]
         noises = [None if drawn is None else drawn.noise for drawn in (self._disturbances[i] for i in chosen)]

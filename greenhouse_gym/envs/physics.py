@@ -10,7 +10,7 @@ import numpy as np
 
 from greenhouse_gym.envs.actions import ToolMotion
 from greenhouse_gym.envs.randomization import Disturbance, displace_base
-from greenhouse_gym.envs.reach_task import Bools, Pace
+from greenhouse_gym.envs.reach_task import Bools, ControlTiming
 from greenhouse_gym.envs.stepping import Ids, ManyStepper, OneStepper, Stepper
 from greenhouse_gym.envs.worlds import World
 from greenhouse_gym.geometry import Array
@@ -24,29 +24,29 @@ class Contact(NamedTuple):
 
     Attributes:
         names: Names of two geoms, the arm's part first; empty when nothing is touched.
-        of_arm_alone: Whether both belong to the arm.
+        self_collision: Whether both belong to the arm.
     """
 
     names: tuple[str, ...] = ()
-    of_arm_alone: bool = False
+    self_collision: bool = False
 
 
 NOTHING = Contact()
 
 
-class Touches(NamedTuple):
-    """What n simulations touched in an action.
+class Contacts(NamedTuple):
+    """What n simulations collided in an action.
 
     Attributes:
         any: (n,) whether anything was touched in any substep.
-        contacts: The first contact of those that touched, by simulation.
+        contacts: The first contact of those that collided, by simulation.
     """
 
     any: Bools
     contacts: dict[int, Contact]
 
 
-class _State(NamedTuple):
+class _Start(NamedTuple):
     """What a simulation goes on from: positions, velocities, the solver's first guess and commands, each (j,)."""
 
     joints: Array
@@ -62,7 +62,7 @@ class Physics:
         count: Number of simulations n.
         world: Any world; all that are loaded must compile to the same sizes.
         threads: Threads that simulate; 0 uses all cores.
-        pace: How the time goes.
+        timing: How the time goes.
 
     Attributes:
         models: Each simulation's model, the arm's geoms before those of the world. They are set to compute the poses of
@@ -70,18 +70,18 @@ class Physics:
             arm itself never sleeps.
     """
 
-    def __init__(self, count: int, world: World, threads: int, pace: Pace):
+    def __init__(self, count: int, world: World, threads: int, timing: ControlTiming):
         compiled = world.compiled
         self.models = [copy.copy(compiled.model) for _ in range(count)]
         for model in self.models:
             model.opt.enableflags |= _SLEEP
             put_arm_first(model)
-        self._pace = pace
+        self._timing = timing
         self._worlds: list[World | None] = [None] * count
         self._stepper: Stepper = (
-            OneStepper(self.models[0], pace.substeps)
+            OneStepper(self.models[0], timing.substeps)
             if count == 1
-            else ManyStepper(self.models, threads, pace.substeps)
+            else ManyStepper(self.models, threads, timing.substeps)
         )
         self._data = mujoco.MjData(compiled.model)
         self._tip = compiled.tip_site
@@ -107,26 +107,27 @@ class Physics:
         prepare(self.models[i], world, target, disturbance, self._worlds[i])
         self._worlds[i] = world
 
-    def place(self, ids: Ids, configurations: Array) -> Touches:
+    def place(self, ids: Ids, configurations: Array) -> Contacts:
         """Put some arms, at rest, at configurations (len(ids), j)."""
-        touched = self._stepper.place(ids, configurations)
+        collided = self._stepper.place(ids, configurations)
         still = np.zeros(configurations.shape[1])
         contacts = {
-            int(ids[k]): self._first_contact(int(ids[k]), _State(configurations[k], still, still, configurations[k]))
-            for k in np.flatnonzero(touched)
+            int(ids[k]): self._first_contact(int(ids[k]), _Start(configurations[k], still, still, configurations[k]))
+            for k in np.flatnonzero(collided)
         }
-        return Touches(touched, contacts)
+        return Contacts(collided, contacts)
 
-    def advance(self, command: Array) -> Touches:
+    def advance(self, command: Array) -> Contacts:
         """One action: the servos' commands move evenly to the new ones (n, j)."""
         stepper = self._stepper
         before = [array.copy() for array in (stepper.qpos, stepper.qvel, stepper.warmstart, stepper.command)]
-        stepper.speed[:] = (command - stepper.command) / self._pace.interval
-        touched = stepper.run()
+        stepper.speed[:] = (command - stepper.command) / self._timing.interval
+        collided = stepper.run()
         contacts = {
-            i: self._first_contact(i, _State(*(array[i] for array in before))) for i in np.flatnonzero(touched).tolist()
+            i: self._first_contact(i, _Start(*(array[i] for array in before)))
+            for i in np.flatnonzero(collided).tolist()
         }
-        return Touches(touched, contacts)
+        return Contacts(collided, contacts)
 
     def sites(self, ids: Ids | slice) -> tuple[Array, Array]:
         """Tip and probe points (m, 1 + k, 3) and tool frames (m, 3, 3) of some simulations in their scenes."""
@@ -144,14 +145,14 @@ class Physics:
         data.qpos[:], data.qvel[:], data.act[:] = stepper.qpos[i], stepper.qvel[i], stepper.command[i]
         mujoco.mj_forward(model, data)
 
-    def _first_contact(self, i: int, start: _State) -> Contact:
+    def _first_contact(self, i: int, start: _Start) -> Contact:
         """The deepest contact where a simulation first touches anything in an action, found by doing it once more."""
         model, data = self.models[i], self._data
         mujoco.mj_resetData(model, data)
         data.qpos[:], data.qvel[:], data.qacc_warmstart[:], data.act[:] = start
         data.ctrl[:] = self._stepper.speed[i]
         mujoco.mj_step1(model, data)
-        for _ in range(self._pace.substeps):
+        for _ in range(self._timing.substeps):
             if data.ncon:
                 break
             mujoco.mj_step2(model, data)
@@ -162,7 +163,7 @@ class Physics:
         assert world is not None
         # The simulation's own model has the names of the first scene, so they are read from the world's.
         names = tuple(name_of(world.compiled.model, id_in_compiled(model, g)) for g in geoms)
-        return Contact(names, of_arm_alone=bool(model.geom_bodyid[geoms[1]] > 0))
+        return Contact(names, self_collision=bool(model.geom_bodyid[geoms[1]] > 0))
 
 
 def name_of(model: mujoco.MjModel, geom: int) -> str:

@@ -70,19 +70,19 @@ class Disturbance(NamedTuple):
     plants: int | None
 
 
-def draw_disturbance(settings: Randomization, joints: int, random: np.random.Generator) -> Disturbance:
+def draw_disturbance(settings: Randomization, joints: int, rng: np.random.Generator) -> Disturbance:
     """Draw an episode's disturbance; what is off draws nothing, so that seeds keep their meaning."""
 
     def uniform(size: float, shape: int) -> Array:
-        return random.uniform(-size, size, shape) if size else np.zeros(shape)
+        return rng.uniform(-size, size, shape) if size else np.zeros(shape)
 
     return Disturbance(
         shift=uniform(settings.base_position, 2),
         yaw=float(uniform(settings.base_yaw, 1)[0]),
         joints=uniform(settings.joint_offset, joints),
         target=uniform(settings.target_position, 3),
-        noise=np.random.default_rng(random.integers(2**63)) if settings.depth_noise else None,
-        plants=None if settings.plants is None else int(random.integers(2**63)),
+        noise=np.random.default_rng(rng.integers(2**63)) if settings.depth_noise else None,
+        plants=None if settings.plants is None else int(rng.integers(2**63)),
     )
 
 

@@ -33,12 +33,12 @@ SUBSTEPS = 5
 ACTION_STEP = 0.08
 """What an action of 1 adds to a joint's command at the usual rate, radians."""
 
-MAX_LEAD = 0.2
+MAX_COMMAND_ERROR = 0.2
 """How far a command may lie from the measured joint at the usual rate, radians; at full speed the arm follows 0.1 rad
 behind its commands."""
 
 
-class Pace(NamedTuple):
+class ControlTiming(NamedTuple):
     """How the time goes.
 
     Attributes:
@@ -52,22 +52,22 @@ class Pace(NamedTuple):
     action_step: float = ACTION_STEP
 
 
-USUAL_PACE = Pace()
+DEFAULT_TIMING = ControlTiming()
 
 
-def pace_of(rate: float) -> Pace:
-    """The pace at a number of actions per second; a joint's command moves at most as fast as at any other rate."""
+def control_timing(rate: float) -> ControlTiming:
+    """The timing at a number of actions per second; a joint's command moves at most as fast as at any other rate."""
     substeps = round(1 / (rate * TIMESTEP))
-    return Pace(substeps, substeps * TIMESTEP, ACTION_STEP * (substeps / SUBSTEPS))
+    return ControlTiming(substeps, substeps * TIMESTEP, ACTION_STEP * (substeps / SUBSTEPS))
 
 
-class Situation(NamedTuple):
+class State(NamedTuple):
     """What n simulations look like at one moment.
 
     Attributes:
         joints: (n, j) joint positions as the encoders tell them, radians.
         velocities: (n, j) joint velocities, rad/s.
-        lead: (n, j) last commanded minus measured positions, radians.
+        command_error: (n, j) last commanded minus measured positions, radians.
         tip: (n, 3) middle of the cup, metres.
         axis: (n, 3) unit vector along the tool.
         grasp: (n, 3) grasp point, metres.
@@ -75,15 +75,14 @@ class Situation(NamedTuple):
         distance: (n,) from the grasp point to the center of what has to be reached, metres.
         clearance: (n, k) from the arm's surface at its probe points to the nearest obstacle, metres.
         obstacle: (n, k, 3) unit vectors from the probe points towards that obstacle, zero where it is far.
-        room: (n, `ROOM`) distance to obstacles on rays away from the target, near and far, see `room_around`, metres;
-            (n, 0) unless the observation asks for it.
+        clearance_rays: (n, `NUM_CLEARANCES`) clearances on rays from the target, metres; (n, 0) unless requested.
         waypoint: (n, j) from the joint positions that are commanded to those where the arm can go straight, see
             `greenhouse_gym.envs.waypoints`, radians; (n, 0) unless the observation asks for it.
-        way: (n, 2) the way from there to the goal, radians, and 1 where the straight motion is known to be free, else
-            0; (n, 0) unless the observation asks for it.
-        touched: (n,) whether anything was touched in any substep since the last situation.
+        path_length: (n,) length of the path from the waypoint to the goal, radians; NaN unless requested.
+        path_free: (n,) whether the straight motion to the waypoint is collision-free; False unless requested.
+        collided: (n,) whether anything was touched in any substep since the last state.
         success: (n,) whether the grasp point is at the target and nothing was touched.
-        seen: (n, k) whether the scan saw the places of the probe points; k is 0 unless the observation asks for it.
+        unknown: (n, k) whether the probe points lie in space that the scan did not observe; k is 0 unless requested.
         depth: (n, c, h, w) depth along the view, metres, of c cameras; 0 where there is no reading; c is 0 without any.
         color: (n, c, h, w, 3) what the cameras see, 0 to 255; c is 0 unless the observation asks for it.
         views: (n, c, 4, 4) poses of the cameras, base_from_camera.
@@ -91,7 +90,7 @@ class Situation(NamedTuple):
 
     joints: Array
     velocities: Array
-    lead: Array
+    command_error: Array
     tip: Array
     axis: Array
     grasp: Array
@@ -99,23 +98,24 @@ class Situation(NamedTuple):
     distance: Array
     clearance: Float32
     obstacle: Float32
-    room: Float32
+    clearance_rays: Float32
     waypoint: Array
-    way: Array
-    touched: Bools
+    path_length: Array
+    path_free: Bools
+    collided: Bools
     success: Bools
-    seen: Bools
+    unknown: Bools
     depth: Float32
     color: Bytes
     views: Array
 
-    def select(self, ids: npt.NDArray[np.int64]) -> Situation:
-        """The situation of some of the simulations."""
-        return Situation._make(values[ids] for values in self)
+    def select(self, ids: npt.NDArray[np.int64]) -> State:
+        """The state of some of the simulations."""
+        return State._make(values[ids] for values in self)
 
-    def replaced(self, ids: npt.NDArray[np.int64], fresh: Situation) -> Situation:
-        """A copy with the ``fresh`` situation of some of the simulations."""
-        result = Situation._make(old.copy() for old in self)
+    def replaced(self, ids: npt.NDArray[np.int64], fresh: State) -> State:
+        """A copy with the ``fresh`` state of some of the simulations."""
+        result = State._make(old.copy() for old in self)
         for name in self._fields:
             getattr(result, name)[ids] = getattr(fresh, name)
         return result

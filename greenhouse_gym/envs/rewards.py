@@ -10,7 +10,7 @@ from typing import Any, ClassVar, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.envs.reach_task import Bools, Situation
+from greenhouse_gym.envs.reach_task import Bools, State
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 
@@ -22,24 +22,24 @@ class Transition:
     Attributes:
         before: (n,) distance from the grasp point to its goal before the step, metres.
         after: (n,) that distance after the step.
-        touched: (n,) whether anything was touched in the step, which ends the episode.
+        collided: (n,) whether anything was touched in the step, which ends the episode.
         success: (n,) whether the grasp point arrived and nothing was touched, which ends the episode.
         effort: (n,) sum of the squares of the action's entries.
         steps: (n,) steps of the episode so far, this one included.
-        situations: What the simulations looked like before and after, or None in hindsight: when a goal environment
+        states: What the simulations looked like before and after, or None in hindsight: when a goal environment
             asks what a step would have been worth with another goal. `start` and `end` read them.
     """
 
     before: Array
     after: Array
-    touched: Bools
+    collided: Bools
     success: Bools
     effort: Array
     steps: npt.NDArray[np.int64]
-    situations: tuple[Situation, Situation] | None = None
+    states: tuple[State, State] | None = None
 
     @property
-    def start(self) -> Situation:
+    def start(self) -> State:
         """What the simulations looked like before the step.
 
         Raises:
@@ -48,7 +48,7 @@ class Transition:
         return self._known()[0]
 
     @property
-    def end(self) -> Situation:
+    def end(self) -> State:
         """What the simulations look like after the step.
 
         Raises:
@@ -56,21 +56,21 @@ class Transition:
         """
         return self._known()[1]
 
-    def _known(self) -> tuple[Situation, Situation]:
-        if self.situations is None:
+    def _known(self) -> tuple[State, State]:
+        if self.states is None:
             raise InvalidValueError(
-                "in hindsight a reward knows before, after, touched, success, effort and steps only, not the "
-                'situations it read: write it with these, or choose observation="state"'
+                "in hindsight a reward knows before, after, collided, success, effort and steps only, not the "
+                'states it read: write it with these, or choose observation="state"'
             )
-        return self.situations
+        return self.states
 
 
 Terms: TypeAlias = Mapping[str, Array]
 Reward: TypeAlias = Callable[[Transition], Terms]
 """From n steps to terms by name, each (n,); the reward is their sum, in their order.
 
-A reward with an attribute ``asks_for_way`` that is true is told where the arm can go straight (`Situation.waypoint` and
-`Situation.way`), whatever is observed.
+A reward with an attribute ``requires_roadmap`` that is true is told where the arm can go straight (`State.waypoint` and
+`State.path_length`), whatever is observed.
 """
 
 
@@ -93,7 +93,7 @@ class SparseReward:
         """The terms of n steps."""
         return {
             "success": np.where(step.success, self.success, 0.0),
-            "collision": np.where(step.touched, self.collision, 0.0),
+            "collision": np.where(step.collided, self.collision, 0.0),
         }
 
 
@@ -125,7 +125,7 @@ class DenseReward:
         """The terms of n steps."""
         return {
             "success": np.where(step.success, self.success, 0.0),
-            "collision": np.where(step.touched, self.collision, 0.0),
+            "collision": np.where(step.collided, self.collision, 0.0),
             "progress": self.progress * (step.before - step.after),
             "time": np.full(len(step.after), self.time),
             "effort": self.effort * step.effort,
@@ -133,7 +133,7 @@ class DenseReward:
 
 
 @dataclass(frozen=True)
-class WayReward(DenseReward):
+class PathReward(DenseReward):
     """As `DenseReward`, but for the progress, which is made along a way that is free, as far as one is known.
 
     A grasp point that comes nearer to its goal may be on its way into the leaves. The way that is left is that to the
@@ -146,7 +146,7 @@ class WayReward(DenseReward):
         progress: What each radian is worth by which the way that is left became shorter.
     """
 
-    asks_for_way: ClassVar[bool] = True
+    requires_roadmap: ClassVar[bool] = True
     progress: float = 2.0
 
     def __call__(self, step: Transition) -> dict[str, Array]:
@@ -154,9 +154,9 @@ class WayReward(DenseReward):
         return super().__call__(step) | {"progress": self.progress * (_left(step.start) - _left(step.end))}
 
 
-def _left(situation: Situation) -> Array:
+def _left(state: State) -> Array:
     """(n,) the way that is left, radians, measured as in `greenhouse_gym.envs.waypoints`."""
-    return np.asarray(np.sqrt((situation.waypoint * situation.waypoint).sum(axis=1)) + situation.way[:, 0])
+    return np.asarray(np.sqrt((state.waypoint * state.waypoint).sum(axis=1)) + state.path_length)
 
 
 def total_reward(terms: Terms) -> Array:
@@ -171,5 +171,5 @@ def _check_finite(reward: Any) -> None:
             raise InvalidValueError(f"{type(reward).__name__}.{field.name} must be a finite number, got {value!r}")
 
 
-REWARDS: dict[str, Reward] = {"sparse": SparseReward(), "dense": DenseReward(), "way": WayReward()}
+REWARDS: dict[str, Reward] = {"sparse": SparseReward(), "dense": DenseReward(), "path": PathReward()}
 """Rewards by name."""

@@ -43,14 +43,14 @@ class SceneWindow:
         if not self.whole:
             self._order, self._draws = np.random.default_rng(seed).permutation(len(self._names)), 0
 
-    def draw(self, random: np.random.Generator) -> str:
+    def draw(self, rng: np.random.Generator) -> str:
         """The name of a scene, each of those in the window as likely as the others."""
         if self.whole:
-            return self._names[int(random.integers(len(self._names)))]
+            return self._names[int(rng.integers(len(self._names)))]
         if self._order is None:
-            self.restart(int(random.integers(2**32)))
+            self.restart(int(rng.integers(2**32)))
         assert self._order is not None
         gone = self._draws // DRAWS_PER_SCENE
-        place = int(random.integers(gone, gone + WINDOW))
+        place = int(rng.integers(gone, gone + WINDOW))
         self._draws += 1
         return self._names[int(self._order[place % len(self._order)])]

@@ -14,7 +14,7 @@ from greenhouse_gym.envs.actions import ActionChoice
 from greenhouse_gym.envs.episodes import DifficultyChoice, parse_difficulty
 from greenhouse_gym.envs.observations import ObservationChoice
 from greenhouse_gym.envs.randomization import NO_RANDOMIZATION, Randomization
-from greenhouse_gym.envs.reach_task import RATE, STEP_LIMIT, SUCCESS_RADIUS, pace_of
+from greenhouse_gym.envs.reach_task import RATE, STEP_LIMIT, SUCCESS_RADIUS, control_timing
 from greenhouse_gym.envs.rewards import Reward
 from greenhouse_gym.errors import InvalidValueError, UnknownKeywordError, require_choice
 from greenhouse_gym.robots import Robot
@@ -35,11 +35,11 @@ class EnvSettings:
             from at a time (`greenhouse_gym.envs.scene_window`), in an order that the seed of a reset begins anew.
         split: "train", "validation" or "test".
         robot: Name of a shipped arm ("ur5e", "iiwa14"), an MJCF file, or a `Robot` of `load_robot`.
-        observation: "state", "state_seen", "approach", "waypoint", "goal", "goal_waypoint", "depth", "points",
-            "rgb", "rgbd", settings of the last four, or your own `Observation`.
+        observation: "state", "state_occupancy", "clearance_rays", "waypoint", "goal", "goal_waypoint", "depth",
+            "points", "rgb", "rgbd", settings of the last four, or your own `Observation`.
         action: "joint", "joint_velocity", "tip_velocity", or your own `ActionRule`.
-        reward: "dense", "sparse", "way", a `DenseReward`, `SparseReward` or `WayReward` with other figures, or your own
-            function from a `Transition` to terms.
+        reward: "dense", "sparse", "path", a `DenseReward`, `SparseReward` or `PathReward` with other values, or your
+            own function from a `Transition` to terms.
         difficulty: What targets to draw: one difficulty, several (as frequent as the scenes have them), or a weight for
             each, such as ``{"easy": 1, "hard": 3}``. "unreachable" only if named. `set_difficulty` changes it. For an
             arm that a scene was not rated for, the ratings for other arms are used, and told as "unrated".
@@ -146,4 +146,4 @@ def _is_number(value: Any) -> bool:
 
 
 def _divides(rate: float) -> bool:
-    return abs(pace_of(rate).interval * rate - 1.0) < 1e-9
+    return abs(control_timing(rate).interval * rate - 1.0) < 1e-9

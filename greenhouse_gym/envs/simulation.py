@@ -15,9 +15,9 @@ from greenhouse_gym.envs.choices import make_action, make_observation, make_rewa
 from greenhouse_gym.envs.episodes import Episode, EpisodeSampler
 from greenhouse_gym.envs.observations import Observed, check_goals_are_known, check_goals_stay
 from greenhouse_gym.envs.perception import Perception
-from greenhouse_gym.envs.physics import NOTHING, Physics, Touches, prepare
+from greenhouse_gym.envs.physics import NOTHING, Contacts, Physics, prepare
 from greenhouse_gym.envs.randomization import Disturbance, draw_disturbance
-from greenhouse_gym.envs.reach_task import RATE, Bools, Situation, pace_of
+from greenhouse_gym.envs.reach_task import RATE, Bools, State, control_timing
 from greenhouse_gym.envs.rewards import Terms, Transition, total_reward
 from greenhouse_gym.envs.settings import EnvSettings
 from greenhouse_gym.envs.stepping import Ids
@@ -65,7 +65,7 @@ class ReachSimulation:
         robot: The arm.
         sampler: Draws the episodes.
         observe: Makes the observations.
-        situation: What the simulations look like now; None before the first reset.
+        state: What the simulations look like now; None before the first reset.
     """
 
     def __init__(self, count: int, settings: EnvSettings, threads: int = 0):
@@ -73,9 +73,9 @@ class ReachSimulation:
         self.robot = robot = get_robot(settings.robot)
         self.sampler = EpisodeSampler(settings.bank, settings.split, robot, settings.difficulty, settings.start)
         self.observe = make_observation(settings.observation, robot)
-        self._pace = pace_of(settings.rate)
-        self.action_rule = make_action(settings.action, robot, self._pace.interval)
-        self._limit = CommandLimits(robot, self.action_rule, self._pace)
+        self._timing = control_timing(settings.rate)
+        self.action_rule = make_action(settings.action, robot, self._timing.interval)
+        self._limit = CommandLimits(robot, self.action_rule, self._timing)
         self.reward_terms = make_reward(settings.reward)
         self.randomization = settings.randomization
         if self.randomization.plants is not None and settings.physics != "truth":
@@ -91,9 +91,9 @@ class ReachSimulation:
         if settings.rate != RATE:
             self.env_options["rate"] = settings.rate
         capacity = settings.capacity or room_for(self.sampler.bank, settings.physics)
-        self.worlds = worlds_of(robot, settings.physics, capacity, self._pace.substeps)
+        self.worlds = worlds_of(robot, settings.physics, capacity, self._timing.substeps)
         self.count = count
-        self.situation: Situation | None = None
+        self.state: State | None = None
         self._threads = threads
         self._physics: Physics | None = None
         self._episodes: list[Episode | None] = [None] * count
@@ -102,11 +102,20 @@ class ReachSimulation:
         self._names = {key: np.full(count, "", dtype=object) for key in ("scene", "difficulty")}
         self._contact, self._self_collision = np.full(count, None, dtype=object), np.zeros(count, dtype=np.bool_)
         # Counts of the episode so far; the target's index is kept with them.
-        self._counts = {key: np.zeros(count, dtype=np.int64) for key in ("steps", "slowed", "limited", "target")}
-        pays_for_way = bool(getattr(self.reward_terms, "asks_for_way", False))
-        check_goals_stay(self.observe, pays_for_way)
-        ways = self.observe.asks_for_way or pays_for_way
-        self._perception = Perception(count, robot, self.observe, self.worlds, settings.success_radius, ways, threads)
+        self._counts = {
+            key: np.zeros(count, dtype=np.int64) for key in ("steps", "speed_limited", "position_limited", "target")
+        }
+        reward_requires_roadmap = bool(getattr(self.reward_terms, "requires_roadmap", False))
+        check_goals_stay(self.observe, reward_requires_roadmap)
+        self._perception = Perception(
+            count,
+            robot,
+            self.observe,
+            self.worlds,
+            settings.success_radius,
+            self.observe.requires_roadmap or reward_requires_roadmap,
+            threads,
+        )
 
     def __deepcopy__(self, memo: dict[int, Any]) -> ReachSimulation:
         """The same state, to go on from independently; what is never changed is shared."""
@@ -122,30 +131,30 @@ class ReachSimulation:
     def reset(
         self,
         ids: Ids,
-        random: Sequence[np.random.Generator],
+        rng: Sequence[np.random.Generator],
         options: Sequence[dict[str, Any] | None],
     ) -> None:
-        """Begin new episodes in some simulations, each drawn with its own generator ``random[i]``.
+        """Begin new episodes in some simulations, each drawn with its own generator ``rng[i]``.
 
         An error leaves all as it was.
 
         Args:
             ids: Indices of these simulations.
-            random: A generator for each of the n simulations.
+            rng: A generator for each of the n simulations.
             options: Options of the reset for each of the n simulations.
         """
-        episodes = [self.sampler.draw(random[i], options[i]) for i in ids]
-        if self.observe.asks_what_was_seen:
+        episodes = [self.sampler.draw(rng[i], options[i]) for i in ids]
+        if self.observe.requires_occupancy:
             for episode in episodes:
                 required(episode.scene.seen, episode.scene.name, "the observation", 'observe the "state" alone')
-        disturbances = [draw_disturbance(self.randomization, len(self.robot.joints), random[i]) for i in ids]
+        disturbances = [draw_disturbance(self.randomization, len(self.robot.joints), rng[i]) for i in ids]
         worlds = [
             self._world(episode.scene, disturbance.plants)
             for episode, disturbance in zip(episodes, disturbances, strict=True)
         ]
         physics = self._physics
         if physics is None:
-            physics = self._physics = Physics(self.count, worlds[0], self._threads, self._pace)
+            physics = self._physics = Physics(self.count, worlds[0], self._threads, self._timing)
         for world in worlds:
             world.check_fits(physics.models[0])
         for i, episode, world, disturbance in zip(ids, episodes, worlds, disturbances, strict=True):
@@ -157,7 +166,7 @@ class ReachSimulation:
             self._contact[i] = NOTHING.names
         self._note(touches)
         fresh = self._perception.look(ids, physics, touches.any, self._counts["steps"])
-        self.situation = fresh if len(ids) == self.count else self._seen().replaced(ids, fresh)
+        self.state = fresh if len(ids) == self.count else self._seen().replaced(ids, fresh)
 
     def _world(self, scene: Scene, moved: int | None) -> World:
         """The world of an episode; ``moved`` is the seed of how the plants moved, or None."""
@@ -175,7 +184,7 @@ class ReachSimulation:
     def close(self) -> None:
         """Free the simulations; the next reset makes new ones."""
         self._perception.close()
-        self._physics = self.situation = None
+        self._physics = self.state = None
 
     # -- step ---------------------------------------------------------------------------------------------------------
 
@@ -194,21 +203,21 @@ class ReachSimulation:
         self._note(touches)
         counts = self._counts
         counts["steps"] += 1
-        counts["slowed"] += command.slowed
-        counts["limited"] += command.limited
-        after = self.situation = self._perception.look(slice(None), physics, touches.any, counts["steps"])
+        counts["speed_limited"] += command.speed_limited
+        counts["position_limited"] += command.position_limited
+        after = self.state = self._perception.look(slice(None), physics, touches.any, counts["steps"])
         transition = Transition(
-            before.distance, after.distance, after.touched, after.success, squared_norm(action), counts["steps"],
+            before.distance, after.distance, after.collided, after.success, squared_norm(action), counts["steps"],
             (before, after),
         )  # fmt: skip
         terms = self.reward_terms(transition)
-        terminated = after.success | after.touched
+        terminated = after.success | after.collided
         truncated = (counts["steps"] >= self.settings.step_limit) & ~terminated
         return StepResult(total_reward(terms), terms, terminated, truncated, transition, before.grasp)
 
-    def _note(self, touches: Touches) -> None:
+    def _note(self, touches: Contacts) -> None:
         for i, contact in touches.contacts.items():
-            self._contact[i], self._self_collision[i] = contact.names, contact.of_arm_alone
+            self._contact[i], self._self_collision[i] = contact.names, contact.self_collision
 
     # -- what the environments tell -----------------------------------------------------------------------------------
 
@@ -221,7 +230,7 @@ class ReachSimulation:
         seen, counts = self._seen(), self._counts
         result: dict[str, npt.NDArray[Any]] = {
             "is_success": seen.success,
-            "collision": seen.touched,
+            "collision": seen.collided,
             "contact": self._contact,
             "self_collision": self._self_collision,
             "distance": seen.distance,
@@ -230,8 +239,8 @@ class ReachSimulation:
             "target": counts["target"],
             "difficulty": self._names["difficulty"],
             "steps": counts["steps"],
-            "slowed": counts["slowed"],
-            "limited": counts["limited"],
+            "speed_limited": counts["speed_limited"],
+            "position_limited": counts["position_limited"],
         }
         if step is not None and self.observe.has_goals:
             result["previous_goal"], result["effort"] = step.previous, step.transition.effort
@@ -253,7 +262,7 @@ class ReachSimulation:
     @property
     def interval(self) -> float:
         """Seconds from one action to the next."""
-        return self._pace.interval
+        return self._timing.interval
 
     @property
     def joints(self) -> Array:
@@ -291,7 +300,7 @@ class ReachSimulation:
         physics.copy_state(i, model, data)
         return model, data
 
-    def _seen(self) -> Situation:
-        if self.situation is None:
+    def _seen(self) -> State:
+        if self.state is None:
             raise NoEpisodeError("there is no episode yet: reset the whole environment first")
-        return self.situation
+        return self.state

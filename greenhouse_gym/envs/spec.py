@@ -7,7 +7,7 @@ from gymnasium.envs.registration import EnvSpec
 from greenhouse_gym.envs.settings import EnvSettings
 
 
-class SpecWithStepLimit:
+class SpecMixin:
     """Gives an environment, single or vector, the property ``spec``.
 
     Attributes:

@@ -15,7 +15,7 @@ from greenhouse_gym.envs.hindsight import goal_functions
 from greenhouse_gym.envs.observations import Observed, select
 from greenhouse_gym.envs.settings import EnvSettings, settings_with
 from greenhouse_gym.envs.simulation import ReachSimulation, StepResult
-from greenhouse_gym.envs.spec import SpecWithStepLimit
+from greenhouse_gym.envs.spec import SpecMixin
 from greenhouse_gym.errors import EpisodeOverError, require_choice
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.rendering.viewer import RENDER_MODES, Viewer
@@ -25,7 +25,7 @@ from greenhouse_gym.scene import Scene
 _ONLY = np.array([0])
 
 
-class TomatoReachEnv(SpecWithStepLimit, gymnasium.Env[Observed, npt.NDArray[np.float32]]):  # type: ignore[misc]
+class TomatoReachEnv(SpecMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]]):  # type: ignore[misc]
     """Reach a tomato with the tool of an arm, and touch nothing else.
 
     An episode takes place in one scene of a bank, with one of its tomatoes as the target. The arm carries a slender
@@ -50,9 +50,9 @@ class TomatoReachEnv(SpecWithStepLimit, gymnasium.Env[Observed, npt.NDArray[np.f
     | ``tip_velocity`` | 6 | the tip moves at 0.5 m/s along x, y, z, then turns at 1.6 rad/s about them |
 
     Tip velocities become joint velocities by damped least squares. Whatever the action, commands keep to the
-    joints' limits (``info["limited"]`` counts where they stopped), to their speed limits (the whole motion is
-    slowed then, ``info["slowed"]`` counts it), and within 0.2 rad of the measured joints. Contacts of the arm with
-    itself are collisions (``info["self_collision"]``).
+    joints' limits (``info["position_limited"]`` counts where they stopped), to their speed limits (the whole motion is
+    slowed then, ``info["speed_limited"]`` counts it), and within 0.2 rad of the measured joints. Contacts of the
+    arm with itself are collisions (``info["self_collision"]``).
 
     **Observation** ``state``, ``Box((60,), float32)`` for ``ur5e``, 3 j + 6 + 4 k entries in general:
 
@@ -68,12 +68,12 @@ class TomatoReachEnv(SpecWithStepLimit, gymnasium.Env[Observed, npt.NDArray[np.f
 
     Obstacles here are stems, clutter and all tomatoes but the target, not the floor, the cart or the arm itself.
     They are read from a distance field with nodes 2 cm apart (error within 5 cm of an obstacle: mean 1 mm, 95 % within
-    4 mm, at most 12 mm). Values beyond a bound are clipped to it. ``state_seen`` goes on with a number for each probe
-    point, 1 where the scan did not see its place and 0 where it did. The other kinds are `Dict` spaces:
+    4 mm, at most 12 mm). Values beyond a bound are clipped to it. ``state_occupancy`` appends one
+    number for each probe point: 1 in space that the scan did not observe, else 0. The other kinds are `Dict` spaces:
 
     | ``observation`` | key | shape, type | meaning |
     |---|---|---|---|
-    | ``approach`` | (a vector) | (3 j + 6 + 4 k + 48,) float32 | as ``state``, then the room around the target, m |
+    | ``clearance_rays`` | (a vector) | (3 j + 6 + 4 k + 48,) float32 | ``state``, then clearances on rays, m |
     | ``waypoint`` | (a vector) | (5 j + 8 + 4 k,) float32 | as ``state``, then where the arm can go straight, rad |
     | ``goal`` | ``achieved_goal`` | (3,) float64 | grasp point, m |
     | | ``desired_goal`` | (3,) float64 | the target's center, m |
@@ -119,16 +119,16 @@ class TomatoReachEnv(SpecWithStepLimit, gymnasium.Env[Observed, npt.NDArray[np.f
 
     **Reward**, the sum of the terms in ``info["reward_terms"]``:
 
-    | term | ``dense`` | ``way`` | ``sparse`` |
+    | term | ``dense`` | ``path`` | ``sparse`` |
     |---|---|---|---|
     | ``success`` | +10 | +10 | +1 |
     | ``collision`` | -1 | -1 | -1 |
-    | ``progress`` | 4 per metre the grasp point came nearer | 2 per radian of the way | |
+    | ``progress`` | 4 per metre the grasp point came nearer | 2 per radian of the path | |
     | ``time`` | -0.02 | -0.02 | |
     | ``effort`` | -0.003 times the sum of the action's squares | as ``dense`` | |
 
-    The way of ``way`` is the one that ``waypoint`` tells of, to the waypoint and on to the goal, in joint space; it is
-    paid for whatever is observed, but not in goal environments.
+    ``path`` measures progress along the path of ``waypoint`` in joint space: to the waypoint and on to the goal. It
+    works with any observation, but not in goal environments.
 
     **Info**, on reset and step:
 
@@ -142,8 +142,8 @@ class TomatoReachEnv(SpecWithStepLimit, gymnasium.Env[Observed, npt.NDArray[np.f
     | ``clearance`` | the smallest of the observed ones, before clipping, m |
     | ``scene``, ``target``, ``difficulty`` | name, index of the tomato, rating ("unrated" where this arm has none) |
     | ``steps`` | steps of this episode |
-    | ``slowed`` | steps of this episode that were slowed to keep speed limits |
-    | ``limited`` | how often in this episode a joint's command stopped at its limit |
+    | ``speed_limited`` | steps of this episode that were slowed to keep speed limits |
+    | ``position_limited`` | how often in this episode a joint's command stopped at its limit |
     | ``reward_terms`` | on step only: the terms by name |
     | ``previous_goal``, ``effort`` | on step of ``goal``: grasp point before it, sum of the action's squares |
 

@@ -18,7 +18,7 @@ from greenhouse_gym.envs.observations import Observed, select
 from greenhouse_gym.envs.reach_task import Bools
 from greenhouse_gym.envs.settings import EnvSettings, check_whole, settings_with
 from greenhouse_gym.envs.simulation import STEP_INFOS, ReachSimulation, StepResult
-from greenhouse_gym.envs.spec import SpecWithStepLimit
+from greenhouse_gym.envs.spec import SpecMixin
 from greenhouse_gym.envs.stepping import Ids
 from greenhouse_gym.errors import EpisodeOverError, InvalidValueError, UnknownNameError, require_choice
 from greenhouse_gym.geometry import Array
@@ -28,7 +28,7 @@ Infos = dict[str, Any]
 
 
 class TomatoReachVectorEnv(  # type: ignore[misc]
-    SpecWithStepLimit, VectorEnv[Observed, npt.NDArray[np.float32], npt.NDArray[Any]]
+    SpecMixin, VectorEnv[Observed, npt.NDArray[np.float32], npt.NDArray[Any]]
 ):
     """``num_envs`` reaching tasks, stepped together; spaces, rewards and infos are those of `TomatoReachEnv`.
 
@@ -83,7 +83,7 @@ class TomatoReachVectorEnv(  # type: ignore[misc]
         if self.simulation.observe.has_goals:
             functions = goal_functions(self.simulation.reward_terms, self.settings)
             self.compute_reward, self.compute_terminated, self.compute_truncated = functions
-        self._random: list[np.random.Generator] = [seeding.np_random()[0] for _ in range(num_envs)]
+        self._rngs: list[np.random.Generator] = [seeding.np_random()[0] for _ in range(num_envs)]
         self._all = np.arange(num_envs)
         self._ended = np.zeros(num_envs, dtype=np.bool_)
         self._no_options = [None] * num_envs
@@ -112,7 +112,7 @@ class TomatoReachVectorEnv(  # type: ignore[misc]
         each = options if isinstance(options, (list, tuple)) else [options] * self.num_envs
         if len(each) != self.num_envs:
             raise InvalidValueError(f"expected options for {self.num_envs} simulations, got {len(each)}")
-        self.simulation.reset(chosen, self._random, each)  # type: ignore[arg-type]
+        self.simulation.reset(chosen, self._rngs, each)  # type: ignore[arg-type]
         self._ended[chosen] = False
         mask = _mask(self.num_envs, chosen)
         return self.simulation.observation(), _masked(self._info(None), mask, mask)
@@ -134,7 +134,7 @@ class TomatoReachVectorEnv(  # type: ignore[misc]
         reward, terminated, truncated = result.reward, result.terminated, result.truncated
         terms = dict(result.terms)
         if len(waiting):  # only when autoreset happens in the next step
-            simulation.reset(waiting, self._random, self._no_options)
+            simulation.reset(waiting, self._rngs, self._no_options)
             reward[waiting], terminated[waiting], truncated[waiting] = 0.0, False, False
             for values in terms.values():
                 values[waiting] = 0.0
@@ -149,7 +149,7 @@ class TomatoReachVectorEnv(  # type: ignore[misc]
                 final_obs[i] = _copied(select(observations, i))
             final_info = _masked(info, ended, ended) | _nested("reward_terms", terms, ended)
             final = {"final_obs": final_obs, "_final_obs": ended, "final_info": final_info, "_final_info": ended}
-            simulation.reset(done, self._random, self._no_options)
+            simulation.reset(done, self._rngs, self._no_options)
             _replace(observations, done, simulation.observation(done))
             info = self._info(result)
             self._ended[:] = False
@@ -200,7 +200,7 @@ class TomatoReachVectorEnv(  # type: ignore[misc]
             raise InvalidValueError(f"expected {self.num_envs} seeds, got {len(seeds)}")
         given = {int(i): seed for i in chosen if (seed := seeds[i]) is not None}
         for i, own in given.items():
-            self._random[i], _ = seeding.np_random(own)
+            self._rngs[i], _ = seeding.np_random(own)
         if given:
             self.simulation.sampler.restart(next(iter(given.values())))
 

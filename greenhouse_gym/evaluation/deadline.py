@@ -11,7 +11,7 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 
-class Patience:
+class Deadline:
     """Makes calls and waits only so long for each; after one that took longer, every call fails at once.
 
     A call that hangs goes on in a thread of its own, which cannot be ended: what it works on is not to be used again.
@@ -25,7 +25,7 @@ class Patience:
         self._over = ""
 
     @property
-    def over(self) -> bool:
+    def expired(self) -> bool:
         """Whether a call took too long."""
         return bool(self._over)
 

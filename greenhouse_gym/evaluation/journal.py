@@ -17,15 +17,15 @@ from greenhouse_gym.evaluation.records import Record
 _RECORD = TypeAdapter(Record)
 
 
-class KeptRecords:
-    """Records in a file: lines of JSON, first what they are of, then each record with its place among the episodes.
+class RecordJournal:
+    """Records in a file: lines of JSON, first what they are of, then each record with its index among the episodes.
 
     Args:
         path: The file. Where it holds records of something else, it is begun anew.
         about: What the records are of: all that decides them.
 
     Attributes:
-        records: The records that there are, by their places.
+        records: The records that there are, by their indices.
 
     Raises:
         FileFormatError: A line of the file, and not only the last one, is damaged.
@@ -42,16 +42,16 @@ class KeptRecords:
             whole = []
         write_atomically(self._path, "\n".join([header, *whole]) + "\n")
 
-    def add(self, place: int, record: Record) -> None:
+    def add(self, index: int, record: Record) -> None:
         """Keep a record.
 
         Raises:
             FileWriteError: It cannot be written.
         """
-        self.records[place] = record
+        self.records[index] = record
         try:
             with self._path.open("a") as file:
-                file.write(json.dumps({"place": place, **asdict(record)}) + "\n")
+                file.write(json.dumps({"index": index, **asdict(record)}) + "\n")
         except OSError as error:
             raise FileWriteError(self._path, error) from error
 
@@ -62,7 +62,7 @@ class KeptRecords:
     def _parsed(self, line: str, number: int) -> tuple[int, Record]:
         try:
             content = json.loads(line)
-            return int(content.pop("place")), _RECORD.validate_python(content)
+            return int(content.pop("index")), _RECORD.validate_python(content)
         except (ValueError, KeyError, TypeError, AttributeError, ValidationError) as error:
             raise FileFormatError(
                 self._path, f"line {number} is no record ({error}); remove the file to play all episodes anew"

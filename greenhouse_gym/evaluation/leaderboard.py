@@ -23,7 +23,7 @@ from greenhouse_gym.common.executors import workers_of
 from greenhouse_gym.common.files import parsing, read_bytes, write_atomically
 from greenhouse_gym.envs.randomization import Randomization
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.evaluation.journal import KeptRecords
+from greenhouse_gym.evaluation.journal import RecordJournal
 from greenhouse_gym.evaluation.records import Evaluation, Record
 from greenhouse_gym.evaluation.rollouts import evaluate
 from greenhouse_gym.scene import SceneBank
@@ -50,7 +50,7 @@ class Protocol:
         episodes: How many, on each track.
         seed: Seed of the first episode; episode i has the seed ``seed + i``.
         difficulty: Difficulties of the targets, as frequent as the scenes have them.
-        patience: Seconds an agent may take for one answer.
+        timeout: Seconds an agent may take for one answer.
     """
 
     version: str = "v1"
@@ -59,7 +59,7 @@ class Protocol:
     episodes: int = 1000
     seed: int = 0
     difficulty: tuple[str, ...] = ("easy", "medium", "hard")
-    patience: float = 120.0
+    timeout: float = 120.0
 
 
 V1 = Protocol()
@@ -157,8 +157,8 @@ def submit(
         "sha256": _checksum_of(agent, name)
     }
     for track in tracks:
-        kept = KeptRecords(path.with_suffix(f".{track}.jsonl"), {**about, "track": track})
-        played = _play(agent, protocol, track, protocol.episodes, num_envs, executor, kept)
+        journal = RecordJournal(path.with_suffix(f".{track}.jsonl"), {**about, "track": track})
+        played = _play(agent, protocol, track, protocol.episodes, num_envs, executor, journal)
         entry = _kept(path, fresh)  # which others may have added tracks to meanwhile
         machine = {f"{track}: {name}": value for name, value in _machine(num_envs, executor).items()}
         changed = {
@@ -166,7 +166,7 @@ def submit(
             "tracks": {**entry.tracks, track: _columns(played.records)},
         }
         write_atomically(path, entry.model_copy(update=changed).model_dump_json() + "\n")
-        kept.remove()
+        journal.remove()
     return path
 
 
@@ -274,7 +274,7 @@ def _play(
     episodes: int,
     num_envs: int = 1,
     executor: Executor | None = None,
-    kept: KeptRecords | None = None,
+    journal: RecordJournal | None = None,
 ) -> Evaluation:
     options = {"bank": protocol.bank, "difficulty": protocol.difficulty, **TRACKS[track]}
     return evaluate(
@@ -283,9 +283,9 @@ def _play(
         episodes,
         protocol.seed,
         num_envs=num_envs,
-        patience=protocol.patience,
+        timeout=protocol.timeout,
         executor=executor,
-        kept=kept,
+        journal=journal,
         **options,
     )
 

@@ -21,9 +21,9 @@ from greenhouse_gym.agents.agent import check_agent
 from greenhouse_gym.common.executors import completed, require_portable, workers_of
 from greenhouse_gym.envs import TomatoReachVectorEnv
 from greenhouse_gym.errors import InvalidValueError, require_seed
-from greenhouse_gym.evaluation.journal import KeptRecords
+from greenhouse_gym.evaluation.journal import RecordJournal
 from greenhouse_gym.evaluation.records import Evaluation, Record
-from greenhouse_gym.evaluation.runner import AgentError, Match, never_acted
+from greenhouse_gym.evaluation.runner import AgentError, EpisodeRunner, never_acted
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
 
@@ -38,14 +38,14 @@ def evaluate(
     progress: bool | None = None,
     problems: Sequence[tuple[str, int]] | None = None,
     num_envs: int = 1,
-    patience: float | None = None,
+    timeout: float | None = None,
     executor: Executor | None = None,
-    kept: KeptRecords | None = None,
+    journal: RecordJournal | None = None,
     **options: Any,
 ) -> Evaluation:
     """Run an agent over episodes drawn from a split.
 
-    An agent that raises an error, gives an action of the wrong shape or not a number, or is out of patience, fails: at
+    An agent that raises an error, gives an action of the wrong shape or not a number, or times out, fails: at
     its first action that is an error, later it ends the episode, whose record says why, and counts as no success.
 
     Args:
@@ -59,16 +59,16 @@ def evaluate(
             whatever ``episodes`` says.
         num_envs: Episodes that are played side by side. Each gets a copy of the agent, unless that has ``act_many``;
             the records are the same, but for times.
-        patience: Seconds the agent may take to prepare for an episode or to act; None waits for ever. One that takes
+        timeout: Seconds the agent may take to prepare for an episode or to act; None waits for ever. One that takes
             longer loses the episode, and a copy of it plays on: a few times, if the agent can be copied.
         executor: Where the episodes are played, some at a time, each time by a new copy of the agent; None plays all of
             them here. The records are the same, but for times.
-        kept: Where each record is kept as soon as it is there; episodes whose records are there already are not played.
+        journal: Receives each record as soon as its episode ends; episodes that it holds already are skipped.
         **options: Further keywords of the environment, such as ``bank`` or ``difficulty``; those the agent needs cannot
             be changed.
 
     Raises:
-        InvalidValueError: No episodes, no agent, no patience, a negative seed, an option that contradicts what the
+        InvalidValueError: No episodes, no agent, no time, a negative seed, an option that contradicts what the
             agent needs, or an agent or option that cannot be sent to the executor's processes.
         AgentError: The agent failed before it gave a single valid action; with an executor, in the first episode.
         WorkerLostError: A process of the executor died.
@@ -76,8 +76,8 @@ def evaluate(
     for name, number in (("episodes", episodes), ("num_envs", num_envs)):
         if isinstance(number, bool) or not isinstance(number, (int, np.integer)) or number < 1:
             raise InvalidValueError(f"{name} must be a whole number from 1 up, got {number!r}")
-    if patience is not None and not patience > 0:
-        raise InvalidValueError(f"patience must be a positive number of seconds, or None, got {patience!r}")
+    if timeout is not None and not timeout > 0:
+        raise InvalidValueError(f"timeout must be a positive number of seconds, or None, got {timeout!r}")
     check_agent(agent)
     require_seed(seed)
     for key, value in agent.env_options.items():
@@ -87,18 +87,18 @@ def evaluate(
     if problems is not None:
         chosen = [{"scene": name, "target": k} for name, k in problems]
     show = sys.stderr.isatty() if progress is None else progress
-    ended = {} if kept is None else {k: record for k, record in kept.records.items() if k < len(chosen)}
+    ended = {} if journal is None else {k: record for k, record in journal.records.items() if k < len(chosen)}
     left = tuple((k, where) for k, where in enumerate(chosen) if k not in ended)
-    whole = _Part(agent, split, left, seed, num_envs, patience, options, proven=bool(ended))
+    whole = _Part(agent, split, left, seed, num_envs, timeout, options, proven=bool(ended))
     played = whole.records() if executor is None else _played_by(executor, whole)
     for k, record in track(played if left else (), description=agent.name, disable=not show, total=len(left)):
         ended[k] = record
-        if kept is not None:
-            kept.add(k, record)
+        if journal is not None:
+            journal.add(k, record)
     records = tuple(ended[k] for k in sorted(ended))
     if executor is not None and records and records[0].failure and not records[0].steps:
-        if kept is not None:
-            kept.remove()  # what was wrong may be mended before the next try
+        if journal is not None:
+            journal.remove()  # what was wrong may be mended before the next try
         raise never_acted(agent, records[0].seed, records[0].failure)
     return Evaluation(agent.name, records)
 
@@ -136,7 +136,7 @@ class Trace:
 
 
 def retrace(
-    agent: Agent, seeds: Sequence[int], split: str = "test", patience: float | None = None, **options: Any
+    agent: Agent, seeds: Sequence[int], split: str = "test", timeout: float | None = None, **options: Any
 ) -> tuple[Trace, ...]:
     """Play some episodes of an evaluation again and keep the ways that the arm took.
 
@@ -146,13 +146,13 @@ def retrace(
         agent: The agent.
         seeds: Seeds of the episodes, as their records tell them.
         split: See `evaluate`.
-        patience: See `evaluate`.
+        timeout: See `evaluate`.
         **options: See `evaluate`; ``num_envs`` and ``executor`` are not among them.
     """
     env = TomatoReachVectorEnv(1, split=split, **{**options, **agent.env_options})
     try:
-        match = Match(agent, env, deque((require_seed(seed), {}) for seed in seeds), 0, patience, proven=True)
-        return tuple(Trace(played.record, env.simulation.robot, played.joints) for played in match.played())
+        runner = EpisodeRunner(agent, env, deque((require_seed(seed), {}) for seed in seeds), 0, timeout, proven=True)
+        return tuple(Trace(result.record, env.simulation.robot, result.joints) for result in runner.run())
     finally:
         env.close()
 
@@ -167,7 +167,7 @@ class _Part:
         chosen: Place and reset options of the episodes.
         seed: Seed of the episode in place 0.
         num_envs: Episodes that are played side by side.
-        patience: See `evaluate`.
+        timeout: See `evaluate`.
         options: Further keywords of the environment.
         proven: Whether the agent is known to give valid actions.
     """
@@ -177,7 +177,7 @@ class _Part:
     chosen: tuple[tuple[int, dict[str, Any]], ...]
     seed: int
     num_envs: int
-    patience: float | None
+    timeout: float | None
     options: dict[str, Any]
     proven: bool = False
 
@@ -186,8 +186,8 @@ class _Part:
         count = min(self.num_envs, max(1, len(self.chosen)))
         env = TomatoReachVectorEnv(count, split=self.split, **{**self.options, **self.agent.env_options})
         try:
-            match = Match(self.agent, env, deque(self.chosen), self.seed, self.patience, self.proven)
-            yield from ((played.place, played.record) for played in match.played())
+            runner = EpisodeRunner(self.agent, env, deque(self.chosen), self.seed, self.timeout, self.proven)
+            yield from ((result.episode_index, result.record) for result in runner.run())
         finally:
             env.close()
 

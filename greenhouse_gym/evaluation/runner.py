@@ -18,15 +18,15 @@ from greenhouse_gym.envs.actions import check_actions
 from greenhouse_gym.envs.observations import Observed, select
 from greenhouse_gym.envs.simulation import ReachSimulation
 from greenhouse_gym.errors import GreenhouseError, InvalidValueError
-from greenhouse_gym.evaluation.deadline import Patience
+from greenhouse_gym.evaluation.deadline import Deadline
 from greenhouse_gym.evaluation.records import Record
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.collision import smallest_clearance
 from greenhouse_gym.planning import path_length
 from greenhouse_gym.robots.kinematics import tool_chain, tool_state
 
-MOST_REPLACED = 3
-"""How many agents that ran out of patience are replaced by a copy at most; each may go on working beside the others."""
+MAX_REPLACEMENTS = 3
+"""How many agents that timed out are replaced by a copy at most; each may go on working beside the others."""
 
 
 class AgentError(GreenhouseError, RuntimeError):
@@ -38,16 +38,16 @@ def never_acted(agent: Agent, seed: int, failure: str) -> AgentError:
     return AgentError(f"agent {agent.name!r} failed before its first action (seed {seed}): {failure}")
 
 
-class Played(NamedTuple):
+class EpisodeResult(NamedTuple):
     """An episode that is over.
 
     Attributes:
-        place: Which of the episodes it is.
+        episode_index: Which of the episodes it is.
         record: What happened.
         joints: (steps + 1, joints) true positions at the start and after each action, radians.
     """
 
-    place: int
+    episode_index: int
     record: Record
     joints: Array
 
@@ -57,11 +57,11 @@ class _Player(NamedTuple):
 
     Attributes:
         agent: The agent.
-        patience: Makes its calls.
+        deadline: Makes its calls.
     """
 
     agent: Agent
-    patience: Patience
+    deadline: Deadline
 
 
 @dataclass
@@ -69,7 +69,7 @@ class _Run:
     """An episode that is being played.
 
     Attributes:
-        place: Which of the episodes it is.
+        index: Which of the episodes it is.
         problem: What the agent was told.
         player: Who plays.
         planning_time: Seconds the agent took to prepare.
@@ -79,7 +79,7 @@ class _Run:
         failure: Why the agent gave no valid action.
     """
 
-    place: int
+    index: int
     problem: Problem
     player: _Player
     planning_time: float = 0.0
@@ -89,16 +89,16 @@ class _Run:
     failure: str = ""
 
 
-class Match:
+class EpisodeRunner:
     """An agent's episodes in the simulations of a vector environment, each begun as soon as one is free.
 
     Args:
         agent: Who plays.
         env: The environment that it plays in.
         chosen: Place and reset options of the episodes.
-        seed: Seed of the episode in place 0.
-        patience: Seconds it may take for each answer; None waits for ever. After an answer that took longer, a copy of
-            the agent plays the next episode, `MOST_REPLACED` times at most; then they all fail.
+        seed: Seed of the episode in index 0.
+        timeout: Seconds it may take for each answer; None waits for ever. After an answer that took longer, a copy of
+            the agent plays the next episode, `MAX_REPLACEMENTS` times at most; then they all fail.
         proven: Whether the agent ever gave a valid action.
     """
 
@@ -108,25 +108,25 @@ class Match:
         env: TomatoReachVectorEnv,
         chosen: deque[tuple[int, dict[str, Any]]],
         seed: int,
-        patience: float | None,
+        timeout: float | None,
         proven: bool = False,
     ):
         self._agent, self._env, self._chosen, self._seed = agent, env, chosen, seed
         self._simulation: ReachSimulation = env.simulation
         self._space = env.simulation.action_rule.space
         self._shared = hasattr(agent, "act_many")
-        self._seconds, self._replaced = patience, 0
-        self._players = [_Player(agent, Patience(patience))] * env.num_envs
+        self._seconds, self._replaced = timeout, 0
+        self._players = [_Player(agent, Deadline(timeout))] * env.num_envs
         self._fresh: Agent | None = None  # an agent that plays, or hangs, is not to be copied
         if env.num_envs > 1 and not self._shared:
             self._fresh = agent
-            self._players = [_Player(_copy(agent), Patience(patience)) for _ in self._players]
-        elif patience is not None:
+            self._players = [_Player(_copy(agent), Deadline(timeout)) for _ in self._players]
+        elif timeout is not None:
             with suppress(Exception):
                 self._fresh = copy.deepcopy(agent)
         self._proven = proven
 
-    def played(self) -> Iterator[Played]:
+    def run(self) -> Iterator[EpisodeResult]:
         """All episodes, in the order in which they end."""
         env, ids = self._env, range(self._env.num_envs)
         if env.num_envs > 1:
@@ -158,8 +158,8 @@ class Match:
                     runs[i] = None
 
     def _begin(self, i: int) -> _Run:
-        place, where = self._chosen.popleft()
-        env, seed = self._env, self._seed + place
+        index, where = self._chosen.popleft()
+        env, seed = self._env, self._seed + index
         alone = np.arange(env.num_envs) == i
         env.reset(seed=[seed if mine else None for mine in alone], options={**where, "reset_mask": alone})
         episode = self._simulation.episode(i)
@@ -168,10 +168,10 @@ class Match:
             episode.scene, episode.target, simulation.robot, episode.start, seed, simulation.action_rule,
             simulation.interval,
         )  # fmt: skip
-        run = _Run(place, problem, self._player(i), joints=[self._simulation.joints[i].copy()])
+        run = _Run(index, problem, self._player(i), joints=[self._simulation.joints[i].copy()])
         began = time.perf_counter()
         try:
-            run.player.patience.call(run.player.agent.reset, problem)
+            run.player.deadline.call(run.player.agent.reset, problem)
         except Exception as error:
             self._fail(run, error)
         run.planning_time = time.perf_counter() - began
@@ -180,10 +180,10 @@ class Match:
     def _player(self, i: int) -> _Player:
         """Who begins an episode in a simulation."""
         player = self._players[i]
-        if not player.patience.over or self._fresh is None or self._replaced == MOST_REPLACED:
+        if not player.deadline.expired or self._fresh is None or self._replaced == MAX_REPLACEMENTS:
             return player
         self._replaced += 1
-        other = _Player(_copy(self._fresh), Patience(self._seconds))
+        other = _Player(_copy(self._fresh), Deadline(self._seconds))
         self._players = [other if each is player else each for each in self._players]
         return other
 
@@ -197,11 +197,11 @@ class Match:
             for i, run in playing:
                 self._ask(run, run.player.agent.act, select(observations, i), actions[i : i + 1])
             return
-        agent, patience = self._players[0]
+        agent, deadline = self._players[0]
         began = time.perf_counter()
         try:
             seen = select(observations, [i for i, _ in playing])
-            together = np.asarray(patience.call(agent.act_many, seen))  # type: ignore[attr-defined]
+            together = np.asarray(deadline.call(agent.act_many, seen))  # type: ignore[attr-defined]
             if together.shape[:1] != (len(playing),):
                 raise InvalidValueError(f"act_many must give {len(playing)} actions, got shape {together.shape}")
         except Exception as error:
@@ -217,7 +217,7 @@ class Match:
         """Fill in a run's next action (1, size)."""
         began = time.perf_counter()
         try:
-            answer = run.player.patience.call(act, observation)
+            answer = run.player.deadline.call(act, observation)
             action[:] = check_actions(np.asarray(answer)[None], 1, self._space)
         except Exception as error:
             self._fail(run, error)
@@ -230,14 +230,14 @@ class Match:
         if not self._proven:
             raise never_acted(self._agent, run.problem.seed, run.failure) from error
 
-    def _ended(self, runs: list[_Run | None], i: int) -> Iterator[Played]:
+    def _ended(self, runs: list[_Run | None], i: int) -> Iterator[EpisodeResult]:
         """A run whose agent failed."""
         run = runs[i]
         if run is not None and run.failure:
             runs[i] = None
             yield self._played(i, run)
 
-    def _played(self, i: int, run: _Run) -> Played:
+    def _played(self, i: int, run: _Run) -> EpisodeResult:
         simulation = self._simulation
         info = {key: values[i] for key, values in simulation.info().items()}
         steps = len(run.joints) - 1
@@ -265,7 +265,7 @@ class Match:
             status=str(getattr(run.player.agent, "status", "")),
             failure=run.failure,
         )
-        return Played(run.place, record, way)
+        return EpisodeResult(run.index, record, way)
 
 
 def _copy(agent: Agent) -> Agent:

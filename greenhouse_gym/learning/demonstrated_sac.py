@@ -28,7 +28,7 @@ class Demonstrator:
 
     def __init__(self, layout: Layout, seed: int):
         at = places_in(layout)
-        self._direction, self._free = at["waypoint_direction"], at["way"].start + 1
+        self._direction, self._free = at["waypoint_direction"], at["path"].start + 1
         self._random = np.random.default_rng(seed)
 
     def wish(self, observed: dict[str, Any]) -> Any:

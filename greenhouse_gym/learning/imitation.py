@@ -72,10 +72,10 @@ class Teachers:
 
     def labels(self) -> Array:
         """What the teachers would do now, (n, joints); NaN where they know no way."""
-        command, situation = self._simulation.command, self._simulation.situation
-        assert situation is not None
+        command, state = self._simulation.command, self._simulation.state
+        assert state is not None
         labels = np.full(command.shape, np.nan)
-        for i, (offset, (_, free)) in enumerate(zip(situation.waypoint, situation.way, strict=True)):
+        for i, (offset, free) in enumerate(zip(state.waypoint, state.path_free, strict=True)):
             if free:
                 waypoint, self._ages[i] = command[i] + offset, 0
             else:
@@ -111,7 +111,7 @@ def follow_waypoint(policy: Any) -> None:
     """
     extractor, actions = policy.pi_features_extractor, policy.action_net
     joints = actions.out_features
-    place, way = (extractor.starts.get(name, -1) for name in ("waypoint_direction", "way"))
+    place, way = (extractor.starts.get(name, -1) for name in ("waypoint_direction", "path"))
     layers = [layer for layer in policy.mlp_extractor.policy_net if hasattr(layer, "in_features")]
     if place < 0 or policy.activation_fn is not torch.nn.ReLU or min(p.out_features for p in layers) < 2 * joints:
         raise InvalidValueError(

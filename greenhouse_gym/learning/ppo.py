@@ -44,8 +44,8 @@ class PpoSettings:
         bank: Name or folder of the scene bank.
         split: Split to train on.
         robot: The arm.
-        observation: "state", "approach" or "waypoint".
-        reward: "way", "dense" or "sparse".
+        observation: "state", "clearance_rays" or "waypoint".
+        reward: "path", "dense" or "sparse".
         difficulty: Difficulties of the targets.
         total_steps: Steps of all simulations together.
         num_envs: Simulations.
@@ -73,7 +73,7 @@ class PpoSettings:
     split: str = "train"
     robot: str = "ur5e"
     observation: str = "waypoint"
-    reward: str = "way"
+    reward: str = "path"
     difficulty: tuple[str, ...] = ("easy", "medium", "hard")
     total_steps: int = 2_000_000
     num_envs: int = 128

@@ -115,8 +115,8 @@ class CameraRig:
         cameras: The cameras; all of one size.
         compiled: Any of the scenes, since all have one layout.
         threads: Threads that cast rays.
-        sees_arm: Whether the arm is in the depth images; otherwise its pixels give no reading.
-        sees_color: Whether there are color images, too, in which the arm always is.
+        renders_arm: Whether the arm is in the depth images; otherwise its pixels give no reading.
+        renders_color: Whether there are color images, too, in which the arm always is.
     """
 
     def __init__(
@@ -124,11 +124,11 @@ class CameraRig:
         cameras: Sequence[DepthCamera],
         compiled: CompiledScene,
         threads: int,
-        sees_arm: bool,
-        sees_color: bool = False,
+        renders_arm: bool,
+        renders_color: bool = False,
     ):
         self.cameras = tuple(cameras)
-        self._sees_arm, self._sees_color = sees_arm, sees_color
+        self._renders_arm, self._renders_color = renders_arm, renders_color
         self._rays = [camera.rays for camera in self.cameras]
         self._lengths = [np.linalg.norm(rays, axis=1) for rays in self._rays]
         self._casters = [RayCaster(compiled) for _ in range(max(1, threads))]
@@ -172,14 +172,14 @@ class CameraRig:
         first = self.cameras[0]
         shape = (len(models), len(self.cameras), first.height, first.width)
         depths = np.empty(shape, dtype=np.float32)
-        colors = np.empty((*shape, 3) if self._sees_color else (len(models), 0, 0, 0, 3), dtype=np.uint8)
+        colors = np.empty((*shape, 3) if self._renders_color else (len(models), 0, 0, 0, 3), dtype=np.uint8)
 
         def shoot(part: int) -> None:
             for i in range(part, len(models), len(self._casters)):
                 for k in range(len(self.cameras)):
                     hits, directions = self._cast(self._casters[part], models[i], qpos[i], k, views[i, k])
                     depths[i, k] = self._depth(hits, k).reshape(shape[2:])
-                    if self._sees_color:
+                    if self._renders_color:
                         shown = surface_colors(hits.rgba, hits.normal, directions, hits.distance)
                         colors[i, k] = (shown * 255.0 + 0.5).astype(np.uint8).reshape(*shape[2:], 3)
 
@@ -195,11 +195,11 @@ class CameraRig:
         """What a camera's rays hit, and their directions (m, 3)."""
         rays, lengths = self._rays[camera], self._lengths[camera]
         directions = (rays / lengths[:, None]) @ view[:3, :3].T
-        reach = COLOR_RANGE if self._sees_color else MAX_RANGE * float(lengths.max())
-        return caster.cast(model, joints, view[:3, 3].copy(), directions, reach, self._sees_color), directions
+        reach = COLOR_RANGE if self._renders_color else MAX_RANGE * float(lengths.max())
+        return caster.cast(model, joints, view[:3, 3].copy(), directions, reach, self._renders_color), directions
 
     def _depth(self, hits: Hits, camera: int) -> Array:
-        seen = hits.distance >= 0 if self._sees_arm else (hits.distance >= 0) & ~hits.on_arm
+        seen = hits.distance >= 0 if self._renders_arm else (hits.distance >= 0) & ~hits.on_arm
         depth = np.where(seen, hits.distance / self._lengths[camera], 0.0)
         depth[depth > MAX_RANGE] = 0.0
         return depth
@@ -232,10 +232,10 @@ def stereo_noise(camera: DepthCamera) -> StereoNoise:
     )
 
 
-def _with_noise(depth: Float32, camera: DepthCamera, random: np.random.Generator) -> Float32:
+def _with_noise(depth: Float32, camera: DepthCamera, rng: np.random.Generator) -> Float32:
     """What a D435 would report for an image (h, w)."""
     from greenhouse_gym.capture.sensor import sense_depth
 
-    sensed = sense_depth(depth, camera.focal, random, stereo_noise(camera))
+    sensed = sense_depth(depth, camera.focal, rng, stereo_noise(camera))
     sensed[sensed > MAX_RANGE] = 0.0
     return sensed

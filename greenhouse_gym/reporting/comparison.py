@@ -94,7 +94,7 @@ def leaderboard_report(entries: Sequence[Entry], rules: Protocol = V1) -> str:
         rules.bank,
         notes,
         difficulty=rules.difficulty,
-        patience=rules.patience,
+        timeout=rules.timeout,
     )
 
 

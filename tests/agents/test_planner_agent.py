@@ -61,7 +61,7 @@ def test_planned_paths_are_executed_without_contact(bank: SceneBank) -> None:
             for step in range(1, 201):
                 observation, _, terminated, truncated, info = env.step(agent.act(observation))
                 assert not info["collision"], (name, target, step, info["contact"])
-                assert simulator.is_free(env.unwrapped.simulation.situation.joints[0])  # type: ignore[attr-defined]
+                assert simulator.is_free(env.unwrapped.simulation.state.joints[0])  # type: ignore[attr-defined]
                 if terminated or truncated:
                     break
             assert info["is_success"], (name, target)

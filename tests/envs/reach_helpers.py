@@ -43,12 +43,12 @@ def touched_in_plain_mujoco(scene: Scene, target: int, start: np.ndarray, comman
     mujoco.mj_forward(compiled.model, data)
     last, result = start, []
     for command in commands:
-        touched = False
+        collided = False
         for k in range(5):
             data.ctrl[:] = last + (command - last) * ((k + 1) / 5)
             mujoco.mj_step(compiled.model, data)
             mujoco.mj_forward(compiled.model, data)
-            touched |= data.ncon > 0
+            collided |= data.ncon > 0
         last = command
-        result.append(touched)
+        result.append(collided)
     return result

@@ -23,11 +23,11 @@ from greenhouse_gym.envs import (
     DenseReward,
     DepthCamera,
     EnvSettings,
+    PathReward,
     RgbObservation,
     SparseReward,
     TomatoReachEnv,
     TomatoReachVectorEnv,
-    WayReward,
 )
 from greenhouse_gym.errors import InvalidValueError, UnknownNameError
 from greenhouse_gym.scene import SceneBank
@@ -147,7 +147,7 @@ class Constant:
 
 
 def rows(value: Any, dtype: Any = np.float32, size: int = 2) -> Callable[[Any], Any]:
-    return lambda situation: np.full((len(situation.joints), size), value, dtype)
+    return lambda state: np.full((len(state.joints), size), value, dtype)
 
 
 PAIR = spaces.Dict({"a": spaces.Box(0, 1, (2,), np.float32), "b": spaces.Box(0, 255, (3,), np.uint8)})
@@ -185,11 +185,11 @@ def test_what_own_objects_do_wrong_is_told_by_name(bank: SceneBank, keywords: di
 @pytest.mark.parametrize(
     ("keywords", "message"),
     [
-        ({"reward": 3}, "reward must be one of 'sparse', 'dense', 'way' or a function"),
+        ({"reward": 3}, "reward must be one of 'sparse', 'dense', 'path' or a function"),
         ({"reward": DenseReward}, "reward must be"),
         ({"reward": None}, "reward must be"),
-        ({"reward": "way", "observation": "goal"}, "goals in hindsight"),
-        ({"reward": WayReward(progress=1.0), "observation": "goal_waypoint"}, "goals in hindsight"),
+        ({"reward": "path", "observation": "goal"}, "goals in hindsight"),
+        ({"reward": PathReward(progress=1.0), "observation": "goal_waypoint"}, "goals in hindsight"),
         ({"observation": 3}, "observation must be a name"),
         ({"observation": lambda robot: 3}, "space"),
         ({"observation": lambda: 3}, "what makes one from Robot"),

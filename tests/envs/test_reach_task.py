@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.envs.actions import ACTIONS, CommandLimits, check_actions
-from greenhouse_gym.envs.reach_task import ACTION_STEP, MAX_LEAD, STEP_LIMIT, SUCCESS_RADIUS, pace_of
+from greenhouse_gym.envs.reach_task import ACTION_STEP, MAX_COMMAND_ERROR, STEP_LIMIT, SUCCESS_RADIUS, control_timing
 from greenhouse_gym.envs.rewards import REWARDS, Transition, total_reward
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.robots import get_robot
 
-INTERVAL = pace_of(20).interval
+INTERVAL = control_timing(20).interval
 
 
-def transition(before: float, after: float, touched: bool = False, effort: float = 0.0) -> Transition:
-    success = after < SUCCESS_RADIUS and not touched
-    return Transition(*(np.array([value]) for value in (before, after, touched, success, effort, 1)))
+def transition(before: float, after: float, collided: bool = False, effort: float = 0.0) -> Transition:
+    success = after < SUCCESS_RADIUS and not collided
+    return Transition(*(np.array([value]) for value in (before, after, collided, success, effort, 1)))
 
 
 def episode_return(reward: str, distances: np.ndarray, actions: np.ndarray, crash: bool) -> float:
@@ -57,12 +57,12 @@ def test_commands_stay_near_the_joints_and_within_limits(name: str, kind: str) -
         last = np.clip(joints + random.uniform(-0.15, 0.15, joints.shape), robot.lower, robot.upper)
         command = limit(last, rule(random.uniform(-1, 1, joints.shape), None, None), joints)
         moved = command.position - last
-        assert (np.abs(command.position - joints) <= MAX_LEAD + 1e-12).all()
+        assert (np.abs(command.position - joints) <= MAX_COMMAND_ERROR + 1e-12).all()
         assert ((robot.lower <= command.position) & (command.position <= robot.upper)).all()
         assert (np.abs(moved) <= robot.velocity_limits * INTERVAL + 1e-9).all()
         at_limit = (command.position == robot.lower) | (command.position == robot.upper)
-        assert (command.limited <= at_limit.sum(axis=1)).all()
-        stopped += int(command.limited.sum())
+        assert (command.position_limited <= at_limit.sum(axis=1)).all()
+        stopped += int(command.position_limited.sum())
     assert stopped > 0
     still = np.zeros((1, size))
     half = limit(still, rule(np.full((1, size), 0.5), None, None), still).position
@@ -77,7 +77,7 @@ def test_a_wish_that_is_too_fast_is_slowed_as_a_whole() -> None:
     action = np.array([[1.0, 0.5, 0.0, -1.0, 0.2, 0.1, -0.3], [0.1] * 7])
     still = np.zeros((2, 7))
     command = CommandLimits(robot, rule)(still, rule(action, None, None), still)
-    assert command.slowed.tolist() == [True, False]
+    assert command.speed_limited.tolist() == [True, False]
     np.testing.assert_allclose(command.position[1], 0.1 * ACTION_STEP)
     np.testing.assert_allclose(np.abs(command.position[0]).max(), robot.velocity_limits[3] * INTERVAL)
     np.testing.assert_allclose(np.cross(command.position[0, :3], action[0, :3]), 0, atol=1e-12)

@@ -102,7 +102,7 @@ def test_joints_move_as_far_per_second_at_every_rate(rate: int) -> None:
         start = env.reset(options={"scene": placed})[0][:6]
         action = np.array([0.5, 0, 0, 0, 0, 0])
         seen = [env.step(action) for _ in range(chosen)]  # a second
-        assert not any(info["slowed"] or info["limited"] for *_, info in seen)
+        assert not any(info["speed_limited"] or info["position_limited"] for *_, info in seen)
         ends.append(seen[-1][0][:6] - start)
     np.testing.assert_allclose(ends[1], ends[0], atol=0.01)
     assert ends[0][0] == pytest.approx(0.8, abs=0.06)

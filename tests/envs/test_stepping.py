@@ -42,7 +42,7 @@ def test_servos_move_as_if_told_where_to_be_in_every_physics_step(bank: SceneBan
                 data.ctrl[:] = last + (command - last) * ((k + 1) / 5)
                 mujoco.mj_step(model, data)
             last, steps = command, steps + 1
-            np.testing.assert_allclose(env.simulation.situation.joints[0], data.qpos, atol=1e-10)
+            np.testing.assert_allclose(env.simulation.state.joints[0], data.qpos, atol=1e-10)
             if terminated:
                 break
     assert steps > 40
@@ -53,7 +53,7 @@ def test_how_the_broad_phase_lists_the_geoms_changes_nothing(
     bank: SceneBank, monkeypatch: pytest.MonkeyPatch, count: int
 ) -> None:
     """The same motions and touches, bit for bit, as MuJoCo that goes through all geoms in its own order."""
-    played, touched, random = [], [], np.random.default_rng(0)
+    played, collided, random = [], [], np.random.default_rng(0)
     actions = np.repeat(random.uniform(-1, 1, (12, count, 6)), 40, axis=0)
     for told_of_all in (False, True):
         if told_of_all:
@@ -63,11 +63,11 @@ def test_how_the_broad_phase_lists_the_geoms_changes_nothing(
         env.reset(seed=0)
         seen = [env.step(action) for action in actions]
         played.append([np.concatenate([part.ravel() for part in step[:4]]) for step in seen])
-        touched.append([list(step[4]["contact"]) for step in seen])
+        collided.append([list(step[4]["contact"]) for step in seen])
         models = env.simulation._physics.models
         assert len({int(model.body_geomnum[0]) for model in models}) == 1
         assert models[0].body_geomnum[0] > env.simulation.worlds.capacity
         assert models[0].ngeom > env.simulation.worlds.capacity + 10
         assert sum(step[2].sum() for step in seen) > 2, "arms touch something"
     np.testing.assert_array_equal(*played)
-    assert touched[0] == touched[1]
+    assert collided[0] == collided[1]

@@ -47,10 +47,10 @@ def same(a: Any, b: Any) -> bool:
     return bool(np.array_equal(a, b)) if isinstance(a, np.ndarray) else bool(a == b)
 
 
-PLAIN = [name for name in OBSERVATIONS if name != "state_seen"]  # the made-up scenes do not say what was seen
+PLAIN = [name for name in OBSERVATIONS if name != "state_occupancy"]  # the made-up scenes do not say what was seen
 KINDS = [
-    *product(ROBOTS, PLAIN, ACTIONS, [name for name in REWARDS if name != "way"]),
-    *product(ROBOTS, ["state", "depth", "waypoint"], ["joint"], ["way"]),
+    *product(ROBOTS, PLAIN, ACTIONS, [name for name in REWARDS if name != "path"]),
+    *product(ROBOTS, ["state", "depth", "waypoint"], ["joint"], ["path"]),
 ]
 
 
@@ -346,10 +346,10 @@ def test_the_arm_follows_its_commands_without_ringing() -> None:
             action[joint] = sign
             for step in range(40):
                 *_, info = env.step(action if step < 10 else np.zeros(6))
-                trace.append(env.simulation.situation)
+                trace.append(env.simulation.state)
                 assert not info["collision"]
             goal = env.start + 10 * 0.08 * action
-            lag = max(np.abs(s.lead).max() for s in trace)
+            lag = max(np.abs(s.command_error).max() for s in trace)
             assert lag < 0.12
             assert max((sign * (s.joints[0] - goal)[joint]) for s in trace) < 0.005
             np.testing.assert_allclose(trace[-1].joints[0], goal, atol=1e-3)

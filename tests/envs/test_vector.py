@@ -99,7 +99,7 @@ ALL_OFF = Randomization(0.03, 0.05, 0.02, 0.01, depth_noise=True)
         {"observation": "depth", "action": "joint_velocity", "randomization": ALL_OFF},
         {"observation": "waypoint", "randomization": Randomization(0.03, 0.05, 0.02, 0.01)},
         {"robot": "iiwa14", "observation": "waypoint"},
-        {"observation": "state", "reward": "way"},
+        {"observation": "state", "reward": "path"},
         {"robot": "iiwa14", "observation": "points", "difficulty": {"easy": 1, "hard": 0}},
     ],
 )

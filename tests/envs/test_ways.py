@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.agents import WaypointAgent
-from greenhouse_gym.envs import TomatoReachEnv, Transition, WayReward
+from greenhouse_gym.envs import PathReward, TomatoReachEnv, Transition
 from greenhouse_gym.envs import waypoints as ways
 from greenhouse_gym.envs.waypoints import EVERY, Ends, Heading, Headings, Place, Ways
 from greenhouse_gym.evaluation import evaluate
@@ -107,14 +107,14 @@ def test_goals_are_looked_for_once_in_each_episode_that_is_new(
 
 
 def left(env: TomatoReachEnv) -> float:
-    situation = env.simulation.situation
-    assert situation is not None
-    return float(np.linalg.norm(situation.waypoint[0]) + situation.way[0, 0])
+    state = env.simulation.state
+    assert state is not None
+    return float(np.linalg.norm(state.waypoint[0]) + state.path_length[0])
 
 
 @pytest.mark.parametrize("observation", ["state", "waypoint"])
 def test_what_is_paid_for_the_way_depends_on_its_ends_alone(scene: Scene, observation: str) -> None:
-    env = TomatoReachEnv(bank="mini", observation=observation, reward="way", step_limit=60)
+    env = TomatoReachEnv(bank="mini", observation=observation, reward="path", step_limit=60)
     for seed in range(3):
         random = np.random.default_rng(seed)
         env.reset(seed=seed, options={"scene": scene, "target": TARGET})
@@ -128,7 +128,7 @@ def test_what_is_paid_for_the_way_depends_on_its_ends_alone(scene: Scene, observ
 
 
 def test_going_along_the_way_is_paid_and_staying_is_not(scene: Scene) -> None:
-    env = TomatoReachEnv(bank="mini", observation="waypoint", reward=WayReward(progress=1.0, time=0.0, effort=0.0))
+    env = TomatoReachEnv(bank="mini", observation="waypoint", reward=PathReward(progress=1.0, time=0.0, effort=0.0))
     seen, info = env.reset(options={"scene": scene, "target": TARGET})
     assert env.step(np.zeros(JOINTS))[1] == 0
     total, began = 0.0, left(env)
@@ -143,20 +143,20 @@ def test_going_along_the_way_is_paid_and_staying_is_not(scene: Scene) -> None:
 
 def test_only_who_asks_for_the_way_is_told(scene: Scene) -> None:
     episode = {"scene": scene, "target": TARGET}
-    paid, other = (TomatoReachEnv(bank="mini", observation="state", reward=kind) for kind in ("way", "dense"))
+    paid, other = (TomatoReachEnv(bank="mini", observation="state", reward=kind) for kind in ("path", "dense"))
     np.testing.assert_array_equal(paid.reset(options=episode)[0], other.reset(options=episode)[0])
-    assert paid.simulation.situation is not None
-    assert other.simulation.situation is not None
-    assert paid.simulation.situation.waypoint.shape == (1, JOINTS)
-    assert other.simulation.situation.waypoint.shape == (1, 0)
+    assert paid.simulation.state is not None
+    assert other.simulation.state is not None
+    assert paid.simulation.state.waypoint.shape == (1, JOINTS)
+    assert other.simulation.state.waypoint.shape == (1, 0)
 
 
 def test_a_reward_of_ones_own_may_ask_for_the_way(scene: Scene) -> None:
     class Straight:
-        asks_for_way = True
+        requires_roadmap = True
 
         def __call__(self, step: Transition) -> dict[str, np.ndarray]:
-            return {"free": step.end.way[:, 1]}
+            return {"free": step.end.path_free.astype(float)}
 
     env = TomatoReachEnv(bank="mini", reward=Straight())
     env.reset(options={"scene": scene, "target": TARGET})

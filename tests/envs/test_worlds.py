@@ -105,7 +105,7 @@ def test_a_bank_that_is_written_anew_gives_its_new_scenes(scene: Scene, tmp_path
         env.reset(seed=0, options={"scene": scene.name, "target": 0})
         body = env.model_and_data()[0].geom("tomato_0").pos
         np.testing.assert_allclose(body, moved[0].center)
-        return env.simulation.situation.target[0]
+        return env.simulation.state.target[0]
 
     before, after = first_target(0.0), first_target(0.05)
     np.testing.assert_allclose(after - before, [0.05, 0.0, 0.0], atol=1e-6)

@@ -23,7 +23,7 @@ from stable_baselines3 import PPO, SAC
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from greenhouse_gym.agents.policy_agent import PolicyAgent, shipped_policies
-from greenhouse_gym.envs import WayReward
+from greenhouse_gym.envs import PathReward
 from greenhouse_gym.errors import FileFormatError, GreenhouseError, InvalidValueError, UnknownNameError
 from greenhouse_gym.learning.checkpoints import NAME, load_checkpoint, save_checkpoint
 from greenhouse_gym.learning.curves import VALIDATION, read_curve
@@ -55,10 +55,10 @@ def test_the_reward_is_the_one_of_the_settings(settings: PpoSettings, tmp_path: 
         seen.append(make_sb3_vec_env(count, **keywords))
         return seen[-1]
 
-    train_ppo(replace(settings, total_steps=32, reward="way"), tmp_path / "way", make_env=make_env)
+    train_ppo(replace(settings, total_steps=32, reward="path"), tmp_path / "path", make_env=make_env)
     [env] = seen
-    assert isinstance(env.get_attr("simulation")[0].reward_terms, WayReward)
-    with pytest.raises(UnknownNameError, match="way"):
+    assert isinstance(env.get_attr("simulation")[0].reward_terms, PathReward)
+    with pytest.raises(UnknownNameError, match="path"):
         train_ppo(replace(settings, reward="wya"), tmp_path / "other")
     assert not (tmp_path / "other").exists()
 

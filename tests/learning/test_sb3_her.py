@@ -100,7 +100,7 @@ def test_features_know_the_target_from_other_fruit(scene: Scene) -> None:
     reset = {"scene": scene, "target": 0, "start": [0.3, -1.2, 1.6, -1.9, -0.4, 0.2]}
     seen, _ = env.reset(options=reset)
     origin = scene.tomatoes[0].center - seen["desired_goal"]
-    ahead = origin + seen["achieved_goal"] + 0.05 * env.simulation.situation.axis[0]  # type: ignore[union-attr]
+    ahead = origin + seen["achieved_goal"] + 0.05 * env.simulation.state.axis[0]  # type: ignore[union-attr]
     fruit = (Tomato(ahead, 0.03, truss=0), Tomato(ahead + [0, 0.4, 0], 0.03, truss=0))
     placed = scene.model_copy(update={"tomatoes": fruit, "stems": (), "clutter": (), "targets": ()})
     told = []

@@ -16,8 +16,10 @@ ARM = get_robot("ur5e")
 
 
 def test_the_places_of_the_probe_points_are_told() -> None:
-    check_env(gymnasium.make("TomatoReach-v0", bank="mini", observation="state_seen").unwrapped, skip_render_check=True)
-    env, plain = TomatoReachEnv(bank="mini", observation="state_seen"), TomatoReachEnv(bank="mini")
+    check_env(
+        gymnasium.make("TomatoReach-v0", bank="mini", observation="state_occupancy").unwrapped, skip_render_check=True
+    )
+    env, plain = TomatoReachEnv(bank="mini", observation="state_occupancy"), TomatoReachEnv(bank="mini")
     told, known = set(), len(plain.reset(seed=4)[0])
     observed = env.reset(seed=4)[0]
     for _ in range(60):
@@ -34,13 +36,13 @@ def test_the_places_of_the_probe_points_are_told() -> None:
 
 
 def test_many_simulations_are_told_what_one_is() -> None:
-    many = TomatoReachVectorEnv(3, bank="mini", observation="state_seen")
-    singles = [TomatoReachEnv(bank="mini", observation="state_seen") for _ in range(3)]
+    many = TomatoReachVectorEnv(3, bank="mini", observation="state_occupancy")
+    singles = [TomatoReachEnv(bank="mini", observation="state_occupancy") for _ in range(3)]
     np.testing.assert_array_equal(many.reset(seed=7)[0], [env.reset(seed=7 + i)[0] for i, env in enumerate(singles)])
 
 
 def test_scenes_that_do_not_know_are_named(bank: SceneBank) -> None:
-    env = TomatoReachEnv(bank=bank, observation="state_seen")
+    env = TomatoReachEnv(bank=bank, observation="state_occupancy")
     with pytest.raises(InvalidValueError, match=r"made-up-\d.*seen of its space.*state"):
         env.reset(seed=0)
 

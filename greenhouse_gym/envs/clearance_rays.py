@@ -17,8 +17,8 @@ arm's right."""
 NEAR, FAR = (0.05, 0.09, 0.13), (0.18, 0.24, 0.30)
 """Distances from the target's center, metres, at which the tool and the wrist would be."""
 
-ROOM = 2 * len(AZIMUTHS) * len(ELEVATIONS)
-"""How many numbers `room_around` gives."""
+NUM_CLEARANCES = 2 * len(AZIMUTHS) * len(ELEVATIONS)
+"""How many numbers `clearance_rays` gives."""
 
 
 def _rays() -> Array:
@@ -32,8 +32,8 @@ def _rays() -> Array:
 _POINTS = _rays()
 
 
-def room_around(fields: FieldStore, slot: int, ignored: int, target: Array) -> Float32:
-    """Smallest distance to an obstacle on each ray, near (tool) and far (wrist), (`ROOM`,), metres.
+def clearance_rays(fields: FieldStore, slot: int, ignored: int, target: Array) -> Float32:
+    """Smallest distance to an obstacle on each ray, near (tool) and far (wrist), (`NUM_CLEARANCES`,), metres.
 
     Args:
         fields: The distance fields.

@@ -1,4 +1,4 @@
-"""The room around the target in ``observation="approach"``."""
+"""The room around the target in ``observation="clearance_rays"``."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import pytest
 
 from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.envs import TomatoReachEnv
-from greenhouse_gym.envs.approach import AZIMUTHS, ELEVATIONS, FAR, NEAR, ROOM
-from greenhouse_gym.envs.reach_task import Situation
+from greenhouse_gym.envs.clearance_rays import AZIMUTHS, ELEVATIONS, FAR, NEAR, NUM_CLEARANCES
+from greenhouse_gym.envs.reach_task import State
 from greenhouse_gym.geometry import Sphere
 from greenhouse_gym.motion.distance_field import MAX_DISTANCE
 from greenhouse_gym.scene import Provenance, Scene, SceneBank, Target
@@ -23,12 +23,12 @@ def seen(*clutter: Sphere) -> np.ndarray:
         name="one-tomato", tomatoes=(Tomato(TARGET, 0.03, truss=0),), clutter=clutter,
         targets=(Target(tomato=0, difficulty="easy"),), provenance=Provenance(row="made-up"),
     )  # fmt: skip
-    env = TomatoReachEnv(bank="mini", observation="approach")
+    env = TomatoReachEnv(bank="mini", observation="clearance_rays")
     observation, _ = env.reset(options={"scene": scene, "target": 0})
     assert env.observation_space.contains(observation)
     assert base_position(scene, env.unwrapped.simulation.robot)[1] == 0  # type: ignore[attr-defined]
     env.close()
-    return np.asarray(observation[-ROOM:].reshape(len(AZIMUTHS), len(ELEVATIONS), 2))
+    return np.asarray(observation[-NUM_CLEARANCES:].reshape(len(AZIMUTHS), len(ELEVATIONS), 2))
 
 
 def test_there_is_room_all_round_where_nothing_stands() -> None:
@@ -48,18 +48,20 @@ def test_what_stands_on_a_ray_is_seen_on_that_ray(
 
 
 def test_it_begins_as_the_state_does(bank: SceneBank) -> None:
-    state, approach = (TomatoReachEnv(bank=bank, observation=kind).reset(seed=4)[0] for kind in ("state", "approach"))
+    state, approach = (
+        TomatoReachEnv(bank=bank, observation=kind).reset(seed=4)[0] for kind in ("state", "clearance_rays")
+    )
     np.testing.assert_array_equal(approach[: len(state)], state)
 
 
-@pytest.mark.parametrize(("asks", "numbers"), [(True, ROOM), (False, 0)])
+@pytest.mark.parametrize(("asks", "numbers"), [(True, NUM_CLEARANCES), (False, 0)])
 def test_the_room_is_looked_at_where_it_is_asked_for(asks: bool, numbers: int) -> None:
     class Wide:
         space = gymnasium.spaces.Box(0.0, 100.0, (1,), dtype=np.float32)
-        asks_for_room = asks
+        requires_clearance_rays = asks
 
-        def __call__(self, situation: Situation) -> np.ndarray:
-            return np.full((len(situation.joints), 1), situation.room.shape[1], dtype=np.float32)
+        def __call__(self, state: State) -> np.ndarray:
+            return np.full((len(state.joints), 1), state.clearance_rays.shape[1], dtype=np.float32)
 
     env = TomatoReachEnv(bank="mini", observation=Wide())
     assert env.reset(seed=0)[0].tolist() == [numbers]

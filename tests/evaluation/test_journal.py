@@ -13,7 +13,7 @@ from parallel_helpers import Elsewhere
 from greenhouse_gym.agents import Problem, RandomAgent
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.evaluation import AgentError, Record, evaluate
-from greenhouse_gym.evaluation.journal import KeptRecords
+from greenhouse_gym.evaluation.journal import RecordJournal
 from greenhouse_gym.evaluation.leaderboard import V1, read_entry, submit
 from greenhouse_gym.scene import SceneBank
 
@@ -44,37 +44,37 @@ def test_an_interrupted_evaluation_goes_on(bank: SceneBank, tmp_path: Path, exec
     whole = evaluate(RandomAgent(), episodes=4, bank=bank).records
     file = tmp_path / "records.jsonl"
     with pytest.raises(KeyboardInterrupt):
-        evaluate(Interrupted(2), episodes=4, bank=bank, kept=KeptRecords(file, ABOUT))
+        evaluate(Interrupted(2), episodes=4, bank=bank, journal=RecordJournal(file, ABOUT))
     agent = Interrupted(2)
-    again = evaluate(agent, episodes=4, bank=bank, kept=KeptRecords(file, ABOUT), executor=executor).records
+    again = evaluate(agent, episodes=4, bank=bank, journal=RecordJournal(file, ABOUT), executor=executor).records
     assert untimed(again) == untimed(whole)
     assert executor is not None or agent.left == 0, "two episodes were left"
     nobody = Interrupted(0)
-    assert evaluate(nobody, episodes=4, bank=bank, kept=KeptRecords(file, ABOUT)).records == again
-    assert evaluate(nobody, episodes=2, bank=bank, kept=KeptRecords(file, ABOUT)).records == again[:2]
+    assert evaluate(nobody, episodes=4, bank=bank, journal=RecordJournal(file, ABOUT)).records == again
+    assert evaluate(nobody, episodes=2, bank=bank, journal=RecordJournal(file, ABOUT)).records == again[:2]
 
 
 @pytest.fixture(scope="module")
 def content(bank: SceneBank, tmp_path_factory: pytest.TempPathFactory) -> str:
     file = tmp_path_factory.mktemp("kept") / "records.jsonl"
-    evaluate(RandomAgent(), episodes=3, bank=bank, kept=KeptRecords(file, ABOUT))
+    evaluate(RandomAgent(), episodes=3, bank=bank, journal=RecordJournal(file, ABOUT))
     return file.read_text()
 
 
 def test_a_line_that_was_being_written_is_played_again(content: str, tmp_path: Path) -> None:
     file = tmp_path / "records.jsonl"
     file.write_text(content[:-20])
-    kept = KeptRecords(file, ABOUT)
+    kept = RecordJournal(file, ABOUT)
     assert list(kept.records) == [0, 1]
     kept.add(2, kept.records[0])
-    assert list(KeptRecords(file, ABOUT).records) == [0, 1, 2]
+    assert list(RecordJournal(file, ABOUT).records) == [0, 1, 2]
 
 
 def test_records_of_something_else_are_not_taken(content: str, tmp_path: Path) -> None:
     file = tmp_path / "records.jsonl"
     file.write_text(content)
-    assert KeptRecords(file, {**ABOUT, "agent": "another"}).records == {}
-    assert KeptRecords(file, ABOUT).records == {}, "the file was begun anew"
+    assert RecordJournal(file, {**ABOUT, "agent": "another"}).records == {}
+    assert RecordJournal(file, ABOUT).records == {}, "the file was begun anew"
 
 
 @pytest.mark.parametrize(
@@ -83,7 +83,7 @@ def test_records_of_something_else_are_not_taken(content: str, tmp_path: Path) -
         lambda line: line.replace('"seed"', '"sed"'),
         lambda line: line[10:],
         lambda line: "[]",
-        lambda line: line.replace('"place"', '"palace"'),
+        lambda line: line.replace('"index"', '"palace"'),
     ],
 )
 def test_a_damaged_line_is_named(content: str, tmp_path: Path, spoil: Callable[[str], str]) -> None:
@@ -91,7 +91,7 @@ def test_a_damaged_line_is_named(content: str, tmp_path: Path, spoil: Callable[[
     header, first, *others = content.split("\n")
     file.write_text("\n".join([header, spoil(first), *others]))
     with pytest.raises(FileFormatError, match=r"records.jsonl.*line 2 is no record"):
-        KeptRecords(file, ABOUT)
+        RecordJournal(file, ABOUT)
 
 
 def test_an_interrupted_entry_goes_on(tmp_path: Path) -> None:
@@ -112,7 +112,7 @@ class Broken(RandomAgent):
 def test_records_of_an_agent_that_never_acted_do_not_outlive_the_error(bank: SceneBank, tmp_path: Path) -> None:
     file = tmp_path / "records.jsonl"
     with pytest.raises(AgentError):
-        evaluate(Broken(), episodes=2, bank=bank, kept=KeptRecords(file, ABOUT), executor=Elsewhere())
+        evaluate(Broken(), episodes=2, bank=bank, journal=RecordJournal(file, ABOUT), executor=Elsewhere())
     assert not file.exists(), "the next try begins anew"
 
 
@@ -124,4 +124,4 @@ def test_an_agent_whose_file_has_changed_begins_anew(tmp_path: Path) -> None:
         source.write_text(source.read_text() + change)
         with pytest.raises(KeyboardInterrupt):
             submit(Interrupted(2), f"{source}:RandomAgent", out, ["reconstruction"], SHORT)
-    assert (out / "own.py-RandomAgent.trial.reconstruction.jsonl").read_text().count('"place"') == 2
+    assert (out / "own.py-RandomAgent.trial.reconstruction.jsonl").read_text().count('"index"') == 2
