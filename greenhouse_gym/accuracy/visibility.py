@@ -82,7 +82,7 @@ class VisibleRow(NamedTuple):
 def visible_row(row: PlantRow, rig: Rig, world_from_station: Array) -> VisibleRow:
     """What a rig at true poses (stations, 4, 4) could show of a row."""
     stems, clutter = cut(row.stems), cut(row.clutter)
-    objects = [*row.tomatoes, *stems.pieces, *clutter.pieces]
+    objects: list[Shape] = [*(tomato.shape for tomato in row.tomatoes), *stems.pieces, *clutter.pieces]
     first_stem, first_leaf = len(row.tomatoes), len(row.tomatoes) + len(row.stems)
     owner = np.concatenate([np.arange(first_stem), first_stem + stems.owner, first_leaf + clutter.owner])
     enough = np.where(np.arange(len(objects)) < first_stem, 1.0, VISIBLE)  # of a piece, no more than that matters
@@ -98,7 +98,9 @@ def visible_row(row: PlantRow, rig: Rig, world_from_station: Array) -> VisibleRo
 
 def visible_tomatoes(row: PlantRow, rig: Rig, world_from_station: Array) -> npt.NDArray[np.bool_]:
     """Which tomatoes (n,) of a row a recording could show at all, the rig standing at true poses (stations, 4, 4)."""
-    return visibility(row, row.tomatoes, np.arange(len(row.tomatoes)), rig, world_from_station).visible
+    return visibility(
+        row, [t.shape for t in row.tomatoes], np.arange(len(row.tomatoes)), rig, world_from_station
+    ).visible
 
 
 def cut(shapes: Sequence[Part], longest: float = LONGEST_PIECE) -> Pieces[Part]:

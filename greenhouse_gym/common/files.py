@@ -26,7 +26,7 @@ from greenhouse_gym.errors import FileFormatError, FileWriteError, InvalidValueE
 _PACKAGE = Path(__file__).resolve().parents[1]
 _IN_CHECKOUT = {"scenes": Path("scenes"), "policies": Path("training/policies")}
 
-MOST_BYTES = MappingProxyType(
+MAX_BYTES = MappingProxyType(
     {
         "scene": 64 * 2**20,
         "bank manifest": 64 * 2**20,
@@ -111,7 +111,7 @@ def read_bytes(path: str | Path, kind: str) -> bytes:
 
     Args:
         path: The file; pipes, devices and folders are refused before they are read.
-        kind: A key of `MOST_BYTES`.
+        kind: A key of `MAX_BYTES`.
 
     Raises:
         FileFormatError: It is missing, cannot be read, is no regular file, or is too large.
@@ -119,14 +119,14 @@ def read_bytes(path: str | Path, kind: str) -> bytes:
     try:
         with open(path, "rb", opener=_without_waiting) as file:
             status = os.fstat(file.fileno())
-            readable = stat.S_ISREG(status.st_mode) and status.st_size <= MOST_BYTES[kind]
+            readable = stat.S_ISREG(status.st_mode) and status.st_size <= MAX_BYTES[kind]
             content = file.read(status.st_size) if readable else b""
     except (OSError, ValueError) as error:
         raise FileFormatError(path, f"cannot be read ({getattr(error, 'strerror', None) or error})") from error
     if not stat.S_ISREG(status.st_mode):
         raise FileFormatError(path, "cannot be read (not a regular file)")
     if not readable:
-        raise FileFormatError(path, f"too large for a {kind}: {status.st_size} bytes, at most {MOST_BYTES[kind]}")
+        raise FileFormatError(path, f"too large for a {kind}: {status.st_size} bytes, at most {MAX_BYTES[kind]}")
     return content
 
 

@@ -34,7 +34,7 @@ from greenhouse_gym.robots import Robot
 
 OBSERVATIONS: Mapping[str, Callable[[Robot], Sight]] = {
     "state": StateObservation,
-    "state_seen": partial(StateObservation, unseen=True),
+    "state_seen": partial(StateObservation, unknown=True),
     "approach": ApproachObservation,
     "waypoint": WaypointObservation,
     "goal": GoalObservation,

@@ -107,7 +107,7 @@ _GROUPS: dict[str, tuple[Callable[[Situation], npt.NDArray[Any]], Callable[[Robo
         lambda s: s.obstacle.reshape(len(s.obstacle), -1),
         lambda r: _around(1.0, 3 * len(r.probes)),
     ),
-    "unseen": (lambda s: ~s.seen, lambda r: (np.zeros(len(r.probes)), np.ones(len(r.probes)))),
+    "unknown": (lambda s: ~s.seen, lambda r: (np.zeros(len(r.probes)), np.ones(len(r.probes)))),
     "waypoint_offset": (lambda s: s.waypoint, lambda r: _around(MAX_WAY, len(r.joints))),
     "waypoint_direction": (lambda s: _direction(s.waypoint), lambda r: _around(1.0, len(r.joints))),
     "way": (lambda s: s.way, lambda r: (np.zeros(2), np.array([MAX_WAY, 1.0]))),
@@ -167,12 +167,12 @@ class StateObservation(Sight):
 
     Args:
         robot: The arm.
-        unseen: Whether it ends with a 1 for every probe point at a place that the scan did not see, and a 0 for others.
+        unknown: Append for each probe point a 1 if it lies in unknown space, else a 0.
     """
 
-    def __init__(self, robot: Robot, unseen: bool = False):
-        self._vector = Vector(robot, (*_STATE, "unseen") if unseen else _STATE)
-        self.asks_what_was_seen = unseen
+    def __init__(self, robot: Robot, unknown: bool = False):
+        self._vector = Vector(robot, (*_STATE, "unknown") if unknown else _STATE)
+        self.asks_what_was_seen = unknown
         self.space = self._vector.space
         self.layout = self._vector.layout
 

@@ -25,7 +25,7 @@ from greenhouse_gym.motion.collision import smallest_clearance
 from greenhouse_gym.planning import path_length
 from greenhouse_gym.robots.kinematics import tool_chain, tool_state
 
-MOST_REPLACED = 3
+MAX_REPLACED = 3
 """How many agents that ran out of patience are replaced by a copy at most; each may go on working beside the others."""
 
 
@@ -98,7 +98,7 @@ class Match:
         chosen: Place and reset options of the episodes.
         seed: Seed of the episode in place 0.
         patience: Seconds it may take for each answer; None waits for ever. After an answer that took longer, a copy of
-            the agent plays the next episode, `MOST_REPLACED` times at most; then they all fail.
+            the agent plays the next episode, `MAX_REPLACED` times at most; then they all fail.
         proven: Whether the agent ever gave a valid action.
     """
 
@@ -180,7 +180,7 @@ class Match:
     def _player(self, i: int) -> _Player:
         """Who begins an episode in a simulation."""
         player = self._players[i]
-        if not player.patience.over or self._fresh is None or self._replaced == MOST_REPLACED:
+        if not player.patience.over or self._fresh is None or self._replaced == MAX_REPLACED:
             return player
         self._replaced += 1
         other = _Player(_copy(self._fresh), Patience(self._seconds))

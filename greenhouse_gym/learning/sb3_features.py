@@ -25,7 +25,7 @@ CENTERS_AND_SCALES: dict[str, tuple[float, float]] = {
     "tool_axis": (0.0, 1.0),
     "clearance": (0.1, 0.1),
     "obstacle_direction": (0.0, 1.0),
-    "unseen": (0.5, 0.5),
+    "unknown": (0.5, 0.5),
     "waypoint_offset": (0.0, 1.0),
     "waypoint_direction": (0.0, 0.5),
     "way": (0.5, 0.5),

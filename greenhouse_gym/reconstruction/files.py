@@ -13,7 +13,7 @@ import numpy.typing as npt
 from pydantic import TypeAdapter
 
 from greenhouse_gym.common.array_files import read_arrays
-from greenhouse_gym.common.files import MOST_BYTES, parsing, read_bytes, write_atomically
+from greenhouse_gym.common.files import MAX_BYTES, parsing, read_bytes, write_atomically
 from greenhouse_gym.geometry import is_rotation
 from greenhouse_gym.reconstruction.report import RowReport
 from greenhouse_gym.reconstruction.row import RowCloud
@@ -44,7 +44,7 @@ def load_row(path: str | Path) -> RowCloud:
         FileFormatError: The file is missing, damaged, or lacks an array; or its arrays do not fit each other.
     """
     with parsing(path, "row cloud"):
-        arrays = read_arrays(read_bytes(path, "row cloud"), MOST_BYTES["row cloud"])
+        arrays = read_arrays(read_bytes(path, "row cloud"), MAX_BYTES["row cloud"])
         missing = [name for name in (*_ARRAYS, "report") if name not in arrays]
         if missing:
             raise ValueError(f"it lacks {', '.join(missing)}")
