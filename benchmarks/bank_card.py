@@ -20,7 +20,7 @@ from greenhouse_gym.geometry import Box, distance_to_nearest, distance_to_shapes
 from greenhouse_gym.planning import certify
 from greenhouse_gym.scene import DIFFICULTIES, SceneBank
 from greenhouse_gym.scene.manifest import SPLITS
-from greenhouse_gym.scene.occupancy import REACH, SURFACE
+from greenhouse_gym.scene.occupancy import OCCUPIED, REACH
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
@@ -52,7 +52,7 @@ is no scene of such a place. A recording's row keeps its name in all weeks, and 
 
 ## Difficulty
 
-By collision checks, so that it does not depend on the machine, and in the reconstruction, with unseen space as free:
+By collision checks, so that it does not depend on the machine, and in the reconstruction, with unknown space as free:
 
 - **easy**: a straight joint motion to one of up to $goals goal configurations is free.
 - **medium**: RRTConnect needs no more than $hard checks, in the median over $seeds seeds.
@@ -77,7 +77,7 @@ $mini
   targets of few test rows are too narrow.
 - Simulated plants do not bend, and both generators hang trusses towards the aisle, as pickers turn them.
 - A witness is free in the reconstruction. What the reconstruction missed or invented is told by the truth; a plan
-  that is free here can touch a leaf there. Most witnesses pass through unseen space, above and behind what the
+  that is free here can touch a leaf there. Most witnesses pass through unknown space, above and behind what the
   rig saw.
 - At most $primitives shapes are kept; in dense rows and cherry rows the farthest are left out. That there are
   surfaces is still told by what the scan saw of the space around the arm.
@@ -110,8 +110,8 @@ def main() -> None:
         )
     card = CARD.substitute(
         rows=rows, length=shipped.ROW_LENGTH, spacing=settings.spacing, progress=built,
-        primitives=settings.primitives, width=settings.width, reach=settings.reach,
-        leaves=f"{1000 * settings.leaves:g}", targets=settings.targets, goals=certify.GOALS,
+        primitives=settings.max_shapes, width=settings.width, reach=settings.reach,
+        leaves=f"{1000 * settings.leaf_tolerance:g}", targets=settings.max_targets, goals=certify.GOALS,
         hard=certify.HARD, seeds=certify.SEEDS, most=certify.MAX_CHECKS, last=certify.LAST_CHECKS,
         samples=certify.SAMPLES, default=tables(default), mini=tables(mini),
     )  # fmt: skip
@@ -180,13 +180,13 @@ def surfaces_without_shapes(bank: SceneBank) -> dict[str, tuple[int, float]]:
     """
     far: dict[str, list[npt.NDArray[np.bool_]]] = {}
     for entry, scene in zip(bank.manifest.scenes, bank, strict=True):
-        if scene.seen is None:
+        if scene.occupancy is None:
             continue
-        centers = scene.seen.centers[scene.seen.states == SURFACE]
-        shoulder = scene.stand.position + [0.0, 0.0, scene.stand.shoulder_height]
+        centers = scene.occupancy.centers[scene.occupancy.states == OCCUPIED]
+        shoulder = scene.placement.position + [0.0, 0.0, scene.placement.shoulder_height]
         centers = centers[np.linalg.norm(centers - shoulder, axis=1) < REACH]
-        corner = scene.seen.voxel * np.sqrt(3) / 2
-        most = scene.provenance.settings["primitives"]
+        corner = scene.occupancy.voxel * np.sqrt(3) / 2
+        most = scene.provenance.settings["max_shapes"]
         size = f"with all of the {most} shapes" if len(scene.obstacles) == most else "with fewer shapes"
         away = distance_to_nearest(centers, scene.obstacles, corner)
         far.setdefault(f"{entry.source or 'unknown'}, {size}", []).append(away > corner)

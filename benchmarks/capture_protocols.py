@@ -34,10 +34,10 @@ from greenhouse_gym.common.executors import completed, executor_for
 from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.envs import PlantMotion, Randomization
 from greenhouse_gym.envs.tomato_reach import TomatoReachEnv
-from greenhouse_gym.motion.unknown_space import UNSEEN_RULES
+from greenhouse_gym.motion.unknown_space import UNKNOWN_RULES
 from greenhouse_gym.planning import PlanResult, plan
 from greenhouse_gym.scene import Scene
-from greenhouse_gym.scene.occupancy import EMPTY, SURFACE, UNSEEN
+from greenhouse_gym.scene.occupancy import FREE, OCCUPIED, UNKNOWN
 
 REACH = 0.95
 """Metres from the shoulder up to which a tomato is a target."""
@@ -45,7 +45,7 @@ REACH = 0.95
 ENDS = 0.25
 """Metres by which stands keep farther from the walk's ends than half a spacing: nothing was scanned beyond."""
 
-STATES = {UNSEEN: "unseen", EMPTY: "empty", SURFACE: "at a surface"}
+STATES = {UNKNOWN: "unknown", FREE: "empty", OCCUPIED: "at a surface"}
 
 SAME = 0.03
 """Metres between the centers of a reconstructed tomato and of the true one it stands for."""
@@ -62,7 +62,9 @@ def main() -> None:
         "--protocols", nargs="+", default=list(PROTOCOLS), metavar="NAME[:START]",
         help="names, each with what the arm starts from: start (upright, if left out) or folded",
     )  # fmt: skip
-    parser.add_argument("--unseen", nargs="+", default=["free"], metavar="RULE", help="free, avoid, forbid, or a depth")
+    parser.add_argument(
+        "--unknown", nargs="+", default=["free"], metavar="RULE", help="free, avoid, forbid, or a depth"
+    )
     parser.add_argument("--length", type=float, default=2.0, help="of a row, metres")
     parser.add_argument("--spacing", type=float, default=0.5, help="between the stands of the arm, metres")
     parser.add_argument("--robot", default="ur5e")
@@ -72,7 +74,7 @@ def main() -> None:
     parser.add_argument("--fine", action="store_true", help="have bent leaves become many small boxes")
     parser.add_argument("--leaves", type=float, default=0.02, help="how far off its leaves the truth may lie, metres")
     parser.add_argument("--margin", type=float, default=0.0, help="how far paths keep from boxes of leaves, metres")
-    parser.add_argument("--surfaces", action="store_true", help="keep out of seen surfaces that have no shape")
+    parser.add_argument("--unexplained", action="store_true", help="keep out of seen surfaces that have no shape")
     parser.add_argument("--per-scene", type=int, default=20, help="most targets of a scene")
     parser.add_argument("--moved", action="store_true", help="follow in plants that moved since they were scanned")
     parser.add_argument("--workers", type=int, default=1)
@@ -93,10 +95,12 @@ def main() -> None:
         a.moved,
         a.leaves,
         a.margin,
-        a.surfaces,
+        a.unexplained,
         a.workdir,
     )
-    tasks = [(row, *protocol_and_start(name), unseen) for row, name, unseen in product(a.rows, a.protocols, a.unseen)]
+    tasks = [
+        (row, *protocol_and_start(name), unknown) for row, name, unknown in product(a.rows, a.protocols, a.unknown)
+    ]
     if a.only_finished:
         tasks = [task for task in tasks if _episodes_file(*task, options).exists()]
     episodes: list[dict[str, Any]] = []
@@ -107,10 +111,10 @@ def main() -> None:
     if a.out:
         command = (
             f"benchmarks/capture_protocols.py --source {a.source} --rows {','.join(map(str, a.rows))} "
-            f"--protocols {' '.join(a.protocols)} --unseen {' '.join(a.unseen)} --length {a.length:g} "
+            f"--protocols {' '.join(a.protocols)} --unknown {' '.join(a.unknown)} --length {a.length:g} "
             f"--spacing {a.spacing:g} --primitives {a.primitives}{' --fine' * a.fine} --planner {a.planner} "
             f"--checks {a.checks} --leaves {a.leaves:g} --margin {a.margin:g} --per-scene {a.per_scene}"
-            f"{' --surfaces' * a.surfaces}{' --moved' * a.moved}{' --only-finished' * a.only_finished}"
+            f"{' --unexplained' * a.unexplained}{' --moved' * a.moved}{' --only-finished' * a.only_finished}"
         )
         rows = sorted({task[0] for task in tasks})
         figures = {"command": command, "source": a.source, "rows_measured": rows, "figures": summaries(episodes)}
@@ -129,43 +133,45 @@ def protocol_and_start(text: str) -> tuple[str, str]:
     return get_protocol(protocol).name, start or "start"
 
 
-_Task = tuple[int, str, str, str]  # row, protocol, start, unseen
+_Task = tuple[int, str, str, str]  # row, protocol, start, unknown
 
 
 def measure(task: _Task, options: Options) -> list[dict[str, Any]]:
     """All episodes of one row photographed by one protocol."""
-    seed, protocol, start, unseen = task
-    file = _episodes_file(seed, protocol, start, unseen, options)
+    seed, protocol, start, unknown = task
+    file = _episodes_file(seed, protocol, start, unknown, options)
     if not file.exists():
         scenes = scenes_of(seed, protocol, options)
         ends = round(ENDS / options.spacing)
         scenes = scenes[ends : len(scenes) - ends]
-        about = {"source": options.source, "row": seed, "protocol": protocol, "unseen": unseen, "start": start}
-        found = reach_in(scenes, unseen, start, seed, options)
+        about = {"source": options.source, "row": seed, "protocol": protocol, "unknown": unknown, "start": start}
+        found = reach_in(scenes, unknown, start, seed, options)
         write_atomically(file, json.dumps([about | episode for episode in found]))
-    return episodes_of(seed, protocol, start, unseen, options)
+    return episodes_of(seed, protocol, start, unknown, options)
 
 
-def reach_in(scenes: Sequence[Scene], unseen: str, start: str, seed: int, options: Options) -> list[dict[str, Any]]:
+def reach_in(scenes: Sequence[Scene], unknown: str, start: str, seed: int, options: Options) -> list[dict[str, Any]]:
     """All episodes of some scenes."""
     env = gymnasium.make(
         ENV_IDS[0], bank="mini", robot=options.robot, physics="truth", capacity=room_for(scenes),
         randomization=Randomization(plants=PlantMotion() if options.moved else None),
     )  # fmt: skip
-    found = [episode for scene in scenes for episode in reach_all(scene, env, unseen, start, seed, options)]
+    found = [episode for scene in scenes for episode in reach_all(scene, env, unknown, start, seed, options)]
     env.close()
     return found
 
 
-def _episodes_file(seed: int, protocol: str, start: str, unseen: str, options: Options) -> Path:
-    care = f"-{options.margin:g}" * (options.margin > 0) + "-surfaces" * options.surfaces + "-moved" * options.moved
-    name = f"{options.robot}-{options.planner}-{options.checks}-{options.per_scene}-{start}-{unseen}{care}.json"
+def _episodes_file(seed: int, protocol: str, start: str, unknown: str, options: Options) -> Path:
+    care = (
+        f"-{options.margin:g}" * (options.margin > 0) + "-unexplained" * options.unexplained + "-moved" * options.moved
+    )
+    name = f"{options.robot}-{options.planner}-{options.checks}-{options.per_scene}-{start}-{unknown}{care}.json"
     return folder_of(seed, protocol, options) / name
 
 
-def episodes_of(seed: int, protocol: str, start: str, unseen: str, options: Options) -> list[dict[str, Any]]:
+def episodes_of(seed: int, protocol: str, start: str, unknown: str, options: Options) -> list[dict[str, Any]]:
     """The episodes of a row, protocol and mode that were measured."""
-    result: list[dict[str, Any]] = json.loads(_episodes_file(seed, protocol, start, unseen, options).read_text())
+    result: list[dict[str, Any]] = json.loads(_episodes_file(seed, protocol, start, unknown, options).read_text())
     return result
 
 
@@ -176,22 +182,22 @@ def room_for(scenes: Sequence[Scene]) -> int:
 
 def targets_of(scene: Scene, seed: int, options: Options) -> tuple[list[int], float]:
     """Some of the tomatoes within reach of the arm, drawn by the row's seed, and their share of all of those."""
-    shoulder = np.array([0.0, 0.0, scene.stand.shoulder_height])
+    shoulder = np.array([0.0, 0.0, scene.placement.shoulder_height])
     near = [k for k, t in enumerate(scene.tomatoes) if np.linalg.norm(t.center - shoulder) < REACH]
     drawn = np.random.default_rng(seed).permutation(near)[: options.per_scene].tolist()
     return drawn, len(drawn) / max(1, len(near))
 
 
 def reach_all(
-    scene: Scene, env: gymnasium.Env[Any, Any], unseen: str, start: str, seed: int, options: Options
+    scene: Scene, env: gymnasium.Env[Any, Any], unknown: str, start: str, seed: int, options: Options
 ) -> list[dict[str, Any]]:
     """Plan for the tomatoes within reach, and follow the paths in the truth."""
     assert scene.truth is not None
-    shoulder = np.array([0.0, 0.0, scene.stand.shoulder_height])
+    shoulder = np.array([0.0, 0.0, scene.placement.shoulder_height])
     drawn, share = targets_of(scene, seed, options)
     true = np.array([tomato.center for tomato in scene.truth.tomatoes]).reshape(-1, 3)
     within = int(np.count_nonzero(np.linalg.norm(true - shoulder, axis=1) < REACH))
-    seen = None if scene.seen is None else round(scene.seen.share(shoulder, REACH), 4)
+    seen = None if scene.occupancy is None else round(scene.occupancy.known_fraction(shoulder, REACH), 4)
     result = []
     for k in drawn:
         gaps = np.linalg.norm(true - scene.tomatoes[k].center, axis=1)
@@ -200,26 +206,26 @@ def reach_all(
             "scene": scene.name, "target": k, "match": match, "true_within_reach": within * share,
             "place": scene.tomatoes[k].center.round(3).tolist(), "seen": seen,
         }  # fmt: skip
-        result.append(about | reach(scene, k, env, unseen, start, options))
+        result.append(about | reach(scene, k, env, unknown, start, options))
     return result
 
 
-def plan_of(scene: Scene, target: int, unseen: str, start: str, options: Options) -> PlanResult:
+def plan_of(scene: Scene, target: int, unknown: str, start: str, options: Options) -> PlanResult:
     """The plan of an episode; the checks and not the clock end its search."""
     return plan(
         scene, target, options.robot, options.planner, time_limit=120.0, max_checks=options.checks, start=start,
-        unseen=unseen if unseen in UNSEEN_RULES else float(unseen), margin=options.margin,
-        surfaces=options.surfaces,
+        unknown=unknown if unknown in UNKNOWN_RULES else float(unknown), margin=options.margin,
+        unexplained=options.unexplained,
     )  # fmt: skip
 
 
 def reach(
-    scene: Scene, target: int, env: gymnasium.Env[Any, Any], unseen: str, start: str, options: Options
+    scene: Scene, target: int, env: gymnasium.Env[Any, Any], unknown: str, start: str, options: Options
 ) -> dict[str, Any]:
     """One episode: a plan on the reconstruction, followed in the truth."""
     reaching = env.unwrapped
     assert isinstance(reaching, TomatoReachEnv)
-    planned = plan_of(scene, target, unseen, start, options)
+    planned = plan_of(scene, target, unknown, start, options)
     if planned.path is None:
         return {"status": planned.status, "outcome": "no plan"}
     env.reset(seed=target, options={"scene": scene, "target": target, "start": start})
@@ -247,7 +253,7 @@ def _touched(scene: Scene, model: mujoco.MjModel, data: mujoco.MjData, names: Se
     geom = model.geom(touched)
     places = [contact.pos.copy() for contact in data.contact[: data.ncon] if geom.id in contact.geom]
     place = places[0] if places else geom.pos
-    space = None if scene.seen is None else STATES[int(scene.seen.at(place)[0])]
+    space = None if scene.occupancy is None else STATES[int(scene.occupancy.states_at(place)[0])]
     return {"at": place.round(3).tolist(), "space": space}
 
 

@@ -1,10 +1,10 @@
-"""The scan, what it left unseen, and the true row: with a path that did not hold beside one that did.
+"""The scan, what it left unknown, and the true row: with a path that did not hold beside one that did.
 
     python benchmarks/capture_protocols_picture.py --row 711 --workdir capture_protocols
     python benchmarks/capture_protocols_picture.py --bank default --split validation --workdir careful_plans
 
 Takes scenes and episodes that `capture_protocols.py` or, with --bank, `careful_plans.py` left in --workdir: a tomato
-that the first protocol's plan (or the one for which unseen space is free) did not reach in the truth and the second
+that the first protocol's plan (or the one for which unknown space is free) did not reach in the truth and the second
 one's (or the one that keeps out of it) did.
 """
 
@@ -36,12 +36,14 @@ from greenhouse_gym.robots.kinematics import tool_chain, tool_state
 from greenhouse_gym.scene import Scene, SceneBank, compile_scene
 
 VIEW = Viewpoint((-0.75, -1.7, 1.75), (0.25, 0.0, 1.25))
-COLORS = ListedColormap(["0.55", "white", "#2e7d32"])  # unseen, empty, surface
+COLORS = ListedColormap(["0.55", "white", "#2e7d32"])  # unknown, empty, surface
 
 
 def draw(cases: Sequence[tuple[Scene, Episode]], options: Options, out: Path) -> None:
     """Draw plans for one tomato, each with what became of it in the truth, one above the other."""
-    known = all(scene.seen is not None for scene, _ in cases)  # scenes of an older version do not say what was seen
+    known = all(
+        scene.occupancy is not None for scene, _ in cases
+    )  # scenes of an older version do not say what was seen
     figure, axes = plt.subplots(len(cases), 2 + known, figsize=(10 + 5 * known, 8), constrained_layout=True)
     for line, (scene, episode) in zip(axes, cases, strict=True):
         target = episode["target"]
@@ -49,9 +51,9 @@ def draw(cases: Sequence[tuple[Scene, Episode]], options: Options, out: Path) ->
         until = _first_contact(scene, target, path, options)
         followed = path if until is None else path[: until + 1]
         line[0].imshow(picture_of_path(scene, options.robot, target, path, VIEW))
-        line[0].set_title(f"{episode['protocol']}, unseen {episode['unseen']}: planned on the scan")
+        line[0].set_title(f"{episode['protocol']}, unknown {episode['unknown']}: planned on the scan")
         if known:
-            _unseen_slice(line[1], scene, target, path, options.robot)
+            _unknown_slice(line[1], scene, target, path, options.robot)
         line[-1].imshow(picture_of_path(_true(scene), options.robot, _nearest(scene, target), followed, VIEW))
         line[-1].set_title(f"in the true row: {episode['outcome']}")
         for axis in (line[0], line[-1]):
@@ -60,10 +62,10 @@ def draw(cases: Sequence[tuple[Scene, Episode]], options: Options, out: Path) ->
 
 
 def of_protocols(
-    row: int, protocols: Sequence[str], starts: Sequence[str], unseen: str, options: Options
+    row: int, protocols: Sequence[str], starts: Sequence[str], unknown: str, options: Options
 ) -> list[tuple[Scene, Episode]]:
     """Scenes and episodes of a tomato that the first protocol's plan did not reach, and the second one's did."""
-    first, second = (episodes_of(row, p, s, unseen, options) for p, s in zip(protocols, starts, strict=True))
+    first, second = (episodes_of(row, p, s, unknown, options) for p, s in zip(protocols, starts, strict=True))
     held = {(e["scene"], e["match"]): e for e in second if e["outcome"] == "reached" and e["match"] is not None}
     for episode in filter(_hit_a_leaf, first):
         for key, other in held.items():
@@ -78,7 +80,7 @@ def of_bank(bank: SceneBank, split: str, careful: str, options: Options) -> list
     """A scene, twice, with the episodes of a tomato that only the careful plan reached."""
     for name in bank.names(split):
         free, kept_out = (
-            json.loads(file_of(name, "folded", unseen, options).read_text()) for unseen in ("free", careful)
+            json.loads(file_of(name, "folded", unknown, options).read_text()) for unknown in ("free", careful)
         )
         held = {e["target"]: e for e in kept_out if e["outcome"] == "reached"}
         for episode in filter(_hit_a_leaf, free):
@@ -94,7 +96,7 @@ def _hit_a_leaf(episode: Episode) -> bool:
 def _path(scene: Scene, episode: Episode, options: Options) -> Array:
     """The commands of an episode, planned again."""
     robot, target, start = get_robot(options.robot), episode["target"], episode["start"]
-    found = plan_of(scene, target, episode["unseen"], start, options)
+    found = plan_of(scene, target, episode["unknown"], start, options)
     assert found.path is not None
     commands = PathFollower(found.path, Problem(scene, target, robot, robot.starts[start]), proven=True).commands
     return resample(commands, 0.01)  # radians: leaves are thin
@@ -126,16 +128,16 @@ def _first_contact(scene: Scene, target: int, path: Array, options: Options) -> 
     return next((i for i, configuration in enumerate(path) if not checker.is_free(configuration)), None)
 
 
-def _unseen_slice(axis: Axes, scene: Scene, target: int, path: Array, robot: str) -> None:
+def _unknown_slice(axis: Axes, scene: Scene, target: int, path: Array, robot: str) -> None:
     """What was seen of the upright plane through the target, across the row, and the tip's way."""
-    assert scene.seen is not None
+    assert scene.occupancy is not None
     compiled = compile_scene(scene, robot)
     tips = tool_state(tool_chain(compiled.model, compiled.tip_site), path).point
     center = scene.tomatoes[target].center
     x, z = np.meshgrid(np.arange(-0.6, 1.2, 0.01), np.arange(0.2, 2.3, 0.01))
     points = np.column_stack([x.ravel(), np.full(x.size, center[1]), z.ravel()])
     axis.imshow(
-        scene.seen.at(points).reshape(x.shape),
+        scene.occupancy.states_at(points).reshape(x.shape),
         origin="lower",
         extent=(-0.6, 1.2, 0.2, 2.3),
         cmap=COLORS,
@@ -145,7 +147,7 @@ def _unseen_slice(axis: Axes, scene: Scene, target: int, path: Array, robot: str
     axis.plot(tips[:, 0], tips[:, 2], color="deeppink")
     axis.plot(center[0], center[2], "o", color="red")
     axis.set(
-        xlabel="from the arm into the row, m", ylabel="height, m", title="unseen gray, surface green; the tip's way"
+        xlabel="from the arm into the row, m", ylabel="height, m", title="unknown gray, surface green; the tip's way"
     )
 
 
@@ -159,7 +161,7 @@ def main() -> None:
     parser.add_argument("--per-scene", type=int, default=20)
     parser.add_argument("--protocols", nargs=2, default=["paper", "upright-back"])
     parser.add_argument("--starts", nargs=2, default=["start", "folded"])
-    parser.add_argument("--unseen", help="how plans treated unseen space: free, or with --bank 0.15, if left out")
+    parser.add_argument("--unknown", help="how plans treated unknown space: free, or with --bank 0.15, if left out")
     parser.add_argument("--checks", type=int, default=20_000)
     parser.add_argument("--margin", type=float, default=0.0, help="how far paths kept from boxes of leaves, metres")
     parser.add_argument("--bank")
@@ -172,9 +174,9 @@ def main() -> None:
         workdir=a.workdir if a.bank is None else a.workdir / a.bank,
     )  # fmt: skip
     if a.bank is None:
-        cases = of_protocols(a.row, a.protocols, a.starts, a.unseen or "free", options)
+        cases = of_protocols(a.row, a.protocols, a.starts, a.unknown or "free", options)
     else:
-        cases = of_bank(SceneBank.open(a.bank), a.split, a.unseen or "0.15", options)
+        cases = of_bank(SceneBank.open(a.bank), a.split, a.unknown or "0.15", options)
     draw(cases, options, a.out)
 
 

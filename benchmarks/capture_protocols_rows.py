@@ -8,7 +8,7 @@ from time import perf_counter
 
 import numpy as np
 
-from greenhouse_gym.build.scenes import BuildSettings, cut_scenes, stand_poses
+from greenhouse_gym.build.scenes import BuildSettings, cut_scenes, placement_poses
 from greenhouse_gym.capture import Recording, get_protocol, simulate_protocol
 from greenhouse_gym.capture.simulated import photograph
 from greenhouse_gym.common.files import write_atomically
@@ -39,7 +39,7 @@ class Options:
         moved: Whether the true plants have moved since they were scanned, in each episode elsewhere.
         leaves: How far from a leaf of meshes the boxes of its truth may lie, metres.
         margin: How far planned paths keep from boxes of clutter, metres.
-        surfaces: Whether they keep out of where the scan saw a surface without a shape.
+        unexplained: Whether they keep out of where the scan saw a surface without a shape.
         workdir: Where scenes and episodes are kept.
     """
 
@@ -55,7 +55,7 @@ class Options:
     moved: bool = False
     leaves: float = 0.02
     margin: float = 0.0
-    surfaces: bool = False
+    unexplained: bool = False
     workdir: Path = Path("capture_protocols")
 
 
@@ -83,9 +83,9 @@ def scenes_of(seed: int, protocol: str, options: Options) -> list[Scene]:
         cloud = reconstruct_row(recording)
         settings = FINE_SHAPES if options.fine else ShapeSettings()
         shapes = extract_shapes(cloud.points, cloud.colors, cloud.normals, settings)
-        build = BuildSettings(primitives=options.primitives, spacing=options.spacing, leaves=options.leaves)
+        build = BuildSettings(max_shapes=options.primitives, spacing=options.spacing, leaf_tolerance=options.leaves)
         if get_protocol(protocol).looks:
-            cloud = look_around(cloud, stand_poses(cloud, shapes, recording, build), recording, seed, options)
+            cloud = look_around(cloud, placement_poses(cloud, shapes, recording, build), recording, seed, options)
             shapes = extract_shapes(cloud.points, cloud.colors, cloud.normals, settings)
         scenes = cut_scenes(cloud, shapes, recording, row.week, build)
         print(

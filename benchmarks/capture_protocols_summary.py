@@ -1,4 +1,4 @@
-"""From episodes to figures: what was reached, hit, and had no plan, per protocol and way to treat the unseen."""
+"""From episodes to figures: what was reached, hit, and had no plan, per protocol and way to treat unknown space."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ AISLE, BEHIND = 0.50, 0.75
 
 Episode = dict[str, Any]
 
-_CELL = ("source", "protocol", "unseen", "start")
+_CELL = ("source", "protocol", "unknown", "start")
 
 
 def summaries(episodes: Sequence[Episode]) -> list[dict[str, Any]]:
@@ -89,14 +89,14 @@ def _part(episode: Episode) -> str:
 def table(rows: Sequence[dict[str, Any]]) -> str:
     """The figures as Markdown."""
     lines = [
-        "| plants | protocol | unseen | start | followed | reached [95 %] | collided [95 %] | refused | planned "
+        "| plants | protocol | unknown | start | followed | reached [95 %] | collided [95 %] | refused | planned "
         "| of true fruit | seen | hit |",
         "|---|---|---|---|---:|---:|---:|---:|---:|---:|---:|---|",
     ]
     for row in rows:
         hit = ", ".join(f"{count} {what}" for what, count in row["hit"].items())
         lines.append(
-            f"| {row['source']} | {row['protocol']} | {row['unseen']} | {row['start']} | "
+            f"| {row['source']} | {row['protocol']} | {row['unknown']} | {row['start']} | "
             f"{row['followed']} | {_text(row['reached'])} | "
             f"{_text(row['collided'])} | {_text(row['refused'], False)} | "
             f"{_text(row['planned_share_of_targets'], False)} | {row['planned_share_of_true_tomatoes']:.0%} | "

@@ -65,7 +65,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         recordings = [_recording(folder / "recordings", FIRST_SEED + k, a.length) for k in range(a.rows)]
-        settings = BuildSettings(spacing=0.2, targets=a.targets)
+        settings = BuildSettings(spacing=0.2, max_targets=a.targets)
         result = builds(recordings, folder, settings, a.ways, a.rounds)
         result |= games(folder, a.episodes, a.swept, [way for way in a.ways if way != LOST])
     command = f"benchmarks/cluster.py --rows {a.rows} --length {a.length:g} --targets {a.targets} "

@@ -2,13 +2,13 @@
 
 python benchmarks/collision_places.py --agent watchful --margin 0.02 --episodes 500
 python benchmarks/collision_places.py --agent watchful --noise --noisy --episodes 150
-python benchmarks/collision_places.py --agent RRTConnect --unseen avoid --split train --seed 50000 --episodes 250
+python benchmarks/collision_places.py --agent RRTConnect --unknown avoid --split train --seed 50000 --episodes 250
 
 Plays episodes of the validation rows (``physics="truth"``, seeds 20000 on, as the trainings' validation has them), then
 those that ended in a collision with a plant once more, and looks at the place between the parts that touched: how far
 the nearest shape of the scan is, and whether the scan saw a surface, empty space or nothing there. A surface that was
 seen, with a shape near by, is the rim of a leaf or the like, against which a margin helps; what was seen as surface or
-empty far from all shapes is missing among the shapes; for the unseen only another look helps.
+empty far from all shapes is missing among the shapes; for the unknown only another look helps.
 Writes results/collision_places.json, an entry per agent; those of others that it holds stay. On two cores, 500 episodes
 take an hour with `watchful`, and five minutes with RRTConnect.
 """
@@ -35,15 +35,15 @@ from greenhouse_gym.common.executors import processes
 from greenhouse_gym.envs import Randomization
 from greenhouse_gym.evaluation import Trace, evaluate, retrace
 from greenhouse_gym.geometry import Array, distance_to_shapes
-from greenhouse_gym.motion.unknown_space import UNSEEN_RULES
+from greenhouse_gym.motion.unknown_space import UNKNOWN_RULES
 from greenhouse_gym.scene import Scene, SceneBank, compile_scene
-from greenhouse_gym.scene.occupancy import EMPTY, SURFACE, UNSEEN
+from greenhouse_gym.scene.occupancy import FREE, OCCUPIED, UNKNOWN
 from greenhouse_gym.scene.truth import true_scene
 
 EDGES = (0.01, 0.02, 0.03, 0.05)
 """Distances from the scan's shapes by which places are counted, metres."""
 
-STATES = {UNSEEN: "unseen", EMPTY: "empty", SURFACE: "surface"}
+STATES = {UNKNOWN: "unknown", FREE: "empty", OCCUPIED: "surface"}
 
 
 def main() -> None:
@@ -51,9 +51,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--agent", default="watchful")
     parser.add_argument("--margin", type=float, help="that a planner or watchful keeps from boxes, metres")
-    parser.add_argument("--unseen", type=depth_or_rule, help="what unseen space is to a planner: a rule, or a depth")
-    parser.add_argument("--surfaces", action=argparse.BooleanOptionalAction, help="heed surfaces without a shape")
-    parser.add_argument("--depth", type=float, help="how deep watchful goes into unseen space at first, metres")
+    parser.add_argument("--unknown", type=depth_or_rule, help="what unknown space is to a planner: a rule, or a depth")
+    parser.add_argument("--unexplained", action=argparse.BooleanOptionalAction, help="heed surfaces without a shape")
+    parser.add_argument("--depth", type=float, help="how deep watchful goes into unknown space at first, metres")
     parser.add_argument("--image", type=int, nargs=2, metavar=("WIDTH", "HEIGHT"), help="of watchful's camera, pixels")
     parser.add_argument("--noise", action="store_true", help="noise of a D435 in the images of the arm's camera")
     parser.add_argument("--noisy", action=argparse.BooleanOptionalAction, help="watchful reads its images as such")
@@ -69,7 +69,7 @@ def main() -> None:
     if a.noise:
         where["randomization"] = Randomization(depth_noise=True)
     asked = {
-        "margin": a.margin, "unseen": a.unseen, "surfaces": a.surfaces, "depth": a.depth, "image": a.image,
+        "margin": a.margin, "unknown": a.unknown, "unexplained": a.unexplained, "depth": a.depth, "image": a.image,
         "noisy": a.noisy,
     }  # fmt: skip
     options = {key: value for key, value in asked.items() if value is not None}
@@ -99,8 +99,8 @@ def told(option: str, value: str | float | bool | list[int]) -> str:
 
 
 def depth_or_rule(text: str) -> str | float:
-    """What `greenhouse_gym.planning.plan` takes for ``unseen``."""
-    return text if text in UNSEEN_RULES else float(text)
+    """What `greenhouse_gym.planning.plan` takes for ``unknown``."""
+    return text if text in UNKNOWN_RULES else float(text)
 
 
 def agent_of(name: str, options: Mapping[str, Any]) -> Agent:
@@ -130,7 +130,7 @@ def seen_there(scene: Scene, place: Array | None) -> str:
         return "no plant"
     away = float(distance_to_shapes(place[None], scene.obstacles).min(initial=np.inf))
     up_to = next((edge for edge in EDGES if away < edge), None)
-    state = "unsaid" if scene.seen is None else STATES[int(scene.seen.at(place[None])[0])]
+    state = "unsaid" if scene.occupancy is None else STATES[int(scene.occupancy.states_at(place[None])[0])]
     near = f"no shape within {100 * EDGES[-1]:g} cm" if up_to is None else f"shape within {100 * up_to:g} cm"
     return f"{state}, {near}"
 

@@ -68,7 +68,7 @@ def learned(parts: Sequence[Labeled]) -> Network:
 
 def count_tomatoes(true: Sequence[Tomato], visible: Visibility, found: Sequence[Sphere]) -> np.ndarray:
     """How many tomatoes of a row could be seen, were found of these, and were found where there are none."""
-    result = compare_tomatoes(true, visible, [Tomato(f.center, f.radius, 0, 0.0) for f in found])
+    result = compare_tomatoes(true, visible, [Tomato(Sphere(f.center, f.radius), 0, 0.0) for f in found])
     return np.array([len(result.found), np.count_nonzero(result.found), len(result.false)])
 
 

@@ -90,7 +90,7 @@ def build(recordings: Path, out: Path, backend: str) -> None:
     """Build a small bank of all recordings in a folder."""
     rows = [open_recording(path) for path in sorted(recordings.iterdir())]
     with executor_for(backend, 2) as executor:
-        build_bank(rows, out, "killed", settings=BuildSettings(spacing=0.2, targets=2), executor=executor)
+        build_bank(rows, out, "killed", settings=BuildSettings(spacing=0.2, max_targets=2), executor=executor)
 
 
 def begin(folder: Path, bank: str, backend: str) -> subprocess.Popen[bytes]:

@@ -102,7 +102,7 @@ def main() -> None:
     robot, joints = play(scene, arguments.target, bank)
     goal = scene.tomatoes[arguments.target].center
     nearest = min(scene.truth.tomatoes, key=lambda tomato: float(np.linalg.norm(tomato.center - goal)))
-    truth = Surroundings(name=f"{scene.name}-truth", stand=scene.stand, **dict(scene.truth))
+    truth = Surroundings(name=f"{scene.name}-truth", placement=scene.placement, **dict(scene.truth))
     panels = {
         "the scan, which the arm knows": Panel(scene, robot, goal),
         "the true row": Panel(truth, robot, nearest.center),

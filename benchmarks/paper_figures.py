@@ -197,7 +197,7 @@ def meshes(row: RowCloud) -> Numbers:
 def simulation(recording: Recording, row: RowCloud, shapes: RowShapes, out: Path) -> Numbers:
     """Figures 8 to 10: the arm before the whole row, at its start, and at a tomato with the way of its tip."""
     length = float(np.ptp(row.world_from_station[row.registered][:, 1, 3]))  # one stand, in the middle of the row
-    whole = BuildSettings(spacing=length, width=8.0, reach=5.0, primitives=10_000, robot=ARM)
+    whole = BuildSettings(spacing=length, width=8.0, reach=5.0, max_shapes=10_000, robot=ARM)
     compiled = compile_scene(cut_scenes(row, shapes, recording, None, whole)[0], ARM)
     data = mujoco.MjData(compiled.model)
     data.qpos[:] = get_robot(ARM).start
@@ -237,7 +237,7 @@ def tip_is_seen(compiled: CompiledScene, configuration: Array) -> bool:
     data = mujoco.MjData(compiled.model)
     data.qpos[:] = configuration
     mujoco.mj_forward(compiled.model, data)
-    eye = np.array(default_camera(compiled.scene.stand).position)
+    eye = np.array(default_camera(compiled.scene.placement).position)
     along = data.site_xpos[compiled.tip_site] - 0.1 * data.site_xmat[compiled.tip_site].reshape(3, 3)[:, 2] - eye
     far = float(np.linalg.norm(along))
     return bool(mujoco.mj_ray(compiled.model, data, eye, along / far, None, 1, -1, None) > far - 0.03)

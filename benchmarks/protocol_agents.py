@@ -79,11 +79,11 @@ def drawn_in(row: int, protocol: str, start: str, options: Options) -> list[tupl
     """Tomatoes of a row, each with its scene."""
     ends = round(ENDS / options.spacing)
     scenes = scenes_in(folder_of(row, protocol, options))[ends:-ends]
-    usable = [scene for scene in scenes if stands_free(scene, options.robot, start)]
+    usable = [scene for scene in scenes if start_is_collision_free(scene, options.robot, start)]
     return [(scene, k) for scene in usable for k in targets_of(scene, row, options)[0]]
 
 
-def stands_free(scene: Scene, robot: str, start: str) -> bool:
+def start_is_collision_free(scene: Scene, robot: str, start: str) -> bool:
     """Whether the arm touches no shape of the scan where it starts."""
     arm = get_robot(robot)
     checker = CollisionChecker(planning_model(compile_scene(scene, arm), target=0), arm_reaches(arm))

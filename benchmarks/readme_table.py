@@ -38,7 +38,7 @@ TOLD = (
 LEAST = 30
 """Paths that must have been followed for a rate to count."""
 
-UNSEEN = {"free": "unseen space taken as free", "avoid": "unseen space avoided", "forbid": "unseen space forbidden"}
+UNKNOWN = {"free": "unknown space taken as free", "avoid": "unknown space avoided", "forbid": "unknown space forbidden"}
 
 
 def read(name: str) -> Any:
@@ -71,14 +71,14 @@ def plans() -> Iterator[str]:
     for source in dict.fromkeys(figure["source"] for figure in followed):
         own = [figure for figure in followed if figure["source"] == source]
         best = max(own, key=lambda figure: float(figure["reached"]["interval"][0]))
-        plain = [figure for figure in own if (figure["protocol"], figure["unseen"]) == ("paper", "free")]
+        plain = [figure for figure in own if (figure["protocol"], figure["unknown"]) == ("paper", "free")]
         for figure in [best, *(figure for figure in plain if figure is not best)]:
             reached, collided = figure["reached"], figure["collided"]
             low, high = reached["interval"]
             where = f"{figure['rows']} held-out {NAMES[source]} rows, protocol {figure['protocol']}"
-            unseen = UNSEEN.get(str(figure["unseen"]), f"at most {figure['unseen']} m deep into unseen space")
+            unknown = UNKNOWN.get(str(figure["unknown"]), f"at most {figure['unknown']} m deep into unknown space")
             yield (
-                f"| plans that hold in the truth, {where}, {unseen} | "
+                f"| plans that hold in the truth, {where}, {unknown} | "
                 f"{reached['rate']:.0%} [{low:.0%}, {high:.0%}] of {figure['followed']} reach, {collided['rate']:.0%} "
                 f"collide; {figure['targets'] - figure['followed']} of {figure['targets']} have no plan | "
                 "`benchmarks/careful_plans.py` |"

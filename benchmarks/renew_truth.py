@@ -3,13 +3,13 @@
 python benchmarks/renew_truth.py --out runs/renewed --entries benchmarks/leaderboard
 python benchmarks/renew_truth.py --out runs/rewritten --entries benchmarks/leaderboard --keep-truth
 
-Each recording's row is grown once more, and its leaves are cut as `BuildSettings.leaves` has it now. The row is brought
-into a scene's frame by the true tomatoes that the scene has already: they are the same in both, to the 0.1 mm to which
-a scene file keeps them, and the script stops where they are not. What was reconstructed, seen and certified stays as it
-is, so entries of the leaderboard keep the track on which that is all that matters, and lose the others, which have to
-be submitted again. A stand that was left out because the coarser leaves reached into the arm's start stays left out.
-Takes about half an hour of two cores; what an interrupted run has finished is not made again. With ``--keep-truth``,
-nothing but the form of the files changes, in a minute, and entries keep all their tracks.
+Each recording's row is grown once more, and its leaves are cut as `BuildSettings.leaf_tolerance` has it now. The row is
+brought into a scene's frame by the true tomatoes that the scene has already: they are the same in both, to the 0.1 mm
+to which a scene file keeps them, and the script stops where they are not. What was reconstructed, seen and certified
+stays as it is, so entries of the leaderboard keep the track on which that is all that matters, and lose the others,
+which have to be submitted again. A stand that was left out because the coarser leaves reached into the arm's start
+stays left out. Takes about half an hour of two cores; what an interrupted run has finished is not made again. With
+``--keep-truth``, nothing but the form of the files changes, in a minute, and entries keep all their tracks.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from greenhouse_gym.evaluation.leaderboard import read_entry
 from greenhouse_gym.geometry import Array, pose, transform
 from greenhouse_gym.scene import Scene, SceneBank, Shapes
 from greenhouse_gym.scene.bank import write_bank
-from greenhouse_gym.scene.truth import stands_free
+from greenhouse_gym.scene.truth import start_is_collision_free
 
 KEPT = "reconstruction"
 """The track on which the truth does not matter."""
@@ -77,12 +77,12 @@ def renew(shot: Shot, bank: SceneBank, out: Path) -> str:
     row = grow_row(shot.seed, ROW_LENGTH, shot.week, shot.cultivar, source=shot.source)
     for name in names:
         scene = bank.scene(name)
-        settings = {**(scene.provenance.settings or {}), "leaves": SETTINGS.leaves}
+        settings = {**(scene.provenance.settings or {}), "leaf_tolerance": SETTINGS.leaf_tolerance}
         changes = {"provenance": scene.provenance.model_copy(update={"settings": settings})}
         if row.organs:
             changes["truth"] = renewed(row, scene)
         after = scene.model_copy(update=changes)
-        if not stands_free(after, SETTINGS.robot):
+        if not start_is_collision_free(after, SETTINGS.robot):
             raise SystemExit(f"{name}: the arm would begin in the finer leaves")
         after.save(out / f"{name}.json")
     return shot.name

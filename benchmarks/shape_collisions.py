@@ -15,15 +15,14 @@ import mujoco
 import numpy as np
 from scipy.spatial import cKDTree
 
-from greenhouse_gym.accuracy import VisibleRow, moved
+from greenhouse_gym.accuracy import VisibleRow
 from greenhouse_gym.build.scenes import BuildSettings
 from greenhouse_gym.crops import PlantRow
-from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.crops.row import STEM_LINE
-from greenhouse_gym.geometry import Array, Box, Capsule, Shape, Sphere, distance_to_shapes, pose
+from greenhouse_gym.geometry import Array, Box, Capsule, Ellipsoid, Shape, Sphere, distance_to_shapes, pose, transformed
 from greenhouse_gym.motion.collision import CollisionChecker
 from greenhouse_gym.robots import get_robot
-from greenhouse_gym.scene import Provenance, Scene, Stand
+from greenhouse_gym.scene import ArmPlacement, Provenance, Scene
 from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
 
 NEAR = 0.3
@@ -71,11 +70,11 @@ def compare_collisions(
         settings: The arm, how far it stands from the stem line, and how far it reaches.
     """
     settings = settings or BuildSettings()
-    seen = [t for t, shown in zip(truth.tomatoes, visible.tomatoes.visible, strict=True) if shown]
+    seen = [t.shape for t, shown in zip(truth.tomatoes, visible.tomatoes.visible, strict=True) if shown]
     worlds: tuple[list[Shape], ...] = (
         list(shapes),
         [*seen, *visible.stems, *visible.clutter],
-        [*truth.tomatoes, *truth.stems, *truth.clutter],
+        list(truth.shapes),
     )
     tree = cKDTree(points[:: max(1, len(points) // 50_000)])
     rng = np.random.default_rng(seed)
@@ -94,18 +93,18 @@ def compare_collisions(
 
 def arm_among(shapes: Sequence[Shape], origin: Array, settings: BuildSettings) -> CompiledScene:
     """The arm above ``origin`` (3,) on the floor, among the shapes within its reach."""
-    stand = Stand()
+    stand = ArmPlacement()
     shoulder = origin + [0.0, 0.0, stand.shoulder_height]
     near = distance_to_shapes(shoulder[None], shapes)[0] < settings.reach if shapes else []
     shift = pose(translation=-origin)
-    obstacles = [plain(moved(shape, shift)) for shape, kept in zip(shapes, near, strict=True) if kept]
-    scene = Scene(name="compared", clutter=tuple(obstacles), stand=stand, provenance=Provenance(row="compared"))
+    obstacles = [plain(transformed(shape, shift)) for shape, kept in zip(shapes, near, strict=True) if kept]
+    scene = Scene(name="compared", clutter=tuple(obstacles), placement=stand, provenance=Provenance(row="compared"))
     return compile_scene(scene, settings.robot)
 
 
 def plain(shape: Shape) -> Sphere | Capsule | Box:
     """A shape without its meaning: any shape may stand among a scene's clutter."""
-    if isinstance(shape, Tomato):
+    if isinstance(shape, Ellipsoid):
         return Sphere(shape.center, shape.radius)
     return Capsule(shape.start, shape.end, shape.radius) if isinstance(shape, Capsule) else shape
 

@@ -19,7 +19,7 @@ import numpy as np
 from results_file import RESULTS, write_results
 from shape_rows import HELD_OUT_MESHES, Row, cloud_of, truth_of, visible_of
 
-from greenhouse_gym.accuracy import TomatoComparison, compare_tomatoes, moved, pool_tomatoes
+from greenhouse_gym.accuracy import TomatoComparison, compare_tomatoes, pool_tomatoes
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.reconstruction.point_clouds import Cloud
 from greenhouse_gym.shapes import ShapeSettings
@@ -46,7 +46,7 @@ def compared(row: Row, workdir: Path, frame_from_world: Array, settings: ShapeSe
     whole = Cloud(cloud.points, cloud.colors, cloud.normals).moved(frame_from_world @ known.world_from_row)
     surface = look_at_surfaces(thinned(whole, True, settings, Notes()), settings)
     found, _ = find_tomatoes(list(by_grids(whole, surface, settings)), settings)
-    placed = [moved(tomato, np.linalg.inv(frame_from_world)) for tomato in found]
+    placed = [tomato.transformed(np.linalg.inv(frame_from_world)) for tomato in found]
     return compare_tomatoes(known.row.tomatoes, visible_of(row, workdir).tomatoes, placed)
 
 

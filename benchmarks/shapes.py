@@ -57,14 +57,13 @@ from greenhouse_gym.accuracy import (
     coverage,
     excess,
     match_tomatoes,
-    moved,
     skin_points,
 )
-from greenhouse_gym.build.scenes import BuildSettings, cut_scenes, stand_positions
+from greenhouse_gym.build.scenes import BuildSettings, cut_scenes, placement_positions
 from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.crops.parts import STEM_KINDS
-from greenhouse_gym.geometry import Array, Capsule, Shape, transform
+from greenhouse_gym.geometry import Array, Capsule, transform, transformed
 from greenhouse_gym.reconstruction import RowCloud
 from greenhouse_gym.reconstruction.point_clouds import Cloud
 from greenhouse_gym.shapes import RowShapes, extract_shapes
@@ -91,7 +90,7 @@ def measure(row: Row, cause: str, workdir: Path) -> dict[str, Any]:
 
     known = truth_of(row, cloud, workdir)
     placed = in_frame(shapes, known.world_from_row)
-    everything: list[Shape] = [*placed.tomatoes, *placed.stems, *placed.clutter]
+    everything = placed.shapes
     points = transform(known.world_from_row, cloud.points)
     whole = visible.tomatoes._replace(in_image=visible.tomatoes.whole)  # beyond the image's edge counts as hidden
     colored = visible.tomatoes._replace(in_image=visible.tomatoes.in_color)  # the band without depth hides nothing
@@ -123,7 +122,7 @@ def measure(row: Row, cause: str, workdir: Path) -> dict[str, Any]:
         "processor_seconds_per_metre": processor / row.length,
     }
     if row.source == "own":
-        stands = stand_positions(known.world_from_station[:, 1, 3], BuildSettings())
+        stands = placement_positions(known.world_from_station[:, 1, 3], BuildSettings())
         record["excess"] = excess(everything, known.row)
         record["collisions"] = compare_collisions(
             everything, known.row, visible, points, stands, CONFIGURATIONS, row.seed
@@ -135,16 +134,15 @@ def in_frame(shapes: RowShapes, target_from_source: Array) -> RowShapes:
     """Shapes expressed in another frame."""
     return replace(
         shapes,
-        **{
-            name: tuple(moved(shape, target_from_source) for shape in getattr(shapes, name))
-            for name in ("tomatoes", "stems", "clutter")
-        },
+        tomatoes=tuple(tomato.transformed(target_from_source) for tomato in shapes.tomatoes),
+        stems=tuple(transformed(stem, target_from_source) for stem in shapes.stems),
+        clutter=tuple(transformed(box, target_from_source) for box in shapes.clutter),
     )
 
 
 def primitives(row: Row, cloud: RowCloud, shapes: RowShapes, workdir: Path) -> list[int]:
     """Number of primitives in each scene of a row, were it not capped."""
-    settings = replace(BuildSettings(), primitives=10**9)
+    settings = replace(BuildSettings(), max_shapes=10**9)
     recording = recording_of(row, workdir)
     return [len(scene.obstacles) for scene in cut_scenes(cloud, shapes, recording, row.week, settings)]
 

@@ -35,7 +35,7 @@ def draw(row: Row, workdir: Path, scale: float = 0.5) -> Any:
     kept, v, u = camera.intrinsics.project(points[order])
     picture = np.full_like(photograph, 255)
     picture[v, u] = (255 * cloud.colors[order][kept]).astype(np.uint8)
-    found = [*shapes.tomatoes, *shapes.stems]
+    found = [*(tomato.shape for tomato in shapes.tomatoes), *shapes.stems]
     outlined = draw_outlines(photograph, found, camera.intrinsics, camera_from_row)
     panels = [np.rot90(image, -1) for image in (photograph, picture, outlined)]  # the cameras stand in portrait
     joined = np.ascontiguousarray(np.concatenate(panels, axis=1))

@@ -47,7 +47,8 @@ def measure_table(scene: TableScene, pictures: Path | None) -> tuple[dict[str, F
     """Radius and axis of each can and mug against its labeled points, and what else was found on the table."""
     shapes = extract_shapes(scene.points, scene.colors, scene.normals)
     if pictures:
-        outlined = draw_outlines(scene.photograph, [*shapes.tomatoes, *shapes.stems], KINECT, scene.camera_from_world)
+        found = [*(tomato.shape for tomato in shapes.tomatoes), *shapes.stems]
+        outlined = draw_outlines(scene.photograph, found, KINECT, scene.camera_from_world)
         write_atomically(pictures / f"{scene.name}.png", encode_png(outlined))
     cans = {
         f"{scene.name} {label}": measure_can(scene.points[scene.labels == label], shapes.stems)

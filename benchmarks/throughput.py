@@ -35,7 +35,7 @@ from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.envs import TomatoReachEnv, TomatoReachVectorEnv
 from greenhouse_gym.envs.reach_task import ACTION_STEP, SUBSTEPS
 from greenhouse_gym.envs.settings import PHYSICS
-from greenhouse_gym.geometry import Box
+from greenhouse_gym.geometry import Box, Sphere
 from greenhouse_gym.scene import Provenance, Scene, Target, compile_scene
 from greenhouse_gym.scene.bank import write_bank
 
@@ -201,7 +201,7 @@ def crowded_scene(seed: int, count: int) -> Scene:
     random = np.random.default_rng(seed)
     spread = [0.25, 0.2 + 0.0012 * count, 0.7]
     centers = [0.75, 0.0, 1.1] + random.uniform(-1, 1, (count, 3)) * spread
-    tomatoes = [Tomato(center, 0.03, truss=0) for center in centers[: count // 10]]
+    tomatoes = [Tomato(Sphere(center, 0.03), truss=0) for center in centers[: count // 10]]
     clutter = [Box(center, random.uniform(0.005, 0.04, 3), np.eye(3)) for center in centers[count // 10 :]]
     return Scene(
         name=f"crowded-{count}-{seed}",

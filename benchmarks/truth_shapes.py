@@ -62,7 +62,7 @@ def figures_of(row: PlantRow, random: np.random.Generator) -> dict[str, Any]:
         "stems": quantiles(np.abs(off(points_on(stems), row.stems, random))),
     }
     leaf = points_on(thin)
-    for tolerance in (BuildSettings.leaves, COARSE):
+    for tolerance in (BuildSettings.leaf_tolerance, COARSE):
         boxes = [box for organ in thin for box in leaf_boxes(organ.vertices, organ.triangles, tolerance)]
         drawn = [boxes[k] for k in random.permutation(len(boxes))[:MOST]]
         result[f"leaves within {1000 * tolerance:g} mm"] = {

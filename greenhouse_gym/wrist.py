@@ -12,7 +12,7 @@ from greenhouse_gym.geometry import pose
 from greenhouse_gym.rendering.cameras import TIP_FROM_WRIST
 from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.robots.robot import TIP_SITE
-from greenhouse_gym.scene import Stand
+from greenhouse_gym.scene import ArmPlacement
 
 LOOK_PREFIX = "look_"
 
@@ -20,7 +20,7 @@ LOOK_PREFIX = "look_"
 def look_rig(
     robot: str | Robot = "ur5e",
     configurations: npt.ArrayLike | None = None,
-    stand: Stand | None = None,
+    placement: ArmPlacement | None = None,
     intrinsics: Intrinsics = D435_DEPTH,
 ) -> Rig:
     """A rig with a camera for each configuration the arm looks from, in the frame of the arm's stand.
@@ -28,7 +28,7 @@ def look_rig(
     Args:
         robot: The arm.
         configurations: (k, joints) radians; the arm's key frames ``look_...`` when left out.
-        stand: How high the arm stands.
+        placement: Height of the shoulder.
         intrinsics: Intrinsics of the wrist camera.
 
     Returns:
@@ -47,7 +47,7 @@ def look_rig(
         )
     model = arm.spec().compile()
     data, site = mujoco.MjData(model), model.site(TIP_SITE).id
-    stand_from_base = pose(translation=[0.0, 0.0, (stand or Stand()).shoulder_height - arm.shoulder_height])
+    stand_from_base = pose(translation=[0.0, 0.0, (placement or ArmPlacement()).shoulder_height - arm.shoulder_height])
     cameras = {}
     for k, configuration in enumerate(chosen):
         data.qpos[:] = configuration

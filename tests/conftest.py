@@ -10,7 +10,7 @@ import pytest
 
 from greenhouse_gym.common.executors import RayExecutor
 from greenhouse_gym.crops.parts import Stem, Tomato
-from greenhouse_gym.geometry import Box, Sphere, rotation_about
+from greenhouse_gym.geometry import Box, Ellipsoid, Sphere, rotation_about
 from greenhouse_gym.scene import Provenance, Scene, SceneBank, Target
 from greenhouse_gym.scene.bank import write_bank
 
@@ -32,7 +32,7 @@ def make_scene(seed: int, stems: int = 4, row: str | None = None) -> Scene:
         parts.append(Stem([x, y, z], hang, 0.002, kind="peduncle"))
         for k in range(3):
             center = hang + [0.0, 0.06 * (k - 1), -0.05 + rng.uniform(-0.01, 0.01)]
-            tomatoes.append(Tomato(center, rng.uniform(0.022, 0.028), truss=truss, ripeness=rng.uniform()))
+            tomatoes.append(Tomato(Sphere(center, rng.uniform(0.022, 0.028)), truss=truss, ripeness=rng.uniform()))
         clutter.append(Box([x + 0.05, y + 0.1, z + 0.25], [0.08, 0.05, 0.005], np.eye(3)))
         clutter.append(Sphere([x + 0.1, y - 0.1, z + 0.3], 0.04))
     return Scene(
@@ -52,7 +52,7 @@ def with_ellipsoids(scene: Scene, seed: int) -> Scene:
     for k in range(0, len(tomatoes), 2):
         axes = tomatoes[k].radius * np.array([0.8, 1.0, 1.25])
         turn = rotation_about(rng.normal(size=3), rng.uniform(0, 3))
-        tomatoes[k] = replace(tomatoes[k], radius=float(np.cbrt(axes.prod())), semi_axes=axes, rotation=turn)
+        tomatoes[k] = replace(tomatoes[k], shape=Ellipsoid(tomatoes[k].center, axes, turn))
     return scene.model_copy(update={"tomatoes": tuple(tomatoes), "name": f"{scene.name}-ellipsoids"})
 
 

@@ -21,6 +21,7 @@ from greenhouse_gym.capture.recordings import INDEX
 from greenhouse_gym.cli import app
 from greenhouse_gym.crops import grow_row
 from greenhouse_gym.errors import FileFormatError, FileWriteError, GreenhouseError, UnknownNameError
+from greenhouse_gym.geometry import Sphere
 from greenhouse_gym.reconstruction import load_row
 from greenhouse_gym.scene import SceneBank
 
@@ -280,7 +281,7 @@ def test_plan_to_what_cannot_be_reached_exits_with_2(bank: SceneBank, tmp_path: 
     from greenhouse_gym.scene import Provenance, Scene
     from greenhouse_gym.scene.bank import write_bank
 
-    far = Scene(name="far", tomatoes=(Tomato([5, 0, 1], 0.03, truss=0),), provenance=Provenance(row="r"))
+    far = Scene(name="far", tomatoes=(Tomato(Sphere([5, 0, 1], 0.03), truss=0),), provenance=Provenance(row="r"))
     folder = write_bank(tmp_path / "bank", [(far, "test")], name="far").path
     result = CliRunner().invoke(app, ["plan", "--scene", "far", "--target", "0", "--bank", str(folder)])
     assert result.exit_code == 2, result.output
@@ -452,7 +453,7 @@ def test_resolved_settings_lie_beside_the_results(recording: Path, reconstructed
 
 
 def test_a_build_writes_its_settings(recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from greenhouse_gym.build import bank as build
+    from greenhouse_gym.build import bank_builder as build
     from greenhouse_gym.build.scenes import BuildSettings
     from greenhouse_gym.common.settings_files import resolve
 

@@ -13,7 +13,7 @@ from greenhouse_gym.geometry import Box
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene, Shapes
 from greenhouse_gym.scene.mjcf import base_position
-from greenhouse_gym.scene.occupancy import EMPTY, SURFACE, UNSEEN, SeenSpace
+from greenhouse_gym.scene.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 
 ARM = get_robot("ur5e")
 
@@ -26,13 +26,13 @@ def places(monkeypatch: pytest.MonkeyPatch) -> Any:
     return collision_places
 
 
-def bare(scene: Scene, clutter: tuple[Box, ...], states: int = EMPTY) -> Scene:
+def bare(scene: Scene, clutter: tuple[Box, ...], states: int = FREE) -> Scene:
     """A scene of nothing but boxes, in space that is all the same."""
-    space = SeenSpace.of(np.full((60, 60, 60), states, dtype=np.uint8), [-1.5, -1.5, 0.0], 0.05)
-    return scene.model_copy(update={"tomatoes": (), "stems": (), "targets": (), "clutter": clutter, "seen": space})
+    space = OccupancyGrid.from_states(np.full((60, 60, 60), states, dtype=np.uint8), [-1.5, -1.5, 0.0], 0.05)
+    return scene.model_copy(update={"tomatoes": (), "stems": (), "targets": (), "clutter": clutter, "occupancy": space})
 
 
-@pytest.mark.parametrize(("states", "name"), [(UNSEEN, "unseen"), (EMPTY, "empty"), (SURFACE, "surface")])
+@pytest.mark.parametrize(("states", "name"), [(UNKNOWN, "unknown"), (FREE, "empty"), (OCCUPIED, "surface")])
 def test_it_tells_what_was_seen_and_how_far_the_nearest_shape_is(
     places: Any, scene: Scene, states: int, name: str
 ) -> None:
@@ -40,7 +40,9 @@ def test_it_tells_what_was_seen_and_how_far_the_nearest_shape_is(
     assert places.seen_there(told, np.array([0.5, 0.0, 1.115])) == f"{name}, shape within 2 cm"
     assert places.seen_there(told, np.array([0.5, 0.0, 1.16])) == f"{name}, no shape within 5 cm"
     assert places.seen_there(bare(scene, (), states), np.zeros(3)).endswith("no shape within 5 cm")
-    assert places.seen_there(told.model_copy(update={"seen": None}), np.array([0.5, 0.0, 1.105])).startswith("unsaid")
+    assert places.seen_there(told.model_copy(update={"occupancy": None}), np.array([0.5, 0.0, 1.105])).startswith(
+        "unsaid"
+    )
     assert places.seen_there(told, None) == "no plant"
 
 
@@ -62,9 +64,9 @@ def test_the_place_lies_between_the_parts_that_touched(places: Any, scene: Scene
 
 def test_options_make_planners_and_watchful_agents(places: Any) -> None:
     assert places.agent_of("watchful", {"margin": 0.02})._cares[0].margin == 0.02
-    planner = places.agent_of("RRTConnect", {"margin": 0.01, "unseen": places.depth_or_rule("0.1")})
-    assert (planner.margin, planner.unseen, places.depth_or_rule("avoid")) == (0.01, 0.1, "avoid")
+    planner = places.agent_of("RRTConnect", {"margin": 0.01, "unknown": places.depth_or_rule("0.1")})
+    assert (planner.margin, planner.unknown, places.depth_or_rule("avoid")) == (0.01, 0.1, "avoid")
     assert places.agent_of("straight-line", {}).name == "straight-line"
-    options: dict[str, Any] = {"margin": 0.02, "image": [128, 96], "surfaces": True}
-    assert [places.told(*each) for each in options.items()] == ["margin 0.02", "image 128 x 96", "surfaces"]
-    assert places.told("surfaces", False) == "no surfaces"
+    options: dict[str, Any] = {"margin": 0.02, "image": [128, 96], "unexplained": True}
+    assert [places.told(*each) for each in options.items()] == ["margin 0.02", "image 128 x 96", "unexplained"]
+    assert places.told("unexplained", False) == "no unexplained"

@@ -155,10 +155,10 @@ def test_the_banks_scenes_are_whole() -> None:
     assert set(mini.names()) <= set(bank.names())
     targets = []
     for scene in mini:
-        assert len(scene.obstacles) <= BuildSettings().primitives
+        assert len(scene.obstacles) <= BuildSettings().max_shapes
         assert 0 < len(scene.targets) <= len(scene.tomatoes)
         assert scene.truth is not None
-        assert scene.seen is not None
+        assert scene.occupancy is not None
         targets += scene.targets
     assert all((target.witness is None) == (target.difficulty == "unreachable") for target in targets)
     assert {target.difficulty for target in targets} == set(DIFFICULTIES)

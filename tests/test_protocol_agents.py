@@ -34,8 +34,8 @@ def leaf_at_the_start(scene: Scene) -> Box:
 
 def test_stands_where_the_scan_has_a_shape_in_the_arm_are_left_out(benchmark_module: Any, scene: Scene) -> None:
     grown = scene.model_copy(update={"clutter": (*scene.clutter, leaf_at_the_start(scene))})
-    assert benchmark_module.stands_free(scene, "ur5e", "start")
-    assert not benchmark_module.stands_free(grown, "ur5e", "start")
+    assert benchmark_module.start_is_collision_free(scene, "ur5e", "start")
+    assert not benchmark_module.start_is_collision_free(grown, "ur5e", "start")
 
 
 def test_a_leaf_that_only_the_truth_has_is_told_by_the_search(benchmark_module: Any, scene: Scene) -> None:

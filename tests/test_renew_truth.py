@@ -12,7 +12,7 @@ import pytest
 from greenhouse_gym.build.scenes import BuildSettings, truth_in_scene
 from greenhouse_gym.crops import PlantRow, grow_row
 from greenhouse_gym.geometry import pose, rotation_about
-from greenhouse_gym.scene import Provenance, Scene, Stand
+from greenhouse_gym.scene import ArmPlacement, Provenance, Scene
 
 Find = Callable[[PlantRow, Scene], np.ndarray]
 
@@ -34,7 +34,13 @@ def scene_in(row: PlantRow, frame: np.ndarray) -> Scene:
     truth = truth_in_scene(row, frame, BuildSettings())
     known = Provenance(row="a row")
     return Scene(
-        name="there", tomatoes=truth.tomatoes, stems=(), clutter=(), stand=Stand(), truth=truth, provenance=known
+        name="there",
+        tomatoes=truth.tomatoes,
+        stems=(),
+        clutter=(),
+        placement=ArmPlacement(),
+        truth=truth,
+        provenance=known,
     )
 
 

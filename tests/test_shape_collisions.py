@@ -10,9 +10,9 @@ import pytest
 from greenhouse_gym.accuracy import Visibility, VisibleRow
 from greenhouse_gym.crops import PlantRow
 from greenhouse_gym.crops.parts import Stem, Tomato
-from greenhouse_gym.geometry import Box, Shape
+from greenhouse_gym.geometry import Box, Shape, Sphere
 
-TOMATOES = tuple(Tomato([0.3, y, 1.2], 0.08, truss=0) for y in (-0.3, 0.0, 0.3))
+TOMATOES = tuple(Tomato(Sphere([0.3, y, 1.2], 0.08), truss=0) for y in (-0.3, 0.0, 0.3))
 STEM = Stem([0.5, 0.0, 0.5], [0.5, 0.0, 1.6], 0.03, "main")
 LEAF = Box([0.3, 0.1, 1.5], [0.1, 0.1, 0.01], np.eye(3))
 TRUTH = PlantRow(TOMATOES, (STEM,), (LEAF,), 1.0, 0)
@@ -49,7 +49,7 @@ def test_what_is_missing_is_missed_unless_nobody_could_see_it(compare: Callable[
 
 
 def test_what_is_added_is_invented(compare: Callable[..., Any]) -> None:
-    added = compare([*TOMATOES, STEM, LEAF, Tomato([0.2, 0.0, 1.0], 0.1, truss=1)])
+    added = compare([*TOMATOES, STEM, LEAF, Tomato(Sphere([0.2, 0.0, 1.0], 0.1), truss=1)])
     assert added.missed == 0
     assert added.invented > 0
     hidden = compare([*TOMATOES, STEM, LEAF], hidden=(0, 1, 2))

@@ -24,7 +24,7 @@ from greenhouse_gym.reconstruction.seen import carve
 from greenhouse_gym.reconstruction.views import Calibration, StationView, view_station
 from greenhouse_gym.robots import ROBOTS, get_robot, load_robot
 from greenhouse_gym.scene import compile_scene
-from greenhouse_gym.scene.occupancy import UNSEEN
+from greenhouse_gym.scene.occupancy import UNKNOWN
 from greenhouse_gym.wrist import look_rig
 
 pytestmark = pytest.mark.xdist_group("row")
@@ -90,7 +90,7 @@ def test_what_the_arm_sees_joins_the_cloud_where_it_belongs() -> None:
     assert np.percentile(distance_to_surface(transform(first, new), grow_row(seed=3, length=0.2)), 90) < 0.012
     assert len(whole.station) == len(whole) == whole.report.points
     corners = invert(first)[:3, 3] + [[0.0, -0.2, 0.2], [0.5, 0.4, 2.2]]
-    before, after = (carve(cloud, np.eye(4), *corners).states != UNSEEN for cloud in (row, whole))
+    before, after = (carve(cloud, np.eye(4), *corners).states != UNKNOWN for cloud in (row, whole))
     assert (after | ~before).all()
     assert after.mean() > 1.6 * before.mean()
 

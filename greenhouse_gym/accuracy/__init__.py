@@ -10,7 +10,6 @@ from greenhouse_gym.accuracy.clouds import (
     distance_to_surface,
     distance_to_truth,
     drift,
-    moved,
     place,
     place_by_windows,
 )
@@ -59,7 +58,6 @@ __all__ = [
     "drift",
     "excess",
     "match_tomatoes",
-    "moved",
     "place",
     "place_by_windows",
     "pool_stems",

@@ -5,7 +5,6 @@ The true surfaces are the triangles that the simulated cameras see; they lie wit
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
@@ -15,8 +14,7 @@ from scipy.spatial.transform import Rotation
 from greenhouse_gym.capture.raycast import RowRaycaster
 from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.crops import PlantRow
-from greenhouse_gym.crops.parts import Tomato
-from greenhouse_gym.geometry import Array, Box, Capsule, Shape, invert, pose, transform
+from greenhouse_gym.geometry import Array, Shape, invert, pose, transform
 
 AnyShape = TypeVar("AnyShape", bound=Shape)
 
@@ -134,19 +132,6 @@ def align(row: ReconstructedRow, truth: PlantRow, world_from_station: Array, sam
     """
     start = world_from_station[np.flatnonzero(row.registered)[0]]
     return _align(RowRaycaster.of(truth), start, row.points[:: max(1, len(row.points) // samples)])
-
-
-def moved(shape: AnyShape, target_from_source: Array) -> AnyShape:
-    """Return a shape expressed in another frame."""
-    if isinstance(shape, Capsule):
-        start, end = transform(target_from_source, [shape.start, shape.end])
-        return replace(shape, start=start, end=end)
-    center = transform(target_from_source, shape.center[None])[0]
-    if isinstance(shape, Box):
-        return replace(shape, center=center, rotation=target_from_source[:3, :3] @ shape.rotation)
-    if isinstance(shape, Tomato) and shape.rotation is not None:
-        return replace(shape, center=center, rotation=target_from_source[:3, :3] @ shape.rotation)
-    return replace(shape, center=center)
 
 
 def _closest(caster: RowRaycaster, points: Array) -> Array:

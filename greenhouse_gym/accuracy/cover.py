@@ -8,7 +8,7 @@ import numpy as np
 
 from greenhouse_gym.accuracy.clouds import distance_to_surface
 from greenhouse_gym.crops import PlantRow
-from greenhouse_gym.geometry import Array, Box, Capsule, Shape, Sphere, distance_to_shapes, frame_along
+from greenhouse_gym.geometry import Array, Box, Capsule, Ellipsoid, Shape, Sphere, distance_to_shapes, frame_along
 
 COVERED_WITHIN = 0.008
 """Largest distance from a shape at which a point counts as covered, metres."""
@@ -41,7 +41,7 @@ def excess(shapes: Sequence[Shape], truth: PlantRow, samples: int = 20_000, seed
     solids: list[Shape] = []
     row: PlantRow | None = truth
     while row is not None:
-        solids += [*row.tomatoes, *row.stems, *row.clutter]
+        solids += row.shapes
         row = row.behind
     return float(np.count_nonzero(distance_to_nearest(far, solids) > 0) / len(points))
 
@@ -89,11 +89,9 @@ def _on_surface(shape: Shape, count: int, rng: np.random.Generator) -> Array:
     directions = rng.normal(size=(count, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     if isinstance(shape, Sphere):
-        ellipsoid = shape.ellipsoid
-        if ellipsoid is None:
-            return np.asarray(shape.center + shape.radius * directions)
-        # even by angle, which for fruit is even by area to a few percent
-        return np.asarray(shape.center + (directions * ellipsoid.semi_axes) @ ellipsoid.rotation.T)
+        return np.asarray(shape.center + shape.radius * directions)
+    if isinstance(shape, Ellipsoid):  # uniform by angle, which for fruit is uniform by area to a few percent
+        return np.asarray(shape.center + (directions * shape.semi_axes) @ shape.rotation.T)
     length, radius = shape.length, shape.radius
     on_side = rng.random(count) < length / (length + 2 * radius)
     angle, height = rng.uniform(0, 2 * np.pi, count), rng.uniform(-0.5, 0.5, count)

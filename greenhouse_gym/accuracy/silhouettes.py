@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.capture.rig import Intrinsics
-from greenhouse_gym.geometry import Array, Box, Capsule, Shape, Sphere, transform
+from greenhouse_gym.geometry import Array, Box, Capsule, Ellipsoid, Shape, transform
 
 _CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
 
@@ -54,9 +54,9 @@ class Outlines:
                 continue
             radii[i] = shape.radius
             points[i] = np.repeat([shape.start, shape.end], 4, axis=0) if isinstance(shape, Capsule) else shape.center
-            if isinstance(shape, Sphere) and (ellipsoid := shape.ellipsoid) is not None:
-                radii[i] = ellipsoid.semi_axes.max()
-                axes[i] = ellipsoid.rotation * ellipsoid.semi_axes
+            if isinstance(shape, Ellipsoid):
+                radii[i] = shape.semi_axes.max()
+                axes[i] = shape.rotation * shape.semi_axes
         return cls(points, radii, axes)
 
     def seen_from(self, camera_from_world: Array) -> Outlines:

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from greenhouse_gym.crops.parts import Tomato
-from greenhouse_gym.geometry import distance_to_shapes
+from greenhouse_gym.geometry import bounding_balls, distance_to_shapes
 from greenhouse_gym.reconstruction.point_clouds import Cloud
 
 _ON_SKIN = 0.003
@@ -29,10 +29,10 @@ def skin_points(cloud: Cloud, tomatoes: Sequence[Tomato]) -> npt.NDArray[np.int6
     tree = cKDTree(cloud.points)
     counts = np.zeros(len(tomatoes), dtype=np.int64)
     for k, tomato in enumerate(tomatoes):
-        reach = (tomato.radius if tomato.semi_axes is None else float(np.max(tomato.semi_axes))) + _ON_SKIN
+        reach = float(bounding_balls([tomato.shape])[1][0]) + _ON_SKIN
         near = np.array(tree.query_ball_point(tomato.center, reach), dtype=np.int64)
         away = cloud.points[near] - tomato.center
         outwards = (away * cloud.normals[near]).sum(axis=1) > _MIN_COSINE * np.linalg.norm(away, axis=1)
-        on = np.abs(distance_to_shapes(cloud.points[near], [tomato])[:, 0]) < _ON_SKIN
+        on = np.abs(distance_to_shapes(cloud.points[near], [tomato.shape])[:, 0]) < _ON_SKIN
         counts[k] = np.count_nonzero(on & outwards)
     return counts

@@ -81,7 +81,7 @@ class VisibleRow(NamedTuple):
 def visible_row(row: PlantRow, rig: Rig, world_from_station: Array) -> VisibleRow:
     """Return the parts of a row that a rig at true poses (stations, 4, 4) can show."""
     stems, clutter = cut(row.stems), cut(row.clutter)
-    objects = [*row.tomatoes, *stems.pieces, *clutter.pieces]
+    objects: list[Shape] = [*(tomato.shape for tomato in row.tomatoes), *stems.pieces, *clutter.pieces]
     first_stem, first_leaf = len(row.tomatoes), len(row.tomatoes) + len(row.stems)
     owner = np.concatenate([np.arange(first_stem), first_stem + stems.owner, first_leaf + clutter.owner])
     enough = np.where(np.arange(len(objects)) < first_stem, 1.0, VISIBLE)  # pieces only need to pass the threshold
@@ -97,7 +97,8 @@ def visible_row(row: PlantRow, rig: Rig, world_from_station: Array) -> VisibleRo
 
 def visible_tomatoes(row: PlantRow, rig: Rig, world_from_station: Array) -> npt.NDArray[np.bool_]:
     """Return a mask (n,) of the tomatoes of a row that are visible to a rig at true poses (stations, 4, 4)."""
-    return visibility(row, row.tomatoes, np.arange(len(row.tomatoes)), rig, world_from_station).visible
+    shapes = [tomato.shape for tomato in row.tomatoes]
+    return visibility(row, shapes, np.arange(len(shapes)), rig, world_from_station).visible
 
 
 def cut(shapes: Sequence[Part], max_length: float = MAX_PIECE) -> Pieces[Part]:

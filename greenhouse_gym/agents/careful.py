@@ -15,13 +15,13 @@ from greenhouse_gym.envs.waypoints import Ends, Headings, Place, Ways
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.margins import with_margin
-from greenhouse_gym.motion.unexplained_cells import shapeless, with_surfaces
+from greenhouse_gym.motion.unexplained_cells import unexplained_cells, with_unexplained_cells
 from greenhouse_gym.motion.unknown_space import depths_of, guarded
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene, compile_scene
 
 CAREFUL_DEPTHS = (0.1, 0.15, 0.2, float("inf"))
-"""How deep an arm may go into unseen space, metres. Without any of it there was no way to any of 15 tomatoes tried."""
+"""How deep an arm may go into unknown space, metres. Without any of it there was no way to any of 15 tomatoes tried."""
 
 
 class Care(NamedTuple):
@@ -29,14 +29,14 @@ class Care(NamedTuple):
 
     Attributes:
         margin: How far the arm keeps from boxes of clutter, metres; see `greenhouse_gym.motion.margins`.
-        depth: How deep it goes into unseen space at most, metres.
-        surfaces: Whether it keeps out of where the scan saw a surface without a shape; see
+        depth: How deep it goes into unknown space at most, metres.
+        unexplained: Whether it keeps out of where the scan saw a surface without a shape; see
             `greenhouse_gym.motion.unexplained_cells`.
     """
 
     margin: float
     depth: float
-    surfaces: bool = False
+    unexplained: bool = False
 
 
 _ONLY = np.zeros(1, dtype=np.int64)
@@ -56,7 +56,7 @@ def careful_ways(scene: Scene, robot: Robot, ends: Ends, cares: Sequence[Care]) 
         robot: The arm.
         ends: What reaches the target from where the arm is.
         cares: What is tried, the most careful first; the last should ask least. In a scene that does not say what was
-            seen of it, all unseen space is free to each of them.
+            seen of it, all unknown space is free to each of them.
 
     Returns:
         The ways, and the first care with which they lead to the target, or the last. Where the last leaves no way,
@@ -66,10 +66,10 @@ def careful_ways(scene: Scene, robot: Robot, ends: Ends, cares: Sequence[Care]) 
     def by(care: Care) -> tuple[Ways, Care]:
         return Ways(Place(guarded(cared(scene, robot, ends.start, care), robot, ends.start, care.depth)), ends), care
 
-    if scene.seen is None:
+    if scene.occupancy is None:
         cares = [care._replace(depth=np.inf) for care in cares]
-    if not shapeless(scene).any():
-        cares = [care._replace(surfaces=False) for care in cares]
+    if not unexplained_cells(scene).any():
+        cares = [care._replace(unexplained=False) for care in cares]
     first, *more = dict.fromkeys(cares)
     found = by(first)
     if found[0].nodes.reach or not more:
@@ -83,7 +83,7 @@ def careful_ways(scene: Scene, robot: Robot, ends: Ends, cares: Sequence[Care]) 
 def cared(scene: Scene, robot: Robot, start: Array, care: Care) -> Scene:
     """A scene for a way from one configuration (j,): with its margin, and with surfaces where it heeds them."""
     roomy = with_margin(scene, robot, start, care.margin)
-    return with_surfaces(roomy, robot, start) if care.surfaces else roomy
+    return with_unexplained_cells(roomy, robot, start) if care.unexplained else roomy
 
 
 class CarefulAgent:
@@ -94,11 +94,11 @@ class CarefulAgent:
     It needs an environment whose actions move the joints.
 
     Args:
-        depths: How deep the arm may go into unseen space, metres, in any order.
+        depths: How deep the arm may go into unknown space, metres, in any order.
 
     Attributes:
-        status: How deep it was in the last episode, metres: "inf" where the unseen is free, as in a scene that does not
-            say what was seen of it.
+        status: How deep it was in the last episode, metres: "inf" where unknown space is free, as in a scene without
+            an occupancy grid.
 
     Raises:
         InvalidValueError: There is no depth, or a negative one.

@@ -212,7 +212,7 @@ class _Episode:
     def _dark(self, command: Array, way: Array) -> Array | None:
         """(3,) the middle of what a way (k, j) leads through among the plants and was not seen, metres."""
         around = self._map.around(between(self._arm.checker.reaches, np.array([command, *way])))
-        moving = around.unseen & (self._arm.part >= 0) & (around.centers[..., 0] > self._target[0] - DEEP)
+        moving = around.unknown & (self._arm.part >= 0) & (around.centers[..., 0] > self._target[0] - DEEP)
         return np.asarray(around.centers[moving].mean(axis=0)) if moving.any() else None
 
     def _ways(self, command: Array, places: Array, most: int) -> list[Array]:

@@ -16,7 +16,7 @@ from greenhouse_gym.agents.watchful import WatchfulAgent
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.mjcf import base_position
-from greenhouse_gym.scene.occupancy import REACH, UNSEEN, SeenSpace
+from greenhouse_gym.scene.occupancy import REACH, UNKNOWN, OccupancyGrid
 
 _VOXEL = 0.05  # metres
 
@@ -54,6 +54,6 @@ def unscanned(scene: Scene, target: int, robot: Robot) -> Scene:
     """What is known of a scene without a scan: its target, where the arm stands, and that nothing was seen."""
     shoulder = base_position(scene, robot) + [0.0, 0.0, robot.shoulder_height]
     shape = (int(np.ceil(2 * REACH / _VOXEL)),) * 3
-    seen = SeenSpace.of(np.full(shape, UNSEEN, dtype=np.uint8), shoulder - REACH, _VOXEL)
+    seen = OccupancyGrid.from_states(np.full(shape, UNKNOWN, dtype=np.uint8), shoulder - REACH, _VOXEL)
     known = {"tomatoes": (scene.tomatoes[target],), "stems": (), "clutter": (), "targets": (), "truth": None}
-    return scene.model_copy(update={**known, "seen": seen})
+    return scene.model_copy(update={**known, "occupancy": seen})

@@ -28,7 +28,7 @@ class HybridAgent:
 
     Args:
         policy: Who acts first; the best of the shipped policies when left out.
-        planner: Who acts where the policy would fail. When left out, RRTConnect, which takes the unseen for free and
+        planner: Who acts where the policy would fail. When left out, RRTConnect, which takes unknown space for free and
             keeps no margin, as the rehearsal does, and begins anew a few times: there is nobody to act where it finds
             no path.
         name: Shown in tables.
@@ -43,7 +43,7 @@ class HybridAgent:
         self.name = name
         self._policy: Agent = policy or PolicyAgent.load(BEST)
         self._planner: Agent = planner or PlannerAgent(
-            unseen="free", margin=0.0, max_checks=MAX_CHECKS, attempts=ATTEMPTS
+            unknown="free", margin=0.0, max_checks=MAX_CHECKS, attempts=ATTEMPTS
         )
         self.env_options: Mapping[str, Any] = {**self._planner.env_options, **self._policy.env_options}
         self.status = ""

@@ -17,7 +17,7 @@ from greenhouse_gym.planning import PLANNERS, PlannerSettings, PlanResult, follo
 from greenhouse_gym.scene import Scene, compile_scene
 
 CAREFUL = 0.15
-"""How deep planned paths enter unseen space by default, metres: the leaves that paths hit hang deeper in it."""
+"""How deep planned paths enter unknown space by default, metres: the leaves that paths hit hang deeper in it."""
 
 SEEN_ENOUGH = ("upright-back",)
 """Protocols that see the leaves in the aisle: plans held there without care, and with it many tomatoes had none."""
@@ -28,7 +28,7 @@ RIM = 0.01
 
 def usual_care(scene: Scene) -> str | float:
     """What space that the scan did not see is by default, as `greenhouse_gym.planning.plan` takes it."""
-    return "free" if scene.seen is None or scene.provenance.protocol in SEEN_ENOUGH else CAREFUL
+    return "free" if scene.occupancy is None or scene.provenance.protocol in SEEN_ENOUGH else CAREFUL
 
 
 def usual_margin(scene: Scene) -> float:
@@ -84,13 +84,13 @@ class PlannerAgent:
         goals: Number of goal configurations.
         name: Shown in tables; the planner's name when left out.
         settings: The planner's settings; its usual ones when left out.
-        unseen: What space that the scan did not see is, as `greenhouse_gym.planning.plan` takes it. When left out, it
+        unknown: What space that the scan did not see is, as `greenhouse_gym.planning.plan` takes it. When left out, it
             is entered no deeper than `CAREFUL`, but free where a scene does not say what was seen, and where its
             protocol is one of `SEEN_ENOUGH`.
         margin: How far it keeps from boxes of clutter, metres, as `greenhouse_gym.planning.plan` takes it. When left
             out, `RIM` in scenes whose boxes go by the area of the foliage, as they are built now, and 0 in others.
         attempts: How many times it plans at most while there is no path, each time with another seed.
-        surfaces: Whether it keeps out of where the scan saw a surface without a shape, in scenes that say what was
+        unexplained: Whether it keeps out of where the scan saw a surface without a shape, in scenes that say what was
             seen; see `greenhouse_gym.motion.unexplained_cells`.
 
     Attributes:
@@ -111,13 +111,13 @@ class PlannerAgent:
         goals: int = 60,
         name: str | None = None,
         settings: PlannerSettings | None = None,
-        unseen: str | float | None = None,
+        unknown: str | float | None = None,
         margin: float | None = None,
         attempts: int = 1,
-        surfaces: bool = False,
+        unexplained: bool = False,
     ):
-        self.planner, self.settings, self.unseen, self.margin = PLANNERS[planner].name, settings, unseen, margin
-        self.surfaces = surfaces
+        self.planner, self.settings, self.unknown, self.margin = PLANNERS[planner].name, settings, unknown, margin
+        self.unexplained = unexplained
         self.time_limit, self.max_checks, self.goals = time_limit, max_checks, goals
         self.name, self.attempts = name or planner, check_whole("attempts", attempts, 1)
         self.result: PlanResult | None = None
@@ -134,9 +134,9 @@ class PlannerAgent:
             self.result = plan(
                 problem.scene, problem.target, problem.robot, self.planner, self.time_limit, self.max_checks,
                 self.goals, seed=problem.seed + attempt, start=problem.start, settings=self.settings,
-                unseen=usual_care(problem.scene) if self.unseen is None else self.unseen,
+                unknown=usual_care(problem.scene) if self.unknown is None else self.unknown,
                 margin=usual_margin(problem.scene) if self.margin is None else self.margin,
-                surfaces=self.surfaces and problem.scene.seen is not None,
+                unexplained=self.unexplained and problem.scene.occupancy is not None,
             )  # fmt: skip
             if self.result.path is not None:
                 break

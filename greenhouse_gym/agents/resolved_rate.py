@@ -49,7 +49,7 @@ class ResolvedRateAgent:
         self._sites = (compiled.tip_site, *compiled.probe_sites)
         self._steps = problem.joint_steps
         self._radius = problem.scene.tomatoes[problem.target].radius
-        cosine, sine = np.cos(problem.scene.stand.yaw), np.sin(problem.scene.stand.yaw)
+        cosine, sine = np.cos(problem.scene.placement.yaw), np.sin(problem.scene.placement.yaw)
         self._scene_from_base = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
 
     def act(self, observation: npt.ArrayLike) -> npt.NDArray[np.float32]:

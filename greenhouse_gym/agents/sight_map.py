@@ -65,12 +65,12 @@ class Around(NamedTuple):
     Attributes:
         clearance: (m, b) distance to what was seen and, but for the cup's, to the target, metres up to `FAR`; negative
             inside.
-        unseen: (m, b) which are in space not seen.
+        unknown: (m, b) which are in space not seen.
         centers: (m, b, 3) where they are, metres.
     """
 
     clearance: Array
-    unseen: npt.NDArray[np.bool_]
+    unknown: npt.NDArray[np.bool_]
     centers: Array
 
 
@@ -177,8 +177,8 @@ class SightMap:
         away = np.sqrt(((flat - nearest) ** 2).sum(axis=1)).reshape(shape)
         target = np.sqrt(((flat - self._target) ** 2).sum(axis=1)) - self._radius
         away = np.minimum(away, np.where(self.arm.cup, np.inf, target.reshape(shape)))
-        unseen = ~self._seen[_cells(flat)].reshape(shape)
-        return Around(np.minimum(away - self.arm.radius, FAR), unseen, centers)
+        unknown = ~self._seen[_cells(flat)].reshape(shape)
+        return Around(np.minimum(away - self.arm.radius, FAR), unknown, centers)
 
 
 def _cells(points: Array) -> npt.NDArray[np.int64]:

@@ -18,7 +18,7 @@ from greenhouse_gym.agents.knowledge import Knowledge
 from greenhouse_gym.agents.sight_map import sensed
 from greenhouse_gym.agents.views import DEPTHS, NOISY_DEPTHS, views
 from greenhouse_gym.envs.image_observations import DepthObservation
-from greenhouse_gym.envs.waypoints import GOALS, MARGIN, MOST_ROUNDS, REACHED, Ways, free_goals
+from greenhouse_gym.envs.waypoints import GOALS, MARGIN, MAX_ROUNDS, REACHED, Ways, free_goals
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.approaches import FRONT, glance
@@ -27,7 +27,7 @@ from greenhouse_gym.motion.collision import CollisionChecker, planning_model
 from greenhouse_gym.motion.margins import check_margin
 from greenhouse_gym.motion.reach import arm_reaches
 from greenhouse_gym.motion.roadmap import RESOLUTION
-from greenhouse_gym.motion.unexplained_cells import shapeless, with_surfaces
+from greenhouse_gym.motion.unexplained_cells import unexplained_cells, with_unexplained_cells
 from greenhouse_gym.motion.unknown_space import guarded
 from greenhouse_gym.planning import plan
 from greenhouse_gym.rendering.cameras import DepthCamera
@@ -39,7 +39,7 @@ PLANS, LOOKS = 10, 4
 MORE = 4
 """How many times it looks for a way after that, with what its camera has shown in place of those of the scan's boxes
 that it has looked at: boxes may be larger than the leaves that they stand for. In the latter half of these plans, all
-unseen space is free."""
+unknown space is free."""
 
 VOXELS = (0.01, 0.004)
 """Sides of the voxels that stand for what only the camera has shown, metres: the next where the one before leaves no
@@ -49,18 +49,18 @@ CHECKS, ANY_GOALS, FREE = 30_000, 60, 4
 """Collision checks of RRTConnect, which is asked where there is no way of a few straight motions: for one from where
 the arm is, and where it finds none, for one from the start, to which the arm goes back as it came. Once there is
 nothing left to look at either, it is asked again and again, each time with so many other goals and another seed, and in
-the last so many plans with all unseen space free."""
+the last so many plans with all unknown space free."""
 
 DEPTH, IMAGE = 0.05, (128, 96)
-"""How deep the agent goes into unseen space where it can do with that, metres, about a voxel of what a scan saw; and
+"""How deep the agent goes into unknown space where it can do with that, metres, about a voxel of what a scan saw; and
 width and height of its camera's images, pixels, whose rays are 7 mm apart at half a metre: what is thinner may hang
-unseen between them."""
+unknown between them."""
 
-_ANY_WAY = (Care(0.0, np.inf, surfaces=True), Care(0.0, np.inf))
+_ANY_WAY = (Care(0.0, np.inf, unexplained=True), Care(0.0, np.inf))
 _EVERY = 2  # steps between images
 _MOTIONS = 30  # motions of a way at most
 _TRIED = 60  # views to which it looks for a free motion
-_ENOUGH, _SAME = 6, 0.05  # unseen places on a way that are worth a look; metres about those that a look did not show
+_ENOUGH, _SAME = 6, 0.05  # unknown places on a way that are worth a look; metres about those that a look did not show
 
 
 class WatchfulAgent:
@@ -76,9 +76,9 @@ class WatchfulAgent:
     Args:
         margin: How far it keeps from boxes of clutter where there is room, metres: leaves reach farther than a scan
             shows, see `greenhouse_gym.motion.margins`. Where there is none, half of it has to do, and then nothing.
-        surfaces: Whether it keeps out of where the scan saw a surface without a shape, as far as that goes, and looks
-            there as at what nobody has seen; see `greenhouse_gym.motion.unexplained_cells`.
-        depth: How deep it goes into unseen space where it can do with that, metres.
+        unexplained: Whether it keeps out of where the scan saw a surface without a shape, if possible, and looks there
+            as at what nobody has seen; see `greenhouse_gym.motion.unexplained_cells`.
+        depth: How deep it goes into unknown space where it can do with that, metres.
         image: Width and height of its camera's images, pixels.
         noisy: Whether it reads its images as ones with the noise of a D435, as ``Randomization(depth_noise=True)`` has
             them, and not as perfect ones.
@@ -88,8 +88,8 @@ class WatchfulAgent:
 
     Attributes:
         env_options: Has the camera's images in the observation.
-        status: How many times it looked for a way in the last episode, and how deep into unseen space the last one may
-            lead, metres: "inf" where the unseen is free.
+        status: How many times it looked for a way in the last episode, and how deep into unknown space the last one may
+            lead, metres: "inf" where unknown space is free.
     """
 
     name = "watchful"
@@ -97,7 +97,7 @@ class WatchfulAgent:
     def __init__(
         self,
         margin: float = 0.0,
-        surfaces: bool = True,
+        unexplained: bool = True,
         depth: float = DEPTH,
         image: tuple[int, int] = IMAGE,
         noisy: bool = False,
@@ -107,8 +107,8 @@ class WatchfulAgent:
         if len(image) != 2:
             raise InvalidValueError(f"image must be a width and a height, pixels, got {image!r}")
         self.status = ""
-        self._cares = cares_with(check_margin(margin), surfaces, depth)
-        self._surfaces, self._noisy = surfaces, noisy
+        self._cares = cares_with(check_margin(margin), unexplained, depth)
+        self._heed_unexplained, self._noisy = unexplained, noisy
         self.env_options: Mapping[str, Any] = {"observation": DepthObservation(DepthCamera("wrist", *image))}
         self._problem: Problem | None = None
         self._episode: _Episode | None = None
@@ -125,7 +125,9 @@ class WatchfulAgent:
         if self._episode is None:
             height, width = now.depth.shape
             camera = DepthCamera(width=width, height=height)
-            self._episode = _Episode(self._problem, now.target, camera, self._cares, self._surfaces, self._noisy)
+            self._episode = _Episode(
+                self._problem, now.target, camera, self._cares, self._heed_unexplained, self._noisy
+            )
         action = self._episode.act(now.depth, now.joints, now.command)
         self.status = self._episode.status
         return action
@@ -140,12 +142,12 @@ class _Episode:
         target: Array,
         camera: DepthCamera,
         cares: Sequence[Care],
-        surfaces: bool,
+        unexplained: bool,
         noisy: bool = False,
     ):
-        self.status, self._cares, self._surfaces = "", cares, surfaces
+        self.status, self._cares, self._heed_unexplained = "", cares, unexplained
         self._problem, self._arm = problem, arm_balls(problem.robot)
-        self._known = Knowledge(problem, target, camera, surfaces, noisy)
+        self._known = Knowledge(problem, target, camera, unexplained, noisy)
         self._depths = NOISY_DEPTHS if noisy else DEPTHS
         self._way, self._came = self._first_glance(target), [problem.start]
         self._looking, self._stuck, self._age, self._plans, self._looks = True, False, 0, 0, 0
@@ -212,7 +214,7 @@ class _Episode:
 
     def _tell(self, care: Care) -> None:
         """Say how many times was planned, and how careful the way is."""
-        depth = np.inf if self._problem.scene.seen is None else care.depth
+        depth = np.inf if self._problem.scene.occupancy is None else care.depth
         self.status = f"{self._plans}, {depth:g}" if self._way else f"{self._plans}, no way"
 
     def _plan(self, command: Array) -> tuple[Scene, Care]:
@@ -226,8 +228,12 @@ class _Episode:
             if self._way:
                 return scene, care
         model = planning_model(compile_scene(scene, problem.robot), problem.target, MARGIN)
-        goals = free_goals(CollisionChecker(model, arm_reaches(problem.robot)), ends, GOALS, MOST_ROUNDS)
-        for care in (_ANY_WAY if self._surfaces and shapeless(scene).any() else _ANY_WAY[1:]) if len(goals) else ():
+        goals = free_goals(CollisionChecker(model, arm_reaches(problem.robot)), ends, GOALS, MAX_ROUNDS)
+        for care in (
+            (_ANY_WAY if self._heed_unexplained and unexplained_cells(scene).any() else _ANY_WAY[1:])
+            if len(goals)
+            else ()
+        ):
             self._way = self._search(scene, command, goals, problem.seed, care)
             if self._way:
                 return scene, care
@@ -236,12 +242,12 @@ class _Episode:
     def _search(self, scene: Scene, command: Array, goals: Array | int, seed: int, care: Care) -> list[Array]:
         """A way of any kind to the target, to goals (k, j) or so many others, by RRTConnect."""
         problem = self._problem
-        unseen: str | float = "free" if scene.seen is None or np.isinf(care.depth) else care.depth
-        known = with_surfaces(scene, problem.robot, command) if care.surfaces else scene
+        unknown: str | float = "free" if scene.occupancy is None or np.isinf(care.depth) else care.depth
+        known = with_unexplained_cells(scene, problem.robot, command) if care.unexplained else scene
         for back in ([], self._came[::-1]):
             path = plan(
                 known, problem.target, problem.robot, start=back[-1] if back else command, goals=goals, time_limit=None,
-                max_checks=CHECKS, seed=seed, unseen=unseen, margin=care.margin,
+                max_checks=CHECKS, seed=seed, unknown=unknown, margin=care.margin,
             ).path  # fmt: skip
             if path is not None:
                 return [*back, *path[1:]]
@@ -265,22 +271,22 @@ class _Episode:
         return between(self._arm.checker.reaches, np.array([command, *self._way]))
 
 
-def cares_with(margin: float, surfaces: bool, depth: float) -> list[Care]:
+def cares_with(margin: float, unexplained: bool, depth: float) -> list[Care]:
     """How careful the ways of an agent may be, the most careful first.
 
     Args:
         margin: What it keeps from boxes where there is room, metres.
-        surfaces: Whether it keeps out of where the scan saw a surface without a shape, before it asks for less.
-        depth: How deep it goes into unseen space before it asks for more, metres.
+        unexplained: Whether it keeps out of where the scan saw a surface without a shape, before it asks for less.
+        depth: How deep it goes into unknown space before it asks for more, metres.
     """
     shallow, *_, deep, free = CAREFUL_DEPTHS
     if margin:
         roomy = [Care(margin, shallow), Care(margin, deep), Care(margin / 2, deep), Care(0.0, deep), Care(0.0, free)]
         least = roomy[-2:]
     else:
-        roomy = least = [Care(0.0, each) for each in ((shallow, deep, free) if surfaces else CAREFUL_DEPTHS)]
-    usual = [*(care._replace(surfaces=True) for care in roomy), *least] if surfaces else roomy
-    return list(dict.fromkeys([Care(margin, depth, surfaces), *usual]))
+        roomy = least = [Care(0.0, each) for each in ((shallow, deep, free) if unexplained else CAREFUL_DEPTHS)]
+    usual = [*(care._replace(unexplained=True) for care in roomy), *least] if unexplained else roomy
+    return list(dict.fromkeys([Care(margin, depth, unexplained), *usual]))
 
 
 def _followed(ways: Ways, command: Array) -> list[Array]:

@@ -1,4 +1,4 @@
-"""Scenes cut out of a reconstructed row: what stands around the arm wherever it is put up, the truth, what was seen."""
+"""Cut scenes out of a reconstructed row: obstacles around each placement of the arm, occupancy, and truth."""
 
 from __future__ import annotations
 
@@ -10,59 +10,61 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from greenhouse_gym.build.workspace import DECIMALS, in_frame, keep_nearest, shoulder_point, within_reach
 from greenhouse_gym.capture.fingerprint import fingerprint
 from greenhouse_gym.capture.recordings import Recording
-from greenhouse_gym.crops.parts import Stem, Tomato
-from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.geometry import Array, Box, Capsule, Shape, Sphere, invert, pose, transform
 from greenhouse_gym.common.setting_checks import check_numbers
-from greenhouse_gym.crops.shape_tables import as_tables, from_tables, moved, near
 from greenhouse_gym.crops import PlantRow
 from greenhouse_gym.crops.decimation import TOLERANCE
+from greenhouse_gym.crops.parts import Stem
+from greenhouse_gym.crops.shape_tables import ShapeParts, as_tables, from_tables, select_near, transform_tables
 from greenhouse_gym.crops.truth_shapes import truth_of
+from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.geometry import Array, invert, pose, transform
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud
 from greenhouse_gym.reconstruction.seen import Carving, CarvingSettings, carve
-from greenhouse_gym.scene import Provenance, Scene, Shapes, Stand
-from greenhouse_gym.scene.occupancy import UNSEEN, SeenSpace
+from greenhouse_gym.scene import ArmPlacement, Provenance, Scene, Shapes
+from greenhouse_gym.scene.occupancy import UNKNOWN, OccupancyGrid
 from greenhouse_gym.shapes import RowShapes, ShapeSettings
-from greenhouse_gym.build.workspace import DECIMALS, at_most, in_frame, shoulder_point, within_reach
 
 
 @dataclass(frozen=True)
 class BuildSettings:
-    """How scenes are cut out of a row, and all settings of the stages before. Lengths are metres.
+    """Settings for cutting scenes out of a row, and of all stages before. Lengths are metres.
 
     Raises:
-        InvalidValueError: A value is not what it can be, such as a distance that is not positive.
+        InvalidValueError: A value is out of range, such as a distance that is not positive.
     """
 
-    spacing: float = 0.5  # between the stands of two scenes of a row
+    spacing: float = 0.5  # between the placements of two scenes of a row
     width: float = 1.6  # of a scene along the row
     stem_distance: float = 0.60  # from the arm's base axis to the stem line
-    reach: float = 1.35  # from the shoulder; what lies farther is left out
-    primitives: int = 600  # most shapes in a scene; dense foliage seen from top to bottom has as many within reach
-    targets: int | None = None  # most targets in a scene, near and far ones; None for every tomato
-    smallest_target: float = 0.0075  # radius below which nobody picks a tomato, so that it is no target
-    leaves: float = TOLERANCE  # how far from a leaf of meshes the boxes of its truth may lie
+    reach: float = 1.35  # from the shoulder; farther shapes are left out
+    max_shapes: int = 600  # in a scene; dense foliage seen from top to bottom has as many within reach
+    max_targets: int | None = None  # in a scene, near and far ones; None for every tomato
+    min_target_radius: float = 0.0075  # smaller tomatoes are not picked, so they are not targets
+    leaf_tolerance: float = TOLERANCE  # distance from a leaf mesh at which the boxes of its truth may lie
     robot: str = "ur5e"  # the arm that targets are rated for
-    reconstruction: ReconstructionSettings | None = None  # by default what each recording's protocol needs
+    reconstruction: ReconstructionSettings | None = None  # by default as the protocol of each recording requires
     shapes: ShapeSettings = field(default_factory=ShapeSettings)
     carving: CarvingSettings = field(default_factory=CarvingSettings)
 
     def __post_init__(self) -> None:
-        check_numbers(self, ("spacing", "width", "stem_distance", "reach", "primitives", "targets", "leaves"))
+        check_numbers(
+            self, ("spacing", "width", "stem_distance", "reach", "max_shapes", "max_targets", "leaf_tolerance")
+        )
 
 
 def provenance_of(
     recording: Recording, week: int | None, settings: BuildSettings, known: Provenance | None = None
 ) -> Provenance:
-    """Where all scenes of a recording come from.
+    """Return the provenance that all scenes of a recording share.
 
     Args:
-        recording: The recording; without more knowledge its name is the row's.
+        recording: The recording; its name is the row's unless ``known`` names the row.
         week: Growth week, if known.
         settings: All settings.
-        known: The row, its style and source, where they are known.
+        known: The row, its style and source, if known.
     """
     return (known or Provenance(row=recording.name)).model_copy(
         update={
@@ -70,52 +72,53 @@ def provenance_of(
             "protocol": recording.protocol,
             "recording": recording.name,
             "recording_sha256": fingerprint(recording),
-            "settings": _plain(settings),
+            "settings": _as_json(settings),
             "package_version": version("greenhouse-gym"),
         }
     )
 
 
-def what_was_seen(scene: Scene, settings: BuildSettings) -> str:
-    """A line on how much of the space around an arm the scan saw."""
-    if scene.seen is None:
-        return f"{scene.name}: what the scan saw is not known"
+def occupancy_summary(scene: Scene, settings: BuildSettings) -> str:
+    """Return a line on the fraction of the space around an arm that is known."""
+    if scene.occupancy is None:
+        return f"{scene.name}: no occupancy grid"
     shoulder = shoulder_point()
-    text = f"{scene.name}: {scene.seen.share(shoulder, settings.reach):.0%} of the space within reach was seen"
-    plants = scene.seen.states[scene.seen.centers[..., 0] > settings.stem_distance / 2]
-    above = scene.seen.centers[..., 2][scene.seen.centers[..., 0] > settings.stem_distance / 2]
-    if not (plants[above > shoulder[2]] != UNSEEN).any():
-        text += f"; nothing of the plants above {shoulder[2]:g} m: an arm that must not leave it will hardly move"
+    fraction = scene.occupancy.known_fraction(shoulder, settings.reach)
+    text = f"{scene.name}: {fraction:.0%} of the space within reach was seen"
+    centers = scene.occupancy.centers
+    plants = (centers[..., 0] > settings.stem_distance / 2) & (centers[..., 2] > shoulder[2])
+    if not (scene.occupancy.states[plants] != UNKNOWN).any():
+        text += f"; nothing of the plants above {shoulder[2]:g} m: an arm confined to known space will hardly move"
     return text
 
 
-def scene_name(recording: Recording, stand: int) -> str:
-    """Name of the scene at a stand of a recording, counted from 0."""
-    return f"{recording.name}-{stand:02d}"
+def scene_name(recording: Recording, index: int) -> str:
+    """Return the name of a scene of a recording, by the index of its placement."""
+    return f"{recording.name}-{index:02d}"
 
 
-def stand_positions(along: Array, settings: BuildSettings) -> list[float]:
-    """Where along the row the arm is put up: evenly, at least half a spacing from the ends of the walk.
+def placement_positions(along: Array, settings: BuildSettings) -> list[float]:
+    """Return evenly spaced positions of the arm along a row, at least half a spacing from the ends of the walk.
 
     Args:
-        along: (stations,) where the registered stations stood, metres along the row in any order.
+        along: (stations,) positions of the registered stations along the row in any order, metres.
         settings: All settings.
 
     Returns:
-        Metres along the row, the end at which the walk began first.
+        Metres along the row, from the end at which the walk began.
     """
     first, last = float(along.min()), float(along.max())
     count = max(1, int((last - first) / settings.spacing + 1e-9))
-    stands = (first + last) / 2 + settings.spacing * (np.arange(count) - (count - 1) / 2)
+    positions = (first + last) / 2 + settings.spacing * (np.arange(count) - (count - 1) / 2)
     backward = abs(along[0] - first) > abs(along[0] - last)
-    return [float(y) for y in (stands[::-1] if backward else stands)]
+    return [float(y) for y in (positions[::-1] if backward else positions)]
 
 
 def level(row: RowCloud) -> Array:
-    """(4, 4) pose of the row cloud's frame in a level one.
+    """Return the pose (4, 4) of the row cloud's frame in a level frame.
 
-    A tripod is put up level within a degree or two at every station; the mean of all stations is better than the first,
-    whose frame the cloud is in.
+    A tripod is put up level within a degree or two at every station. The mean of all stations is better than the first
+    station, whose frame the cloud is in.
     """
     rotations = Rotation.from_matrix(row.world_from_station[row.registered][:, :3, :3])
     return pose(rotations.mean().inv().as_matrix())
@@ -129,97 +132,96 @@ def cut_scenes(
     settings: BuildSettings,
     origin: Provenance | None = None,
 ) -> list[Scene]:
-    """Put the arm up at every stand along a row and keep what is around it.
+    """Place the arm along a row and cut out the obstacles around each placement.
 
     Args:
         row: The reconstructed row.
-        shapes: What was found in it, in the row's frame.
-        recording: What it was reconstructed from.
+        shapes: Its shapes, in the row's frame.
+        recording: The recording from which it was reconstructed.
         week: Growth week, if known.
         settings: All settings.
-        origin: What the scenes' provenance tells, where it is known already.
+        origin: Provenance of the scenes, if it is already known.
 
     Returns:
         Scenes without targets; each frame has its origin on the floor below the arm.
     """
     leveled = level(row)
-    tomatoes, stems, clutter = (
-        [in_frame(shape, leveled) for shape in part] for part in (shapes.tomatoes, shapes.stems, shapes.clutter)
-    )
+    whole = _in_frame(ShapeParts(shapes.tomatoes, shapes.stems, shapes.clutter), leveled)
     heads = transform(leveled, row.world_from_station[row.registered][:, :3, 3])
-    numbers = np.flatnonzero(row.registered)
-    made_from = origin or provenance_of(recording, week, settings)
-    places = _stand_origins(stems, heads, recording, settings)
-    carving = None if row.sight is None else _carving(row, leveled, places, settings)
+    stations = np.flatnonzero(row.registered)
+    provenance = origin or provenance_of(recording, week, settings)
+    origins = _placement_origins(whole.stems, heads, recording, settings)
+    carving = None if row.sight is None else _carve(row, leveled, origins, settings)
     scenes = []
-    for k, place in enumerate(places):
-        shift = pose(translation=-place)
-        station = int(numbers[np.argmin(np.abs(heads[:, 1] - place[1]))])
-        around = [
-            within_reach([in_frame(shape, shift) for shape in part], settings.reach, settings.width)
-            for part in (tomatoes, stems, clutter)
-        ]
-        around = at_most(around, settings.primitives)
+    for k, point in enumerate(origins):
+        shift = pose(translation=-point)
+        station = int(stations[np.argmin(np.abs(heads[:, 1] - point[1]))])
+        near = within_reach(_in_frame(whole, shift), settings.reach, settings.width)
+        truth = None
+        if recording.truth is not None:
+            truth = _truth_around(recording, row, station, shift @ leveled, settings)
         scenes.append(
             Scene(
                 name=scene_name(recording, k),
-                tomatoes=tuple(s for s in around[0] if isinstance(s, Tomato)),
-                stems=tuple(s for s in around[1] if isinstance(s, Stem)),
-                clutter=tuple(around[2]),
-                stand=Stand(),
-                truth=None
-                if recording.truth is None
-                else _truth_around(recording, row, station, shift @ leveled, settings),
-                seen=None if carving is None else _seen_from(carving, place, settings),
-                provenance=made_from.model_copy(update={"station": station}),
+                **keep_nearest(near, settings.max_shapes)._asdict(),
+                placement=ArmPlacement(),
+                truth=truth,
+                occupancy=None if carving is None else _occupancy_around(carving, point, settings),
+                provenance=provenance.model_copy(update={"station": station}),
             )
         )
     return scenes
 
 
-def stand_poses(row: RowCloud, shapes: RowShapes, recording: Recording, settings: BuildSettings) -> Array:
-    """(stands, 4, 4) where `cut_scenes` puts the arm up: the frame of each scene in that of the row."""
+def _in_frame(parts: ShapeParts, target_from_source: Array) -> ShapeParts:
+    return ShapeParts(*(tuple(in_frame(part, target_from_source) for part in kind) for kind in parts))
+
+
+def placement_poses(row: RowCloud, shapes: RowShapes, recording: Recording, settings: BuildSettings) -> Array:
+    """Return the frames (scenes, 4, 4) of the scenes of `cut_scenes` in the frame of the row."""
     leveled = level(row)
     heads = transform(leveled, row.world_from_station[row.registered][:, :3, 3])
-    origins = _stand_origins([in_frame(stem, leveled) for stem in shapes.stems], heads, recording, settings)
+    origins = _placement_origins([in_frame(stem, leveled) for stem in shapes.stems], heads, recording, settings)
     return np.array([invert(leveled) @ pose(translation=origin) for origin in origins])
 
 
-def _stand_origins(stems: Sequence[Shape], heads: Array, recording: Recording, settings: BuildSettings) -> list[Array]:
-    """(3,) points on the floor below the arm, in the leveled frame, of stems and stations (n, 3) in that frame."""
+def _placement_origins(
+    stems: Sequence[Stem], heads: Array, recording: Recording, settings: BuildSettings
+) -> list[Array]:
+    """Return the points (3,) on the floor below the arm, in the leveled frame of stems and stations (n, 3)."""
     aside = _stem_line(stems, recording) - settings.stem_distance
-    return [np.array([aside, along, 0.0]) for along in stand_positions(heads[:, 1], settings)]
+    return [np.array([aside, along, 0.0]) for along in placement_positions(heads[:, 1], settings)]
 
 
-def _carving(row: RowCloud, leveled: Array, stands: Sequence[Array], settings: BuildSettings) -> Carving:
-    """The space within reach of all stands, in the leveled frame of the cloud."""
-    low, high = _space(settings)
-    ends = [stand + corner for stand in stands for corner in (low, high)]
+def _carve(row: RowCloud, leveled: Array, origins: Sequence[Array], settings: BuildSettings) -> Carving:
+    """Carve the space within reach of all placements, in the leveled frame of the cloud."""
+    low, high = _workspace_corners(settings)
+    ends = [origin + corner for origin in origins for corner in (low, high)]
     return carve(row, leveled, np.min(ends, axis=0), np.max(ends, axis=0), settings.carving)
 
 
-def _seen_from(carving: Carving, stand: Array, settings: BuildSettings) -> SeenSpace:
-    low, high = _space(settings)
-    states, corner = carving.cut(stand + low, stand + high)
-    return SeenSpace.of(states, np.round(corner - stand, DECIMALS), carving.voxel)
+def _occupancy_around(carving: Carving, origin: Array, settings: BuildSettings) -> OccupancyGrid:
+    low, high = _workspace_corners(settings)
+    states, corner = carving.cut(origin + low, origin + high)
+    return OccupancyGrid.from_states(states, np.round(corner - origin, DECIMALS), carving.voxel)
 
 
-def _space(settings: BuildSettings) -> tuple[Array, Array]:
-    """Corners (3,) of the space around a stand that an arm may get to, metres."""
+def _workspace_corners(settings: BuildSettings) -> tuple[Array, Array]:
+    """Return the corners (3,) of the space that an arm may reach, relative to its origin, metres."""
     reach = settings.reach
-    return np.array([-reach, -reach, 0.0]), np.array([reach, reach, Stand().shoulder_height + reach])
+    return np.array([-reach, -reach, 0.0]), np.array([reach, reach, ArmPlacement().shoulder_height + reach])
 
 
 def _truth_around(
     recording: Recording, row: RowCloud, station: int, scene_from_row: Array, settings: BuildSettings
 ) -> Shapes:
-    """All of the true row within the arm's reach, in a scene's frame.
+    """Return all shapes of the true row within the arm's reach, in the frame of a scene.
 
-    It is registered by the true pose of the station nearest to the arm, never fitted: that leaves the drift along the
-    row out, which an arm put up there would not feel.
+    The true row is registered by the true pose of the station nearest to the arm, never fitted. This leaves out the
+    drift along the row, which does not affect an arm at that station.
 
     Raises:
-        InvalidValueError: The recording does not say where that station stood.
+        InvalidValueError: The recording lacks the true pose of that station.
     """
     assert recording.truth is not None
     true_from_station = recording[station].world_from_station
@@ -234,37 +236,29 @@ def _truth_around(
 
 
 def truth_in_scene(row: PlantRow, scene_from_row: Array, settings: BuildSettings) -> Shapes:
-    """All of a true row within the arm's reach, as a scene file keeps it.
+    """Return all shapes of a true row within the arm's reach, as a scene file stores them.
 
     Args:
         row: The row.
         scene_from_row: (4, 4) pose of the row's frame in the scene's.
         settings: All settings.
     """
-    true = truth_of(row, settings.leaves)
-    # as tables, since a row of meshes has thousands of shapes
-    tables = moved(as_tables(true.tomatoes, true.stems, true.clutter), scene_from_row)
-    parts = from_tables(near(tables, shoulder_point(), settings.reach))
-    return _shapes(*(within_reach(list(part), settings.reach) for part in parts)).compact()
+    true = truth_of(row, settings.leaf_tolerance)
+    # tables are much faster, since a row of meshes has thousands of shapes
+    tables = transform_tables(as_tables(true.tomatoes, true.stems, true.clutter), scene_from_row)
+    parts = within_reach(from_tables(select_near(tables, shoulder_point(), settings.reach)), settings.reach)
+    return Shapes(**parts._asdict()).compact()
 
 
-def _shapes(tomatoes: Sequence[Shape], stems: Sequence[Shape], clutter: Sequence[Shape]) -> Shapes:
-    return Shapes(
-        tomatoes=tuple(s for s in tomatoes if isinstance(s, Tomato)),
-        stems=tuple(s for s in stems if isinstance(s, Stem)),
-        clutter=tuple(s for s in clutter if isinstance(s, Sphere | Capsule | Box)),
-    )
-
-
-def _stem_line(stems: Sequence[Shape], recording: Recording) -> float:
-    """Distance of the stem line from the tripod's line: the median of the main stems, else the nominal half metre."""
-    main = [(s.start[0] + s.end[0]) / 2 for s in stems if isinstance(s, Stem) and s.kind == "main"]
+def _stem_line(stems: Sequence[Stem], recording: Recording) -> float:
+    """Return the distance of the stem line from the tripod's: the median of the main stems, else half a metre."""
+    main = [(stem.start[0] + stem.end[0]) / 2 for stem in stems if stem.kind == "main"]
     camera = recording.rig.cameras[recording.rig.reference].rig_from_camera[0, 3]
     return float(np.median(main)) if main else float(camera) + 0.5
 
 
-def _plain(settings: BuildSettings) -> dict[str, Any]:
-    """Settings as they come back from JSON: tuples as lists."""
+def _as_json(settings: BuildSettings) -> dict[str, Any]:
+    """Return settings as they come back from JSON, with lists in place of tuples."""
     plain: dict[str, Any] = {
         key: {k: list(v) if isinstance(v, tuple) else v for k, v in value.items()} if isinstance(value, dict) else value
         for key, value in asdict(settings).items()

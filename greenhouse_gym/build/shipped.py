@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from greenhouse_gym.build.bank import build_bank
-from greenhouse_gym.capture import Recording, simulate_protocol
+from greenhouse_gym.build.bank_builder import build_bank
 from greenhouse_gym.build.scenes import BuildSettings
-from greenhouse_gym.errors import FileFormatError
+from greenhouse_gym.capture import Recording, simulate_protocol
 from greenhouse_gym.common.executors import completed
 from greenhouse_gym.common.files import exclusive
 from greenhouse_gym.crops import grow_row
+from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.scene import Provenance, Scene, SceneBank
 from greenhouse_gym.scene.bank import write_bank
 from greenhouse_gym.scene.manifest import MANIFEST
@@ -26,7 +26,7 @@ from greenhouse_gym.scene.manifest import MANIFEST
 ROW_LENGTH = 1.0  # m
 ROWS, FIRST_SEED, WEEKS = 48, 2000, 12
 
-SETTINGS = BuildSettings(spacing=0.2, targets=72)
+SETTINGS = BuildSettings(spacing=0.2, max_targets=72)
 """Four stands on a row of this length; a cherry row would have more targets than all others together."""
 
 KINDS = (

@@ -14,7 +14,7 @@ from greenhouse_gym.errors import FileFormatError
 with needs("reconstruct"):
     import cv2
 
-MOST_PIXELS = 64 * 10**6
+MAX_PIXELS = 64 * 10**6
 """The most pixels an image may have; the largest cameras have as many."""
 
 
@@ -51,8 +51,8 @@ def read_exr(path: Path) -> npt.NDArray[np.generic]:
     with parsing(path, "OpenEXR image"):
         with OpenEXR.File(str(path), header_only=True) as file:
             first, last = file.header()["dataWindow"]
-        if np.prod(np.subtract(last, first) + 1.0) > MOST_PIXELS:
-            raise FileFormatError(path, f"an image of more than {MOST_PIXELS} pixels is too large")
+        if np.prod(np.subtract(last, first) + 1.0) > MAX_PIXELS:
+            raise FileFormatError(path, f"an image of more than {MAX_PIXELS} pixels is too large")
         with OpenEXR.File(str(path), separate_channels=True) as file:
             channels = {channel.rpartition(".")[2]: held.pixels for channel, held in file.channels().items()}
     named = [channel for channel in ("Z", "V", "Y", "R") if channel in channels]
@@ -85,8 +85,8 @@ def _decode(path: Path, mode: int, foreign: bool = False) -> npt.NDArray[np.gene
         raise FileFormatError(path, f"neither a PNG nor a JPEG file ({len(data)} bytes)")
     if not whole or size is None:
         raise FileFormatError(path, f"truncated {kind} file ({len(data)} bytes)")
-    if size[0] * size[1] > MOST_PIXELS:
-        raise FileFormatError(path, f"an image of {size[0]}x{size[1]} pixels is too large: at most {MOST_PIXELS}")
+    if size[0] * size[1] > MAX_PIXELS:
+        raise FileFormatError(path, f"an image of {size[0]}x{size[1]} pixels is too large: at most {MAX_PIXELS}")
     with parsing(path, "image"):
         image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), mode)
     if image is None:

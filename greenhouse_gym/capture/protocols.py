@@ -1,7 +1,7 @@
 """Capture protocols: how a row is photographed, as data.
 
 A plan holds in the plants only where the scan saw them. The paper's level beam at 1.1 m sees nothing above 1.5 m and
-measures nothing nearer than 0.2 m, so the leaves that hang into the aisle above the fruit stay unseen. The other
+measures nothing nearer than 0.2 m, so the leaves that hang into the aisle above the fruit stay unknown. The other
 protocols raise the beam, step back, pass twice, or let the arm look before it reaches.
 """
 

@@ -15,7 +15,7 @@ from greenhouse_gym.capture.rig import Intrinsics
 from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.crops import PlantRow
 from greenhouse_gym.crops.plant_row import GUTTER_COLOR
-from greenhouse_gym.geometry import Array, Box, Capsule, Shape, Sphere, frame_along, invert
+from greenhouse_gym.geometry import Array, Box, Capsule, Ellipsoid, Shape, frame_along, invert
 
 _STEM_COLORS = {
     "main": (0.36, 0.50, 0.22),
@@ -91,7 +91,7 @@ class RowRaycaster:
         colors: list[Array] = []
         rng = np.random.default_rng(0)
         while True:
-            shapes += [*row.tomatoes, *row.stems, *row.clutter]
+            shapes += row.shapes
             colors += [_ripeness_color(1.0 if t.ripeness is None else t.ripeness) for t in row.tomatoes]
             colors += [np.array(_STEM_COLORS[stem.kind]) for stem in row.stems]
             colors += [np.array(GUTTER_COLOR if _is_gutter(shape) else _LEAF_COLOR) for shape in row.clutter]
@@ -104,7 +104,7 @@ class RowRaycaster:
             [[s.start, s.end] if isinstance(s, Capsule) else [s.center, s.center] for s in shapes], dtype=np.float64
         )
         jitter = rng.normal(1.0, 0.05, (len(shapes), 1))
-        rounds = np.array([not isinstance(s, Box) and not _is_stretched(s) for s in shapes])
+        rounds = np.array([not isinstance(s, Box | Ellipsoid) for s in shapes])
         return cls(scene, owner, axes, rounds, np.clip(np.array(colors) * jitter, 0, 1))
 
     def look(self, world_from_camera: Array, intrinsics: Intrinsics) -> View:
@@ -195,8 +195,8 @@ def tessellate(shapes: Sequence[Shape]) -> tuple[Array, npt.NDArray[np.int64], n
         else:
             local, _, faces = fine
             own = shape.center + shape.radius * local
-            if (ellipsoid := shape.ellipsoid) is not None:
-                own = shape.center + (local * ellipsoid.semi_axes) @ ellipsoid.rotation.T
+            if isinstance(shape, Ellipsoid):
+                own = shape.center + (local * shape.semi_axes) @ shape.rotation.T
         vertices.append(own)
         triangles.append(faces + count)
         owner.append(np.full(len(faces), index, dtype=np.int32))
@@ -230,10 +230,6 @@ def _unit_box() -> tuple[Array, npt.NDArray[np.int64]]:
 def _ripeness_color(ripeness: float) -> Array:
     stops = np.linspace(0, 1, len(RIPENESS_COLORS))
     return np.array([np.interp(ripeness, stops, RIPENESS_COLORS[:, k]) for k in range(3)])
-
-
-def _is_stretched(shape: Shape) -> bool:
-    return isinstance(shape, Sphere) and shape.ellipsoid is not None
 
 
 def _is_gutter(shape: Shape) -> bool:

@@ -56,7 +56,7 @@ def plan_to_every_tomato(out: Path, bank: SceneBank, report: Report) -> None:
     with report.stage("plan to every tomato, follow each path") as results:
         problems = [(scene.name, k) for scene in bank for k in range(len(scene.tomatoes))]
         # the world it acts in is the reconstruction, in which nothing stands where nothing was seen
-        planner = PlannerAgent("RRTConnect", unseen="free")
+        planner = PlannerAgent("RRTConnect", unknown="free")
         evaluation = evaluate(planner, "train", problems=problems, bank=str(bank.path))
         with_goal = [r for r in evaluation.records if r.status != "no_goal"]
         reached = sum(r.success for r in with_goal)
@@ -66,7 +66,7 @@ def plan_to_every_tomato(out: Path, bank: SceneBank, report: Report) -> None:
 
 
 def follow_in_the_true_row(bank: SceneBank, settings: DemoSettings, report: Report) -> None:
-    """Plan with unseen space closed, and follow some of the plans in the row that was grown."""
+    """Plan with unknown space closed, and follow some of the plans in the row that was grown."""
     from greenhouse_gym.agents import PlannerAgent
     from greenhouse_gym.evaluation import evaluate
 
@@ -140,7 +140,7 @@ def compare_agents(out: Path, seed: int, settings: DemoSettings, report: Report)
 
     with report.stage("planner, policy and random agent on the same episodes") as results:
         policy = PolicyAgent.load(out / "ppo" / "policy.json")
-        agents: list[Agent] = [PlannerAgent("RRTConnect", unseen="free"), policy, RandomAgent()]
+        agents: list[Agent] = [PlannerAgent("RRTConnect", unknown="free"), policy, RandomAgent()]
         evaluations = compare(agents, "train", settings.episodes, seed + 1_000_000, bank=str(out / "bank"))
         table = comparison_table(evaluations)
         typer.echo(table)

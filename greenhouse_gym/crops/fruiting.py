@@ -125,9 +125,7 @@ def grow_mesh_truss(
             )
         )
         shape = fruit_ellipsoid(vertices, skin.triangles, frame)
-        tomatoes.append(
-            Tomato(shape.center, shape.radius, truss, ripe, semi_axes=shape.semi_axes, rotation=shape.rotation)
-        )
+        tomatoes.append(Tomato(shape, truss, ripe))
         top = widths[k] * aspect * vine.fruit.vertices[:, 2].max()
         organs += _calyx(
             vine, widths[k], full[k], top, frame, centers[k], plant, truss, first_fruit + len(tomatoes) - 1

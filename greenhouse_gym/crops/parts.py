@@ -1,59 +1,50 @@
-"""What a tomato row is made of, shared by truth, extraction and scenes: tomatoes and stems."""
+"""Tomatoes and stems, as ground truth, shape extraction and scenes share them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, Literal, get_args
-
-from pydantic import Field
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
 
 from greenhouse_gym.errors import InvalidValueError, require_choice
-from greenhouse_gym.geometry import Capsule, Ellipsoid, Rotation, Sphere, Vector
+from greenhouse_gym.geometry import Array, Capsule, Ellipsoid, Sphere, transformed
 
 StemKind = Literal["main", "peduncle", "pedicel", "string", "pipe"]
 STEM_KINDS: tuple[str, ...] = get_args(StemKind)
 
-_LEFT_OUT = Field(exclude_if=lambda value: value is None)  # round tomatoes are written without
-
 
 @dataclass(frozen=True, eq=False)
-class Tomato(Sphere):
-    """A tomato: a sphere, or an ellipsoid, with the number of its truss and its ripeness.
+class Tomato:
+    """A fruit: its shape, its truss and its ripeness.
 
     Attributes:
-        truss: Number of the truss it hangs on, unique within a row or scene.
-        ripeness: 0 (green) to 1 (red), or None when unknown.
-        semi_axes: (3,) metres, for an ellipsoid; its ``radius`` is then the cube root of their product.
-        rotation: (3, 3) scene_from_tomato of an ellipsoid.
+        shape: A sphere or an ellipsoid.
+        truss: Number of its truss, unique within a row or scene.
+        ripeness: 0 (green) to 1 (red), or None if unknown.
     """
 
+    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
+
+    shape: Sphere | Ellipsoid
     truss: int
     ripeness: float | None = None
-    semi_axes: Annotated[Vector | None, _LEFT_OUT] = None
-    rotation: Annotated[Rotation | None, _LEFT_OUT] = None
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         if self.ripeness is not None and not 0.0 <= self.ripeness <= 1.0:
             raise InvalidValueError(f"ripeness must be between 0 and 1, got {self.ripeness!r}")
-        if (self.semi_axes is None) != (self.rotation is None):
-            raise InvalidValueError(
-                "a tomato that is an ellipsoid has both semi_axes and rotation, a round one neither"
-            )
-        if (ellipsoid := self.ellipsoid) is not None:
-            if abs(ellipsoid.radius - self.radius) > 1e-4:
-                raise InvalidValueError(
-                    f"radius must be that of the same volume, {ellipsoid.radius:.5f}, got {self.radius!r}"
-                )
-            object.__setattr__(self, "semi_axes", ellipsoid.semi_axes)
-            object.__setattr__(self, "rotation", ellipsoid.rotation)
 
     @property
-    def ellipsoid(self) -> Ellipsoid | None:
-        """The ellipsoid that it is; None for a round one."""
-        if self.semi_axes is None or self.rotation is None:
-            return None
-        return Ellipsoid(self.center, self.semi_axes, self.rotation)
+    def center(self) -> Array:
+        """(3,) center, metres."""
+        return self.shape.center
+
+    @property
+    def radius(self) -> float:
+        """Radius of the sphere of the same volume, metres."""
+        return self.shape.radius
+
+    def transformed(self, target_from_source: Array) -> Tomato:
+        """Express the tomato in another frame, given by a pose (4, 4)."""
+        return replace(self, shape=transformed(self.shape, target_from_source))
 
 
 @dataclass(frozen=True, eq=False)

@@ -44,3 +44,8 @@ class PlantRow:
     week: int
     behind: PlantRow | None = None
     organs: tuple[Organ, ...] = ()
+
+    @property
+    def shapes(self) -> tuple[Shape, ...]:
+        """All shapes in this order: tomatoes, stems, clutter; without the row behind."""
+        return (*(tomato.shape for tomato in self.tomatoes), *self.stems, *self.clutter)

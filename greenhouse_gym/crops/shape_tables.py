@@ -1,28 +1,47 @@
-"""Many shapes as a few tables of numbers, and back: for files in which one JSON object per shape would be too much."""
+"""Shapes as a few tables of numbers, and these tables as compressed text for scene files.
+
+The text holds whole numbers: lengths in tenths of a millimetre, ripeness in thousandths, quaternions in 1e-5. Neighbors
+in a table are neighbors in space, so each point is stored relative to the previous one. Of a unit quaternion the
+largest entry follows from the three others, up to its sign and a rounding error.
+"""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
+from greenhouse_gym.common.compression import compress, decompress
 from greenhouse_gym.crops.parts import STEM_KINDS, Stem, Tomato
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.geometry import Array, Box, Capsule, Shape, Sphere, quaternions_from, rotations_from, transform
+from greenhouse_gym.geometry import (
+    Array,
+    Box,
+    Capsule,
+    Ellipsoid,
+    Shape,
+    Sphere,
+    quaternions_from,
+    rotations_from,
+    transform,
+)
 
 Made = TypeVar("Made", Stem, Sphere, Capsule, Box)
+Integers = npt.NDArray[np.int64]
 
-MOST_SHAPES = 300_000
-"""Shapes that tables may hold in all; what claims more is not believed."""
+MAX_ROWS = 300_000
+"""Maximum number of rows of all tables together; a file that claims more is refused."""
 
 
 class ShapeTables(NamedTuple):
     """Shapes as tables, one row each; lengths in metres.
 
     Attributes:
-        tomatoes: (n, 13) center, radius, truss, ripeness or -1, semi-axes and quaternion (w, x, y, z), both 0 for round
-            ones.
+        tomatoes: (n, 13) center, radius, truss, ripeness or -1, semi-axes and quaternion (w, x, y, z), both 0 for
+            spheres.
         stems: (n, 8) start, end, radius, kind as an index into `STEM_KINDS`.
         spheres: (n, 4) center, radius.
         capsules: (n, 7) start, end, radius.
@@ -37,55 +56,44 @@ class ShapeTables(NamedTuple):
 
 
 COLUMNS: tuple[str, ...] = ("xxxrti" + "aaaqqqq", "xxxxxxrk", "xxxr", "xxxxxxr", "xxxaaaqqqq")
-"""What each column of each table is: x, a, r lengths, t truss, i ripeness, k kind, q of a quaternion."""
+"""Kind of each column of each table: x, a, r lengths, t truss, i ripeness, k kind, q entry of a quaternion."""
 
-
-def moved(tables: ShapeTables, target_from_source: Array) -> ShapeTables:
-    """The same shapes in another frame."""
-    result = []
-    for table, columns in zip(tables, COLUMNS, strict=True):
-        table = table.copy()
-        for first in range(0, columns.count("x"), 3):
-            table[:, first : first + 3] = transform(target_from_source, table[:, first : first + 3])
-        if "q" in columns:
-            turned = np.flatnonzero(table[:, -4:].any(axis=1))
-            rotations = target_from_source[:3, :3] @ rotations_from(table[turned, -4:])
-            table[turned, -4:] = quaternions_from(rotations)
-        result.append(table)
-    return ShapeTables(*result)
-
-
-def near(tables: ShapeTables, point: Array, reach: float) -> ShapeTables:
-    """What may come within a distance of a point (3,), by balls around the shapes; metres."""
-    result = []
-    for table, columns in zip(tables, COLUMNS, strict=True):
-        ends = [table[:, first : first + 3] for first in range(0, columns.count("x"), 3)]
-        sizes = table[:, [k for k, column in enumerate(columns) if column in "ra"]]
-        around = np.linalg.norm(sizes, axis=1) + np.linalg.norm(ends[-1] - ends[0], axis=1) / 2
-        distance = np.linalg.norm((ends[0] + ends[-1]) / 2 - point, axis=1)
-        result.append(table[distance <= reach + around])
-    return ShapeTables(*result)
+_UNITS = {"x": 1e-4, "a": 1e-4, "r": 1e-4, "t": 1.0, "i": 1e-3, "k": 1.0, "q": 1e-5}
 
 
 class ShapeParts(NamedTuple):
-    """Shapes by what they mean, as a scene and a plant row have them; the clutter sorted by its kind."""
+    """Tomatoes, stems and clutter of a scene or a row."""
 
     tomatoes: tuple[Tomato, ...]
     stems: tuple[Stem, ...]
     clutter: tuple[Sphere | Capsule | Box, ...]
 
+    @property
+    def shapes(self) -> tuple[Shape, ...]:
+        """All shapes in this order: tomatoes, stems, clutter."""
+        return (*(tomato.shape for tomato in self.tomatoes), *self.stems, *self.clutter)
+
+    def select(self, mask: npt.NDArray[np.bool_]) -> ShapeParts:
+        """Select shapes by a mask (n,) over `shapes`."""
+        first, second = len(self.tomatoes), len(self.tomatoes) + len(self.stems)
+        return ShapeParts(
+            tuple(itertools.compress(self.tomatoes, mask[:first])),
+            tuple(itertools.compress(self.stems, mask[first:second])),
+            tuple(itertools.compress(self.clutter, mask[second:])),
+        )
+
 
 def as_tables(tomatoes: Iterable[Tomato], stems: Iterable[Stem], clutter: Iterable[Shape]) -> ShapeTables:
-    """Tomatoes, stems and clutter as tables."""
+    """Convert tomatoes, stems and clutter to tables."""
     kept = list(clutter)
     boxes = [s for s in kept if isinstance(s, Box)]
-    turns = quaternions_from([box.rotation for box in boxes])
+    quaternions = quaternions_from([box.rotation for box in boxes])
     rows: tuple[list[list[float]], ...] = (
         [_tomato_row(t) for t in tomatoes],
         [[*s.start, *s.end, s.radius, STEM_KINDS.index(s.kind)] for s in stems],
         [[*s.center, s.radius] for s in kept if isinstance(s, Sphere)],
         [[*s.start, *s.end, s.radius] for s in kept if isinstance(s, Capsule)],
-        [[*box.center, *box.half_extents, *turn] for box, turn in zip(boxes, turns, strict=True)],
+        [[*box.center, *box.half_extents, *q] for box, q in zip(boxes, quaternions, strict=True)],
     )
     return ShapeTables(
         *(
@@ -96,16 +104,17 @@ def as_tables(tomatoes: Iterable[Tomato], stems: Iterable[Stem], clutter: Iterab
 
 
 def from_tables(tables: ShapeTables) -> ShapeParts:
-    """The shapes that `as_tables` made tables of.
+    """Convert tables back to shapes; clutter comes sorted by type.
 
     Raises:
-        InvalidValueError: A table has another shape, holds what is not finite, or describes an impossible shape.
+        InvalidValueError: A table has another shape, holds numbers that are not finite, or describes an impossible
+            shape.
     """
     for name, table, columns in zip(ShapeTables._fields, tables, COLUMNS, strict=True):
         if table.ndim != 2 or table.shape[1] != len(columns) or not np.isfinite(table).all():
             raise InvalidValueError(f"{name}: expected a table of {len(columns)} finite columns, got {table.shape}")
-    if (count := sum(map(len, tables))) > MOST_SHAPES:
-        raise InvalidValueError(f"{count} shapes, at most {MOST_SHAPES} expected")
+    if (count := sum(map(len, tables))) > MAX_ROWS:
+        raise InvalidValueError(f"{count} shapes, at most {MAX_ROWS} expected")
     kinds = tables.stems[:, 7]
     if not np.isin(kinds, np.arange(len(STEM_KINDS))).all():
         raise InvalidValueError(f"stems: the kinds are numbers below {len(STEM_KINDS)}, got {np.unique(kinds)}")
@@ -114,54 +123,167 @@ def from_tables(tables: ShapeTables) -> ShapeParts:
         if not (getattr(tables, name)[:, first:end] > 0).all():
             raise InvalidValueError(f"{name}: expected positive sizes")
     tables = ShapeTables(*(table.copy() for table in tables))
-    turns = rotations_from(tables.boxes[:, 6:])
-    for table in (*tables, turns):
-        table.setflags(write=False)  # shapes do not change, and these are views
+    rotations = rotations_from(tables.boxes[:, 6:])
+    for table in (*tables, rotations):
+        table.setflags(write=False)  # shapes are immutable, and these are views
     stems = tuple(
-        _made(Stem, start=row[:3], end=row[3:6], radius=float(row[6]), kind=STEM_KINDS[int(row[7])])
+        _unchecked(Stem, start=row[:3], end=row[3:6], radius=float(row[6]), kind=STEM_KINDS[int(row[7])])
         for row in tables.stems
     )
     clutter: list[Sphere | Capsule | Box] = [
-        *(_made(Sphere, center=row[:3], radius=float(row[3])) for row in tables.spheres),
-        *(_made(Capsule, start=row[:3], end=row[3:6], radius=float(row[6])) for row in tables.capsules),
+        *(_unchecked(Sphere, center=row[:3], radius=float(row[3])) for row in tables.spheres),
+        *(_unchecked(Capsule, start=row[:3], end=row[3:6], radius=float(row[6])) for row in tables.capsules),
         *(
-            _made(Box, center=row[:3], half_extents=row[3:6], rotation=turn)
-            for row, turn in zip(tables.boxes, turns, strict=True)
+            _unchecked(Box, center=row[:3], half_extents=row[3:6], rotation=rotation)
+            for row, rotation in zip(tables.boxes, rotations, strict=True)
         ),
     ]
     return ShapeParts(tuple(map(_tomato, tables.tomatoes)), stems, tuple(clutter))
 
 
-def upright_boxes(centers: Array, half_extents: Array) -> list[Box]:
-    """Boxes along the axes, of centers (n, 3) and half extents (n, 3), metres: many in the time that few take.
+def transform_tables(tables: ShapeTables, target_from_source: Array) -> ShapeTables:
+    """Express shapes in another frame."""
+    result = []
+    for table, columns in zip(tables, COLUMNS, strict=True):
+        table = table.copy()
+        for first in range(0, columns.count("x"), 3):
+            table[:, first : first + 3] = transform(target_from_source, table[:, first : first + 3])
+        if "q" in columns:
+            rotated = np.flatnonzero(table[:, -4:].any(axis=1))
+            rotations = target_from_source[:3, :3] @ rotations_from(table[rotated, -4:])
+            table[rotated, -4:] = quaternions_from(rotations)
+        result.append(table)
+    return ShapeTables(*result)
+
+
+def select_near(tables: ShapeTables, point: Array, distance: float) -> ShapeTables:
+    """Keep shapes whose bounding ball comes within a distance (m) of a point (3,)."""
+    result = []
+    for table, columns in zip(tables, COLUMNS, strict=True):
+        ends = [table[:, first : first + 3] for first in range(0, columns.count("x"), 3)]
+        sizes = table[:, [k for k, column in enumerate(columns) if column in "ra"]]
+        radius = np.linalg.norm(sizes, axis=1) + np.linalg.norm(ends[-1] - ends[0], axis=1) / 2
+        away = np.linalg.norm((ends[0] + ends[-1]) / 2 - point, axis=1)
+        result.append(table[away <= distance + radius])
+    return ShapeTables(*result)
+
+
+def axis_aligned_boxes(centers: Array, half_extents: Array) -> list[Box]:
+    """Return boxes along the axes with centers and half extents (n, 3) in metres, checked all at once.
 
     Raises:
         InvalidValueError: A center is not finite, or a half extent is not positive.
     """
-    unturned = np.tile([1.0, 0.0, 0.0, 0.0], (len(centers), 1))
-    made = from_tables(as_tables((), (), ())._replace(boxes=np.column_stack([centers, half_extents, unturned])))
-    return [box for box in made.clutter if isinstance(box, Box)]
+    unrotated = np.tile([1.0, 0.0, 0.0, 0.0], (len(centers), 1))
+    parts = from_tables(as_tables((), (), ())._replace(boxes=np.column_stack([centers, half_extents, unrotated])))
+    return [box for box in parts.clutter if isinstance(box, Box)]
 
 
-def _made(shape_type: type[Made], **values: Any) -> Made:
-    """A shape of values that were checked for all of a table at once: one by one takes ten times as long."""
+def pack(tomatoes: tuple[Tomato, ...], stems: tuple[Stem, ...], clutter: tuple[Shape, ...]) -> dict[str, Any]:
+    """Return shapes as a JSON object: the number of rows of each table, and all tables as compressed text.
+
+    Lengths are rounded to 0.1 mm, so unpacking and packing again gives the same text.
+    """
+    tables = as_tables(tomatoes, stems, clutter)
+    columns = [
+        _encode(_rounded(table, kinds), kinds).T.reshape(-1) for table, kinds in zip(tables, COLUMNS, strict=True)
+    ]
+    numbers = np.concatenate(columns)
+    unsigned = ((numbers << 1) ^ (numbers >> 63)).astype("<u4")  # small numbers of either sign stay small
+    planes = unsigned.view(np.uint8).reshape(-1, 4).T  # all lowest bytes first, which compresses better
+    rows = {name: len(table) for name, table in zip(ShapeTables._fields, tables, strict=True)}
+    return {"rows": rows, "xz": compress(planes.tobytes())}
+
+
+def unpack(packed: Any) -> ShapeParts:
+    """Return the shapes that `pack` stored.
+
+    Raises:
+        InvalidValueError: The object is damaged.
+    """
+    try:
+        rows = [int(packed["rows"][name]) for name in ShapeTables._fields]
+        text = packed["xz"]
+    except (KeyError, TypeError, ValueError) as error:
+        raise InvalidValueError(f"packed shapes need rows and xz: {error}") from error
+    if min(rows) < 0 or sum(rows) > MAX_ROWS:
+        raise InvalidValueError(f"packed shapes: {rows} rows, from 0 up to {MAX_ROWS} in all expected")
+    widths = [len(kinds) + ("q" in kinds) for kinds in COLUMNS]
+    sizes = [count * width for count, width in zip(rows, widths, strict=True)]
+    planes = np.frombuffer(decompress(text, 4 * sum(sizes)), dtype=np.uint8).reshape(4, -1)
+    unsigned = np.ascontiguousarray(planes.T).reshape(-1).view("<u4").astype(np.int64)
+    numbers = np.split((unsigned >> 1) ^ -(unsigned & 1), np.cumsum(sizes)[:-1])
+    tables = [
+        _decode(part.reshape(width, -1).T, kinds) * np.array([_UNITS[kind] for kind in kinds])
+        for part, width, kinds in zip(numbers, widths, COLUMNS, strict=True)
+    ]
+    return from_tables(ShapeTables(*tables))
+
+
+def _rounded(table: Array, kinds: str) -> Integers:
+    return np.rint(table / [_UNITS[kind] for kind in kinds]).astype(np.int64)
+
+
+def _encode(table: Integers, kinds: str) -> Integers:
+    """Return a table (n, columns) of whole numbers as smaller numbers, with one more column per quaternion."""
+    points = kinds.count("x")
+    ends = table[:, points - 3 : points]
+    previous = np.vstack([np.zeros((1, 3), dtype=np.int64), ends[:-1]])[: len(table)]
+    parts = [table[:, :3] - previous, ends - table[:, :3]][: points // 3]
+    rest = table[:, points:]
+    if "q" in kinds:
+        quaternions = rest[:, -4:]
+        largest = np.abs(quaternions).argmax(axis=1)
+        left_out = np.arange(4) == largest[:, None]
+        others, size = quaternions[~left_out].reshape(-1, 3), quaternions[left_out]
+        error = np.abs(size) - _fourth_entry(others)
+        rest = np.column_stack([rest[:, :-4], others, 2 * largest + (size < 0), error])
+    return np.column_stack([*parts, rest])
+
+
+def _decode(numbers: Integers, kinds: str) -> Integers:
+    """Return the table of `_encode`.
+
+    Raises:
+        InvalidValueError: No table is encoded like this.
+    """
+    points = kinds.count("x")
+    steps, lengths, rest = numbers[:, :3], numbers[:, 3:points], numbers[:, points:]
+    ends = np.cumsum(steps + lengths if points > 3 else steps, axis=0)
+    if "q" in kinds:
+        others, code, error = rest[:, -5:-2], rest[:, -2], rest[:, -1]
+        if ((code < 0) | (code > 7)).any():
+            raise InvalidValueError("damaged data: a quaternion has four entries")
+        left_out = np.arange(4) == (code // 2)[:, None]
+        quaternions = np.empty(left_out.shape, dtype=np.int64)
+        quaternions[~left_out] = others.reshape(-1)
+        quaternions[left_out] = (_fourth_entry(others) + error) * np.where(code % 2, -1, 1)
+        rest = np.column_stack([rest[:, :-5], quaternions])
+    return np.column_stack([ends - lengths, ends, rest] if points > 3 else [ends, rest])
+
+
+def _fourth_entry(others: Integers) -> Integers:
+    """Return the size (n,) of the fourth entry of unit quaternions from the others (n, 3), alike on every processor."""
+    square = _UNITS["q"] ** -2 - (others.astype(float) ** 2).sum(axis=1)
+    return np.rint(np.sqrt(np.maximum(square, 0.0))).astype(np.int64)
+
+
+def _unchecked(shape_type: type[Made], **values: Any) -> Made:
+    """Return a shape of values that were already checked, which takes a tenth of the time."""
     shape = object.__new__(shape_type)
     shape.__dict__.update(values)
     return shape
 
 
-def _tomato_row(t: Tomato) -> list[float]:
-    ellipsoid = t.ellipsoid
-    stretched: Sequence[float] = (
-        [0.0] * 7 if ellipsoid is None else [*ellipsoid.semi_axes, *quaternions_from([ellipsoid.rotation])[0]]
+def _tomato_row(tomato: Tomato) -> list[float]:
+    shape = tomato.shape
+    stretch: Sequence[float] = (
+        [*shape.semi_axes, *quaternions_from([shape.rotation])[0]] if isinstance(shape, Ellipsoid) else [0.0] * 7
     )
-    return [*t.center, t.radius, t.truss, -1.0 if t.ripeness is None else t.ripeness, *stretched]
+    return [*shape.center, shape.radius, tomato.truss, -1.0 if tomato.ripeness is None else tomato.ripeness, *stretch]
 
 
 def _tomato(row: Array) -> Tomato:
-    ripeness = None if row[5] < 0 else float(row[5])
-    if not row[6:].any():
-        return Tomato(row[:3], row[3], int(row[4]), ripeness)
-    axes = row[6:9]
-    radius = float(np.cbrt(axes.prod()))
-    return Tomato(row[:3], radius, int(row[4]), ripeness, axes, rotations_from(row[None, 9:])[0])
+    stretched = row[6:].any()
+    shape = Ellipsoid(row[:3], row[6:9], rotations_from(row[None, 9:])[0]) if stretched else Sphere(row[:3], row[3])
+    return Tomato(shape, int(row[4]), None if row[5] < 0 else float(row[5]))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from greenhouse_gym.crops.parts import Stem, Tomato
-from greenhouse_gym.geometry import Array
+from greenhouse_gym.geometry import Array, Sphere
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def grow_truss(
         parts.append(Stem(joint, center - radius * towards, max(0.7 * thickness, 0.001), kind="pedicel"))
     spread = np.clip(ripeness + np.linspace(0.1, -0.1, count) + rng.normal(0, 0.04, count), 0.0, 1.0)
     fruits = [
-        Tomato(center, radius, truss=truss, ripeness=float(value))
+        Tomato(Sphere(center, radius), truss, float(value))
         for center, radius, value in zip(centers, radii, spread, strict=True)
     ]
     return fruits, parts

@@ -171,8 +171,8 @@ class Perception:
         for k, i in enumerate(np.arange(self._count)[ids]):
             episode = self._episodes[i]
             assert episode is not None
-            assert episode.scene.seen is not None
-            unknown[k] = ~episode.scene.seen(probes[k])
+            assert episode.scene.occupancy is not None
+            unknown[k] = ~episode.scene.occupancy.is_known(probes[k])
         return unknown
 
     def _photograph(self, ids: Ids | slice, physics: Physics, frame: Array, tip: Array, tool: Array) -> Pictures:

@@ -14,7 +14,7 @@ from greenhouse_gym.envs.reach_task import Bools, ControlTiming
 from greenhouse_gym.envs.stepping import Ids, ManyStepper, OneStepper, Stepper
 from greenhouse_gym.envs.worlds import World
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.scene.geom_order import id_in_compiled, put_arm_first
+from greenhouse_gym.scene.geom_order import compiled_geom_id, put_arm_first
 
 _SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 
@@ -162,7 +162,7 @@ class Physics:
         world = self._worlds[i]
         assert world is not None
         # The simulation's own model has the names of the first scene, so they are read from the world's.
-        names = tuple(name_of(world.compiled.model, id_in_compiled(model, g)) for g in geoms)
+        names = tuple(name_of(world.compiled.model, compiled_geom_id(model, g)) for g in geoms)
         return Contact(names, self_collision=bool(model.geom_bodyid[geoms[1]] > 0))
 
 

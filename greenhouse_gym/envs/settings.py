@@ -20,7 +20,7 @@ from greenhouse_gym.errors import InvalidValueError, UnknownKeywordError, requir
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import SceneBank
 from greenhouse_gym.scene.manifest import SPLITS
-from greenhouse_gym.scene.mjcf import MOST_CAPACITY, TIMESTEP
+from greenhouse_gym.scene.mjcf import MAX_CAPACITY, TIMESTEP
 
 PHYSICS = ("reconstruction", "truth")
 """What may be simulated."""
@@ -78,7 +78,7 @@ class EnvSettings:
         require_choice("physics", self.physics, PHYSICS)
         parse_difficulty(self.difficulty)
         if self.capacity is not None:
-            check_whole("capacity", self.capacity, 1, MOST_CAPACITY)
+            check_whole("capacity", self.capacity, 1, MAX_CAPACITY)
         check_whole("step_limit", self.step_limit, 1)
         if not _is_number(self.success_radius) or not 0 < self.success_radius <= 1:
             raise InvalidValueError(f"success_radius must be metres above 0 up to 1, got {self.success_radius!r}")

@@ -26,7 +26,7 @@ from greenhouse_gym.errors import InvalidValueError, NoEpisodeError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import ROBOTS, get_robot
 from greenhouse_gym.scene import CompiledScene, Scene
-from greenhouse_gym.scene.occupancy import required
+from greenhouse_gym.scene.occupancy import require_occupancy
 
 STEP_INFOS = ("previous_goal", "effort")
 """Keys of the info that a step has and a reset has not, beside the reward's terms."""
@@ -146,7 +146,9 @@ class ReachSimulation:
         episodes = [self.sampler.draw(rng[i], options[i]) for i in ids]
         if self.observe.requires_occupancy:
             for episode in episodes:
-                required(episode.scene.seen, episode.scene.name, "the observation", 'observe the "state" alone')
+                require_occupancy(
+                    episode.scene.occupancy, episode.scene.name, "the observation", 'observe the "state" alone'
+                )
         disturbances = [draw_disturbance(self.randomization, len(self.robot.joints), rng[i]) for i in ids]
         worlds = [
             self._world(episode.scene, disturbance.plants)

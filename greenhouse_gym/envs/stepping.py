@@ -21,7 +21,7 @@ from mujoco.batch import Batch
 from greenhouse_gym.envs.reach_task import Bools
 from greenhouse_gym.errors import GreenhouseError
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.scene.geom_order import ShortLists
+from greenhouse_gym.scene.geom_order import ShortGeomLists
 
 Ids = npt.NDArray[np.int64]
 
@@ -93,7 +93,7 @@ class OneStepper:
         self.command, self.speed = data.act[None], data.ctrl[None]
         self.site_xpos, self.site_xmat = data.site_xpos[None], data.site_xmat[None]
         self.xanchor, self.xaxis = data.xanchor[None], data.xaxis[None]
-        self._counts, self._listed = data.history[None, -substeps:], ShortLists([model])
+        self._counts, self._listed = data.history[None, -substeps:], ShortGeomLists([model])
 
     def __deepcopy__(self, memo: dict[int, Any]) -> OneStepper:
         twin = OneStepper(copy.deepcopy(self._model, memo), self._substeps)
@@ -138,7 +138,7 @@ class ManyStepper:
         self.site_xpos, self.site_xmat = batch.bind("site_xpos"), batch.bind("site_xmat")
         self.xanchor, self.xaxis = batch.bind("xanchor"), batch.bind("xaxis")
         self._counts, self._ncon = batch.bind("history")[:, -substeps:], batch.bind("ncon")
-        self._listed = ShortLists(models)
+        self._listed = ShortGeomLists(models)
         size = _CHUNK * batch.nthread
         starts = range(0, count, size)
         self._chunks = [np.arange(i, min(i + size, count), dtype=np.int32) for i in starts] if count > size else [None]

@@ -251,7 +251,7 @@ class TomatoReachEnv(SpecMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]]
             return None
         model, data = self.model_and_data()
         goal = self.simulation.goal(0)
-        return self._viewer.draw(model, data, self.scene.stand, self._tip(), goal, self._tip_trace)
+        return self._viewer.draw(model, data, self.scene.placement, self._tip(), goal, self._tip_trace)
 
     def close(self) -> None:
         """Free the simulation and the window; a later reset makes them anew."""

@@ -172,7 +172,7 @@ class TomatoReachVectorEnv(  # type: ignore[misc]
         return tuple(
             viewer.draw(
                 *simulation.model_and_data(i),
-                simulation.episode(i).scene.stand,
+                simulation.episode(i).scene.placement,
                 simulation.tip(i),
                 simulation.goal(i),
                 [],

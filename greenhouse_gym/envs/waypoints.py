@@ -34,7 +34,7 @@ GUESSES, FEW, GOALS = 300, 20, 60
 """First guesses of goal configurations, few of these, for which more is guessed, and how many goals, those nearest to
 the start, are looked at."""
 
-ROUNDS, MOST_ROUNDS = 4, 24
+ROUNDS, MAX_ROUNDS = 4, 24
 """How often is guessed at most while few goals are found, and while none is."""
 
 POSTURES, SPREAD = 96, 1.2
@@ -214,10 +214,10 @@ def free_goals(checker: CollisionChecker, ends: Ends, few: int = FEW, rounds: in
         checker: Says which are free.
         ends: What reaches the target.
         few: As long as there are fewer, more is guessed,
-        rounds: this often at most, but `MOST_ROUNDS` times while there is none.
+        rounds: this often at most, but `MAX_ROUNDS` times while there is none.
     """
     free: list[Array] = []
-    for k in range(MOST_ROUNDS):
+    for k in range(MAX_ROUNDS):
         free += [end for end in ends[k] if checker.is_free(end)]
         if len(free) >= few or (free and k + 1 >= rounds) or not len(ends[k]):
             break

@@ -14,14 +14,14 @@ from greenhouse_gym.envs.reach_task import SUBSTEPS
 from greenhouse_gym.envs.scene_window import LARGEST_WHOLE
 from greenhouse_gym.envs.stepping import drive_and_record
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.geometry import Array, invert, pose, rotation_about, transform
+from greenhouse_gym.geometry import Array, Ellipsoid, invert, pose, rotation_about, transform
 from greenhouse_gym.motion.distance_field import FieldStore, obstacle_field
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import CompiledScene, Scene, SceneBank, Shapes, compile_scene
-from greenhouse_gym.scene.geom_order import world_begins
-from greenhouse_gym.scene.mjcf import DEFAULT_CAPACITY, MOST_CAPACITY, base_position
-from greenhouse_gym.scene.plant_motion import PlantMotion, moved_plants
-from greenhouse_gym.scene.recompile import moved_to
+from greenhouse_gym.scene.geom_order import first_world_geom
+from greenhouse_gym.scene.mjcf import DEFAULT_CAPACITY, MAX_CAPACITY, base_position
+from greenhouse_gym.scene.moved_obstacles import move_obstacles
+from greenhouse_gym.scene.plant_motion import PlantMotion, move_plants
 from greenhouse_gym.scene.truth import true_scene
 
 _ROUND = 100
@@ -57,7 +57,7 @@ def room_for_shapes(count: int) -> int:
 
     No more than are allowed: scenes with more of them say so when they are loaded.
     """
-    return min(max(DEFAULT_CAPACITY, -_ROUND * (-count // _ROUND)), MOST_CAPACITY)
+    return min(max(DEFAULT_CAPACITY, -_ROUND * (-count // _ROUND)), MAX_CAPACITY)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +111,7 @@ class World:
             last: The world that the model is, where that is known: what is parked in both is not copied.
         """
         source = self.compiled.model
-        first, count = world_begins(model), int(source.body_geomnum[0])
+        first, count = first_world_geom(model), int(source.body_geomnum[0])
         if last is not None:
             count = max(self.used, last.used)
         for name in _GEOM_FIELDS:
@@ -180,14 +180,14 @@ class Worlds:
     def moved(self, world: World, motion: PlantMotion, seed: int) -> World:
         """The world after its true plants moved: what is told stays, what is touched and reached is elsewhere."""
         true = world.compiled.scene
-        plants = moved_plants(true, motion, np.random.default_rng(seed))
+        plants = move_plants(true, motion, np.random.default_rng(seed))
         parts = {name: getattr(plants, name) for name in ("tomatoes", "stems", "clutter")}
         moved = true.model_copy(update=parts)
         scene = world.scene
-        scene_from_base = pose(rotation_about([0, 0, 1], scene.stand.yaw), base_position(scene, self.robot))
+        scene_from_base = pose(rotation_about([0, 0, 1], scene.placement.yaw), base_position(scene, self.robot))
         return replace(
             world,
-            compiled=moved_to(world.compiled, moved),
+            compiled=move_obstacles(world.compiled, moved),
             goals=_spheres(moved, scene_from_base)[world.bodies],
             before=world,
         )
@@ -195,13 +195,13 @@ class Worlds:
     def _make(self, scene: Scene) -> World:
         physical = true_scene(scene) if self.physics == "truth" else scene
         self._check_size(physical)
-        scene_from_base = pose(rotation_about([0, 0, 1], scene.stand.yaw), base_position(scene, self.robot))
+        scene_from_base = pose(rotation_about([0, 0, 1], scene.placement.yaw), base_position(scene, self.robot))
         tomatoes, bodies_there = (_spheres(s, scene_from_base) for s in (scene, physical))
         if physical is scene:
             bodies = np.arange(len(tomatoes))
         else:
             bodies = np.linalg.norm(tomatoes[:, None, :3] - bodies_there[None, :, :3], axis=-1).argmin(axis=1)
-        ellipsoids = {k: t.ellipsoid for k, t in enumerate(scene.tomatoes) if t.ellipsoid is not None}
+        ellipsoids = {k: t.shape for k, t in enumerate(scene.tomatoes) if isinstance(t.shape, Ellipsoid)}
         others = [*scene.stems, *scene.clutter]
         told: np.ndarray[tuple[int, int], np.dtype[np.float32]] = tomatoes.astype(np.float32)
         return World(
@@ -220,8 +220,8 @@ class Worlds:
         count = len(scene.obstacles)
         if count > self.capacity:
             problem = f"scene {scene.name!r} has {count} obstacles, more than the {self.capacity} allowed"
-            if self.physics == "truth" and self.capacity == MOST_CAPACITY:
-                problem += "; a bank built with a larger BuildSettings.leaves has fewer boxes for its leaves"
+            if self.physics == "truth" and self.capacity == MAX_CAPACITY:
+                problem += "; a bank built with a larger BuildSettings.leaf_tolerance has fewer boxes for its leaves"
             raise InvalidValueError(problem)
 
 

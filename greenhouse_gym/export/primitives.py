@@ -6,11 +6,10 @@ import warnings
 from collections.abc import Iterator
 from typing import Literal, NamedTuple
 
-import numpy as np
 from scipy.spatial.transform import Rotation
 
 from greenhouse_gym.crops.parts import Stem, Tomato
-from greenhouse_gym.geometry import Array, Box, Capsule, Shape, frame_along, pose
+from greenhouse_gym.geometry import Array, Box, Capsule, Ellipsoid, Shape, frame_along, pose
 from greenhouse_gym.scene.obstacles import Shapes
 
 Kind = Literal["sphere", "ellipsoid", "capsule", "cylinder", "box"]
@@ -61,7 +60,7 @@ class Primitive(NamedTuple):
 
 def primitives(shapes: Shapes) -> list[Primitive]:
     """Tomatoes, stems and clutter of a scene, or of its truth, in their order and under the names of its MJCF."""
-    found = [_primitive(f"tomato_{k}", tomato, _fruit_color(tomato)) for k, tomato in enumerate(shapes.tomatoes)]
+    found = [_primitive(f"tomato_{k}", tomato.shape, _fruit_color(tomato)) for k, tomato in enumerate(shapes.tomatoes)]
     found += [_primitive(f"stem_{k}_{stem.kind}", stem, STEM) for k, stem in enumerate(shapes.stems)]
     return found + [_primitive(f"clutter_{k}", shape, CLUTTER) for k, shape in enumerate(shapes.clutter)]
 
@@ -81,9 +80,8 @@ def _primitive(name: str, shape: Shape | Stem, color: Color) -> Primitive:
             return Primitive(name, "sphere", (shape.radius,), pose(translation=middle), color)
         frame = frame_along(shape.end - shape.start)
         return Primitive(name, "capsule", (shape.radius, shape.length), pose(frame, middle), color)
-    if (ellipsoid := shape.ellipsoid) is not None:
-        turned = pose(ellipsoid.rotation, ellipsoid.center)
-        return Primitive(name, "ellipsoid", tuple(np.asarray(ellipsoid.semi_axes).tolist()), turned, color)
+    if isinstance(shape, Ellipsoid):
+        return Primitive(name, "ellipsoid", tuple(shape.semi_axes.tolist()), pose(shape.rotation, shape.center), color)
     return Primitive(name, "sphere", (shape.radius,), pose(translation=shape.center), color)
 
 

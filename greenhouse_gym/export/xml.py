@@ -20,7 +20,7 @@ _EFFORT = 150.0
 
 def arm_pose(scene: Scene, robot: Robot) -> Array:
     """(4, 4) pose of the arm's base in the scene, without the turn that the arm's file gives it."""
-    return pose(rotation_about([0.0, 0.0, 1.0], scene.stand.yaw), base_position(scene, robot))
+    return pose(rotation_about([0.0, 0.0, 1.0], scene.placement.yaw), base_position(scene, robot))
 
 
 def urdf(scene: Scene, robot: Robot) -> bytes:

@@ -25,7 +25,7 @@ from greenhouse_gym.geometry.poses import (
     rotations_from,
     transform,
 )
-from greenhouse_gym.geometry.shapes import Box, Capsule, Ellipsoid, Shape, Sphere, centered_at
+from greenhouse_gym.geometry.shapes import Box, Capsule, Ellipsoid, Shape, Sphere, centered_at, transformed
 
 __all__ = [
     "Array",
@@ -54,4 +54,5 @@ __all__ = [
     "rotation_angle",
     "rotations_from",
     "transform",
+    "transformed",
 ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +12,7 @@ from greenhouse_gym.geometry.shapes import Box, Capsule, Ellipsoid, Shape, Spher
 
 
 def distance_to_spheres(points: npt.ArrayLike, centers: npt.ArrayLike, radii: npt.ArrayLike) -> Array:
-    """Signed distances (n, k), negative inside, from points (n, 3) to spheres: centers (k, 3), radii (k,)."""
+    """Return signed distances (n, k), negative inside, from points (n, 3) to spheres: centers (k, 3), radii (k,)."""
     p, c = np.asarray(points, dtype=np.float64), np.asarray(centers, dtype=np.float64).reshape(-1, 3)
     return np.asarray(np.linalg.norm(p[:, None] - c[None], axis=-1) - np.asarray(radii), dtype=np.float64)
 
@@ -20,22 +20,22 @@ def distance_to_spheres(points: npt.ArrayLike, centers: npt.ArrayLike, radii: np
 def distance_to_ellipsoids(
     points: npt.ArrayLike, centers: npt.ArrayLike, semi_axes: npt.ArrayLike, rotations: npt.ArrayLike
 ) -> Array:
-    """Signed distances (n, k), negative inside, to ellipsoids; the arguments are like those of `distance_to_boxes`.
+    """Return signed distances (n, k), negative inside, to ellipsoids; arguments as for `distance_to_boxes`.
 
-    By Newton's method on the multiplier of the nearest point (Eberly, Distance from a Point to an Ellipse, an
-    Ellipsoid, or a Hyperellipsoid, 2013), from a start at which it converges from one side; to about 1e-7 of the size.
+    Newton's method on the multiplier of the nearest point (Eberly, Distance from a Point to an Ellipse, an Ellipsoid,
+    or a Hyperellipsoid, 2013) starts where it converges from one side. Exact to about 1e-7 of the size.
     """
     p = np.asarray(points, dtype=np.float64)
     c, e = (np.asarray(a, dtype=np.float64).reshape(-1, 3) for a in (centers, semi_axes))
-    turns = np.asarray(rotations, dtype=np.float64).reshape(-1, 3, 3)
-    local = np.abs(np.einsum("kji,nkj->nki", turns, p[:, None] - c[None]))
-    squares, least = e * e, e.min(axis=1)
-    y = np.maximum(local, 1e-7 * least[:, None])  # off the planes of symmetry, where the multiplier is not unique
+    frames = np.asarray(rotations, dtype=np.float64).reshape(-1, 3, 3)
+    local = np.abs(np.einsum("kji,nkj->nki", frames, p[:, None] - c[None]))
+    squares, smallest = e * e, e.min(axis=1)
+    y = np.maximum(local, 1e-7 * smallest[:, None])  # off the symmetry planes, where the multiplier is not unique
     t = (e * y - squares).max(axis=-1)
     for _ in range(_NEWTON_STEPS):
-        shares = e * y / (t[..., None] + squares)
-        excess = (shares * shares).sum(-1) - 1.0
-        slope = -2.0 * (shares * shares / (t[..., None] + squares)).sum(-1)
+        ratios = e * y / (t[..., None] + squares)
+        excess = (ratios * ratios).sum(-1) - 1.0
+        slope = -2.0 * (ratios * ratios / (t[..., None] + squares)).sum(-1)
         t = t - excess / slope
     nearest = squares * y / (t[..., None] + squares)
     inside = ((local / e) ** 2).sum(-1) < 1.0
@@ -46,19 +46,19 @@ _NEWTON_STEPS = 9
 
 
 def closest_on_segments(points: npt.ArrayLike, starts: npt.ArrayLike, ends: npt.ArrayLike) -> Array:
-    """Closest points (n, k, 3) to points (n, 3) on the segments from starts (k, 3) to ends (k, 3)."""
+    """Return the closest points (n, k, 3) to points (n, 3) on the segments from starts (k, 3) to ends (k, 3)."""
     p = np.asarray(points, dtype=np.float64)[:, None]
     a, b = (np.asarray(e, dtype=np.float64).reshape(-1, 3)[None] for e in (starts, ends))
     axis = b - a
     squared = np.maximum((axis * axis).sum(-1), 1e-18)
-    share = np.clip(((p - a) * axis).sum(-1) / squared, 0.0, 1.0)
-    return np.asarray(a + share[..., None] * axis, dtype=np.float64)
+    fraction = np.clip(((p - a) * axis).sum(-1) / squared, 0.0, 1.0)
+    return np.asarray(a + fraction[..., None] * axis, dtype=np.float64)
 
 
 def distance_to_capsules(
     points: npt.ArrayLike, starts: npt.ArrayLike, ends: npt.ArrayLike, radii: npt.ArrayLike
 ) -> Array:
-    """Signed distances (n, k), negative inside, from points (n, 3) to capsules: axes (k, 3), (k, 3), radii (k,)."""
+    """Return signed distances (n, k), negative inside, to capsules: ends of their axes (k, 3), (k, 3), radii (k,)."""
     nearest = closest_on_segments(points, starts, ends)
     p = np.asarray(points, dtype=np.float64)[:, None]
     return np.asarray(np.linalg.norm(p - nearest, axis=-1) - np.asarray(radii), dtype=np.float64)
@@ -67,7 +67,7 @@ def distance_to_capsules(
 def distance_to_boxes(
     points: npt.ArrayLike, centers: npt.ArrayLike, half_extents: npt.ArrayLike, rotations: npt.ArrayLike
 ) -> Array:
-    """Signed distances (n, k), negative inside, to boxes: (k, 3), (k, 3), rotations (k, 3, 3) world_from_box."""
+    """Return signed distances (n, k), negative inside, to boxes: (k, 3), (k, 3), rotations (k, 3, 3) world_from_box."""
     p = np.asarray(points, dtype=np.float64)
     c, h = (np.asarray(e, dtype=np.float64).reshape(-1, 3) for e in (centers, half_extents))
     local = np.einsum("kji,nkj->nki", np.asarray(rotations, dtype=np.float64).reshape(-1, 3, 3), p[:, None] - c[None])
@@ -76,47 +76,35 @@ def distance_to_boxes(
     return np.asarray(outside + np.minimum(excess.max(-1), 0.0), dtype=np.float64)
 
 
+_DISTANCES: dict[type[Shape], tuple[Callable[..., Array], tuple[str, ...]]] = {
+    Sphere: (distance_to_spheres, ("center", "radius")),
+    Ellipsoid: (distance_to_ellipsoids, ("center", "semi_axes", "rotation")),
+    Capsule: (distance_to_capsules, ("start", "end", "radius")),
+    Box: (distance_to_boxes, ("center", "half_extents", "rotation")),
+}
+
+
 def distance_to_shapes(points: npt.ArrayLike, shapes: Sequence[Shape], chunk: int = 4096) -> Array:
-    """Signed distances (n, k), negative inside, from points (n, 3) to a mixed list of k shapes.
+    """Return signed distances (n, k), negative inside, from points (n, 3) to a mixed list of k shapes.
 
     Args:
         points: (n, 3) metres.
-        shapes: k spheres, capsules or boxes, in the points' frame.
-        chunk: points handled at a time, which bounds the memory for intermediate results.
+        shapes: k shapes in the points' frame.
+        chunk: Number of points handled at a time, which bounds the memory for intermediate results.
     """
     p = np.asarray(points, dtype=np.float64).reshape(-1, 3)
     result = np.empty((len(p), len(shapes)))
-    columns: dict[type, list[int]] = {kind: [] for kind in (Sphere, Ellipsoid, Capsule, Box)}
-    for i, s in enumerate(shapes):
-        stretched = isinstance(s, Sphere) and s.ellipsoid is not None
-        columns[Ellipsoid if stretched else next(kind for kind in columns if isinstance(s, kind))].append(i)
-    spheres = [s for s in shapes if isinstance(s, Sphere) and s.ellipsoid is None]
-    ellipsoids = [s.ellipsoid for s in shapes if isinstance(s, Sphere) and s.ellipsoid is not None]
-    capsules = [s for s in shapes if isinstance(s, Capsule)]
-    boxes = [s for s in shapes if isinstance(s, Box)]
-    for first in range(0, len(p), chunk):
-        rows = slice(first, first + chunk)
-        if spheres:
-            result[rows, columns[Sphere]] = distance_to_spheres(
-                p[rows], [s.center for s in spheres], [s.radius for s in spheres]
-            )
-        if ellipsoids:
-            result[rows, columns[Ellipsoid]] = distance_to_ellipsoids(
-                p[rows], *zip(*((e.center, e.semi_axes, e.rotation) for e in ellipsoids), strict=True)
-            )
-        if capsules:
-            result[rows, columns[Capsule]] = distance_to_capsules(
-                p[rows], [s.start for s in capsules], [s.end for s in capsules], [s.radius for s in capsules]
-            )
-        if boxes:
-            result[rows, columns[Box]] = distance_to_boxes(
-                p[rows], [s.center for s in boxes], [s.half_extents for s in boxes], [s.rotation for s in boxes]
-            )
+    for kind, (distance, fields) in _DISTANCES.items():
+        columns = [k for k, shape in enumerate(shapes) if isinstance(shape, kind)]
+        arguments = [np.array([getattr(shapes[k], field) for k in columns]) for field in fields]
+        for first in range(0, len(p) if columns else 0, chunk):
+            rows = slice(first, first + chunk)
+            result[rows, columns] = distance(p[rows], *arguments)
     return result
 
 
 def bounding_balls(shapes: Sequence[Shape]) -> tuple[Array, Array]:
-    """Centers (k, 3) and radii (k,) of balls that hold k shapes, metres."""
+    """Return centers (k, 3) and radii (k,) of balls that enclose k shapes, metres."""
     balls = [_bounding_ball(shape) for shape in shapes]
     return np.array([center for center, _ in balls]).reshape(-1, 3), np.array([radius for _, radius in balls])
 
@@ -126,20 +114,19 @@ def _bounding_ball(shape: Shape) -> tuple[Array, float]:
         return shape.center, float(np.linalg.norm(shape.half_extents))
     if isinstance(shape, Capsule):
         return (shape.start + shape.end) / 2, shape.length / 2 + shape.radius
-    stretched = shape.ellipsoid
-    return shape.center, shape.radius if stretched is None else float(stretched.semi_axes.max())
+    return shape.center, float(shape.semi_axes.max()) if isinstance(shape, Ellipsoid) else shape.radius
 
 
 def distance_to_nearest(
     points: npt.ArrayLike, shapes: Sequence[Shape], limit: float, balls: tuple[Array, Array] | None = None
 ) -> Array:
-    """Signed distances (n,), negative inside, from points (n, 3) to the nearest of some shapes, where it matters.
+    """Return signed distances (n,), negative inside, from points (n, 3) to the nearest shape, exact up to a limit.
 
     Args:
         points: (n, 3) metres.
-        shapes: Spheres, capsules or boxes, in the points' frame.
-        limit: Distances up to here are exact, and others are larger: shapes farther from a point may be passed over.
-        balls: `bounding_balls` of the shapes, for whoever asks often.
+        shapes: Shapes in the points' frame.
+        limit: Distances up to the limit are exact; beyond it, shapes may be ignored and distances be too large.
+        balls: `bounding_balls` of the shapes, for repeated calls.
     """
     p = np.asarray(points, dtype=np.float64).reshape(-1, 3)
     centers, radii = bounding_balls(shapes) if balls is None else balls
@@ -157,7 +144,7 @@ _BLOCK, _ROUNDING = 0.12, 1e-9  # metres
 
 
 def _blocks(points: Array) -> list[npt.NDArray[np.int64]]:
-    """Indices of points (n, 3) that lie in the same cube of space, cube by cube."""
+    """Return the indices of points (n, 3) grouped by the cube of space in which they lie."""
     if not len(points):
         return []
     _, block, counts = np.unique(np.floor(points / _BLOCK), axis=0, return_inverse=True, return_counts=True)

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
-from typing import Any, TypeAlias
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry.arrays import MATRIX, VECTOR, Array, JsonArray, Rotation, Vector
-from greenhouse_gym.geometry.poses import is_rotation
+from greenhouse_gym.geometry.poses import is_rotation, transform
+
+_RADIUS_TOLERANCE = 1e-4  # metres by which the radius of an ellipsoid may be rounded
 
 
 def _parse(shape: Any, **kinds: JsonArray | None) -> None:
-    """Turn fields of a frozen shape into read-only arrays of their kinds, or, without one, a positive number.
+    """Convert fields of a frozen shape to read-only arrays of their kinds, or, without a kind, to a positive number.
 
     Raises:
-        InvalidValueError: A field is no such array, or no such number.
+        InvalidValueError: A field cannot be converted.
     """
     for name, kind in kinds.items():
         value = getattr(shape, name)
@@ -31,11 +33,11 @@ def _positive(name: str, value: Any) -> float:
     return number
 
 
-def _check_turned(name: str, sizes: Array, rotation: Array) -> None:
-    """Refuse sizes (3,) that are not positive, and a rotation (3, 3) that is none.
+def _check_rotated(name: str, sizes: Array, rotation: Array) -> None:
+    """Check the sizes (3,) and the rotation (3, 3) of a shape.
 
     Raises:
-        InvalidValueError: As said above.
+        InvalidValueError: A size is not positive, or the matrix is not a rotation.
     """
     if (sizes <= 0).any():
         raise InvalidValueError(f"{name} must be positive, got {sizes.tolist()}")
@@ -44,26 +46,8 @@ def _check_turned(name: str, sizes: Array, rotation: Array) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class Ellipsoid:
-    """A stretched ball: ``center`` (3,), ``semi_axes`` (3,) metres, ``rotation`` (3, 3) world_from_ellipsoid."""
-
-    center: Vector
-    semi_axes: Vector
-    rotation: Rotation
-
-    def __post_init__(self) -> None:
-        _parse(self, center=VECTOR, semi_axes=VECTOR, rotation=MATRIX)
-        _check_turned("semi_axes", self.semi_axes, self.rotation)
-
-    @property
-    def radius(self) -> float:
-        """Radius of the ball of the same volume, metres."""
-        return float(np.cbrt(self.semi_axes.prod()))
-
-
-@dataclass(frozen=True, eq=False)
 class Sphere:
-    """A ball: ``center`` (3,) and ``radius``, metres."""
+    """A sphere: ``center`` (3,) and ``radius``, metres."""
 
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
 
@@ -73,10 +57,32 @@ class Sphere:
     def __post_init__(self) -> None:
         _parse(self, center=VECTOR, radius=None)
 
-    @property
-    def ellipsoid(self) -> Ellipsoid | None:
-        """What a kind of sphere that may be stretched really is; None for a ball."""
-        return None
+
+@dataclass(frozen=True, eq=False)
+class Ellipsoid:
+    """An ellipsoid.
+
+    Attributes:
+        center: (3,) metres.
+        semi_axes: (3,) metres.
+        rotation: (3, 3) world_from_ellipsoid.
+        radius: Radius of the sphere of the same volume, metres. Computed if omitted; files round it by itself.
+    """
+
+    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
+
+    center: Vector
+    semi_axes: Vector
+    rotation: Rotation
+    radius: float = 0.0
+
+    def __post_init__(self) -> None:
+        _parse(self, center=VECTOR, semi_axes=VECTOR, rotation=MATRIX)
+        _check_rotated("semi_axes", self.semi_axes, self.rotation)
+        exact = float(np.cbrt(self.semi_axes.prod()))
+        object.__setattr__(self, "radius", float(self.radius) or exact)
+        if not abs(self.radius - exact) <= _RADIUS_TOLERANCE:
+            raise InvalidValueError(f"radius must be that of the same volume, {exact:.5f}, got {self.radius!r}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +100,7 @@ class Capsule:
 
     @property
     def length(self) -> float:
-        """Length of the axis, metres (without the round ends)."""
+        """Length of the axis without the round ends, metres."""
         return float(np.linalg.norm(self.end - self.start))
 
 
@@ -110,14 +116,26 @@ class Box:
 
     def __post_init__(self) -> None:
         _parse(self, center=VECTOR, half_extents=VECTOR, rotation=MATRIX)
-        _check_turned("half_extents", self.half_extents, self.rotation)
+        _check_rotated("half_extents", self.half_extents, self.rotation)
 
 
-Shape: TypeAlias = Sphere | Capsule | Box
+Shape: TypeAlias = Sphere | Ellipsoid | Capsule | Box
+AnyShape = TypeVar("AnyShape", bound=Shape)
+
+
+def transformed(shape: AnyShape, target_from_source: Array) -> AnyShape:
+    """Express a shape in another frame, given by a pose (4, 4)."""
+    if isinstance(shape, Capsule):
+        start, end = transform(target_from_source, [shape.start, shape.end])
+        return replace(shape, start=start, end=end)
+    center = transform(target_from_source, shape.center[None])[0]
+    if isinstance(shape, Sphere):
+        return replace(shape, center=center)
+    return replace(shape, center=center, rotation=target_from_source[:3, :3] @ shape.rotation)
 
 
 def centered_at(shape: Sphere | Box, center: Array) -> Sphere | Box:
-    """A ball or box elsewhere; sizes and turn, which were checked when it was made, are not checked again."""
-    elsewhere = copy.copy(shape)
-    object.__setattr__(elsewhere, "center", VECTOR.parse(center))
-    return elsewhere
+    """Return a sphere or box moved to a center (3,); its other fields are not checked again."""
+    moved = copy.copy(shape)
+    object.__setattr__(moved, "center", VECTOR.parse(center))
+    return moved

@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.crops.parts import Stem, Tomato
-from greenhouse_gym.geometry import Array, Box, Capsule, Shape, Sphere
+from greenhouse_gym.geometry import Array, Capsule, Sphere
+from greenhouse_gym.geometry.shapes import AnyShape
 from greenhouse_gym.scene import Scene, SceneBank, Target
 from greenhouse_gym.scene.bank import write_bank
-from greenhouse_gym.scene.plant_motion import PlantMotion, moved_plants
+from greenhouse_gym.scene.plant_motion import PlantMotion, move_plants
 
 LIVELY = PlantMotion(truss_turn=0.4, truss_swing=0.15, stem_shift=0.02, leaf_shift=0.03)
 """Plants that moved several times as far as real ones do."""
@@ -43,7 +43,7 @@ class Variation:
 def varied_scene(scene: Scene, random: np.random.Generator, name: str, variation: Variation | None = None) -> Scene:
     """A variation of a scene; its targets are those that are left, without a path that proves them."""
     variation = variation or Variation()
-    plants = moved_plants(scene, variation.plants, random)
+    plants = move_plants(scene, variation.plants, random)
     flip = np.array([1.0, -1.0 if variation.mirrored and random.random() < 0.5 else 1.0, 1.0])
     shift = random.uniform(-1.0, 1.0, 3) * variation.shift
     kept = _kept(len(plants.tomatoes), variation.thinning, random)
@@ -55,12 +55,14 @@ def varied_scene(scene: Scene, random: np.random.Generator, name: str, variation
         if t.tomato in place and t.difficulty != "unreachable"
     )
     parts = {
-        "tomatoes": tuple(_placed(plants.tomatoes[k], flip, shift) for k in kept),
+        "tomatoes": tuple(
+            replace(tomato, shape=_placed(tomato.shape, flip, shift)) for tomato in (plants.tomatoes[k] for k in kept)
+        ),
         "stems": tuple(_placed(stem, flip, shift) for stem in plants.stems),
         "clutter": tuple(_placed(plants.clutter[k], flip, shift) for k in clutter),
         "targets": tuple(targets),
     }
-    return scene.model_copy(update={**parts, "name": name, "truth": None, "seen": None})
+    return scene.model_copy(update={**parts, "name": name, "truth": None, "occupancy": None})
 
 
 def varied_bank(
@@ -87,14 +89,12 @@ def _kept(count: int, thinning: float, random: np.random.Generator) -> npt.NDArr
     return np.flatnonzero(random.random(count) >= random.uniform(0.0, thinning))
 
 
-def _placed(shape: Shape, flip: Array, shift: Array) -> Shape:
+def _placed(shape: AnyShape, flip: Array, shift: Array) -> AnyShape:
     """A shape, mirrored and shifted."""
-    if isinstance(shape, Stem | Capsule):
+    if isinstance(shape, Capsule):
         return replace(shape, start=shape.start * flip + shift, end=shape.end * flip + shift)
     center = shape.center * flip + shift
-    if isinstance(shape, Box) or (isinstance(shape, Tomato) and shape.rotation is not None):
-        # a box or an ellipsoid is its own mirror image, so that mirroring its frame on both sides leaves a rotation
-        assert shape.rotation is not None
-        return replace(shape, center=center, rotation=shape.rotation * np.outer(flip, flip))
-    assert isinstance(shape, Sphere)
-    return replace(shape, center=center)
+    if isinstance(shape, Sphere):
+        return replace(shape, center=center)
+    # a box or an ellipsoid is its own mirror image, so mirroring its frame on both sides leaves a rotation
+    return replace(shape, center=center, rotation=shape.rotation * np.outer(flip, flip))

@@ -26,7 +26,7 @@ SAMPLE_BUDGET = 40_000
 """After so many random configurations the search gives up."""
 
 CAREFUL_BUDGET = 5_000
-"""The same where the arm keeps out of unseen space: for many tomatoes nothing is found, however long the search."""
+"""The same where the arm keeps out of unknown space: for many tomatoes nothing is found, however long the search."""
 
 _BATCH = 1000
 
@@ -73,7 +73,7 @@ def goal_configurations(
     min_difference: float = 0.01,
     seed: int = 0,
     approach: Approach | None = None,
-    unseen: str | float = "free",
+    unknown: str | float = "free",
 ) -> Goals:
     """Find configurations that bring the grasp point to a tomato's center without touching anything but by the cup.
 
@@ -89,14 +89,14 @@ def goal_configurations(
             radians.
         seed: Same seed, same result.
         approach: Directions the tool may come from; any when left out.
-        unseen: "free", or "forbid" configurations in which some of the arm is in space that the scan did not see; with
+        unknown: "free", or "forbid" configurations in which some of the arm is in space that the scan did not see; with
             "avoid" those are found only where there are no others. The arm's own start counts as seen.
 
     Raises:
         InvalidValueError: No such tomato, or a number that makes no sense.
     """
     arm = get_robot(robot)
-    for depth in depths_of(unseen):
+    for depth in depths_of(unknown):
         compiled = guarded(scene, arm, arm.start, depth)
         checker = checker_of(compiled, target)
         budget = sample_budget(depth)
@@ -107,7 +107,7 @@ def goal_configurations(
 
 
 def sample_budget(depth: float) -> int:
-    """Random configurations after which the search ends where the arm may go so deep into unseen space, metres."""
+    """Random configurations after which the search ends where the arm may go so deep into unknown space, metres."""
     return SAMPLE_BUDGET if math.isinf(depth) else CAREFUL_BUDGET
 
 

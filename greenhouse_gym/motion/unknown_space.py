@@ -1,4 +1,4 @@
-"""What a scan did not see is not free: unseen voxels as obstacles for planning."""
+"""What a scan did not see is not free: unknown voxels as obstacles for planning."""
 
 from __future__ import annotations
 
@@ -14,26 +14,34 @@ from scipy.spatial import cKDTree
 
 from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.errors import InvalidValueError, require_choice
-from greenhouse_gym.geometry import Array, Box, distance_to_shapes
+from greenhouse_gym.geometry import Array, Box, bounding_balls, distance_to_shapes
 from greenhouse_gym.motion.collision import CollisionChecker, planning_model
 from greenhouse_gym.motion.reach import arm_reaches
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.robots.kinematics import Chain, tool_chain, tool_state
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
-from greenhouse_gym.scene.occupancy import REACH, UNSEEN, Cells, SeenSpace, boxes_of, inside_boxes, required
+from greenhouse_gym.scene.occupancy import (
+    REACH,
+    UNKNOWN,
+    Cells,
+    OccupancyGrid,
+    boxes_covering,
+    inside_boxes,
+    require_occupancy,
+)
 
-UNSEEN_RULES = ("free", "avoid", "forbid")
-"""What planners make of unseen space: nothing; a place to keep out of as far as can be; an obstacle."""
+UNKNOWN_RULES = ("free", "avoid", "forbid")
+"""What planners make of unknown space: nothing; a place to keep out of as far as can be; an obstacle."""
 
 DEPTHS = (0.0, 0.1, 0.15, 0.2, float("inf"))
-"""How deep a path may go into unseen space, metres: what "avoid" tries, one after the other, the last without limit."""
+"""Depths in metres that a path may enter unknown space, in the order in which "avoid" tries them."""
 
-_RESOLUTION = 0.02  # metres, at which a path's way through unseen space is measured
+_RESOLUTION = 0.02  # metres, at which a path's way through unknown space is measured
 
 
 def depths_of(rule: str | float) -> tuple[float, ...]:
-    """How deep the arm may go into unseen space by a rule, metres: what is tried, one after the other.
+    """How deep the arm may go into unknown space by a rule, metres: what is tried, one after the other.
 
     Raises:
         UnknownNameError: No such rule.
@@ -41,25 +49,28 @@ def depths_of(rule: str | float) -> tuple[float, ...]:
     """
     if isinstance(rule, str):
         named = {"free": DEPTHS[-1:], "avoid": DEPTHS, "forbid": DEPTHS[:1]}
-        return named[require_choice("unseen", rule, UNSEEN_RULES)]
+        return named[require_choice("unknown", rule, UNKNOWN_RULES)]
     if not rule >= 0:
-        raise InvalidValueError(f"unseen must be a rule or a depth of 0 m or more, got {rule!r}")
+        raise InvalidValueError(f"unknown must be a rule or a depth of 0 m or more, got {rule!r}")
     return (float(rule),)
 
 
-def require_seen(scene: Scene) -> SeenSpace:
+def occupancy_of(scene: Scene) -> OccupancyGrid:
     """What a scan saw of a scene's space.
 
     Raises:
         InvalidValueError: The scene does not say; the message tells what helps.
     """
-    return required(
-        scene.seen, scene.name, 'unseen="avoid", "forbid" or a depth, or surfaces=True', 'plan with unseen="free"'
+    return require_occupancy(
+        scene.occupancy,
+        scene.name,
+        'unknown="avoid", "forbid" or a depth, or unexplained=True',
+        'plan with unknown="free"',
     )
 
 
-def unseen_boxes(scene: Scene, robot: Robot, start: npt.ArrayLike, depth: float = 0.0) -> list[Box]:
-    """Boxes over the unseen space within reach in which no arm may be.
+def unknown_boxes(scene: Scene, robot: Robot, start: npt.ArrayLike, depth: float = 0.0) -> list[Box]:
+    """Boxes over the unknown space within reach in which no arm may be.
 
     Known, though not seen, is where the arm and its cart stand, and the inside of tomatoes. Beyond the reach the boxes
     go on or end, as it takes fewer of them.
@@ -68,25 +79,25 @@ def unseen_boxes(scene: Scene, robot: Robot, start: npt.ArrayLike, depth: float 
         scene: The scene; it must know what was seen.
         robot: The arm.
         start: (joints,) where it stands, radians.
-        depth: How far from seen space unseen space is still allowed, metres.
+        depth: How far from seen space unknown space is still allowed, metres.
     """
-    space = require_seen(scene)
+    space = occupancy_of(scene)
     depths, beyond = _depths(ByIdentity(scene), robot, tuple(np.asarray(start, dtype=np.float64).tolist()))
-    return boxes_of((depths > depth) & ~beyond, space.origin, space.voxel, either_way=beyond)
+    return boxes_covering((depths > depth) & ~beyond, space.origin, space.voxel, optional=beyond)
 
 
 def guarded(scene: Scene, robot: Robot, start: npt.ArrayLike, depth: float = 0.0) -> CompiledScene:
-    """A scene in which the unseen space of `unseen_boxes` is clutter, compiled for planning; the last ones are kept."""
+    """Compile a scene for planning with the boxes of `unknown_boxes` as clutter; recent results are cached."""
     return _guarded(ByIdentity(scene), robot, tuple(np.asarray(start, dtype=np.float64).tolist()), float(depth))
 
 
-def unseen_way(scene: Scene, robot: Robot, path: Array) -> float:
-    """Length of the tip's way along a path (k, joints) while some of the arm is in unseen space, metres."""
-    return unseen_ways(scene, robot, [path])[0][0]
+def unknown_length(scene: Scene, robot: Robot, path: Array) -> float:
+    """Length of the tip's way along a path (k, joints) while some of the arm is in unknown space, metres."""
+    return unknown_lengths(scene, robot, [path])[0][0]
 
 
-def unseen_ways(scene: Scene, robot: Robot, paths: Sequence[Array]) -> list[tuple[float, float]]:
-    """The tip's way along paths (k, joints) from one start, metres: with some of the arm in unseen space, and all."""
+def unknown_lengths(scene: Scene, robot: Robot, paths: Sequence[Array]) -> list[tuple[float, float]]:
+    """The tip's way along paths (k, joints) from one start, metres: with some of the arm in unknown space, and all."""
     compiled = guarded(scene, robot, paths[0][0])
     model = planning_model(compiled, 0, margin=0.0, pairs=("clutter",))
     first = compiled.obstacle_geoms.start + len(scene.tomatoes) + len(scene.stems)
@@ -94,11 +105,11 @@ def unseen_ways(scene: Scene, robot: Robot, paths: Sequence[Array]) -> list[tupl
     model.geom_contype[known] = model.geom_conaffinity[known] = 0
     checker = CollisionChecker(model, arm_reaches(robot))
     chain = tool_chain(compiled.model, compiled.tip_site)
-    return [_unseen_and_all(checker, chain, np.asarray(path)) for path in paths]
+    return [_unknown_and_all(checker, chain, np.asarray(path)) for path in paths]
 
 
-def _unseen_and_all(checker: CollisionChecker, chain: Chain, path: Array) -> tuple[float, float]:
-    """As `unseen_ways`, by a checker to which unseen space is an obstacle."""
+def _unknown_and_all(checker: CollisionChecker, chain: Chain, path: Array) -> tuple[float, float]:
+    """As `unknown_lengths`, by a checker to which unknown space is an obstacle."""
     way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(path, axis=0)) @ checker.reaches)])
     places = np.linspace(0.0, way[-1], 1 + int(np.ceil(way[-1] / _RESOLUTION)))
     between = np.stack([np.interp(places, way, joint) for joint in path.T], axis=-1)
@@ -125,23 +136,23 @@ def _guarded(kept: ByIdentity, robot: Robot, start: tuple[float, ...], depth: fl
     scene = kept.scene
     if np.isinf(depth):
         return compile_scene(scene, robot)
-    boxes = unseen_boxes(scene, robot, start, depth)
+    boxes = unknown_boxes(scene, robot, start, depth)
     return compile_scene(scene.model_copy(update={"clutter": (*scene.clutter, *boxes)}), robot)
 
 
 @lru_cache(maxsize=4)
 def _depths(kept: ByIdentity, robot: Robot, start: tuple[float, ...]) -> tuple[Array, Cells]:
-    """How deep each voxel (x, y, z) lies in unseen space, metres, 0 where it is known; and those beyond the reach."""
+    """How deep each voxel (x, y, z) lies in unknown space, metres, 0 where it is known; and those beyond the reach."""
     scene = kept.scene
-    space = require_seen(scene)
-    unseen = space.states == UNSEEN
-    if unseen.all():
+    space = occupancy_of(scene)
+    unknown = space.states == UNKNOWN
+    if unknown.all():
         depths = np.full(space.shape, np.inf)
     else:
-        depths = np.asarray(distance_transform_edt(unseen, sampling=space.voxel))
-    shoulder = scene.stand.position + [0.0, 0.0, scene.stand.shoulder_height]
+        depths = np.asarray(distance_transform_edt(unknown, sampling=space.voxel))
+    shoulder = scene.placement.position + [0.0, 0.0, scene.placement.shoulder_height]
     beyond = np.linalg.norm(space.centers - shoulder, axis=-1) > REACH
-    cells = np.argwhere(unseen & ~beyond)
+    cells = np.argwhere(unknown & ~beyond)
     centers = space.origin + (cells + 0.5) * space.voxel
     known = inside_boxes(centers, boxes_around_arm(scene, robot, start), space.voxel)
     known |= _inside_tomatoes(centers, scene.tomatoes)
@@ -153,18 +164,17 @@ def _inside_tomatoes(points: Array, tomatoes: Sequence[Tomato]) -> npt.NDArray[n
     """Which of points (n, 3) lie inside of a tomato, (n,)."""
     inside = np.zeros(len(points), dtype=np.bool_)
     if tomatoes:
-        largest = max(
-            float(np.max(tomato.radius if tomato.semi_axes is None else tomato.semi_axes)) for tomato in tomatoes
-        )
-        away, _ = cKDTree([tomato.center for tomato in tomatoes]).query(points, distance_upper_bound=largest)
+        shapes = [tomato.shape for tomato in tomatoes]
+        centers, radii = bounding_balls(shapes)
+        away, _ = cKDTree(centers).query(points, distance_upper_bound=float(radii.max()))
         near = np.isfinite(away)
-        inside[near] = distance_to_shapes(points[near], tomatoes).min(axis=1) < 0
+        inside[near] = distance_to_shapes(points[near], shapes).min(axis=1) < 0
     return inside
 
 
 def boxes_around_arm(scene: Scene, robot: Robot, start: npt.ArrayLike) -> list[tuple[Array, Array, Array]]:
     """Center, half extents and rotation of a box around each geom of the arm at its start, and of its cart."""
-    bare = Scene(name=scene.name, stand=scene.stand, provenance=scene.provenance)
+    bare = Scene(name=scene.name, placement=scene.placement, provenance=scene.provenance)
     model = compile_scene(bare, robot).model
     data = mujoco.MjData(model)
     data.qpos[:] = start

@@ -29,7 +29,7 @@ from greenhouse_gym.motion.collision import (
 from greenhouse_gym.motion.goals import search_goals
 from greenhouse_gym.motion.proof import ProvingChecker
 from greenhouse_gym.motion.reach import arm_reaches
-from greenhouse_gym.motion.unknown_space import depths_of, guarded, unseen_ways
+from greenhouse_gym.motion.unknown_space import depths_of, guarded, unknown_lengths
 from greenhouse_gym.planning.query import plan_with
 from greenhouse_gym.planning.registered import PlannerFailedError
 from greenhouse_gym.planning.result import PlanResult
@@ -61,7 +61,7 @@ def certify_targets(
     scene: Scene,
     robot: str | Robot = "ur5e",
     seed: int = 0,
-    unseen: str | float = "free",
+    unknown: str | float = "free",
     most: int | None = None,
     smallest: float = 0.0,
 ) -> tuple[Target, ...]:
@@ -74,26 +74,26 @@ def certify_targets(
         scene: The scene; targets it already has are not looked at.
         robot: Name or file of the arm, or a `Robot`.
         seed: Same seed, same result.
-        unseen: What space that the scan did not see is for a witness, as `plan` takes it: a tomato is rated by the
+        unknown: What space that the scan did not see is for a witness, as `plan` takes it: a tomato is rated by the
             first depth at which it can be reached.
         most: How many to rate, spread evenly over their distances from the shoulder; None for all.
         smallest: Radius below which tomatoes are not rated, unless all of them are as small, metres.
 
     Returns:
         A target for each of these tomatoes, in their order. Where the scene says what was seen, they tell the share of
-        their witness's way through unseen space.
+        their witness's way through unknown space.
 
     Raises:
         PlannerFailedError: The planner died or hung, which says nothing about a target.
     """
     arm, targets = get_robot(robot), dict[int, Target]()
     chosen = _spread(scene, most, smallest)
-    for depth in depths_of(unseen):
+    for depth in depths_of(unknown):
         compiled = guarded(scene, arm, arm.start, depth)
         for tomato in chosen:
             if tomato not in targets or targets[tomato].witness is None:
                 targets[tomato] = certify_target(compiled, tomato, seed)
-    return _with_unseen_shares(scene, arm, [targets[tomato] for tomato in chosen])
+    return _with_unknown_fractions(scene, arm, [targets[tomato] for tomato in chosen])
 
 
 def _spread(scene: Scene, most: int | None, smallest: float) -> list[int]:
@@ -102,14 +102,14 @@ def _spread(scene: Scene, most: int | None, smallest: float) -> list[int]:
     rows = np.array(large or range(len(scene.tomatoes)), dtype=np.int64)
     if most is None or len(rows) <= most:
         return rows.tolist()
-    shoulder = scene.stand.position + [0.0, 0.0, scene.stand.shoulder_height]
+    shoulder = scene.placement.position + [0.0, 0.0, scene.placement.shoulder_height]
     distances = [np.linalg.norm(scene.tomatoes[k].center - shoulder) for k in rows]
     by_distance = rows[np.argsort(distances, kind="stable")]
     return sorted(by_distance[np.linspace(0, len(rows) - 1, most).round().astype(int)].tolist())
 
 
 def certify_target(compiled: CompiledScene, tomato: int, seed: int = 0) -> Target:
-    """Rate one tomato; see `certify_targets`. The share through unseen space is left out."""
+    """Rate one tomato; see `certify_targets`. The share through unknown space is left out."""
     checker = ProvingChecker(planning_model(compiled, tomato), arm_reaches(compiled.robot))
     goals = search_goals(compiled, checker, tomato, GOALS, seed=seed, budget=SAMPLES).configurations
     found = _straight(checker, compiled.robot, goals) or _planned(checker, compiled, tomato, goals, seed)
@@ -199,11 +199,11 @@ def _rounded(robot: Robot, path: Array) -> Array:
     return np.clip(path.round(_DECIMALS), robot.lower, robot.upper)
 
 
-def _with_unseen_shares(scene: Scene, robot: Robot, targets: Sequence[Target]) -> tuple[Target, ...]:
-    """The targets with the share of their witness's way through unseen space, where the scene says what was seen."""
+def _with_unknown_fractions(scene: Scene, robot: Robot, targets: Sequence[Target]) -> tuple[Target, ...]:
+    """The targets with the share of their witness's way through unknown space, where the scene says what was seen."""
     paths = {target.tomato: np.array(target.witness) for target in targets if target.witness is not None}
-    if scene.seen is None or not paths:
+    if scene.occupancy is None or not paths:
         return tuple(targets)
-    ways = dict(zip(paths, unseen_ways(scene, robot, list(paths.values())), strict=True))
-    shares = {tomato: round(unseen / max(way, 1e-9), 3) for tomato, (unseen, way) in ways.items()}
-    return tuple(target.model_copy(update={"unseen": shares.get(target.tomato)}) for target in targets)
+    ways = dict(zip(paths, unknown_lengths(scene, robot, list(paths.values())), strict=True))
+    shares = {tomato: round(unknown / max(way, 1e-9), 3) for tomato, (unknown, way) in ways.items()}
+    return tuple(target.model_copy(update={"unknown": shares.get(target.tomato)}) for target in targets)

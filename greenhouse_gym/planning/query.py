@@ -23,8 +23,8 @@ from greenhouse_gym.motion.collision import (
 from greenhouse_gym.motion.goals import Goals, sample_budget, search_goals
 from greenhouse_gym.motion.margins import with_margin
 from greenhouse_gym.motion.path import path_length
-from greenhouse_gym.motion.unexplained_cells import with_surfaces
-from greenhouse_gym.motion.unknown_space import depths_of, guarded, require_seen, unseen_way
+from greenhouse_gym.motion.unexplained_cells import with_unexplained_cells
+from greenhouse_gym.motion.unknown_space import depths_of, guarded, occupancy_of, unknown_length
 from greenhouse_gym.planning.exchange import Answer, Query
 from greenhouse_gym.planning.planner_settings import PlannerSettings
 from greenhouse_gym.planning.planners import PLANNERS, PlannerInfo
@@ -35,11 +35,11 @@ from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.mjcf import CompiledScene
 
-_POOL = 240  # goal configurations of which those that keep out of unseen space are chosen
+_POOL = 240  # goal configurations of which those that keep out of unknown space are chosen
 _CANDIDATES = (
-    4  # solutions of inverse kinematics looked at for each goal configuration, where unseen space is in the way
+    4  # solutions of inverse kinematics looked at for each goal configuration, where unknown space is in the way
 )
-_SHARE = 1 / 8  # of the time and checks left, for each try to keep out of unseen space but the last
+_SHARE = 1 / 8  # of the time and checks left, for each try to keep out of unknown space but the last
 _SLOWEST = 0.001  # seconds that a check never takes, a hundred times what it does
 _LONGEST = 1e6  # seconds; what comes near the range of the system's clocks is cut to this
 
@@ -60,9 +60,9 @@ def plan(
     settings: PlannerSettings | None = None,
     first_solution: bool = False,
     pairs: Collection[str] = COLLISION_PAIRS,
-    unseen: str | float = "free",
+    unknown: str | float = "free",
     margin: float = 0.0,
-    surfaces: bool = False,
+    unexplained: bool = False,
 ) -> PlanResult:
     """Plan a path that brings the tool to a tomato and touches nothing else.
 
@@ -88,14 +88,14 @@ def plan(
             LBTRRT, LazyLBTRRT and PRMstar, which do not tell when they have one, use their time up all the same, and
             so does LazyPRMstar in most cases, which is asked only when it checks something.
         pairs: What the arm is checked against, of `COLLISION_PAIRS`; all of it unless less is asked for.
-        unseen: What space that the scan did not see is: "free", as if it were empty; "forbid", as if it were full, but
+        unknown: What space that the scan did not see is: "free", as if it were empty; "forbid", as if it were full, but
             where the arm and its cart stand; a number, entered no deeper than that many metres; "avoid", first
             forbidden, then entered no deeper than each of `greenhouse_gym.motion.unknown_space.DEPTHS`, at last free.
             Each of those tries gets an eighth of the time and checks that are left, the last all of them. Unless it is
-            "free", the result says how long the way through the unseen is.
+            "free", the result says how long the way through unknown space is.
         margin: How far the arm keeps from boxes of clutter, metres, but from those beside its start: leaves reach
             farther than a scan shows, see `greenhouse_gym.motion.margins`.
-        surfaces: Whether the arm keeps out of where the scan saw a surface without a shape, see
+        unexplained: Whether the arm keeps out of where the scan saw a surface without a shape, see
             `greenhouse_gym.motion.unexplained_cells`.
 
     Raises:
@@ -104,13 +104,13 @@ def plan(
             margin; a start or goals outside the limits; a scene that does not say what was seen where that is asked.
         MissingDependencyError: OMPL is not installed.
     """
-    arm, depths = get_robot(robot), depths_of(unseen)
-    if unseen != "free" or surfaces:
-        require_seen(scene)
+    arm, depths = get_robot(robot), depths_of(unknown)
+    if unknown != "free" or unexplained:
+        occupancy_of(scene)
     _seconds(time_limit, max_checks)  # refuses limits that make no sense before anything is searched
     origin = arm.configuration(start)
     scene = with_margin(scene, arm, origin, margin)
-    scene = with_surfaces(scene, arm, origin) if surfaces else scene
+    scene = with_unexplained_cells(scene, arm, origin) if unexplained else scene
     began = time.perf_counter()
     statistics = None
     if isinstance(goals, int | np.integer):
@@ -142,11 +142,11 @@ def plan(
     if path is None:
         return result
     result = replace(result, clearance=path_clearance(guarded(scene, arm, origin, math.inf), target, path))
-    if unseen == "free":
+    if unknown == "free":
         return result
-    way = unseen_way(scene, arm, path)
+    way = unknown_length(scene, arm, path)
     message = f"the path must leave the seen space for {way:.2f} m" if way > 0 else ""
-    return replace(result, unseen_length=way, message=message)
+    return replace(result, unknown_length=way, message=message)
 
 
 def plan_with(

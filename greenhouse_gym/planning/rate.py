@@ -83,7 +83,7 @@ def rate_bank(
 
 def _nearest(scene: Scene, count: int | None) -> list[int]:
     """Indices of the tomatoes to rate."""
-    shoulder = scene.stand.position + [0.0, 0.0, scene.stand.shoulder_height]
+    shoulder = scene.placement.position + [0.0, 0.0, scene.placement.shoulder_height]
     distances = [np.linalg.norm(tomato.center - shoulder) for tomato in scene.tomatoes]
     return sorted(np.argsort(distances, kind="stable")[:count].tolist())
 

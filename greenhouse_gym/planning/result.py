@@ -45,8 +45,8 @@ class PlanResult:
             of and every shorter one.
         goals: How the search for goal configurations went; None where they were given.
         message: What happened, where the status does not tell it all.
-        unseen_length: Length of the tip's way along ``path`` while some of the arm is in space that the scan did not
-            see, metres; nan without a path, or where unseen space counts as free.
+        unknown_length: Length of the tip's way along ``path`` while some of the arm is in space that the scan did not
+            see, metres; nan without a path, or where unknown space counts as free.
     """
 
     status: Status
@@ -64,4 +64,4 @@ class PlanResult:
     costs: Array = field(default_factory=lambda: np.empty((0, 2)))
     goals: GoalStatistics | None = None
     message: str = ""
-    unseen_length: float = math.nan
+    unknown_length: float = math.nan

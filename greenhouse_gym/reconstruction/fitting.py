@@ -28,7 +28,7 @@ _PATCH = 0.03  # rad, side of the patches that tell noise
 _FLATTEST = 0.25  # quantile of the patches, the flattest being those that show noise alone
 _FEWEST_PATCHES = 40
 _REACH, _SPREAD = 4.0, 2.0  # times the noise of a reading: where partners are looked for, and how far they may differ
-_MOST_NOISE = 0.008  # m
+_MAX_NOISE = 0.008  # m
 
 
 def settings_for(recording: Recording) -> ReconstructionSettings:
@@ -50,7 +50,7 @@ def settings_for(recording: Recording) -> ReconstructionSettings:
     else:
         settings = ReconstructionSettings()
         settings = replace(settings, foreground=foreground_cut(frames, camera, settings.foreground))
-    noise = min(sensor_noise(frames, camera, recording.rig, settings.foreground), _MOST_NOISE)
+    noise = min(sensor_noise(frames, camera, recording.rig, settings.foreground), _MAX_NOISE)
     return replace(
         settings,
         fine_distance=max(settings.fine_distance, round(_REACH * noise, 4)),

@@ -12,7 +12,7 @@ from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.geometry import Array, transform
 
 _BLACK, _BURNT = 0.03, 0.97  # all channels below, or above: nothing is left of a color
-_MOST_FAILED = 0.9  # share of the points that may be so
+_MAX_FAILED = 0.9  # share of the points that may be so
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,8 +110,8 @@ def exposure_failure(colors: npt.NDArray[np.floating]) -> str:
     if not len(colors):
         return ""
     black, burnt = (colors < _BLACK).all(axis=1).mean(), (colors > _BURNT).all(axis=1).mean()
-    if black > _MOST_FAILED:
+    if black > _MAX_FAILED:
         return f"{black:.0%} of the points are black: the photographs are underexposed"
-    if burnt > _MOST_FAILED:
+    if burnt > _MAX_FAILED:
         return f"{burnt:.0%} of the points are burnt out to white: the photographs are overexposed"
     return ""

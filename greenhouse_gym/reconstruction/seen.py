@@ -1,7 +1,7 @@
 """Carving: what the registered frames of a row say of the space before it.
 
 A camera that measures a depth has seen through everything up to it. A voxel through which cameras have seen at all its
-eight places is empty; one that holds points of the cloud is surface; the others stay unseen, those behind a
+eight places is empty; one that holds points of the cloud is surface; the others stay unknown, those behind a
 surface, outside of every image, or before a camera that measured nothing there.
 """
 
@@ -17,7 +17,7 @@ from greenhouse_gym.errors import ReconstructionError
 from greenhouse_gym.geometry import Array, invert, transform
 from greenhouse_gym.reconstruction.row import Look, RowCloud
 from greenhouse_gym.reconstruction.views import BLOCK
-from greenhouse_gym.scene.occupancy import CORNERS, EMPTY, SURFACE, UNSEEN, States
+from greenhouse_gym.scene.occupancy import CORNERS, FREE, OCCUPIED, UNKNOWN, States
 
 _FARTHEST = 2.0  # m from a camera up to which its readings are asked
 
@@ -99,11 +99,11 @@ def carve(
         seen = _seen_through(centers[pending[left]] + (corner * voxel).astype(np.float32), cameras, settings.margin)
         through[left[~seen]] = False
     empty[pending[through]] = True
-    states = np.where(empty, EMPTY, UNSEEN).astype(np.uint8).reshape(shape)
+    states = np.where(empty, FREE, UNKNOWN).astype(np.uint8).reshape(shape)
     cells = np.floor((transform(frame, row.points) - origin) / voxel).astype(np.int64)
     cells = cells[((cells >= 0) & (cells < shape)).all(axis=1)]
     hits = np.bincount(np.ravel_multi_index(tuple(cells.T), tuple(shape)), minlength=states.size).reshape(shape)
-    states[hits >= settings.points] = SURFACE
+    states[hits >= settings.points] = OCCUPIED
     return Carving(states, origin, voxel)
 
 

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.scene import CompiledScene, compile_scene
-from greenhouse_gym.scene.geom_order import world_begins
+from greenhouse_gym.scene.geom_order import first_world_geom
 from greenhouse_gym.scene.obstacles import Surroundings
 
 _ROOMS = (16, 32, 64, 128, 256)
@@ -57,7 +57,7 @@ class RayCaster:
     def __init__(self, compiled: CompiledScene):
         self._obstacles = compiled.obstacle_geoms
         scene, capacity = compiled.scene, self._obstacles.stop - self._obstacles.start
-        empty = Surroundings(name="view", stand=scene.stand)
+        empty = Surroundings(name="view", placement=scene.placement)
         rooms = [*(room for room in _ROOMS if room < capacity), capacity]
         models = [compile_scene(empty, compiled.robot, room).model for room in rooms]
         self._views = [(room, model, mujoco.MjData(model)) for room, model in zip(rooms, models, strict=True)]
@@ -81,7 +81,7 @@ class RayCaster:
             reach: Hits farther away do not count, metres.
             surfaces: Whether to tell colors and normals.
         """
-        obstacles = world_begins(model) + np.arange(self._obstacles.start, self._obstacles.stop)
+        obstacles = first_world_geom(model) + np.arange(self._obstacles.start, self._obstacles.stop)
         distance, on_arm = np.empty(len(directions)), np.empty(len(directions), dtype=np.bool_)
         told = len(directions) if surfaces else 0
         rgba, normal = np.empty((told, 4), dtype=np.float32), np.empty((told, 3))
@@ -105,7 +105,7 @@ class RayCaster:
         """As `cast`, where the rays hit no other obstacles than some."""
         room, view, data = next(own for own in self._views if own[0] >= len(seen))
         first = self._obstacles.start
-        rows = np.concatenate([world_begins(model) + np.arange(first), seen])
+        rows = np.concatenate([first_world_geom(model) + np.arange(first), seen])
         for name in _GEOM_FIELDS:
             getattr(view, name)[: len(rows)] = getattr(model, name)[rows]
         view.geom_rgba[len(rows) : first + room, 3] = 0.0  # rays pass through what cannot be seen

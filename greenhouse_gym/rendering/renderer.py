@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, rotation_about
-from greenhouse_gym.scene.obstacles import Stand
+from greenhouse_gym.scene.obstacles import ArmPlacement
 
 Image = npt.NDArray[np.uint8]
 
@@ -68,12 +68,12 @@ class Line:
     radius: float = 0.004
 
 
-def default_camera(stand: Stand | None = None) -> Viewpoint:
+def default_camera(placement: ArmPlacement | None = None) -> Viewpoint:
     """From the aisle, beside and above the arm, so that the arm stands clear of the plants."""
-    stand = stand or Stand()
-    turn = rotation_about([0.0, 0.0, 1.0], stand.yaw)
-    position = turn @ [-1.15, -1.9, 1.7] + stand.position
-    look_at = turn @ [0.3, 0.05, 1.3] + stand.position
+    placement = placement or ArmPlacement()
+    turn = rotation_about([0.0, 0.0, 1.0], placement.yaw)
+    position = turn @ [-1.15, -1.9, 1.7] + placement.position
+    look_at = turn @ [0.3, 0.05, 1.3] + placement.position
     return Viewpoint(tuple(position.tolist()), tuple(look_at.tolist()))
 
 

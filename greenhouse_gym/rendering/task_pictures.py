@@ -63,6 +63,6 @@ def picture_of_path(
         mujoco.mj_kinematics(compiled.model, data)
         tip[:] = data.site_xpos[compiled.tip_site]
     center = scene.tomatoes[target].center
-    camera = camera or default_camera(scene.stand)
+    camera = camera or default_camera(scene.placement)
     lines = task_lines(trace[0], center, trace)
     return render_scene(compiled.model, data, camera, width, height, lines, samples)

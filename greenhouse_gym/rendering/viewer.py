@@ -15,7 +15,7 @@ from greenhouse_gym.geometry import Array
 from greenhouse_gym.rendering.opengl import OpenGLMissingError, OpenGLRenderer, add_line, free_camera
 from greenhouse_gym.rendering.renderer import default_camera, render_depth, render_scene
 from greenhouse_gym.rendering.task_pictures import task_lines
-from greenhouse_gym.scene.obstacles import Stand
+from greenhouse_gym.scene.obstacles import ArmPlacement
 
 RENDER_MODES = ("rgb_array", "human", "depth_array")
 WIDTH, HEIGHT = 640, 480
@@ -45,14 +45,20 @@ class Viewer:
         return Viewer(self.mode)
 
     def draw(
-        self, model: mujoco.MjModel, data: mujoco.MjData, stand: Stand, tip: Array, target: Array, trace: list[Array]
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        placement: ArmPlacement,
+        tip: Array,
+        target: Array,
+        trace: list[Array],
     ) -> npt.NDArray[Any] | None:
         """A picture (h, w, 3) uint8 or depth (h, w) float32 in metres, or None after showing it in the window.
 
         Args:
             model: The simulation's model.
             data: Its state.
-            stand: Where the arm stands.
+            placement: Where the arm stands.
             tip: (3,) where the red line begins, metres.
             target: (3,) where the red line ends, metres.
             trace: Points (3,) the tip went through, in pink.
@@ -60,11 +66,11 @@ class Viewer:
         Raises:
             NoDisplayError: Mode "human" without a display.
         """
-        camera, lines = default_camera(stand), task_lines(tip, target, trace)
+        camera, lines = default_camera(placement), task_lines(tip, target, trace)
         if self.mode == "depth_array":
             return render_depth(model, data, camera, WIDTH, HEIGHT)
         if self.mode == "human":
-            self._show(model, data, stand, tip, target, trace)
+            self._show(model, data, placement, tip, target, trace)
             return None
         if self._gl_works:
             try:
@@ -90,7 +96,13 @@ class Viewer:
         return getattr(self._of_thread, "gl", None)
 
     def _show(
-        self, model: mujoco.MjModel, data: mujoco.MjData, stand: Stand, tip: Array, target: Array, trace: list[Array]
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        placement: ArmPlacement,
+        tip: Array,
+        target: Array,
+        trace: list[Array],
     ) -> None:
         if sys.platform == "linux" and not _has_display():
             raise NoDisplayError('render_mode="human" needs a display; choose "rgb_array" or "depth_array" here')
@@ -99,7 +111,7 @@ class Viewer:
         if self._window is None:
             self._shown = (model, data)
             self._window = mujoco.viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False)
-            view = free_camera(default_camera(stand))
+            view = free_camera(default_camera(placement))
             for name in ("lookat", "distance", "azimuth", "elevation"):
                 setattr(self._window.cam, name, getattr(view, name))
         assert self._shown is not None

@@ -10,8 +10,8 @@ import numpy.typing as npt
 from greenhouse_gym.accuracy.silhouettes import Outlines
 from greenhouse_gym.capture import Recording
 from greenhouse_gym.capture.rig import Intrinsics
-from greenhouse_gym.crops.parts import Stem, Tomato
-from greenhouse_gym.geometry import Array, Shape, invert
+from greenhouse_gym.crops.parts import Stem
+from greenhouse_gym.geometry import Array, Ellipsoid, Shape, Sphere, invert
 from greenhouse_gym.reconstruction import RowCloud
 from greenhouse_gym.shapes import RowShapes
 
@@ -40,7 +40,7 @@ def draw_outlines(
         alone = outlines.silhouette(i, intrinsics)
         mask[alone.image] = alone.covered
         contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-        is_fruit, is_stem = isinstance(shapes[i], Tomato), isinstance(shapes[i], Stem)
+        is_fruit, is_stem = isinstance(shapes[i], Sphere | Ellipsoid), isinstance(shapes[i], Stem)
         color = _TOMATO if is_fruit else _STEM if is_stem else _CLUTTER
         cv2.drawContours(image, contours, -1, color, 2 if is_fruit else 1)
     return image
@@ -51,5 +51,5 @@ def shapes_over_photograph(recording: Recording, row: RowCloud, found: RowShapes
     camera = recording.rig.cameras[recording.rig.reference]
     photograph = recording[station].frames[recording.rig.reference].color
     camera_from_row = invert(row.world_from_station[station] @ camera.rig_from_camera)
-    ordered: list[Shape] = [*found.clutter, *found.stems, *found.tomatoes]
+    ordered: list[Shape] = [*found.clutter, *found.stems, *(tomato.shape for tomato in found.tomatoes)]
     return draw_outlines(photograph, ordered, camera.intrinsics, camera_from_row)

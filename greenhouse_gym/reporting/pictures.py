@@ -21,7 +21,7 @@ from greenhouse_gym.reconstruction.registration import register
 from greenhouse_gym.reconstruction.seen import carve
 from greenhouse_gym.reconstruction.shift import Shift, along, overlap
 from greenhouse_gym.reconstruction.views import Calibration, CameraView, view_station
-from greenhouse_gym.scene.occupancy import UNSEEN
+from greenhouse_gym.scene.occupancy import UNKNOWN
 
 Image = npt.NDArray[np.uint8]
 
@@ -178,12 +178,12 @@ def seen_picture(row: RowCloud, out: Path) -> tuple[Path, float]:
     low[2], high[2] = 0.0, 2.4
     carving = carve(row, np.eye(4), low, high)
     cells = ((middle + [0.25, 0.0, 0.0] - carving.origin) / carving.voxel).astype(int)
-    palette = np.array([[150, 152, 158], [250, 251, 252], [58, 125, 68]], dtype=np.uint8)  # unseen, empty, surface
+    palette = np.array([[150, 152, 158], [250, 251, 252], [58, 125, 68]], dtype=np.uint8)  # unknown, empty, surface
     planes = (carving.states[:, cells[1]], carving.states[cells[0]])
     images = [np.kron(palette[plane.T[::-1]], np.ones((8, 8, 1), dtype=np.uint8)) for plane in planes]
     centers = np.moveaxis(np.indices(carving.states.shape), 0, -1) * carving.voxel + carving.origin
     near = np.linalg.norm(centers - [middle[0], middle[1], 1.1], axis=-1) < reach[0]
-    share = float((carving.states[near] != UNSEEN).mean())
+    share = float((carving.states[near] != UNKNOWN).mean())
     return save(side_by_side(images), out / "9-seen-space.png"), share
 
 

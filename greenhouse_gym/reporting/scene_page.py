@@ -21,11 +21,11 @@ from greenhouse_gym.export.xml import arm_pose
 from greenhouse_gym.geometry import Array, pose
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene
-from greenhouse_gym.scene.occupancy import SURFACE, UNSEEN, SeenSpace
+from greenhouse_gym.scene.occupancy import OCCUPIED, UNKNOWN, OccupancyGrid
 
 _TRUE_COLOR = (0.20, 0.35, 0.80)
-_UNSEEN_COLOR = (0.25, 0.25, 0.30)
-_SURFACE_COLOR = (0.85, 0.60, 0.15)
+_UNKNOWN_COLOR = (0.25, 0.25, 0.30)
+_OCCUPIED_COLOR = (0.85, 0.60, 0.15)
 _WITNESS_COLOR = (0.85, 0.10, 0.55)
 _TARGET_COLOR = (0.95, 0.75, 0.05)
 _DOT = 0.012  # size of a voxel's dot, as a share of the picture's height at a metre
@@ -143,12 +143,12 @@ def _motion(motion: Motion) -> dict[str, Any]:
 
 def _seen(scene: Scene) -> list[dict[str, Any]]:
     """What the scan saw of space, where that is known."""
-    if scene.seen is None:
+    if scene.occupancy is None:
         return []
-    surface = scene.seen.centers[scene.seen.states == SURFACE]
+    surface = scene.occupancy.centers[scene.occupancy.states == OCCUPIED]
     return [
-        _dots("unseen space (its border)", _border(scene.seen), _UNSEEN_COLOR, 0.35),
-        _dots("surface that was seen", surface, _SURFACE_COLOR, 0.8),
+        _dots("unknown space (its border)", _border(scene.occupancy), _UNKNOWN_COLOR, 0.35),
+        _dots("surface that was seen", surface, _OCCUPIED_COLOR, 0.8),
     ]
 
 
@@ -161,15 +161,15 @@ def _dots(name: str, points: Array, color: tuple[float, float, float], opacity: 
     return {"name": name, "dots": millimetres, "color": color, "opacity": opacity, "shown": False, "size": _DOT}
 
 
-def _border(space: SeenSpace) -> Array:
-    """(n, 3) middles of the unseen voxels that have a seen neighbor."""
-    unseen = space.states == UNSEEN
-    seen = np.pad(~unseen, 1)
-    beside = np.zeros_like(unseen)
+def _border(space: OccupancyGrid) -> Array:
+    """(n, 3) middles of the unknown voxels that have a seen neighbor."""
+    unknown = space.states == UNKNOWN
+    seen = np.pad(~unknown, 1)
+    beside = np.zeros_like(unknown)
     for axis in range(3):
         for step in (-1, 1):
             beside |= np.roll(seen, step, axis)[1:-1, 1:-1, 1:-1]
-    return space.centers[unseen & beside]
+    return space.centers[unknown & beside]
 
 
 def _links(scene: Scene, robot: Robot) -> list[dict[str, Any]]:

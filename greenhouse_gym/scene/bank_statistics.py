@@ -33,7 +33,7 @@ class BankStatistics:
         seen: Scenes that know what was seen, and the mean share of the space within reach that was.
         checks: Median collision checks of RRTConnect for medium and hard targets.
         clearance: Median clearance of the witnesses, metres.
-        unseen: Median share of the witnesses' ways through unseen space.
+        unknown: Median share of the witnesses' ways through unknown space.
     """
 
     name: str
@@ -51,7 +51,7 @@ class BankStatistics:
     seen: tuple[int, float]
     checks: dict[str, float]
     clearance: float
-    unseen: float
+    unknown: float
 
 
 def bank_statistics(bank: SceneBank) -> BankStatistics:
@@ -68,7 +68,7 @@ def bank_statistics(bank: SceneBank) -> BankStatistics:
         for kind in ("style", "source"):
             name = getattr(scene.provenance, kind) or "unknown"
             by_kind.setdefault(name, Counter()).update(target.difficulty for target in scene.targets)
-    shares = [_seen_share(scene) for scene in scenes if scene.seen is not None]
+    shares = [_known_fraction(scene) for scene in scenes if scene.occupancy is not None]
     true = [len(scene.truth.obstacles) for scene in scenes if scene.truth is not None]
     return BankStatistics(
         name=bank.manifest.name,
@@ -98,7 +98,7 @@ def bank_statistics(bank: SceneBank) -> BankStatistics:
             for name in ("medium", "hard")
         },
         clearance=_median([t.clearance for t in targets if t.clearance is not None]),
-        unseen=_median([t.unseen for t in targets if t.unseen is not None]),
+        unknown=_median([t.unknown for t in targets if t.unknown is not None]),
     )
 
 
@@ -152,7 +152,7 @@ def as_markdown(found: BankStatistics) -> str:
                 ],
                 *([f"checks of RRTConnect, {name}, median", f"{value:.0f}"] for name, value in found.checks.items()),
                 ["clearance of the witnesses, median", f"{1000 * found.clearance:.1f} mm"],
-                ["share of the witnesses' ways through unseen space, median", f"{found.unseen:.0%}"],
+                ["share of the witnesses' ways through unknown space, median", f"{found.unknown:.0%}"],
             ],
         ),
     ]
@@ -168,7 +168,7 @@ def _table(heads: list[str], rows: list[list[str]]) -> list[str]:
     return ["| " + " | ".join(row) + " |" for row in (heads, ["---"] * len(heads), *rows)]
 
 
-def _seen_share(scene: Scene) -> float:
+def _known_fraction(scene: Scene) -> float:
     """Share of the space within `REACH` of the shoulder that was seen."""
-    assert scene.seen is not None
-    return scene.seen.share(scene.stand.position + [0.0, 0.0, scene.stand.shoulder_height], REACH)
+    assert scene.occupancy is not None
+    return scene.occupancy.known_fraction(scene.placement.position + [0.0, 0.0, scene.placement.shoulder_height], REACH)

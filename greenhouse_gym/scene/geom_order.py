@@ -1,10 +1,10 @@
-"""Which geoms MuJoCo goes through in every physics step of a moving arm, and how to make them few.
+"""Order the geoms of a model so that MuJoCo's broad phase visits few of them in each physics step of a moving arm.
 
-What touches what is found through trees over the geoms. But before that, the broad phase asks every geom of a model,
-twice, whether it is the world's, and for each pair of bodies all their geoms what they may touch. Among the thousands
-of boxes of a true row that takes most of the time. So the models that are stepped have the arm's geoms first
-(`put_arm_first`), and while they are stepped they tell of these and of a few of the world's only (`ShortLists`). The
-numbers that come out are the same, bit for bit.
+MuJoCo finds contacts through trees over the geoms. Before that, its broad phase asks each geom of a model twice whether
+it belongs to the world, and compares the collision masks of all geoms of each pair of bodies. With the thousands of
+boxes of a true row, this takes most of the time. Models that are stepped therefore have the arm's geoms first
+(`put_arm_first`), and during a step they list only these and a few of the world's (`ShortGeomLists`). Results stay
+equal bit for bit.
 """
 
 from __future__ import annotations
@@ -16,23 +16,19 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-_LISTED = 2
-"""How many geoms of the world are listed at least.
-
-The first ones, with the floor among them, may touch whatever any of them may. Two bodies of one geom each would be
-tested without their trees.
-"""
+_MIN_LISTED = 2
+"""Minimum number of geoms of the world that are listed: MuJoCo tests two bodies of one geom each without trees."""
 
 
-def world_begins(model: mujoco.MjModel) -> int:
-    """Id of the first geom of the world: 0, or the number of the arm's geoms where they come first."""
+def first_world_geom(model: mujoco.MjModel) -> int:
+    """Return the id of the first geom of the world: 0, or the number of the arm's geoms if they come first."""
     return int(model.body_geomadr[0])
 
 
 def put_arm_first(model: mujoco.MjModel) -> None:
-    """Move the geoms of the world behind all others, in place; names of geoms are not to be asked for any more.
+    """Move the geoms of the world behind all others, in place; the names of geoms are wrong afterwards.
 
-    A model in which more than bodies and trees tells of geoms by their ids stays as it is, and is stepped more slowly.
+    A model whose pairs, tendons, skins or sensors refer to geoms stays unchanged, and is stepped more slowly.
     """
     if model.npair or model.nwrap or model.nskin or (model.sensor_objtype == mujoco.mjtObj.mjOBJ_GEOM).any():
         return
@@ -48,52 +44,51 @@ def put_arm_first(model: mujoco.MjModel) -> None:
         ids[ids >= 0] = (ids[ids >= 0] - world) % count
 
 
-def id_in_compiled(model: mujoco.MjModel, geom: int) -> int:
-    """Id that a geom has in the compiled model, of which this one is a copy in either order."""
-    return int((geom - world_begins(model)) % model.ngeom)
+def compiled_geom_id(model: mujoco.MjModel, geom: int) -> int:
+    """Return the id of a geom in the compiled model, from which this model was copied and maybe reordered."""
+    return int((geom - first_world_geom(model)) % model.ngeom)
 
 
-class ShortLists:
-    """Models that tell of few geoms within a ``with`` block.
+class ShortGeomLists:
+    """Context in which models list few geoms.
 
-    Only there: whoever places the geoms or renders them has to know of all.
+    Only stepping may happen inside: code that places or renders geoms needs all of them.
 
     Args:
-        models: Models of one layout.
+        models: Models of the same layout.
     """
 
     def __init__(self, models: Sequence[mujoco.MjModel]):
         first = models[0]
-        self._of_world = [model.body_geomnum for model in models]
-        self._world = world = int(self._of_world[0][0])
-        begins, self._all = world_begins(first), first.ngeom
-        own = slice(begins, begins + world)
-        masks = np.stack([first.geom_contype[own], first.geom_conaffinity[own]])
-        told = np.bitwise_or.accumulate(masks, axis=1)
-        enough = int((told == told[:, -1:]).all(axis=0).argmax()) + 1
-        self._few = min(max(enough, _LISTED), world)
-        counts = [_geom_count(model) for model in models] if begins else []
+        self._world_counts = [model.body_geomnum for model in models]
+        self._world = world = int(self._world_counts[0][0])
+        start, self._all = first_world_geom(first), first.ngeom
+        own = slice(start, start + world)
+        masks = np.bitwise_or.accumulate(np.stack([first.geom_contype[own], first.geom_conaffinity[own]]), axis=1)
+        enough = int((masks == masks[:, -1:]).all(axis=0).argmax()) + 1  # geoms that together have all masks
+        self._listed = min(max(enough, _MIN_LISTED), world)
+        counts = [_geom_count(model) for model in models] if start else []
         self._counts = [count for count in counts if count is not None]
-        self._moving = begins
+        self._moving = start
 
     def __enter__(self) -> None:
-        for of_world in self._of_world:
-            of_world[0] = self._few
+        for world_count in self._world_counts:
+            world_count[0] = self._listed
         for count in self._counts:
             count[0] = self._moving
 
     def __exit__(self, *error: object) -> None:
-        for of_world in self._of_world:
-            of_world[0] = self._world
+        for world_count in self._world_counts:
+            world_count[0] = self._world
         for count in self._counts:
             count[0] = self._all
 
 
 def _geom_count(model: mujoco.MjModel) -> npt.NDArray[np.int64] | None:
-    """(1,) a model's number of geoms, live: the bindings show it, but do not let it be set.
+    """Return a writable view (1,) of a model's number of geoms, which the bindings make read-only.
 
-    A model in memory begins with its sizes. None where they are not found there as the bindings tell them, as may be
-    in another version of MuJoCo, which then goes through all geoms.
+    A model in memory begins with its sizes. If they do not agree with the bindings, as may happen in another version of
+    MuJoCo, the result is None and MuJoCo visits all geoms.
     """
     names = list(getattr(model, "_size_fields", ()))
     if "ngeom" not in names:
@@ -101,5 +96,5 @@ def _geom_count(model: mujoco.MjModel) -> npt.NDArray[np.int64] | None:
     sizes = np.ctypeslib.as_array((ctypes.c_int64 * len(names)).from_address(model._address))
     if sizes.tolist() != [getattr(model, name) for name in names]:
         return None
-    at = names.index("ngeom")
-    return sizes[at : at + 1]
+    index = names.index("ngeom")
+    return sizes[index : index + 1]

@@ -1,8 +1,8 @@
-"""Scene + robot to a MuJoCo model: the one place where both the simulator and the planners get their collision world.
+"""Compile a scene and a robot to the MuJoCo model that both the simulator and the planners check collisions with.
 
 Obstacles are geoms of the world body (separate static bodies cost about twelve times the collision time). Collision
-masks: bit 1 is "the arm", bit 2 is "the cup". Obstacles carry both bits; clearing bit 2 of the target lets the cup,
-and nothing else of the arm, touch it.
+masks: bit 1 is the arm, bit 2 is the cup. Obstacles carry both bits; clearing bit 2 of the target lets the cup, and
+no other part of the arm, touch it.
 """
 
 from __future__ import annotations
@@ -15,23 +15,23 @@ import mujoco
 import numpy as np
 
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.geometry import Array, Box, Capsule, Shape, Sphere
+from greenhouse_gym.geometry import Array, Box, Capsule, Ellipsoid, Shape
 from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.robots.robot import CUP_GEOM, TIP_SITE
 from greenhouse_gym.robots.start import CART_HALF_WIDTH, cart_drop
 from greenhouse_gym.scene.obstacles import Surroundings
 
 DEFAULT_CAPACITY = 600
-"""Number of obstacles that a padded model has room for."""
+"""Number of obstacle slots of a padded model."""
 
-MOST_CAPACITY = 30_000
-"""The largest such number that is allowed; every padded geom costs memory and time in every simulation."""
+MAX_CAPACITY = 30_000
+"""Maximum number of obstacle slots; every padded geom costs memory and time in every simulation."""
 
 ARM_AND_CUP, ARM_ONLY = 3, 1
 """Collision masks of an obstacle, and of the target (which the cup may touch)."""
 
 TIMESTEP = 0.01
-_SHORTEST = 1e-6  # metres between the ends of a capsule that is no sphere
+_MIN_LENGTH = 1e-6  # of a capsule, metres; a shorter one becomes a sphere
 _PARKED = (0.0, 0.0, -50.0)
 _STEM_COLORS = {
     "main": (0.33, 0.48, 0.2, 1.0),
@@ -45,16 +45,16 @@ _CLUTTER_COLOR = (0.25, 0.5, 0.22, 1.0)
 
 @dataclass(frozen=True, eq=False)
 class CompiledScene:
-    """A scene with an arm as a MuJoCo model, and where things are in it.
+    """A scene with an arm as a MuJoCo model, and the ids of its parts.
 
     Attributes:
         scene: The scene.
         robot: The arm.
-        model: The compiled model. Treat it as read-only: it is shared.
+        model: The compiled model; shared, so treat it as read-only.
         tip_site: Id of the site ``tip``.
         probe_sites: (k,) ids of the sites at which clearance is observed.
         obstacle_geoms: Slice of the geom ids of all obstacle slots: tomatoes, stems, clutter, then parked ones.
-        cup_geom: Id of the geom that may touch the target, or -1.
+        cup_geom: Id of the geom that may touch the target, or -1 if there is none.
     """
 
     scene: Surroundings
@@ -66,11 +66,11 @@ class CompiledScene:
     cup_geom: int
 
     def tomato_geom(self, tomato: int) -> int:
-        """Geom id of a tomato, by its index in the scene."""
+        """Return the geom id of a tomato, by its index in the scene."""
         return int(self.obstacle_geoms.start) + tomato
 
     def allow_cup_on(self, model: mujoco.MjModel, tomato: int, allowed: bool = True) -> None:
-        """In ``model`` (a copy of this one, its geoms in either order), let the cup touch a tomato, or forbid it."""
+        """Let the cup touch a tomato in ``model``, a copy of this one with its geoms in either order, or forbid it."""
         mask = ARM_ONLY if allowed else ARM_AND_CUP
         geom = int(model.body_geomadr[0]) + self.tomato_geom(tomato)
         model.geom_contype[geom] = mask
@@ -80,24 +80,23 @@ class CompiledScene:
 def scene_spec(
     scene: Surroundings, robot: str | Robot | None = None, capacity: int | None = None, target: int | None = None
 ) -> mujoco.MjSpec:
-    """The scene, and the arm if one is named, as an editable MuJoCo specification.
+    """Return the scene, with an arm if one is named, as an editable MuJoCo specification.
 
     Args:
         scene: The scene.
         robot: Name, file or `Robot`; None leaves the arm out.
-        capacity: Pad the obstacles with parked geoms to this number, so that models of several scenes have one size.
+        capacity: Number of obstacle slots; unused ones are parked geoms, so models of several scenes have equal sizes.
         target: Index of the tomato that the cup may touch.
 
     Raises:
-        InvalidValueError: The scene has more obstacles than ``capacity``, or that is no capacity, or there is no tomato
-            ``target``.
+        InvalidValueError: ``capacity`` is out of range or too small for the scene, or there is no tomato ``target``.
     """
     if target is not None and not 0 <= target < len(scene.tomatoes):
         raise InvalidValueError(
             f"scene {scene.name!r} has tomatoes 0 to {len(scene.tomatoes) - 1}, there is no {target}"
         )
-    if capacity is not None and not (isinstance(capacity, int | np.integer) and 1 <= capacity <= MOST_CAPACITY):
-        raise InvalidValueError(f"capacity must be a whole number from 1 to {MOST_CAPACITY}, got {capacity!r}")
+    if capacity is not None and not (isinstance(capacity, int | np.integer) and 1 <= capacity <= MAX_CAPACITY):
+        raise InvalidValueError(f"capacity must be a whole number from 1 to {MAX_CAPACITY}, got {capacity!r}")
     arm = None if robot is None else get_robot(robot)
     spec = mujoco.MjSpec() if arm is None else arm.spec()
     spec.modelname = scene.name
@@ -147,7 +146,7 @@ def compile_scene(
         scene: The scene.
         robot: As `scene_spec`.
         capacity: As `scene_spec`.
-        edit: Changes the specification before it is compiled.
+        edit: Callback that changes the specification before it is compiled.
 
     Raises:
         InvalidValueError: The scene has more obstacles than ``capacity``.
@@ -171,23 +170,23 @@ def compile_scene(
 
 
 def base_position(scene: Surroundings, robot: Robot) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    """(3,) position of the arm's base in the scene, metres: below the shoulder at the height of the stand."""
-    return np.asarray(scene.stand.position + [0.0, 0.0, scene.stand.shoulder_height - robot.shoulder_height])
+    """Return the position (3,) of the arm's base in the scene, metres: below the shoulder of its placement."""
+    return np.asarray(scene.placement.position + [0.0, 0.0, scene.placement.shoulder_height - robot.shoulder_height])
 
 
 def _has_column(scene: Surroundings, robot: Robot) -> bool:
-    return bool(base_position(scene, robot)[2] - scene.stand.position[2] > 0.1)
+    return bool(base_position(scene, robot)[2] - scene.placement.position[2] > 0.1)
 
 
 def _place_arm(spec: mujoco.MjSpec, scene: Surroundings, robot: Robot) -> None:
     position = base_position(scene, robot)
     base = spec.worldbody.first_body()
-    heading = np.array([np.cos(scene.stand.yaw / 2), 0.0, 0.0, np.sin(scene.stand.yaw / 2)])
-    turned = np.empty(4)
-    mujoco.mju_mulQuat(turned, heading, np.array(base.quat))  # files may turn the base to have it look ahead
-    base.pos, base.quat = position, turned
+    heading = np.array([np.cos(scene.placement.yaw / 2), 0.0, 0.0, np.sin(scene.placement.yaw / 2)])
+    rotation = np.empty(4)
+    mujoco.mju_mulQuat(rotation, heading, np.array(base.quat))  # robot files may rotate the base so that it faces ahead
+    base.pos, base.quat = position, rotation
     if _has_column(scene, robot):
-        floor = scene.stand.position[2]
+        floor = scene.placement.position[2]
         half = (position[2] - floor - cart_drop(robot.foot)) / 2
         spec.worldbody.add_geom(
             name="cart", type=mujoco.mjtGeom.mjGEOM_BOX, size=[CART_HALF_WIDTH, CART_HALF_WIDTH, half],
@@ -202,7 +201,7 @@ def _tomato_color(ripeness: float | None) -> tuple[float, float, float, float]:
 
 
 class Geom(NamedTuple):
-    """A shape as MuJoCo has it: size (3,), metres, and position (3,) and quaternion (4,) in the scene."""
+    """MuJoCo geom: type, size (3,) in metres, position (3,) and quaternion (4,) in the scene."""
 
     type: mujoco.mjtGeom
     size: Sequence[float] | Array
@@ -211,18 +210,18 @@ class Geom(NamedTuple):
 
 
 def geom_of(shape: Shape) -> Geom:
-    """The geom that stands for a shape."""
+    """Return the geom of a shape."""
     quat = np.array([1.0, 0.0, 0.0, 0.0])
     if isinstance(shape, Box):
         mujoco.mju_mat2Quat(quat, shape.rotation.flatten())
         return Geom(mujoco.mjtGeom.mjGEOM_BOX, shape.half_extents, shape.center, quat)
     if isinstance(shape, Capsule):
         middle = (shape.start + shape.end) / 2
-        if shape.length <= _SHORTEST:
+        if shape.length <= _MIN_LENGTH:
             return Geom(mujoco.mjtGeom.mjGEOM_SPHERE, [shape.radius, 0.0, 0.0], middle, quat)
         mujoco.mju_quatZ2Vec(quat, shape.end - shape.start)
         return Geom(mujoco.mjtGeom.mjGEOM_CAPSULE, [shape.radius, shape.length / 2, 0.0], middle, quat)
-    if isinstance(shape, Sphere) and (ellipsoid := shape.ellipsoid) is not None:
-        mujoco.mju_mat2Quat(quat, ellipsoid.rotation.flatten())
-        return Geom(mujoco.mjtGeom.mjGEOM_ELLIPSOID, ellipsoid.semi_axes, ellipsoid.center, quat)
+    if isinstance(shape, Ellipsoid):
+        mujoco.mju_mat2Quat(quat, shape.rotation.flatten())
+        return Geom(mujoco.mjtGeom.mjGEOM_ELLIPSOID, shape.semi_axes, shape.center, quat)
     return Geom(mujoco.mjtGeom.mjGEOM_SPHERE, [shape.radius, 0.0, 0.0], shape.center, quat)

@@ -1,4 +1,4 @@
-"""What stands around an arm, and where the arm stands: the part of a scene that has a shape."""
+"""Obstacles around an arm and its placement: the part of a scene from which a collision model is made."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from pydantic import (
 
 from greenhouse_gym.common.files import checked_name
 from greenhouse_gym.crops.parts import Stem, Tomato
+from greenhouse_gym.crops.shape_tables import pack, unpack
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Box, Capsule, Shape, Sphere, Vector
-from greenhouse_gym.scene.packed import pack, unpack
 
 SceneName = Annotated[str, AfterValidator(lambda name: checked_name("a scene", name))]
 
-MOST_TOMATOES, MOST_SHAPES = 2000, 50_000
-"""The most tomatoes, and the most stems and the most pieces of clutter, that a scene may hold."""
+MAX_TOMATOES, MAX_SHAPES = 2000, 50_000
+"""Maximum number of tomatoes, and of stems and pieces of clutter each, in a scene."""
 
-LARGEST = 100.0
-"""The largest coordinate or size in a scene, metres: single precision still resolves a hundredth of a millimetre."""
+MAX_SIZE = 100.0
+"""Maximum coordinate or size in a scene, metres: single precision still resolves a hundredth of a millimetre."""
 
 
 def is_none(value: object) -> bool:
-    """Whether a value is None: files leave such fields out, so that older files stay as they are."""
+    """Return whether a value is None; scene files omit such fields."""
     return value is None
 
 
-def _not_newer(version: Any) -> Any:
+def _check_version(version: Any) -> Any:
     if isinstance(version, int) and version > 1:
         raise InvalidValueError(
             f"written by a newer version of greenhouse-gym, in schema {version}; this one reads schema 1: update it"
@@ -44,18 +44,18 @@ def _not_newer(version: Any) -> Any:
     return version
 
 
-SchemaVersion = Annotated[Literal[1], BeforeValidator(_not_newer)]
-"""The version of the schema that scene files and manifests carry."""
+SchemaVersion = Annotated[Literal[1], BeforeValidator(_check_version)]
+"""Schema version of scene files and manifests."""
 
 
 class Part(BaseModel):
-    """What parts of a scene file have in common: they do not change, and hold what is named and finite only."""
+    """Base of all parts of a scene file: immutable, finite, without unknown fields."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-class Stand(Part):
-    """Where the arm stands in the scene frame.
+class ArmPlacement(Part):
+    """Position of the arm in the scene frame.
 
     Attributes:
         position: (3,) point on the floor below the base axis, metres.
@@ -68,40 +68,45 @@ class Stand(Part):
     shoulder_height: float = Field(default=1.1, gt=0, le=10)
 
     @model_validator(mode="after")
-    def _not_far(self) -> Stand:
-        if np.abs(self.position).max() > LARGEST:
-            raise InvalidValueError(f"position {self.position.tolist()} is farther than {LARGEST:g} m from the origin")
+    def _within_bounds(self) -> ArmPlacement:
+        if np.abs(self.position).max() > MAX_SIZE:
+            raise InvalidValueError(f"position {self.position.tolist()} is farther than {MAX_SIZE:g} m from the origin")
         return self
 
 
 class Shapes(Part):
-    """Tomatoes, stems and clutter in the scene frame: what stands around the arm."""
+    """Tomatoes, stems and clutter around an arm, in the scene frame."""
 
-    tomatoes: tuple[Tomato, ...] = Field(default=(), max_length=MOST_TOMATOES)
-    stems: tuple[Stem, ...] = Field(default=(), max_length=MOST_SHAPES)
-    clutter: tuple[Sphere | Capsule | Box, ...] = Field(default=(), max_length=MOST_SHAPES)
+    tomatoes: tuple[Tomato, ...] = Field(default=(), max_length=MAX_TOMATOES)
+    stems: tuple[Stem, ...] = Field(default=(), max_length=MAX_SHAPES)
+    clutter: tuple[Sphere | Capsule | Box, ...] = Field(default=(), max_length=MAX_SHAPES)
 
     @model_validator(mode="after")
-    def _not_large(self) -> Self:
-        if _largest(self.obstacles) > LARGEST:
-            for kind in ("tomatoes", "stems", "clutter"):
-                for i, shape in enumerate(getattr(self, kind)):
-                    if _largest([shape]) > LARGEST:
-                        raise InvalidValueError(f"{kind}.{i} is larger, or farther away, than {LARGEST:g} m: {shape}")
+    def _within_bounds(self) -> Self:
+        if _largest_number(self.obstacles) > MAX_SIZE:
+            parts = {
+                "tomatoes": [tomato.shape for tomato in self.tomatoes],
+                "stems": self.stems,
+                "clutter": self.clutter,
+            }
+            for name, shapes in parts.items():
+                for i, shape in enumerate(shapes):
+                    if _largest_number([shape]) > MAX_SIZE:
+                        raise InvalidValueError(f"{name}.{i} is larger, or farther away, than {MAX_SIZE:g} m: {shape}")
         return self
 
     @property
     def obstacles(self) -> tuple[Shape, ...]:
-        """All shapes in one order: tomatoes, stems, clutter."""
-        return (*self.tomatoes, *self.stems, *self.clutter)
+        """All shapes in this order: tomatoes, stems, clutter."""
+        return (*(tomato.shape for tomato in self.tomatoes), *self.stems, *self.clutter)
 
     def compact(self) -> Shapes:
-        """The shapes as a scene file keeps those of its truth: to 0.1 mm, the clutter sorted by kind."""
+        """Return the shapes as a scene file stores its truth: rounded to 0.1 mm, clutter sorted by type."""
         return _unpacked(_packed(self))
 
 
-def _largest(shapes: Sequence[Shape]) -> float:
-    """The largest number in shapes: a coordinate or a size, metres, if it is large."""
+def _largest_number(shapes: Sequence[Shape]) -> float:
+    """Return the largest absolute coordinate or size in shapes, metres."""
     numbers = [v for shape in shapes for v in vars(shape).values() if isinstance(v, np.ndarray | float)]
     return float(np.abs(np.concatenate([np.ravel(number) for number in numbers])).max()) if numbers else 0.0
 
@@ -122,11 +127,11 @@ PackedShapes = Annotated[
     BeforeValidator(_unpacked),
     PlainSerializer(_packed, return_type=dict[str, Any], when_used="json"),
 ]
-"""Shapes that a file keeps in tables (see `greenhouse_gym.scene.packed`), to 0.1 mm."""
+"""Shapes that files store as compressed tables (`greenhouse_gym.crops.shape_tables`), rounded to 0.1 mm."""
 
 
 class Surroundings(Shapes):
-    """Shapes and where an arm stands among them: what a collision model is made of."""
+    """Named obstacles and the arm's placement among them, from which collision models are compiled."""
 
     name: SceneName
-    stand: Stand = Field(default_factory=Stand)
+    placement: ArmPlacement = Field(default_factory=ArmPlacement)

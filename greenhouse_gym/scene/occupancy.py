@@ -1,4 +1,4 @@
-"""What a scan saw of the space around an arm: empty, surface, or unseen, in voxels."""
+"""Occupancy grid of the scanned workspace: free, occupied or unknown; and boxes that cover its cells."""
 
 from __future__ import annotations
 
@@ -10,31 +10,34 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from greenhouse_gym.crops.shape_tables import upright_boxes
+from greenhouse_gym.common.compression import compress, decompress
+from greenhouse_gym.crops.shape_tables import axis_aligned_boxes
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, Box, Vector
-from greenhouse_gym.scene.packed import compressed, decompressed
 
-UNSEEN, EMPTY, SURFACE = 0, 1, 2
-"""What a voxel is."""
+UNKNOWN, FREE, OCCUPIED = 0, 1, 2
+"""States of a voxel."""
 
 REACH = 1.35
-"""Distance from the shoulder beyond which no arm reaches, metres; whether space was seen matters only within it."""
+"""Distance from the shoulder beyond which no arm reaches, metres; occupancy matters only within it."""
 
-MOST_VOXELS = 5_000_000
+MAX_VOXELS = 5_000_000
+
+CORNERS = np.array(list(product((-0.25, 0.25), repeat=3)))
+"""(8, 3) sample points of a voxel, relative to its center and side; it is free if all of them are."""
 
 States = npt.NDArray[np.uint8]
 Cells = npt.NDArray[np.bool_]
 
 
-class SeenSpace(BaseModel):
-    """Voxels in the scene frame; what lies outside of them is unseen.
+class OccupancyGrid(BaseModel):
+    """Voxels in the scene frame; space outside them is unknown.
 
     Attributes:
-        origin: (3,) the lower corner of the first voxel, metres.
+        origin: (3,) lower corner of the first voxel, metres.
         voxel: Side of a voxel, metres.
         shape: Number of voxels along x, y and z.
-        data: Which voxels are seen, then which of all are surface, one bit each; see `of`.
+        xz: State of each voxel, one byte each, as compressed text; see `from_states`.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, ignored_types=(cached_property,))
@@ -42,85 +45,86 @@ class SeenSpace(BaseModel):
     origin: Vector
     voxel: float = Field(gt=0, le=1)
     shape: tuple[int, int, int]
-    data: str
+    xz: str
 
     @model_validator(mode="after")
-    def _matches(self) -> SeenSpace:
-        if min(self.shape) < 1 or int(np.prod(self.shape, dtype=object)) > MOST_VOXELS:
-            raise InvalidValueError(f"shape {self.shape}: expected 1 to {MOST_VOXELS} voxels")
-        decompressed(self.data, 2 * self._plane)
+    def _data_fits(self) -> OccupancyGrid:
+        if min(self.shape) < 1 or int(np.prod(self.shape, dtype=object)) > MAX_VOXELS:
+            raise InvalidValueError(f"shape {self.shape}: expected 1 to {MAX_VOXELS} voxels")
+        if (largest := self._unpacked().max()) > OCCUPIED:
+            raise InvalidValueError(f"damaged data: the states of voxels are 0 to {OCCUPIED}, got {largest}")
         return self
 
-    @property
-    def _plane(self) -> int:
-        return -(-int(np.prod(self.shape)) // 8)
+    def _unpacked(self) -> States:
+        return np.frombuffer(decompress(self.xz, int(np.prod(self.shape))), dtype=np.uint8).reshape(self.shape)
 
     @classmethod
-    def of(cls, states: States, origin: npt.ArrayLike, voxel: float) -> SeenSpace:
-        """The space of an array (x, y, z) of `UNSEEN`, `EMPTY` and `SURFACE`."""
-        planes = [np.packbits(plane.reshape(-1)).tobytes() for plane in (states != UNSEEN, states == SURFACE)]
+    def from_states(cls, states: States, origin: npt.ArrayLike, voxel: float) -> OccupancyGrid:
+        """Create a grid of an array (x, y, z) of `UNKNOWN`, `FREE` and `OCCUPIED`."""
         shape = (int(states.shape[0]), int(states.shape[1]), int(states.shape[2]))
-        return cls(origin=np.asarray(origin), voxel=voxel, shape=shape, data=compressed(b"".join(planes)))
+        return cls(origin=np.asarray(origin), voxel=voxel, shape=shape, xz=compress(states.astype(np.uint8).tobytes()))
 
     @cached_property
     def states(self) -> States:
-        """(x, y, z) uint8 of `UNSEEN`, `EMPTY` and `SURFACE`, read-only."""
-        planes = np.frombuffer(decompressed(self.data, 2 * self._plane), dtype=np.uint8).reshape(2, -1)
-        seen, surface = np.unpackbits(planes, axis=1, count=int(np.prod(self.shape)))
-        states = np.where(surface > 0, SURFACE, seen).astype(np.uint8).reshape(self.shape)
-        states.setflags(write=False)
-        return states
+        """(x, y, z) uint8 of `UNKNOWN`, `FREE` and `OCCUPIED`, read-only."""
+        return self._unpacked()
 
     @property
     def centers(self) -> Array:
-        """(x, y, z, 3) the middles of the voxels, metres."""
+        """(x, y, z, 3) centers of the voxels, metres."""
         return self.origin + (np.moveaxis(np.indices(self.shape), 0, -1) + 0.5) * self.voxel
 
-    def at(self, points: npt.ArrayLike) -> States:
-        """What points (n, 3) of the scene lie in, (n,) of `UNSEEN`, `EMPTY` and `SURFACE`."""
+    def states_at(self, points: npt.ArrayLike) -> States:
+        """Return the states (n,) of space at points (n, 3) of the scene."""
         cells = np.floor((np.asarray(points, dtype=np.float64).reshape(-1, 3) - self.origin) / self.voxel)
         inside = ((cells >= 0) & (cells < self.shape)).all(axis=1)
-        result = np.full(len(cells), UNSEEN, dtype=np.uint8)
+        result = np.full(len(cells), UNKNOWN, dtype=np.uint8)
         result[inside] = self.states[tuple(cells[inside].astype(np.int64).T)]
         return result
 
-    def __call__(self, points: npt.ArrayLike) -> npt.NDArray[np.bool_]:
-        """Whether points (n, 3) of the scene were seen, (n,)."""
-        return self.at(points) != UNSEEN
+    def is_known(self, points: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+        """Return whether space at points (n, 3) of the scene is free or occupied, (n,)."""
+        return self.states_at(points) != UNKNOWN
 
-    def share(self, center: npt.ArrayLike, reach: float) -> float:
-        """Share of the voxels within ``reach`` metres of a point (3,), above the floor, that were seen; else nan."""
+    def known_fraction(self, center: npt.ArrayLike, reach: float) -> float:
+        """Return the fraction of voxels above the floor within ``reach`` of a point (3,) that are known, else nan."""
         centers = self.centers
         near = (np.linalg.norm(centers - np.asarray(center), axis=-1) < reach) & (centers[..., 2] > 0)
-        return float((self.states[near] != UNSEEN).mean()) if near.any() else float("nan")
+        return float((self.states[near] != UNKNOWN).mean()) if near.any() else float("nan")
 
 
-def required(space: SeenSpace | None, scene: str, asked_by: str, instead: str) -> SeenSpace:
-    """What a scan saw of a scene's space, where something asks for it.
+def require_occupancy(grid: OccupancyGrid | None, scene: str, user: str, instead: str) -> OccupancyGrid:
+    """Return the occupancy grid of a scene.
+
+    Args:
+        grid: The grid, or None.
+        scene: Name of the scene.
+        user: Feature that needs the grid, named in the message.
+        instead: Advice in the message, such as another option.
 
     Raises:
-        InvalidValueError: The scene does not say; the message tells what helps.
+        InvalidValueError: There is no grid.
     """
-    if space is None:
+    if grid is None:
         raise InvalidValueError(
-            f"scene {scene!r} does not say what was seen of its space, which {asked_by} needs: build it from its "
-            f"recording with this version, or {instead}"
+            f"scene {scene!r} has no occupancy grid, which {user} needs: build it from its recording with this "
+            f"version, or {instead}"
         )
-    return space
+    return grid
 
 
-def boxes_of(cells: Cells, origin: npt.ArrayLike, voxel: float, either_way: Cells | None = None) -> list[Box]:
-    """Few boxes, none of which overlap, that cover the marked cells (x, y, z) of a grid.
+def boxes_covering(cells: Cells, origin: npt.ArrayLike, voxel: float, optional: Cells | None = None) -> list[Box]:
+    """Cover the marked cells (x, y, z) of a grid by few boxes that do not overlap.
 
-    Runs along y, those that are alike beside each other along z, and then along x, make a box.
+    Runs of cells along y are joined with equal neighbors along z, and then along x.
 
     Args:
         cells: The cells to cover.
-        origin: (3,) the grid's lower corner, metres.
+        origin: (3,) lower corner of the grid, metres.
         voxel: Side of a cell, metres.
-        either_way: Cells that may be covered or not, whatever takes fewer boxes; no others are.
+        optional: Further cells that may be covered where this saves boxes.
     """
-    allowed = cells if either_way is None else cells | either_way
+    allowed = cells if optional is None else cells | optional
     edges = np.diff(np.pad(allowed, ((0, 0), (1, 1), (0, 0))).astype(np.int8), axis=1)
     starts, ends = (np.argwhere(edges.transpose(0, 2, 1) == sign) for sign in (1, -1))  # in pairs: x, z, y
     marked = np.cumsum(np.pad(cells, ((0, 0), (1, 0), (0, 0))), axis=1)
@@ -130,13 +134,13 @@ def boxes_of(cells: Cells, origin: npt.ArrayLike, voxel: float, either_way: Cell
     return _boxes_of_blocks(runs, (2, 0), origin, voxel)
 
 
-def boxes_around(points: npt.ArrayLike, voxel: float) -> list[Box]:
-    """Few boxes, none of which overlap, that cover the voxels in which points (n, 3) lie, sides in metres."""
-    places = np.asarray(points, dtype=np.float64).reshape(-1, 3)
-    if not len(places):
+def boxes_around_points(points: npt.ArrayLike, voxel: float) -> list[Box]:
+    """Cover the voxels (sides in metres) that contain points (n, 3) by few boxes that do not overlap."""
+    p = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+    if not len(p):
         return []
-    origin = places.min(axis=0)
-    cells = np.unique(((places - origin) / voxel).astype(np.int64), axis=0)
+    origin = p.min(axis=0)
+    cells = np.unique(((p - origin) / voxel).astype(np.int64), axis=0)
     blocks = np.stack([cells, cells + 1], axis=-1).reshape(-1, 6)
     return _boxes_of_blocks(blocks, (1, 2, 0), origin, voxel)
 
@@ -144,21 +148,21 @@ def boxes_around(points: npt.ArrayLike, voxel: float) -> list[Box]:
 def _boxes_of_blocks(
     blocks: npt.NDArray[np.int64], axes: Sequence[int], origin: npt.ArrayLike, voxel: float
 ) -> list[Box]:
-    """The boxes of blocks (n, 6) of cells, joined along some axes, one after the other."""
+    """Return the boxes of blocks (n, 6) of cells after joining them along one axis after the other."""
     for axis in axes:
         blocks = _joined(blocks, axis)
     low, high = blocks[:, ::2], blocks[:, 1::2]
     centers = np.asarray(origin, dtype=np.float64) + (low + high) * (voxel / 2)
-    return upright_boxes(centers, np.asarray((high - low) * (voxel / 2), dtype=np.float64))
+    return axis_aligned_boxes(centers, np.asarray((high - low) * (voxel / 2), dtype=np.float64))
 
 
 def _joined(blocks: npt.NDArray[np.int64], axis: int) -> npt.NDArray[np.int64]:
-    """Blocks (n, 6), each two ends per axis, with those joined that are alike and follow each other along an axis."""
+    """Join blocks (n, 6), two bounds per axis, that follow each other along an axis and agree in the other bounds."""
     start, end = 2 * axis, 2 * axis + 1
-    alike = [column for column in range(6) if column not in (start, end)]
-    ordered = blocks[np.lexsort((blocks[:, start], *blocks[:, alike].T))]
+    others = [column for column in range(6) if column not in (start, end)]
+    ordered = blocks[np.lexsort((blocks[:, start], *blocks[:, others].T))]
     here, before = ordered[1:], ordered[:-1]
-    new = (here[:, alike] != before[:, alike]).any(axis=1) | (here[:, start] != before[:, end])
+    new = (here[:, others] != before[:, others]).any(axis=1) | (here[:, start] != before[:, end])
     bounds = np.flatnonzero(np.concatenate([[True], new, [True]])) if len(ordered) else np.zeros(1, np.int64)
     joined = ordered[bounds[:-1]]
     joined[:, end] = ordered[bounds[1:] - 1, end]
@@ -166,12 +170,8 @@ def _joined(blocks: npt.NDArray[np.int64], axis: int) -> npt.NDArray[np.int64]:
 
 
 def inside_boxes(points: Array, boxes: Sequence[tuple[Array, Array, Array]], margin: float) -> npt.NDArray[np.bool_]:
-    """Whether points (n, 3) lie within a margin of one of the boxes, each a center, half extents and rotation."""
+    """Return whether points (n, 3) lie within a margin of any box, given as center, half extents and rotation."""
     found = np.zeros(len(points), dtype=np.bool_)
     for center, half, rotation in boxes:
         found |= (np.abs((points - center) @ rotation) <= half + margin).all(axis=1)
     return found
-
-
-CORNERS = np.array(list(product((-0.25, 0.25), repeat=3)))
-"""(8, 3) places in a voxel, in its sides from its middle, at which it is looked at: all must be empty for it to be."""

@@ -1,8 +1,8 @@
-"""Plants that moved since they were scanned: trusses turn and swing, stems and leaves shift.
+"""Motion of plants since they were scanned: trusses turn and swing, stems and leaves shift.
 
-The sizes are priors: a truss that hangs by a peduncle of 3-4.5 mm is moved by a touch or a fan by some degrees, a vine
-on its string by about a centimetre, a leaf of 0.3 m by a few. Shapes that lie together move together: stems and leaves
-follow smooth fields of shifts, and a truss moves as one piece about the place where it leaves the stem.
+The sizes are priors: a touch or a fan moves a truss that hangs by a peduncle of 3-4.5 mm by some degrees, a vine on its
+string by about a centimetre, a leaf of 0.3 m by a few. Neighbors move together: stems and leaves follow smooth
+displacement fields, and a truss moves rigidly about the point where it leaves the stem.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from greenhouse_gym.crops.parts import Stem, Tomato
 from greenhouse_gym.errors import InvalidValueError
@@ -19,7 +18,7 @@ from greenhouse_gym.geometry import (
     Array,
     Box,
     Capsule,
-    Shape,
+    Ellipsoid,
     Sphere,
     centered_at,
     distance_to_capsules,
@@ -28,22 +27,22 @@ from greenhouse_gym.geometry import (
 )
 from greenhouse_gym.scene.obstacles import Shapes
 
-_WAVELENGTHS = (0.4, 1.2)  # metres, over which shifts change
+_WAVELENGTHS = (0.4, 1.2)  # range of the wavelengths of the displacement fields, metres
 _WAVES = 6
-_FIXED = 0.15  # metres half length from which on a box is no leaf but a gutter, and stays
+_FIXED = 0.15  # minimum half length of a box that is a fixed gutter and not a leaf, metres
 
 Field = Callable[[Array], Array]
 
 
 @dataclass(frozen=True)
 class PlantMotion:
-    """How far plants move, each figure one standard deviation.
+    """Standard deviations of the motion of plants.
 
     Attributes:
         truss_turn: Turn of a truss about the vertical through its root, radians.
         truss_swing: Swing of a truss about horizontal axes through its root, radians.
-        stem_shift: Shift of stems and of all that hangs on them, metres along each horizontal axis.
-        leaf_shift: Shift of leaves in addition to that, metres along each axis.
+        stem_shift: Shift of stems and all that hangs on them, metres along each horizontal axis.
+        leaf_shift: Additional shift of leaves, metres along each axis.
     """
 
     truss_turn: float = 0.10
@@ -58,20 +57,20 @@ class PlantMotion:
                 raise InvalidValueError(f"plant motion {field.name} must be a number from 0 to 1, got {value!r}")
 
 
-def moved_plants(shapes: Shapes, motion: PlantMotion, random: np.random.Generator) -> Shapes:
-    """The shapes of plants after they moved; pipes and gutters stay, and tomatoes keep their order.
+def move_plants(shapes: Shapes, motion: PlantMotion, rng: np.random.Generator) -> Shapes:
+    """Move plants; pipes and gutters stay, and tomatoes keep their order.
 
     Args:
-        shapes: The plants as they were.
-        motion: How far they move.
-        random: Source of all of it: same state, same result.
+        shapes: The plants before they move.
+        motion: Size of the motion.
+        rng: Source of all randomness.
     """
-    stem_field = _smooth_field(motion.stem_shift * np.array([1.0, 1.0, 0.0]), random)
-    leaf_field = _smooth_field(motion.leaf_shift * np.ones(3), random)
-    stems, clutter = list(shapes.stems), list(shapes.clutter)
+    stem_field = _smooth_field(motion.stem_shift * np.array([1.0, 1.0, 0.0]), rng)
+    leaf_field = _smooth_field(motion.leaf_shift * np.ones(3), rng)
+    stems = list(shapes.stems)
     hanging = [k for k, stem in enumerate(stems) if stem.kind in ("peduncle", "pedicel")]
     trusses = sorted({tomato.truss for tomato in shapes.tomatoes})
-    turns = {truss: _turn(motion, random) for truss in trusses}
+    rotations = {truss: _sample_rotation(motion, rng) for truss in trusses}
     owners = dict(zip(hanging, _nearest_truss([stems[k] for k in hanging], shapes.tomatoes), strict=True))
     roots = {
         truss: _root([stems[k] for k in hanging if owners[k] == truss], stems, shapes.tomatoes, truss)
@@ -79,9 +78,9 @@ def moved_plants(shapes: Shapes, motion: PlantMotion, random: np.random.Generato
     }
 
     def with_truss(truss: int) -> Field:
-        root, turn = roots[truss], turns[truss]
+        root, rotation = roots[truss], rotations[truss]
         shifted = root + stem_field(root[None])[0]
-        return lambda points: (points - root) @ turn.T + shifted
+        return lambda points: (points - root) @ rotation.T + shifted
 
     def with_stem(points: Array) -> Array:
         return points + stem_field(points)
@@ -97,31 +96,31 @@ def moved_plants(shapes: Shapes, motion: PlantMotion, random: np.random.Generato
         return replace(stem, start=start, end=end)
 
     return Shapes(
-        tomatoes=tuple(_moved_tomato(t, with_truss(t.truss), turns[t.truss]) for t in shapes.tomatoes),
+        tomatoes=tuple(_move_tomato(t, with_truss(t.truss), rotations[t.truss]) for t in shapes.tomatoes),
         stems=tuple(move_stem(k, stem) for k, stem in enumerate(stems)),
-        clutter=_moved_leaves(clutter, with_leaf),
+        clutter=_move_leaves(shapes.clutter, with_leaf),
     )
 
 
-def _smooth_field(size: Array, random: np.random.Generator) -> Field:
-    """Shifts (n, 3) by place (n, 3): a sum of waves in random directions, of a standard deviation ``size`` (3,)."""
-    directions = random.normal(size=(_WAVES, 3))
-    lengths = random.uniform(*_WAVELENGTHS, _WAVES)
+def _smooth_field(size: Array, rng: np.random.Generator) -> Field:
+    """Sample a displacement field: a sum of waves in random directions with standard deviations ``size`` (3,)."""
+    directions = rng.normal(size=(_WAVES, 3))
+    lengths = rng.uniform(*_WAVELENGTHS, _WAVES)
     waves = 2 * np.pi * directions / np.linalg.norm(directions, axis=1, keepdims=True) / lengths[:, None]
-    phases = random.uniform(0, 2 * np.pi, (_WAVES, 3))
+    phases = rng.uniform(0, 2 * np.pi, (_WAVES, 3))
     scale = size * np.sqrt(2.0 / _WAVES)
     return lambda points: (np.cos((points @ waves.T)[:, :, None] + phases) * scale).sum(axis=1)
 
 
-def _turn(motion: PlantMotion, random: np.random.Generator) -> Array:
-    about, across = motion.truss_turn * random.normal(), motion.truss_swing * random.normal(size=2)
+def _sample_rotation(motion: PlantMotion, rng: np.random.Generator) -> Array:
+    about, across = motion.truss_turn * rng.normal(), motion.truss_swing * rng.normal(size=2)
     angle = float(np.linalg.norm(across))
     swing = rotation_about([*across, 0.0], angle) if angle > 0 else np.eye(3)
     return np.asarray(swing @ rotation_about([0.0, 0.0, 1.0], float(about)))
 
 
 def _nearest_truss(stems: list[Stem], tomatoes: tuple[Tomato, ...]) -> list[int]:
-    """The truss of the tomato nearest to each stem's middle; -1 without tomatoes."""
+    """Return the truss of the tomato nearest to the middle of each stem, or -1 without tomatoes."""
     if not stems or not tomatoes:
         return [-1] * len(stems)
     middles = np.array([(stem.start + stem.end) / 2 for stem in stems])
@@ -130,7 +129,7 @@ def _nearest_truss(stems: list[Stem], tomatoes: tuple[Tomato, ...]) -> list[int]
 
 
 def _root(own: list[Stem], stems: list[Stem], tomatoes: tuple[Tomato, ...], truss: int) -> Array:
-    """(3,) where a truss leaves the main stem: of its ends the one nearest to one, else above its fruit."""
+    """Return the root (3,) of a truss: the end of its stems nearest to a main stem, else a point above its fruit."""
     main = [stem for stem in stems if stem.kind == "main"]
     ends = np.array([end for stem in own for end in (stem.start, stem.end)]).reshape(-1, 3)
     if not len(ends):
@@ -138,26 +137,28 @@ def _root(own: list[Stem], stems: list[Stem], tomatoes: tuple[Tomato, ...], trus
         return np.asarray([*centers[:, :2].mean(axis=0), centers[:, 2].max() + 0.05])
     if not main:
         return np.asarray(ends[ends[:, 2].argmax()])
-    starts, finishes = np.array([s.start for s in main]), np.array([s.end for s in main])
-    gaps = distance_to_capsules(ends, starts, finishes, np.array([s.radius for s in main])).min(axis=1)
+    main_starts, main_ends = np.array([s.start for s in main]), np.array([s.end for s in main])
+    gaps = distance_to_capsules(ends, main_starts, main_ends, np.array([s.radius for s in main])).min(axis=1)
     return np.asarray(ends[gaps.argmin()])
 
 
-def _moved_tomato(tomato: Tomato, field: Field, turn: Array) -> Tomato:
-    rotation: npt.NDArray[np.float64] | None = None if tomato.rotation is None else turn @ tomato.rotation
-    return replace(tomato, center=field(tomato.center[None])[0], rotation=rotation)
+def _move_tomato(tomato: Tomato, field: Field, rotation: Array) -> Tomato:
+    center = field(tomato.center[None])[0]
+    if isinstance(tomato.shape, Ellipsoid):
+        return replace(tomato, shape=replace(tomato.shape, center=center, rotation=rotation @ tomato.shape.rotation))
+    return replace(tomato, shape=replace(tomato.shape, center=center))
 
 
-def _moved_leaves(shapes: Sequence[Shape], field: Field) -> tuple[Shape, ...]:
-    """Shapes of leaves after they moved; asked of the field at once, as there may be thousands of them."""
-    places = np.array([[s.start, s.end] if isinstance(s, Capsule) else [s.center, s.center] for s in shapes])
-    after = field(places.reshape(-1, 3)).reshape(-1, 2, 3)
+def _move_leaves(shapes: Sequence[Sphere | Capsule | Box], field: Field) -> tuple[Sphere | Capsule | Box, ...]:
+    """Move leaves, which may be thousands, with one evaluation of the field."""
+    ends = np.array([[s.start, s.end] if isinstance(s, Capsule) else [s.center, s.center] for s in shapes])
+    ends_after = field(ends.reshape(-1, 3)).reshape(-1, 2, 3)
 
-    def moved(shape: Shape, start: Array, end: Array) -> Sphere | Capsule | Box:
+    def move(shape: Sphere | Capsule | Box, start: Array, end: Array) -> Sphere | Capsule | Box:
         if isinstance(shape, Capsule):
             return replace(shape, start=start, end=end)
         if isinstance(shape, Box) and shape.half_extents.max() > _FIXED:
             return shape
         return centered_at(shape, start)
 
-    return tuple(moved(shape, *ends) for shape, ends in zip(shapes, after, strict=True))
+    return tuple(move(shape, *after) for shape, after in zip(shapes, ends_after, strict=True))

@@ -1,4 +1,4 @@
-"""The scene file: tomatoes, stems, clutter, where the arm stands, targets with certificates, provenance."""
+"""The scene file: obstacles, the arm's placement, targets with certificates, provenance."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from greenhouse_gym.common.files import parsing, read_bytes, write_atomically
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.scene.obstacles import PackedShapes, Part, SchemaVersion, Surroundings, is_none
-from greenhouse_gym.scene.occupancy import SeenSpace
+from greenhouse_gym.scene.occupancy import OccupancyGrid
 
 if TYPE_CHECKING:
     from greenhouse_gym.robots import Robot
@@ -27,14 +27,14 @@ class Target(Part):
         difficulty: One of `DIFFICULTIES`.
         robot: The arm the certificate is for.
         witness: A checked collision-free joint path (k, joints) in radians from the arm's start to the target, or None
-            where none was found.
-        goals: Number of distinct free goal configurations that were found, `greenhouse_gym.planning.certify.GOALS` at
-            most.
-        checks: Collision checks RRTConnect needed for a path, the median over some seeds; None where most of them
-            failed, for easy targets, which need no planner, and in banks that were built before this was noted.
-        clearance: Smallest distance of the arm to any obstacle but the target along the witness, metres.
-        unseen: Share of the tip's way along the witness on which some of the arm is in space that the scan did not see;
-            None where that is not known.
+            if none was found.
+        goals: Number of distinct free goal configurations that were found, at most
+            `greenhouse_gym.planning.certify.GOALS`.
+        checks: Median over several seeds of the collision checks RRTConnect needed for a path. None for easy targets,
+            which need no planner, and if most seeds failed.
+        clearance: Minimum distance of the arm to any obstacle except the target along the witness, metres.
+        unknown: Fraction of the tip's path along the witness during which part of the arm is in unknown space; None
+            without an occupancy grid.
     """
 
     tomato: int = Field(ge=0)
@@ -44,16 +44,16 @@ class Target(Part):
     goals: int | None = Field(default=None, ge=0, exclude_if=is_none)
     checks: int | None = Field(default=None, ge=0, exclude_if=is_none)
     clearance: float | None = Field(default=None, exclude_if=is_none)
-    unseen: float | None = Field(default=None, ge=0, le=1, exclude_if=is_none)
+    unknown: float | None = Field(default=None, ge=0, le=1, exclude_if=is_none)
 
 
 class Provenance(Part):
-    """Where a scene comes from: recording, settings, package version, row, station, growth week.
+    """Origin of a scene: recording, settings, package version, row, station, growth week.
 
     Attributes:
-        style: Fruit style, where it is known.
-        source: Where the plants come from, as `greenhouse_gym.plants.grow_row` has it, or "real".
-        protocol: How the row was photographed.
+        style: Fruit style, if known.
+        source: Source of the plants, as `greenhouse_gym.crops.grow_row` names it, or "real".
+        protocol: Capture protocol of the recording.
     """
 
     row: str
@@ -69,22 +69,21 @@ class Provenance(Part):
 
 
 class Scene(Surroundings):
-    """One place in a row with an arm in front of it.
+    """A stretch of a row with an arm in front of it.
 
     The frame is the world frame of the package: z up, y along the row, x from the aisle into the plants, origin on
     the floor below the arm. Lengths are metres, angles radians.
 
     Attributes:
-        truth: What really stands there, where that is known: all of a simulated row within the arm's reach.
-        seen: What the scan saw of the space around the arm: ``scene.seen(points)`` tells seen points from unseen ones.
-            None where it is not known.
+        truth: True obstacles within the arm's reach, if known: those of a simulated row.
+        occupancy: Occupancy grid of the scan, or None: ``scene.occupancy.is_known(points)``.
     """
 
     schema_version: SchemaVersion = 1
     targets: tuple[Target, ...] = ()
     provenance: Provenance
     truth: PackedShapes | None = None
-    seen: SeenSpace | None = None
+    occupancy: OccupancyGrid | None = None
 
     @model_validator(mode="after")
     def _targets_exist(self) -> Scene:
@@ -104,7 +103,7 @@ class Scene(Surroundings):
 
     @classmethod
     def parse(cls, content: bytes, path: str | Path) -> Scene:
-        """A scene from the content of its file; ``path`` is named in the error."""
+        """Read a scene from the content of its file; error messages name ``path``."""
         with parsing(path, "scene"):
             return cls.model_validate_json(content)
 
@@ -113,11 +112,11 @@ class Scene(Surroundings):
         return write_atomically(path, self.model_dump_json(indent=None) + "\n")
 
     def to_mjcf(self, robot: str | Robot | None = None, target: int | None = None) -> str:
-        """The scene as an XML text that plain MuJoCo opens.
+        """Return the scene as XML that plain MuJoCo opens.
 
         Args:
             robot: Name, file or `Robot`; None leaves the arm out.
-            target: Index of the tomato that the cup may touch: contacts are then those the environment judges by.
+            target: Index of the tomato that the cup may touch, so that contacts are those the environment counts.
 
         Raises:
             InvalidValueError: The scene has no such tomato.
@@ -125,6 +124,6 @@ class Scene(Surroundings):
         from greenhouse_gym.scene.mjcf import scene_spec
 
         spec = scene_spec(self, robot, target=target)
-        spec.compile()  # MuJoCo writes XML from a compiled specification only
+        spec.compile()  # MuJoCo writes XML only from a compiled specification
         xml: str = spec.to_xml()
         return xml

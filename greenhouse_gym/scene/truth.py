@@ -1,4 +1,4 @@
-"""The true row of a scene: what an arm touches in it, and whether one can be put up there at all."""
+"""Scenes made of the true row, and the check that an arm does not start inside it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from greenhouse_gym.scene.scene import Scene
 
 
 def true_scene(scene: Scene) -> Scene:
-    """The scene with the shapes of its truth in place of those of its reconstruction, without targets.
+    """Return the scene with the shapes of its truth in place of the reconstructed ones, without targets.
 
     Raises:
         InvalidValueError: The scene carries no truth.
@@ -26,19 +26,19 @@ def true_scene(scene: Scene) -> Scene:
         tomatoes=scene.truth.tomatoes,
         stems=scene.truth.stems,
         clutter=scene.truth.clutter,
-        stand=scene.stand,
+        placement=scene.placement,
         provenance=scene.provenance,
     )
 
 
-def stands_free(scene: Scene, robot: str | Robot) -> bool:
-    """Whether an arm in its start touches nothing of the true row, whatever the scan shows of it.
+def start_is_collision_free(scene: Scene, robot: str | Robot) -> bool:
+    """Return whether an arm in its start configuration touches no plant of the true row.
 
-    Whoever puts up an arm sees the plants, and puts it up elsewhere where it would stand in them. The floor, the cart
-    and the arm itself do not count.
+    People who put up an arm see the plants and do not place it inside them, whatever the scan shows. Contacts with the
+    floor, the cart and the arm itself do not count.
 
     Args:
-        scene: A scene; True for one that carries no truth.
+        scene: A scene; the result is True if it carries no truth.
         robot: The arm.
     """
     if scene.truth is None or not scene.truth.tomatoes:

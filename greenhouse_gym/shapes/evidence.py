@@ -8,8 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.crops.parts import Tomato
-from greenhouse_gym.geometry import Array, Box, Capsule, Shape, distance_to_shapes
+from greenhouse_gym.geometry import Array, Box, Capsule, Ellipsoid, Shape, distance_to_shapes
 
 
 class Evidence(NamedTuple):
@@ -44,6 +43,6 @@ def _bounds(shape: Shape, margin: float) -> tuple[Array, Array]:
     if isinstance(shape, Box):
         half = np.abs(shape.rotation) @ shape.half_extents + margin
         return shape.center - half, shape.center + half
-    reach = shape.radius if not isinstance(shape, Tomato) or shape.semi_axes is None else float(max(shape.semi_axes))
+    reach = float(shape.semi_axes.max()) if isinstance(shape, Ellipsoid) else shape.radius
     ends = np.array([shape.start, shape.end] if isinstance(shape, Capsule) else [shape.center])
     return ends.min(axis=0) - reach - margin, ends.max(axis=0) + reach + margin

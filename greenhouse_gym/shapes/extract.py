@@ -52,7 +52,7 @@ class RowShapes:
     @property
     def shapes(self) -> tuple[Shape, ...]:
         """All shapes in the order in which ``evidence`` counts them."""
-        return (*self.tomatoes, *self.stems, *self.clutter)
+        return (*(tomato.shape for tomato in self.tomatoes), *self.stems, *self.clutter)
 
 
 def extract_shapes(
@@ -87,8 +87,9 @@ def extract_shapes(
     cloud = _without(cloud, pipes, settings.shell)
     tomatoes, confidence = find_tomatoes(list(by_grids(whole, cloud, settings)), settings)
     surface = cloud
-    skin = cloud.points[nearest_shapes(cloud.points, tomatoes, settings.skin_noise).owner >= 0]
-    cloud = _without(cloud, tomatoes, settings.shell)
+    fruits = [tomato.shape for tomato in tomatoes]
+    skin = cloud.points[nearest_shapes(cloud.points, fruits, settings.skin_noise).owner >= 0]
+    cloud = _without(cloud, fruits, settings.shell)
     colorful = is_colorful(cloud.colors, settings)
     woody, pale = cloud.select(colorful if normals is None else could_be_stem(cloud, settings)), cloud.select(~colorful)
     upright = (
@@ -106,7 +107,7 @@ def extract_shapes(
     cloud = _without(_without(cloud, upright, settings.stem_margin), hanging, settings.shell)
     cloud = _without_skin(cloud, tomatoes, settings)
     clutter = tuple(cover(cloud.points, cloud.normals, box_budget(cloud.points, settings), settings, skin))
-    evidence = nearest_shapes(whole.points, (*tomatoes, *stems, *clutter), settings.explained)
+    evidence = nearest_shapes(whole.points, (*fruits, *stems, *clutter), settings.explained)
     return RowShapes(tomatoes, stems, clutter, confidence, evidence, tuple(notes.messages))
 
 
@@ -127,7 +128,7 @@ def _without(cloud: SurfaceCloud, shapes: Sequence[Shape], margin: float) -> Sur
 
 def _without_skin(cloud: SurfaceCloud, tomatoes: Sequence[Tomato], settings: ShapeSettings) -> SurfaceCloud:
     """The points that are no skin of a tomato with a sensor's noise: farther off it, or facing elsewhere."""
-    near = nearest_shapes(cloud.points, tomatoes, settings.skin_margin).owner
+    near = nearest_shapes(cloud.points, [tomato.shape for tomato in tomatoes], settings.skin_margin).owner
     on = np.flatnonzero(near >= 0)
     outwards = cloud.points[on] - np.array([t.center for t in tomatoes]).reshape(-1, 3)[near[on]]
     facing = (outwards * cloud.normals[on]).sum(axis=1) / np.maximum(np.linalg.norm(outwards, axis=1), 1e-9)

@@ -56,7 +56,7 @@ class Places(NamedTuple):
 
 def stands_out(points: Array, normals: Array, tomatoes: tuple[Tomato, ...], settings: ShapeSettings) -> Mask:
     """Which points (n, 3) with normals (n, 3) are no skin of a tomato; a stem on it is off the sphere and turned."""
-    skin = nearest_shapes(points, tomatoes, settings.shell)
+    skin = nearest_shapes(points, [tomato.shape for tomato in tomatoes], settings.shell)
     on = np.flatnonzero(skin.owner >= 0)
     outwards = points[on] - np.array([t.center for t in tomatoes]).reshape(-1, 3)[skin.owner[on]]
     aligned = (outwards * normals[on]).sum(axis=1) > settings.skin_alignment * np.linalg.norm(outwards, axis=1)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from greenhouse_gym.crops.parts import Tomato
-from greenhouse_gym.geometry import Array, Sphere
+from greenhouse_gym.geometry import Array, Ellipsoid, Sphere
 from greenhouse_gym.shapes.agreement import Find, agreed
 from greenhouse_gym.shapes.candidates import COMPANY, MEASURES, MOST_CONTRAST, company, measures
 from greenhouse_gym.shapes.colors import could_be_fruit, redness
@@ -122,10 +122,11 @@ def _tomatoes(finds: Sequence[Find], spheroids: list[Spheroid] | None, settings:
     trusses = group_trusses([find.ball for find in finds] if spheroids is None else spheroids, settings.truss_spread)
     for k, (find, truss) in enumerate(zip(finds, trusses.tolist(), strict=True)):
         if spheroids is None:
-            yield Tomato(find.ball.center, find.ball.radius, truss, find.ripeness)
+            yield Tomato(Sphere(find.ball.center, find.ball.radius), truss, find.ripeness)
         else:
             own = spheroids[k]
-            yield Tomato(own.center, own.radius, truss, find.ripeness, own.semi_axes, own.rotation)
+            shape = Ellipsoid(own.center, own.semi_axes, own.rotation, own.radius)
+            yield Tomato(shape, truss, find.ripeness)
 
 
 class Looks(NamedTuple):

@@ -35,7 +35,17 @@ from greenhouse_gym.capture.sensor import StereoNoise
 from greenhouse_gym.capture.simulated import walk
 from greenhouse_gym.crops import PlantRow, grow_row
 from greenhouse_gym.crops.parts import Stem, StemKind, Tomato
-from greenhouse_gym.geometry import Array, Box, Capsule, Shape, Sphere, distance_to_shapes, pose, rotation_about
+from greenhouse_gym.geometry import (
+    Array,
+    Box,
+    Capsule,
+    Ellipsoid,
+    Shape,
+    Sphere,
+    distance_to_shapes,
+    pose,
+    rotation_about,
+)
 
 K = Intrinsics(160, 120, 150.0, 150.0, 79.5, 59.5)
 FORWARD = np.column_stack([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
@@ -57,7 +67,7 @@ def seen(*shapes: Shape) -> Visibility:
 
 
 def tomato(y: float, truss: int = 0, ripeness: float | None = 1.0, z: float = 1.0, radius: float = 0.03) -> Tomato:
-    return Tomato([0.5, y, z], radius, truss, ripeness)
+    return Tomato(Sphere([0.5, y, z], radius), truss, ripeness)
 
 
 def wall(y: float, half_width: float, x: float = 0.3) -> Box:
@@ -72,7 +82,7 @@ def wall(y: float, half_width: float, x: float = 0.3) -> Box:
     "shape",
     [
         tomato(0.02, z=1.03),
-        Tomato([0.5, 0.02, 1.0], 0.04, 0, semi_axes=[0.02, 0.04, 0.08], rotation=rotation_about([1.0, 0.0, 0.0], 0.4)),
+        Tomato(Ellipsoid([0.5, 0.02, 1.0], [0.02, 0.04, 0.08], rotation_about([1.0, 0.0, 0.0], 0.4)), 0),
         Stem([0.45, -0.02, 0.95], [0.5, 0.03, 1.05], 0.004, "main"),
         Box([0.5, 0.02, 1.0], [0.03, 0.02, 0.001], rotation_about([1, 2, 3], 0.7)),
     ],
@@ -379,7 +389,7 @@ def test_true_shapes_have_no_excess_and_bloated_ones_do() -> None:
 
 def test_a_moved_shape_has_moved() -> None:
     there = pose(rotation_about([0, 0, 1], np.pi / 2), [1.0, 0.0, 0.0])
-    ball = moved(Tomato([1, 0, 0], 0.03, truss=3, ripeness=0.5), there)
+    ball = moved(Tomato(Sphere([1, 0, 0], 0.03), truss=3, ripeness=0.5), there)
     np.testing.assert_allclose(ball.center, [1, 1, 0], atol=1e-12)
     assert (ball.truss, ball.ripeness, ball.radius) == (3, 0.5, 0.03)
     stem = moved(Stem([0, 0, 0], [1, 0, 0], 0.01, "string"), there)

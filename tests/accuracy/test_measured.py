@@ -6,7 +6,7 @@ import numpy as np
 
 from greenhouse_gym.accuracy import skin_points
 from greenhouse_gym.crops.parts import Tomato
-from greenhouse_gym.geometry import rotation_about
+from greenhouse_gym.geometry import Ellipsoid, Sphere, rotation_about
 from greenhouse_gym.reconstruction.point_clouds import Cloud
 
 AXES = np.array([0.02, 0.02, 0.03])
@@ -22,7 +22,7 @@ def cloud(points: np.ndarray, normals: np.ndarray) -> Cloud:
 
 
 def test_skin_is_on_the_surface_and_faces_outwards() -> None:
-    tomato, unit = Tomato([0.5, 0.1, 1.2], 0.02, 0), directions()
+    tomato, unit = Tomato(Sphere([0.5, 0.1, 1.2], 0.02), 0), directions()
     away = tomato.center + 0.02 * unit
     assert skin_points(cloud(away, unit), [tomato]).tolist() == [400]
     assert skin_points(cloud(away, -unit), [tomato]).tolist() == [0]
@@ -33,7 +33,7 @@ def test_skin_is_on_the_surface_and_faces_outwards() -> None:
 
 def test_the_skin_of_long_fruit_is_that_of_its_ellipsoid() -> None:
     turned = rotation_about([1.0, 0.0, 0.0], 0.7)
-    tomato = Tomato([0.5, 0.1, 1.2], float(np.prod(AXES) ** (1 / 3)), 0, 0.5, AXES, turned)
+    tomato = Tomato(Ellipsoid([0.5, 0.1, 1.2], AXES, turned), 0, 0.5)
     unit = directions()
     normals = unit / AXES
     normals = (normals / np.linalg.norm(normals, axis=1, keepdims=True)) @ turned.T
@@ -44,7 +44,7 @@ def test_the_skin_of_long_fruit_is_that_of_its_ellipsoid() -> None:
 
 def test_each_tomato_has_its_own_points_and_none_may_have_any() -> None:
     unit = directions()
-    near, far = Tomato([0.5, 0.0, 1.0], 0.02, 0), Tomato([0.5, 0.5, 1.0], 0.02, 1)
+    near, far = Tomato(Sphere([0.5, 0.0, 1.0], 0.02), 0), Tomato(Sphere([0.5, 0.5, 1.0], 0.02), 1)
     seen = cloud(near.center + 0.02 * unit, unit)
     assert skin_points(seen, [far, near]).tolist() == [0, 400]
     assert skin_points(seen, []).tolist() == []

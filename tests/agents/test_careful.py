@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from seen_helpers import seen_where
+from occupancy_helpers import known_where
 
 from greenhouse_gym.agents import CarefulAgent, Problem, WaypointAgent, careful
 from greenhouse_gym.agents.agent import Agent
@@ -42,7 +42,7 @@ def played(agent: Agent, scene: Scene) -> tuple[bool, np.ndarray]:
 
 
 def test_it_stays_where_the_scan_saw_that_there_is_room(scene: Scene) -> None:
-    partly = seen_where(scene, 1.7, aisle=0.3)
+    partly = known_where(scene, 1.7, aisle=0.3)
     checker = CollisionChecker(planning_model(guarded(partly, ARM, ARM.start), TARGET, margin=0.0))
     agent = CarefulAgent([0.0, 0.1])
     reached, commands = played(agent, partly)
@@ -52,7 +52,7 @@ def test_it_stays_where_the_scan_saw_that_there_is_room(scene: Scene) -> None:
 
 @pytest.mark.parametrize("seen", [0.0, None], ids=["nothing was seen", "it is not said what was seen"])
 def test_where_there_is_no_other_way_it_goes_as_if_all_were_free(scene: Scene, seen: float | None) -> None:
-    known = scene if seen is None else seen_where(scene, seen)
+    known = scene if seen is None else known_where(scene, seen)
     agent = CarefulAgent()
     (reached, commands), (also, others) = played(agent, known), played(WaypointAgent(), known)
     assert (reached, agent.status) == (also, "inf") == (True, "inf")
@@ -81,7 +81,7 @@ def test_what_the_last_care_leaves_closed_is_not_searched_again(
     monkeypatch.setattr(careful, "guarded", lambda scene, robot, start, depth: depth)
     monkeypatch.setattr(careful, "Place", lambda depth: depth)
     monkeypatch.setattr(careful, "Ways", ways)
-    partly = seen_where(scene, 1.7)
+    partly = known_where(scene, 1.7)
     ends = careful.ends_of(Problem(scene, TARGET, ARM, ARM.start), ARM.start)
     best, care = careful.careful_ways(partly, ARM, ends, [Care(0.0, depth) for depth in (0.1, 0.15, 0.2, np.inf)])
     assert (best.depth, care, tried) == (found, Care(0.0, found), searched)  # type: ignore[attr-defined]

@@ -105,7 +105,7 @@ def test_without_images_it_has_no_ways_that_keep_away_from_anything(bank: SceneB
     names = np.repeat([name for name, _ in FEATURES], [size for _, size in FEATURES])
     told = np.concatenate([ways.features for ways in heard])
     assert (told[:, names == "looks"] == 1).all()
-    assert told[:, np.char.startswith(names, "unseen")].sum(axis=1).min() > 0.0
+    assert told[:, np.char.startswith(names, "unknown")].sum(axis=1).min() > 0.0
 
 
 def test_it_says_what_is_missing(bank: SceneBank) -> None:

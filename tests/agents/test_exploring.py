@@ -34,7 +34,7 @@ def played(told: Scene, true: Scene) -> tuple[bool, list[np.ndarray]]:
 def test_it_reaches_a_target_in_a_scene_that_it_was_told_nothing_of(scene: Scene) -> None:
     reached, actions = played(scene, scene)
     assert reached
-    bare = scene.model_copy(update={"stems": (), "clutter": (), "seen": None})
+    bare = scene.model_copy(update={"stems": (), "clutter": (), "occupancy": None})
     same, without = played(bare, scene)
     assert same
     assert np.array_equal(actions, without), "the scan's shapes and what it saw change nothing"
@@ -44,9 +44,9 @@ def test_what_is_known_without_a_scan_is_the_target_and_the_stand(scene: Scene) 
     known = unscanned(scene, TARGET, ARM)
     assert known.tomatoes == (scene.tomatoes[TARGET],)
     assert (known.stems, known.clutter, known.truth) == ((), (), None)
-    assert known.stand == scene.stand
-    assert known.seen is not None
-    assert not known.seen(known.seen.centers.reshape(-1, 3)).any()
+    assert known.placement == scene.placement
+    assert known.occupancy is not None
+    assert not known.occupancy.is_known(known.occupancy.centers.reshape(-1, 3)).any()
 
 
 def test_it_must_be_reset_before_it_acts() -> None:

@@ -18,6 +18,7 @@ from greenhouse_gym.agents import (
 )
 from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.errors import InvalidValueError, UnknownNameError
+from greenhouse_gym.geometry import Sphere
 from greenhouse_gym.planning import CollisionChecker, PlanResult, plan, planning_model
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene, SceneBank
@@ -72,7 +73,7 @@ def test_planned_paths_are_executed_without_contact(bank: SceneBank) -> None:
 
 
 def test_without_a_path_it_stays_still(scene: Scene) -> None:
-    far = scene.model_copy(update={"tomatoes": (Tomato([3.0, 0.0, 1.0], 0.03, truss=0),)})
+    far = scene.model_copy(update={"tomatoes": (Tomato(Sphere([3.0, 0.0, 1.0], 0.03), truss=0),)})
     agent = PlannerAgent()
     assert agent.status == ""
     agent.reset(problem(far, 0))

@@ -1,4 +1,4 @@
-"""How far planner agents keep out of unseen space, and from leaves, unless told otherwise."""
+"""How far planner agents keep out of unknown space, and from leaves, unless told otherwise."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from greenhouse_gym.build.scenes import BuildSettings
 from greenhouse_gym.planning import PlanResult, plan
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene, SceneBank
-from greenhouse_gym.scene.occupancy import EMPTY, SeenSpace
+from greenhouse_gym.scene.occupancy import FREE, OccupancyGrid
 
 
 @pytest.mark.parametrize(("protocol", "care"), [(None, CAREFUL), ("paper", CAREFUL), ("upright-back", "free")])
@@ -23,8 +23,8 @@ def test_care_is_for_scans_that_do_not_see_the_leaves_in_the_aisle(
 ) -> None:
     blind: Scene = bank.scene("made-up-0")
     provenance = blind.provenance.model_copy(update={"protocol": protocol})
-    seen = SeenSpace.of(np.full((2, 2, 2), EMPTY, dtype=np.uint8), [0.0, 0.0, 0.0], 0.05)
-    assert usual_care(blind.model_copy(update={"provenance": provenance, "seen": seen})) == care
+    seen = OccupancyGrid.from_states(np.full((2, 2, 2), FREE, dtype=np.uint8), [0.0, 0.0, 0.0], 0.05)
+    assert usual_care(blind.model_copy(update={"provenance": provenance, "occupancy": seen})) == care
     assert usual_care(blind.model_copy(update={"provenance": provenance})) == "free"
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from seen_helpers import seen_where, with_surface_at
+from occupancy_helpers import known_where, with_surface_at
 
 from greenhouse_gym.agents import CarefulAgent, Problem, watchful
 from greenhouse_gym.agents.agent import Agent
@@ -23,7 +23,7 @@ from greenhouse_gym.motion.arm_spheres import ArmBalls, arm_balls
 from greenhouse_gym.motion.collision import CollisionChecker, planning_model
 from greenhouse_gym.motion.margins import with_margin
 from greenhouse_gym.motion.reach import arm_reaches
-from greenhouse_gym.motion.unexplained_cells import shapeless
+from greenhouse_gym.motion.unexplained_cells import unexplained_cells
 from greenhouse_gym.planning import PlanResult
 from greenhouse_gym.rendering.cameras import MAX_RANGE, DepthCamera
 from greenhouse_gym.robots import get_robot
@@ -33,7 +33,7 @@ from greenhouse_gym.scene.mjcf import base_position
 
 ARM = get_robot("ur5e")
 TARGET = 4
-CARES = cares_with(0.0, surfaces=False, depth=0.1)
+CARES = cares_with(0.0, unexplained=False, depth=0.1)
 CAMERA = DepthCamera()
 
 
@@ -72,12 +72,12 @@ def test_it_goes_around_what_the_scan_does_not_show(scene: Scene, hung: Scene) -
 
 def test_it_looks_at_what_nobody_has_seen_before_it_goes_there(scene: Scene) -> None:
     seen, dark = WatchfulAgent(), WatchfulAgent()
-    assert played(seen, seen_where(scene, None), scene)[0] == "reached"
-    assert played(dark, seen_where(scene, 1.2, aisle=0.3), scene)[0] == "reached"
+    assert played(seen, known_where(scene, None), scene)[0] == "reached"
+    assert played(dark, known_where(scene, 1.2, aisle=0.3), scene)[0] == "reached"
     assert seen.status == "1, 0.05"
     assert int(dark.status.split(",")[0]) > 1, "it looked for a way anew once it had looked"
     bold = WatchfulAgent(depth=0.1)
-    assert played(bold, seen_where(scene, None), scene)[0] == "reached"
+    assert played(bold, known_where(scene, None), scene)[0] == "reached"
     assert bold.status == "1, 0.1"
 
 
@@ -107,18 +107,18 @@ def test_a_depth_or_an_image_without_a_meaning_is_refused() -> None:
 
 
 def test_a_margin_comes_before_depth_and_goes_at_last() -> None:
-    cares, usual = cares_with(0.02, surfaces=False, depth=0.1), cares_with(0.0, surfaces=False, depth=0.1)
+    cares, usual = cares_with(0.02, unexplained=False, depth=0.1), cares_with(0.0, unexplained=False, depth=0.1)
     assert cares == [Care(0.02, 0.1), Care(0.02, 0.2), Care(0.01, 0.2), Care(0.0, 0.2), Care(0.0, np.inf)]
     assert usual == [Care(0.0, depth) for depth in CAREFUL_DEPTHS]
 
 
 @pytest.mark.parametrize("margin", [0.0, 0.02])
 def test_surfaces_without_a_shape_are_left_out_of_account_at_last(margin: float) -> None:
-    cares = cares_with(margin, surfaces=True, depth=0.05)
-    heeding = [care for care in cares if care.surfaces]
+    cares = cares_with(margin, unexplained=True, depth=0.05)
+    heeding = [care for care in cares if care.unexplained]
     assert cares[: len(heeding)] == heeding
-    assert heeding[:2] == [Care(margin, 0.05, surfaces=True), Care(margin, 0.1, surfaces=True)]
-    assert heeding[-1] == Care(0.0, np.inf, surfaces=True)
+    assert heeding[:2] == [Care(margin, 0.05, unexplained=True), Care(margin, 0.1, unexplained=True)]
+    assert heeding[-1] == Care(0.0, np.inf, unexplained=True)
     assert cares[-2:] == [Care(0.0, 0.2), Care(0.0, np.inf)]
 
 
@@ -128,7 +128,7 @@ def planned_way(scene: Scene, margin: float) -> list[np.ndarray]:
         Problem(scene, TARGET, ARM, ARM.start),
         scene.tomatoes[TARGET].center,
         CAMERA,
-        cares_with(margin, surfaces=False, depth=0.1),
+        cares_with(margin, unexplained=False, depth=0.1),
         False,
     )
     care = episode._plan(ARM.start)[1]
@@ -188,13 +188,13 @@ def test_where_nothing_else_leads_on_it_goes_back_as_it_came(scene: Scene, monke
 
 
 def test_where_it_would_stay_it_asks_again_but_not_for_ever(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Other goals and another seed each time; the unseen is closed at first, free at last."""
-    told, asked = seen_where(scene, 0.0), []
+    """Other goals and another seed each time; unknown space is closed at first, free at last."""
+    told, asked = known_where(scene, 0.0), []
     goal = ARM.start + [0.3, -0.2, 0.3, 0.0, 0.0, 0.0]
 
     def planned(*arguments: Any, start: np.ndarray, **keywords: Any) -> PlanResult:
         asked.append(keywords)
-        found = isinstance(keywords["goals"], int) and keywords["unseen"] == "free" and finds
+        found = isinstance(keywords["goals"], int) and keywords["unknown"] == "free" and finds
         return PlanResult(
             "solved" if found else "approximate", np.array([start, goal]) if found else None, "RRTConnect"
         )
@@ -215,7 +215,7 @@ def test_where_it_would_stay_it_asks_again_but_not_for_ever(scene: Scene, monkey
         careful = watchful.PLANS - watchful.FREE - 1
         seeds = np.repeat(41 + np.arange(1, watchful.PLANS + watchful.MORE), 2)[: len(again)]
         assert [each["seed"] for each in again] == seeds.tolist()
-        assert [each["unseen"] for each in again[: 2 * careful]] == [0.2] * (2 * careful)
+        assert [each["unknown"] for each in again[: 2 * careful]] == [0.2] * (2 * careful)
         if finds:
             assert len(again) == 2 * careful + 1
             assert np.abs(acted[-1]).max() > 0, "it goes"
@@ -223,7 +223,7 @@ def test_where_it_would_stay_it_asks_again_but_not_for_ever(scene: Scene, monkey
         else:
             assert len(again) == 2 * (watchful.PLANS + watchful.MORE - 1)
             more = [0.2] * watchful.MORE + ["free"] * watchful.MORE
-            assert [each["unseen"] for each in again[-len(more) :]] == more
+            assert [each["unknown"] for each in again[-len(more) :]] == more
             assert not np.abs(acted).any(), "it stays"
             assert episode.status == f"{watchful.PLANS + watchful.MORE}, no way"
 
@@ -231,7 +231,7 @@ def test_where_it_would_stay_it_asks_again_but_not_for_ever(scene: Scene, monkey
 def test_a_box_of_the_scan_in_which_it_sees_nothing_is_no_obstacle_in_the_end(scene: Scene) -> None:
     """The scan has a box about the whole target, of which nothing is there in truth."""
     box = Box(scene.tomatoes[TARGET].center - [0.02, 0.0, 0.0], [0.07, 0.07, 0.07], np.eye(3))
-    told = seen_where(scene.model_copy(update={"clutter": (*scene.clutter, box)}), None)
+    told = known_where(scene.model_copy(update={"clutter": (*scene.clutter, box)}), None)
     agent = WatchfulAgent()
     assert played(agent, told, scene)[0] == "reached"
     assert int(agent.status.split(",")[0]) > watchful.PLANS
@@ -282,7 +282,7 @@ def test_what_is_known_grows_with_the_images(scene: Scene, hung: Scene, balls: A
     target = scene.tomatoes[TARGET].center - base
     leaf = hung.clutter[-1].center - base
     aims = next(views(balls, ARM, ARM.start, leaf[None], lambda places: np.zeros(len(places), bool), _dice()))[0]
-    told = seen_where(scene, 0.0)
+    told = known_where(scene, 0.0)
     observation, _ = env.reset(options={"scene": hung, "target": TARGET, "start": aims})
     known = Knowledge(Problem(told, TARGET, ARM, env.start), target, CAMERA)
     way = np.array([aims, aims + [0.0, 0.3, 0.0, 0.0, 0.0, 0.0]])
@@ -297,8 +297,8 @@ def test_what_is_known_grows_with_the_images(scene: Scene, hung: Scene, balls: A
     then = known.scene(aims, 0.01)
     boxes = then.clutter[len(scene.clutter) :]
     assert (distance_to_shapes(known.points + base, boxes).min(axis=1) < 1e-9).all()
-    assert then.seen is not None
-    assert then.seen.states.astype(bool).sum() > told.seen.states.astype(bool).sum()  # type: ignore[union-attr]
+    assert then.occupancy is not None
+    assert then.occupancy.states.astype(bool).sum() > told.occupancy.states.astype(bool).sum()  # type: ignore[union-attr]
     assert len(known.dark(way)) < len(dark)
     unlooked = known.unlooked()
     assert 0 < len(unlooked) < len(Knowledge(Problem(told, TARGET, ARM, env.start), target, CAMERA).unlooked())
@@ -312,21 +312,21 @@ def test_what_is_known_grows_with_the_images(scene: Scene, hung: Scene, balls: A
 def test_a_surface_without_a_shape_is_dark_until_the_camera_has_looked(scene: Scene, balls: ArmBalls) -> None:
     env = TomatoReachEnv(bank="mini", observation="depth")
     target = scene.tomatoes[TARGET].center - base_position(scene, ARM)
-    space = seen_where(scene, None).seen
+    space = known_where(scene, None).occupancy
     assert space is not None
     told = with_surface_at(scene, space.centers.reshape(-1, 3))
     aims = next(views(balls, ARM, ARM.start, 0.8 * target[None], lambda at: np.zeros(len(at), bool), _dice()))[0]
     observation, _ = env.reset(options={"scene": scene, "target": TARGET, "start": aims})
     way = np.linspace(aims, aims + [0.0, 0.3, 0.0, 0.0, 0.0, 0.0], 20)
     problem = Problem(told, TARGET, ARM, env.start)
-    known = Knowledge(problem, target, CAMERA, surfaces=True)
-    emptied = Knowledge(replace(problem, scene=seen_where(scene, None)), target, CAMERA)
+    known = Knowledge(problem, target, CAMERA, unexplained=True)
+    emptied = Knowledge(replace(problem, scene=known_where(scene, None)), target, CAMERA)
     before = known.dark(way)
     assert len(before) > 0
     assert len(emptied.dark(way)) == 0, "all of it was seen"
     known.add(observation["depth"][0] * MAX_RANGE, aims)
     assert len(known.dark(way)) < len(before)
-    assert shapeless(known.scene(aims, 0.01)).sum() < shapeless(told).sum()
+    assert unexplained_cells(known.scene(aims, 0.01)).sum() < unexplained_cells(told).sum()
     env.close()
 
 

@@ -13,17 +13,17 @@ import pytest
 from parallel_helpers import Elsewhere
 from row_helpers import HALF, half_cloud, half_recording
 
-from greenhouse_gym.build import bank as build
+from greenhouse_gym.build import bank_builder as build
 from greenhouse_gym.build import build_bank, default_splits
 from greenhouse_gym.build import scenes as cutting
-from greenhouse_gym.build.scenes import BuildSettings, cut_scenes, level, stand_positions
+from greenhouse_gym.build.scenes import BuildSettings, cut_scenes, level, placement_positions
 from greenhouse_gym.build.workspace import in_frame, middle
 from greenhouse_gym.capture import Recording, RgbdFrame, Station, write_recording
 from greenhouse_gym.common.files import exclusive
 from greenhouse_gym.crops import PlantRow
 from greenhouse_gym.crops.parts import Stem, Tomato
 from greenhouse_gym.errors import FileWriteError, InvalidValueError, ReconstructionError
-from greenhouse_gym.geometry import Box, distance_to_shapes, pose, rotation_about, rotation_angle
+from greenhouse_gym.geometry import Box, Sphere, distance_to_shapes, pose, rotation_about, rotation_angle
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, RowReport
 from greenhouse_gym.scene import Provenance, Scene, SceneBank, Target
 from greenhouse_gym.scene.manifest import MANIFEST
@@ -54,7 +54,7 @@ def made_up_shapes(length: float = 2.0, boxes: int = 300) -> RowShapes:
     random = np.random.default_rng(0)
     places = np.arange(0.25, length, 0.5)
     return RowShapes(
-        tuple(Tomato([0.4, y, 1.0 + 1e-7], 0.0300004, truss=k, ripeness=0.5) for k, y in enumerate(places)),
+        tuple(Tomato(Sphere([0.4, y, 1.0 + 1e-7], 0.0300004), truss=k, ripeness=0.5) for k, y in enumerate(places)),
         tuple(Stem([0.52, y, 0.5], [0.5, y + 0.01, 2.1], 0.006, kind="main") for y in places),
         tuple(
             Box(random.uniform([0.3, 0, 0.6], [0.8, length, 1.9]), random.uniform(0.003, 0.02, 3),
@@ -94,7 +94,7 @@ def test_splits_of_rows() -> None:
     ids=["ten cm", "short", "one", "long", "five cm", "backward", "two passes", "elsewhere"],
 )
 def test_stands_are_spread_evenly_over_where_the_rig_went(along: np.ndarray, expected: list[float]) -> None:
-    np.testing.assert_allclose(stand_positions(along, BuildSettings()), expected)
+    np.testing.assert_allclose(placement_positions(along, BuildSettings()), expected)
 
 
 @pytest.mark.parametrize("step", [0.05, 0.1])
@@ -128,7 +128,7 @@ def test_scenes_stand_before_the_stem_line() -> None:
     for scene, along in zip(scenes, (4.5, 9.5, 14.5), strict=True):
         stems = [stem for stem in scene.stems if stem.kind == "main"]
         assert np.median([(s.start[0] + s.end[0]) / 2 for s in stems]) == pytest.approx(0.60, abs=1e-4)
-        assert scene.stand.shoulder_height == 1.1
+        assert scene.placement.shoulder_height == 1.1
         assert (scene.provenance.row, scene.provenance.week) == ("row", 2)
         assert abs(scene.provenance.station - along) == pytest.approx(0.5)
         assert scene.targets == ()
@@ -139,9 +139,9 @@ def test_scenes_stand_before_the_stem_line() -> None:
 
 @pytest.mark.parametrize("primitives", [300, 60])
 def test_scenes_keep_to_the_number_of_primitives_and_the_arms_reach(primitives: int) -> None:
-    settings = BuildSettings(primitives=primitives)
+    settings = BuildSettings(max_shapes=primitives)
     shapes = made_up_shapes(boxes=900)
-    fuller = scenes_of(shapes, BuildSettings(primitives=100_000))
+    fuller = scenes_of(shapes, BuildSettings(max_shapes=100_000))
     for scene, whole in zip(scenes_of(shapes, settings), fuller, strict=True):
         assert len(scene.obstacles) <= primitives < len(whole.obstacles)
         distance = distance_to_shapes(np.array([[0.0, 0.0, 1.1]]), scene.obstacles)[0]
@@ -156,7 +156,7 @@ def test_of_too_many_shapes_pedicels_go_first() -> None:
     held = replace(shapes, stems=(*shapes.stems, *pedicels))
     plain = scenes_of(shapes)[1]
     for most, left in ((10**6, 50), (len(plain.obstacles) + 7, 7), (len(plain.obstacles), 0)):
-        scene = scenes_of(held, BuildSettings(primitives=most))[1]
+        scene = scenes_of(held, BuildSettings(max_shapes=most))[1]
         assert sum(stem.kind == "pedicel" for stem in scene.stems) == left
         assert len(scene.clutter) == len(plain.clutter)
 
@@ -300,7 +300,7 @@ def test_nobody_puts_an_arm_up_in_the_plants(calls: Calls, tmp_path: Path) -> No
 
 def test_recordings_of_one_row_in_several_weeks(calls: Calls, tmp_path: Path) -> None:
     known = [Provenance(row=row, style="cherry", source="own") for row in ("x", "x", "y")]
-    options: dict[str, Any] = {"weeks": [2, 5, 2], "known": known, "settings": BuildSettings(targets=2)}
+    options: dict[str, Any] = {"weeks": [2, 5, 2], "known": known, "settings": BuildSettings(max_targets=2)}
     bank = built(tmp_path, splits=["train", "train", "test"], **options)
     assert [(entry.row, entry.week, entry.split) for entry in bank.manifest.scenes[::3]] == [
         ("x", 2, "train"), ("x", 5, "train"), ("y", 2, "test"),
@@ -543,7 +543,7 @@ def test_a_bank_from_a_recording_on_disk(tmp_path: Path, monkeypatch: pytest.Mon
     assert scene.provenance.recording == "simulated-1"
     assert scene.provenance.recording_sha256 is not None
     assert len(scene.tomatoes) > 5
-    assert len(scene.obstacles) <= BuildSettings().primitives
+    assert len(scene.obstacles) <= BuildSettings().max_shapes
     assert {stem.kind for stem in scene.stems} >= {"main"}
     expected = extract_shapes(half_cloud().points, half_cloud().colors, half_cloud().normals)
     assert abs(len(scene.tomatoes) - len(expected.tomatoes)) <= 0.5 * len(expected.tomatoes)

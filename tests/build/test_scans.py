@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
-from greenhouse_gym.build import bank as build
+from greenhouse_gym.build import bank_builder as build
 from greenhouse_gym.build.scans import RawCloud, Scan, extract_from_scan, open_scan, read_cloud, scanned_row
 from greenhouse_gym.build.scans import row as row_module
 from greenhouse_gym.build.scans.frame import guess_unit, guess_up
@@ -23,7 +23,7 @@ from greenhouse_gym.cli import app
 from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.crops.parts import Stem, Tomato
 from greenhouse_gym.errors import FileFormatError, GreenhouseError, InvalidValueError, UnknownNameError
-from greenhouse_gym.geometry import Array, invert, pose, transform
+from greenhouse_gym.geometry import Array, Sphere, invert, pose, transform
 from greenhouse_gym.scene import Shapes
 from greenhouse_gym.shapes import RowShapes
 
@@ -131,7 +131,9 @@ def test_a_cloud_turned_any_way_and_in_millimetres_gives_the_same_shapes() -> No
 def test_fruit_tells_which_end_is_up() -> None:
     scan = reference()
     fruit = [
-        Tomato([0.46, y + 0.05 * (-1) ** k, 0.75 + 0.22 * k], 0.026 + 0.002 * k, k) for y in (0, 0.4) for k in range(4)
+        Tomato(Sphere([0.46, y + 0.05 * (-1) ** k, 0.75 + 0.22 * k], 0.026 + 0.002 * k), k)
+        for y in (0, 0.4)
+        for k in range(4)
     ]
     over = np.diag([1.0, -1.0, -1.0])
     turned = [replace(tomato, center=over @ tomato.center) for tomato in fruit]
@@ -224,7 +226,8 @@ def test_scenes_stand_on_the_floor(
     monkeypatch.setattr(row_module, "extract_from_scan", lambda scan, settings: (scan, lifted))
     points, colors, normals = plant()
     lifted = RowShapes(
-        (Tomato([0.5, 0.0, lift + 1.0], 0.03, 0),), (Stem([0.5, 0, lift + 0.6], [0.5, 0, lift + 1.6], 0.005, "main"),)
+        (Tomato(Sphere([0.5, 0.0, lift + 1.0], 0.03), 0),),
+        (Stem([0.5, 0, lift + 0.6], [0.5, 0, lift + 1.6], 0.005, "main"),),
     )
     row = scanned_row(open_scan(RawCloud(points + [0, 0, lift], colors, normals), units="m"), floor)
     assert row.shapes.tomatoes[0].center[2] == pytest.approx(1.1 if expected is None else 1.0)
@@ -306,7 +309,7 @@ def test_organized_clouds_and_rows_that_are_not_finite(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("suffix", WRITERS)
 def test_of_too_many_points_some_are_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str) -> None:
-    monkeypatch.setattr("greenhouse_gym.build.scans.files.MOST_POINTS", 100)
+    monkeypatch.setattr("greenhouse_gym.build.scans.files.MAX_POINTS", 100)
     monkeypatch.setattr("greenhouse_gym.build.scans.files._PIECE", 70)
     random = np.random.default_rng(0)
     points, colors, normals = random.random((250, 3)), random.random((250, 3)), random.random((250, 3))
@@ -392,7 +395,7 @@ def test_the_command_writes_shapes_and_what_it_assumed(tmp_path: Path) -> None:
 
 def test_a_bank_is_built_of_a_scan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     stems = (Stem([0.5, 0, 0.6], [0.5, 0, 1.6], 0.005, "main"),)
-    found = RowShapes((Tomato([0.46, 0.0, 1.0], 0.03, 0),), stems)
+    found = RowShapes((Tomato(Sphere([0.46, 0.0, 1.0], 0.03), 0),), stems)
     monkeypatch.setattr(row_module, "extract_from_scan", lambda scan, settings: (scan, found))
     monkeypatch.setattr(build, "certify_targets", lambda scene, robot, most, smallest: ())
     points, colors, normals = plant()
@@ -400,5 +403,5 @@ def test_a_bank_is_built_of_a_scan(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     bank = build.build_bank(rows[:1], tmp_path / "bank", "scanned", on_stage=lambda text: None)
     scene = bank[0]
     assert scene.tomatoes[0].center[0] == pytest.approx(0.56)
-    assert scene.seen is None
+    assert scene.occupancy is None
     assert fingerprint(rows[0]) != fingerprint(rows[1])

@@ -16,7 +16,7 @@ from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Provenance, SceneBank, compile_scene
 from greenhouse_gym.scene.bank import write_bank
 from greenhouse_gym.scene.manifest import SPLITS
-from greenhouse_gym.scene.truth import stands_free
+from greenhouse_gym.scene.truth import start_is_collision_free
 
 
 def test_the_recipe_is_as_large_and_varied_as_it_says() -> None:
@@ -77,12 +77,12 @@ def test_ratings_of_shipped_targets_are_found_again(count: int) -> None:
     drawn = np.random.default_rng(count).permutation(len(pool))[:count]
     for name, target in (pool[k] for k in drawn):
         found = certify_target(compile_scene(bank.scene(name), get_robot(target.robot)), target.tomato)
-        assert found == target.model_copy(update={"unseen": None}), name
+        assert found == target.model_copy(update={"unknown": None}), name
 
 
 @pytest.mark.slow
 def test_no_shipped_arm_begins_in_the_true_plants() -> None:
-    assert [scene.name for scene in SceneBank.open("default") if not stands_free(scene, "ur5e")] == []
+    assert [scene.name for scene in SceneBank.open("default") if not start_is_collision_free(scene, "ur5e")] == []
 
 
 @pytest.mark.slow

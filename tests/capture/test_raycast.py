@@ -7,7 +7,7 @@ from row_helpers import HALF, grown
 from greenhouse_gym.capture.raycast import RowRaycaster, tessellate
 from greenhouse_gym.crops import PlantRow
 from greenhouse_gym.crops.parts import Tomato
-from greenhouse_gym.geometry import Box, Capsule, Shape, Sphere, distance_to_shapes, pose, rotation_about
+from greenhouse_gym.geometry import Box, Capsule, Ellipsoid, Shape, Sphere, distance_to_shapes, pose, rotation_about
 
 TURN = rotation_about([1, 2, 3], 0.7)
 R, L = 0.03, 0.2
@@ -17,12 +17,12 @@ SHAPES: list[tuple[Shape, float, float]] = [
     (Capsule([0, 0, L], [0, 0, 0], 0.005), np.pi * 0.005**2 * (L + 0.02 / 3), 2 * np.pi * 0.005 * (L + 0.01)),
     (Capsule([1, 1, 1], [1, 1, 1], R), 4 / 3 * np.pi * R**3, 4 * np.pi * R**2),
     (
-        Tomato([0, 0, 1], R, truss=0, semi_axes=[R, R, R], rotation=TURN),
+        Tomato(Ellipsoid([0, 0, 1], [R, R, R], TURN), truss=0),
         4 / 3 * np.pi * R**3,
         4 * np.pi * R**2,
     ),
     (
-        Tomato([0, 0, 1], R, truss=0, semi_axes=[0.8 * R, R, R / 0.8], rotation=TURN),
+        Tomato(Ellipsoid([0, 0, 1], [0.8 * R, R, R / 0.8], TURN), truss=0),
         4 / 3 * np.pi * R**3,
         4 * np.pi * 1.0175 * R**2,
     ),
@@ -35,7 +35,15 @@ def test_volume_and_area_are_close_to_the_analytic_ones(shape: Shape, volume: fl
     vertices, triangles, owner = tessellate([shape])
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     # the round ends of capsules have few rings; those of a row are long and thin
-    tolerance = 1e-9 if isinstance(shape, Box) else 0.02 if isinstance(shape, Sphere) else 0.05 if shape.length else 0.1
+    tolerance = (
+        1e-9
+        if isinstance(shape, Box)
+        else 0.02
+        if isinstance(shape, Sphere | Ellipsoid)
+        else 0.05
+        if shape.length
+        else 0.1
+    )
     # a positive volume by the divergence theorem also says that the mesh is closed and turned outwards
     assert np.einsum("ij,ij->", a, np.cross(b, c)) / 6 == pytest.approx(volume, rel=tolerance)
     assert np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2 == pytest.approx(area, rel=tolerance)
@@ -60,8 +68,8 @@ def test_every_triangle_knows_its_shape() -> None:
 
 
 def test_depth_is_along_the_optical_axis() -> None:
-    ball = Tomato([0.5, 0.0, 1.1], 0.04, truss=0, ripeness=1.0)
-    beside = Tomato([0.5, 0.15, 1.2], 0.04, truss=0, ripeness=0.0)
+    ball = Tomato(Sphere([0.5, 0.0, 1.1], 0.04), truss=0, ripeness=1.0)
+    beside = Tomato(Sphere([0.5, 0.15, 1.2], 0.04), truss=0, ripeness=0.0)
     caster = RowRaycaster.of(PlantRow((ball, beside), (), (), 1.0, 0))
     camera = HALF.cameras["middle"]
     view = caster.look(camera.rig_from_camera, camera.intrinsics)
@@ -78,8 +86,8 @@ def test_depth_is_along_the_optical_axis() -> None:
 def test_shapes_are_numbered_tomatoes_stems_clutter_row_behind() -> None:
     row = grown()
     assert row.behind is not None
-    shapes = [*row.tomatoes, *row.stems, *row.clutter]
-    shapes += [*row.behind.tomatoes, *row.behind.stems, *row.behind.clutter]
+    shapes = [*row.shapes]
+    shapes += row.behind.shapes
     camera = HALF.cameras["middle"]
     world_from_camera = pose(translation=[0.0, 0.25, 0.0]) @ camera.rig_from_camera
     view = RowRaycaster.of(row).look(world_from_camera, camera.intrinsics)

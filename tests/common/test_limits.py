@@ -16,7 +16,7 @@ CLASSES = (BuildSettings, CarvingSettings, ReconstructionSettings, ShapeSettings
 LENGTHS = (
     *((ShapeSettings, name) for name in ("voxel", "fine_voxel", "vote_cell", "clutter_cell", "string_radius")),
     *((ReconstructionSettings, name) for name in ("voxel", "foreground", "coarse_distance", "outlier_radius")),
-    *((BuildSettings, name) for name in ("spacing", "width", "reach", "leaves")),
+    *((BuildSettings, name) for name in ("spacing", "width", "reach", "leaf_tolerance")),
     (CarvingSettings, "voxel"),
 )
 
@@ -49,8 +49,8 @@ def test_ranges_that_do_not_go_up_are_refused(name: str, ends: Any) -> None:
 
 def test_none_is_for_fields_that_can_do_without() -> None:
     assert ShapeSettings(small_radii=None).small_radii is None
-    assert BuildSettings(targets=None).targets is None
-    others: list[tuple[Any, str]] = [(ShapeSettings, "radii"), (ShapeSettings, "voxel"), (BuildSettings, "primitives")]
+    assert BuildSettings(max_targets=None).max_targets is None
+    others: list[tuple[Any, str]] = [(ShapeSettings, "radii"), (ShapeSettings, "voxel"), (BuildSettings, "max_shapes")]
     for kind, name in others:
         with pytest.raises(InvalidValueError, match=f"^{name} must be .*, got None"):
             kind(**{name: None})
@@ -68,7 +68,7 @@ def test_none_is_for_fields_that_can_do_without() -> None:
         (ReconstructionSettings, {"step_range": (0.2, 0.1)}, "step_range must be two numbers from 0 on, the smaller"),
         (ReconstructionSettings, {"calibrate_edges": 1}, "calibrate_edges must be true or false, got 1"),
         (CarvingSettings, {"aisle": "no"}, "aisle must be true or false, got 'no'"),
-        (BuildSettings, {"targets": 0}, "targets must be a whole number from 1 on, got 0"),
+        (BuildSettings, {"max_targets": 0}, "max_targets must be a whole number from 1 on, got 0"),
         (ShapeSettings, {"min_confidence": 40}, "min_confidence must be a number from 0 up to 1, got 40"),
     ],
 )

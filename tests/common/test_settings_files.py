@@ -124,7 +124,7 @@ def test_every_field_is_shown_with_what_its_class_says_of_it() -> None:
 
 
 def test_null_stands_for_none_and_is_kept(tmp_path: Path) -> None:
-    chosen = resolve(BuildSettings(), None, ["shapes.small_radii=null", "targets=null"])
+    chosen = resolve(BuildSettings(), None, ["shapes.small_radii=null", "max_targets=null"])
     assert chosen.shapes.small_radii is None
     assert chosen.targets is None
     file = tmp_path / "settings.toml"

@@ -18,7 +18,8 @@ def numbers(shape: Shape) -> dict[str, Any]:
 
 
 def everything(row: PlantRow) -> list[dict[str, Any]]:
-    own = [numbers(s) for s in (*row.tomatoes, *row.stems, *row.clutter)]
+    own = [numbers(shape) for shape in row.shapes]
+    own += [{"truss": tomato.truss, "ripeness": tomato.ripeness} for tomato in row.tomatoes]
     return own if row.behind is None else own + everything(row.behind)
 
 

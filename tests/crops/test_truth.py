@@ -7,7 +7,7 @@ from greenhouse_gym.crops import PlantRow, grow_row
 from greenhouse_gym.crops.organs import Organ
 from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.crops.truth_shapes import truth_of
-from greenhouse_gym.geometry import Box, Capsule, distance_to_shapes
+from greenhouse_gym.geometry import Box, Capsule, Sphere, distance_to_shapes
 
 
 def test_a_row_of_shapes_is_its_own_truth() -> None:
@@ -25,7 +25,7 @@ def test_organs_become_shapes_to_collide_with() -> None:
         Organ("petiole", square, triangles, colors, axis=axis),
         Organ("gutter", corners, sides, np.full((len(sides), 3), 0.5)),
     )
-    fruit = Tomato([0, 0, 2], 0.03, truss=0)
+    fruit = Tomato(Sphere([0, 0, 2], 0.03), truss=0)
     truth = truth_of(PlantRow((fruit,), (), (), 1.0, 0, organs=organs))
     assert truth.tomatoes == (fruit,)
     assert [type(shape) for shape in truth.clutter] == [Box, Capsule, Capsule, Box]

@@ -20,7 +20,7 @@ TARGET = np.array([0.55, 0.1, 1.3])
 
 def seen(*clutter: Sphere) -> np.ndarray:
     scene = Scene(
-        name="one-tomato", tomatoes=(Tomato(TARGET, 0.03, truss=0),), clutter=clutter,
+        name="one-tomato", tomatoes=(Tomato(Sphere(TARGET, 0.03), truss=0),), clutter=clutter,
         targets=(Target(tomato=0, difficulty="easy"),), provenance=Provenance(row="made-up"),
     )  # fmt: skip
     env = TomatoReachEnv(bank="mini", observation="clearance_rays")

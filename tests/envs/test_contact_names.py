@@ -15,7 +15,10 @@ def test_contacts_are_named_as_in_the_scene_of_the_episode(bank: SceneBank) -> N
     whole = bank.scene("made-up-0")
     leaf = Sphere([0.0, 0.0, 1.6], 0.05)  # where the upright arm is
     fewer = Scene(
-        name="fewer", tomatoes=(Tomato([0.6, 0.0, 1.2], 0.03, truss=0),), clutter=(leaf,), provenance=whole.provenance
+        name="fewer",
+        tomatoes=(Tomato(Sphere([0.6, 0.0, 1.2], 0.03), truss=0),),
+        clutter=(leaf,),
+        provenance=whole.provenance,
     )
     more = fewer.model_copy(update={"name": "more", "tomatoes": whole.tomatoes})
     env.reset(seed=0, options={"scene": whole, "target": 0})

@@ -9,7 +9,13 @@ import pytest
 
 from greenhouse_gym.robots import ROBOTS
 from greenhouse_gym.scene import SceneBank, compile_scene
-from greenhouse_gym.scene.geom_order import ShortLists, _geom_count, id_in_compiled, put_arm_first, world_begins
+from greenhouse_gym.scene.geom_order import (
+    ShortGeomLists,
+    _geom_count,
+    compiled_geom_id,
+    first_world_geom,
+    put_arm_first,
+)
 from greenhouse_gym.scene.truth import true_scene
 
 WITH_ARM = "<body><joint axis='0 0 1'/><geom name='link' size='0.2' pos='1 0 0'/></body>"
@@ -20,7 +26,7 @@ def contacts(model: mujoco.MjModel, joints: np.ndarray) -> list[tuple[int, int, 
     data.qpos[:] = joints
     mujoco.mj_kinematics(model, data)
     mujoco.mj_collision(model, data)
-    pairs = [sorted(id_in_compiled(model, geom) for geom in pair) for pair in data.contact.geom.tolist()]
+    pairs = [sorted(compiled_geom_id(model, geom) for geom in pair) for pair in data.contact.geom.tolist()]
     return sorted((a, b, dist) for (a, b), dist in zip(pairs, data.contact.dist.tolist(), strict=True))
 
 
@@ -31,7 +37,7 @@ def test_the_same_touches_in_either_order(robot: str) -> None:
         compiled = compile_scene(true_scene(bank.scene(name)), robot)
         reordered = copy.copy(compiled.model)
         put_arm_first(reordered)
-        assert 0 < world_begins(reordered) < 40
+        assert 0 < first_world_geom(reordered) < 40
         for _ in range(60):
             joints = random.uniform(compiled.robot.lower, compiled.robot.upper)
             expected = contacts(compiled.model, joints)
@@ -43,10 +49,10 @@ def test_the_same_touches_in_either_order(robot: str) -> None:
 def test_within_the_block_a_model_tells_of_the_arm_alone(bank: SceneBank) -> None:
     model = copy.copy(compile_scene(bank.scene(bank.names("train")[0])).model)
     arm, world, count = int((model.geom_bodyid > 0).sum()), int(model.body_geomnum[0]), model.ngeom
-    with ShortLists([model]):
+    with ShortGeomLists([model]):
         assert (model.ngeom, int(model.body_geomnum[0])) == (count, 2), "in its first order all geoms are gone through"
     put_arm_first(model)
-    with ShortLists([model]):
+    with ShortGeomLists([model]):
         assert (model.ngeom, int(model.body_geomnum[0])) == (arm, 2)
     assert (model.ngeom, int(model.body_geomnum[0])) == (count, world)
 
@@ -58,7 +64,7 @@ def test_the_list_is_long_enough_for_what_any_geom_of_the_world_may_touch() -> N
         spec.worldbody.add_geom(size=[0.1, 0, 0], contype=contype, conaffinity=conaffinity)
     model = spec.compile()
     put_arm_first(model)
-    with ShortLists([model]):
+    with ShortGeomLists([model]):
         assert model.body_geomnum[0] == 5
     assert model.body_geomnum[0] == 6
 
@@ -79,8 +85,8 @@ def test_a_model_that_tells_of_geoms_otherwise_stays_as_it_is(extra: str) -> Non
     before = model.geom_pos.copy()
     put_arm_first(model)
     np.testing.assert_array_equal(model.geom_pos, before)
-    assert world_begins(model) == 0
-    with ShortLists([model]):
+    assert first_world_geom(model) == 0
+    with ShortGeomLists([model]):
         assert model.ngeom == 2
 
 

@@ -11,6 +11,7 @@ from reach_helpers import REACH, scene_of, tool_at
 from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.envs import Randomization, TomatoReachEnv
 from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.geometry import Sphere
 from greenhouse_gym.scene import SceneBank
 
 
@@ -74,7 +75,9 @@ def test_another_goal_changes_success_but_no_collision(bank: SceneBank) -> None:
 
 def test_the_observation_part_knows_nothing_of_the_target() -> None:
     tip, frame = tool_at(REACH)
-    placed = scene_of([Tomato(tip + 0.2 * frame[:, 2] + [0, 0.1 * k, 0], 0.02 + 0.01 * k, truss=0) for k in range(2)])
+    placed = scene_of(
+        [Tomato(Sphere(tip + 0.2 * frame[:, 2] + [0, 0.1 * k, 0], 0.02 + 0.01 * k), truss=0) for k in range(2)]
+    )
     env = goal_env(_bank_of(placed))
     seen = [env.reset(options={"scene": placed, "target": k, "start": REACH})[0] for k in (0, 1)]
     np.testing.assert_array_equal(seen[0]["observation"], seen[1]["observation"])

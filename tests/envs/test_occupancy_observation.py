@@ -25,8 +25,8 @@ def test_the_places_of_the_probe_points_are_told() -> None:
     for _ in range(60):
         model, data = env.model_and_data()
         places = np.array([data.site(model.site(name).id).xpos for name in ARM.probes])
-        assert env.scene.seen is not None
-        np.testing.assert_array_equal(observed[known:], ~env.scene.seen(places))
+        assert env.scene.occupancy is not None
+        np.testing.assert_array_equal(observed[known:], ~env.scene.occupancy.is_known(places))
         told.update(observed[known:].tolist())
         observed, _, terminated, *_ = env.step(np.array([0.6, 0.3, 0.0, 0.0, 0.0, 0.0]))
         if terminated:

@@ -84,7 +84,7 @@ def test_rays_and_opengl_see_the_same_scene(bank: SceneBank, monkeypatch: pytest
 def moved_depth(bank: SceneBank, seed: int) -> np.ndarray:
     env = moved(bank, seed)
     model, data = env.model_and_data()
-    return render_depth(model, data, default_camera(env.scene.stand), viewer.WIDTH, viewer.HEIGHT)
+    return render_depth(model, data, default_camera(env.scene.placement), viewer.WIDTH, viewer.HEIGHT)
 
 
 def test_every_thread_draws_the_same(bank: SceneBank) -> None:

@@ -94,7 +94,7 @@ def test_the_success_radius_decides(bank: SceneBank) -> None:
 
 @pytest.mark.parametrize("rate", [100, 50, 10, 4])
 def test_joints_move_as_far_per_second_at_every_rate(rate: int) -> None:
-    placed = scene_of([Tomato([0.0, 5.0, 1.0], 0.03, truss=0)])
+    placed = scene_of([Tomato(Sphere([0.0, 5.0, 1.0], 0.03), truss=0)])
     ends = []
     for chosen in (20, rate):
         env = make_for(placed, rate=chosen, step_limit=1000)
@@ -116,7 +116,7 @@ def test_vector_equals_single_at_other_rates(rate: int, bank: SceneBank) -> None
 
 
 def test_a_huge_radius_beside_a_small_one_gives_numbers() -> None:
-    placed = scene_of([Tomato([0.9, 0.0, 1.2], 0.03, truss=0), Tomato([0.9, 0.3, 1.2], 90.0, truss=1)])
+    placed = scene_of([Tomato(Sphere([0.9, 0.0, 1.2], 0.03), truss=0), Tomato(Sphere([0.9, 0.3, 1.2], 90.0), truss=1)])
     env = make_for(placed)
     observation, info = env.reset(options={"scene": placed, "target": 0})
     assert env.observation_space.contains(observation)
@@ -128,7 +128,7 @@ def test_a_huge_radius_beside_a_small_one_gives_numbers() -> None:
 
 
 def test_too_many_tomatoes_are_refused_before_they_take_room() -> None:
-    tomatoes = [Tomato([0.9, 0.0, 1.2], 0.03, truss=0)]
+    tomatoes = [Tomato(Sphere([0.9, 0.0, 1.2], 0.03), truss=0)]
     many = scene_of(tomatoes).model_copy(update={"tomatoes": tuple(tomatoes * 300_000)})
     with pytest.raises(InvalidValueError, match="300000 obstacles, more than the 600 allowed"):
         make_for(scene_of(tomatoes)).reset(options={"scene": many, "target": 0})

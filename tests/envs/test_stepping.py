@@ -57,7 +57,7 @@ def test_how_the_broad_phase_lists_the_geoms_changes_nothing(
     actions = np.repeat(random.uniform(-1, 1, (12, count, 6)), 40, axis=0)
     for told_of_all in (False, True):
         if told_of_all:
-            monkeypatch.setattr(geom_order, "_LISTED", 10**9)
+            monkeypatch.setattr(geom_order, "_MIN_LISTED", 10**9)
             monkeypatch.setattr(physics, "put_arm_first", lambda model: None)
         env = TomatoReachVectorEnv(count, bank=bank, autoreset_mode="SameStep", threads=1)
         env.reset(seed=0)

@@ -22,9 +22,10 @@ from greenhouse_gym.envs.actions import ACTIONS
 from greenhouse_gym.envs.choices import OBSERVATIONS
 from greenhouse_gym.envs.rewards import REWARDS
 from greenhouse_gym.errors import InvalidValueError, UnknownKeywordError, UnknownNameError
+from greenhouse_gym.geometry import Sphere
 from greenhouse_gym.robots import ROBOTS
 from greenhouse_gym.scene import Scene, SceneBank, Shapes
-from greenhouse_gym.scene.geom_order import put_arm_first, world_begins
+from greenhouse_gym.scene.geom_order import first_world_geom, put_arm_first
 
 
 def make(bank: SceneBank, **keywords: Any) -> TomatoReachEnv:
@@ -114,7 +115,7 @@ def test_private_model_equals_the_compiled_scene(bank: SceneBank) -> None:
         private, compiled = simulation._physics.models[0], simulation._worlds[0].compiled
         reordered = copy.copy(compiled.model)
         put_arm_first(reordered)
-        geom = world_begins(private) + compiled.tomato_geom(env.target)
+        geom = first_world_geom(private) + compiled.tomato_geom(env.target)
         assert private.geom_contype[geom] == private.geom_conaffinity[geom] == 1
         for name in dir(compiled.model):
             value = getattr(reordered, name)
@@ -174,16 +175,16 @@ def test_observation_says_what_it_promises(bank: SceneBank) -> None:
 def test_turned_and_moved_stand_gives_the_same_episode() -> None:
     tip, frame = tool_at(REACH)
     from greenhouse_gym.geometry import pose, rotation_about, transform
-    from greenhouse_gym.scene import Stand
+    from greenhouse_gym.scene import ArmPlacement
 
     move = pose(rotation_about([0, 0, 1], 0.7), [0.4, -0.3, 0.0])
-    tomatoes = [Tomato(tip + 0.2 * frame[:, 2] + [0, 0.1 * k, 0], 0.03, truss=0) for k in range(3)]
+    tomatoes = [Tomato(Sphere(tip + 0.2 * frame[:, 2] + [0, 0.1 * k, 0], 0.03), truss=0) for k in range(3)]
     stems = [Stem([0.7, 0.05, 0.5], [0.7, 0.05, 1.8], 0.006, kind="main")]
     here = scene_of(tomatoes, stems)
     there = scene_of(
-        [Tomato(transform(move, [t.center])[0], t.radius, truss=0) for t in tomatoes],
+        [Tomato(Sphere(transform(move, [t.center])[0], t.radius), truss=0) for t in tomatoes],
         [Stem(*transform(move, [s.start, s.end]), s.radius, kind=s.kind) for s in stems],
-    ).model_copy(update={"stand": Stand(position=move[:3, 3], yaw=0.7)})
+    ).model_copy(update={"placement": ArmPlacement(position=move[:3, 3], yaw=0.7)})
     seen = []
     for placed in (here, there):
         env = make_for(placed)
@@ -213,7 +214,7 @@ def drive(env: TomatoReachEnv, goal: np.ndarray, steps: int = 60) -> tuple[Any, 
 
 def test_reaching_the_target_is_a_success() -> None:
     tip, frame = tool_at(REACH)
-    placed = scene_of([Tomato(tip + 0.03 * frame[:, 2], 0.03, truss=0)])
+    placed = scene_of([Tomato(Sphere(tip + 0.03 * frame[:, 2], 0.03), truss=0)])
     env = make_for(placed)
     env.reset(options={"scene": placed, "target": 0, "start": REACH - [0.0, 0.25, -0.1, 0, 0, 0]})
     _, reward, terminated, truncated, info = drive(env, REACH)
@@ -227,8 +228,8 @@ def test_reaching_the_target_is_a_success() -> None:
 @pytest.mark.parametrize(("target", "touching"), [(0, False), (1, True)])
 def test_only_the_cup_may_touch_only_the_target(target: int, touching: bool) -> None:
     tip, frame = tool_at(REACH)
-    beside_the_cup = Tomato(tip + 0.03 * frame[:, 0], 0.025, truss=0)
-    elsewhere = Tomato([0.3, 0.9, 1.0], 0.025, truss=1)
+    beside_the_cup = Tomato(Sphere(tip + 0.03 * frame[:, 0], 0.025), truss=0)
+    elsewhere = Tomato(Sphere([0.3, 0.9, 1.0], 0.025), truss=1)
     placed = scene_of([beside_the_cup, elsewhere])
     env = make_for(placed)
     _, info = env.reset(options={"scene": placed, "target": target, "start": REACH})
@@ -240,7 +241,7 @@ def test_only_the_cup_may_touch_only_the_target(target: int, touching: bool) -> 
 
 def test_the_rod_may_not_touch_the_target() -> None:
     tip, frame = tool_at(REACH)
-    placed = scene_of([Tomato(tip - 0.1 * frame[:, 2] + 0.03 * frame[:, 0], 0.025, truss=0)])
+    placed = scene_of([Tomato(Sphere(tip - 0.1 * frame[:, 2] + 0.03 * frame[:, 0], 0.025), truss=0)])
     env = make_for(placed)
     env.reset(options={"scene": placed, "target": 0, "start": REACH})
     _, reward, terminated, _, info = env.step(np.zeros(6))
@@ -324,8 +325,8 @@ def test_nan_actions_and_early_steps_are_refused(bank: SceneBank) -> None:
 def test_truth_is_simulated_while_the_reconstruction_is_observed() -> None:
     tip, frame = tool_at(REACH)
     center = tip + 0.03 * frame[:, 2]
-    believed = scene_of([Tomato(center + [0.0, 0.0, 0.05], 0.03, truss=0)])
-    truth = Shapes(tomatoes=(Tomato([0.4, 0.9, 1.0], 0.03, truss=1), Tomato(center, 0.03, truss=0)))
+    believed = scene_of([Tomato(Sphere(center + [0.0, 0.0, 0.05], 0.03), truss=0)])
+    truth = Shapes(tomatoes=(Tomato(Sphere([0.4, 0.9, 1.0], 0.03), truss=1), Tomato(Sphere(center, 0.03), truss=0)))
     placed = believed.model_copy(update={"truth": truth})
     env = make_for(placed, physics="truth")
     observation, info = env.reset(options={"scene": placed, "target": 0, "start": REACH})
@@ -337,7 +338,7 @@ def test_truth_is_simulated_while_the_reconstruction_is_observed() -> None:
 
 
 def test_the_arm_follows_its_commands_without_ringing() -> None:
-    empty = scene_of([Tomato([0.0, 5.0, 1.0], 0.03, truss=0)])
+    empty = scene_of([Tomato(Sphere([0.0, 5.0, 1.0], 0.03), truss=0)])
     env = make_for(empty)
     for joint in range(6):
         for sign in (1.0, -1.0):

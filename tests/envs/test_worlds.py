@@ -63,7 +63,7 @@ def test_truth_chooses_its_capacity_from_the_bank(bank: SceneBank, tmp_path: Pat
 def test_truth_of_more_shapes_than_are_allowed_names_the_scene_and_the_remedy(
     bank: SceneBank, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(worlds, "MOST_CAPACITY", 640)
+    monkeypatch.setattr(worlds, "MAX_CAPACITY", 640)
     crowd = tuple(Box([2.0, 0.01 * k, 1.0], [0.01, 0.001, 0.01], np.eye(3)) for k in range(633))
     scenes = [scene.model_copy(update={"truth": Shapes(tomatoes=scene.tomatoes, clutter=crowd)}) for scene in bank]
     crowded = write_bank(tmp_path, [(scene, bank.split_of(scene.name)) for scene in scenes], name="crowded")

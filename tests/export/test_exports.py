@@ -22,7 +22,7 @@ from greenhouse_gym.geometry import Array, Capsule, distance_to_shapes, transfor
 from greenhouse_gym.planning import CollisionChecker, certify_targets, planning_model
 from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.scene import Scene, compile_scene
-from greenhouse_gym.scene.obstacles import Stand
+from greenhouse_gym.scene.obstacles import ArmPlacement
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def samples(arm: Robot, count: int) -> Array:
 
 @pytest.mark.parametrize("name", ["ur5e", "iiwa14"])
 def test_urdf_opens_in_mujoco_and_collides_where_the_scene_does(scene: Scene, name: str, tmp_path: Path) -> None:
-    standing = scene.model_copy(update={"stand": Stand(position=[-0.1, 0.1, 0.0], yaw=0.3)})
+    standing = scene.model_copy(update={"placement": ArmPlacement(position=[-0.1, 0.1, 0.0], yaw=0.3)})
     robot = get_robot(name)
     (path,) = export_scene(standing, "urdf", tmp_path, robot)
     theirs = mujoco.MjModel.from_xml_path(str(path))

@@ -6,7 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.errors import GreenhouseError, InvalidValueError
 from greenhouse_gym.geometry import (
     Box,
@@ -256,9 +255,8 @@ def test_a_ball_holds_its_shape(shape: Shape) -> None:
     assert (np.linalg.norm(surface_points(shape, 200) - centers, axis=1) <= radii + 1e-9).all()
 
 
-def test_a_ball_holds_a_stretched_tomato() -> None:
-    tomato = Tomato([0.1, 0.2, 0.3], 0.03, truss=0, semi_axes=[0.025, 0.03, 0.036], rotation=np.eye(3))
-    centers, radii = bounding_balls([tomato])
+def test_a_ball_holds_an_ellipsoid() -> None:
+    centers, radii = bounding_balls([Ellipsoid([0.1, 0.2, 0.3], [0.025, 0.03, 0.036], np.eye(3))])
     assert (centers.tolist(), radii.tolist()) == ([[0.1, 0.2, 0.3]], [0.036])
 
 

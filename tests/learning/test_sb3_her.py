@@ -12,6 +12,7 @@ import torch
 from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.envs import TomatoReachEnv
 from greenhouse_gym.envs.reach_task import STEP_LIMIT, SUCCESS_RADIUS
+from greenhouse_gym.geometry import Sphere
 from greenhouse_gym.learning.sb3 import make_sb3_vec_env
 from greenhouse_gym.learning.sb3_her import GoalFeatures, GoalReplayBuffer
 from greenhouse_gym.scene import Scene, SceneBank
@@ -101,7 +102,7 @@ def test_features_know_the_target_from_other_fruit(scene: Scene) -> None:
     seen, _ = env.reset(options=reset)
     origin = scene.tomatoes[0].center - seen["desired_goal"]
     ahead = origin + seen["achieved_goal"] + 0.05 * env.simulation.state.axis[0]  # type: ignore[union-attr]
-    fruit = (Tomato(ahead, 0.03, truss=0), Tomato(ahead + [0, 0.4, 0], 0.03, truss=0))
+    fruit = (Tomato(Sphere(ahead, 0.03), truss=0), Tomato(Sphere(ahead + [0, 0.4, 0], 0.03), truss=0))
     placed = scene.model_copy(update={"tomatoes": fruit, "stems": (), "clutter": (), "targets": ()})
     told = []
     for target in (0, 1):

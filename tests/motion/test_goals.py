@@ -7,6 +7,7 @@ import pytest
 
 from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.geometry import Sphere
 from greenhouse_gym.motion.goals import SAMPLE_BUDGET
 from greenhouse_gym.motion.inverse_kinematics import TOLERANCE
 from greenhouse_gym.planning import Approach, CollisionChecker, goal_configurations, planning_model
@@ -50,7 +51,7 @@ def test_threshold_limits_what_is_tried(scene: Scene) -> None:
 
 
 def test_a_target_out_of_reach_has_no_goals_soon(scene: Scene) -> None:
-    far = scene.model_copy(update={"tomatoes": (Tomato([3.0, 0.0, 1.0], 0.03, truss=0),)})
+    far = scene.model_copy(update={"tomatoes": (Tomato(Sphere([3.0, 0.0, 1.0], 0.03), truss=0),)})
     began = time.perf_counter()
     goals = goal_configurations(far, 0)
     assert goals.configurations.shape == (0, 6)
@@ -71,7 +72,7 @@ def test_a_buried_target_has_only_colliding_goals(scene: Scene) -> None:
 def _shell(center: np.ndarray) -> list[Tomato]:
     directions = np.random.default_rng(0).normal(size=(300, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    return [Tomato(center + 0.08 * d, 0.02, truss=8) for d in directions]
+    return [Tomato(Sphere(center + 0.08 * d, 0.02), truss=8) for d in directions]
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.crops.parts import Tomato
+from greenhouse_gym.geometry import Sphere
 from greenhouse_gym.motion.collision import path_clearance
 from greenhouse_gym.planning import CollisionChecker, PlanResult, certify, certify_targets, planning_model
 from greenhouse_gym.planning.registered import PlannerFailedError
@@ -13,13 +14,13 @@ from greenhouse_gym.planning.result import Status
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene, Target
 from greenhouse_gym.scene.mjcf import compile_scene
-from greenhouse_gym.scene.occupancy import EMPTY, UNSEEN, SeenSpace
+from greenhouse_gym.scene.occupancy import FREE, UNKNOWN, OccupancyGrid
 
 
 @pytest.fixture(scope="module")
 def small(scene: Scene) -> Scene:
     """Two tomatoes of a scene and one that is out of reach."""
-    tomatoes = (scene.tomatoes[0], scene.tomatoes[4], Tomato([3.0, 0.0, 1.0], 0.03, truss=9))
+    tomatoes = (scene.tomatoes[0], scene.tomatoes[4], Tomato(Sphere([3.0, 0.0, 1.0], 0.03), truss=9))
     return scene.model_copy(update={"tomatoes": tomatoes, "targets": ()})
 
 
@@ -36,22 +37,22 @@ def test_every_tomato_is_rated(targets: tuple[Target, ...]) -> None:
 
 
 def test_certificates_tell_goals_checks_clearance_and_the_unseen(small: Scene, targets: tuple[Target, ...]) -> None:
-    """Made-up scenes do not say what was seen: half of the space before the arm is unseen here."""
-    states = np.full((14, 14, 12), EMPTY, np.uint8)
-    states[:, 7:] = UNSEEN
-    half = small.model_copy(update={"seen": SeenSpace.of(states, [-1.4, -1.4, 0.0], 0.2)})
+    """Made-up scenes do not say what was seen: half of the space before the arm is unknown here."""
+    states = np.full((14, 14, 12), FREE, np.uint8)
+    states[:, 7:] = UNKNOWN
+    half = small.model_copy(update={"occupancy": OccupancyGrid.from_states(states, [-1.4, -1.4, 0.0], 0.2)})
     compiled = compile_scene(small)
     for plain, target in zip(targets, certify_targets(half), strict=True):
-        assert plain == target.model_copy(update={"unseen": None})
+        assert plain == target.model_copy(update={"unknown": None})
         if target.witness is None:
-            assert (target.clearance, target.unseen) == (None, None)
+            assert (target.clearance, target.unknown) == (None, None)
             continue
         path = np.array(target.witness)
         assert target.goals == certify.GOALS
         assert target.clearance == pytest.approx(path_clearance(compiled, target.tomato, path), abs=1e-4)
         assert (target.checks is None) == (target.difficulty == "easy")
     left, right = (next(t for t in certify_targets(half) if t.tomato == k) for k in (0, 1))
-    assert left.unseen != right.unseen
+    assert left.unknown != right.unknown
 
 
 def test_targets_are_spread_over_their_distances(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:

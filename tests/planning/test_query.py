@@ -157,7 +157,7 @@ def test_a_colliding_start_is_a_result(scene: Scene) -> None:
 
 
 def test_nothing_to_reach_is_a_result(scene: Scene) -> None:
-    far = scene.model_copy(update={"tomatoes": (Tomato([3.0, 0.0, 1.0], 0.03, truss=0),)})
+    far = scene.model_copy(update={"tomatoes": (Tomato(Sphere([3.0, 0.0, 1.0], 0.03), truss=0),)})
     result = plan(far, 0)
     assert result.status == "no_goal"
     assert result.goals is not None

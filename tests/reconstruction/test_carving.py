@@ -13,7 +13,7 @@ from greenhouse_gym.reconstruction import RowCloud, RowReport
 from greenhouse_gym.reconstruction.row import Sight
 from greenhouse_gym.reconstruction.seen import CarvingSettings, carve
 from greenhouse_gym.reconstruction.views import BLOCK
-from greenhouse_gym.scene.occupancy import EMPTY, SURFACE, UNSEEN
+from greenhouse_gym.scene.occupancy import FREE, OCCUPIED, UNKNOWN
 
 LOW, HIGH = np.array([-0.3, -0.6, 0.3]), np.array([1.2, 0.6, 2.0])
 
@@ -37,17 +37,17 @@ def states_at(row: RowCloud, points: list[list[float]], settings: CarvingSetting
 
 def test_space_is_empty_up_to_the_reading_and_unseen_behind_and_beside() -> None:
     before, behind, above, aisle = [0.52, 0.02, 1.12], [0.92, 0.02, 1.12], [0.32, 0.02, 1.82], [-0.22, 0.02, 1.82]
-    assert states_at(looking_at(0.8), [before, behind, above, aisle]) == [EMPTY, UNSEEN, UNSEEN, EMPTY]
-    assert states_at(looking_at(0.0), [before, behind, above, aisle]) == [UNSEEN, UNSEEN, UNSEEN, EMPTY]
-    assert states_at(looking_at(0.8), [aisle], CarvingSettings(aisle=False)) == [UNSEEN]
+    assert states_at(looking_at(0.8), [before, behind, above, aisle]) == [FREE, UNKNOWN, UNKNOWN, FREE]
+    assert states_at(looking_at(0.0), [before, behind, above, aisle]) == [UNKNOWN, UNKNOWN, UNKNOWN, FREE]
+    assert states_at(looking_at(0.8), [aisle], CarvingSettings(aisle=False)) == [UNKNOWN]
 
 
 def test_points_of_the_cloud_make_surface_whatever_was_seen_through() -> None:
     place = np.array([0.52, 0.02, 1.12])
     row = looking_at(0.8, place + np.random.default_rng(0).uniform(-0.01, 0.01, (10, 3)))
-    assert states_at(row, [place.tolist()]) == [SURFACE]
+    assert states_at(row, [place.tolist()]) == [OCCUPIED]
     single = looking_at(0.8, place[None])
-    assert states_at(single, [place.tolist()]) == [EMPTY]
+    assert states_at(single, [place.tolist()]) == [FREE]
 
 
 def test_a_part_keeps_its_place() -> None:
@@ -56,7 +56,7 @@ def test_a_part_keeps_its_place() -> None:
     again = carve(looking_at(0.8), np.eye(4), [0.2, -0.3, 0.8], [0.9, 0.3, 1.4])
     np.testing.assert_allclose(origin, again.origin)
     assert part.shape == again.states.shape
-    np.testing.assert_array_equal(part == UNSEEN, again.states == UNSEEN)
+    np.testing.assert_array_equal(part == UNKNOWN, again.states == UNKNOWN)
 
 
 @pytest.mark.xdist_group("row")
@@ -68,14 +68,14 @@ def test_what_was_carved_out_of_a_row_is_empty_in_the_truth() -> None:
     carving = carve(row, true_from_first, [-0.3, -0.6, 0.3], [0.9, 1.1, 2.0])
     truth = recording.truth
     assert isinstance(truth, PlantRow)
-    empty = np.argwhere(carving.states == EMPTY)
+    empty = np.argwhere(carving.states == FREE)
     centers = carving.origin + (empty + 0.5) * carving.voxel
     shapes = [*truth.tomatoes, *truth.stems, *truth.clutter]
     thick = [s for s in shapes if getattr(s, "radius", 1.0) > 0.003]  # strings are seen by few pixels
     inside = distance_to_shapes(centers, thick).min(axis=1) < 0
     assert len(empty) > 3000
     assert inside.mean() < 0.003
-    assert 0.2 < (carving.states == UNSEEN).mean() < 0.9
+    assert 0.2 < (carving.states == UNKNOWN).mean() < 0.9
     aside = carve(row, pose(translation=[5, 0, 0]) @ true_from_first, [4.7, -0.6, 0.3], [5.9, 1.1, 2.0])
     assert (aside.states == carving.states).mean() > 0.999
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from row_helpers import HALF, from_stations, rendered, worst_errors
 
-from greenhouse_gym.build.scenes import BuildSettings, stand_positions
+from greenhouse_gym.build.scenes import BuildSettings, placement_positions
 from greenhouse_gym.capture import (
     PROTOCOLS,
     Camera,
@@ -99,7 +99,7 @@ def test_passes_at_two_heights_become_one_cloud() -> None:
     low = reconstruct_row(from_stations([recording[i] for i in range(4)], replace(recording, passes=())), KNOWN)
     assert row.points[:, 2].max() > low.points[:, 2].max() + 0.3
     along = row.world_from_station[:, 1, 3]
-    assert stand_positions(along, BuildSettings(spacing=0.1)) == pytest.approx([0.05, 0.15, 0.25], abs=0.03)
+    assert placement_positions(along, BuildSettings(spacing=0.1)) == pytest.approx([0.05, 0.15, 0.25], abs=0.03)
 
 
 def test_passes_are_kept_in_the_recordings_folder(tmp_path: Path) -> None:

@@ -7,14 +7,14 @@ from reach_helpers import REACH, scene_of, tool_at
 from greenhouse_gym.crops.parts import Stem, Tomato
 from greenhouse_gym.envs import DepthCamera, DepthObservation, PointsObservation, Randomization, TomatoReachEnv
 from greenhouse_gym.errors import GreenhouseError
-from greenhouse_gym.geometry import distance_to_shapes
+from greenhouse_gym.geometry import Sphere, distance_to_shapes
 from greenhouse_gym.rendering.cameras import MAX_RANGE
 from greenhouse_gym.scene import Scene, SceneBank
 
 
 def looking_at_a_tomato() -> tuple[Scene, np.ndarray]:
     tip, frame = tool_at(REACH)
-    tomato = Tomato(tip + 0.25 * frame[:, 2], 0.05, truss=0)
+    tomato = Tomato(Sphere(tip + 0.25 * frame[:, 2], 0.05), truss=0)
     return scene_of([tomato], [Stem([0.75, 0.0, 0.3], [0.75, 0.0, 2.0], 0.01, kind="main")]), REACH
 
 

@@ -13,7 +13,7 @@ AHEAD = 0.03
 
 @pytest.fixture(scope="module")
 def compiled(scene: Scene) -> CompiledScene:
-    turned = scene.model_copy(update={"stand": scene.stand.model_copy(update={"yaw": 0.4})})
+    turned = scene.model_copy(update={"placement": scene.placement.model_copy(update={"yaw": 0.4})})
     return compile_scene(turned)
 
 

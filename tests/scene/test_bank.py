@@ -10,6 +10,7 @@ import pytest
 
 from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError
+from greenhouse_gym.geometry import Sphere
 from greenhouse_gym.scene import Provenance, Scene, SceneBank, Target
 from greenhouse_gym.scene import bank as bank_module
 from greenhouse_gym.scene.bank import write_bank
@@ -185,7 +186,7 @@ def test_a_folder_without_a_manifest_or_with_half_of_one(folder: Path, tmp_path:
 
 
 def told(name: str, row: str, week: int, difficulty: str = "easy", **facts: str) -> Scene:
-    tomatoes = (Tomato([0.5, 0.0, 1.0], 0.03, truss=0),)
+    tomatoes = (Tomato(Sphere([0.5, 0.0, 1.0], 0.03), truss=0),)
     targets = (Target(tomato=0, difficulty=difficulty),)
     provenance = Provenance(row=row, week=week, **facts)
     return Scene(name=name, tomatoes=tomatoes, targets=targets, provenance=provenance)

@@ -8,9 +8,9 @@ import pytest
 
 from greenhouse_gym.crops.parts import Stem, Tomato
 from greenhouse_gym.errors import InvalidValueError, UnknownNameError
-from greenhouse_gym.geometry import Box, Capsule, Sphere, rotation_about
+from greenhouse_gym.geometry import Box, Capsule, Ellipsoid, Sphere, rotation_about
 from greenhouse_gym.robots import get_robot
-from greenhouse_gym.scene import Provenance, Scene, Stand, compile_scene, scene_spec
+from greenhouse_gym.scene import ArmPlacement, Provenance, Scene, compile_scene, scene_spec
 from greenhouse_gym.scene.mjcf import ARM_AND_CUP, ARM_ONLY
 
 
@@ -19,7 +19,10 @@ def mixed() -> Scene:
     turn = rotation_about([1.0, 2.0, 3.0], 0.8)
     return Scene(
         name="a 'mixed' & scene",
-        tomatoes=(Tomato([0.5, -0.4, 0.9], 0.03, truss=0), Tomato([0.5, 0.4, 0.9], 0.025, truss=1, ripeness=0.2)),
+        tomatoes=(
+            Tomato(Sphere([0.5, -0.4, 0.9], 0.03), truss=0),
+            Tomato(Sphere([0.5, 0.4, 0.9], 0.025), truss=1, ripeness=0.2),
+        ),
         stems=(
             Stem([0.6, 0, 0.5], [0.65, 0.1, 2.0], 0.006, kind="main"),
             Stem([0, 1, 1], [0, 1, 1], 0.02, kind="pipe"),
@@ -29,7 +32,7 @@ def mixed() -> Scene:
             Capsule([1, 1, 1], [1, 1.2, 1], 0.01),
             Sphere([1, 0, 2], 0.1),
         ),
-        stand=Stand(position=[0.05, 0.1, 0.0], yaw=0.3, shoulder_height=1.2),
+        placement=ArmPlacement(position=[0.05, 0.1, 0.0], yaw=0.3, shoulder_height=1.2),
         provenance=Provenance(row="r"),
     )
 
@@ -94,7 +97,7 @@ def test_the_arm_stands_where_the_scene_says(mixed: Scene) -> None:
 
 
 def test_a_low_stand_has_no_cart(mixed: Scene) -> None:
-    low = mixed.model_copy(update={"stand": Stand(shoulder_height=get_robot("ur5e").shoulder_height + 0.02)})
+    low = mixed.model_copy(update={"placement": ArmPlacement(shoulder_height=get_robot("ur5e").shoulder_height + 0.02)})
     compiled = compile_scene(low)
     assert mujoco.mj_name2id(compiled.model, mujoco.mjtObj.mjOBJ_GEOM, "cart") == -1
     assert compiled.model.geom(compiled.obstacle_geoms.start).name == "tomato_0"
@@ -121,7 +124,7 @@ def test_only_the_cup_may_touch_the_target() -> None:
     mujoco.mj_resetDataKeyframe(compiled.model, data, 0)
     mujoco.mj_forward(compiled.model, data)
     for part, center in (("cup", data.geom("cup").xpos), ("rod", data.geom("rod").xpos)):
-        touching = Scene(name="t", tomatoes=(Tomato(center, 0.014, truss=0),), provenance=Provenance(row="r"))
+        touching = Scene(name="t", tomatoes=(Tomato(Sphere(center, 0.014), truss=0),), provenance=Provenance(row="r"))
         own = compile_scene(touching)
         for allowed, expected in ((False, True), (True, part == "rod"), (False, True)):
             own.allow_cup_on(own.model, 0, allowed)
@@ -140,11 +143,11 @@ def test_an_unknown_robot_is_named(mixed: Scene) -> None:
 
 def test_an_ellipsoid_stands_as_the_scene_says() -> None:
     turn = rotation_about([1.0, 2.0, 3.0], 0.8)
-    tomato = Tomato([0.5, 0.1, 1.0], 0.03, truss=0, semi_axes=[0.025, 0.03, 0.036], rotation=turn)
+    tomato = Tomato(Ellipsoid([0.5, 0.1, 1.0], [0.025, 0.03, 0.036], turn), truss=0)
     model = scene_spec(Scene(name="one", tomatoes=(tomato,), provenance=Provenance(row="r"))).compile()
     geom = model.geom("tomato_0")
     assert geom.type == mujoco.mjtGeom.mjGEOM_ELLIPSOID
-    np.testing.assert_allclose(geom.size, tomato.semi_axes)
+    np.testing.assert_allclose(geom.size, [0.025, 0.03, 0.036])
     found = np.empty(9)
     mujoco.mju_quat2Mat(found, geom.quat)
     np.testing.assert_allclose(found.reshape(3, 3), turn, atol=1e-9)

@@ -10,8 +10,8 @@ from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene, SceneBank
 from greenhouse_gym.scene.mjcf import compile_scene
-from greenhouse_gym.scene.plant_motion import PlantMotion, moved_plants
-from greenhouse_gym.scene.recompile import moved_to
+from greenhouse_gym.scene.moved_obstacles import move_obstacles
+from greenhouse_gym.scene.plant_motion import PlantMotion, move_plants
 from greenhouse_gym.scene.truth import true_scene
 
 ARM = get_robot("ur5e")
@@ -24,7 +24,7 @@ def true() -> Scene:
 
 
 def after(scene: Scene, motion: PlantMotion, seed: int = 5) -> Scene:
-    plants = moved_plants(scene, motion, np.random.default_rng(seed))
+    plants = move_plants(scene, motion, np.random.default_rng(seed))
     return scene.model_copy(update={name: getattr(plants, name) for name in ("tomatoes", "stems", "clutter")})
 
 
@@ -44,7 +44,7 @@ def test_it_is_what_compiling_the_moved_scene_makes(true: Scene, capacity: int |
     far = PlantMotion(truss_turn=0.5, truss_swing=0.3, stem_shift=0.2, leaf_shift=0.3)
     before, scene = compile_scene(true, ARM, capacity), after(true, far)
     kept = {name: getattr(before.model, name).copy() for name in (*FIELDS, "bvh_aabb")}
-    moved, expected = moved_to(before, scene), compile_scene(scene, ARM, capacity)
+    moved, expected = move_obstacles(before, scene), compile_scene(scene, ARM, capacity)
     for name in FIELDS:
         np.testing.assert_allclose(getattr(moved.model, name), getattr(expected.model, name), atol=1e-12, err_msg=name)
     configurations = np.random.default_rng(0).uniform(ARM.lower, ARM.upper, (300, len(ARM.joints)))
@@ -59,7 +59,7 @@ def test_it_is_what_compiling_the_moved_scene_makes(true: Scene, capacity: int |
 
 def test_what_did_not_move_has_the_same_tree(true: Scene) -> None:
     before = compile_scene(true, ARM)
-    np.testing.assert_allclose(moved_to(before, true).model.bvh_aabb, before.model.bvh_aabb, atol=1e-12)
+    np.testing.assert_allclose(move_obstacles(before, true).model.bvh_aabb, before.model.bvh_aabb, atol=1e-12)
 
 
 def test_other_obstacles_are_refused(true: Scene) -> None:
@@ -68,4 +68,4 @@ def test_other_obstacles_are_refused(true: Scene) -> None:
     swapped = true.model_copy(update={"stems": true.stems[1:], "clutter": (true.tomatoes[0], *true.clutter)})
     for other in (fewer, swapped):
         with pytest.raises(InvalidValueError, match="other obstacles than it had before they moved"):
-            moved_to(before, other)
+            move_obstacles(before, other)

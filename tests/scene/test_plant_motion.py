@@ -9,7 +9,7 @@ from greenhouse_gym.crops import grow_row
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Box
 from greenhouse_gym.scene import Shapes
-from greenhouse_gym.scene.plant_motion import PlantMotion, moved_plants
+from greenhouse_gym.scene.plant_motion import PlantMotion, move_plants
 
 
 @pytest.fixture(scope="module")
@@ -20,14 +20,14 @@ def plants() -> Shapes:
 
 def moved(plants: Shapes, seed: int = 0, **sizes: float) -> Shapes:
     still = {"truss_turn": 0.0, "truss_swing": 0.0, "stem_shift": 0.0, "leaf_shift": 0.0}
-    return moved_plants(plants, PlantMotion(**{**still, **sizes}), np.random.default_rng(seed))
+    return move_plants(plants, PlantMotion(**{**still, **sizes}), np.random.default_rng(seed))
 
 
 def test_same_seed_same_motion_and_none_is_none(plants: Shapes) -> None:
     usual = PlantMotion()
-    once, twice = (moved_plants(plants, usual, np.random.default_rng(3)) for _ in range(2))
+    once, twice = (move_plants(plants, usual, np.random.default_rng(3)) for _ in range(2))
     assert once.model_dump_json() == twice.model_dump_json()
-    assert once.model_dump_json() != moved_plants(plants, usual, np.random.default_rng(4)).model_dump_json()
+    assert once.model_dump_json() != move_plants(plants, usual, np.random.default_rng(4)).model_dump_json()
     for one, other in zip(moved(plants).tomatoes, plants.tomatoes, strict=True):
         np.testing.assert_allclose(one.center, other.center, atol=1e-12)
 

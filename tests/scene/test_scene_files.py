@@ -10,14 +10,17 @@ import pytest
 
 from greenhouse_gym.crops.parts import Stem, Tomato
 from greenhouse_gym.errors import FileFormatError
-from greenhouse_gym.geometry import Box, Capsule, Sphere, rotation_about
-from greenhouse_gym.scene import Provenance, Scene, Shapes, Stand, Target
+from greenhouse_gym.geometry import Box, Capsule, Ellipsoid, Sphere, rotation_about
+from greenhouse_gym.scene import ArmPlacement, Provenance, Scene, Shapes, Target
 
 
 @pytest.fixture
 def full() -> Scene:
     """A scene with something in every field."""
-    tomatoes = (Tomato([0.1, 0.2, 1.0 / 3.0], 0.03, truss=2, ripeness=0.7), Tomato([0.1, 0.3, 1.2], 0.03, truss=2))
+    tomatoes = (
+        Tomato(Sphere([0.1, 0.2, 1.0 / 3.0], 0.03), truss=2, ripeness=0.7),
+        Tomato(Sphere([0.1, 0.3, 1.2], 0.03), truss=2),
+    )
     return Scene(
         name="full",
         tomatoes=tomatoes,
@@ -27,7 +30,7 @@ def full() -> Scene:
             Capsule([0, 0, 0], [0, 0.1, 0.2], 0.01),
             Box([0.1, 0.2, 0.3], [0.1, 0.2, 0.3], [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
         ),
-        stand=Stand(position=[0.1, -0.2, 0.0], yaw=0.3, shoulder_height=1.2),
+        placement=ArmPlacement(position=[0.1, -0.2, 0.0], yaw=0.3, shoulder_height=1.2),
         targets=(
             Target(tomato=1, difficulty="hard", witness=((0.0, 0.1), (0.2, 1.0 / 7.0))),
             Target(tomato=0, difficulty="unreachable", robot="iiwa14"),
@@ -66,8 +69,8 @@ def test_the_least_a_scene_file_holds(tmp_path: Path) -> None:
     assert scene.obstacles == ()
     assert scene.targets == ()
     assert scene.truth is None
-    np.testing.assert_array_equal(scene.stand.position, 0.0)
-    assert scene.stand.shoulder_height == 1.1
+    np.testing.assert_array_equal(scene.placement.position, 0.0)
+    assert scene.placement.shoulder_height == 1.1
 
 
 def at(*keys: str | int, value: Any) -> Callable[[dict[str, Any]], None]:
@@ -80,13 +83,17 @@ def at(*keys: str | int, value: Any) -> Callable[[dict[str, Any]], None]:
 
 
 DAMAGE: list[tuple[str, Callable[[dict[str, Any]], None], str]] = [
-    ("negative radius", at("tomatoes", 0, "radius", value=-0.03), r"tomatoes\.0.*radius must be a positive"),
+    ("negative radius", at("tomatoes", 0, "shape", "radius", value=-0.03), r"tomatoes\.0.*radius must be a positive"),
     ("zero radius", at("stems", 1, "radius", value=0.0), r"stems\.1.*radius must be a positive"),
-    ("NaN radius", at("tomatoes", 1, "radius", value=float("nan")), r"tomatoes\.1.*radius"),
-    ("NaN center", at("tomatoes", 0, "center", value=[0.0, float("nan"), 0.0]), r"tomatoes\.0\.center.*finite"),
+    ("NaN radius", at("tomatoes", 1, "shape", "radius", value=float("nan")), r"tomatoes\.1.*radius"),
+    (
+        "NaN center",
+        at("tomatoes", 0, "shape", "center", value=[0.0, float("nan"), 0.0]),
+        r"tomatoes\.0\.shape.*center.*finite",
+    ),
     ("infinite end", at("stems", 0, "end", value=[0.0, 0.0, float("inf")]), r"stems\.0\.end.*finite"),
-    ("two coordinates", at("tomatoes", 0, "center", value=[0.0, 1.0]), r"tomatoes\.0\.center.*shape"),
-    ("text for numbers", at("tomatoes", 0, "center", value="here"), r"tomatoes\.0\.center.*numbers"),
+    ("two coordinates", at("tomatoes", 0, "shape", "center", value=[0.0, 1.0]), r"tomatoes\.0\.shape.*center.*shape"),
+    ("text for numbers", at("tomatoes", 0, "shape", "center", value="here"), r"tomatoes\.0\.shape.*center.*numbers"),
     ("ripeness", at("tomatoes", 0, "ripeness", value=1.5), r"tomatoes\.0.*ripeness must be between"),
     ("truss", at("tomatoes", 0, "truss", value="two"), r"tomatoes\.0\.truss"),
     ("stem kind", at("stems", 0, "kind", value="trunk"), r"stems\.0\.kind.*peduncle"),
@@ -95,14 +102,14 @@ DAMAGE: list[tuple[str, Callable[[dict[str, Any]], None], str]] = [
     ("unknown version", at("schema_version", value=2), r"schema_version.*1"),
     ("extra key", at("colour", value="red"), r"colour.*[Ee]xtra"),
     ("extra key of a tomato", at("tomatoes", 0, "weight", value=0.1), r"tomatoes\.0\.weight.*[Uu]nexpected"),
-    ("extra key of the stand", at("stand", "tilt", value=0.1), r"stand\.tilt.*[Ee]xtra"),
+    ("extra key of the placement", at("placement", "tilt", value=0.1), r"placement\.tilt.*[Ee]xtra"),
     ("extra key of the provenance", at("provenance", "field", value=1), r"provenance\.field.*[Ee]xtra"),
     ("target out of range", at("targets", 0, "tomato", value=2), r"target names tomato 2, the scene has 2"),
     ("negative target", at("targets", 0, "tomato", value=-1), r"targets\.0\.tomato"),
     ("difficulty", at("targets", 0, "difficulty", value="trivial"), r"targets\.0\.difficulty.*easy"),
-    ("shoulder below the floor", at("stand", "shoulder_height", value=-1.0), r"stand\.shoulder_height"),
-    ("NaN shoulder", at("stand", "shoulder_height", value=float("nan")), r"stand\.shoulder_height"),
-    ("NaN yaw", at("stand", "yaw", value=float("nan")), r"stand\.yaw"),
+    ("shoulder below the floor", at("placement", "shoulder_height", value=-1.0), r"placement\.shoulder_height"),
+    ("NaN shoulder", at("placement", "shoulder_height", value=float("nan")), r"placement\.shoulder_height"),
+    ("NaN yaw", at("placement", "yaw", value=float("nan")), r"placement\.yaw"),
     ("NaN witness", at("targets", 0, "witness", value=[[0.0, float("nan")]]), r"targets\.0\.witness"),
     ("damaged truth", at("truth", "xz", value="%%"), r"truth.*damaged"),
     (
@@ -155,11 +162,13 @@ def test_a_truncated_scene(full: Scene, tmp_path: Path) -> None:
         Scene.load(path)
 
 
-def test_only_tomatoes_that_are_ellipsoids_write_their_axes(full: Scene, tmp_path: Path) -> None:
+def test_tomatoes_are_written_with_their_shapes(full: Scene, tmp_path: Path) -> None:
     turn = rotation_about([0.0, 1.0, 0.0], 0.5)
-    oblate = Tomato([0.2, 0.1, 1.0], 0.03, truss=1, semi_axes=[0.03, 0.03, 0.03], rotation=turn)
+    oblate = Tomato(Ellipsoid([0.2, 0.1, 1.0], [0.03, 0.03, 0.03], turn), truss=1)
     path, data = saved(full.model_copy(update={"tomatoes": (*full.tomatoes, oblate)}), tmp_path)
-    assert [set(tomato) for tomato in data["tomatoes"][:2]] == [{"center", "radius", "truss", "ripeness"}] * 2
-    again = Scene.load(path).tomatoes[2]
-    np.testing.assert_array_equal(again.semi_axes, oblate.semi_axes)
+    assert [set(tomato) for tomato in data["tomatoes"]] == [{"shape", "truss", "ripeness"}] * 3
+    assert [set(tomato["shape"]) for tomato in data["tomatoes"][:2]] == [{"center", "radius"}] * 2
+    again = Scene.load(path).tomatoes[2].shape
+    assert isinstance(again, Ellipsoid)
+    np.testing.assert_array_equal(again.semi_axes, [0.03, 0.03, 0.03])
     np.testing.assert_array_equal(again.rotation, turn)

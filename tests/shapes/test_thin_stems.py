@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from greenhouse_gym.crops.parts import Stem, Tomato
-from greenhouse_gym.geometry import frame_along
+from greenhouse_gym.geometry import Sphere, frame_along
 from greenhouse_gym.reconstruction.point_clouds import Cloud, merge, voxel_means
 from greenhouse_gym.shapes import ShapeSettings
 from greenhouse_gym.shapes.networks import network, network_file
@@ -17,7 +17,7 @@ from greenhouse_gym.shapes.thin_stems import MEASURES, OF_COLOR, places_near_fru
 
 SETTINGS = ShapeSettings()
 LEAF, RED = np.array([0.40, 0.50, 0.26]), np.array([0.76, 0.10, 0.07])
-FRUITS = (Tomato([0.42, 0.16, 1.0], 0.025, 0), Tomato([0.42, 0.24, 1.0], 0.025, 0))
+FRUITS = (Tomato(Sphere([0.42, 0.16, 1.0], 0.025), 0), Tomato(Sphere([0.42, 0.24, 1.0], 0.025), 0))
 MAIN = [Stem([0.5, 0.2, 0.6], [0.5, 0.2, 1.4], 0.006, "main")]
 FORK = (0.42, 0.2, 1.03)
 
@@ -88,7 +88,7 @@ def test_measures_are_numbers_whatever_the_cloud(seed: int, count: int, fruits: 
     cloud = Cloud(points, random.uniform(0, 1, (count, 3)), random.normal(0, 1, (count, 3)))
     surface = look_at_surfaces(voxel_means(cloud, SETTINGS.voxel)[0] if count else cloud, SETTINGS)
     places = places_near_fruit(
-        surface, (*FRUITS, Tomato([0.40, 0.2, 0.97], 0.02, 1))[:fruits], MAIN[: seed % 2], SETTINGS
+        surface, (*FRUITS, Tomato(Sphere([0.40, 0.2, 0.97], 0.02), 1))[:fruits], MAIN[: seed % 2], SETTINGS
     )
     assert places.measures.shape == (len(places.nodes), len(MEASURES))
     assert np.isfinite(places.measures).all()
@@ -97,7 +97,7 @@ def test_measures_are_numbers_whatever_the_cloud(seed: int, count: int, fruits: 
 
 
 def test_a_stem_on_the_skin_stands_out() -> None:
-    ball = Tomato([0.5, 0.0, 1.0], 0.03, 0)
+    ball = Tomato(Sphere([0.5, 0.0, 1.0], 0.03), 0)
     outwards = np.random.default_rng(0).normal(size=(400, 3))
     outwards /= np.linalg.norm(outwards, axis=1, keepdims=True)
     assert not stands_out(ball.center + 0.03 * outwards, outwards, (ball,), SETTINGS).any()

@@ -14,13 +14,13 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.common.array_files import read_array, read_arrays
-from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.common.extras import needs
-from greenhouse_gym.geometry import Array
-from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.common.files import MAX_BYTES, parsing, read_bytes
+from greenhouse_gym.common.open3d_loader import open3d
+from greenhouse_gym.errors import FileFormatError
+from greenhouse_gym.geometry import Array
 
-MOST_POINTS = 20_000_000
+MAX_POINTS = 20_000_000
 """The most points of a file that are used; of a larger one it is only every second, third, ... point."""
 
 _FEWEST = 50  # points that can hold a shape
@@ -28,7 +28,7 @@ _KIND = "cloud of points"
 _BY_PIECES = (".xyz", ".txt", ".las", ".laz")
 _AT_ONCE = 4 * 2**30  # bytes of a file of another kind, which is read whole
 _PIECE = 10**6  # points
-_MOST_HEAD = 1000  # lines before the points
+_MAX_HEAD = 1000  # lines before the points
 _BYTES = {
     name: size
     for size, names in ((1, b"char uchar int8 uint8"), (2, b"short ushort int16 uint16"),
@@ -91,7 +91,7 @@ class _Parts(NamedTuple):
 
 def _every(total: int) -> int:
     """Of how many points one is used."""
-    return total // (MOST_POINTS + 1) + 1
+    return total // (MAX_POINTS + 1) + 1
 
 
 def _cleaned(path: Path, parts: _Parts) -> RawCloud:
@@ -148,7 +148,7 @@ def _require_all_points(path: Path) -> None:
     """
     with path.open("rb") as file:
         head: list[bytes] = []
-        for line in islice(file, _MOST_HEAD):
+        for line in islice(file, _MAX_HEAD):
             head.append(line.strip())
             if head[-1] == b"end_header" or head[-1].startswith(b"DATA"):
                 break

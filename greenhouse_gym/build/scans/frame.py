@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from greenhouse_gym.geometry import Array, pose
 from greenhouse_gym.common.open3d_loader import open3d
+from greenhouse_gym.geometry import Array, pose
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 """Metres of each unit that is tried."""

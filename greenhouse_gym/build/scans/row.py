@@ -7,13 +7,13 @@ from typing import NoReturn
 
 import numpy as np
 
+from greenhouse_gym.build.scans.scan import Scan, extract_from_scan
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.capture.rig import D435_DEPTH, Camera, Rig
+from greenhouse_gym.crops.plant_row import STEM_LINE
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import pose
-from greenhouse_gym.crops.plant_row import STEM_LINE
 from greenhouse_gym.reconstruction import RowCloud, RowReport
-from greenhouse_gym.build.scans.scan import Scan, extract_from_scan
 from greenhouse_gym.shapes import RowShapes, ShapeSettings
 
 _STEP = 0.10  # m between the places a tripod might have stood at
@@ -96,7 +96,7 @@ def _lowered(shapes: RowShapes, floor: float) -> RowShapes:
     down = np.array([0.0, 0.0, -floor])
     return replace(
         shapes,
-        tomatoes=tuple(replace(tomato, center=tomato.center + down) for tomato in shapes.tomatoes),
+        tomatoes=tuple(replace(t, shape=replace(t.shape, center=t.center + down)) for t in shapes.tomatoes),
         stems=tuple(replace(stem, start=stem.start + down, end=stem.end + down) for stem in shapes.stems),
         clutter=tuple(replace(box, center=box.center + down) for box in shapes.clutter),
     )

@@ -11,19 +11,19 @@ from pathlib import Path
 
 from pydantic import TypeAdapter
 
-from greenhouse_gym.capture.recordings import Recording
-from greenhouse_gym.build.scenes import BuildSettings, cut_scenes, provenance_of, what_was_seen
-from greenhouse_gym.errors import FileFormatError, GreenhouseError, InvalidValueError
-from greenhouse_gym.common.extras import require_extras
-from greenhouse_gym.common.executors import completed, require_portable
-from greenhouse_gym.common.files import checked_name, exclusive, parsing, read_bytes, remove_leftovers, write_atomically
-from greenhouse_gym.planning import certify_targets
-from greenhouse_gym.common.progress import say
-from greenhouse_gym.reconstruction import reconstruct_row, settings_for
 from greenhouse_gym.build.scans import ScannedRow
+from greenhouse_gym.build.scenes import BuildSettings, cut_scenes, occupancy_summary, provenance_of
+from greenhouse_gym.capture.recordings import Recording
+from greenhouse_gym.common.executors import completed, require_portable
+from greenhouse_gym.common.extras import require_extras
+from greenhouse_gym.common.files import checked_name, exclusive, parsing, read_bytes, remove_leftovers, write_atomically
+from greenhouse_gym.common.progress import say
+from greenhouse_gym.errors import FileFormatError, GreenhouseError, InvalidValueError
+from greenhouse_gym.planning import certify_targets
+from greenhouse_gym.reconstruction import reconstruct_row, settings_for
 from greenhouse_gym.scene import Provenance, Scene, SceneBank
 from greenhouse_gym.scene.bank import write_bank
-from greenhouse_gym.scene.truth import stands_free
+from greenhouse_gym.scene.truth import start_is_collision_free
 from greenhouse_gym.shapes import extract_shapes
 
 UNFINISHED, CUT = "unfinished", "scenes.json"
@@ -154,7 +154,7 @@ def _certified_scenes(
         standing = _standing(name, cut, settings[name], report)
         write_atomically(notes[name] / CUT, _SCENES.dump_json(standing))
         for scene in standing:
-            report(what_was_seen(scene, settings[name]))
+            report(occupancy_summary(scene, settings[name]))
 
     def uncertified() -> Iterator[tuple[Scene, BuildSettings]]:
         for row in unfinished:
@@ -194,7 +194,7 @@ def _standing(name: str, cut: Sequence[Scene], settings: BuildSettings, report: 
     Raises:
         InvalidValueError: There is none.
     """
-    free = [scene for scene in cut if stands_free(scene, settings.robot)]
+    free = [scene for scene in cut if start_is_collision_free(scene, settings.robot)]
     if not free:
         raise InvalidValueError(
             f"recording {name!r}: at all {len(cut)} stands the arm would begin in the plants of its truth; move them "
@@ -208,7 +208,7 @@ def _standing(name: str, cut: Sequence[Scene], settings: BuildSettings, report: 
 def _certified(piece: tuple[Scene, BuildSettings]) -> Scene:
     """A scene with its targets."""
     scene, settings = piece
-    targets = certify_targets(scene, settings.robot, most=settings.targets, smallest=settings.smallest_target)
+    targets = certify_targets(scene, settings.robot, most=settings.max_targets, smallest=settings.min_target_radius)
     return scene.model_copy(update={"targets": targets})
 
 

@@ -1,6 +1,6 @@
-"""A compiled scene after its obstacles moved: the same geoms elsewhere, without compiling anew.
+"""Move the obstacles of a compiled scene without compiling it again.
 
-A true row has up to 20,000 geoms, which MuJoCo compiles in two seconds; to move them takes a twentieth of that.
+A true row has up to 20,000 geoms, which MuJoCo compiles in two seconds; moving them takes a twentieth of that.
 """
 
 from __future__ import annotations
@@ -15,32 +15,32 @@ from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.scene.mjcf import CompiledScene, geom_of
 from greenhouse_gym.scene.obstacles import Surroundings
 
-_UNTURNED = np.array([1.0, 0.0, 0.0, 0.0])
+_NO_ROTATION = np.array([1.0, 0.0, 0.0, 0.0])
 
 
-def moved_to(compiled: CompiledScene, scene: Surroundings) -> CompiledScene:
-    """A compiled scene whose obstacles are those of another, in which they are elsewhere.
+def move_obstacles(compiled: CompiledScene, scene: Surroundings) -> CompiledScene:
+    """Return a copy of a compiled scene with the obstacles where another scene has them.
 
     Args:
-        compiled: The scene before; it stays as it is.
-        scene: The same obstacles in the same order: they may have been moved and turned, and capsules stretched.
+        compiled: The scene before; it stays unchanged.
+        scene: The same obstacles in the same order, possibly moved and rotated, capsules possibly stretched.
 
     Raises:
-        InvalidValueError: They are others.
+        InvalidValueError: The scene has other obstacles.
     """
     geoms = [geom_of(shape) for shape in scene.obstacles]
     types = np.array([geom.type for geom in geoms], dtype=np.int64)
     first = compiled.obstacle_geoms.start
-    these = slice(first, first + len(geoms))
+    ids = slice(first, first + len(geoms))
     model = copy.copy(compiled.model)
-    if len(geoms) != len(compiled.scene.obstacles) or (model.geom_type[these] != types).any():
+    if len(geoms) != len(compiled.scene.obstacles) or (model.geom_type[ids] != types).any():
         raise InvalidValueError(f"scene {scene.name!r} has other obstacles than it had before they moved")
     quats = np.array([geom.quat for geom in geoms]).reshape(-1, 4)
-    model.geom_pos[these] = np.array([geom.pos for geom in geoms]).reshape(-1, 3)
-    model.geom_quat[these] = quats
-    turned = (quats != _UNTURNED).any(axis=1)
-    model.geom_sameframe[these] = np.where(
-        turned, mujoco.mjtSameFrame.mjSAMEFRAME_NONE, mujoco.mjtSameFrame.mjSAMEFRAME_BODYROT
+    model.geom_pos[ids] = np.array([geom.pos for geom in geoms]).reshape(-1, 3)
+    model.geom_quat[ids] = quats
+    rotated = (quats != _NO_ROTATION).any(axis=1)
+    model.geom_sameframe[ids] = np.where(
+        rotated, mujoco.mjtSameFrame.mjSAMEFRAME_NONE, mujoco.mjtSameFrame.mjSAMEFRAME_BODYROT
     )
     for k in np.flatnonzero(types == mujoco.mjtGeom.mjGEOM_CAPSULE).tolist():
         radius, half, _ = geoms[k].size
@@ -51,7 +51,7 @@ def moved_to(compiled: CompiledScene, scene: Surroundings) -> CompiledScene:
 
 
 def _refit_world(model: mujoco.MjModel) -> None:
-    """Have the boxes of the world body's bounding-volume tree enclose its geoms where they are now."""
+    """Fit the boxes of the world body's bounding-volume tree to the present poses of its geoms."""
     nodes = slice(model.body_bvhadr[0], model.body_bvhadr[0] + model.body_bvhnum[0])
     geom, depth, child, box = (
         part[nodes] for part in (model.bvh_nodeid, model.bvh_depth, model.bvh_child, model.bvh_aabb)

@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from seen_helpers import seen_where, with_surface_at
+from occupancy_helpers import known_where, with_surface_at
 
 from greenhouse_gym.agents import PlannerAgent, Problem
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, distance_to_shapes
 from greenhouse_gym.motion.collision import CollisionChecker, planning_model
-from greenhouse_gym.motion.unexplained_cells import shapeless, with_surfaces
+from greenhouse_gym.motion.unexplained_cells import unexplained_cells, with_unexplained_cells
 from greenhouse_gym.planning import plan
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.robots.kinematics import tool_chain, tool_state
@@ -24,10 +24,10 @@ ARM = get_robot("ur5e")
 
 def far_from_shapes(scene: Scene) -> Array:
     """(3,) the middle of a voxel before the arm, as far from all shapes as any between it and them."""
-    space = seen_where(scene, None).seen
+    space = known_where(scene, None).occupancy
     assert space is not None
     centers = space.centers.reshape(-1, 3)
-    shoulder = scene.stand.position + [0.0, 0.0, scene.stand.shoulder_height]
+    shoulder = scene.placement.position + [0.0, 0.0, scene.placement.shoulder_height]
     away = np.linalg.norm(centers - shoulder, axis=1)
     centers = centers[(away > 0.7) & (away < REACH - 0.2) & (centers[:, 2] > 0.5)]
     return np.asarray(centers[distance_to_shapes(centers, scene.obstacles).min(axis=1).argmax()])
@@ -36,8 +36,8 @@ def far_from_shapes(scene: Scene) -> Array:
 def test_a_surface_without_a_shape_becomes_clutter(scene: Scene) -> None:
     bare, tomato = far_from_shapes(scene), scene.tomatoes[0].center
     seen = with_surface_at(scene, np.array([bare, tomato]))
-    assert shapeless(seen).sum() == 1
-    after = with_surfaces(seen, ARM, ARM.start)
+    assert unexplained_cells(seen).sum() == 1
+    after = with_unexplained_cells(seen, ARM, ARM.start)
     assert len(after.clutter) == len(scene.clutter) + 1
     assert distance_to_shapes(bare[None], [after.clutter[-1]])[0, 0] < 0
     assert after.tomatoes is seen.tomatoes
@@ -45,20 +45,20 @@ def test_a_surface_without_a_shape_becomes_clutter(scene: Scene) -> None:
 
 @pytest.mark.parametrize("seen", [None, 0.0])
 def test_where_no_surface_lacks_a_shape_the_scene_stays_as_it_is(scene: Scene, seen: float | None) -> None:
-    assert with_surfaces(scene, ARM, ARM.start) is scene
-    other = seen_where(scene, seen)
-    assert with_surfaces(other, ARM, ARM.start) is other
+    assert with_unexplained_cells(scene, ARM, ARM.start) is scene
+    other = known_where(scene, seen)
+    assert with_unexplained_cells(other, ARM, ARM.start) is other
 
 
 def test_the_arm_may_start_beside_a_surface(scene: Scene) -> None:
-    space = seen_where(scene, None).seen
+    space = known_where(scene, None).occupancy
     assert space is not None
     everywhere = with_surface_at(scene, space.centers.reshape(-1, 3))
-    after = with_surfaces(everywhere, ARM, ARM.start)
+    after = with_unexplained_cells(everywhere, ARM, ARM.start)
     assert len(after.clutter) > len(scene.clutter)
     assert CollisionChecker(planning_model(compile_scene(after, ARM), 0)).is_free(ARM.start)
-    shoulder = scene.stand.position + [0.0, 0.0, scene.stand.shoulder_height]
-    middles = space.centers[shapeless(everywhere)]
+    shoulder = scene.placement.position + [0.0, 0.0, scene.placement.shoulder_height]
+    middles = space.centers[unexplained_cells(everywhere)]
     assert np.linalg.norm(middles - shoulder, axis=1).max() < REACH
     assert distance_to_shapes(middles, scene.obstacles).min() > 0.03
 
@@ -79,18 +79,18 @@ def test_plans_keep_out_of_surfaces_where_they_are_asked_to(scene: Scene) -> Non
     far &= distance_to_shapes(places, scene.obstacles).min(axis=1) > 0.06
     far &= np.linalg.norm(places - places[0], axis=1) > 0.3
     seen = with_surface_at(scene, places[far])
-    around = CollisionChecker(planning_model(compile_scene(with_surfaces(seen, ARM, ARM.start), ARM), 0))
-    heedless, heeding = plan(seen, 0, ARM, **options), plan(seen, 0, ARM, surfaces=True, **options)
+    around = CollisionChecker(planning_model(compile_scene(with_unexplained_cells(seen, ARM, ARM.start), ARM), 0))
+    heedless, heeding = plan(seen, 0, ARM, **options), plan(seen, 0, ARM, unexplained=True, **options)
     assert heedless.path is not None
     assert heeding.path is not None
     assert not around.path_is_free(heedless.path, 0.01)
     assert around.path_is_free(heeding.path, 0.01)
-    agent = PlannerAgent(max_checks=30_000, goals=20, unseen="free", margin=0.0, surfaces=True)
+    agent = PlannerAgent(max_checks=30_000, goals=20, unknown="free", margin=0.0, unexplained=True)
     agent.reset(Problem(seen, 0, ARM, ARM.start, 1))
     assert agent.result is not None
     np.testing.assert_array_equal(agent.result.path, heeding.path)
 
 
 def test_surfaces_of_a_scene_that_says_nothing_of_them_are_refused(scene: Scene) -> None:
-    with pytest.raises(InvalidValueError, match="surfaces=True"):
-        plan(scene, 0, ARM, surfaces=True)
+    with pytest.raises(InvalidValueError, match="unexplained=True"):
+        plan(scene, 0, ARM, unexplained=True)
