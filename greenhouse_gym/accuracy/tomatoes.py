@@ -113,8 +113,14 @@ class TomatoComparison:
         return self._select((self.visible_fraction >= low) & (self.visible_fraction < high), np.zeros(0))
 
     def _select(self, rows: npt.NDArray[np.bool_], false: Array) -> TomatoComparison:
-        columns = (self.ripeness, self.visible_fraction, self.center_error, self.diameter_error)
-        return TomatoComparison(*(column[rows] for column in columns), false, np.zeros(0, dtype=bool))
+        return TomatoComparison(
+            self.ripeness[rows],
+            self.visible_fraction[rows],
+            self.center_error[rows],
+            self.diameter_error[rows],
+            false,
+            np.zeros(0, dtype=bool),
+        )
 
 
 def compare_tomatoes(true: Sequence[Tomato], visibility: Visibility, found: Sequence[Tomato]) -> TomatoComparison:
