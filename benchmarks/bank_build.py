@@ -58,7 +58,7 @@ def build(shot: shipped.Shot) -> dict[str, object]:
     clock.lap("shapes")
     scenes = cut_scenes(row, shapes, recording, shot.week, settings, origin)
     clock.lap("cut, truth, seen space")
-    targets = [certify_targets(scene, settings.robot, most=settings.targets) for scene in scenes]
+    targets = [certify_targets(scene, settings.robot, max_targets=settings.targets) for scene in scenes]
     clock.lap("certify")
     made = [scene.model_copy(update={"targets": of}) for scene, of in zip(scenes, targets, strict=True)]
     shipped_ones = [scene for scene in SceneBank.open("default") if scene.name.startswith(f"{shot.name}-")]

@@ -18,7 +18,7 @@ from statistics import median
 
 from results_file import RESULTS, write_results
 
-from greenhouse_gym.planning.audit import faults_of
+from greenhouse_gym.planning.audit import bank_faults
 from greenhouse_gym.scene import SceneBank
 
 CODE = """
@@ -46,7 +46,7 @@ def main() -> None:
     bank = SceneBank.open("default")
     witnesses = sum(target.witness is not None for scene in bank for target in scene.targets)
     began = time.process_time(), time.perf_counter()
-    faults = list(faults_of(bank))
+    faults = list(bank_faults(bank))
     result["check"] = {
         "scenes": len(bank),
         "sha256": bank.sha256,

@@ -33,7 +33,7 @@ from greenhouse_gym.capture import Recording, open_recording, simulate_recording
 from greenhouse_gym.common.executors import RayExecutor, processes
 from greenhouse_gym.crops import grow_row
 from greenhouse_gym.evaluation import evaluate
-from greenhouse_gym.planning.sweep import SweepSettings, reachable_targets, sweep_planners
+from greenhouse_gym.planning.planner_sweep import SweepSettings, reachable_targets, sweep_planners
 from greenhouse_gym.scene import SceneBank
 
 FIRST_SEED = 950

@@ -215,7 +215,7 @@ def planner_arena_database(runs: Sequence[Run], path: Path, setup: str) -> None:
         groups.setdefault(key, []).append(run)
     planners = {}
     for name in _by_planner(runs):
-        settings = json.dumps(vars(PLANNERS[name].settings))
+        settings = json.dumps(dict(PLANNERS[name].settings))
         cursor = connection.execute("INSERT INTO plannerConfigs (name, settings) VALUES (?, ?)", (name, settings))
         planners[name] = cursor.lastrowid
     for (name, limit), group in groups.items():

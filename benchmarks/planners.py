@@ -28,7 +28,7 @@ from results_file import RESULTS, write_results
 from greenhouse_gym.common.executors import BACKENDS, executor_for
 from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.planning import PAPER_PLANNERS, PLANNERS
-from greenhouse_gym.planning.sweep import SweepSettings, reachable_targets, sweep_planners
+from greenhouse_gym.planning.planner_sweep import SweepSettings, reachable_targets, sweep_planners
 from greenhouse_gym.scene import SceneBank
 
 DEFAULT_PLANNERS = ("RRTConnect", "LazyPRM", "LBKPIECE1", "SBL", "BKPIECE1", "PRM", "RRT", "EST", "STRIDE")

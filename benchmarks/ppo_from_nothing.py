@@ -26,8 +26,7 @@ from greenhouse_gym.agents import PolicyAgent, ShieldedAgent
 from greenhouse_gym.common.settings_files import resolve
 from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.learning import PpoSettings, train_ppo
-from greenhouse_gym.learning.checkpoints import NAME as CHECKPOINT
-from greenhouse_gym.learning.curves import CURVE, VALIDATION, read_curve
+from greenhouse_gym.learning.training_files import CHECKPOINT, CURVE, VALIDATION, read_curve
 from greenhouse_gym.scene import SceneBank
 
 EPISODES = {"validation": (500, FIRST_SEED), "test": (1000, 0)}

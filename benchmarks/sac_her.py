@@ -3,11 +3,11 @@
 python benchmarks/sac_her.py
 python benchmarks/sac_her.py --guided --seeds 0,1,2 --steps 60000 --test 1000 --out sac_her_guided.json
 
-Trains with the default settings for some minutes of processor time, or so many steps, and writes the curve of each
-training seed to results/sac_her.json. What counts are episodes of the validation split, whose rows were not trained
-on, judged without the policy's noise. With ``--guided`` the bank is ``default``, the targets are easy and medium, the
-reward is sparse, the waypoint is observed, the memory begins with demonstrations by the rule that follows it, and the
-actor is held near that. With ``--test`` what was learned plays so many test episodes at the end, and so does the rule.
+Trains with the default settings for some minutes, or so many steps, and writes the curve of each training seed to
+results/sac_her.json. What counts are episodes of the validation split, whose rows were not trained on, judged without
+the policy's noise. With ``--guided`` the bank is ``default``, the targets are easy and medium, the reward is sparse,
+the waypoint is observed, the memory begins with demonstrations by the rule that follows it, and the actor is held near
+that. With ``--test`` what was learned plays so many test episodes at the end, and so does the rule.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from greenhouse_gym.agents import Agent, RandomAgent
 from greenhouse_gym.agents.named import make_agent
 from greenhouse_gym.evaluation import Evaluation, evaluate, wilson_interval
 from greenhouse_gym.learning.sac import SacSettings, env_options, load_sac, train_sac
-from greenhouse_gym.learning.sac_report import SacProgress
 from greenhouse_gym.learning.sb3 import Sb3Agent
+from greenhouse_gym.learning.training_run import Validation
 
 GUIDED: dict[str, Any] = {
     "bank": "default",
@@ -71,14 +71,14 @@ def learn(settings: SacSettings, minutes: float | None, test: int, figures: dict
     """Train from one seed; ``figures`` and the file ``out`` get its curve and how it plays test episodes."""
     curve = figures["seeds"][str(settings.seed)] = []
 
-    def note(progress: SacProgress) -> None:
-        row = {name: getattr(progress, name) for name in ("steps", "updates", "seconds")}
-        curve.append({**row, "train": shares(progress.train), "validation": shares(progress.validation)})
+    def note(validation: Validation) -> None:
+        row = {name: getattr(validation, name) for name in ("steps", "updates", "seconds")}
+        curve.append({**row, **{split: shares(result) for split, result in validation.results.items()}})
         print(settings.seed, curve[-1], flush=True)
         write_results(out, figures, ("stable-baselines3", "torch", "mujoco"))
 
     with tempfile.TemporaryDirectory() as folder:
-        train_sac(settings, folder, minutes=minutes, tell=note)
+        train_sac(settings, folder, time_limit=None if minutes is None else 60 * minutes, tell=note)
         if test:
             note_test(f"seed {settings.seed}", Sb3Agent(load_sac(folder)), settings, test, figures, out)
 

@@ -24,11 +24,11 @@ from statistics import median
 from typing import Any
 
 import numpy as np
+from greenhouse_gym.learning.sb3_ray import make_sb3_ray_vec_env
 from results_file import RESULTS, write_results
 
 from greenhouse_gym.learning import PpoSettings, train_ppo
 from greenhouse_gym.learning.sb3 import make_sb3_vec_env
-from greenhouse_gym.learning.sb3_ray import make_sb3_ray_vec_env
 
 ACTORS = 2
 WARM = 100  # steps of all simulations, in which many episodes end and the scenes of the bank are met

@@ -1,19 +1,19 @@
-"""A planner of your own: back out of a goal a little at a time until the way to the start is free.
+"""A planner of your own: back out of a goal step by step until the motion to the start is free.
 
 python examples/own_planner.py
 """
 
 import numpy as np
 
-from greenhouse_gym.planning import PlannerSettings, PlanningProblem, plan, register_planner
+from greenhouse_gym.planning import PlanningProblem, plan, register_planner
 from greenhouse_gym.scene import SceneBank
 
 
-def retreat(problem: PlanningProblem, settings: PlannerSettings) -> np.ndarray | None:
-    """Start, a place on the way back from a goal turned to the start's first joints, goal."""
+def retreat(problem: PlanningProblem, settings: None) -> np.ndarray | None:
+    """Return a path over a configuration near a goal, with its first joints turned back towards the start."""
     for goal in problem.goals:
-        for share in (0.0, 0.25, 0.5, 0.75):
-            via = np.where(np.arange(len(goal)) < len(goal) // 2, share * problem.start + (1 - share) * goal, goal)
+        for back in (0.0, 0.25, 0.5, 0.75):
+            via = np.where(np.arange(len(goal)) < len(goal) // 2, back * problem.start + (1 - back) * goal, goal)
             if problem.is_free(via) and problem.path_is_free([problem.start, via, goal]):
                 return np.stack([problem.start, via, goal])
     return None

@@ -250,7 +250,7 @@ def test_plan_finds_a_path_and_draws_it(bank: SceneBank, tmp_path: Path) -> None
     picture = tmp_path / "path.png"
     result = CliRunner().invoke(
         app,
-        [*plan_to(bank), "--setting", "range=0.5", "--picture", str(picture)],
+        [*plan_to(bank), "--set", "range=0.5", "--picture", str(picture)],
     )
     assert result.exit_code == 0, result.output
     assert "| RRTConnect | solved |" in result.output
@@ -271,9 +271,9 @@ def test_plan_with_all_planners_prints_a_table(bank: SceneBank) -> None:
 
 
 def test_plan_names_settings_that_are_none(bank: SceneBank) -> None:
-    assert "Did you mean 'range'" in str(fails(*plan_to(bank), "--setting", "rang=0.5"))
-    assert "as range=0.5" in str(fails(*plan_to(bank), "--setting", "range=far"))
-    assert "--all" in str(fails(*plan_to(bank), "--setting", "range=0.5", "--all"))
+    assert "Did you mean 'range'" in str(fails(*plan_to(bank), "--set", "rang=0.5"))
+    assert "such as range=0.5" in str(fails(*plan_to(bank), "--set", "range=far"))
+    assert "--all" in str(fails(*plan_to(bank), "--set", "range=0.5", "--all"))
 
 
 def test_plan_to_what_cannot_be_reached_exits_with_2(bank: SceneBank, tmp_path: Path) -> None:
@@ -327,7 +327,7 @@ def test_a_recording_that_is_not_there_is_told(tmp_path: Path, command: str, opt
     [
         (("compare", "{}/policy.json"), "policy.json: there is no such file; expected a policy's description"),
         (("compare", "{}/mine.py:Mine"), "mine.py: there is no such file; expected Python code"),
-        (("mount", "{}/arm.xml", "--out", "{}/out.xml"), "arm.xml: there is no such file; expected an arm's MJCF file"),
+        (("mount", "{}/arm.xml", "--out", "{}/out.xml"), "arm.xml: no such file; expected an arm's MJCF file"),
         (("compare", "still", "--robot", "{}/arm.xml", "--bank", "mini"), "arm.xml: there is no such file"),
         (("leaderboard", "{}"), "holds no entry; `greenhouse-gym submit` writes one"),
         (("compare", "still", "--bank", "mini", "--timeout", "-1"), "timeout must be a positive number of seconds"),

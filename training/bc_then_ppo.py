@@ -1,8 +1,8 @@
-"""Imitate a teacher that knows the scenes, then train on with PPO; judge the policy on validation rows.
+"""Imitate a teacher that knows the scenes, then continue with PPO, and validate the policy.
 
 python training/bc_then_ppo.py --out runs/bc --set ppo.total_steps=1000000 --set imitation.steps=400000
 
-Every setting can be given by ``--set``, inner ones with a point; ``--print`` lists them with what they mean.
+Every setting can be given by ``--set``, inner ones with a dot; ``--print`` lists and explains them.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from greenhouse_gym.learning import BcThenPpoSettings, train_bc_then_ppo
 
 
 def main() -> None:
-    """Train, then play validation episodes."""
+    """Train, then evaluate the policy on validation episodes."""
     arguments, settings = parsed(__doc__, BcThenPpoSettings(), "runs/bc-then-ppo", 512)
     path = train_bc_then_ppo(
         settings, arguments.out, resume=arguments.resume, tell=lambda steps, figures: print(steps, figures, flush=True)

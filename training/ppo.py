@@ -1,8 +1,8 @@
-"""Train a reaching policy with PPO; judge it on validation rows.
+"""Train a reaching policy with PPO and validate it.
 
 python training/ppo.py --out runs/ppo-ur5e --set total_steps=2000000 --set robot=ur5e
 
-Every setting can be given by ``--set``; ``--print`` lists them with what they mean.
+Every setting can be given by ``--set``; ``--print`` lists and explains them.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from greenhouse_gym.learning import PpoSettings, train_ppo
 
 
 def main() -> None:
-    """Train, then play validation episodes with the policy and at random."""
+    """Train, then compare the policy with random actions on validation episodes."""
     arguments, settings = parsed(__doc__, PpoSettings(), "runs/ppo-ur5e", 512)
     path = train_ppo(settings, arguments.out, resume=arguments.resume)
     agents = (PolicyAgent.load(path), RandomAgent())

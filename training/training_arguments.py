@@ -1,4 +1,4 @@
-"""The command line of the training scripts whose settings can all be given by name."""
+"""Command line of the training scripts."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ Settings = TypeVar("Settings")
 
 
 def parsed(description: str | None, defaults: Settings, out: str, episodes: int) -> tuple[argparse.Namespace, Settings]:
-    """What a script is asked for; ``--print`` ends it after all settings are told.
+    """Parse the command line; ``--print`` lists all settings and exits.
 
     Args:
-        description: What the script does.
+        description: Description of the script.
         defaults: A dataclass of settings.
-        out: Folder for the results, where no other is given.
-        episodes: Validation episodes, where no other number is given.
+        out: Default folder for the results.
+        episodes: Default number of validation episodes.
 
     Returns:
         The arguments ``out``, ``resume`` and ``episodes``, and the settings.
@@ -27,8 +27,8 @@ def parsed(description: str | None, defaults: Settings, out: str, episodes: int)
     parser.add_argument("--out", type=Path, default=Path(out))
     parser.add_argument("--settings", type=Path, help="TOML or JSON file of settings")
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
-    parser.add_argument("--print", action="store_true", help="print all settings and do no more")
-    parser.add_argument("--resume", action="store_true", help="go on with the training in the folder")
+    parser.add_argument("--print", action="store_true", help="print all settings and exit")
+    parser.add_argument("--resume", action="store_true", help="resume the training in the folder")
     parser.add_argument("--episodes", type=int, default=episodes, help="validation episodes at the end")
     arguments = parser.parse_args()
     settings = resolve(defaults, arguments.settings, arguments.set)

@@ -104,8 +104,7 @@ class Guide:
         nearest = goals[np.linalg.norm(goals - joints, axis=1).argsort()[:NEAREST]]
         self._plans += 1
         result = plan_with(
-            self._compiled, checker, self._target, "RRTConnect", None, PLAN_CHECKS, nearest, self._seed + self._plans,
-            joints,
+            self._compiled, checker, nearest, "RRTConnect", None, PLAN_CHECKS, self._seed + self._plans, joints,
         )  # fmt: skip
         if result.path is None:
             return None

@@ -13,7 +13,7 @@ from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.envs.actions import INTERVAL, joint_steps
 from greenhouse_gym.envs.settings import check_whole
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.planning import PLANNERS, PlannerSettings, PlanResult, follow_path, free_commands, plan
+from greenhouse_gym.planning import PLANNERS, PlanResult, follow_path, free_commands, plan
 from greenhouse_gym.scene import Scene, compile_scene
 
 CAREFUL = 0.15
@@ -83,7 +83,7 @@ class PlannerAgent:
         max_checks: Collision checks after which it stops, or None; the usual number takes some seconds.
         goals: Number of goal configurations.
         name: Shown in tables; the planner's name when left out.
-        settings: The planner's settings; its usual ones when left out.
+        settings: Parameters of the planner to change, as `greenhouse_gym.planning.plan` takes them.
         unknown: What space that the scan did not see is, as `greenhouse_gym.planning.plan` takes it. When left out, it
             is entered no deeper than `CAREFUL`, but free where a scene does not say what was seen, and where its
             protocol is one of `SEEN_ENOUGH`.
@@ -97,7 +97,7 @@ class PlannerAgent:
         result: The last episode's plan, or None before the first.
 
     Raises:
-        UnknownNameError: No such planner.
+        UnknownNameError: No such planner, or no such parameter of it.
         InvalidValueError: The attempts are no whole number from 1 up.
     """
 
@@ -110,13 +110,14 @@ class PlannerAgent:
         max_checks: int | None = 100_000,
         goals: int = 60,
         name: str | None = None,
-        settings: PlannerSettings | None = None,
+        settings: Mapping[str, float] | None = None,
         unknown: str | float | None = None,
         margin: float | None = None,
         attempts: int = 1,
         unexplained: bool = False,
     ):
-        self.planner, self.settings, self.unknown, self.margin = PLANNERS[planner].name, settings, unknown, margin
+        self.planner, self.unknown, self.margin = PLANNERS[planner].name, unknown, margin
+        self.settings = PLANNERS[planner].with_settings(settings or {})
         self.unexplained = unexplained
         self.time_limit, self.max_checks, self.goals = time_limit, max_checks, goals
         self.name, self.attempts = name or planner, check_whole("attempts", attempts, 1)

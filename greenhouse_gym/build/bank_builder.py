@@ -208,7 +208,9 @@ def _standing(name: str, cut: Sequence[Scene], settings: BuildSettings, report: 
 def _certified(piece: tuple[Scene, BuildSettings]) -> Scene:
     """A scene with its targets."""
     scene, settings = piece
-    targets = certify_targets(scene, settings.robot, most=settings.max_targets, smallest=settings.min_target_radius)
+    targets = certify_targets(
+        scene, settings.robot, max_targets=settings.max_targets, min_radius=settings.min_target_radius
+    )
     return scene.model_copy(update={"targets": targets})
 
 

@@ -21,19 +21,25 @@ Bank = Annotated[str, typer.Option(help="A shipped bank's name or a bank's folde
 def plan(
     scene: Annotated[str, typer.Option(help="Name of the scene in the bank; its first one by default.")] = "",
     target: Annotated[int, typer.Option(help="Index of the tomato in the scene.")] = 0,
-    planner: Annotated[str, typer.Option(help="A planner's name.")] = "RRTConnect",
-    all_planners: Annotated[bool, typer.Option("--all", help="Run every planner there is.")] = False,
+    planner: Annotated[str, typer.Option(help="Name of a planner.")] = "RRTConnect",
+    all_planners: Annotated[bool, typer.Option("--all", help="Run all planners.")] = False,
     bank: Bank = "default",
     robot: Annotated[str, typer.Option(help="Name or file of the arm.")] = "ur5e",
     time_limit: Annotated[
         float | None, typer.Option(help="Seconds per planner; 5 unless --max-checks limits it.")
     ] = None,
     max_checks: Annotated[int | None, typer.Option(help="Collision checks after which a planner stops.")] = None,
-    setting: Annotated[list[str] | None, typer.Option(help="A setting of the planner, such as range=0.5.")] = None,
+    setting: Annotated[
+        list[str] | None, typer.Option("--set", help="A parameter of the planner, such as range=0.5; may be repeated.")
+    ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the goal search and the planner.")] = 0,
     picture: Annotated[Path | None, typer.Option(help="PNG file for a picture of the shortest path.")] = None,
 ) -> None:
-    """Plan a path to a tomato with one planner, or with all of them on the same goals, and print a table."""
+    """Plan a path to a tomato with one planner, or with all of them on the same goals, and print a table.
+
+    BiTRRT, CForest, pRRT and pSBL have no Python bindings in OMPL 1.7.0 and are called by the memory layout of that
+    wheel; with another build they may end as "crashed".
+    """
     from greenhouse_gym.errors import InvalidValueError
     from greenhouse_gym.planning import PLANNERS, goal_configurations, resample
     from greenhouse_gym.planning import plan as plan_path
@@ -43,10 +49,12 @@ def plan(
     if time_limit is None and max_checks is None:
         time_limit = 5.0
     if all_planners and setting:
-        raise InvalidValueError("--setting goes with one planner, not with --all")
+        raise InvalidValueError("--set needs one planner; it does not go with --all")
     opened = SceneBank.open(bank)
     chosen = opened.scene(scene) if scene else opened[0]
-    settings = None if all_planners else PLANNERS[planner].with_settings(**_settings(setting or []))
+    settings = _settings(setting or [])
+    if not all_planners:
+        PLANNERS[planner].with_settings(settings)  # raises before the goals are searched
     goals = goal_configurations(chosen, target, robot, seed=seed)
     results = []
     for name in track(list(PLANNERS) if all_planners else [planner], "planning", disable=not CONSOLE.is_terminal):
@@ -70,10 +78,10 @@ def plan(
 
 
 def _settings(texts: Sequence[str]) -> dict[str, bool | int | float]:
-    """Settings from texts such as range=0.5.
+    """Parse settings such as range=0.5.
 
     Raises:
-        InvalidValueError: A text is no setting.
+        InvalidValueError: A text is not a name and a value.
     """
     from greenhouse_gym.errors import InvalidValueError
 
@@ -85,7 +93,7 @@ def _settings(texts: Sequence[str]) -> dict[str, bool | int | float]:
         except (ValueError, SyntaxError):
             parsed = None
         if not isinstance(parsed, bool | int | float):
-            raise InvalidValueError(f"setting {text!r}: expected a name and a number, True or False, as range=0.5")
+            raise InvalidValueError(f"--set {text!r}: expected a name and a number, True or False, such as range=0.5")
         values[name] = parsed
     return values
 

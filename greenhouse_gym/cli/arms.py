@@ -14,11 +14,9 @@ from greenhouse_gym.common.progress import progress, say
 def mount(
     arm: Annotated[Path, typer.Argument(help="The arm's MJCF file, without a tool.")],
     out: Annotated[Path, typer.Option(help="The file to write.")],
-    flange: Annotated[
-        str | None, typer.Option(help="Name of the site at the flange; the usual ones are found.")
-    ] = None,
+    flange: Annotated[str | None, typer.Option(help="Name of the site at the flange; common names are found.")] = None,
 ) -> None:
-    """Write an arm's file anew with the package's gripper at its flange and a start that is free."""
+    """Write a copy of an arm's file with the package's gripper at its flange and a collision-free start."""
     from greenhouse_gym.robots import get_robot, mount_tool
 
     robot = get_robot(mount_tool(arm, out, flange))
@@ -31,10 +29,12 @@ def rate(
     robot: Annotated[str, typer.Option(help="Name or file of the arm.")],
     out: Annotated[Path, typer.Option(help="Folder of the new bank.")],
     seed: Annotated[int, typer.Option(help="Seed of the goal searches and planners.")] = 0,
-    per_scene: Annotated[int | None, typer.Option(min=1, help="Rate only so many of each scene, the nearest.")] = None,
+    per_scene: Annotated[
+        int | None, typer.Option(min=1, help="Number of tomatoes to rate per scene, the nearest.")
+    ] = None,
 ) -> None:
-    """Rate the targets of a bank for another arm and write a bank beside it; an interrupted run goes on."""
-    from greenhouse_gym.planning.rate import rate_bank
+    """Rate the targets of a bank for another arm and write a new bank; resumes an interrupted run."""
+    from greenhouse_gym.planning.certify import rate_bank
     from greenhouse_gym.robots import get_robot
     from greenhouse_gym.scene import SceneBank
 

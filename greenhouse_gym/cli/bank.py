@@ -35,12 +35,12 @@ def check(
     witnesses: Annotated[bool, typer.Option(help="Replay every witness in the simulator's world.")] = True,
 ) -> None:
     """Check a bank's files, checksums, manifest and witnesses; each fault is a line, and the exit status is then 1."""
-    from greenhouse_gym.planning.audit import faults_of
+    from greenhouse_gym.planning.audit import bank_faults
     from greenhouse_gym.scene import SceneBank
 
     opened = SceneBank.open(bank)
     with progress("scenes", len(opened)) as report:
-        faults = list(faults_of(opened, witnesses, report))
+        faults = list(bank_faults(opened, witnesses, report))
     for fault in faults:
         typer.echo(fault)
     if faults:

@@ -1,23 +1,19 @@
-"""The command that trains policies."""
+"""The command ``train``."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 
 from greenhouse_gym.cli.acting import Bank
 from greenhouse_gym.cli.settings import Assignments, SettingsFile
-from greenhouse_gym.cli.spread import Address
 from greenhouse_gym.common.progress import say
 
-if TYPE_CHECKING:
-    from greenhouse_gym.learning.sac_report import SacProgress
-
 ALGORITHMS = ("ppo", "bc-then-ppo", "depth", "sac-her")
-"""What can be trained with."""
+"""Algorithms of the command."""
 
 
 def train(
@@ -34,40 +30,31 @@ def train(
     bank: Bank = "default",
     steps: Annotated[int, typer.Option(help="Environment steps of PPO and SAC; depth has none.")] = 2_000_000,
     seed: Annotated[int, typer.Option(help="Seed of scenes, weights and noise.")] = 0,
-    resume: Annotated[bool, typer.Option(help="Go on from the checkpoint in the folder of results.")] = False,
-    actors: Annotated[
-        int, typer.Option(min=0, help="Processes of a Ray cluster that step PPO's simulations; with 0 this one does.")
-    ] = 0,
-    address: Address = "local",
+    resume: Annotated[bool, typer.Option(help="Continue from the checkpoint in the folder of results.")] = False,
     settings: SettingsFile = None,
     assignments: Assignments = None,
     print_settings: Annotated[
-        bool, typer.Option("--print-settings", help="Print all settings of the algorithm, and do no more.")
+        bool, typer.Option("--print-settings", help="Print all settings of the algorithm and exit.")
     ] = False,
 ) -> None:
-    """Train a policy. Settings from a file and from --set replace what --bank, --steps and --seed say."""
-    from functools import partial
-
+    """Train a policy. Settings from a file and from --set replace --bank, --steps and --seed."""
     from greenhouse_gym.common.files import write_atomically
     from greenhouse_gym.common.settings_files import as_toml, resolve
     from greenhouse_gym.errors import require_choice
-    from greenhouse_gym.learning.sb3 import make_sb3_vec_env
-    from greenhouse_gym.learning.sb3_ray import make_sb3_ray_vec_env
 
-    usual = _settings(require_choice("algorithm", algorithm, ALGORITHMS), bank, steps, seed)
-    wanted = resolve(usual, settings, assignments or ())
+    defaults = _settings(require_choice("algorithm", algorithm, ALGORITHMS), bank, steps, seed)
+    chosen = resolve(defaults, settings, assignments or ())
     if print_settings:
-        typer.echo(as_toml(wanted, comments=True), nl=False)
+        typer.echo(as_toml(chosen, comments=True), nl=False)
         return
-    make_env = partial(make_sb3_ray_vec_env, actors=actors, address=address) if actors else make_sb3_vec_env
     folder = Path("runs") / algorithm if out is None else out
-    result = _trained(wanted, folder, resume, make_env)
-    write_atomically(folder / "settings.toml", as_toml(wanted))
-    say(f"{'checkpoint' if algorithm == 'sac-her' else 'policy'} in {result}")
+    policy = _train(chosen, folder, resume)
+    write_atomically(folder / "settings.toml", as_toml(chosen))
+    say(f"policy in {policy}")
 
 
 def _settings(algorithm: str, bank: str, steps: int, seed: int) -> object:
-    """The usual settings of an algorithm."""
+    """Return the default settings of an algorithm."""
     from dataclasses import replace
 
     from greenhouse_gym.learning import BcThenPpoSettings, DepthSettings, PpoSettings, SacSettings
@@ -78,12 +65,12 @@ def _settings(algorithm: str, bank: str, steps: int, seed: int) -> object:
         return SacSettings(bank=bank, total_steps=steps, seed=seed)
     if algorithm == "ppo":
         return PpoSettings(bank=bank, total_steps=steps, seed=seed)
-    usual = BcThenPpoSettings()
-    return replace(usual, ppo=replace(usual.ppo, bank=bank, total_steps=steps, seed=seed))
+    defaults = BcThenPpoSettings()
+    return replace(defaults, ppo=replace(defaults.ppo, bank=bank, total_steps=steps, seed=seed))
 
 
-def _trained(settings: object, out: Path, resume: bool, make_env: Callable[..., Any]) -> Path:
-    """Train as settings say: the file that holds what was learned."""
+def _train(settings: object, out: Path, resume: bool) -> Path:
+    """Train with the algorithm of the settings and return the policy's file."""
     from greenhouse_gym.learning import (
         BcThenPpoSettings,
         DepthSettings,
@@ -97,27 +84,19 @@ def _trained(settings: object, out: Path, resume: bool, make_env: Callable[..., 
 
     match settings:
         case PpoSettings():
-            return train_ppo(settings, out, resume=resume, make_env=make_env)
+            return train_ppo(settings, out, resume=resume)
         case BcThenPpoSettings():
-            return train_bc_then_ppo(settings, out, resume=resume, tell=_told("steps"), make_env=make_env)
+            return train_bc_then_ppo(settings, out, resume=resume, tell=_print_figures("steps"))
         case DepthSettings():
-            return train_depth(settings, out, resume=resume, tell=_told("episodes"))
+            return train_depth(settings, out, resume=resume, tell=_print_figures("episodes"))
         case SacSettings():
-            return train_sac(settings, out, resume=resume, tell=_judged)
+            return train_sac(settings, out, resume=resume)
     raise TypeError(f"no settings of a training: {settings!r}")
 
 
-def _told(what: str) -> Callable[[int, dict[str, float]], None]:
-    def tell(done: int, figures: dict[str, float]) -> None:
-        told = ", ".join(f"{name} {value:.3g}" for name, value in figures.items())
-        say(f"{done:,} {what} of imitation: {told}")
+def _print_figures(unit: str) -> Callable[[int, dict[str, float]], None]:
+    def print_line(done: int, figures: dict[str, float]) -> None:
+        listed = ", ".join(f"{name} {value:.3g}" for name, value in figures.items())
+        say(f"{done:,} {unit} of imitation: {listed}")
 
-    return tell
-
-
-def _judged(told: SacProgress) -> None:
-    shares = ", ".join(
-        f"{rows}: success {found.success_rate:.0%}, collision {found.collision_rate:.0%}"
-        for rows, found in (("training rows", told.train), ("validation rows", told.validation))
-    )
-    say(f"{told.steps:,} steps, {told.seconds:.0f} s of processor time; {shares}")
+    return print_line

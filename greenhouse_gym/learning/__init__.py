@@ -1,11 +1,11 @@
-"""Training: PPO, imitation of a teacher before it, SAC with hindsight replay, checkpoints, and policy files."""
+"""Training: PPO, imitation of a teacher before PPO, SAC with hindsight replay, checkpoints, and policy files."""
 
 from greenhouse_gym.learning.bc_then_ppo import FINE_TUNING, BcThenPpoSettings, train_bc_then_ppo
 from greenhouse_gym.learning.depth import DepthSettings, train_depth
 from greenhouse_gym.learning.policies import load_into, save_policy
 from greenhouse_gym.learning.ppo import PpoSettings, train_ppo
+from greenhouse_gym.learning.ppo_sweep import sweep_ppo
 from greenhouse_gym.learning.sac import SacSettings, load_sac, train_sac
-from greenhouse_gym.learning.sweep import sweep_ppo
 
 __all__ = [
     "FINE_TUNING",

@@ -1,4 +1,4 @@
-"""Imitation of a teacher that knows the scenes, then PPO: what is learned in minutes instead of hours."""
+"""Imitation of a teacher that knows the scenes, then PPO: minutes instead of hours of training."""
 
 from __future__ import annotations
 
@@ -11,25 +11,22 @@ from typing import Any
 from greenhouse_gym.envs import TomatoReachVectorEnv
 from greenhouse_gym.learning.imitation import ImitationSettings, follow_waypoint, imitate
 from greenhouse_gym.learning.ppo import PpoSettings, train_ppo
-from greenhouse_gym.learning.sb3 import make_sb3_vec_env
 from greenhouse_gym.learning.variation import varied_bank
 from greenhouse_gym.scene import SceneBank
 
-FINE_TUNING = PpoSettings(
-    reward="dense", log_std=-2.5, learning_rate=5e-5, critic_rollouts=8, epochs=4,
-)  # fmt: skip
-"""PPO that goes on from a policy that can do something already: little noise, small steps, the critic first."""
+FINE_TUNING = PpoSettings(reward="dense", log_std=-2.5, learning_rate=5e-5, critic_rollouts=8, epochs=4)
+"""Settings of PPO for a policy that is already good: little noise, small steps, the critic first."""
 
 
 @dataclass(frozen=True)
 class BcThenPpoSettings:
-    """Settings of a training.
+    """Settings of a training by imitation and PPO.
 
     Attributes:
-        variations: Scenes that are made out of the bank's training scenes, beside them.
-        imitation: Settings of the first part; with no steps there is none, and PPO goes on from how the network began.
-        ppo: Settings of the second part, and of the network; with no steps there is no second part.
-        from_rule: Whether the network begins as the rule that follows waypoints, and not with random weights.
+        variations: Number of varied scenes to add to the bank's training scenes.
+        imitation: Settings of the imitation; with 0 steps it is skipped.
+        ppo: Settings of PPO and of the network; with 0 steps PPO is skipped.
+        from_rule: True to initialize the network as the rule that follows waypoints, False for random weights.
     """
 
     variations: int = 0
@@ -44,16 +41,14 @@ def train_bc_then_ppo(
     *,
     resume: bool = False,
     tell: Callable[[int, dict[str, float]], None] = lambda steps, figures: None,
-    make_env: Callable[..., Any] = make_sb3_vec_env,
 ) -> Path:
-    """Train a policy; ``out`` gets what `greenhouse_gym.learning.train_ppo` leaves, and the varied scenes.
+    """Train a policy; ``out`` gets the files of `greenhouse_gym.learning.train_ppo` and the varied scenes.
 
     Args:
         settings: The settings.
         out: Folder for the results.
-        resume: Go on from the checkpoint in ``out``, with PPO.
-        tell: Gets steps and figures of the imitation after each round.
-        make_env: Makes the environment of PPO, as in `greenhouse_gym.learning.train_ppo`.
+        resume: Continue from the checkpoint in ``out``, with PPO.
+        tell: Called with the steps and figures of the imitation after each round.
 
     Returns:
         The path of the policy's JSON file.
@@ -76,4 +71,4 @@ def train_bc_then_ppo(
         with closing(env):
             imitate(model.policy, env, settings.imitation, ppo.seed, tell)
 
-    return train_ppo(ppo, out, resume=resume, prepare=teach, make_env=make_env)
+    return train_ppo(ppo, out, resume=resume, prepare=teach)

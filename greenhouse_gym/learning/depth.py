@@ -27,8 +27,7 @@ from greenhouse_gym.envs import TomatoReachEnv
 from greenhouse_gym.envs.settings import check_whole
 from greenhouse_gym.errors import FileFormatError, MissingDependencyError, require_seed
 from greenhouse_gym.evaluation import evaluate
-from greenhouse_gym.learning.curves import CURVE, write_curve
-from greenhouse_gym.learning.folders import check_folder
+from greenhouse_gym.learning.training_files import CURVE, check_folder, write_curve
 from greenhouse_gym.motion.collision import CollisionChecker, planning_model
 from greenhouse_gym.motion.reach import arm_reaches
 from greenhouse_gym.scene import SceneBank

@@ -29,20 +29,21 @@ class ImitationSettings:
     """Settings of an imitation.
 
     Attributes:
-        steps: Steps that are labeled, of all simulations together.
-        num_envs: Simulations.
+        steps: Labeled steps of all simulations together.
+        num_envs: Number of simulations.
         round_steps: Steps of each simulation between two trainings.
-        led: Share of the steps at the beginning over which the teacher's share of leading falls from one to zero.
-        noise: Standard deviation of what is added to the actions that are done, not to those that are learned.
-        passes: How often each label is used on average in training.
+        beta_fraction: Fraction of the steps over which DAgger's beta, the probability that the teacher acts in an
+            episode, falls from one to zero.
+        noise: Standard deviation of the noise on the actions taken; labels have none.
+        passes: Average number of times that training uses a label.
         batch_size: Labels per gradient step.
-        learning_rate: Learning rate at the start; it falls to a tenth of that.
+        learning_rate: Learning rate at the start; it falls to a tenth.
     """
 
     steps: int = 200_000
     num_envs: int = 64
     round_steps: int = 50
-    led: float = 0.3
+    beta_fraction: float = 0.3
     noise: float = 0.1
     passes: int = 24
     batch_size: int = 1024
@@ -97,33 +98,32 @@ class Teachers:
 
 
 def follow_waypoint(policy: Any) -> None:
-    """Make the actor of an untrained Stable-Baselines3 policy do exactly as the agent ``waypoint`` does.
+    """Initialize the actor of an untrained Stable-Baselines3 policy so that it acts exactly as the agent ``waypoint``.
 
-    So nothing has to be learned of what a rule knows. The first hidden units carry what is positive of the waypoint's
-    direction and what is negative, while the way is free; the others are as they were, without any effect on the action
-    until something is learned.
+    The first hidden units carry the positive and the negative part of the waypoint's direction while the waypoint is
+    free. The others keep their weights but have no effect on the action until they learn.
 
     Args:
         policy: An actor-critic policy with rectified linear units on `ScaledObservation` of ``"waypoint"``.
 
     Raises:
-        InvalidValueError: Its activations are others, its layers are too narrow, or it is told no waypoint.
+        InvalidValueError: Its activation differs, its layers are too narrow, or it observes no waypoint.
     """
     extractor, actions = policy.pi_features_extractor, policy.action_net
     joints = actions.out_features
-    place, way = (extractor.starts.get(name, -1) for name in ("waypoint_direction", "path"))
+    direction, way = (extractor.starts.get(name, -1) for name in ("waypoint_direction", "path"))
     layers = [layer for layer in policy.mlp_extractor.policy_net if hasattr(layer, "in_features")]
-    if place < 0 or policy.activation_fn is not torch.nn.ReLU or min(p.out_features for p in layers) < 2 * joints:
+    if direction < 0 or policy.activation_fn is not torch.nn.ReLU or min(p.out_features for p in layers) < 2 * joints:
         raise InvalidValueError(
             f'to follow waypoints, a policy needs observation="waypoint", activation="relu" and hidden layers of at '
             f"least {2 * joints} units"
         )
     units = torch.arange(2 * joints)
-    carried, free = place + units % joints, way + 1
+    carried, free = direction + units % joints, way + 1
     with torch.no_grad():
         for layer in layers:
             layer.weight[units], layer.bias[units] = 0.0, 0.0
-        # directions are at most 1: with 1 taken away where the way is not free, nothing positive is left
+        # directions are at most 1: after subtracting 1 where the waypoint is not free, nothing positive is left
         layers[0].weight[units, carried] = torch.where(units < joints, 1.0, -1.0) * extractor.scale[carried]
         layers[0].weight[units, free] = extractor.scale[free]
         layers[0].bias[units] = extractor.center[free] - 1.0
@@ -141,47 +141,47 @@ def imitate(
     seed: int = 0,
     tell: Callable[[int, dict[str, float]], None] = lambda steps, figures: None,
 ) -> None:
-    """Train the actor of a Stable-Baselines3 policy to do as the teacher does.
+    """Train the actor of a Stable-Baselines3 policy to act like the teacher.
 
     Args:
         policy: An actor-critic policy; its actor and features are trained.
-        env: Vector environment with ``autoreset_mode="SameStep"``, on the arm and observation of the policy; it
-            tells waypoints.
+        env: Vector environment with ``autoreset_mode="SameStep"`` and the arm and observation of the policy, which
+            includes waypoints.
         settings: The settings.
         seed: Seed of episodes and noise.
-        tell: Gets the steps so far and figures after each round.
+        tell: Called with the steps so far and figures after each round.
     """
-    random = np.random.default_rng(seed)
+    rng = np.random.default_rng(seed)
     torch.manual_seed(seed)
     parameters = [*policy.mlp_extractor.policy_net.parameters(), *policy.action_net.parameters()]
     optimizer: Any = torch.optim.Adam(parameters, lr=settings.learning_rate)
     rounds = max(1, settings.steps // (settings.num_envs * settings.round_steps))
     teachers = Teachers(env)
-    seen, _ = env.reset(seed=seed)
+    observed, _ = env.reset(seed=seed)
     for i in range(env.num_envs):
         teachers.begin(i)
-    leads = np.ones(env.num_envs, dtype=np.bool_)
+    teacher_acts = np.ones(env.num_envs, dtype=np.bool_)
     inputs: list[Observed] = []
     labels: list[Array] = []
     updates = settings.steps * settings.passes // (settings.batch_size * rounds)
     for k in range(rounds):
-        share = max(0.0, 1.0 - k / max(1.0, settings.led * rounds))
-        ended = won = 0
+        beta = max(0.0, 1.0 - k / max(1.0, settings.beta_fraction * rounds))
+        ended = successes = 0
         began = time.perf_counter()
         for _ in range(settings.round_steps):
             label = teachers.labels()
             known = np.isfinite(label[:, 0])
-            inputs.append(seen[known])  # type: ignore[index]
+            inputs.append(observed[known])  # type: ignore[index]
             labels.append(label[known])
-            own = _mean(policy, seen)
-            action = np.where((leads & known)[:, None], label, own)
-            action = action + settings.noise * random.normal(size=action.shape)
-            seen, _, terminated, truncated, infos = env.step(action)
+            own = _mean(policy, observed)
+            action = np.where((teacher_acts & known)[:, None], label, own)
+            action = action + settings.noise * rng.normal(size=action.shape)
+            observed, _, terminated, truncated, infos = env.step(action)
             for i in np.flatnonzero(terminated | truncated).tolist():
-                if not leads[i]:
-                    ended, won = ended + 1, won + bool(infos["final_info"]["is_success"][i])
+                if not teacher_acts[i]:
+                    ended, successes = ended + 1, successes + bool(infos["final_info"]["is_success"][i])
                 teachers.begin(i)
-                leads[i] = random.random() < share
+                teacher_acts[i] = rng.random() < beta
         collected = time.perf_counter() - began
         rate = settings.learning_rate * (0.1 + 0.9 * (1 - k / rounds))
         for group in optimizer.param_groups:
@@ -190,7 +190,7 @@ def imitate(
         y = torch.as_tensor(np.concatenate(labels), dtype=torch.float32)
         loss = 0.0
         for _ in range(updates):
-            batch = torch.as_tensor(random.integers(len(x), size=settings.batch_size))
+            batch = torch.as_tensor(rng.integers(len(x), size=settings.batch_size))
             error: Any = (_forward(policy, x[batch]) - y[batch]).abs().mean()
             optimizer.zero_grad()
             error.backward()
@@ -198,7 +198,7 @@ def imitate(
             loss += float(error.detach()) / updates
         seconds = time.perf_counter() - began - collected
         figures = {
-            "loss": loss, "success": won / max(1, ended), "episodes": float(ended), "labels": float(len(x)),
+            "loss": loss, "success": successes / max(1, ended), "episodes": float(ended), "labels": float(len(x)),
             "collecting": collected, "training": seconds,
         }  # fmt: skip
         tell((k + 1) * settings.num_envs * settings.round_steps, figures)
@@ -208,6 +208,6 @@ def _forward(policy: Any, inputs: torch.Tensor) -> torch.Tensor:
     return policy.action_net(policy.mlp_extractor.forward_actor(policy.pi_features_extractor(inputs)))
 
 
-def _mean(policy: Any, seen: Any) -> Array:
+def _mean(policy: Any, observed: Any) -> Array:
     with torch.no_grad():
-        return np.asarray(_forward(policy, torch.as_tensor(seen)).numpy(), dtype=np.float64)
+        return np.asarray(_forward(policy, torch.as_tensor(observed)).numpy(), dtype=np.float64)

@@ -1,4 +1,4 @@
-"""From a Stable-Baselines3 model to a policy file that needs numpy only."""
+"""Conversion of Stable-Baselines3 models to policy files that need only numpy, and back."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from greenhouse_gym.envs.observations import Layout
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.learning.sb3 import simulation_of
 
-# Names, for torch is not imported here: playing a policy needs none.
+# Names of classes, because this module does not import torch.
 _ACTIVATION_NAMES = {"Tanh": "tanh", "ReLU": "relu"}
 _PLAIN, _GOALS = ("FlattenExtractor", "ScaledObservation"), "GoalFeatures"
 
 
 class _Actor(NamedTuple):
-    """What makes the mean action in a Stable-Baselines3 model.
+    """The network that computes the mean action of a Stable-Baselines3 model.
 
     Attributes:
         layers: Its linear layers.
-        activation: Name of what is between them.
-        output: Name of what is after them.
-        center: (size,) what is subtracted from what it is fed.
-        scale: (size,) what that is divided by.
-        features: Groups that are fed beside the observation.
+        activation: Name of the function between them.
+        output: Name of the function after them.
+        center: (size,) offset subtracted from the input.
+        scale: (size,) divisor of the input after that.
+        features: Groups of the input that follow the observation.
     """
 
     layers: list[Any]
@@ -53,26 +53,26 @@ def _actor_of(model: Any) -> _Actor:
     else:
         space = type(getattr(network, "observation_space", None)).__name__
         raise InvalidValueError(
-            f"a policy file holds a plain network from a vector of numbers to the mean action, as PPO and A2C have it, "
+            f"a policy file holds a plain network from a vector to the mean action, such as those of PPO and A2C, "
             f"or the actor of `greenhouse_gym.learning.sac`; got {type(model).__name__} on a {space} space: save the "
-            "model itself and play it with greenhouse_gym.learning.sb3.Sb3Agent"
+            "model itself and use it with greenhouse_gym.learning.sb3.Sb3Agent"
         )
     if not activation or hasattr(network, "lstm_actor"):
         raise InvalidValueError(
-            f"a policy file knows the activations {', '.join(_ACTIVATION_NAMES)} and no memory, "
+            f"a policy file supports the activations {', '.join(_ACTIVATION_NAMES)} and no recurrent networks, "
             f"got {type(model).__name__} with {network.activation_fn.__name__}"
         )
-    beside = GOAL_FEATURES_SIZE if kind == _GOALS else 0
-    size = layers[0].in_features - beside
+    extra = GOAL_FEATURES_SIZE if kind == _GOALS else 0
+    size = layers[0].in_features - extra
     center = _numbers(scaled.center) if hasattr(scaled, "center") else np.zeros(size, dtype=np.float32)
     scale = _numbers(scaled.scale) if hasattr(scaled, "scale") else np.ones(size, dtype=np.float32)
     return _Actor(
         layers,
         activation,
         output,
-        np.pad(center, (0, beside)),
-        np.pad(scale, (0, beside), constant_values=1.0),
-        ((GOAL_FEATURES, beside),) if beside else (),
+        np.pad(center, (0, extra)),
+        np.pad(scale, (0, extra), constant_values=1.0),
+        ((GOAL_FEATURES, extra),) if extra else (),
     )
 
 
@@ -85,10 +85,10 @@ def _numbers(tensor: Any) -> npt.NDArray[np.float32]:
 
 
 def policy_of(model: Any, env_options: Mapping[str, Any], layout: Layout, training: Mapping[str, Any]) -> Policy:
-    """The mean of a Stable-Baselines3 actor, as `train_ppo` and `train_sac` make it, in numpy.
+    """Convert the mean of a Stable-Baselines3 actor of `train_ppo` or `train_sac` to numpy.
 
     Raises:
-        InvalidValueError: The model is another kind of network.
+        InvalidValueError: The model is another type of network.
     """
     actor = _actor_of(model)
     return Policy(
@@ -105,14 +105,14 @@ def policy_of(model: Any, env_options: Mapping[str, Any], layout: Layout, traini
 
 
 def load_into(model: Any, policy: Policy) -> None:
-    """Put a policy's weights into the actor of an untrained model of `make_ppo` or `make_sac`, to train on from there.
+    """Load a policy's weights into the actor of an untrained model of `make_ppo` or `make_sac`, to train it further.
 
     Args:
         model: The model of Stable-Baselines3.
         policy: A policy for the same arm, with the same observation and hidden layers.
 
     Raises:
-        InvalidValueError: Its network or observation is another.
+        InvalidValueError: Its network or observation differs.
     """
     import torch
 
@@ -127,7 +127,7 @@ def load_into(model: Any, policy: Policy) -> None:
         )
     for name in ("center", "scale"):
         if not np.array_equal(getattr(policy, name), getattr(actor, name)):
-            raise InvalidValueError(f"the policy scales its observation otherwise than the model: {name} differs")
+            raise InvalidValueError(f"the policy and the model scale their observations differently: {name}")
     with torch.no_grad():
         for layer, weight, bias in zip(actor.layers, policy.weights, policy.biases, strict=True):
             layer.weight.copy_(torch.as_tensor(weight))
@@ -138,20 +138,18 @@ def save_policy(model: Any, path: str | Path, training: Mapping[str, Any] | None
     """Write a Stable-Baselines3 model trained on `make_sb3_vec_env` as a policy file.
 
     Args:
-        model: The model; its environment tells robot, observation and action.
-        path: Where to, without suffix.
-        training: What to note about how it came about.
+        model: The model; robot, observation and action are those of its environment.
+        path: Path of the file without suffix.
+        training: Notes on the training.
 
     Returns:
-        The path of the JSON file; the weights lie beside it.
+        The path of the JSON file; the weights are in a file next to it.
 
     Raises:
-        InvalidValueError: The model is another kind of network, or was not trained on this environment.
+        InvalidValueError: The model is another type of network, or was not trained on this environment.
     """
     simulation = simulation_of(model)
     if simulation is None:
-        raise InvalidValueError(
-            "the model has no environment of this package: which arm and action it is for is unknown"
-        )
+        raise InvalidValueError("the model has no environment of this package, so its arm and action are unknown")
     notes = {"algorithm": type(model).__name__, "steps": int(model.num_timesteps), **(training or {})}
     return policy_of(model, simulation.env_options, simulation.observe.layout, notes).save(path)

@@ -2,43 +2,39 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from greenhouse_gym.common.extras import needs
-from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.envs.episodes import EpisodeSampler
 from greenhouse_gym.envs.settings import check_whole
 from greenhouse_gym.errors import require_choice, require_seed
-from greenhouse_gym.learning.folders import check_folder
 from greenhouse_gym.learning.sb3 import make_sb3_vec_env
 from greenhouse_gym.robots import get_robot
-from greenhouse_gym.scene import SceneBank
 
 with needs("train"):
-    import tensorboard  # noqa: F401  what Stable-Baselines3 writes its curves with, and does not ask for at once
+    import tensorboard  # noqa: F401  Stable-Baselines3 needs it, but imports it late
     import torch
     from stable_baselines3 import PPO
-    from stable_baselines3.common.logger import configure
+    from stable_baselines3.common.callbacks import BaseCallback
 
-    from greenhouse_gym.learning.checkpoints import NAME as CHECKPOINT
-    from greenhouse_gym.learning.checkpoints import load_checkpoint, read_notes
-    from greenhouse_gym.learning.policies import save_policy
-    from greenhouse_gym.learning.ppo_report import JUDGED_SPLIT, CriticFirst, Report
     from greenhouse_gym.learning.sb3_features import ScaledObservation
+    from greenhouse_gym.learning.training_run import TrainingReport, as_json, check_start, learn, set_up
 
 ACTIVATIONS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
-"""Activations by name."""
+"""Activation functions by name."""
+
+VALIDATION_SPLIT = "validation"
+"""Split whose rows are not trained on."""
 
 
 @dataclass(frozen=True)
 class PpoSettings:
-    """Settings of a training.
+    """Settings of a training by PPO.
 
     Attributes:
         bank: Name or folder of the scene bank.
@@ -48,25 +44,25 @@ class PpoSettings:
         reward: "path", "dense" or "sparse".
         difficulty: Difficulties of the targets.
         total_steps: Steps of all simulations together.
-        num_envs: Simulations.
+        num_envs: Number of simulations.
         rollout_steps: Steps of each simulation between updates.
         batch_size: Samples per gradient step.
         epochs: Passes over a rollout.
         learning_rate: Learning rate at the start; it falls linearly to zero.
         discount: Discount of future rewards, per step.
         gae_lambda: Lambda of the generalized advantage estimate.
-        clip_range: How far from 1 the ratio of probabilities may go.
-        log_std: Initial logarithm of the action noise.
-        hidden: Sizes of the hidden layers, of actor and critic each.
-        activation: What stands between the layers, "tanh" or "relu".
-        critic_rollouts: Rollouts at the beginning from which the critic alone learns: a policy that can do something
-            already is not to be judged by a critic that knows nothing.
-        validation_steps: Steps between judgments of the policy without its noise on rows that are not trained on; with
-            0 there are none.
-        validation_episodes: Episodes of each judgment, always the same ones.
+        clip_range: Largest deviation of the probability ratio from 1.
+        log_std: Initial logarithm of the standard deviation of the action noise.
+        hidden: Sizes of the hidden layers of actor and critic.
+        activation: Activation function between the layers, "tanh" or "relu".
+        critic_rollouts: Rollouts at the beginning that train the critic alone, so that an untrained critic does not
+            spoil a policy that is already good.
+        validation_steps: Steps between validations: episodes on rows not trained on, without the policy's noise; 0 for
+            none.
+        validation_episodes: Episodes of each validation, the same ones every time.
         seed: Seed of scenes, weights and noise.
-        threads: Threads of the simulation; 0 uses all cores. The network has one: with more, its many small products
-            wait for each other, on a busy machine most of the time.
+        threads: Threads of the simulation; 0 uses all cores. The network has one: on a busy machine, more threads
+            mostly wait for each other.
     """
 
     bank: str = "default"
@@ -102,83 +98,90 @@ def train_ppo(
     time_limit: float | None = None,
     checkpoint_seconds: float = 60.0,
     prepare: Callable[[Any], None] | None = None,
-    make_env: Callable[..., Any] = make_sb3_vec_env,
     on_line: Callable[[Mapping[str, float]], None] = lambda line: None,
 ) -> Path:
     """Train a policy.
 
-    ``out`` gets ``settings.json``, ``curve.csv`` (one line per rollout), ``validation.csv`` (one per judgment),
-    ``tensorboard`` (both, with the reward's terms and the losses), ``checkpoint.safetensors`` now and then and at the
-    end, also when interrupted, and ``policy.json`` with ``policy.safetensors`` beside it. A resumed training goes on
-    with the weights, the optimizer and the step count of the checkpoint, in new episodes.
+    ``out`` gets ``settings.json``, ``curve.csv`` (one line per rollout), ``validation.csv`` (one per validation),
+    ``tensorboard`` (both, with the reward's terms and the losses), ``checkpoint.safetensors`` at intervals, at the end
+    and when interrupted, and ``policy.json`` with ``policy.safetensors``. A resumed training continues with the
+    weights, the optimizer and the step count of the checkpoint, in new episodes.
 
     Args:
         settings: The settings.
         out: Folder for the results.
-        resume: Go on from the checkpoint in ``out``; otherwise ``out`` must not hold one.
-        time_limit: Stop after this many seconds, as if interrupted.
-        checkpoint_seconds: Time between checkpoints.
-        prepare: Gets the untrained model of a training that is not resumed, to put something into it.
-        make_env: Makes the environment, of the same arguments: another one, such as
-            `greenhouse_gym.learning.sb3_ray.make_sb3_ray_vec_env`, steps the simulations elsewhere.
-        on_line: Told each new line of ``curve.csv`` when its rollout is done; a `KeyboardInterrupt` that it raises
-            interrupts the training there.
+        resume: Continue from the checkpoint in ``out``; otherwise ``out`` must not hold one.
+        time_limit: Seconds after which the training stops.
+        checkpoint_seconds: Seconds between checkpoints.
+        prepare: Called with the untrained model of a new training, for example to load weights.
+        on_line: Called with each new line of ``curve.csv``; a `KeyboardInterrupt` that it raises interrupts the
+            training.
 
     Returns:
         The path of the policy's JSON file.
 
     Raises:
-        InvalidValueError: There is nothing to resume, or something that would be overwritten, or the checkpoint was
-            made with other settings; or the policy cannot be judged as the settings want it.
+        InvalidValueError: Nothing to resume, a training that would be overwritten, a checkpoint with other settings,
+            or no episodes for the validation.
         FileFormatError: The checkpoint is damaged.
-        KeyboardInterrupt: The training was interrupted; what there was is written.
+        KeyboardInterrupt: The training was interrupted; its results are written.
     """
     require_seed(settings.seed)
-    _check_judging(settings)
-    out = Path(out)
-    described = json.loads(json.dumps(asdict(settings)))
-    check_folder(out / CHECKPOINT, lambda: read_notes(out)["settings"], described, "total_steps", resume)
+    _check_validation(settings)
+    out, described = Path(out), as_json(settings)
+    check_start(out, described, resume)
     torch.set_num_threads(1)
-    env = make_env(
+    env = make_sb3_vec_env(
         settings.num_envs, bank=settings.bank, split=settings.split, robot=settings.robot,
         observation=settings.observation, reward=settings.reward, difficulty=settings.difficulty,
         threads=settings.threads, seed=settings.seed,
     )  # fmt: skip
     model = make_ppo(settings, env)
-    model.set_logger(configure(str(out / "tensorboard"), ["tensorboard"]))
-    if resume:
-        load_checkpoint(model, out)
-        env.seed(settings.seed + model.num_timesteps)
-    elif prepare is not None:
+    set_up(model, out, described, resume)
+    if not resume and prepare is not None:
         prepare(model)
-    notes = {"settings": described, "bank_sha256": SceneBank.open(settings.bank).sha256}
-    write_atomically(out / "settings.json", json.dumps(described, indent=1) + "\n")
-    report = Report(out, settings, model, time_limit, checkpoint_seconds, on_line)
-    try:
-        if model.num_timesteps < settings.total_steps:
-            remaining = settings.total_steps - model.num_timesteps
-            callbacks = [report, CriticFirst(0 if model.num_timesteps else settings.critic_rollouts)]
-            model.learn(remaining, callback=callbacks, reset_num_timesteps=not resume)
-    except KeyboardInterrupt:
-        report.say(f"interrupted after {model.num_timesteps} steps; resume goes on from here")
-        save_policy(model, out / "policy", notes)
-        raise
-    finally:
-        report.finish()
-        env.close()
-    return save_policy(model, out / "policy", notes)
+    options = {
+        "num_envs": min(settings.num_envs, settings.validation_episodes),
+        **{name: getattr(settings, name) for name in ("bank", "robot", "difficulty", "threads")},
+    }
+    report = TrainingReport(
+        out, described, model, settings.num_envs * settings.rollout_steps, (VALIDATION_SPLIT,), options, time_limit,
+        checkpoint_seconds, on_line,
+    )  # fmt: skip
+    return learn(model, report, resume, [CriticFirst(0 if model.num_timesteps else settings.critic_rollouts)])
 
 
-def _check_judging(settings: PpoSettings) -> None:
-    """Refuse judgments that would fail in the middle of the training."""
+def _check_validation(settings: PpoSettings) -> None:
+    """Raise an error for a validation that would fail in the middle of the training."""
     check_whole("validation_episodes", settings.validation_episodes, 1)
     if check_whole("validation_steps", settings.validation_steps, 0):
-        sampler = EpisodeSampler(settings.bank, JUDGED_SPLIT, get_robot(settings.robot), settings.difficulty)
+        sampler = EpisodeSampler(settings.bank, VALIDATION_SPLIT, get_robot(settings.robot), settings.difficulty)
         sampler.draw(np.random.default_rng(0))
 
 
+class CriticFirst(BaseCallback):  # type: ignore[misc]
+    """Train the critic alone during the first rollouts.
+
+    Args:
+        rollouts: Number of these rollouts.
+    """
+
+    def __init__(self, rollouts: int):
+        super().__init__()
+        self.left = rollouts
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_rollout_start(self) -> None:
+        for name, parameter in self.model.policy.named_parameters():
+            if "value" not in name:
+                parameter.requires_grad = self.left <= 0
+        self.left -= 1
+
+
 def make_ppo(settings: PpoSettings, env: Any) -> Any:
-    """The Stable-Baselines3 model, untrained, on an environment of `make_sb3_vec_env`."""
+    """Make an untrained Stable-Baselines3 model on an environment of `make_sb3_vec_env`."""
     layout = env.get_attr("simulation")[0].observe.layout
     return PPO(
         "MlpPolicy",

@@ -2,68 +2,61 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from greenhouse_gym.common.extras import needs
-from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.envs import EnvSettings
 from greenhouse_gym.errors import InvalidValueError, require_seed
-from greenhouse_gym.learning.folders import check_folder
 from greenhouse_gym.learning.sb3 import make_sb3_vec_env
-from greenhouse_gym.scene import SceneBank
 
 with needs("train"):
-    import tensorboard  # noqa: F401  what Stable-Baselines3 writes its curves with, and does not ask for at once
+    import tensorboard  # noqa: F401  Stable-Baselines3 needs it, but imports it late
     import torch
-    from stable_baselines3.common.logger import configure
 
-    from greenhouse_gym.learning.checkpoints import NAME as CHECKPOINT
-    from greenhouse_gym.learning.checkpoints import load_checkpoint, read_notes
-    from greenhouse_gym.learning.demonstrated_sac import Demonstrated, Demonstrator
-    from greenhouse_gym.learning.policies import save_policy
-    from greenhouse_gym.learning.sac_report import SacProgress, SacReport
-    from greenhouse_gym.learning.sb3_her import GoalFeatures, GoalReplayBuffer
+    from greenhouse_gym.learning.guided_sac import Demonstrator, GuidedSAC
+    from greenhouse_gym.learning.sb3_features import GoalFeatures
+    from greenhouse_gym.learning.sb3_her import GoalReplayBuffer
+    from greenhouse_gym.learning.training_files import load_checkpoint, read_notes
+    from greenhouse_gym.learning.training_run import TrainingReport, Validation, as_json, check_start, learn, set_up
 
 
 @dataclass(frozen=True)
 class SacSettings:
-    """Settings of a training.
+    """Settings of a training by SAC.
 
     Attributes:
         bank: Name or folder of the scene bank; its training split is trained on.
         robot: The arm.
         difficulty: Difficulties of the targets.
-        observation: "goal", or "goal_waypoint", which also tells where the arm can go straight.
-        reward: "dense" or "sparse". With the sparse one a crash costs what a success pays, so that arms which still
-            crash often had better keep away from the plants; it learned little.
-        num_envs: Simulations.
+        observation: "goal", or "goal_waypoint", which adds the next waypoint of a collision-free path.
+        reward: "dense" or "sparse". With the sparse one a collision costs what a success pays, so arms that still
+            collide often learn to keep away from the plants; it learned little.
+        num_envs: Number of simulations.
         updates_per_step: Gradient steps per step of all simulations.
         batch_size: Transitions per gradient step.
         learning_rate: Learning rate of actor, critics and entropy coefficient.
         discount: Discount of future rewards, per step.
-        target_rate: How far the target critics move to the critics per gradient step.
-        entropy_coefficient: Its value at the start. It adapts; much more than this, and staying alive to act at random
-            is worth more than any success, which ends the episode.
+        target_rate: Fraction by which the target critics move towards the critics per gradient step.
+        entropy_coefficient: Initial value; it adapts. With a much higher one, acting at random pays more than a
+            success, which ends the episode.
         hindsight_goals: Transitions with a goal in hindsight per real one.
-        memory: Transitions that are kept.
-        random_steps: Steps with random actions before the first gradient step; enough for an episode of each
-            simulation.
-        guided: Whether these steps go where the waypoint says instead, from exactly so in the first simulation to with
-            much noise in the last, and the actor is held near that rule.
-        held: How much it is held, against what the critics say; see `Demonstrated`.
+        memory: Number of transitions in the replay buffer.
+        random_steps: Steps with random actions before the first gradient step; at least one episode per simulation.
+        guided: True to follow the waypoint in these steps instead, exactly in the first simulation and with most noise
+            in the last, and to constrain the actor towards that rule.
+        guide_weight: Weight of that constraint against the critics; see `GuidedSAC`.
         total_steps: Steps of all simulations together.
-        validation_steps: Steps between judgments of the policy without its noise, on rows that are trained on and on
-            rows that are not.
-        validation_episodes: Episodes of each judgment and split, always the same ones.
-        hidden: Sizes of the hidden layers, of actor and critics each.
+        validation_steps: Steps between validations on rows that are trained on and on rows that are not, without the
+            policy's noise.
+        validation_episodes: Episodes of each validation and split, the same ones every time.
+        hidden: Sizes of the hidden layers of actor and critics.
         seed: Seed of scenes, weights and noise.
-        threads: Threads of the simulation; 0 uses all cores. The network has one: with more, its many small products
-            wait for each other, on a busy machine most of the time.
+        threads: Threads of the simulation; 0 uses all cores. The network has one: on a busy machine, more threads
+            mostly wait for each other.
     """
 
     bank: str = "mini"
@@ -82,7 +75,7 @@ class SacSettings:
     memory: int = 400_000
     random_steps: int = 6_600
     guided: bool = False
-    held: float = 2.0
+    guide_weight: float = 2.0
     total_steps: int = 1_000_000
     validation_steps: int = 20_000
     validation_episodes: int = 100
@@ -92,26 +85,26 @@ class SacSettings:
 
 
 def make_sac(settings: SacSettings) -> Any:
-    """The Stable-Baselines3 model, untrained, on its own vector environment.
+    """Make an untrained Stable-Baselines3 model on its own vector environment.
 
     Raises:
-        InvalidValueError: There are too few random steps: hindsight needs an episode that has ended. Or they are to be
-            guided, and no waypoint is observed. Or the actor is to be held by less than nothing.
+        InvalidValueError: Too few random steps (hindsight needs a finished episode), guidance without an observed
+            waypoint, or a negative weight.
     """
     if settings.guided and settings.observation != "goal_waypoint":
         raise InvalidValueError(f'guided needs observation="goal_waypoint", got {settings.observation!r}')
-    whole = settings.num_envs * EnvSettings().step_limit
-    if settings.random_steps < whole:
+    shortest = settings.num_envs * EnvSettings().step_limit
+    if settings.random_steps < shortest:
         raise InvalidValueError(
-            f"random_steps must be at least {whole}, so that an episode of each of the {settings.num_envs} simulations "
-            f"ends before anything is learned, got {settings.random_steps}"
+            f"random_steps must be at least {shortest}, so that an episode of each of the {settings.num_envs} "
+            f"simulations ends before learning starts, got {settings.random_steps}"
         )
-    if not (settings.held >= 0 and math.isfinite(settings.held)):
-        raise InvalidValueError(f"held must be a finite number from 0 on, got {settings.held!r}")
+    if not (settings.guide_weight >= 0 and math.isfinite(settings.guide_weight)):
+        raise InvalidValueError(f"guide_weight must be a finite number from 0 on, got {settings.guide_weight!r}")
     torch.set_num_threads(1)
     env = make_sb3_vec_env(settings.num_envs, seed=settings.seed, **env_options(settings))
     layout = env.get_attr("simulation")[0].observe.layout
-    model = Demonstrated(
+    model = GuidedSAC(
         "MultiInputPolicy",
         env,
         replay_buffer_class=GoalReplayBuffer,
@@ -133,7 +126,7 @@ def make_sac(settings: SacSettings) -> Any:
         device="cpu",
     )
     if settings.guided:
-        model.demonstrator, model.held = Demonstrator(layout, settings.seed), settings.held
+        model.demonstrator, model.guide_weight = Demonstrator(layout, settings.seed), settings.guide_weight
     return model
 
 
@@ -142,64 +135,54 @@ def train_sac(
     out: str | Path,
     *,
     resume: bool = False,
-    minutes: float | None = None,
+    time_limit: float | None = None,
     checkpoint_seconds: float = 60.0,
-    tell: Callable[[SacProgress], None] = lambda progress: None,
+    tell: Callable[[Validation], None] = lambda validation: None,
 ) -> Path:
-    """Train a policy and judge it now and then.
+    """Train a policy and validate it at intervals.
 
-    ``out`` gets ``settings.json``, ``validation.csv`` (a line per judgment), ``tensorboard`` (the same, how the
-    episodes of the training end, the reward's terms and the losses), ``checkpoint.safetensors`` now and then and at the
-    end, also when interrupted, and then ``policy.json`` with its weights, which `PolicyAgent` plays without PyTorch. A
-    resumed training goes on with the weights, the optimizers and the step count of the checkpoint, in new episodes and
-    with an empty memory: it fills that by its policy, with noise, before it learns on.
+    ``out`` gets the files of `greenhouse_gym.learning.train_ppo`; ``curve.csv`` has a line per episode length of all
+    simulations. A resumed training continues with the weights, the optimizers and the step count of the checkpoint, in
+    new episodes and with an empty replay buffer, which its policy fills before it learns further.
 
     Args:
         settings: The settings.
         out: Folder for the results.
-        resume: Go on from the checkpoint in ``out``; otherwise ``out`` must not hold one.
-        minutes: Processor time after which it stops, as if interrupted.
-        checkpoint_seconds: Time between checkpoints.
-        tell: Gets each judgment at once.
+        resume: Continue from the checkpoint in ``out``; otherwise ``out`` must not hold one.
+        time_limit: Seconds after which the training stops.
+        checkpoint_seconds: Seconds between checkpoints.
+        tell: Called with each validation.
 
     Returns:
-        The path of the checkpoint, which `load_sac` makes a model from.
+        The path of the policy's JSON file; `load_sac` makes a model from its folder.
 
     Raises:
-        InvalidValueError: There is nothing to resume, or something that would be overwritten, or the checkpoint was
-            made with other settings.
+        InvalidValueError: Nothing to resume, a training that would be overwritten, or a checkpoint with other
+            settings.
         FileFormatError: The checkpoint is damaged.
-        KeyboardInterrupt: The training was interrupted; what there was is written.
+        KeyboardInterrupt: The training was interrupted; its results are written.
     """
     require_seed(settings.seed)
-    out = Path(out)
-    described = json.loads(json.dumps(asdict(settings)))
-    check_folder(out / CHECKPOINT, lambda: read_notes(out)["settings"], described, "total_steps", resume)
+    out, described = Path(out), as_json(settings)
+    check_start(out, described, resume)
     model = make_sac(settings)
-    model.set_logger(configure(str(out / "tensorboard"), ["tensorboard"]))
+    set_up(model, out, described, resume)
     if resume:
-        load_checkpoint(model, out)
-        model.get_env().seed(settings.seed + model.num_timesteps)
         model.learning_starts = model.num_timesteps + settings.random_steps
-        model.acts_at_random = False
-    notes = {"algorithm": "SAC", "settings": described, "bank_sha256": SceneBank.open(settings.bank).sha256}
-    write_atomically(out / "settings.json", json.dumps(described, indent=1) + "\n")
-    report = SacReport(out, settings, env_options(settings), model, minutes, checkpoint_seconds, tell)
-    try:
-        if model.num_timesteps < settings.total_steps:
-            model.learn(settings.total_steps - model.num_timesteps, callback=report, reset_num_timesteps=not resume)
-    finally:
-        report.finish()
-        save_policy(model, out / "policy", notes)
-        model.get_env().close()
-    return out / CHECKPOINT
+        model.explores = False
+    options = {"num_envs": settings.validation_episodes, **env_options(settings)}
+    report = TrainingReport(
+        out, described, model, settings.num_envs * EnvSettings().step_limit, ("train", "validation"), options,
+        time_limit, checkpoint_seconds, on_validation=tell,
+    )  # fmt: skip
+    return learn(model, report, resume, algorithm="SAC")
 
 
 def load_sac(folder: str | Path) -> Any:
-    """The Stable-Baselines3 model of a training's folder, on its own vector environment.
+    """Load the Stable-Baselines3 model of a training's folder, on its own vector environment.
 
     Raises:
-        FileFormatError: There is no checkpoint, or it is damaged.
+        FileFormatError: The checkpoint is missing or damaged.
     """
     described = read_notes(Path(folder))["settings"]
     tuples = {name: tuple(value) for name, value in described.items() if isinstance(value, list)}
@@ -209,6 +192,6 @@ def load_sac(folder: str | Path) -> Any:
 
 
 def env_options(settings: SacSettings) -> dict[str, Any]:
-    """Keywords of the environment that is trained on."""
+    """Return the keywords of the environment that is trained on."""
     shared = ("bank", "robot", "difficulty", "observation", "reward", "threads")
     return {name: getattr(settings, name) for name in shared}

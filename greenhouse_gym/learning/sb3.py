@@ -1,4 +1,4 @@
-"""Stable-Baselines3: its `VecEnv` over the native vector environment, and its models as agents."""
+"""Bridge to Stable-Baselines3: its `VecEnv` over the native vector environment, and its models as agents."""
 
 from __future__ import annotations
 
@@ -13,24 +13,26 @@ from greenhouse_gym.envs import EnvSettings, TomatoReachVectorEnv
 from greenhouse_gym.envs.observations import Observed
 from greenhouse_gym.envs.simulation import ReachSimulation
 from greenhouse_gym.errors import InvalidValueError, MissingDependencyError
-from greenhouse_gym.learning.sb3_steps import Stepped, Steps
 
 try:
     from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 except ImportError as error:  # pragma: no cover - depends on the installation
     raise MissingDependencyError("stable-baselines3", "train") from error
 
+TERMS = "episode_terms"
+"""Key of the info at an episode's end that holds the sums of the reward's terms over the episode, by name."""
+
 
 class Sb3Agent:
-    """Any model of Stable-Baselines3 as an `greenhouse_gym.agents.Agent`, one with a memory (sb3-contrib's) too.
+    """Any model of Stable-Baselines3, also a recurrent one of sb3-contrib, as a `greenhouse_gym.agents.Agent`.
 
-    Observations are normalized as a ``VecNormalize`` around the model's environment does.
+    Observations are normalized as by a ``VecNormalize`` around the model's environment.
 
     Args:
         model: The model, trained or loaded.
-        name: How it is called in tables; the class of the model when left out.
+        name: Name in tables; the class of the model when left out.
         env_options: Keywords for `gymnasium.make`; those of the model's environment when left out.
-        deterministic: Whether to take the most likely action, or to draw one.
+        deterministic: True to take the most likely action, False to sample one.
     """
 
     def __init__(
@@ -43,8 +45,8 @@ class Sb3Agent:
         self.name = name or type(model).__name__
         self.model = model
         simulation = simulation_of(model)
-        known = {} if simulation is None else simulation.env_options
-        self.env_options: Mapping[str, Any] = known if env_options is None else env_options
+        options = {} if simulation is None else simulation.env_options
+        self.env_options: Mapping[str, Any] = options if env_options is None else env_options
         self._deterministic = deterministic
         self._memory: Any = None
         self._first = True
@@ -52,11 +54,11 @@ class Sb3Agent:
             self.act_many = self._predict
 
     def reset(self, problem: Problem) -> None:
-        """Forget the last episode."""
+        """Clear the memory of a recurrent model."""
         self._memory, self._first = None, True
 
     def act(self, observation: Any) -> npt.NDArray[np.float32]:
-        """The model's action, (size,)."""
+        """Return the model's action, (size,)."""
         return self._predict(observation)
 
     def _predict(self, observations: Any) -> npt.NDArray[np.float32]:
@@ -74,7 +76,7 @@ class Sb3Agent:
 
 
 def simulation_of(model: Any) -> ReachSimulation | None:
-    """The simulation of the environment that a model of Stable-Baselines3 is trained on; None without any of ours."""
+    """Return the simulation of a Stable-Baselines3 model's environment; None if that is not of this package."""
     env = model.get_env()
     try:
         return None if env is None else env.get_attr("simulation")[0]
@@ -83,74 +85,91 @@ def simulation_of(model: Any) -> ReachSimulation | None:
 
 
 class Sb3VecEnv(VecEnv):  # type: ignore[misc]
-    """A `TomatoReachVectorEnv` with autoreset in the same step, as Stable-Baselines3 wants it.
+    """A `TomatoReachVectorEnv` with autoreset in the same step, as Stable-Baselines3 requires.
 
-    Infos are empty except at an episode's end, where they hold ``terminal_observation``, ``TimeLimit.truncated``,
+    Infos are empty except at an episode's end, where they contain ``terminal_observation``, ``TimeLimit.truncated``,
     ``is_success``, the environment's other keys, and ``episode_terms``, the sums of the reward's terms by name. Goal
-    environments give whole infos at every step, which ``HerReplayBuffer(copy_info_dict=True)`` needs.
+    environments return whole infos at every step, which ``HerReplayBuffer(copy_info_dict=True)`` needs.
     """
 
     def __init__(self, env: TomatoReachVectorEnv):
-        self.env = env  # first: the base class asks for the render mode
-        self._steps = Steps(env)
+        self.env = env  # before the base class, which reads the render mode
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
-        self._actions: npt.NDArray[np.float32] | None = None
+        self._actions: Any = None
+        self._term_sums: dict[str, npt.NDArray[np.float64]] = {}  # of the running episodes
 
     def reset(self) -> Observed:
-        """Begin new episodes everywhere and return the observations (n, size)."""
-        observations, self.reset_infos = self._steps.begin(self._seeds, self._options)
+        """Start new episodes in all simulations and return the observations (n, size)."""
+        seeds = None if all(seed is None for seed in self._seeds) else self._seeds  # given after `seed` only
+        observations, infos = self.env.reset(seed=seeds, options=self._options)
+        self.reset_infos = [_info(infos, i) for i in range(self.num_envs)]
+        self._term_sums = {}
         self._reset_seeds()
         self._reset_options()
         return observations
 
     def step_async(self, actions: npt.NDArray[np.float32]) -> None:
-        """Keep the actions for `step_wait`."""
+        """Store the actions for `step_wait`."""
         self._actions = actions
 
-    def step_wait(self) -> Stepped:
-        """Act once everywhere; episodes that end begin anew."""
-        return self._steps.act(self._actions)
+    def step_wait(self) -> tuple[Observed, npt.NDArray[np.float32], npt.NDArray[np.bool_], list[dict[str, Any]]]:
+        """Step all simulations; those whose episode ends start a new one."""
+        observations, rewards, terminated, truncated, infos = self.env.step(self._actions)
+        dones = terminated | truncated
+        for name, values in infos["reward_terms"].items():
+            if not name.startswith("_"):
+                self._term_sums[name] = self._term_sums.get(name, 0.0) + values
+        has_goals = self.env.simulation.observe.has_goals
+        single = [_info(infos, i) if has_goals else {} for i in range(self.num_envs)]
+        for i in np.flatnonzero(dones).tolist():
+            single[i] = _info(infos["final_info"], i)
+            single[i]["terminal_observation"] = infos["final_obs"][i]
+            single[i]["TimeLimit.truncated"] = bool(truncated[i])
+            single[i][TERMS] = {name: float(sums[i]) for name, sums in self._term_sums.items()}
+        for sums in self._term_sums.values():
+            sums[dones] = 0.0
+        return observations, rewards.astype(np.float32), dones, single
 
     def close(self) -> None:
-        """Free the simulations."""
+        """Release the simulations."""
         self.env.close()
 
     def get_images(self) -> Sequence[npt.NDArray[np.uint8] | None]:
-        """A picture of each simulation."""
+        """Return a picture of each simulation."""
         return self.env.render() or [None] * self.num_envs
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """The vector environment's attribute, once per index."""
+        """Return the vector environment's attribute, once per index."""
         return [getattr(self.env, attr_name) for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
         """Set an attribute of the vector environment, which all simulations share.
 
         Raises:
-            InvalidValueError: Only some of the simulations are meant.
+            InvalidValueError: The indices select only some of the simulations.
         """
         self._require_all(f"attribute {attr_name!r}", indices)
         setattr(self.env, attr_name, value)
 
     def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
-        """Call a method of the vector environment once and give the result for every index.
+        """Call a method of the vector environment once and return the result for every index.
 
         Raises:
-            InvalidValueError: Only some of the simulations are meant, and the method does more than compute.
+            InvalidValueError: The indices select only some of the simulations for a method that changes state.
         """
         if not method_name.startswith("compute_"):
             self._require_all(f"method {method_name!r}", indices)
         result = getattr(self.env, method_name)(*method_args, **method_kwargs)
         return [result for _ in self._get_indices(indices)]
 
-    def _require_all(self, what: str, indices: Any) -> None:
+    def _require_all(self, name: str, indices: Any) -> None:
         if set(self._get_indices(indices)) != set(range(self.num_envs)):
             raise InvalidValueError(
-                f"{what} belongs to all {self.num_envs} simulations together, got indices {indices!r}; leave them out"
+                f"{name} belongs to all {self.num_envs} simulations together, got indices {indices!r}; leave them out"
             )
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
-        """No simulation is wrapped."""
+        """Return False for every index: simulations are never wrapped."""
         return [False for _ in self._get_indices(indices)]
 
 
@@ -163,14 +182,14 @@ def make_sb3_vec_env(
     seed: int | None = None,
     **fields: Any,
 ) -> VecMonitor:
-    """The vector environment for Stable-Baselines3, with episode returns and lengths recorded.
+    """Make the vector environment for Stable-Baselines3, with episode returns and lengths recorded.
 
     Args:
         num_envs: Number of simulations.
-        settings: What they are made of; the usual `EnvSettings` when left out.
-        render_mode: How `render` shows it.
-        threads: Threads that simulate.
-        seed: Seeds the simulations' generators with seed + i at the first reset.
+        settings: Settings of the environment; the default `EnvSettings` when left out.
+        render_mode: Render mode of the environment.
+        threads: Threads of the simulation; 0 uses all cores.
+        seed: Seed of the first simulation's generator at the first reset; simulation i gets seed + i.
         **fields: Fields of `EnvSettings`, as in `TomatoReachEnv`.
     """
     env = TomatoReachVectorEnv(
@@ -180,3 +199,16 @@ def make_sb3_vec_env(
     if seed is not None:
         wrapped.seed(seed)
     return VecMonitor(wrapped)
+
+
+def _info(infos: dict[str, Any], i: int) -> dict[str, Any]:
+    """Extract one simulation's info from the vector environment's."""
+    result: dict[str, Any] = {}
+    for key, values in infos.items():
+        if key.startswith(("_", "final_")) or not infos[f"_{key}"][i]:
+            continue
+        if isinstance(values, dict):
+            result[key] = _info(values, i)
+        else:
+            result[key] = values[i] if values.dtype == object or values.ndim > 1 else values[i].item()
+    return result

@@ -1,11 +1,13 @@
-"""What Stable-Baselines3's networks are fed: observations brought to about one, group by group."""
+"""Feature extractors for Stable-Baselines3's networks: observations scaled to about one, group by group."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
+from gymnasium import spaces
 
+from greenhouse_gym.agents.goal_features import GOAL_FEATURES_SIZE, goal_features
 from greenhouse_gym.envs.observations import Layout, places_in
 from greenhouse_gym.errors import MissingDependencyError
 
@@ -31,11 +33,11 @@ CENTERS_AND_SCALES: dict[str, tuple[float, float]] = {
     "path": (0.5, 0.5),
     "clearance_rays": (0.1, 0.1),
 }
-"""Typical center and size of each group of the observation, which bring it to about one: fixed, so nothing drifts."""
+"""Typical center and size of each group of the observation. They are fixed, so the scaling never drifts."""
 
 
 class ScaledObservation(BaseFeaturesExtractor):  # type: ignore[misc]
-    """Brings every group of the observation to about one, by `CENTERS_AND_SCALES`.
+    """Scale every group of the observation to about one, by `CENTERS_AND_SCALES`.
 
     Attributes:
         starts: Index of the first entry of each group.
@@ -43,11 +45,37 @@ class ScaledObservation(BaseFeaturesExtractor):  # type: ignore[misc]
 
     def __init__(self, observation_space: Any, layout: Layout):
         super().__init__(observation_space, features_dim=int(np.prod(observation_space.shape)))
-        self.starts = {name: place.start for name, place in places_in(layout).items()}
+        self.starts = {name: part.start for name, part in places_in(layout).items()}
         pairs = np.concatenate([np.tile(CENTERS_AND_SCALES[name], (size, 1)) for name, size in layout])
         self.register_buffer("center", torch.tensor(pairs[:, 0], dtype=torch.float32))
         self.register_buffer("scale", torch.tensor(pairs[:, 1], dtype=torch.float32))
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
-        """Scaled observations."""
+        """Return scaled observations."""
         return (observations - self.center) / self.scale
+
+
+class GoalFeatures(BaseFeaturesExtractor):  # type: ignore[misc]
+    """Concatenate the scaled observation and `greenhouse_gym.agents.goal_features.goal_features`.
+
+    Args:
+        space: Observation space of the goal environment.
+        layout: Layout of its vector part.
+    """
+
+    def __init__(self, space: spaces.Dict, layout: Layout):
+        super().__init__(space, sum(size for _, size in layout) + GOAL_FEATURES_SIZE)
+        self.scaled = ScaledObservation(space["observation"], layout)
+        self._groups = places_in(layout)
+
+    def forward(self, observations: dict[str, Any]) -> Any:
+        """Return features (n, size + 18)."""
+        values = observations["observation"]
+        achieved, desired = observations["achieved_goal"].float(), observations["desired_goal"].float()
+        return torch.cat(
+            [self.scaled(values), *goal_features(values, achieved, desired, self._groups, _lengths)], dim=1
+        )
+
+
+def _lengths(vectors: torch.Tensor) -> torch.Tensor:
+    return vectors.norm(dim=-1, keepdim=True)

@@ -1,7 +1,7 @@
-"""More scenes to train on out of a bank's: mirrored, shifted, with plants that moved and fruit and leaves taken away.
+"""Varied scenes for training: mirrored, shifted, with moved plants and some fruit and clutter removed.
 
-No row is reconstructed for them. What a variation shows could stand in a row, and that is all that is claimed: whether
-a tomato can still be reached is not known, and its rating is that of the scene it comes from.
+A variation is a plausible row, no more: its tomatoes keep the ratings of their scene, although it is not known whether
+they can still be reached.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from greenhouse_gym.scene.bank import write_bank
 from greenhouse_gym.scene.plant_motion import PlantMotion, move_plants
 
 LIVELY = PlantMotion(truss_turn=0.4, truss_swing=0.15, stem_shift=0.02, leaf_shift=0.03)
-"""Plants that moved several times as far as real ones do."""
+"""Motion of plants, several times that of real ones."""
 
 
 @dataclass(frozen=True)
 class Variation:
-    """How far a variation may be from its scene.
+    """Limits of the difference between a variation and its scene.
 
     Attributes:
-        plants: How far the plants have moved.
+        plants: Motion of the plants.
         shift: Largest shift of everything along x, y and z, metres.
-        thinning: Largest share of tomatoes, and of clutter, that is taken away.
-        mirrored: Whether half of the variations are mirrored along the row.
+        thinning: Largest fraction of tomatoes, and of clutter, that is removed.
+        mirrored: True to mirror half of the variations along the row.
     """
 
     plants: PlantMotion = LIVELY
@@ -40,26 +40,27 @@ class Variation:
     mirrored: bool = True
 
 
-def varied_scene(scene: Scene, random: np.random.Generator, name: str, variation: Variation | None = None) -> Scene:
-    """A variation of a scene; its targets are those that are left, without a path that proves them."""
+def varied_scene(scene: Scene, rng: np.random.Generator, name: str, variation: Variation | None = None) -> Scene:
+    """Sample a variation of a scene; its targets are the remaining ones, without witnesses."""
     variation = variation or Variation()
-    plants = move_plants(scene, variation.plants, random)
-    flip = np.array([1.0, -1.0 if variation.mirrored and random.random() < 0.5 else 1.0, 1.0])
-    shift = random.uniform(-1.0, 1.0, 3) * variation.shift
-    kept = _kept(len(plants.tomatoes), variation.thinning, random)
-    clutter = _kept(len(plants.clutter), variation.thinning, random)
-    place = {int(old): new for new, old in enumerate(kept)}
+    plants = move_plants(scene, variation.plants, rng)
+    flip = np.array([1.0, -1.0 if variation.mirrored and rng.random() < 0.5 else 1.0, 1.0])
+    shift = rng.uniform(-1.0, 1.0, 3) * variation.shift
+    tomatoes = _subset(len(plants.tomatoes), variation.thinning, rng)
+    clutter = _subset(len(plants.clutter), variation.thinning, rng)
+    index = {int(old): new for new, old in enumerate(tomatoes)}
     targets = (
-        Target(tomato=place[t.tomato], difficulty=t.difficulty, robot=t.robot)
+        Target(tomato=index[t.tomato], difficulty=t.difficulty, robot=t.robot)
         for t in scene.targets
-        if t.tomato in place and t.difficulty != "unreachable"
+        if t.tomato in index and t.difficulty != "unreachable"
     )
     parts = {
         "tomatoes": tuple(
-            replace(tomato, shape=_placed(tomato.shape, flip, shift)) for tomato in (plants.tomatoes[k] for k in kept)
+            replace(tomato, shape=_transformed(tomato.shape, flip, shift))
+            for tomato in (plants.tomatoes[k] for k in tomatoes)
         ),
-        "stems": tuple(_placed(stem, flip, shift) for stem in plants.stems),
-        "clutter": tuple(_placed(plants.clutter[k], flip, shift) for k in clutter),
+        "stems": tuple(_transformed(stem, flip, shift) for stem in plants.stems),
+        "clutter": tuple(_transformed(plants.clutter[k], flip, shift) for k in clutter),
         "targets": tuple(targets),
     }
     return scene.model_copy(update={**parts, "name": name, "truth": None, "occupancy": None})
@@ -68,9 +69,9 @@ def varied_scene(scene: Scene, random: np.random.Generator, name: str, variation
 def varied_bank(
     bank: SceneBank, folder: str | Path, count: int, seed: int = 0, variation: Variation | None = None
 ) -> SceneBank:
-    """Write a bank of a bank's training scenes and ``count`` variations of them, as equally many of each as can be.
+    """Write a bank with a bank's scenes and ``count`` variations of its training scenes, evenly many of each.
 
-    The other splits come along unchanged, so that the bank can judge what is trained on it.
+    The other splits are unchanged, so policies trained on the bank can be validated on it.
     """
 
     def scenes() -> Iterator[tuple[Scene, str]]:
@@ -79,22 +80,22 @@ def varied_bank(
             yield bank.scene(name), bank.split_of(name)
         for k in range(count):
             source = bank.scene(train[k % len(train)])
-            random = np.random.default_rng([seed, k])
-            yield varied_scene(source, random, f"{source.name}-varied-{k}", variation), "train"
+            rng = np.random.default_rng([seed, k])
+            yield varied_scene(source, rng, f"{source.name}-varied-{k}", variation), "train"
 
     return write_bank(folder, scenes(), "varied", "Scenes and variations of them, to train on.")
 
 
-def _kept(count: int, thinning: float, random: np.random.Generator) -> npt.NDArray[np.int64]:
-    return np.flatnonzero(random.random(count) >= random.uniform(0.0, thinning))
+def _subset(count: int, thinning: float, rng: np.random.Generator) -> npt.NDArray[np.int64]:
+    return np.flatnonzero(rng.random(count) >= rng.uniform(0.0, thinning))
 
 
-def _placed(shape: AnyShape, flip: Array, shift: Array) -> AnyShape:
-    """A shape, mirrored and shifted."""
+def _transformed(shape: AnyShape, flip: Array, shift: Array) -> AnyShape:
+    """Return a mirrored and shifted shape."""
     if isinstance(shape, Capsule):
         return replace(shape, start=shape.start * flip + shift, end=shape.end * flip + shift)
     center = shape.center * flip + shift
     if isinstance(shape, Sphere):
         return replace(shape, center=center)
-    # a box or an ellipsoid is its own mirror image, so mirroring its frame on both sides leaves a rotation
+    # a box or an ellipsoid is its own mirror image, so mirroring its frame on both sides gives a rotation
     return replace(shape, center=center, rotation=shape.rotation * np.outer(flip, flip))

@@ -5,10 +5,10 @@ from greenhouse_gym.motion.goals import Goals, GoalStatistics, goal_configuratio
 from greenhouse_gym.motion.inverse_kinematics import Approach
 from greenhouse_gym.motion.path import follow_path, path_length, resample
 from greenhouse_gym.planning.certify import certify_target, certify_targets
-from greenhouse_gym.planning.planner_settings import PlannerSettings
+from greenhouse_gym.planning.own_planners import OutOfBudget, PlanningProblem
+from greenhouse_gym.planning.parameters import Parameter
 from greenhouse_gym.planning.planners import PAPER_PLANNERS, PLANNERS, PlannerInfo, register_planner
 from greenhouse_gym.planning.query import plan
-from greenhouse_gym.planning.registered import OutOfBudget, PlanningProblem
 from greenhouse_gym.planning.result import PlanResult
 from greenhouse_gym.planning.trajectory import free_commands
 
@@ -21,9 +21,9 @@ __all__ = [
     "GoalStatistics",
     "Goals",
     "OutOfBudget",
+    "Parameter",
     "PlanResult",
     "PlannerInfo",
-    "PlannerSettings",
     "PlanningProblem",
     "certify_target",
     "certify_targets",

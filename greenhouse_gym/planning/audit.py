@@ -1,4 +1,4 @@
-"""Is a bank whole: files, checksums, what the manifest says, and every witness replayed in the simulator's world."""
+"""Checks of a bank: files, checksums, manifest, and every witness replayed in the simulator's model."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from greenhouse_gym.scene.manifest import Entry, counted
 from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
 
 STEP = 0.002
-"""Metres that a point of the arm moves at most from one configuration of a replayed witness to the next."""
+"""Largest motion of any point of the arm between two configurations of a replayed witness, metres."""
 
-_AT_GOAL = 0.02  # metres, the radius of success
-_SAME = 1e-5  # radians
+_GOAL_RADIUS = 0.02  # metres, the radius of success
+_TOLERANCE = 1e-5  # radians
 
 
-def faults_of(
+def bank_faults(
     bank: str | Path | SceneBank, witnesses: bool = True, on_scene: Callable[[int], None] | None = None
 ) -> Iterator[str]:
-    """What is wrong with a bank, a sentence each; none if it is whole.
+    """Yield the faults of a bank, a sentence each.
 
     Args:
         bank: The bank.
-        witnesses: Replay them: about two seconds a scene.
-        on_scene: Told how many scenes are done.
+        witnesses: True to replay the witnesses, which takes about two seconds per scene.
+        on_scene: Called with the number of checked scenes.
 
     Raises:
         FileFormatError: The manifest is missing or damaged, is of a newer schema, or gives a row two splits.
-        UnknownNameError: There is no such bank.
+        UnknownNameError: No such bank.
     """
     opened = SceneBank.open(bank)
     for done, entry in enumerate(opened.manifest.scenes, start=1):
@@ -52,7 +52,7 @@ def faults_of(
 
 
 def _differences(entry: Entry, scene: Scene) -> Iterator[str]:
-    """Where the manifest says something else than the scene."""
+    """Yield the differences between a manifest entry and its scene."""
     found = {
         "name": scene.name,
         "row": scene.provenance.row,
@@ -64,18 +64,18 @@ def _differences(entry: Entry, scene: Scene) -> Iterator[str]:
         "targets": counted(scene),
     }
     for field, value in found.items():
-        said = getattr(entry, field)
-        if said != value and not (said is None and field in ("style", "source", "protocol", "targets", "truth")):
-            yield f"{entry.name}: the manifest says {field} {said!r}, the scene {value!r}"
+        listed = getattr(entry, field)
+        if listed != value and not (listed is None and field in ("style", "source", "protocol", "targets", "truth")):
+            yield f"{entry.name}: the manifest says {field} {listed!r}, the scene {value!r}"
 
 
 def witness_faults(scene: Scene) -> Iterator[str]:
-    """What is wrong with the witnesses of a scene; those for arms whose files are not here are left out."""
+    """Yield the faults of a scene's witnesses; those for arms that are not installed are skipped."""
     compiled: dict[str, CompiledScene] = {}
     for target in scene.targets:
-        where = f"{scene.name}, tomato {target.tomato} ({target.difficulty}, {target.robot})"
+        label = f"{scene.name}, tomato {target.tomato} ({target.difficulty}, {target.robot})"
         if (target.witness is None) != (target.difficulty == "unreachable"):
-            yield f"{where}: {'no' if target.witness is None else 'a'} witness"
+            yield f"{label}: {'no' if target.witness is None else 'a'} witness"
         elif target.witness is not None:
             try:
                 known = compiled.get(target.robot) or compile_scene(scene, target.robot)
@@ -83,17 +83,17 @@ def witness_faults(scene: Scene) -> Iterator[str]:
                 continue
             compiled[target.robot] = known
             if fault := _fault(known, target, np.array(target.witness)):
-                yield f"{where}: {fault}"
+                yield f"{label}: {fault}"
 
 
 def _fault(compiled: CompiledScene, target: Target, path: Array) -> str:
-    """What is wrong with one witness, or nothing."""
+    """Return the first fault of a witness, or an empty text."""
     robot, tomato = compiled.robot, compiled.scene.tomatoes[target.tomato]
-    if path.shape[1] != len(robot.joints) or np.abs(path[0] - robot.start).max() > _SAME:
+    if path.shape[1] != len(robot.joints) or np.abs(path[0] - robot.start).max() > _TOLERANCE:
         return "the witness does not begin at the arm's start"
-    if ((path < robot.lower - _SAME) | (path > robot.upper + _SAME)).any():
+    if ((path < robot.lower - _TOLERANCE) | (path > robot.upper + _TOLERANCE)).any():
         return "the witness leaves the joints' limits"
     if not ProvingChecker(planning_model(compiled, target.tomato, margin=0.0)).path_is_free(path, STEP):
         return "the witness touches something"
     grasp = tool_state(tool_chain(compiled.model, compiled.tip_site), path[-1:], tomato.radius).point[0]
-    return "" if np.linalg.norm(grasp - tomato.center) <= _AT_GOAL else "the witness does not end at the tomato"
+    return "" if np.linalg.norm(grasp - tomato.center) <= _GOAL_RADIUS else "the witness does not end at the tomato"

@@ -1,57 +1,58 @@
-"""Certificates for a scene's tomatoes: how hard each is to reach, with a path that proves it can be reached.
+"""Certificates for the tomatoes of scenes and banks: how hard each is to reach, with a path as proof.
 
-The rule, in collision checks, so that it does not depend on the machine:
+The rule counts collision checks, so it does not depend on the machine:
 
 - easy: a straight joint motion to one of the goal configurations is free.
-- medium: RRTConnect needs no more than `HARD` checks, in the median over `SEEDS` runs.
-- hard: it needs more, or most runs find nothing within `MAX_CHECKS`; where none does, one of as many further runs finds
-  a path within `LAST_CHECKS`.
-- unreachable: no goal configuration among `SAMPLES` random ones, or no run finds a path. That is no proof: a larger
-  budget may find one.
+- medium: RRTConnect needs at most `HARD` checks, in the median over `SEEDS` runs.
+- hard: it needs more, or most runs find nothing within `MAX_CHECKS`; if none does, one of `SEEDS` further runs finds a
+  path within `LAST_CHECKS`.
+- unreachable: `SAMPLES` random configurations lead to no goal configuration, or no run finds a path. This is no proof.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from greenhouse_gym.errors import FileFormatError, InvalidValueError, require_seed
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.motion.collision import (
-    COARSE,
-    PROOF,
-    CollisionChecker,
-    path_clearance,
-    planning_model,
-)
+from greenhouse_gym.motion.collision import COARSE, PROOF, CollisionChecker, path_clearance, planning_model
 from greenhouse_gym.motion.goals import search_goals
 from greenhouse_gym.motion.proof import ProvingChecker
 from greenhouse_gym.motion.reach import arm_reaches
 from greenhouse_gym.motion.unknown_space import depths_of, guarded, unknown_lengths
+from greenhouse_gym.planning.own_planners import PlannerFailedError
 from greenhouse_gym.planning.query import plan_with
-from greenhouse_gym.planning.registered import PlannerFailedError
 from greenhouse_gym.planning.result import PlanResult
 from greenhouse_gym.robots import Robot, get_robot
-from greenhouse_gym.scene import Scene, Target
-from greenhouse_gym.scene.mjcf import CompiledScene
+from greenhouse_gym.scene import Scene, SceneBank, Target
+from greenhouse_gym.scene.bank import write_bank
+from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
 from greenhouse_gym.scene.scene import Difficulty
 
 GOALS, SAMPLES = 30, 10_000
-"""Goal configurations looked for, and random configurations after which the search for them ends."""
+"""Goal configurations to find, and random configurations after which the search for them ends."""
 
 HARD = 5_000
-"""Collision checks RRTConnect needs at most, in the median over the runs, for a target that is medium."""
+"""Largest median number of collision checks over the RRTConnect runs at a medium target."""
 
 MAX_CHECKS = 30_000
-"""Collision checks after which a run counts as failed."""
+"""Collision checks after which a run fails."""
 
 LAST_CHECKS = 100_000
-"""Collision checks of the last runs, which only targets get that no other run has reached."""
+"""Collision checks of the last runs, made only for targets that no other run has reached."""
 
 SEEDS = 3
-"""Runs per target; those that cannot change the rating any more are left out."""
+"""Runs per target; those that cannot change the rating are left out."""
+
+RATING = "rating"
+"""Key in the provenance settings of a rated scene: the arm's name and checksum, the seed and the scene's checksum."""
 
 _ATTEMPTS = 3  # at a search whose planning process dies
 _DECIMALS = 6  # to which a witness is rounded, radians
@@ -62,32 +63,32 @@ def certify_targets(
     robot: str | Robot = "ur5e",
     seed: int = 0,
     unknown: str | float = "free",
-    most: int | None = None,
-    smallest: float = 0.0,
+    max_targets: int | None = None,
+    min_radius: float = 0.0,
 ) -> tuple[Target, ...]:
     """Rate the tomatoes of a scene as targets, by the rule of this module.
 
-    The witness of an easy target is the shortest of the free straight motions; else it is the shortest of the paths
-    found. It is rounded, and proven free after the rounding.
+    The witness of an easy target is the shortest of the free straight motions; otherwise it is the shortest path found.
+    It is rounded, and proven free after rounding.
 
     Args:
-        scene: The scene; targets it already has are not looked at.
+        scene: The scene; its present targets are ignored.
         robot: Name or file of the arm, or a `Robot`.
         seed: Same seed, same result.
-        unknown: What space that the scan did not see is for a witness, as `plan` takes it: a tomato is rated by the
-            first depth at which it can be reached.
-        most: How many to rate, spread evenly over their distances from the shoulder; None for all.
-        smallest: Radius below which tomatoes are not rated, unless all of them are as small, metres.
+        unknown: How witnesses may use space that the scan did not see, as in `plan`. A tomato is rated at the first
+            depth at which it can be reached.
+        max_targets: Number of tomatoes to rate, spread evenly over their distances from the shoulder; None for all.
+        min_radius: Radius below which tomatoes are not rated unless all are smaller, metres.
 
     Returns:
-        A target for each of these tomatoes, in their order. Where the scene says what was seen, they tell the share of
-        their witness's way through unknown space.
+        A target for each rated tomato, in their order. If the scene has an occupancy grid, each target with a witness
+        holds the fraction of the witness that leads through unknown space.
 
     Raises:
-        PlannerFailedError: The planner died or hung, which says nothing about a target.
+        PlannerFailedError: The planner crashed or hung, so nothing is known about a target.
     """
     arm, targets = get_robot(robot), dict[int, Target]()
-    chosen = _spread(scene, most, smallest)
+    chosen = _spread(scene, max_targets, min_radius)
     for depth in depths_of(unknown):
         compiled = guarded(scene, arm, arm.start, depth)
         for tomato in chosen:
@@ -96,75 +97,120 @@ def certify_targets(
     return _with_unknown_fractions(scene, arm, [targets[tomato] for tomato in chosen])
 
 
-def _spread(scene: Scene, most: int | None, smallest: float) -> list[int]:
-    """Tomatoes to rate, so many at most, near ones and far ones, none smaller than it must be."""
-    large = [k for k, tomato in enumerate(scene.tomatoes) if tomato.radius >= smallest]
-    rows = np.array(large or range(len(scene.tomatoes)), dtype=np.int64)
-    if most is None or len(rows) <= most:
-        return rows.tolist()
-    shoulder = scene.placement.position + [0.0, 0.0, scene.placement.shoulder_height]
-    distances = [np.linalg.norm(scene.tomatoes[k].center - shoulder) for k in rows]
-    by_distance = rows[np.argsort(distances, kind="stable")]
-    return sorted(by_distance[np.linspace(0, len(rows) - 1, most).round().astype(int)].tolist())
-
-
 def certify_target(compiled: CompiledScene, tomato: int, seed: int = 0) -> Target:
-    """Rate one tomato; see `certify_targets`. The share through unknown space is left out."""
+    """Rate one tomato as `certify_targets` does, without the fraction in unknown space."""
     checker = ProvingChecker(planning_model(compiled, tomato), arm_reaches(compiled.robot))
     goals = search_goals(compiled, checker, tomato, GOALS, seed=seed, budget=SAMPLES).configurations
-    found = _straight(checker, compiled.robot, goals) or _planned(checker, compiled, tomato, goals, seed)
-    target = Target(tomato=tomato, difficulty=found.difficulty, robot=compiled.robot.name, goals=len(goals))
-    if found.path is None:
+    rating = _straight(checker, compiled.robot, goals) or _planned(checker, compiled, tomato, goals, seed)
+    target = Target(tomato=tomato, difficulty=rating.difficulty, robot=compiled.robot.name, goals=len(goals))
+    if rating.path is None:
         return target
     return target.model_copy(
         update={
-            "witness": tuple(tuple(configuration) for configuration in found.path.tolist()),
-            "checks": found.checks,
-            "clearance": round(path_clearance(compiled, tomato, found.path), 4),
+            "witness": tuple(tuple(configuration) for configuration in rating.path.tolist()),
+            "checks": rating.checks,
+            "clearance": round(path_clearance(compiled, tomato, rating.path), 4),
         }
     )
 
 
+def rate_bank(
+    bank: str | Path | SceneBank,
+    robot: str | Path | Robot,
+    out: str | Path,
+    seed: int = 0,
+    per_scene: int | None = None,
+    on_target: Callable[[int], None] | None = None,
+) -> SceneBank:
+    """Rate the tomatoes of a bank for an arm and write a new bank with these targets.
+
+    Targets for other arms are kept. Each scene is written when it is finished and the manifest last, so an interrupted
+    run resumes; scenes rated for another arm, from another scene or with another seed are rated again.
+
+    Args:
+        bank: The bank.
+        robot: Name or file of the arm, or a `Robot`.
+        out: Folder of the new bank; not that of the old one.
+        seed: Same seed, same ratings.
+        per_scene: Number of tomatoes to rate in each scene, those nearest to the arm's shoulder; None for all.
+        on_target: Called with the number of rated tomatoes, including those of scenes finished earlier.
+
+    Raises:
+        InvalidValueError: ``out`` is the bank's own folder, or the arm's start is in collision in every scene.
+    """
+    opened, arm, folder = SceneBank.open(bank), get_robot(robot), Path(out).resolve()
+    if folder == opened.path.resolve():
+        raise InvalidValueError(f"{folder}: the rated bank needs another folder than the bank it is made from")
+    if per_scene is not None and per_scene < 1:
+        raise InvalidValueError(f"per_scene must be at least 1 or None, got {per_scene!r}")
+    checksum = sha256(arm.path.read_bytes()).hexdigest()
+    rating = {"robot": arm.name, "file_sha256": checksum, "seed": require_seed(seed), "per_scene": per_scene}
+    rated: list[tuple[Scene, str]] = []
+    blocked: list[str] = []
+    done = 0
+    for name in opened.names():
+        scene = opened.scene(name)
+        source = {**rating, "scene_sha256": sha256(scene.model_dump_json().encode()).hexdigest()}
+        result = _load_rated(folder / f"{name}.json", source)
+        if result is None:
+            compiled = compile_scene(scene, arm)
+            contacts = _start_contacts(compiled)
+            if contacts:
+                blocked.append(f"{name} ({contacts})")
+            targets: list[Target] = []
+            for tomato in _nearest(scene, per_scene):
+                targets.append(certify_target(compiled, tomato, seed))
+                if on_target is not None:
+                    on_target(done + len(targets))
+            result = _with_targets(scene, targets, source)
+            result.save(folder / f"{name}.json")
+        done += len(_nearest(scene, per_scene))
+        rated.append((result, opened.split_of(name)))
+    if blocked and len(blocked) == len(rated):
+        raise InvalidValueError(f"{arm.name} touches something at its start in every scene: {', '.join(blocked)}")
+    return write_bank(folder, rated, folder.name, f"{opened.manifest.name}, rated for {arm.name}")
+
+
 @dataclass(frozen=True, eq=False)
-class _Found:
-    """A rating with its path, None where none was found, and the checks RRTConnect needed for one."""
+class _Rating:
+    """A difficulty with its path and the checks RRTConnect needed for it; None without one."""
 
     difficulty: Difficulty
     path: Array | None = None
     checks: int | None = None
 
 
-def _straight(checker: CollisionChecker, robot: Robot, goals: Array) -> _Found | None:
-    """The shortest free straight motion to a goal, if there is one."""
+def _straight(checker: CollisionChecker, robot: Robot, goals: Array) -> _Rating | None:
+    """Rate by the shortest free straight motion to a goal; None without one."""
     for goal in sorted(goals, key=lambda end: float(np.linalg.norm(end - robot.start))):
         if checker.motion_is_free(robot.start, goal, COARSE):
             path = _rounded(robot, np.stack([robot.start, goal]))
             if checker.path_is_free(path, PROOF):
-                return _Found("easy", path)
+                return _Rating("easy", path)
     return None
 
 
-def _planned(checker: CollisionChecker, compiled: CompiledScene, tomato: int, goals: Array, seed: int) -> _Found:
-    """What RRTConnect makes of a target."""
+def _planned(checker: CollisionChecker, compiled: CompiledScene, tomato: int, goals: Array, seed: int) -> _Rating:
+    """Rate by runs of RRTConnect."""
     if not len(goals):
-        return _Found("unreachable")
+        return _Rating("unreachable")
     results: list[PlanResult] = []
     while len(results) < SEEDS and not _decided(results):
-        results.append(_searched(checker, compiled, tomato, goals, seed + len(results), MAX_CHECKS))
+        results.append(_search(checker, compiled, tomato, goals, seed + len(results), MAX_CHECKS))
     path = _shortest(checker, compiled.robot, results)
     if path is not None:
         needed = sorted(map(_needed, results))[len(results) // 2]
-        return _Found("hard" if needed > HARD else "medium", path, None if math.isinf(needed) else int(needed))
+        return _Rating("hard" if needed > HARD else "medium", path, None if math.isinf(needed) else int(needed))
     for run in range(SEEDS):
-        last = _searched(checker, compiled, tomato, goals, seed + run, LAST_CHECKS)
+        last = _search(checker, compiled, tomato, goals, seed + run, LAST_CHECKS)
         path = _shortest(checker, compiled.robot, [last])
         if path is not None:
-            return _Found("hard", path)
-    return _Found("unreachable")
+            return _Rating("hard", path)
+    return _Rating("unreachable")
 
 
 def _shortest(checker: CollisionChecker, robot: Robot, results: Sequence[PlanResult]) -> Array | None:
-    """The shortest of the paths found that is free after its rounding too, None where there is none."""
+    """Return the shortest path that is still free after rounding, or None."""
     for result in sorted(results, key=lambda r: r.length if r.path is not None else math.inf):
         if result.path is not None:
             path = _rounded(robot, result.path)
@@ -173,12 +219,12 @@ def _shortest(checker: CollisionChecker, robot: Robot, results: Sequence[PlanRes
     return None
 
 
-def _searched(
+def _search(
     checker: CollisionChecker, compiled: CompiledScene, tomato: int, goals: Array, seed: int, checks: int
 ) -> PlanResult:
-    """One run of RRTConnect, which the checks end and not the machine."""
+    """Run RRTConnect once, limited by the number of checks alone."""
     for _ in range(_ATTEMPTS):
-        result = plan_with(compiled, checker, tomato, "RRTConnect", None, checks, goals, seed)
+        result = plan_with(compiled, checker, goals, "RRTConnect", None, checks, seed)
         if result.status not in ("crashed", "timeout"):
             return result
     raise PlannerFailedError(f"{compiled.scene.name}, tomato {tomato}: it cannot be rated. {result.message}")
@@ -189,10 +235,10 @@ def _needed(result: PlanResult) -> float:
 
 
 def _decided(results: Sequence[PlanResult]) -> bool:
-    """Whether more than half of all runs agree, so that the others cannot change the rating."""
-    much = sum(_needed(result) > HARD for result in results)
+    """Return whether more than half of all runs agree, so that the others cannot change the rating."""
+    hard = sum(_needed(result) > HARD for result in results)
     solved = any(result.path is not None for result in results)
-    return solved and max(much, len(results) - much) > SEEDS // 2
+    return solved and max(hard, len(results) - hard) > SEEDS // 2
 
 
 def _rounded(robot: Robot, path: Array) -> Array:
@@ -200,10 +246,55 @@ def _rounded(robot: Robot, path: Array) -> Array:
 
 
 def _with_unknown_fractions(scene: Scene, robot: Robot, targets: Sequence[Target]) -> tuple[Target, ...]:
-    """The targets with the share of their witness's way through unknown space, where the scene says what was seen."""
+    """Return the targets with the fraction of their witness in unknown space, if the scene has an occupancy grid."""
     paths = {target.tomato: np.array(target.witness) for target in targets if target.witness is not None}
     if scene.occupancy is None or not paths:
         return tuple(targets)
-    ways = dict(zip(paths, unknown_lengths(scene, robot, list(paths.values())), strict=True))
-    shares = {tomato: round(unknown / max(way, 1e-9), 3) for tomato, (unknown, way) in ways.items()}
-    return tuple(target.model_copy(update={"unknown": shares.get(target.tomato)}) for target in targets)
+    lengths = dict(zip(paths, unknown_lengths(scene, robot, list(paths.values())), strict=True))
+    fractions = {tomato: round(unknown / max(length, 1e-9), 3) for tomato, (unknown, length) in lengths.items()}
+    return tuple(target.model_copy(update={"unknown": fractions.get(target.tomato)}) for target in targets)
+
+
+def _shoulder_distances(scene: Scene) -> Array:
+    """Return the distance (k,) of every tomato from the arm's shoulder, metres."""
+    shoulder = scene.placement.position + [0.0, 0.0, scene.placement.shoulder_height]
+    return np.array([np.linalg.norm(tomato.center - shoulder) for tomato in scene.tomatoes])
+
+
+def _nearest(scene: Scene, count: int | None) -> list[int]:
+    """Return the indices of the tomatoes nearest to the shoulder."""
+    return sorted(np.argsort(_shoulder_distances(scene), kind="stable")[:count].tolist())
+
+
+def _spread(scene: Scene, count: int | None, min_radius: float) -> list[int]:
+    """Return the indices of tomatoes of a minimum radius, spread evenly over their distances from the shoulder."""
+    large = [k for k, tomato in enumerate(scene.tomatoes) if tomato.radius >= min_radius]
+    rows = np.array(large or range(len(scene.tomatoes)), dtype=np.int64)
+    if count is None or len(rows) <= count:
+        return rows.tolist()
+    by_distance = rows[np.argsort(_shoulder_distances(scene)[rows], kind="stable")]
+    return sorted(by_distance[np.linspace(0, len(rows) - 1, count).round().astype(int)].tolist())
+
+
+def _load_rated(path: Path, source: dict[str, Any]) -> Scene | None:
+    """Load a scene if it exists and was rated from this source."""
+    try:
+        scene = Scene.load(path)
+    except FileFormatError:
+        return None
+    return scene if scene.provenance.settings.get(RATING) == source else None
+
+
+def _with_targets(scene: Scene, targets: list[Target], source: dict[str, Any]) -> Scene:
+    others = [target for target in scene.targets if target.robot != source["robot"]]
+    settings = {**scene.provenance.settings, RATING: source}
+    provenance = scene.provenance.model_copy(update={"settings": settings})
+    return scene.model_copy(update={"targets": (*others, *targets), "provenance": provenance})
+
+
+def _start_contacts(compiled: CompiledScene) -> str:
+    """Return a contact of the arm at its start, or an empty text; a scene without tomatoes is not checked."""
+    if not compiled.scene.tomatoes:
+        return ""
+    contacts = CollisionChecker(planning_model(compiled, 0)).contacts(compiled.robot.start)
+    return ", ".join(f"{a} with {b}" for a, b in contacts[:1])

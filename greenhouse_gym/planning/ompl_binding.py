@@ -1,59 +1,41 @@
-"""OMPL as the planning process sees it: everything in which its versions differ is here.
+"""OMPL as the planning process uses it; all differences between its versions are in this module.
 
-Version 1 binds its classes with Boost.Python, version 2 with nanobind. This is the one module that imports OMPL, and
-only the planning process imports this module. What one has to know of the two:
+Version 1 binds its classes with Boost.Python, version 2 with nanobind. This is the only module that imports OMPL, and
+only the planning process imports this module. Known traps:
 
-* The wheel of 1.7.0 carries libompl twice and loads both, after which the interpreter dies at exit.
-* A space, a space information or a goal made in Python is called back by C++ whenever it needs a distance or a sample,
-  without the interpreter's lock. A planner that works on two threads (PRM, SPARS) crashes or hangs on that. So
-  problems are made of objects that C++ made: the space is taken out of a larger one, `SimpleSetup` makes the rest,
-  and planners with threads get a single goal, for which `ProblemDefinition` makes its own object.
-* Limits of time are OMPL's own, for the same reason; a limit of checks ends them from the collision check.
+* The wheel of 1.7.0 contains libompl twice and loads both; the interpreter then crashes at exit.
+* C++ calls a space, a space information or a goal made in Python back for every distance or sample, without the
+  interpreter's lock. A planner with two threads (PRM, SPARS) crashes or hangs on that. So problems consist of objects
+  made by C++: the space is taken out of a larger one, `SimpleSetup` makes the rest, and planners with threads get a
+  single goal, for which `ProblemDefinition` makes its own object.
+* Time limits are OMPL's own for the same reason; a limit of checks ends the search from the collision check.
+* Parameters accept almost any text ("-1" as a whole number, "foo" as True): values are checked by the caller.
 """
 
 from __future__ import annotations
 
 import ctypes
 import inspect
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+import re
+from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.planning.ompl_unbound import UNBOUND, UnboundPlanner
+from greenhouse_gym.planning.ompl_planners import UNBOUND, BoundPlanner, Ompl, Planner, UnboundPlanner
+from greenhouse_gym.planning.parameters import Parameter, Value, ompl_parameter
 
-_NEVER_SET = ("LBTRRT", "LazyLBTRRT")  # the best cost that these tell is memory nobody wrote to
+_NOT_LISTED = ("STRRTstar",)  # needs a state space with time, so it always fails
 _NEVER_COUNTED = ("EITstar",)  # collecting its graph takes several times as long as a search of some seconds
 
 IsFree = Callable[[Array | list[float]], bool]
-"""Tells whether a configuration is free."""
+"""Return whether a configuration is free."""
 
-FreeShare = Callable[[Array, Array, bool], float]
-"""The share of a motion up to which it is free; the flag says whether anything but 1 may be given as 0."""
-
-
-@dataclass(frozen=True)
-class Ompl:
-    """The installed OMPL.
-
-    Attributes:
-        base: Its module ``base``.
-        geometric: Its module ``geometric``.
-        util: Its module ``util``.
-        library: The file of its C++ library where that is 1.7.0's, else None.
-        version: 1 or 2.
-    """
-
-    base: ModuleType
-    geometric: ModuleType
-    util: ModuleType
-    library: Path | None
-    version: int
+FreeFraction = Callable[[Array, Array, bool], float]
+"""Return the fraction of a motion up to which it is free; with the flag, 0 stands for any fraction below 1."""
 
 
 def import_ompl() -> Ompl:
@@ -82,51 +64,52 @@ def import_ompl() -> Ompl:
 
 
 def planner_names(ompl: Ompl) -> tuple[str, ...]:
-    """Names of the geometric planners of the installed OMPL, those without Python bindings among them."""
+    """Return the names of the geometric planners of the installed OMPL, including those without Python bindings."""
     members = inspect.getmembers(ompl.geometric, inspect.isclass)
-    bound = [name for name, kind in members if issubclass(kind, ompl.base.Planner)]
+    bound = [name for name, kind in members if issubclass(kind, ompl.base.Planner) and name not in _NOT_LISTED]
     return tuple(sorted([*bound, *(UNBOUND if ompl.library else ())]))
 
 
-def planner_parameters(ompl: Ompl, name: str) -> dict[str, str] | None:
-    """A planner's parameters with OMPL's values as text; None where they cannot be read."""
-    if ompl.version == 2 or name in UNBOUND:
-        return None
-    one = np.ones(3)
+def planner_parameters(ompl: Ompl, name: str) -> dict[str, Parameter]:
+    """Return a planner's parameters; OMPL 2 reports their names only."""
+    if name in UNBOUND:
+        return UNBOUND[name]
+    kind = getattr(ompl.geometric, name)
+    if ompl.version == 2:
+        setters = [method[3:] for method in set(dir(kind)) - set(dir(ompl.base.Planner)) if method.startswith("set")]
+        return {re.sub("(?<!^)(?=[A-Z])", "_", setter).lower(): Parameter(None) for setter in sorted(setters)}
+    one = np.ones(6)
     problem = OmplProblem(ompl, -one, one, 0 * one, one[None], lambda _: True, lambda *_: 1.0, 0.1)
-    names = ompl.util.vectorString()
-    try:
-        planner = getattr(ompl.geometric, name)(problem.information)  # its parameters read from it while they are asked
-        parameters = planner.params()
-    except RuntimeError:
-        return None
+    planner = kind(problem.information)  # the parameters belong to it
+    parameters, names = planner.params(), ompl.util.vectorString()
     parameters.getParamNames(names)
-    return {key: parameters.getParam(key).getValue() for key in names}
+    found = {key: parameters.getParam(key) for key in names}
+    return {key: ompl_parameter(value.getValue(), value.getRangeSuggestion()) for key, value in found.items()}
 
 
 def set_seed(ompl: Ompl, seed: int) -> None:
-    """Seed OMPL's random numbers; call it before anything else is made."""
+    """Seed OMPL's random numbers; call this before any of its objects is made."""
     ompl.util.RNG.setSeed(seed % (2**31) + 1)  # 0 is not allowed
 
 
 class OmplProblem:
-    """A problem as OMPL's objects.
+    """A planning problem made of OMPL's objects.
 
     Args:
         ompl: The installed OMPL.
         lower: (joints,) lower limits, radians.
         upper: (joints,) upper limits, radians.
         start: (joints,) start, radians.
-        goals: (k, joints) goals, radians; several cannot be had with ``threads``.
+        goals: (k, joints) goals, radians; only one with ``threads``.
         is_free: Called with each configuration to check.
-        free_share: Called with each motion to check.
-        fineness: Joint distance at which states along a motion are checked by planners that do that on their own, rad.
-        threads: Whether the planner checks from threads of its own: OMPL then checks motions state by state.
+        free_fraction: Called with each motion to check.
+        fineness: Joint distance between the states that planners check on their own along a motion, rad.
+        threads: True if the planner checks from threads of its own; OMPL then checks motions state by state.
     """
 
     def __init__(
         self, ompl: Ompl, lower: Array, upper: Array, start: Array, goals: Array, is_free: IsFree,
-        free_share: FreeShare, fineness: float, threads: bool = False,
+        free_fraction: FreeFraction, fineness: float, threads: bool = False,
     ):  # fmt: skip
         base, joints = ompl.base, len(start)
         bounds = base.RealVectorBounds(joints)
@@ -138,8 +121,8 @@ class OmplProblem:
         self.space.setBounds(bounds)
         self._setup = ompl.geometric.SimpleSetup(self.space)
         self.information = self._setup.getSpaceInformation()
-        # what OMPL calls must not know this object, or C++ and Python would keep each other alive
-        self._callbacks = _set_checks(ompl, self.information, joints, is_free, free_share, threads)
+        # the callbacks must not refer to this object, or C++ and Python would keep each other alive
+        self._callbacks = _set_checks(ompl, self.information, joints, is_free, free_fraction, threads)
         self.information.setStateValidityCheckingResolution(fineness / self.space.getMaximumExtent())
         self.information.setup()
         self.definition = self._setup.getProblemDefinition()
@@ -158,23 +141,20 @@ class OmplProblem:
         _set(state, configuration)
         return state
 
-    def planner(self, name: str, settings: dict[str, Any]) -> Planner:
+    def planner(self, name: str, settings: Mapping[str, Value]) -> Planner:
         """Make a planner for this problem.
 
         Raises:
-            ValueError: The installed OMPL does not know the setting, or refuses its value.
+            ValueError: OMPL refuses a value.
         """
         if name in UNBOUND:
             assert self._ompl.library is not None
             timed = self._ompl.base.timedPlannerTerminationCondition
             return UnboundPlanner(self._ompl.library, timed, name, self.definition, settings)
-        return BoundPlanner(self._ompl, name, self, settings)
+        return BoundPlanner(self._ompl, name, self.information, self.definition, settings)
 
     def take_solution(self) -> Array | None:
-        """The configurations (k, joints) of the exact solution, or None; OMPL then forgets it.
-
-        CForest dies if its paths outlive it.
-        """
+        """Return the exact solution (k, joints), or None, and clear it: CForest crashes if its paths outlive it."""
         path = None
         if self.definition.hasExactSolution():
             path = _configurations(self.definition.getSolutionPath(), self._joints)
@@ -182,7 +162,7 @@ class OmplProblem:
         return path
 
     def tree_size(self, planner: Planner) -> int:
-        """Number of nodes in a planner's trees or roadmap; 0 where counting them takes longer than searching."""
+        """Return the number of nodes in a planner's trees or roadmap; 0 if counting takes longer than searching."""
         if isinstance(planner, BoundPlanner) and planner.name in _NEVER_COUNTED:
             return 0
         data = self._ompl.base.PlannerData(self.information)
@@ -190,11 +170,11 @@ class OmplProblem:
         return int(data.numVertices())
 
     def shortened(self, configurations: Array) -> Array:
-        """A path (k, joints) made shorter."""
+        """Return a shortened path (k, joints)."""
         geometric = self._ompl.geometric
         path = geometric.PathGeometric(self.information)
         for configuration in configurations:
-            state = self._state(configuration)  # must live until it is copied
+            state = self._state(configuration)  # must live until append has copied it
             path.append(state() if self._ompl.version == 1 else state)
         simplifier = geometric.PathSimplifier(self.information)
         simplifier.reduceVertices(path)
@@ -204,59 +184,6 @@ class OmplProblem:
         return _configurations(path, self._joints)
 
 
-class BoundPlanner:
-    """A planner with Python bindings."""
-
-    def __init__(self, ompl: Ompl, name: str, problem: OmplProblem, settings: dict[str, Any]):
-        self._ompl, self.name = ompl, name
-        self._planner = getattr(ompl.geometric, name)(problem.information)
-        self._planner.setProblemDefinition(problem.definition)
-        for key, value in settings.items():
-            if not self._set(key, value):
-                raise ValueError(f"this OMPL does not take {key} = {value!r}")
-        self._planner.setup()
-        self._termination: Any = None
-
-    def _set(self, key: str, value: Any) -> bool:
-        if self._ompl.version == 1:
-            return bool(self._planner.params().setParam(key, str(int(value) if isinstance(value, bool) else value)))
-        setter = getattr(self._planner, "set" + "".join(word.capitalize() for word in key.split("_")), None)
-        if setter is None:
-            return False
-        setter(value)
-        return True
-
-    def solve(self, seconds: float, exhausted: Callable[[], bool]) -> None:
-        """Search until solved, or for so many seconds; also until exhausted, where the planner runs on one thread."""
-        if self._ompl.version == 1:
-            self._termination = self._ompl.base.timedPlannerTerminationCondition(seconds)
-            self._planner.solve(self._termination)
-        elif self.name in ("PRM", "PRMstar"):
-            self._planner.solve(seconds)  # a second thread waits for the limit: it must not ask Python
-        else:
-            self._planner.solve(self._ompl.base.PlannerTerminationCondition(exhausted))
-
-    def stop(self) -> None:
-        """End a search that is under way; called from within a collision check."""
-        if self._termination is not None:
-            self._termination.terminate()
-
-    def best_cost(self) -> Callable[[], str] | None:
-        """What gives the cost of the best path so far as text; None where the planner does not tell."""
-        if self._ompl.version == 2 or self.name in _NEVER_SET:
-            return None
-        properties = self._planner.getPlannerProgressProperties()
-        for key in ("best cost REAL", "best cost DOUBLE"):
-            if properties.has_key(key):
-                found: Callable[[], str] = properties[key]
-                return found
-        return None
-
-    def read_data(self, data: Any) -> None:
-        """Fill OMPL's planner data."""
-        self._planner.getPlannerData(data)
-
-
 def _set(state: Any, configuration: Array) -> None:
     for j, angle in enumerate(configuration.tolist()):
         state[j] = angle
@@ -264,9 +191,6 @@ def _set(state: Any, configuration: Array) -> None:
 
 def _configurations(path: Any, joints: int) -> Array:
     return np.array([[state[j] for j in range(joints)] for state in path.getStates()])
-
-
-Planner = BoundPlanner | UnboundPlanner
 
 
 def _space(ompl: Ompl, joints: int) -> Any:
@@ -279,9 +203,9 @@ def _space(ompl: Ompl, joints: int) -> Any:
 
 
 def _set_checks(
-    ompl: Ompl, information: Any, joints: int, is_free: IsFree, free_share: FreeShare, threads: bool
+    ompl: Ompl, information: Any, joints: int, is_free: IsFree, free_fraction: FreeFraction, threads: bool
 ) -> Sequence[Any]:
-    """Have OMPL call Python for states and motions; the callbacks must be kept alive by the caller."""
+    """Register Python's checks of states and motions with OMPL; the caller must keep the returned callbacks alive."""
     base = ompl.base
     if ompl.version == 2:
 
@@ -299,18 +223,18 @@ def _set_checks(
         return (state_check,)
 
     class Motions(base.MotionValidator):  # type: ignore[misc,name-defined]
-        """Whole motions per call from C++, checked exactly as the finished path will be."""
+        """Checks whole motions per call from C++, exactly as the finished path is checked."""
 
         def checkMotion(self, first: Any, second: Any, last_valid: Any = None) -> bool:  # noqa: N802
             a = np.array([first[j] for j in range(joints)])
             b = np.array([second[j] for j in range(joints)])
-            share = free_share(a, b, last_valid is None)
-            if share < 1.0 and last_valid is not None:
+            fraction = free_fraction(a, b, last_valid is None)
+            if fraction < 1.0 and last_valid is not None:
                 # the state that receives the last free configuration may be the motion's end itself
-                last_valid.second = share
+                last_valid.second = fraction
                 if last_valid.first is not None:
-                    _set(last_valid.first, a + share * (b - a))
-            return share == 1.0
+                    _set(last_valid.first, a + fraction * (b - a))
+            return fraction == 1.0
 
     motions = Motions(information)
     information.setMotionValidator(motions)

@@ -1,7 +1,7 @@
-"""The process in which OMPL runs: takes queries from a connection, answers each, one at a time.
+"""The process in which OMPL runs: it takes queries from a connection and answers them one by one.
 
-The caller's process does not import this module: some planners hang or crash, and a separate process can be killed.
-`greenhouse_gym.planning.worker` starts it and talks to it, in the terms of `greenhouse_gym.planning.exchange`.
+Some planners hang or crash; a process of its own can be killed. The caller's process does not import this module:
+`greenhouse_gym.planning.worker` starts the process and talks to it.
 """
 
 from __future__ import annotations
@@ -23,22 +23,20 @@ import numpy as np
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.collision import PROOF, RESOLUTIONS, CollisionChecker
 from greenhouse_gym.motion.proof import ProvingChecker
-from greenhouse_gym.planning.exchange import Answer, Outcome, Query
 from greenhouse_gym.planning.ompl_binding import (
-    Ompl,
     OmplProblem,
-    Planner,
     import_ompl,
     planner_names,
     planner_parameters,
     set_seed,
 )
-from greenhouse_gym.planning.ompl_unbound import JOINING, THREADED
+from greenhouse_gym.planning.ompl_planners import JOINING, THREADED, Ompl, Planner
+from greenhouse_gym.planning.worker import Outcome, PlannerAnswer, PlannerQuery
 
-LOOK = 0.001
-"""Seconds between two looks at the cost of the best path so far, while it is improved."""
+COST_INTERVAL = 0.001
+"""Seconds between two readings of the cost of the best path while it is improved."""
 
-_REMEMBERED = 100_000  # configurations, some 30 MB
+_CACHE_SIZE = 100_000  # configurations, about 30 MB
 _PR_SET_PDEATHSIG = 1  # of Linux's prctl
 
 
@@ -49,7 +47,7 @@ def serve(handle: int, memory_limit: int, caller: int) -> None:
 
     Args:
         handle: The connection's handle.
-        memory_limit: Bytes of data this process may hold, where the system can limit them.
+        memory_limit: Bytes of data this process may allocate, on systems that can limit them.
         caller: Process id of the caller; this process dies with it on Linux, and elsewhere after the hard limit.
     """
     _die_with(caller)
@@ -73,7 +71,7 @@ def serve(handle: int, memory_limit: int, caller: int) -> None:
             command, argument, hard_limit = connection.recv()
         except EOFError:
             return
-        # should the caller die meanwhile, nothing of this process stays behind for long
+        # should the caller die meanwhile, this process ends soon, too
         signal.setitimer(signal.ITIMER_REAL, hard_limit + 10.0)
         try:
             reply = (True, commands[command](argument))
@@ -87,7 +85,7 @@ def serve(handle: int, memory_limit: int, caller: int) -> None:
 
 
 def _die_with(caller: int) -> None:
-    """Have the system kill this process when the thread that started it ends."""
+    """Ask the system to kill this process when the thread that started it ends."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGKILL), 0, 0, 0)
         if os.getppid() != caller:  # it died before
@@ -102,22 +100,22 @@ def _limit_memory(limit: int) -> None:
     resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
 
 
-def solve(ompl: Ompl, query: Query) -> Answer:
-    """Plan, shorten the path, and prove it free; at a coarse resolution first, then at finer ones.
+def solve(ompl: Ompl, query: PlannerQuery) -> PlannerAnswer:
+    """Plan, shorten the path and prove it free, at a coarse resolution first, then at finer ones.
 
-    Everything of OMPL is built anew after the seed is set, so the same query gives the same path as long as the number
-    of checks and not the time ends the search.
+    All of OMPL's objects are made after the seed is set, so the same query gives the same path if the number of checks
+    and not the time ends the search.
     """
     set_seed(ompl, query.seed)
     checker = ProvingChecker(query.model, query.reaches)
     search = _Search(checker, math.inf if query.max_checks is None else query.max_checks, query.optimizing)
     try:
-        return _solved(ompl, query, search)
+        return _solve(ompl, query, search)
     finally:
         search.forget()
 
 
-def _solved(ompl: Ompl, query: Query, search: _Search) -> Answer:
+def _solve(ompl: Ompl, query: PlannerQuery, search: _Search) -> PlannerAnswer:
     checker = search.checker
     planning_time, simplification_time, tree_size = 0.0, 0.0, 0
     status: Outcome = "no_solution"
@@ -127,7 +125,7 @@ def _solved(ompl: Ompl, query: Query, search: _Search) -> Answer:
         search.begin(began - planning_time, query.time_limit, resolution)
         fineness = JOINING.get(query.planner, resolution / float(np.linalg.norm(checker.reaches)))
         problem = OmplProblem(
-            ompl, query.lower, query.upper, query.start, query.goals, search.is_free, search.free_share, fineness,
+            ompl, query.lower, query.upper, query.start, query.goals, search.is_free, search.free_fraction, fineness,
             threads=query.planner in THREADED,
         )  # fmt: skip
         planner = problem.planner(query.planner, query.settings)
@@ -151,11 +149,11 @@ def _solved(ompl: Ompl, query: Query, search: _Search) -> Answer:
         if path is not None:
             break
     costs = np.array(search.costs).reshape(-1, 2)
-    return Answer(status, path, raw, planning_time, simplification_time, checker.checks, tree_size, costs)
+    return PlannerAnswer(status, path, raw, planning_time, simplification_time, checker.checks, tree_size, costs)
 
 
 def _simplified(problem: OmplProblem, search: _Search, raw: Array) -> Array | None:
-    """The path shortened and proven free; the planner's own path if only that can be proven, or None."""
+    """Return the shortened path if it is proven free, else the planner's own path if that is proven free, else None."""
     proven = search.checker.path_is_free(raw, PROOF)
     if proven:
         search.resolution = PROOF
@@ -167,7 +165,7 @@ def _simplified(problem: OmplProblem, search: _Search, raw: Array) -> Array | No
 
 @dataclass
 class _Search:
-    """The collision checks of a planner, with its limits on time and checks and its progress."""
+    """Collision checks of a planner, with its limits of time and checks and the costs found so far."""
 
     checker: CollisionChecker
     max_checks: float
@@ -178,38 +176,38 @@ class _Search:
     limited: bool = True
     planner: Planner | None = None
     best_cost: Callable[[], str] | None = None
-    next_look: float = 0.0
+    next_reading: float = 0.0
     costs: list[tuple[float, float]] = field(default_factory=list)
     known_free: set[tuple[float, ...]] = field(default_factory=set)
     lock: threading.Lock = field(default_factory=threading.Lock)
 
     def begin(self, began: float, time_limit: float, resolution: float) -> None:
-        """Set the limits of the next run, and forget the costs of the last one."""
+        """Set the limits of the next run and clear the costs of the last one."""
         self.began, self.deadline, self.resolution, self.limited = began, began + time_limit, resolution, True
         self.costs.clear()
 
     def run(self, planner: Planner) -> None:
-        """Have a planner search."""
+        """Run a planner."""
         self.planner, self.best_cost = planner, planner.best_cost()
         try:
             planner.solve(max(self.deadline - time.perf_counter(), 0.0), self.exhausted)
         finally:
-            # the planner must not be reachable from the callbacks that it keeps alive
+            # the callbacks that the planner keeps alive must not refer to it
             self.planner, self.best_cost, self.limited = None, None, False
 
     def forget(self) -> None:
-        """Let go of the model: what OMPL called keeps this object until the garbage is collected."""
+        """Release the model: OMPL's callbacks keep this object until the garbage is collected."""
         del self.checker
         self.known_free.clear()
 
     def exhausted(self) -> bool:
-        """Whether a limit is reached, or the path that was asked for."""
+        """Return whether a limit is reached or the wanted path is found; stop the planner then."""
         if not self.limited:
             return False
         now = time.perf_counter()
-        # always before a search that ends at its first path, or the clock would decide on the path
-        if self.best_cost is not None and (now >= self.next_look or not self.optimizing):
-            self.next_look = now + LOOK
+        # read every time if the first path ends the search: otherwise the clock would decide which path it is
+        if self.best_cost is not None and (now >= self.next_reading or not self.optimizing):
+            self.next_reading = now + COST_INTERVAL
             self.note(now, float(self.best_cost()))
         enough = bool(self.costs) and not self.optimizing
         if self.checker.checks < self.max_checks and now < self.deadline and not enough:
@@ -219,17 +217,17 @@ class _Search:
         return True
 
     def note(self, now: float, cost: float) -> None:
-        """Note the cost of the best path so far; OMPL tells it with six digits."""
+        """Append the cost of the best path so far if it is lower; OMPL reports six digits."""
         if math.isfinite(cost) and (not self.costs or cost < (1 - 1e-5) * self.costs[-1][1]):
             self.costs.append((now - self.began, cost))
 
     def is_free(self, configuration: Any) -> bool:
-        """Whether a configuration is free; nothing is once a limit is reached."""
+        """Return whether a configuration is free; always False once a limit is reached."""
         with self.lock:
             return not self.exhausted() and self._known_free(tuple(configuration))
 
-    def free_share(self, first: Array, second: Array, whole: bool) -> float:
-        """The share of a motion up to which it is free; 0 for all that are not free as a whole if that will do."""
+    def free_fraction(self, first: Array, second: Array, whole: bool) -> float:
+        """Return the fraction of a motion up to which it is free; with ``whole``, 0 for any fraction below 1."""
         if self.exhausted():
             return 0.0
         ends_free = self._known_free(tuple(second.tolist())) and self._known_free(tuple(first.tolist()))
@@ -238,11 +236,11 @@ class _Search:
         return 0.0 if whole or self.exhausted() else self.checker.free_share(first, second, self.resolution)
 
     def _known_free(self, configuration: tuple[float, ...]) -> bool:
-        """Whether a configuration is free; most have been checked before, as an end of another motion."""
+        """Return whether a configuration is free; most are cached, as ends of other motions."""
         if configuration not in self.known_free:
             if not self.checker.is_free(configuration):
                 return False
-            if len(self.known_free) >= _REMEMBERED:
+            if len(self.known_free) >= _CACHE_SIZE:
                 self.known_free.clear()
             self.known_free.add(configuration)
         return True

@@ -1,4 +1,4 @@
-"""What became of a plan."""
+"""The result of a plan."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from greenhouse_gym.motion.goals import GoalStatistics
 
 Status = Literal[
     "solved",  # a path was found and proven free
-    "no_goal",  # no configuration reaches the target without touching something
+    "no_goal",  # no collision-free configuration reaches the target
     "start_in_collision",  # the start touches something, or nearly
     "no_solution",  # the time or the checks were used up without a path
     "approximate",  # the same, but a path that ends near a goal was found
@@ -25,28 +25,28 @@ Status = Literal[
 
 @dataclass(frozen=True, eq=False)
 class PlanResult:
-    """What became of a plan.
+    """Result of planning.
 
     Attributes:
         status: One of `Status`.
-        path: (k, joints) free joint path from the start to a goal, radians; None unless solved.
+        path: (k, joints) collision-free path from the start to a goal, radians; None unless solved.
         planner: Name of the planner.
         raw_path: (k, joints) the planner's own path before it was simplified; None without one.
         raw_length: Length of ``raw_path``, radians; nan without one.
         length: Length of ``path``, radians; nan without one.
-        clearance: Smallest distance of the arm to any obstacle but the target along ``path``, metres; at most
+        clearance: Smallest distance along ``path`` between the arm and any obstacle except the target, metres; at most
             `CLEARANCE_RANGE`; nan without a path.
         planning_time: Seconds the planner searched.
         simplification_time: Seconds for shortening the path and proving it free.
-        goal_time: Seconds for the goal configurations.
-        checks: Configurations the planner checked for collisions.
-        tree_size: Nodes in the planner's trees or roadmap; 0 for EITstar, whose are slow to count.
-        costs: (m, 2) seconds, and the length of the best path the planner had by then, radians: the first one it told
-            of and every shorter one.
-        goals: How the search for goal configurations went; None where they were given.
-        message: What happened, where the status does not tell it all.
-        unknown_length: Length of the tip's way along ``path`` while some of the arm is in space that the scan did not
-            see, metres; nan without a path, or where unknown space counts as free.
+        goal_time: Seconds for finding goal configurations.
+        checks: Number of configurations the planner checked for collisions.
+        tree_size: Number of nodes in the planner's trees or roadmap; 0 for EITstar, where counting is slow.
+        costs: (m, 2) seconds and length of the planner's best path at that time, radians: the first path it reported
+            and each shorter one.
+        goals: Statistics of the search for goal configurations; None if they were given.
+        message: Details that the status does not give.
+        unknown_length: Length of the tip's path while part of the arm is in unknown space, metres; nan without a path,
+            or if unknown space counts as free.
     """
 
     status: Status

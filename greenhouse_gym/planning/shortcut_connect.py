@@ -1,9 +1,9 @@
-"""ShortcutConnect, a planner of this package: short paths from few checks.
+"""ShortcutConnect, this package's own planner: short paths from few checks.
 
-It searches as RRTConnect does (Kuffner and LaValle: RRT-Connect, 2000), straight to the nearest goals first, shortens
-what it finds by cutting corners and joints one at a time (Geraerts and Overmars: Creating High-quality Paths for Motion
-Planning, 2007), and searches again where a shorter path can still be (Gammell et al.: Informed RRT*, 2014), until
-several searches in a row have brought little or the budget is used up.
+It searches like RRTConnect (Kuffner and LaValle: RRT-Connect, 2000), trying straight motions to the nearest goals
+first; shortens the path by cutting corners, in all joints or in one (Geraerts and Overmars: Creating High-quality Paths
+for Motion Planning, 2007); and searches again where a shorter path is still possible (Gammell et al.: Informed RRT*,
+2014), until several searches in a row have gained little or the budget is used up.
 """
 
 from __future__ import annotations
@@ -16,41 +16,40 @@ import numpy as np
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.collision import PROOF, RESOLUTIONS
 from greenhouse_gym.motion.path import path_length
-from greenhouse_gym.planning.planner_settings import PlannerSettings
-from greenhouse_gym.planning.registered import PlanningProblem
+from greenhouse_gym.planning.own_planners import PlanningProblem
 
-_NEAREST = 8  # goals that are tried by a straight motion before anything is searched
-_NODES = 4000  # after which a search gives up
-_DRAWS = 200  # draws of 32 samples each, after which no shorter way is believed in
-_GAIN = 0.01  # share of its length by which a path must get shorter for a search to have brought something
+_NEAREST = 8  # goals that are tried by a straight motion before the search
+_NODES = 4000  # of a search before it gives up
+_DRAWS = 200  # of 32 samples each, after which no shorter path is assumed to exist
+_GAIN = 0.01  # relative shortening of the path below which a search counts as idle
 
 
 @dataclass(frozen=True)
-class ShortcutConnectSettings(PlannerSettings):
-    """ShortcutConnect."""
+class ShortcutConnectSettings:
+    """Settings of ShortcutConnect."""
 
     range: float = 0.8  # longest motion by which a tree grows, radians; 0 sets no limit
-    patience: int = 6  # searches in a row without gain after which it stops
-    shortcuts: int = 60  # tries in a row without gain after which a path counts as short
+    idle_searches: int = 6  # searches in a row with little gain after which it stops
+    idle_shortcuts: int = 60  # attempts in a row without gain after which a path counts as short
 
 
 def shortcut_connect(problem: PlanningProblem, settings: ShortcutConnectSettings) -> Array | None:
-    """Search, shorten, search again; see the module."""
+    """Search, shorten and search again, as described in the module."""
     rng = np.random.default_rng(problem.seed)
     distances = np.linalg.norm(problem.goals - problem.start, axis=-1)
     goals, distances = problem.goals[np.argsort(distances)], np.sort(distances)
     idle = 0
-    while idle < settings.patience:
+    while idle < settings.idle_searches:
         best = np.inf if problem.best is None else path_length(problem.best)
         near = goals[distances < best]
         if not len(near):
             break
         path = _proven_path(problem, near, settings, rng, best)
         if path is not None:
-            problem.tell(path)
+            problem.report(path)
             if problem.first_solution:
                 return problem.best
-            _tell_shortened(problem, path, settings, rng)
+            _report_shortened(problem, path, settings, rng)
         elif problem.best is None:
             return None
         gained = problem.best is not None and path_length(problem.best) < (1 - _GAIN) * best
@@ -73,7 +72,7 @@ def _proven_path(
 def _connect(
     problem: PlanningProblem, goals: Array, step: float, rng: np.random.Generator, best: float, resolution: float
 ) -> Array | None:
-    """A path of two trees that meet, or None; none that is sure to be longer than the best one is looked for."""
+    """Return a path through two trees that meet, or None; skip paths that are certainly longer than the best one."""
     start = problem.start
     if not np.isfinite(best):
         for goal in goals[:_NEAREST]:
@@ -98,24 +97,24 @@ def _connect(
 
 
 def _sample(problem: PlanningProblem, goals: Array, rng: np.random.Generator, best: float) -> Array | None:
-    """A random configuration through which a path can be shorter than the best; None where there seems to be none."""
+    """Sample a configuration through which a path can be shorter than the best; None if none is found."""
     if not np.isfinite(best):
         return np.asarray(rng.uniform(problem.lower, problem.upper))
     for _ in range(_DRAWS):
         goal = goals[rng.integers(len(goals))]
-        # the box around the ellipsoid of all places on a shorter way to that goal
+        # box around the ellipsoid of all configurations on a shorter path to that goal
         middle, radius = (problem.start + goal) / 2, best / 2
         low, high = np.maximum(problem.lower, middle - radius), np.minimum(problem.upper, middle + radius)
         samples = rng.uniform(low, high, (32, len(low)))
-        way = np.linalg.norm(samples - problem.start, axis=-1) + np.linalg.norm(samples - goal, axis=-1)
-        inside = np.flatnonzero(way < best)
+        lengths = np.linalg.norm(samples - problem.start, axis=-1) + np.linalg.norm(samples - goal, axis=-1)
+        inside = np.flatnonzero(lengths < best)
         if len(inside):
             return np.asarray(samples[inside[0]])
     return None
 
 
 class _Tree:
-    """Configurations, each with the one it was reached from."""
+    """Tree of configurations, each with the index of its parent."""
 
     def __init__(self, roots: Array):
         self._points = np.empty((2 * _NODES + len(roots), roots.shape[1]))
@@ -138,7 +137,7 @@ class _Tree:
         return len(self._parents) - 1
 
     def branch(self, node: int) -> Array:
-        """Configurations from a node back to its root."""
+        """Return the configurations from a node back to its root."""
         nodes = []
         while node >= 0:
             nodes.append(node)
@@ -147,40 +146,40 @@ class _Tree:
 
 
 def _extend(problem: PlanningProblem, tree: _Tree, towards: Array, step: float, resolution: float) -> int | None:
-    """Grow a tree by one motion; its new node, or None."""
+    """Grow a tree by one motion; return its new node, or None."""
     nearest = tree.nearest(towards)
     begin = tree.points[nearest]
-    way = towards - begin
-    length = float(np.linalg.norm(way))
-    end = towards if length <= step else begin + step / length * way
+    motion = towards - begin
+    length = float(np.linalg.norm(motion))
+    end = towards if length <= step else begin + step / length * motion
     return tree.add(end, nearest) if problem.motion_is_free(begin, end, resolution) else None
 
 
 def _reach(problem: PlanningProblem, tree: _Tree, goal: Array, step: float, resolution: float) -> int | None:
-    """Grow a tree motion by motion to a configuration; its node there, or None."""
+    """Grow a tree motion by motion to a configuration; return its node there, or None."""
     while True:
         node = _extend(problem, tree, goal, step, resolution)
         if node is None or (tree.points[node] == goal).all():
             return node
 
 
-def _tell_shortened(
+def _report_shortened(
     problem: PlanningProblem, path: Array, settings: ShortcutConnectSettings, rng: np.random.Generator
 ) -> None:
-    """Shorten a path as coarsely as it can then still be proven, and tell of it."""
+    """Shorten a path at the coarsest resolution whose result can be proven free, and report it."""
     for resolution in RESOLUTIONS:
-        shortened = _shortened(problem, path, settings.shortcuts, rng, resolution)
+        shortened = _shortened(problem, path, settings.idle_shortcuts, rng, resolution)
         if problem.path_is_free(shortened):
-            problem.tell(shortened)
+            problem.report(shortened)
             return
 
 
 def _shortened(
-    problem: PlanningProblem, path: Array, patience: int, rng: np.random.Generator, resolution: float
+    problem: PlanningProblem, path: Array, max_failures: int, rng: np.random.Generator, resolution: float
 ) -> Array:
-    """A path cut short between random places, in all joints or in one."""
+    """Return a path cut short between random points, in all joints or in one."""
     failures = 0
-    while failures < patience and len(path) > 2:
+    while failures < max_failures and len(path) > 2:
         first, last, pieces, shorter = _cut(path, rng)
         if shorter and all(problem.motion_is_free(a, b, resolution) for a, b in pairwise(pieces)):
             path = np.concatenate([path[: first + 1], pieces, path[last:]])
@@ -192,27 +191,26 @@ def _shortened(
 
 
 def _cut(path: Array, rng: np.random.Generator) -> tuple[int, int, Array, bool]:
-    """Between two random places of a path, the motions that would replace it there, and whether they are shorter.
+    """Draw two points of a path and replace its motions between them.
 
-    The result is the corner before the first place, the one after the last, the configurations from place to place,
-    and whether the cut is worth being checked.
+    Returns:
+        The index of the corner before the first point, that of the corner after the last, the configurations from point
+        to point, and True if they are shorter than before.
     """
     lengths = np.linalg.norm(np.diff(path, axis=0), axis=-1)
     ends = np.concatenate([[0.0], np.cumsum(lengths)])
-    places = np.sort(rng.uniform(0.0, ends[-1], 2))
-    first, after = (np.minimum(np.searchsorted(ends, places, side="right") - 1, len(lengths) - 1)).tolist()
+    points = np.sort(rng.uniform(0.0, ends[-1], 2))
+    first, after = (np.minimum(np.searchsorted(ends, points, side="right") - 1, len(lengths) - 1)).tolist()
     if first == after:
         return first, first + 1, path[:0], False
-    shares = (places - ends[[first, after]]) / lengths[[first, after]]
-    begin, end = (path[i] + share * (path[i + 1] - path[i]) for i, share in zip((first, after), shares, strict=True))
+    fractions = (points - ends[[first, after]]) / lengths[[first, after]]
+    begin, end = (path[i] + f * (path[i + 1] - path[i]) for i, f in zip((first, after), fractions, strict=True))
     between = np.concatenate([begin[None], path[first + 1 : after + 1], end[None]])
     if rng.uniform() < 0.5:
         pieces = np.stack([begin, end])
     else:
         joint = rng.integers(path.shape[1])
-        way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(between, axis=0), axis=-1))]) / max(
-            places[1] - places[0], 1e-12
-        )
+        lengths_so_far = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(between, axis=0), axis=-1))])
         pieces = between.copy()
-        pieces[:, joint] = begin[joint] + way * (end[joint] - begin[joint])
+        pieces[:, joint] = begin[joint] + lengths_so_far / max(points[1] - points[0], 1e-12) * (end - begin)[joint]
     return first, after + 1, pieces, path_length(pieces) < path_length(between) - 1e-6

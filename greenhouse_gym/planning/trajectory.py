@@ -1,4 +1,4 @@
-"""Commands along a path that are themselves proven free: between two commands the arm does not stay on the path."""
+"""Commands along a path with proven motions between them, because between two commands the arm leaves the path."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from greenhouse_gym.motion.collision import MARGIN, CollisionChecker, planning_m
 from greenhouse_gym.motion.path import CORNER_TOLERANCE, follow_path
 from greenhouse_gym.scene.mjcf import CompiledScene
 
-_HALVINGS = 4  # how often the corner tolerance is halved, at most
+_MAX_HALVINGS = 4  # of the corner tolerance
 
 
 def free_commands(
@@ -21,25 +21,25 @@ def free_commands(
     acceleration_limits: npt.ArrayLike,
     interval: float,
 ) -> Array:
-    """Commands at equal intervals along a path, such that the straight motions between them are free.
+    """Return commands at equal intervals along a path such that the straight motions between them are free.
 
-    They keep half of the planner's margin. Where a motion that cuts a corner does not, all corners are taken more
-    slowly, and closer to the path.
+    They keep half of the planner's margin. If a motion that cuts a corner does not, all corners are passed more slowly
+    and closer to the path.
 
     Args:
         compiled: The scene the path was planned in.
-        target: Index of the target tomato.
+        target: Index of the tomato.
         path: (k, n) configurations, radians, proven free.
         velocity_limits: (n,) rad/s.
         acceleration_limits: (n,) rad/s^2.
         interval: Seconds from one command to the next.
 
     Returns:
-        (m, n) commands, as `follow_path` gives them; the slowest ones where even those are not free.
+        (m, n) commands of `follow_path`; the slowest ones if even those are not free.
     """
     start, lag = np.asarray(path, dtype=np.float64)[:1], compiled.robot.lag
     checker = CollisionChecker(planning_model(compiled, target, margin=MARGIN / 2))
-    for halving in range(_HALVINGS + 1):
+    for halving in range(_MAX_HALVINGS + 1):
         tolerance = CORNER_TOLERANCE / 2**halving
         commands = follow_path(path, velocity_limits, acceleration_limits, interval, tolerance, lag)
         if checker.path_is_free(np.concatenate([start, commands]), MARGIN):

@@ -1,7 +1,7 @@
-"""The caller's side of the OMPL process: started when first needed, kept warm, killed when it hangs, replaced.
+"""The caller's side of the OMPL process: it starts on first use, stays alive, is killed if it hangs, and is replaced.
 
-Nothing that happens in that process harms the caller. It is started as a fresh interpreter that does not run the
-caller's ``__main__``, so it works from a script without a guard, an interactive session or a notebook.
+Nothing that happens in that process harms the caller. It is a fresh interpreter that does not run the caller's
+``__main__``, so planning works from a script without a main guard, an interactive session or a notebook.
 """
 
 from __future__ import annotations
@@ -13,30 +13,97 @@ import os
 import subprocess
 import sys
 import threading
+from collections.abc import Mapping
+from dataclasses import dataclass
 from importlib.util import find_spec
 from multiprocessing.connection import Connection
 from queue import SimpleQueue
-from typing import Any
+from typing import Any, Literal
+
+import mujoco
 
 from greenhouse_gym.errors import GreenhouseError, MissingDependencyError
+from greenhouse_gym.geometry import Array
+from greenhouse_gym.planning.parameters import Value
 
 _BOOT = (
     "import json, os, sys; sys.path[:] = json.loads(sys.argv[1]); "
     "from greenhouse_gym.planning.ompl_worker import serve; serve(*map(int, sys.argv[2:])); "
-    "os._exit(0)"  # OMPL 2 dies when its objects are torn down
+    "os._exit(0)"  # OMPL 2 crashes when its objects are destroyed
 )
 MEMORY_LIMIT = 4 << 30
-"""Bytes of data a planning process may hold."""
+"""Bytes of data that a planning process may allocate."""
 
 _START_LIMIT = 120.0  # seconds an interpreter may take to start and import OMPL on a busy machine
 
+Outcome = Literal["solved", "approximate", "no_solution", "invalid"]
+
+
+@dataclass(frozen=True, eq=False)
+class PlannerQuery:
+    """A query to a planner. Joint positions are radians, metres for slides.
+
+    Attributes:
+        model: The model to check collisions with, made by `planning_model`.
+        reaches: (joints,) its `joint_reaches`.
+        lower: (joints,) lower limits.
+        upper: (joints,) upper limits.
+        start: (joints,) start configuration.
+        goals: (k, joints) goal configurations; the path may end at any of them.
+        planner: Name of a planner.
+        settings: Parameters of the planner that differ from its defaults.
+        time_limit: Seconds; inf if only the checks limit the search.
+        max_checks: Number of configurations that may be checked, or None.
+        optimizing: True if the planner uses all its time; motions are then checked at `PROOF` from the start. Otherwise
+            it stops at its first path, if it reports that it has one.
+        seed: Seed of the planner's random numbers.
+    """
+
+    model: mujoco.MjModel
+    reaches: Array
+    lower: Array
+    upper: Array
+    start: Array
+    goals: Array
+    planner: str
+    settings: Mapping[str, Value]
+    time_limit: float
+    max_checks: int | None
+    optimizing: bool
+    seed: int
+
+
+@dataclass(frozen=True, eq=False)
+class PlannerAnswer:
+    """A planner's answer to a query.
+
+    Attributes:
+        status: "invalid" if the planner's path could not be proven free.
+        path: (k, joints) the simplified path, or None.
+        raw_path: (k, joints) the planner's own path, or None.
+        planning_time: Seconds the planner took.
+        simplification_time: Seconds for shortening the path and proving it free.
+        checks: Number of configurations the planner checked.
+        tree_size: Number of nodes in the planner's trees or roadmap; 0 if they are not counted.
+        costs: (m, 2) seconds and length of the best path at that time, radians: the first one and each shorter one.
+    """
+
+    status: Outcome
+    path: Array | None
+    raw_path: Array | None
+    planning_time: float
+    simplification_time: float
+    checks: int
+    tree_size: int
+    costs: Array
+
 
 class WorkerCrashedError(GreenhouseError):
-    """The planning process died while it worked on a query."""
+    """The planning process died during a query."""
 
 
 class WorkerTimeoutError(GreenhouseError):
-    """The planning process did not answer in time and was killed."""
+    """The planning process was killed because it did not answer in time."""
 
 
 class WorkerFailedError(GreenhouseError):
@@ -44,10 +111,10 @@ class WorkerFailedError(GreenhouseError):
 
 
 class Worker:
-    """One planning process; safe to use from several threads, which then take turns.
+    """A planning process. Several threads may use it; they take turns.
 
     Args:
-        memory_limit: Bytes of data the process may hold; what wants more fails or dies, and the caller lives on.
+        memory_limit: Bytes of data the process may allocate; a planner that needs more fails, and the caller lives on.
     """
 
     def __init__(self, memory_limit: int = MEMORY_LIMIT) -> None:
@@ -59,15 +126,15 @@ class Worker:
 
     @property
     def pid(self) -> int | None:
-        """The process id, or None while no process runs."""
+        """Process id, or None while no process runs."""
         return None if self._process is None else self._process.pid
 
     def call(self, command: str, argument: Any, hard_limit: float) -> Any:
-        """Have the process work on something.
+        """Have the process execute a command.
 
         Args:
             command: One of the commands of `greenhouse_gym.planning.ompl_worker.serve`.
-            argument: Goes with the command.
+            argument: Argument of the command.
             hard_limit: Seconds after which the process is killed.
 
         Raises:
@@ -80,23 +147,23 @@ class Worker:
             try:
                 try:
                     succeeded, result = self._exchange((command, argument, hard_limit))
-                except ConnectionError:  # it died before it read the message: a new process takes over
+                except ConnectionError:  # it died before it read the message: start a new one
                     self._kill()
                     succeeded, result = self._exchange((command, argument, hard_limit))
             except BaseException:  # KeyboardInterrupt included: the answer to this query must not reach the next one
                 self._kill()
                 raise
             if not succeeded:
-                self._kill()  # what is wrong with it, such as memory that it has lost, must not fail the next query too
+                self._kill()  # a fault such as lost memory must not fail the next query too
                 raise WorkerFailedError(result)
         return result
 
     def close(self) -> None:
-        """End the process, if one runs; the next call starts another."""
+        """End the process if one runs; the next call starts another."""
         with self._lock:
             self._kill()
 
-    def _started(self) -> Connection[Any, Any]:
+    def _connected(self) -> Connection[Any, Any]:
         if self._connection is not None and self._owner != os.getpid():
             # this interpreter was forked: the process belongs to the parent
             self._process = self._connection = None
@@ -109,7 +176,7 @@ class Worker:
         ours, theirs = multiprocessing.Pipe()
         handle = theirs.fileno()
         with theirs:
-            self._process = _launched(handle, self._memory_limit)
+            self._process = _launch(handle, self._memory_limit)
         self._connection, self._owner = ours, os.getpid()
         succeeded, reply = self._receive(ours, _START_LIMIT)
         if not succeeded:
@@ -117,7 +184,7 @@ class Worker:
         return ours
 
     def _exchange(self, message: tuple[str, Any, float]) -> tuple[bool, Any]:
-        connection = self._started()
+        connection = self._connected()
         connection.send(message)
         return self._receive(connection, message[2])
 
@@ -143,11 +210,11 @@ class Worker:
             process.wait()
 
 
-def _launched(handle: int, memory_limit: int) -> subprocess.Popen[bytes]:
-    """A planning process, started by a thread that lives as long as the process.
+def _launch(handle: int, memory_limit: int) -> subprocess.Popen[bytes]:
+    """Start a planning process in a thread that lives as long as the process.
 
-    The process dies with the thread that started it (Linux knows no other way to tie it to its caller), and the thread
-    that happens to plan first may end long before the caller does.
+    The process dies with the thread that started it (the only way on Linux to tie it to its caller), and the thread
+    that plans first may end long before the caller does.
     """
     arguments = [json.dumps(sys.path), str(handle), str(memory_limit), str(os.getpid())]
     started: SimpleQueue[subprocess.Popen[bytes] | OSError] = SimpleQueue()
@@ -159,7 +226,7 @@ def _launched(handle: int, memory_limit: int) -> subprocess.Popen[bytes]:
                 pass_fds=[handle],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
-                start_new_session=True,  # Ctrl-C is for the caller
+                start_new_session=True,  # Ctrl-C goes to the caller only
             )
         except OSError as error:
             started.put(error)
@@ -179,5 +246,5 @@ atexit.register(_WORKER.close)
 
 
 def shared_worker() -> Worker:
-    """The process that `greenhouse_gym.planning.plan` uses."""
+    """Return the process that `greenhouse_gym.planning.plan` uses."""
     return _WORKER

@@ -1,4 +1,4 @@
-"""Robot arms as MJCF files, those of this package made of primitives, and the `Robot` that describes one."""
+"""Robot arms as MJCF files: `Robot`, the shipped arms made of primitives, and a tool for other arms."""
 
 from greenhouse_gym.robots.load import ROBOTS, get_robot, load_robot
 from greenhouse_gym.robots.robot import Robot

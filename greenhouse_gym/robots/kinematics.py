@@ -17,12 +17,12 @@ from greenhouse_gym.geometry import Array, pose
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """A chain of n joints from the world to the tip: fixed pose, joint, fixed pose, joint, ..., fixed pose.
+    """Chain of n joints from the world to the tip: fixed pose, joint, fixed pose, joint, ..., fixed pose.
 
     Attributes:
         offsets: (n + 1, 4, 4) fixed poses: before each joint (its anchor at the origin), and from the last to the tip.
         axes: (n, 3) unit joint axes in the frame after the joint's offset.
-        sliding: (n,) which joints slide along their axis instead of turning about it.
+        sliding: (n,) True for joints that slide along their axis instead of turning about it.
     """
 
     offsets: Array
@@ -31,13 +31,14 @@ class Chain:
 
 
 class ToolState(NamedTuple):
-    """Where the tool is in m configurations of a chain of n joints, world frame.
+    """Positions and derivatives of the tool in m configurations of a chain of n joints, world frame.
 
     Attributes:
         point: (m, 3) grasp points, metres.
         axis: (m, 3) unit tool axes.
-        jacobian: (m, 3, n) derivative of the grasp point by the joint positions, metres per radian (or metre).
-        joint_axes: (m, 3, n) by how the tool turns with each joint, radians per radian: unit axes, zero for slides.
+        jacobian: (m, 3, n) derivative of the grasp point with respect to the joint positions, metres per radian (or
+            metre).
+        joint_axes: (m, 3, n) rotation of the tool with each joint, radians per radian: unit axes, zero for slides.
     """
 
     point: Array
@@ -69,7 +70,7 @@ def tool_chain(model: mujoco.MjModel, tip_site: int) -> Chain:
 
 
 def tool_state(chain: Chain, configurations: npt.ArrayLike, ahead: float = 0.0) -> ToolState:
-    """Grasp points, tool axes and Jacobians of many configurations at once.
+    """Compute grasp points, tool axes and Jacobians of many configurations at once.
 
     Args:
         chain: The chain.
@@ -100,9 +101,9 @@ def tool_state(chain: Chain, configurations: npt.ArrayLike, ahead: float = 0.0) 
 
 
 def joint_frames(chain: Chain, configurations: npt.ArrayLike) -> tuple[Array, Array]:
-    """Where what moves with each joint is: rotations (n + 1, m, 3, 3) and positions (n + 1, m, 3), metres.
+    """Compute the frames after each joint: rotations (n + 1, m, 3, 3) and positions (n + 1, m, 3), metres.
 
-    The last of them are the tip's.
+    The last frame is the tip's.
 
     Args:
         chain: The chain of n joints.
@@ -131,7 +132,7 @@ def _pose(position: Array, quaternion: Array) -> Array:
 
 
 def _rotations(axis: Array, angles: Array) -> Array:
-    """Rotations (m, 3, 3) about one axis by many angles (Rodrigues' formula)."""
+    """Return rotations (m, 3, 3) about one axis by many angles (Rodrigues' formula)."""
     outer = np.outer(axis, axis)
     skew = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
     cos, sin = np.cos(angles)[:, None, None], np.sin(angles)[:, None, None]

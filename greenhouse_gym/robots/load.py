@@ -1,14 +1,14 @@
-"""Arms from MJCF files, those of this package and others.
+"""Arms from MJCF files, the package's own and others.
 
-What the file must hold: one chain of hinge and slide joints and nothing else that moves, one position actuator per
-joint in the joints' order, a site at the tip (z along the tool) and a key frame with the start. `load_robot` takes the
-names of the last two; MuJoCo Menagerie's are found by themselves. A slide joint needs limits; a hinge without them gets
-one turn, half to either side of the start.
+A file must contain one chain of hinge and slide joints and nothing else that moves, one position actuator per joint in
+the joints' order, a site at the tip (z along the tool) and a key frame with the start. `load_robot` takes the names of
+the last two and finds those of MuJoCo Menagerie by itself. A slide joint needs limits; a hinge without limits gets one
+turn, half to either side of the start.
 
-What it may hold: the custom numerics ``velocity_limits`` (rad/s, m/s), ``acceleration_limits`` (rad/s^2, m/s^2) and
-``shoulder_height`` (m above the base); a geom ``cup``, the only part that may touch the target (without one, the parts
+It may contain the custom numerics ``velocity_limits`` (rad/s, m/s), ``acceleration_limits`` (rad/s^2, m/s^2) and
+``shoulder_height`` (m above the base); a geom ``cup``, the only part that may touch the target (without it, the parts
 of the tip's own body may); and sites ``probe_*`` at which the clearance of the arm is observed, with the radius of the
-arm there as their size. Collision masks need not be set: all that collides at all collides with everything.
+arm there as their size. Collision masks need not be set: every colliding geom collides with everything.
 """
 
 from __future__ import annotations
@@ -27,42 +27,36 @@ import numpy.typing as npt
 
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.robots.limits import (
+from greenhouse_gym.robots.joint_limits import (
     DEFAULT_ACCELERATION,
     DEFAULT_SLIDE_ACCELERATION,
     DEFAULT_SLIDE_SPEED,
     DEFAULT_SPEED,
     attainable_speeds,
     joint_limits,
-    lag,
     motion_limits,
     numeric,
+    servo_lag,
 )
-from greenhouse_gym.robots.prepare import (
-    PROBE_PREFIX,
-    TIP_SITE,
-    colliding_geoms,
-    prepare,
-    touching_bodies,
-)
+from greenhouse_gym.robots.prepare import PROBE_PREFIX, TIP_SITE, colliding_geoms, prepare_spec, touching_bodies
 from greenhouse_gym.robots.robot import Robot
-from greenhouse_gym.robots.start import ahead_of_base, foot_of, upright_start
+from greenhouse_gym.robots.start import ahead_of_base, foot_depth, upright_start
 
 _HERE = Path(__file__).parent
 ROBOTS: dict[str, Path] = {path.stem: path for path in sorted(_HERE.glob("*.xml"))}
 """The shipped arms by name, each with its MJCF file."""
 
 FLANGE_SITES = ("flange", "attachment_site", "pinch_site")
-"""Names of the flange's site that are tried in turn; the last two are MuJoCo Menagerie's."""
+"""Names of the flange's site, tried in turn; the last two are MuJoCo Menagerie's."""
 
 TIP_SITES = (TIP_SITE, *FLANGE_SITES[1:])
-"""Names of the tip's site that are tried in turn."""
+"""Names of the tip's site, tried in turn."""
 
 START_KEYS = ("start", "home")
-"""Names of the start's key frame that are tried in turn; the last is MuJoCo Menagerie's."""
+"""Names of the start's key frame, tried in turn; the last is MuJoCo Menagerie's."""
 
 UPRIGHT = "upright"
-"""The start that is searched for instead of read: see `upright_start`."""
+"""Name of the start that is searched for instead of read; see `upright_start`."""
 
 PLANTS_AHEAD = 0.45
 """Distance ahead of an arm's base at which a row's leaves and fruit begin, metres."""
@@ -73,7 +67,7 @@ def get_robot(robot: str | Path | Robot) -> Robot:
 
     Raises:
         UnknownNameError: Neither a shipped name nor an existing file.
-        FileFormatError: The file lacks something an arm needs; the message says what.
+        FileFormatError: The file lacks a required part, which the message names.
     """
     if isinstance(robot, Robot):
         return robot
@@ -92,7 +86,7 @@ def _read_once(path: Path, fingerprint: str) -> Robot:
 
 
 def _fingerprint(path: Path) -> str:
-    """Checksum of an MJCF file and of those that it includes; empty for one that cannot be read."""
+    """Return a checksum of an MJCF file and its includes; an empty text if it cannot be read."""
     try:
         text = path.read_bytes()
         included = [node.get("file", "") for node in ElementTree.fromstring(text).iter("include")]
@@ -109,24 +103,24 @@ def load_robot(
     velocity_limits: npt.ArrayLike | None = None,
     acceleration_limits: npt.ArrayLike | None = None,
 ) -> Robot:
-    """Read an arm from an MJCF file that may know nothing of this package.
+    """Read an arm from any MJCF file.
 
     Without probe sites, clearance is observed at the joints' anchors (from the second on) and at the tip, with radius
     0. Without a geom ``cup``, the parts of the tip's own body may touch the target.
 
     Args:
-        path: The file: the arm alone, without floor or lights in its world.
+        path: The file, which contains the arm alone, without floor or lights.
         tip: Name of the site at the tip, z along the tool; one of `TIP_SITES` when left out.
-        start: Name of a key frame, or the joint positions (n,) in radians and metres, or "upright" for a configuration
-            drawn in from the plants, found by a search; one of `START_KEYS` when left out. A warning says when
-            the arm then stands among the plants.
-        velocity_limits: (n,) rad/s; when left out, the file's, or `DEFAULT_SPEED` and `DEFAULT_SLIDE_SPEED`, or what
-            the servos' force attains against the joints' damping where that is less.
+        start: Name of a key frame, the joint positions (n,) in radians and metres, or "upright" to search for a
+            configuration away from the plants; one of `START_KEYS` when left out. A warning is given if the arm
+            starts among the plants.
+        velocity_limits: (n,) rad/s; when left out, the file's, or `DEFAULT_SPEED` and `DEFAULT_SLIDE_SPEED`, reduced
+            to what the servos' force attains against the joints' damping.
         acceleration_limits: (n,) rad/s^2; when left out, the file's, or `DEFAULT_ACCELERATION` and
             `DEFAULT_SLIDE_ACCELERATION`.
 
     Raises:
-        FileFormatError: The file lacks something an arm needs; the message says what.
+        FileFormatError: The file lacks a required part, which the message names.
     """
     path = Path(path).resolve()
     bare_spec = read_spec(path)
@@ -134,20 +128,20 @@ def load_robot(
     n = _check_joints(path, bare)
     if not colliding_geoms(bare_spec):
         raise FileFormatError(path, "none of its geoms collides: give the links geoms with contype and conaffinity")
-    tip = choose(path, "site", tip, TIP_SITES, [bare.site(i).name for i in range(bare.nsite)])
+    tip = find_name(path, "site", tip, TIP_SITES, [bare.site(i).name for i in range(bare.nsite)])
     own_probes = any(bare.site(i).name.startswith(PROBE_PREFIX) for i in range(bare.nsite))
     searched = isinstance(start, str) and start == UPRIGHT and UPRIGHT not in _keys(bare)
     begin = np.zeros(n) if searched else _start(path, bare, start)
     lower, upper = joint_limits(bare, begin)
-    spec = prepare(bare_spec, tip)
+    spec = prepare_spec(bare_spec, tip)
     if searched:
-        begin = upright_start(spec, lower, upper, foot_of(spec.compile()))
+        begin = upright_start(spec, lower, upper, foot_depth(spec.compile()))
     model = spec.compile()
     _check_start(path, model, begin, lower, upper)
     if not searched and (ahead := ahead_of_base(model, begin)) > PLANTS_AHEAD:
         warnings.warn(
-            f"{path}: at its start the arm reaches {ahead:.2f} m ahead of its base, where plants stand from about "
-            f'{PLANTS_AHEAD} m on; load_robot(..., start="upright") finds a start that is free',
+            f"{path}: at its start the arm reaches {ahead:.2f} m ahead of its base, but plants stand from about "
+            f'{PLANTS_AHEAD} m on; load_robot(..., start="upright") finds a collision-free start',
             stacklevel=2,
         )
     height = numeric(path, model, "shoulder_height", 1)
@@ -172,19 +166,19 @@ def load_robot(
         specification=spec,
         tip=tip,
         sliding=sliding,
-        lag=lag(model),
-        foot=foot_of(model),
+        lag=servo_lag(model),
+        foot=foot_depth(model),
     )
 
 
 def read_spec(path: Path) -> mujoco.MjSpec:
-    """The specification in an MJCF file that compiles.
+    """Read the specification in an MJCF file and check that it compiles.
 
     Raises:
         FileFormatError: MuJoCo cannot load or compile it.
     """
     if not path.is_file():
-        raise FileFormatError(path, "there is no such file; expected an arm's MJCF file")
+        raise FileFormatError(path, "no such file; expected an arm's MJCF file")
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         spec.compile()
@@ -193,23 +187,25 @@ def read_spec(path: Path) -> mujoco.MjSpec:
     return spec
 
 
-def choose(path: Path, kind: str, wanted: str | None, usual: Sequence[str], present: Sequence[str]) -> str:
-    """The name that is wanted, or the first of the usual ones, among those present in a file.
+def find_name(path: Path, kind: str, name: str | None, usual: Sequence[str], present: Sequence[str]) -> str:
+    """Find a name, or by default the first of the usual names, among those in a file.
 
     Raises:
-        FileFormatError: None of them is; the message lists those present.
+        FileFormatError: The file has none of them; the message lists those it has.
     """
-    for name in usual if wanted is None else (wanted,):
-        if name in present:
-            return name
-    looked_for = " or ".join(map(repr, usual if wanted is None else (wanted,)))
-    raise FileFormatError(path, f"the arm has no {kind} named {looked_for}; it has {', '.join(present) or 'none'}")
+    names = usual if name is None else (name,)
+    for candidate in names:
+        if candidate in present:
+            return candidate
+    raise FileFormatError(
+        path, f"the arm has no {kind} named {' or '.join(map(repr, names))}; it has {', '.join(present) or 'none'}"
+    )
 
 
 def _check_joints(path: Path, model: mujoco.MjModel) -> int:
     n = int(model.njnt)
     if n == 0 or not np.isin(model.jnt_type, (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)).all():
-        raise FileFormatError(path, "an arm needs hinge or slide joints and no other kind")
+        raise FileFormatError(path, "an arm needs hinge or slide joints and no other type")
     for i in range(n):
         if not model.jnt_limited[i] and model.jnt_type[i] == mujoco.mjtJoint.mjJNT_SLIDE:
             raise FileFormatError(path, f"slide joint {model.joint(i).name!r} has no limits: give it a range")
@@ -223,7 +219,7 @@ def _check_joints(path: Path, model: mujoco.MjModel) -> int:
                 path, f"actuator {i} must be a position actuator of joint {model.joint(i).name!r}, in the joints' order"
             )
     if (model.geom_bodyid == 0).any():
-        raise FileFormatError(path, "the world holds geoms of its own (a floor?); expected the arm alone")
+        raise FileFormatError(path, "the world has geoms of its own (a floor?); expected the arm alone")
     return n
 
 
@@ -244,7 +240,7 @@ def _keys(model: mujoco.MjModel) -> list[str]:
 
 def _start(path: Path, model: mujoco.MjModel, start: str | npt.ArrayLike | None) -> Array:
     if start is None or isinstance(start, str):
-        return np.array(model.key_qpos[model.key(choose(path, "key frame", start, START_KEYS, _keys(model))).id])
+        return np.array(model.key_qpos[model.key(find_name(path, "key frame", start, START_KEYS, _keys(model))).id])
     q = np.array(start, dtype=np.float64)
     if q.shape != (model.njnt,) or not np.isfinite(q).all():
         raise InvalidValueError(f"start must be {model.njnt} finite joint positions, got {start!r}")
@@ -252,7 +248,7 @@ def _start(path: Path, model: mujoco.MjModel, start: str | npt.ArrayLike | None)
 
 
 def _shoulder_height(model: mujoco.MjModel, start: Array) -> float:
-    """Height above the base of the first joint that lifts rather than turns the arm (of the first, if none does)."""
+    """Return the height above the base of the first joint that lifts the arm; of the first joint if none does."""
     data = mujoco.MjData(model)
     data.qpos[:] = start
     mujoco.mj_kinematics(model, data)

@@ -1,8 +1,7 @@
-"""What scenes ask of every arm's MuJoCo specification, whatever its file says.
+"""Preparation of an arm's MuJoCo specification for scenes, whatever its file contains.
 
-Collision masks: bit 1 is "the arm", bit 2 is "the cup". Obstacles carry both bits, and the target may let the cup pass
-by clearing its bit 2 (`greenhouse_gym.scene.mjcf`). A file's own masks only tell what collides at all from what is only
-there to be looked at.
+Collision masks: bit 1 is "the arm", bit 2 is "the cup". Obstacles have both bits; the target lets the cup pass if its
+bit 2 is cleared (`greenhouse_gym.scene.mjcf`). A file's own masks only distinguish colliding from visual geoms.
 """
 
 from __future__ import annotations
@@ -15,14 +14,14 @@ TIP_SITE, CUP_GEOM, PROBE_PREFIX = "tip", "cup", "probe_"
 
 _LINK_MASKS, _CUP_MASKS = (1, 3), (2, 2)  # contype, conaffinity
 
-_NEAR = 0.005  # metres; planning keeps as much
+_NEAR = 0.005  # metres, the margin of planning
 
 
-def prepare(spec: mujoco.MjSpec, tip: str) -> mujoco.MjSpec:
-    """The arm as scenes need it: site ``tip``, probe sites, names and masks of all that collides, no gravity.
+def prepare_spec(spec: mujoco.MjSpec, tip: str) -> mujoco.MjSpec:
+    """Prepare an arm for scenes: site ``tip``, probe sites, names and masks of colliding geoms, no gravity.
 
     Args:
-        spec: The arm alone; it is changed.
+        spec: The arm alone; it is modified.
         tip: Name of the site at the tip.
     """
     for body in spec.bodies[1:]:
@@ -43,14 +42,14 @@ def prepare(spec: mujoco.MjSpec, tip: str) -> mujoco.MjSpec:
 
 
 def colliding_geoms(spec: mujoco.MjSpec) -> list[mujoco.MjsGeom]:
-    """The geoms that are not only there to be looked at."""
+    """Return the geoms that are not only visual."""
     return [geom for geom in spec.geoms if geom.contype or geom.conaffinity]
 
 
 def cup_geoms(spec: mujoco.MjSpec, tip: mujoco.MjsSite) -> set[str]:
-    """Names of the parts that may touch the target: the geom ``cup``, or else what collides of the tip's own body.
+    """Return the names of the parts that may touch the target: the geom ``cup``, else the tip body's colliding geoms.
 
-    Where nothing collides there, the nearest body towards the base with such parts stands for it.
+    If the tip's body has none, the nearest body towards the base that has some is used.
     """
     colliding = colliding_geoms(spec)
     if any(geom.name == CUP_GEOM for geom in colliding):
@@ -65,7 +64,7 @@ def cup_geoms(spec: mujoco.MjSpec, tip: mujoco.MjsSite) -> set[str]:
 
 
 def _let_base_touch_first_link(spec: mujoco.MjSpec) -> None:
-    """Leave out contacts between the fixed base and the first link; MuJoCo does so for other neighbors by itself."""
+    """Exclude contacts between the fixed base and the first link, as MuJoCo does for other neighboring links."""
     excluded = {frozenset((pair.bodyname1, pair.bodyname2)) for pair in spec.excludes}
     model = spec.compile()
     bodies = {link: [b for b in range(1, model.nbody) if _link_of(model, b) == link] for link in (-1, 0)}
@@ -77,7 +76,7 @@ def _let_base_touch_first_link(spec: mujoco.MjSpec) -> None:
 
 
 def touching_bodies(model: mujoco.MjModel, configuration: list[float]) -> list[tuple[int, int]]:
-    """Pairs of bodies of an arm that touch in a configuration or nearly do, each pair once."""
+    """Return the pairs of bodies of an arm that touch, or nearly touch, in a configuration."""
     data = mujoco.MjData(model)
     data.qpos[:] = configuration
     mujoco.mj_kinematics(model, data)
@@ -91,14 +90,14 @@ def touching_bodies(model: mujoco.MjModel, configuration: list[float]) -> list[t
 
 
 def _link_of(model: mujoco.MjModel, body: int) -> int:
-    """Index of the last joint that moves a body; -1 for the fixed base."""
+    """Return the index of the last joint that moves a body; -1 for the fixed base."""
     while body and model.body_jntnum[body] == 0:
         body = int(model.body_parentid[body])
     return -1 if body == 0 else int(model.body_jntadr[body] + model.body_jntnum[body] - 1)
 
 
 def _name_parts(spec: mujoco.MjSpec) -> None:
-    """Give bodies without a name one, and geoms that of their body and a number, so that contacts can be told apart."""
+    """Name unnamed bodies, and unnamed geoms after their body, so that contacts can be identified."""
     for i, body in enumerate(spec.bodies):
         body.name = body.name or f"body_{i}"
     taken = {geom.name for geom in spec.geoms}

@@ -1,4 +1,4 @@
-"""A robot arm, read from an MJCF file that carries its own start, limits, tip and probe points."""
+"""`Robot`: an arm with its start, limits, tip and probe points."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from greenhouse_gym.errors import require_choice
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.robots.prepare import CUP_GEOM, TIP_SITE, prepare
+from greenhouse_gym.robots.prepare import CUP_GEOM, TIP_SITE, prepare_spec
 
 __all__ = ["CUP_GEOM", "TIP_SITE", "Robot"]
 
@@ -23,15 +23,15 @@ __all__ = ["CUP_GEOM", "TIP_SITE", "Robot"]
 class Robot:
     """A robot arm.
 
-    A joint turns (a hinge, radians) or slides (a rail or a lift, metres); "rad" below means either.
+    A joint turns (a hinge, radians) or slides (a rail or a lift, metres); "radians" below means either unit.
 
     Attributes:
         name: Short name, the stem of its file.
         path: The MJCF file.
         joints: Names of the n joints, in order.
-        start: (n,) configuration an episode starts from, radians.
-        starts: All key frames of the file by name, (n,) radians each: what else an episode may start from. The shipped
-            arms have ``start``, upright, and ``folded``, tucked away over the aisle.
+        start: (n,) start configuration of an episode, radians.
+        starts: Start configurations by name, (n,) radians each: all key frames of the file. The shipped arms have
+            ``start`` (upright) and ``folded`` (over the aisle).
         lower: (n,) lower joint limits, radians.
         upper: (n,) upper joint limits, radians.
         velocity_limits: (n,) rad/s.
@@ -39,11 +39,11 @@ class Robot:
         shoulder_height: Height of the shoulder above the base, metres.
         probes: Names of the k sites at which clearance is observed.
         probe_radii: (k,) radius of the arm at those sites, metres.
-        specification: The arm as scenes need it; `spec` gives copies.
-        tip: Name of the tip's site in the file; `spec` calls it ``tip``.
-        sliding: (n,) which joints slide.
+        specification: The arm as scenes need it; `spec` returns copies.
+        tip: Name of the tip's site in the file; `spec` names it ``tip``.
+        sliding: (n,) True for joints that slide.
         lag: Time by which the arm lags behind its commands, seconds.
-        foot: How far base and first link reach below the origin of the base, metres.
+        foot: Depth of base and first link below the origin of the base, metres.
     """
 
     name: str
@@ -65,7 +65,7 @@ class Robot:
     foot: float
 
     def configuration(self, start: str | npt.ArrayLike | None) -> npt.ArrayLike:
-        """A start by its name in ``starts``; None is the arm's own, and anything else is given back as it is.
+        """Return a start by its name in ``starts``, or the arm's own for None; a configuration is returned unchanged.
 
         Raises:
             UnknownNameError: No key frame of that name.
@@ -75,18 +75,18 @@ class Robot:
         return self.starts[require_choice("start", start, self.starts)] if isinstance(start, str) else start
 
     def spec(self) -> mujoco.MjSpec:
-        """A fresh, editable MuJoCo specification of the arm alone."""
+        """Return a new, editable MuJoCo specification of the arm alone."""
         return self.specification.copy()
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Robot:
         return self
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """MuJoCo's specifications do not travel between processes: the other one reads the file anew."""
+        """Pickle without MuJoCo's specification, which cannot be pickled; unpickling reads the file again."""
         values = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "specification"}
-        return _read_again, ({**values, "starts": dict(self.starts)},)
+        return _restore, ({**values, "starts": dict(self.starts)},)
 
 
-def _read_again(values: dict[str, Any]) -> Robot:
-    specification = prepare(mujoco.MjSpec.from_file(str(values["path"])), values["tip"])
+def _restore(values: dict[str, Any]) -> Robot:
+    specification = prepare_spec(mujoco.MjSpec.from_file(str(values["path"])), values["tip"])
     return Robot(**{**values, "starts": MappingProxyType(values["starts"])}, specification=specification)

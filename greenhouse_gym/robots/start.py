@@ -1,4 +1,4 @@
-"""A start that is free before any row: the arm upright over its base, drawn in from the plants."""
+"""Search for a start that is collision-free before any row: the arm upright over its base, away from the plants."""
 
 from __future__ import annotations
 
@@ -9,34 +9,34 @@ from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 
 CART_HALF_WIDTH = 0.12
-"""Half the width of the cart an arm stands on, metres."""
+"""Half width of the cart that an arm stands on, metres."""
 
 CART_GAP, FOOT_GAP = 0.03, 0.02
-"""Distance of the cart's top below the arm's base, and at least below the lowest part of the arm there, metres."""
+"""Distance of the cart's top below the arm's base, and smallest distance below the arm's foot, metres."""
 
 _CLEARANCE = 0.006  # metres, of the arm from itself and the cart
 _SAMPLES, _ROUNDS, _PER_ROUND = 3000, 10, 300
-_BEND_WEIGHT = 0.003  # metres nearer to the axis that a radian away from the middle of a joint's limits is worth
-_HEIGHT_WEIGHT = 0.1  # metres nearer to the axis that a metre of height of the tip is worth
+_BEND_WEIGHT = 0.003  # metres from the axis per radian away from the middle of a joint's limits
+_HEIGHT_WEIGHT = 0.1  # metres towards the axis per metre of height of the tip
 
 
 def cart_drop(foot: float) -> float:
-    """How far below an arm's base the cart's top lies, metres, given how far the arm's foot reaches down there."""
+    """Return the depth of the cart's top below an arm's base, metres, given the depth of the arm's foot."""
     return max(CART_GAP, foot + FOOT_GAP)
 
 
 def upright_start(spec: mujoco.MjSpec, lower: Array, upper: Array, foot: float, seed: int = 0) -> Array:
-    """The configuration, of many tried, in which the arm stays closest to the vertical through its base.
+    """Return the sampled configuration in which the arm stays closest to the vertical through its base.
 
     Args:
         spec: The prepared arm.
         lower: (n,) lower joint limits, radians or metres.
         upper: (n,) upper joint limits.
-        foot: How far the arm reaches below its base around it, metres.
+        foot: Depth of the arm below the origin of its base, metres.
         seed: Same seed, same start.
 
     Raises:
-        InvalidValueError: No configuration that was tried is free of self-collision.
+        InvalidValueError: All sampled configurations are in self-collision.
     """
     tried = spec.copy()
     base = tried.worldbody.first_body()
@@ -51,7 +51,7 @@ def upright_start(spec: mujoco.MjSpec, lower: Array, upper: Array, foot: float, 
     rng = np.random.default_rng(seed)
     middle = best = (lower + upper) / 2
     lowest = np.inf
-    # one turn of those joints that have more
+    # at most one turn of each joint
     lower, upper = np.maximum(lower, middle - np.pi), np.minimum(upper, middle + np.pi)
 
     def consider(candidates: Array) -> None:
@@ -70,20 +70,20 @@ def upright_start(spec: mujoco.MjSpec, lower: Array, upper: Array, foot: float, 
         near = best + width * rng.standard_normal((_PER_ROUND, len(lower)))
         consider(np.clip(near.round(4), lower, upper))
     if not np.isfinite(lowest):
-        raise InvalidValueError("no upright start: in all configurations tried the arm touches itself or its cart")
+        raise InvalidValueError("no upright start: the arm touches itself or its cart in all sampled configurations")
     return best
 
 
 def ahead_of_base(model: mujoco.MjModel, configuration: Array) -> float:
-    """How far ahead of its base's axis (along x) the arm reaches with its joints and its sites, metres."""
+    """Return the largest distance (along x) of the arm's joints and sites ahead of its base's axis, metres."""
     data = mujoco.MjData(model)
     data.qpos[:] = configuration
     mujoco.mj_kinematics(model, data)
     return float(max(data.xanchor[:, 0].max(), data.site_xpos[:, 0].max()) - data.xpos[1, 0])
 
 
-def foot_of(model: mujoco.MjModel) -> float:
-    """How far the base and the first link of an arm reach below the base's origin, metres, at least 0."""
+def foot_depth(model: mujoco.MjModel) -> float:
+    """Return the depth of the base and first link of an arm below the base's origin, metres, at least 0."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     first_link = int(model.jnt_bodyid[0])

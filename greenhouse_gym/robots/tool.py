@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.errors import FileFormatError
-from greenhouse_gym.robots.load import FLANGE_SITES, choose, load_robot, read_spec
+from greenhouse_gym.robots.load import FLANGE_SITES, find_name, load_robot, read_spec
 from greenhouse_gym.robots.prepare import CUP_GEOM, PROBE_PREFIX, TIP_SITE
 
 LENGTH, RADIUS = 0.16, 0.012
@@ -22,9 +22,9 @@ _ROD, _CUP = (0.005, 0.123), (0.132, 0.148)  # metres from the flange: ends of t
 def mount_tool(
     arm: str | Path, out: str | Path, flange: str | None = None, start: str | npt.ArrayLike | None = "upright"
 ) -> Path:
-    """Write an arm's file anew with the gripper of the shipped arms at its flange, and a start that is free.
+    """Write a copy of an arm's file with the gripper of the shipped arms at its flange and a collision-free start.
 
-    The written file is one to use wherever an arm is asked for. It refers to the arm's meshes where they lie.
+    The written file can be used as any ``robot``. It refers to the arm's meshes in their folder.
 
     Args:
         arm: The MJCF file of an arm without a tool, such as one of MuJoCo Menagerie.
@@ -36,15 +36,15 @@ def mount_tool(
         The written file.
 
     Raises:
-        FileFormatError: The file is no arm, has no such site, or carries a site ``tip`` or a geom ``cup`` already.
+        FileFormatError: The file contains no arm, no such site, or already a site ``tip`` or a geom ``cup``.
     """
     arm = Path(arm).resolve()
     spec = read_spec(arm)
     model = spec.compile()
     sites = [model.site(i).name for i in range(model.nsite)]
-    flange = choose(arm, "site", flange, FLANGE_SITES, sites)
+    flange = find_name(arm, "site", flange, FLANGE_SITES, sites)
     if TIP_SITE in sites or CUP_GEOM in [geom.name for geom in spec.geoms]:
-        raise FileFormatError(arm, f"it has a site {TIP_SITE!r} or a geom {CUP_GEOM!r}: it carries a tool already")
+        raise FileFormatError(arm, f"it already has a tool: a site {TIP_SITE!r} or a geom {CUP_GEOM!r}")
     site = model.site(flange)
     tool = spec.site(flange).parent.add_body(name="suction_tool", pos=site.pos, quat=site.quat)
     _add_tool(tool)

@@ -7,33 +7,17 @@ import socket
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
 from test_parallel import alive, asleep, killed, spoiled, squared, unknown, wait_until
 
 from greenhouse_gym.agents import RandomAgent
-from greenhouse_gym.common.executors import RayActor, RayExecutor, WorkerLostError, completed, ray_executor, workers_of
+from greenhouse_gym.common.executors import RayExecutor, WorkerLostError, completed, ray_executor, workers_of
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError
 from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.scene import Scene, SceneBank
 
 pytestmark = pytest.mark.xdist_group("ray")
-
-
-class Counter:
-    def __init__(self, start: int):
-        if start < 0:
-            raise FileFormatError("scene.json", "is damaged")
-        self.count = start
-
-    def add(self, number: int) -> tuple[int, int]:
-        self.count += number
-        return self.count, os.getpid()
-
-    def die(self) -> None:
-        killed(0)
 
 
 def folder_and_pid(number: int) -> tuple[str, int, int]:
@@ -89,66 +73,6 @@ def test_addresses_at_which_nothing_listens_are_told() -> None:
         RayExecutor("somewhere")
 
 
-def test_an_actor_keeps_what_it_is_told(cluster: RayExecutor) -> None:
-    actor = RayActor(cluster, Counter, 1)
-    first, second = actor.ask("add", 2), actor.ask("add", 3)
-    (three, pid), (six, same) = first(), second()
-    assert (three, six, pid == same, pid == os.getpid()) == (3, 6, True, False)
-    actor.end()
-    wait_until(lambda: not alive(pid))
-
-
-def test_what_fails_in_an_actor_is_told_as_itself(cluster: RayExecutor) -> None:
-    actor = RayActor(cluster, Counter, -1)
-    with pytest.raises(FileFormatError, match=r"^scene\.json: is damaged \(on node"):
-        actor.ask("add", 1)()
-    actor.end()
-    actor = RayActor(cluster, Counter, 0)
-    with pytest.raises(WorkerLostError, match="a process of the cluster was lost"):
-        actor.ask("die")()
-
-
-def test_actors_step_the_simulations_that_one_process_steps(cluster: RayExecutor, bank: SceneBank) -> None:
-    """Over the ends of episodes, bit for bit."""
-    pytest.importorskip("stable_baselines3")
-    from greenhouse_gym.learning.sb3 import make_sb3_vec_env
-    from greenhouse_gym.learning.sb3_ray import make_sb3_ray_vec_env
-
-    here = make_sb3_vec_env(5, bank=bank, seed=3, threads=1, observation="goal", reward="sparse")
-    there = make_sb3_ray_vec_env(5, bank=bank, seed=3, actors=2, observation="goal", reward="sparse")
-    assert_equal(here.reset(), there.reset())
-    actions, ended = np.zeros((5, 6), dtype=np.float32), 0
-    actions[:, 1] = 0.2, 0.4, 0.6, 0.8, 1.0  # into the plants, one after the other
-    for _ in range(40):
-        of_here, of_there = here.step(actions), there.step(actions)
-        assert_equal(dict(enumerate(of_here[:3])), dict(enumerate(of_there[:3])))
-        for one, other in zip(of_here[3], of_there[3], strict=True):
-            one.pop("episode", None), other.pop("episode", None)  # which tell of time
-            assert_equal(one, other)
-        ended += int(of_here[2].sum())
-    assert ended > 0
-    there.close()
-
-
-def assert_equal(one: Any, other: Any) -> None:
-    if isinstance(one, dict):
-        assert one.keys() == other.keys()
-        for key in one:
-            assert_equal(one[key], other[key])
-    else:
-        np.testing.assert_array_equal(one, other)
-
-
-def test_more_actors_than_cores_are_told(cluster: RayExecutor, bank: SceneBank) -> None:
-    pytest.importorskip("stable_baselines3")
-    from greenhouse_gym.learning.sb3_ray import make_sb3_ray_vec_env
-
-    with pytest.raises(InvalidValueError, match="the cluster has cores for 2 actors, got 3"):
-        make_sb3_ray_vec_env(5, bank=bank, actors=3)
-    with pytest.raises(InvalidValueError, match="num_envs must be a whole number from 2 up, got 1"):
-        make_sb3_ray_vec_env(1, bank=bank, actors=2)
-
-
 def test_an_address_at_which_something_else_listens_is_told() -> None:
     """Ray itself tries for minutes; Redis, say, has the port that its head used to have."""
     pytest.importorskip("ray")
@@ -185,8 +109,6 @@ def test_a_node_with_another_version_is_told(cluster: RayExecutor, monkeypatch: 
     monkeypatch.setattr(ray_executor, "__version__", "9.9")
     with pytest.raises(InvalidValueError, match=r"has greenhouse-gym \d\S+, the head 9\.9: install the same on all"):
         list(completed(squared, [1], cluster))
-    with pytest.raises(InvalidValueError, match=r"the head 9\.9: install the same on all"):
-        RayActor(cluster, Counter, 1).ask("add", 1)()
 
 
 def test_a_path_that_a_node_does_not_see_is_told(cluster: RayExecutor, tmp_path: Path) -> None:

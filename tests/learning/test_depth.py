@@ -17,8 +17,8 @@ from greenhouse_gym.agents.judging import FEATURES, Judge
 from greenhouse_gym.agents.named import make_agent
 from greenhouse_gym.errors import FileFormatError, InvalidValueError
 from greenhouse_gym.learning import depth
-from greenhouse_gym.learning.curves import read_curve
 from greenhouse_gym.learning.depth import DepthSettings, Labels, fit, train_depth
+from greenhouse_gym.learning.training_files import read_curve
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene, SceneBank
 

@@ -25,11 +25,16 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from greenhouse_gym.agents.policy_agent import PolicyAgent, shipped_policies
 from greenhouse_gym.envs import PathReward
 from greenhouse_gym.errors import FileFormatError, GreenhouseError, InvalidValueError, UnknownNameError
-from greenhouse_gym.learning.checkpoints import NAME, load_checkpoint, save_checkpoint
-from greenhouse_gym.learning.curves import VALIDATION, read_curve
 from greenhouse_gym.learning.policies import load_into, save_policy
 from greenhouse_gym.learning.ppo import PpoSettings, make_ppo, train_ppo
 from greenhouse_gym.learning.sb3 import make_sb3_vec_env
+from greenhouse_gym.learning.training_files import (
+    CHECKPOINT,
+    VALIDATION,
+    load_checkpoint,
+    read_curve,
+    save_checkpoint,
+)
 from greenhouse_gym.scene import SceneBank
 from greenhouse_gym.scene.bank import write_bank
 
@@ -49,14 +54,9 @@ def test_plain_ppo_takes_the_environment(bank: SceneBank) -> None:
 
 
 def test_the_reward_is_the_one_of_the_settings(settings: PpoSettings, tmp_path: Path) -> None:
-    seen = []
-
-    def make_env(count: int, **keywords: Any) -> Any:
-        seen.append(make_sb3_vec_env(count, **keywords))
-        return seen[-1]
-
-    train_ppo(replace(settings, total_steps=32, reward="path"), tmp_path / "path", make_env=make_env)
-    [env] = seen
+    models: list[Any] = []
+    train_ppo(replace(settings, total_steps=32, reward="path"), tmp_path / "path", prepare=models.append)
+    env = models[0].get_env()
     assert isinstance(env.get_attr("simulation")[0].reward_terms, PathReward)
     with pytest.raises(UnknownNameError, match="path"):
         train_ppo(replace(settings, reward="wya"), tmp_path / "other")
@@ -77,7 +77,7 @@ def test_training_leaves_curve_checkpoint_and_policy(settings: PpoSettings, tmp_
     path = train_ppo(settings, tmp_path)
     assert torch.get_num_threads() == 1, "a fifth of the speed where another process runs"
     files = {p.name for p in tmp_path.iterdir()}
-    assert files == {"settings.json", "curve.csv", "tensorboard", NAME, "policy.json", "policy.safetensors"}
+    assert files == {"settings.json", "curve.csv", "tensorboard", CHECKPOINT, "policy.json", "policy.safetensors"}
     assert not any(zipfile.is_zipfile(p) for p in tmp_path.iterdir())
     rows = list(csv.DictReader((tmp_path / "curve.csv").read_text().splitlines()))
     assert [int(row["steps"]) for row in rows] == [32, 64, 96, 128]
@@ -89,11 +89,11 @@ def test_training_leaves_curve_checkpoint_and_policy(settings: PpoSettings, tmp_
     assert agent.act(np.zeros(60)).shape == (6,)
 
 
-def test_a_training_is_judged_on_other_rows_and_told_to_tensorboard(settings: PpoSettings, tmp_path: Path) -> None:
+def test_a_training_validates_on_other_rows_and_logs_to_tensorboard(settings: PpoSettings, tmp_path: Path) -> None:
     settings = replace(settings, total_steps=2048, rollout_steps=64, batch_size=256)  # in which episodes end
-    judged = replace(settings, validation_steps=1024, validation_episodes=3)
-    train_ppo(replace(judged, total_steps=1024), tmp_path)
-    train_ppo(judged, tmp_path, resume=True)
+    validated = replace(settings, validation_steps=1024, validation_episodes=3)
+    train_ppo(replace(validated, total_steps=1024), tmp_path)
+    train_ppo(validated, tmp_path, resume=True)
     rows = read_curve(tmp_path / VALIDATION)
     assert [row["steps"] for row in rows] == [1024, 2048]
     assert all(0 <= row["success_rate"] <= 1 - row["collision_rate"] for row in rows)
@@ -102,9 +102,9 @@ def test_a_training_is_judged_on_other_rows_and_told_to_tensorboard(settings: Pp
     tags = set(told.Tags()["scalars"])
     assert {"episodes/success_rate", "episodes/collision_rate", "reward/progress", "train/loss"} <= tags
     assert [event.value for event in told.Scalars("validation/success_rate")] == [row["success_rate"] for row in rows]
-    unjudged = train_ppo(settings, tmp_path / "unjudged").with_suffix(".safetensors")
-    straight = train_ppo(judged, tmp_path / "straight").with_suffix(".safetensors")
-    assert straight.read_bytes() == unjudged.read_bytes(), "judging changes nothing"
+    unvalidated = train_ppo(settings, tmp_path / "unvalidated").with_suffix(".safetensors")
+    straight = train_ppo(validated, tmp_path / "straight").with_suffix(".safetensors")
+    assert straight.read_bytes() == unvalidated.read_bytes(), "validation changes nothing"
 
 
 @pytest.mark.parametrize(
@@ -115,7 +115,7 @@ def test_a_training_is_judged_on_other_rows_and_told_to_tensorboard(settings: Pp
         ({"validation_steps": 64, "difficulty": ("unreachable",)}, "no target"),
     ],
 )
-def test_judging_that_would_fail_later_is_refused_at_once(
+def test_a_validation_that_would_fail_later_is_refused_at_once(
     settings: PpoSettings, tmp_path: Path, changed: dict[str, object], told: str
 ) -> None:
     with pytest.raises(GreenhouseError, match=told):
@@ -123,7 +123,7 @@ def test_judging_that_would_fail_later_is_refused_at_once(
     assert not (tmp_path / "run").exists()
 
 
-def test_a_bank_without_validation_rows_judges_nothing(bank: SceneBank, settings: PpoSettings, tmp_path: Path) -> None:
+def test_a_bank_without_validation_rows_is_refused(bank: SceneBank, settings: PpoSettings, tmp_path: Path) -> None:
     alone = write_bank(tmp_path / "bank", [(bank[0], "train")], name="alone")
     with pytest.raises(InvalidValueError, match=r"no scene in split 'validation'; choices: train"):
         train_ppo(replace(settings, bank=str(alone.path), validation_steps=64), tmp_path / "run")
@@ -160,7 +160,7 @@ def test_nothing_to_resume_is_an_error(settings: PpoSettings, tmp_path: Path) ->
 
 def test_an_interrupted_training_keeps_what_it_has(settings: PpoSettings, tmp_path: Path) -> None:
     train_ppo(PpoSettings(**{**vars(settings), "total_steps": 10**9}), tmp_path, time_limit=0.5)
-    assert {NAME, "policy.json"} <= {p.name for p in tmp_path.iterdir()}
+    assert {CHECKPOINT, "policy.json"} <= {p.name for p in tmp_path.iterdir()}
 
 
 def test_an_interrupted_command_keeps_what_it_has_and_says_so(settings: PpoSettings, tmp_path: Path) -> None:
@@ -178,7 +178,7 @@ def test_an_interrupted_command_keeps_what_it_has_and_says_so(settings: PpoSetti
     told = process.communicate(timeout=120)[1]
     assert "interrupted after" in told
     assert process.returncode == 130
-    assert {NAME, "policy.json", "curve.csv"} <= {p.name for p in tmp_path.iterdir()}
+    assert {CHECKPOINT, "policy.json", "curve.csv"} <= {p.name for p in tmp_path.iterdir()}
 
 
 def test_checkpoints_restore_weights_and_optimizer(settings: PpoSettings, tmp_path: Path) -> None:
@@ -194,15 +194,15 @@ def test_checkpoints_restore_weights_and_optimizer(settings: PpoSettings, tmp_pa
     assert mine.keys() == theirs.keys()
     for i in mine:
         assert all(torch.equal(torch.as_tensor(mine[i][k]), torch.as_tensor(theirs[i][k])) for k in mine[i])
-    whole = (tmp_path / NAME).read_bytes()
+    whole = (tmp_path / CHECKPOINT).read_bytes()
     for damaged in (
         b"nonsense",
         whole[:-5],
         _with_header(b"[" * 100_000),
         _with_header(b'{"__metadata__": {"notes": 3}}'),
     ):
-        (tmp_path / NAME).write_bytes(damaged)
-        with pytest.raises(FileFormatError, match=NAME):
+        (tmp_path / CHECKPOINT).write_bytes(damaged)
+        with pytest.raises(FileFormatError, match=CHECKPOINT):
             load_checkpoint(fresh, tmp_path)
 
 
@@ -221,7 +221,7 @@ def test_mutants_of_a_checkpoint_are_loaded_or_refused(settings: PpoSettings, tm
             del data[rng.randrange(len(data)) :]
         for _ in range(rng.randint(1, 3)):
             data[rng.randrange(min(header, len(data)))] = rng.choice(b'0123456789[],:{}"fF.x\xff')
-        (tmp_path / NAME).write_bytes(data)
+        (tmp_path / CHECKPOINT).write_bytes(data)
         try:
             load_checkpoint(model, tmp_path)
         except FileFormatError:
@@ -241,7 +241,7 @@ def test_the_saved_policy_acts_as_the_model(settings: PpoSettings, bank: SceneBa
     np.testing.assert_allclose(agent.act(observations[0]), expected[0], atol=1e-5)
 
 
-def test_what_a_policy_file_cannot_hold_is_said(bank: SceneBank, tmp_path: Path) -> None:
+def test_models_that_a_policy_file_cannot_hold_are_named(bank: SceneBank, tmp_path: Path) -> None:
     env = make_sb3_vec_env(2, bank=bank, seed=0)
     on_images = make_sb3_vec_env(2, bank=bank, seed=0, observation="points")
     for model, told in (

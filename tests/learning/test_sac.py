@@ -16,10 +16,10 @@ from greenhouse_gym.agents import PolicyAgent
 from greenhouse_gym.agents.agent import check_agent
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError
 from greenhouse_gym.learning import load_into
-from greenhouse_gym.learning.curves import read_curve
 from greenhouse_gym.learning.sac import SacSettings, load_sac, make_sac, train_sac
-from greenhouse_gym.learning.sac_report import COLUMNS, SacProgress
 from greenhouse_gym.learning.sb3 import Sb3Agent
+from greenhouse_gym.learning.training_files import read_curve
+from greenhouse_gym.learning.training_run import Validation
 from greenhouse_gym.scene import SceneBank
 
 NEVER = 10**9
@@ -33,21 +33,25 @@ def settings(bank: SceneBank) -> SacSettings:
     )  # fmt: skip
 
 
-def test_training_is_judged_now_and_then(settings: SacSettings, tmp_path: Path) -> None:
-    curve: list[SacProgress] = []
+def test_training_validates_at_intervals(settings: SacSettings, tmp_path: Path) -> None:
+    curve: list[Validation] = []
     path = train_sac(settings, tmp_path, tell=curve.append)
     assert [row.steps for row in curve] == [500, 1000]
     assert [row.updates for row in curve] == [0, 24]
     assert 0 < curve[0].seconds < curve[1].seconds
     validation = set(SceneBank.open(settings.bank).names("validation"))
-    assert {record.scene for row in curve for record in row.validation.records} <= validation, (
+    assert {record.scene for row in curve for record in row.results["validation"].records} <= validation, (
         "the test split is for the end"
     )
-    assert all(len(row.validation.records) == 4 and row.validation.median("steps") > 0 for row in curve)
-    assert path == tmp_path / "checkpoint.safetensors"
+    assert all(
+        len(row.results["validation"].records) == 4 and row.results["validation"].median("steps") > 0 for row in curve
+    )
+    assert path == tmp_path / "policy.json"
+    assert len(read_curve(tmp_path / "curve.csv")) == 1
     rows = read_curve(tmp_path / "validation.csv")
-    assert [tuple(row) for row in rows] == [COLUMNS, COLUMNS]
-    assert [row["success_rate"] for row in rows] == [told.validation.success_rate for told in curve]
+    columns = ["steps", "updates", "seconds", "train_success_rate", "train_collision_rate", "success_rate"]
+    assert [list(row) for row in rows] == [[*columns, "collision_rate"]] * 2
+    assert [row["success_rate"] for row in rows] == [told.results["validation"].success_rate for told in curve]
     told = EventAccumulator(str(tmp_path / "tensorboard")).Reload().Tags()["scalars"]
     assert {"episodes/success_rate", "episodes/collision_rate", "validation/success_rate"} <= set(told)
     assert any(name.startswith("reward/") for name in told)
@@ -67,8 +71,8 @@ def test_the_same_seed_learns_the_same(settings: SacSettings, tmp_path: Path) ->
 
 
 def test_it_stops_in_time(settings: SacSettings, tmp_path: Path) -> None:
-    curve: list[SacProgress] = []
-    train_sac(settings, tmp_path, minutes=0.0, tell=curve.append)
+    curve: list[Validation] = []
+    train_sac(settings, tmp_path, time_limit=0.0, tell=curve.append)
     assert load_sac(tmp_path).num_timesteps <= 4
     assert curve == []
 
@@ -81,7 +85,7 @@ def test_a_training_goes_on_where_it_was(settings: SacSettings, tmp_path: Path) 
         train_sac(settings, tmp_path)
     with pytest.raises(InvalidValueError, match="made with other settings: batch_size"):
         train_sac(replace(settings, batch_size=32), tmp_path, resume=True)
-    told: list[SacProgress] = []
+    told: list[Validation] = []
     train_sac(replace(settings, total_steps=2000, random_steps=900), tmp_path, resume=True, tell=told.append)
     after = load_sac(tmp_path)
     assert after.num_timesteps == 2000
@@ -94,7 +98,7 @@ def test_a_training_goes_on_where_it_was(settings: SacSettings, tmp_path: Path) 
 
 
 def test_an_interrupted_training_loses_nothing(settings: SacSettings, tmp_path: Path) -> None:
-    def interrupt(told: SacProgress) -> None:
+    def interrupt(told: Validation) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -132,18 +136,18 @@ def test_guided_steps_fill_the_memory_with_what_the_waypoint_says(settings: SacS
     kept = model.replay_buffer
     seen = torch.from_numpy(kept.observations["observation"][:200])
     straight = seen[:, :, -8:-2] * seen[:, :, -1:]
-    strewn = [float((torch.from_numpy(kept.actions[:200, i]) - straight[:, i]).abs().mean()) for i in range(4)]
-    assert strewn[0] < 1e-6, "the first simulation does exactly what the waypoint says"
-    assert strewn == sorted(strewn)
-    assert strewn[3] > 0.1
+    noise = [float((torch.from_numpy(kept.actions[:200, i]) - straight[:, i]).abs().mean()) for i in range(4)]
+    assert noise[0] < 1e-6, "the first simulation does exactly what the waypoint says"
+    assert noise == sorted(noise)
+    assert noise[3] > 0.1
     assert kept.rewards[:200, 0].max() == 1.0, "it reaches some target"
-    before = apart(make_sac(guided), kept)
-    assert apart(model, kept) < 0.5 * before, "its actor is held near what they do"
+    before = distance(make_sac(guided), kept)
+    assert distance(model, kept) < 0.5 * before, "its actor is constrained towards them"
     with pytest.raises(InvalidValueError, match='guided needs observation="goal_waypoint"'):
         train_sac(replace(guided, observation="goal"), tmp_path)
     for wrong in (-1.0, float("nan"), float("inf")):
-        with pytest.raises(InvalidValueError, match=f"held must be a finite number from 0 on, got {wrong}"):
-            train_sac(replace(guided, held=wrong), tmp_path)
+        with pytest.raises(InvalidValueError, match=f"guide_weight must be a finite number from 0 on, got {wrong}"):
+            train_sac(replace(guided, guide_weight=wrong), tmp_path)
     assert not list(tmp_path.iterdir())
 
 
@@ -174,20 +178,21 @@ def test_what_it_learned_is_a_policy_file(settings: SacSettings, tmp_path: Path,
         load_into(make_sac(replace(short, hidden=(8,))), agent.policy)
 
 
-def apart(model: Any, memory: Any) -> float:
-    """Mean squared distance of what a guided model does to what the waypoint says, where a memory's episodes led."""
+def distance(model: Any, memory: Any) -> float:
+    """Return the mean squared distance of a guided model's actions to the demonstrator's, on a replay buffer."""
     seen = {name: torch.from_numpy(part[:200, 1]) for name, part in memory.observations.items()}
     with torch.no_grad():
-        return float(((model.actor(seen, deterministic=True) - model.demonstrator.wish(seen)) ** 2).mean())
+        return float(((model.actor(seen, deterministic=True) - model.demonstrator.actions(seen)) ** 2).mean())
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 def test_it_learns_to_reach_without_touching(tmp_path: Path) -> None:
     """Some five minutes of one core: random actions reach 0 % (and collide seldom, for they hardly get anywhere)."""
-    curve: list[SacProgress] = []
+    curve: list[Validation] = []
     train_sac(SacSettings(threads=1, total_steps=40_000, validation_episodes=128), tmp_path, tell=curve.append)
     first, last = curve
-    for before, after in ((first.train, last.train), (first.validation, last.validation)):
+    for split, before in first.results.items():
+        after = last.results[split]
         assert after.success_rate > max(before.success_rate, 0.05)
-    assert last.train.collision_rate < first.train.collision_rate
+    assert last.results["train"].collision_rate < first.results["train"].collision_rate

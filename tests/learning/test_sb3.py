@@ -97,7 +97,7 @@ def test_any_model_is_an_agent(bank: SceneBank) -> None:
 
 def test_models_with_a_memory_forget_between_episodes() -> None:
     class Recurrent:
-        """What the agent needs of sb3-contrib's RecurrentPPO."""
+        """The part of sb3-contrib's RecurrentPPO that the agent uses."""
 
         policy = type("Policy", (), {"lstm_actor": None})()
 

@@ -14,7 +14,8 @@ from greenhouse_gym.envs import TomatoReachEnv
 from greenhouse_gym.envs.reach_task import STEP_LIMIT, SUCCESS_RADIUS
 from greenhouse_gym.geometry import Sphere
 from greenhouse_gym.learning.sb3 import make_sb3_vec_env
-from greenhouse_gym.learning.sb3_her import GoalFeatures, GoalReplayBuffer
+from greenhouse_gym.learning.sb3_features import GoalFeatures
+from greenhouse_gym.learning.sb3_her import GoalReplayBuffer
 from greenhouse_gym.scene import Scene, SceneBank
 
 

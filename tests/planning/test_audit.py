@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from greenhouse_gym.cli import app
 from greenhouse_gym.errors import FileFormatError, UnknownNameError
 from greenhouse_gym.planning import certify_targets
-from greenhouse_gym.planning.audit import faults_of, witness_faults
+from greenhouse_gym.planning.audit import bank_faults, witness_faults
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene, SceneBank, Target
 from greenhouse_gym.scene import bank as bank_module
@@ -33,7 +33,7 @@ def whole(certified: Scene, tmp_path: Path) -> Path:
 
 def faults(folder: Path, **options: Any) -> list[str]:
     bank_module._opened.cache_clear()
-    return list(faults_of(folder, **options))
+    return list(bank_faults(folder, **options))
 
 
 def with_target(scene: Scene, **update: Any) -> Scene:

@@ -9,7 +9,7 @@ from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.geometry import Sphere
 from greenhouse_gym.motion.collision import path_clearance
 from greenhouse_gym.planning import CollisionChecker, PlanResult, certify, certify_targets, planning_model
-from greenhouse_gym.planning.registered import PlannerFailedError
+from greenhouse_gym.planning.own_planners import PlannerFailedError
 from greenhouse_gym.planning.result import Status
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene, Target
@@ -36,7 +36,9 @@ def test_every_tomato_is_rated(targets: tuple[Target, ...]) -> None:
     assert targets[2] == Target(tomato=2, difficulty="unreachable", goals=0)
 
 
-def test_certificates_tell_goals_checks_clearance_and_the_unseen(small: Scene, targets: tuple[Target, ...]) -> None:
+def test_certificates_hold_goals_checks_clearance_and_the_fraction_in_unknown_space(
+    small: Scene, targets: tuple[Target, ...]
+) -> None:
     """Made-up scenes do not say what was seen: half of the space before the arm is unknown here."""
     states = np.full((14, 14, 12), FREE, np.uint8)
     states[:, 7:] = UNKNOWN
@@ -60,17 +62,17 @@ def test_targets_are_spread_over_their_distances(scene: Scene, monkeypatch: pyte
         certify, "certify_target", lambda compiled, tomato, seed: Target(tomato=tomato, difficulty="easy")
     )
     distance = [np.linalg.norm(tomato.center - [0.0, 0.0, 1.1]) for tomato in scene.tomatoes]
-    few = [target.tomato for target in certify_targets(scene, most=3)]
+    few = [target.tomato for target in certify_targets(scene, max_targets=3)]
     assert few == sorted(few)
     assert {int(np.argmin(distance)), int(np.argmax(distance))} < set(few)
     assert len(few) == 3
-    assert len(certify_targets(scene, most=100)) == len(scene.tomatoes)
+    assert len(certify_targets(scene, max_targets=100)) == len(scene.tomatoes)
     sizes = sorted(tomato.radius for tomato in scene.tomatoes)
     assert sizes[0] < sizes[-1]
-    large = [t.tomato for t in certify_targets(scene, smallest=sizes[-1])]
+    large = [t.tomato for t in certify_targets(scene, min_radius=sizes[-1])]
     assert {scene.tomatoes[k].radius for k in large} == {sizes[-1]}
-    assert large == [t.tomato for t in certify_targets(scene, most=len(large), smallest=sizes[-1])]
-    assert len(certify_targets(scene, smallest=1.0)) == len(scene.tomatoes)  # young rows have targets, too
+    assert large == [t.tomato for t in certify_targets(scene, max_targets=len(large), min_radius=sizes[-1])]
+    assert len(certify_targets(scene, min_radius=1.0)) == len(scene.tomatoes)  # young rows have targets, too
 
 
 def test_an_easy_target_is_reached_by_one_straight_motion(targets: tuple[Target, ...]) -> None:

@@ -1,4 +1,4 @@
-"""What benchmarks/planners.py writes: checked on a few runs, and by OMPL's own statistics script where it is there."""
+"""Output of benchmarks/planners.py for some runs, also checked by OMPL's own statistics script if it is installed."""
 
 from __future__ import annotations
 

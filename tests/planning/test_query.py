@@ -17,7 +17,7 @@ from greenhouse_gym.planning import (
     planning_model,
     query,
 )
-from greenhouse_gym.planning.exchange import Answer
+from greenhouse_gym.planning.worker import PlannerAnswer
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.mjcf import compile_scene
@@ -57,7 +57,7 @@ def test_same_seed_and_checks_same_path(scene: Scene) -> None:
     assert not np.array_equal(first.path, other.path)
 
 
-def test_optimizing_planners_tell_their_cost_over_time(scene: Scene) -> None:
+def test_optimizing_planners_report_their_cost_over_time(scene: Scene) -> None:
     if "RRTsharp" not in PLANNERS:
         pytest.skip("OMPL 2 does not tell Python")
     result = plan(scene, 0, planner="BITstar", time_limit=1.0, seed=3)
@@ -86,13 +86,21 @@ def test_the_first_solution_ends_an_optimizing_search(scene: Scene, planner: str
 
 def test_settings_change_what_a_planner_does(scene: Scene) -> None:
     usual = plan(scene, 7, max_checks=50_000, time_limit=60.0)
-    short = PLANNERS["RRTConnect"].with_settings(range=0.1)
-    other = plan(scene, 7, max_checks=50_000, time_limit=60.0, settings=short)
+    other = plan(scene, 7, max_checks=50_000, time_limit=60.0, settings={"range": 0.1})
     assert usual.status == other.status == "solved"
     assert other.raw_path is not None
     assert np.linalg.norm(np.diff(other.raw_path, axis=0), axis=-1).max() < 0.1 + 1e-6
-    with pytest.raises(InvalidValueError, match="RRTConnect takes RRTConnectSettings, got RRTstarSettings"):
-        plan(scene, 7, settings=PLANNERS["RRTstar"].settings)
+    with pytest.raises(UnknownNameError, match="setting of RRTConnect 'goal_bias'"):
+        plan(scene, 7, settings={"goal_bias": 0.1})
+
+
+@pytest.mark.parametrize(
+    ("planner", "settings"), [("BITstar", {"samples_per_batch": 200}), ("BiTRRT", {"range": 1, "init_temperature": 50})]
+)
+def test_settings_of_any_type_reach_the_planner(scene: Scene, planner: str, settings: dict[str, float]) -> None:
+    if planner not in PLANNERS:
+        pytest.skip(f"this OMPL has no {planner}")
+    assert plan(scene, 0, planner=planner, max_checks=30_000, settings=settings).status == "solved"
 
 
 def test_what_the_arm_is_checked_against_can_be_chosen(scene: Scene) -> None:
@@ -202,7 +210,7 @@ def test_unknown_names_list_the_choices(scene: Scene) -> None:
     [("start", "starts at"), ("end", "none of the goals"), ("limits", "joint limits"), ("nan", "not numbers"),
      ("cut", "not free")],
 )  # fmt: skip
-def test_no_path_of_the_worker_is_believed(
+def test_every_path_of_the_worker_is_verified(
     scene: Scene, monkeypatch: pytest.MonkeyPatch, flaw: str, message: str
 ) -> None:
     good = plan(scene, 7)
@@ -219,7 +227,7 @@ def test_no_path_of_the_worker_is_believed(
         path = np.insert(path, 1, 5.0, axis=0)
     else:
         path = np.insert(path, 1, np.nan, axis=0)
-    answer = Answer("solved", path, path, 0.1, 0.0, 10, 5, np.empty((0, 2)))
+    answer = PlannerAnswer("solved", path, path, 0.1, 0.0, 10, 5, np.empty((0, 2)))
     monkeypatch.setattr(query.shared_worker(), "call", lambda *_: answer)
     result: PlanResult = plan(scene, 7)
     assert result.status == "invalid"

@@ -11,8 +11,8 @@ from greenhouse_gym.cli import app
 from greenhouse_gym.envs import TomatoReachEnv
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.motion.collision import PROOF
-from greenhouse_gym.planning import CollisionChecker, plan, planning_model, rate
-from greenhouse_gym.planning.rate import RATING, rate_bank
+from greenhouse_gym.planning import CollisionChecker, certify, plan, planning_model
+from greenhouse_gym.planning.certify import RATING, rate_bank
 from greenhouse_gym.robots import get_robot, load_robot
 from greenhouse_gym.scene import Scene, SceneBank, compile_scene
 from greenhouse_gym.scene.bank import write_bank
@@ -98,7 +98,7 @@ def test_rating_goes_on_where_it_was_interrupted(
     assert rated.scene("made-up-0").provenance.settings[RATING]["robot"] == "iiwa14"
     assert len(again) == 2
     # another seed, and another arm of the same name, are rated anew
-    monkeypatch.setattr(rate, "certify_target", lambda compiled, tomato, seed: again[0].targets[0])
+    monkeypatch.setattr(certify, "certify_target", lambda compiled, tomato, seed: again[0].targets[0])
     counted: list[int] = []
     rate_bank(few, "iiwa14", tmp_path / "out", seed=1, on_target=counted.append)
     assert counted

@@ -207,7 +207,7 @@ def test_an_arm_that_touches_itself_at_its_start_is_refused(tmp_path: Path) -> N
         load_robot(ROBOTS["ur5e"], start=[0, -1.57, 2.9, 0, 0, 0])
 
 
-def test_an_edited_file_is_read_anew(tmp_path: Path) -> None:
+def test_an_edited_file_is_read_again(tmp_path: Path) -> None:
     file = _shipped(tmp_path, "<mujoco", "<mujoco")
     first = get_robot(file)
     assert get_robot(file) is first
@@ -234,7 +234,7 @@ def test_robots_travel_between_processes(tmp_path: Path) -> None:
 
 def test_a_tool_is_mounted_once(tmp_path: Path) -> None:
     out = mount_tool(write_arm("fr3", tmp_path), tmp_path / "out.xml")
-    with pytest.raises(FileFormatError, match="carries a tool already"):
+    with pytest.raises(FileFormatError, match="already has a tool"):
         mount_tool(out, tmp_path / "twice.xml")
     with pytest.raises(FileFormatError, match="'nose'; it has attachment_site"):
         mount_tool(tmp_path / "fr3.xml", tmp_path / "twice.xml", flange="nose")

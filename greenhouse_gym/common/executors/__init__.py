@@ -1,7 +1,6 @@
 """Executors that spread work over the cores of one machine or of a cluster, with the same results as on one core."""
 
 from greenhouse_gym.common.executors.backends import BACKENDS, executor_for, idle_cores
-from greenhouse_gym.common.executors.ray_actor import RayActor
 from greenhouse_gym.common.executors.ray_executor import RayExecutor
 from greenhouse_gym.common.executors.spreading import (
     WorkerLostError,
@@ -14,7 +13,6 @@ from greenhouse_gym.common.executors.spreading import (
 
 __all__ = [
     "BACKENDS",
-    "RayActor",
     "RayExecutor",
     "WorkerLostError",
     "completed",

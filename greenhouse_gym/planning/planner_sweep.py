@@ -1,7 +1,7 @@
-"""Planners over many targets and seeds, with budgets in collision checks: resumable, and spread over workers.
+"""Runs of planners over many targets and seeds, with budgets in collision checks: resumable and parallel.
 
-What ends a run is the number of its checks, and what leaves a planner out of further seeds is the sum of them, so a
-machine with other work on it, or an executor, gives the same runs; only the seconds differ.
+The number of its checks ends a run, and their sum excludes a planner from further seeds. So a busy machine or an
+executor gives the same runs; only the seconds differ.
 """
 
 from __future__ import annotations
@@ -31,22 +31,22 @@ from greenhouse_gym.scene import DIFFICULTIES, Scene, SceneBank, Target
 from greenhouse_gym.scene.mjcf import compile_scene
 
 Run = dict[str, Any]
-"""What was asked of a planner and what came of it, as a line of ``runs.jsonl``."""
+"""A run's settings and results, as a line of ``runs.jsonl``."""
 
 _KEYS = ("planner", "scene", "scene_hash", "target", "seed", "max_checks", "time_limit", "first_solution")
-_STEPS = 20  # about as many steps of the cost's improvement are noted
+_MAX_COSTS = 20  # about as many improvements of the cost are stored
 
 
 @dataclass(frozen=True)
 class SweepSettings:
-    """How planners are run.
+    """Settings of the runs.
 
     Attributes:
         seeds: Runs per target.
         max_checks: Collision checks per plan.
-        time_limit: Seconds per plan, at most.
-        first_solution: Whether no planner may improve its first path.
-        budget: Checks; a planner that has used as many gets no further seed.
+        time_limit: Largest number of seconds per plan.
+        first_solution: True if no planner may improve its first path.
+        budget: Collision checks after which a planner gets no further seed.
     """
 
     seeds: int = 3
@@ -57,8 +57,8 @@ class SweepSettings:
 
 
 @dataclass(frozen=True)
-class _Piece:
-    """The runs at one target with one seed that are still to be made; a piece can travel."""
+class _Batch:
+    """The missing runs at one target with one seed; it can be pickled."""
 
     scene: Scene
     target: Target
@@ -66,10 +66,15 @@ class _Piece:
 
 
 def reachable_targets(bank: SceneBank, split: str, count: int) -> list[tuple[Scene, Target]]:
-    """At most ``count`` reachable targets of a split: a third of each difficulty, more where one has too few.
+    """Sample reachable targets of a split, a third of each difficulty, more where a difficulty has too few.
 
-    They are drawn in an order that is always the same, so fewer targets are a part of more, and the difficulties take
-    turns, so that an interrupted benchmark has seen some of each.
+    The order is fixed, so fewer targets are a subset of more, and alternates between the difficulties, so that an
+    interrupted benchmark has covered all of them.
+
+    Args:
+        bank: The bank.
+        split: Name of the split.
+        count: Largest number of targets.
     """
     scenes = [bank.scene(name) for name in bank.names(split)]
     by_difficulty = [
@@ -79,9 +84,9 @@ def reachable_targets(bank: SceneBank, split: str, count: int) -> list[tuple[Sce
     ]
     rng = np.random.default_rng(0)
     chosen: list[list[tuple[Scene, Target]]] = []
-    for rest, group in enumerate(sorted(by_difficulty, key=len)):
-        share = min(len(group), (count - sum(map(len, chosen))) // (len(by_difficulty) - rest))
-        chosen.append([group[i] for i in rng.permutation(len(group))[:share]])
+    for k, group in enumerate(sorted(by_difficulty, key=len)):
+        size = min(len(group), (count - sum(map(len, chosen))) // (len(by_difficulty) - k))
+        chosen.append([group[i] for i in rng.permutation(len(group))[:size]])
     return [item for turn in zip_longest(*chosen) for item in turn if item is not None]
 
 
@@ -93,22 +98,22 @@ def sweep_planners(
     executor: Executor | None = None,
     on_piece: Callable[[str, int, int], None] | None = None,
 ) -> list[Run]:
-    """Run planners at targets; what is in the file already is not run again.
+    """Run planners at targets; runs that are in the file are not repeated.
 
     Args:
-        planners: Their names.
+        planners: Names of planners.
         targets: Scenes with targets.
-        settings: How they are run.
-        file: Lines of JSON, one for each run, to which this process adds the runs at a target as soon as they are made.
-        executor: Where they are run, those at one target with one seed together; None runs them here.
-        on_piece: Told the seed's name, how many targets are done with it, and of how many.
+        settings: Settings of the runs.
+        file: JSON Lines file with one line per run. This process appends the runs at a target when they are finished.
+        executor: Where to run them, those at one target with one seed together; None for this process.
+        on_piece: Called with the seed's name, the number of targets finished with it, and their number.
 
     Returns:
-        All runs that are asked for, seed by seed, target by target; but for seconds the same with any executor.
+        All runs, seed by seed and target by target; the same with any executor, except seconds.
     """
     lines = file.read_text().splitlines() if file.exists() else []
     done = {_key(run): run for run in map(json.loads, lines)}
-    # a bank built anew has new scenes under old names
+    # a rebuilt bank may have new scenes under old names
     scenes = {scene.name: scene for scene, _ in targets}
     hashes = {name: sha256(scene.model_dump_json().encode()).hexdigest()[:8] for name, scene in scenes.items()}
     runs: list[Run] = []
@@ -122,18 +127,18 @@ def sweep_planners(
                  if used[planner] < settings.budget]
                 for scene, target in targets
             ]  # fmt: skip
-            pieces = [
-                _Piece(scene, target, missing)
+            batches = [
+                _Batch(scene, target, missing)
                 for (scene, target), wanted in zip(targets, asked, strict=True)
                 if (missing := tuple(run for run in wanted if _key(run) not in done))
             ]
-            for count, made in enumerate(completed(_made, pieces, executor), 1):
-                for run in made:
+            for count, results in enumerate(completed(_run_batch, batches, executor), 1):
+                for run in results:
                     done[_key(run)] = run
                     out.write(json.dumps(run) + "\n")
                 out.flush()
                 if on_piece:
-                    on_piece(f"planning, seed {seed}", count, len(pieces))
+                    on_piece(f"planning, seed {seed}", count, len(batches))
             runs += [done[_key(run)] for wanted in asked for run in wanted]
     return runs
 
@@ -157,19 +162,19 @@ def _key(run: Run) -> tuple[Any, ...]:
     return tuple(run.get(key) for key in _KEYS)
 
 
-def _made(piece: _Piece) -> list[Run]:
-    """The runs of a piece, all with the same goals."""
+def _run_batch(batch: _Batch) -> list[Run]:
+    """Make the runs of a batch, all with the same goals."""
     began = time.perf_counter()
-    goals = goal_configurations(piece.scene, piece.target.tomato)
+    goals = goal_configurations(batch.scene, batch.target.tomato)
     spent = round(time.perf_counter() - began, 4)
     return [
-        {**wanted, "difficulty": piece.target.difficulty, **measure(piece.scene, wanted, goals, spent)}
-        for wanted in piece.wanted
+        {**wanted, "difficulty": batch.target.difficulty, **measure(batch.scene, wanted, goals, spent)}
+        for wanted in batch.wanted
     ]
 
 
 def measure(scene: Scene, wanted: Run, goals: Goals, goal_seconds: float) -> Run:
-    """Run a planner once, and note what came of it."""
+    """Run a planner once and return the results."""
     result = plan(
         scene, wanted["target"], planner=wanted["planner"], time_limit=wanted["time_limit"],
         max_checks=wanted["max_checks"], goals=goals, seed=wanted["seed"], first_solution=wanted["first_solution"],
@@ -188,13 +193,13 @@ def measure(scene: Scene, wanted: Run, goals: Goals, goal_seconds: float) -> Run
         "first_solution_time": round(float(result.costs[0, 0]), 6) if result.path is not None else None,
         "raw_smoothness": None if result.raw_path is None else round(smoothness(result.raw_path), 4),
         "smoothness": None if result.path is None else round(smoothness(result.path), 4),
-        "costs": result.costs[:: math.ceil(len(result.costs) / _STEPS) or 1].round(4).tolist(),
+        "costs": result.costs[:: math.ceil(len(result.costs) / _MAX_COSTS) or 1].round(4).tolist(),
         "message": result.message[:120],
     }
 
 
 def smoothness(path: Array) -> float:
-    """OMPL's measure of a path (k, n), ``PathGeometric::smoothness``: 0 is straight."""
+    """Return OMPL's measure of a path (k, n), ``PathGeometric::smoothness``: 0 is straight."""
     steps = np.diff(path, axis=0)
     steps = steps[np.linalg.norm(steps, axis=-1) > 0]
     lengths = np.linalg.norm(steps, axis=-1)
@@ -204,7 +209,7 @@ def smoothness(path: Array) -> float:
 
 
 def bare_rate(scene: Scene, target: int, checks: int = 400) -> float:
-    """Checks per second of MuJoCo alone, over random configurations; measured beside every run."""
+    """Measure the checks per second of MuJoCo alone at random configurations."""
     compiled = compile_scene(scene)
     model = planning_model(compiled, target)
     data = mujoco.MjData(model)

@@ -1,4 +1,4 @@
-"""Several trainings with different settings, spread over any executor, each resumed where it stopped."""
+"""Trainings by PPO with different settings on any executor, each resumed at its last checkpoint."""
 
 from __future__ import annotations
 
@@ -18,20 +18,19 @@ from greenhouse_gym.common.executors import RayExecutor, WorkerLostError, comple
 from greenhouse_gym.common.files import exclusive, write_atomically
 from greenhouse_gym.common.settings_files import replaced
 from greenhouse_gym.errors import GreenhouseError, InvalidValueError
-from greenhouse_gym.learning.checkpoints import NAME as CHECKPOINT
-from greenhouse_gym.learning.curves import CURVE, read_curve
 from greenhouse_gym.learning.ppo import PpoSettings, train_ppo
+from greenhouse_gym.learning.training_files import CHECKPOINT, CURVE, read_curve
 
 Row = dict[str, Any]
-"""What was tried in a training, its folder, and the last line of its learning curve or the error that ended it."""
+"""A training's varied settings, its folder, and the last line of its learning curve or its error."""
 
 TABLE = "sweep.json"
-"""The rows of all trainings that are done, the best first; in the folder of the sweep."""
+"""File in the folder of the sweep with the rows of all finished trainings, the best first."""
 
 
 @dataclass(frozen=True)
 class _Training:
-    """A training; it can travel."""
+    """A training; it can be pickled."""
 
     name: str
     tried: Mapping[str, Any]
@@ -51,40 +50,40 @@ def sweep_ppo(
 ) -> list[Row]:
     """Train with each combination of values of some settings.
 
-    Each training has a folder of its own below ``out``, which it writes itself, wherever it runs: with a cluster,
-    ``out`` is a folder that all nodes see. A training whose process or node is lost goes on from its last checkpoint,
-    and so does everything when the same sweep is begun again. One that fails, by whatever error, leaves the others
-    alone, and its row says why.
+    Each training writes its own folder below ``out``, wherever it runs; on a cluster all nodes must see ``out``. A
+    training whose process or node is lost continues from its last checkpoint, and so do all when the sweep is started
+    again. A training that fails does not affect the others; its row contains the error.
 
     With a `RayExecutor` the trainings are trials of Ray Tune, which keeps its own files in ``out/tune``.
 
     Args:
         settings: The settings that all share; each training has one thread unless they say otherwise.
-        choices: Values to try, by the name of the setting.
+        choices: Values to try, by name of the setting.
         out: Folder of the sweep.
-        executor: Where trainings run; None runs one after the other here.
-        on_training: Told the row of each training that is done, how many are, and of how many.
-        stop_early: Have Ray Tune end trainings that fall behind: at an eighth, a quarter and a half of the steps, those
-            whose success rate is below the median of the trainings that came there before. Their rows are those of the
-            steps they got, and say ``stopped_early``.
-        on_line: With a `RayExecutor`, told the row that a training has so far with each line of its learning curve;
-            elsewhere each training shows its own progress.
+        executor: Where trainings run; None runs them one after the other in this process.
+        on_training: Called with the row of each finished training, the number of finished ones, and the total.
+        stop_early: True to let Ray Tune stop trainings that fall behind: at an eighth, a quarter and a half of the
+            steps, those with a success rate below the median of the trainings that got there before. Their rows
+            contain ``stopped_early``.
+        on_line: With a `RayExecutor`, called with a training's row at each line of its learning curve; otherwise each
+            training shows its own progress.
 
     Returns:
         The rows, the highest success rate first.
 
     Raises:
-        InvalidValueError: Nothing to try, a value twice, one that the setting does not take, or trainings to stop early
+        InvalidValueError: Nothing to try, a value twice, a value that the setting does not take, or ``stop_early``
             without a `RayExecutor`.
-        UnknownNameError: There is no such setting.
+        UnknownNameError: No such setting.
         FileWriteError: Another process is sweeping in the folder.
-        WorkerLostError: A process of the executor died; with a `RayExecutor` the row of its training says so instead.
+        WorkerLostError: A process of the executor died; with a `RayExecutor`, the row of its training reports that
+            instead.
         MissingDependencyError: The executor is a `RayExecutor`, and Ray Tune is not installed.
     """
     trainings = _trainings(settings, choices, Path(out))
     if stop_early and not isinstance(executor, RayExecutor):
         raise InvalidValueError(
-            "trainings that fall behind are stopped by Ray Tune: stop_early needs a RayExecutor (--backend ray)"
+            "Ray Tune stops trainings that fall behind: stop_early needs a RayExecutor (--backend ray)"
         )
     rows: list[Row] = []
 
@@ -140,22 +139,20 @@ def _trainings(settings: PpoSettings, choices: Mapping[str, Sequence[Any]], out:
 
 
 def _train(training: _Training, tell: Callable[[Mapping[str, float], Row], None] = lambda line, row: None) -> Row:
-    """Train, or go on, and give the row; each line of the curve is told with the row that the training has by then."""
+    """Start or resume a training and return its row; ``tell`` gets each line of its curve with the row so far."""
     folder = training.folder
     try:
-        if not folder.parent.is_dir():  # which the head has made
-            raise InvalidValueError(
-                f"node {platform.node()} sees no folder {folder.parent}: all nodes must see the same"
-            )
+        if not folder.parent.is_dir():  # made by the head
+            raise InvalidValueError(f"node {platform.node()} sees no folder {folder.parent}: all nodes must see it")
         before = read_curve(folder / CURVE)
-        for line in before:  # which those who compare trainings have not seen, or have forgotten
+        for line in before:  # Ray Tune may not know them
             tell(line, _row(training, before[-1]))
         try:
             resume = (folder / CHECKPOINT).is_file()
             train_ppo(training.settings, folder, resume=resume, on_line=lambda line: tell(line, _row(training, line)))
         except GreenhouseError:
             raise
-        except Exception as error:  # such as that of a distribution whose mean has come to be no number
+        except Exception as error:  # for example of a distribution whose mean is nan
             return _row(training, error=f"{type(error).__name__}: {error}")
         return _row(training, *read_curve(folder / CURVE)[-1:])
     except GreenhouseError as error:

@@ -1,7 +1,7 @@
-"""Planners that are not OMPL's: what they are given, and how they are run.
+"""Planners written in Python: the problem they are given, and their run in the caller's process.
 
-They run in the caller's process, so they need no OMPL. A planner cannot overrun its budget as long as it checks
-anything: beyond it every check raises `OutOfBudget`, which ends the search with the best path told by then.
+They need no OMPL. A planner that checks configurations cannot overrun its budget: beyond it every check raises
+`OutOfBudget`, which ends the search with the best path reported by then.
 """
 
 from __future__ import annotations
@@ -20,32 +20,32 @@ from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.collision import PROOF
 from greenhouse_gym.motion.path import path_length
 from greenhouse_gym.motion.proof import ProvingChecker
-from greenhouse_gym.planning.exchange import Answer, Query
+from greenhouse_gym.planning.worker import PlannerAnswer, PlannerQuery
 
 
 class OutOfBudget(GreenhouseError):  # noqa: N818
-    """The search has used up its time or its checks; a planner lets this error pass."""
+    """The time or the checks of a search are used up; planners do not catch this error."""
 
 
 class PlannerFailedError(GreenhouseError):
-    """A registered planner raised an error, or the planning process died again and again."""
+    """A planner written in Python raised an error, or the planning process died repeatedly."""
 
 
 class PlanningProblem:
-    """A planning problem, as a planner sees it.
+    """A planning problem for a planner written in Python.
 
     Attributes:
-        start: (joints,) start configuration, radians (metres for slides); it is free.
-        goals: (k, joints) goal configurations, all free; any of them will do.
+        start: (joints,) collision-free start configuration, radians (metres for slides).
+        goals: (k, joints) collision-free goal configurations; a path may end at any of them.
         lower: (joints,) lower joint limits.
         upper: (joints,) upper joint limits.
-        seed: Seed for whatever is random.
-        first_solution: Whether the first path is wanted, and not a better one.
-        best: (m, joints) the shortest path told so far, or None.
-        costs: Seconds and length of the paths told, as they got shorter.
+        seed: Seed of the planner's random numbers.
+        first_solution: True if the caller wants the first path and no improvement of it.
+        best: (m, joints) the shortest path reported so far, or None.
+        costs: Seconds and length of each reported path that was shorter than all before it.
     """
 
-    def __init__(self, query: Query):
+    def __init__(self, query: PlannerQuery):
         self.start, self.goals, self.seed = query.start.copy(), query.goals.copy(), query.seed
         self.lower, self.upper = query.lower.copy(), query.upper.copy()
         self.first_solution = not query.optimizing
@@ -58,70 +58,70 @@ class PlanningProblem:
 
     @property
     def checks(self) -> int:
-        """Configurations checked so far."""
+        """Number of configurations checked so far."""
         return self._checker.checks
 
     @property
     def checks_left(self) -> float:
-        """Configurations that may still be checked; inf where only the time is limited."""
+        """Number of configurations that may still be checked; inf if only the time is limited."""
         return self._max_checks - self._checker.checks
 
     def is_free(self, configuration: npt.ArrayLike) -> bool:
-        """Whether nothing is touched in a configuration (joints,).
+        """Return whether a configuration (joints,) is collision-free.
 
         Raises:
             OutOfBudget: The time or the checks are used up.
         """
-        self._within_budget()
+        self._require_budget()
         return self._checker.is_free(np.asarray(configuration, dtype=np.float64))
 
     def motion_is_free(self, start: npt.ArrayLike, end: npt.ArrayLike, resolution: float = PROOF) -> bool:
-        """Whether the straight motion between two configurations, both included, is free.
+        """Return whether the straight motion between two configurations, both included, is collision-free.
 
         Args:
-            start: (joints,) one end.
-            end: (joints,) the other.
-            resolution: No point of the arm moves farther between two configurations that are looked at, metres. At
-                the usual one the motion is proven free; a path counts if all of its motions are, at that one.
+            start: (joints,) first configuration.
+            end: (joints,) last configuration.
+            resolution: Largest motion of any point of the arm between two checked configurations, metres. The default
+                proves the motion free; a path counts only if all its motions are free at the default.
 
         Raises:
             OutOfBudget: The time or the checks are used up.
         """
-        self._within_budget()
+        self._require_budget()
         return self._checker.motion_is_free(start, end, resolution)
 
     def path_is_free(self, path: npt.ArrayLike) -> bool:
-        """Whether all motions of a path (m, joints) are proven free."""
+        """Return whether all motions of a path (m, joints) are proven free."""
         points = np.asarray(path, dtype=np.float64)
         return all(self.motion_is_free(a, b) for a, b in pairwise(points))
 
-    def tell(self, path: npt.ArrayLike) -> None:
-        """Tell of a path (m, joints): the shortest one told counts if the budget ends before the planner does."""
+    def report(self, path: npt.ArrayLike) -> None:
+        """Report a path (m, joints); the shortest one is the result if the budget ends before the planner does."""
         points = np.array(path, dtype=np.float64)
         length = path_length(points)
         if self.best is None or length < path_length(self.best):
             self.best = points
             self.costs.append((time.perf_counter() - self._began, length))
 
-    def _within_budget(self) -> None:
+    def _require_budget(self) -> None:
         if self._checker.checks >= self._max_checks or time.perf_counter() >= self._deadline:
-            raise OutOfBudget("the search has used up its time or its checks")
+            raise OutOfBudget("the time or the checks of the search are used up")
 
 
 Solve = Callable[[PlanningProblem, Any], npt.ArrayLike | None]
-"""A planner: from a problem and the planner's settings to a path (m, joints) from the start to one of the goals."""
+"""Search for a path (m, joints) from the start to one of the goals, given a problem and the planner's settings."""
 
 
-def run_registered(solve: Solve, settings: Any, query: Query) -> Answer:
-    """Have a planner search in this process; whether its path is one is for the caller to prove.
+def run_own_planner(solve: Solve, query: PlannerQuery) -> PlannerAnswer:
+    """Run a planner in this process; the caller proves its path.
 
     Raises:
-        PlannerFailedError: The planner raised an error, or what it returned are no numbers.
+        PlannerFailedError: The planner raised an error or returned something other than numbers.
     """
     problem = PlanningProblem(query)
     began = time.perf_counter()
     try:
-        result = solve(problem, settings)
+        result = solve(problem, query.settings)
         path = None if result is None else np.array(result, dtype=np.float64)
     except OutOfBudget:
         path = None
@@ -130,8 +130,8 @@ def run_registered(solve: Solve, settings: Any, query: Query) -> Answer:
     if path is None:
         path = problem.best
     elif path.ndim == 2:
-        problem.tell(path)
-    return Answer(
+        problem.report(path)
+    return PlannerAnswer(
         status="no_solution" if path is None else "solved",
         path=path,
         raw_path=path,

@@ -16,8 +16,8 @@ from greenhouse_gym.cli.main import app
 from greenhouse_gym.common.executors import RayExecutor
 from greenhouse_gym.common.files import exclusive
 from greenhouse_gym.errors import FileWriteError, InvalidValueError, UnknownNameError
-from greenhouse_gym.learning import PpoSettings, sweep, sweep_ppo
-from greenhouse_gym.learning.curves import CURVE, read_curve
+from greenhouse_gym.learning import PpoSettings, ppo_sweep, sweep_ppo
+from greenhouse_gym.learning.training_files import CURVE, read_curve
 from greenhouse_gym.scene import SceneBank
 
 
@@ -37,7 +37,7 @@ def test_every_combination_is_trained_elsewhere_and_goes_on_where_it_stopped(
     rows = sweep_ppo(settings, choices, tmp_path, Elsewhere(), lambda *all_of: told.append(all_of[1:]))
     assert told == [(1, 2), (2, 2)]
     assert {row["folder"] for row in rows} == {"seed=0,learning_rate=0.001", "seed=1,learning_rate=0.001"}
-    assert json.loads((tmp_path / sweep.TABLE).read_text()) == rows
+    assert json.loads((tmp_path / ppo_sweep.TABLE).read_text()) == rows
     weights = [(tmp_path / row["folder"] / "policy.safetensors").read_bytes() for row in rows]
     assert weights[0] != weights[1]
     longer = PpoSettings(**{**vars(settings), "total_steps": 96})
@@ -52,11 +52,11 @@ def test_trials_of_ray_tune_give_the_table_of_one_process(
     settings: PpoSettings, tmp_path: Path, cluster: RayExecutor
 ) -> None:
     pytest.importorskip("ray.tune")
-    told: list[sweep.Row] = []
+    told: list[ppo_sweep.Row] = []
     choices = {"observation": ["state", "depths"]}
     here = sweep_ppo(settings, choices, tmp_path / "here")
     there = sweep_ppo(settings, choices, tmp_path / "there", RayExecutor(cpus=2), on_line=told.append)
-    assert json.loads((tmp_path / "there" / sweep.TABLE).read_text()) == there
+    assert json.loads((tmp_path / "there" / ppo_sweep.TABLE).read_text()) == there
     for row in [*here, *there]:
         row.pop("seconds", None)
     assert there == here
@@ -71,27 +71,27 @@ def test_trainings_are_stopped_early_by_ray_alone(settings: PpoSettings, tmp_pat
 
 
 def test_a_training_that_is_stopped_can_be_played_and_gone_on_with(settings: PpoSettings, tmp_path: Path) -> None:
-    """What happens on a node: all that was learned is told again, with what it came to."""
-    (training,) = sweep._trainings(settings, {"seed": [0]}, tmp_path).values()
+    """A node that resumes a training reports all lines of its curve again."""
+    (training,) = ppo_sweep._trainings(settings, {"seed": [0]}, tmp_path).values()
     told: list[tuple[float, float]] = []
 
-    def stop(line: Mapping[str, float], row: sweep.Row) -> None:
+    def stop(line: Mapping[str, float], row: ppo_sweep.Row) -> None:
         told.append((line["steps"], row["steps"]))
         if len(told) in (1, 4):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        sweep._train(training, stop)
+        ppo_sweep._train(training, stop)
     assert (training.folder / "policy.safetensors").exists()
-    assert sweep._train(training, stop)["steps"] == 64
+    assert ppo_sweep._train(training, stop)["steps"] == 64
     with pytest.raises(KeyboardInterrupt):
-        sweep._train(training, stop)
+        ppo_sweep._train(training, stop)
     assert told == [(32, 32), (32, 32), (64, 64), (32, 64)]
 
 
-def test_a_folder_that_a_node_does_not_see_is_told(settings: PpoSettings, tmp_path: Path) -> None:
-    (training,) = sweep._trainings(settings, {"seed": [0]}, tmp_path / "gone").values()
-    assert "all nodes must see the same" in sweep._train(training)["error"]
+def test_a_folder_that_a_node_does_not_see_is_named(settings: PpoSettings, tmp_path: Path) -> None:
+    (training,) = ppo_sweep._trainings(settings, {"seed": [0]}, tmp_path / "gone").values()
+    assert "all nodes must see it" in ppo_sweep._train(training)["error"]
     assert not (tmp_path / "gone").exists()
 
 
@@ -111,11 +111,11 @@ def test_a_training_that_diverges_leaves_the_others_alone(
         folder.mkdir()
         (folder / CURVE).write_text("steps,success_rate\n64,0.5\n")
 
-    monkeypatch.setattr(sweep, "train_ppo", diverging)
+    monkeypatch.setattr(ppo_sweep, "train_ppo", diverging)
     good, failed = sweep_ppo(settings, {"seed": [0, 1]}, tmp_path)
     assert (good["seed"], good["success_rate"]) == (1, 0.5)
     assert failed["error"].startswith("ValueError: Expected parameter loc")
-    assert json.loads((tmp_path / sweep.TABLE).read_text()) == [good, failed]
+    assert json.loads((tmp_path / ppo_sweep.TABLE).read_text()) == [good, failed]
 
 
 def test_only_a_training_that_is_not_done_was_stopped_early(
@@ -128,13 +128,13 @@ def test_only_a_training_that_is_not_done_was_stopped_early(
             ended(name, {"folder": name, "steps": steps}, True)
 
     monkeypatch.setattr("greenhouse_gym.common.executors.ray_tune.run_trials", trials)
-    rows: list[sweep.Row] = []
-    trainings = sweep._trainings(settings, {"seed": [0, 1]}, tmp_path)
-    sweep._tune(trainings, RayExecutor.__new__(RayExecutor), tmp_path, rows.append, rows.append, True)
+    rows: list[ppo_sweep.Row] = []
+    trainings = ppo_sweep._trainings(settings, {"seed": [0, 1]}, tmp_path)
+    ppo_sweep._tune(trainings, RayExecutor.__new__(RayExecutor), tmp_path, rows.append, rows.append, True)
     assert [row.get("stopped_early") for row in rows] == [None, True]
 
 
-def test_what_cannot_be_tried_is_told_before_any_training(settings: PpoSettings, tmp_path: Path) -> None:
+def test_invalid_choices_are_refused_before_any_training(settings: PpoSettings, tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError, match=r"unknown setting 'sed'. Did you mean 'seed'"):
         sweep_ppo(settings, {"sed": [0]}, tmp_path)
     with pytest.raises(InvalidValueError, match="setting learning_rate"):
@@ -153,11 +153,11 @@ def test_the_command_tries_each_value_given(bank: SceneBank, tmp_path: Path, mon
         folder.mkdir()
         (folder / "curve.csv").write_text(f"steps,success_rate\n{settings.total_steps},0.{settings.seed}\n")
 
-    monkeypatch.setattr(sweep, "train_ppo", trained)
+    monkeypatch.setattr(ppo_sweep, "train_ppo", trained)
     options = ["--try", "seed=1", "--try", "seed=2", "--try", "hidden=[8, 8]", "--steps", "7", "--backend", "serial"]
     result = CliRunner().invoke(app, ["sweep", "--out", str(tmp_path), "--bank", str(bank.path), *options])
     assert result.exit_code == 0, result.output
-    rows = json.loads((tmp_path / sweep.TABLE).read_text())
+    rows = json.loads((tmp_path / ppo_sweep.TABLE).read_text())
     assert [(row["seed"], row["steps"], row["success_rate"]) for row in rows] == [(2, 7.0, 0.2), (1, 7.0, 0.1)]
 
 

@@ -1,4 +1,4 @@
-"""Sweeps of planners: what is run does not depend on how fast the machine is or where, and goes on where it stopped."""
+"""Sweeps of planners: the runs do not depend on the machine or the executor, and a sweep resumes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from parallel_helpers import Elsewhere
 
 from greenhouse_gym.planning import sweep
-from greenhouse_gym.planning.sweep import Run, SweepSettings, sweep_planners
+from greenhouse_gym.planning.planner_sweep import Run, SweepSettings, sweep_planners
 from greenhouse_gym.scene import Scene
 
 USUAL = SweepSettings(seeds=3, max_checks=5000, time_limit=9.0, first_solution=True)

@@ -1,4 +1,4 @@
-"""Limits of an arm's joints: those that its file names, and what follows from its servos where it names none."""
+"""Limits of an arm's joints: those in its file, or defaults bounded by the force of its servos."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from greenhouse_gym.errors import FileFormatError, InvalidValueError
 from greenhouse_gym.geometry import Array
 
 DEFAULT_SPEED, DEFAULT_SLIDE_SPEED = 1.6, 0.4
-"""Speed limits of joints whose file names none, rad/s and m/s: what a joint action of 1 asks for."""
+"""Default speed limits, rad/s and m/s; a joint action of 1 requests them."""
 
 DEFAULT_ACCELERATION, DEFAULT_SLIDE_ACCELERATION = 10.0, 2.0
-"""Acceleration limits of joints whose file names none, rad/s^2 and m/s^2."""
+"""Default acceleration limits, rad/s^2 and m/s^2."""
 
-SHARE = 0.8
-"""Share of a servo's force that damping may take at the default speed limit; the rest is for speeding up."""
+DAMPING_FRACTION = 0.8
+"""Fraction of a servo's force that damping may use at the default speed limit; the rest is for acceleration."""
 
 
 def joint_limits(model: mujoco.MjModel, start: Array) -> tuple[Array, Array]:
-    """What both joints and actuators allow; one turn around the start where neither says anything."""
+    """Return the limits that both joints and actuators allow; one turn around the start if neither has limits."""
     commanded = np.where(model.actuator_ctrllimited[:, None], model.actuator_ctrlrange, [-np.inf, np.inf])
     allowed = np.where(model.jnt_limited[:, None], model.jnt_range, [-np.inf, np.inf])
     lower: Array = np.maximum(allowed[:, 0], commanded[:, 0])
@@ -34,7 +34,7 @@ def joint_limits(model: mujoco.MjModel, start: Array) -> tuple[Array, Array]:
 
 
 def motion_limits(path: Path, model: mujoco.MjModel, name: str, given: npt.ArrayLike | None, default: Array) -> Array:
-    """A kind of limit (n,): the given one if there is one, else that in the file, else the default."""
+    """Return limits (n,): the given ones, else those in the file, else the default."""
     if given is not None:
         limits = np.array(given, dtype=np.float64)
         if limits.shape != (model.njnt,) or not (limits > 0).all():
@@ -45,7 +45,7 @@ def motion_limits(path: Path, model: mujoco.MjModel, name: str, given: npt.Array
 
 
 def numeric(path: Path, model: mujoco.MjModel, name: str, size: int) -> Array | None:
-    """The numbers (``size``,) of a custom numeric of a file; None where it has none of that name."""
+    """Return the numbers (``size``,) of a custom numeric of a file; None if it has none of that name."""
     index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)
     if index < 0:
         return None
@@ -56,13 +56,13 @@ def numeric(path: Path, model: mujoco.MjModel, name: str, size: int) -> Array | 
 
 
 def attainable_speeds(model: mujoco.MjModel) -> Array:
-    """Speeds at which a joint's damping takes `SHARE` of the force that its servo has; inf without either."""
+    """Return the speeds at which damping uses `DAMPING_FRACTION` of the servos' force; inf without a limit."""
     force = np.where(model.actuator_forcelimited, model.actuator_forcerange[:, 1], np.inf)
     at_joint = np.where(model.jnt_actfrclimited, model.jnt_actfrcrange[:, 1], np.inf)
-    return SHARE * np.minimum(force, at_joint) / np.maximum(model.dof_damping, 1e-9)
+    return DAMPING_FRACTION * np.minimum(force, at_joint) / np.maximum(model.dof_damping, 1e-9)
 
 
-def lag(model: mujoco.MjModel) -> float:
-    """Time by which the slowest joint lags behind its command, seconds: its damping over its servo's stiffness."""
+def servo_lag(model: mujoco.MjModel) -> float:
+    """Return the lag of the slowest joint behind its command, seconds: its damping over its servo's stiffness."""
     damping = np.maximum(-model.actuator_biasprm[:, 2], model.dof_damping)
     return float((damping / model.actuator_gainprm[:, 0]).max())

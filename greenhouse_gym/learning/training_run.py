@@ -1,0 +1,265 @@
+"""The parts that trainings by PPO and SAC share: start or resume, callback, checkpoints, and the policy file."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TimeRemainingColumn
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import configure
+
+from greenhouse_gym.common.files import write_atomically
+from greenhouse_gym.evaluation import Evaluation, evaluate
+from greenhouse_gym.learning.policies import save_policy
+from greenhouse_gym.learning.sb3 import TERMS, Sb3Agent
+from greenhouse_gym.learning.training_files import (
+    CHECKPOINT,
+    CURVE,
+    VALIDATION,
+    check_folder,
+    load_checkpoint,
+    read_curve,
+    read_notes,
+    save_checkpoint,
+    write_curve,
+)
+from greenhouse_gym.scene import SceneBank
+
+WINDOW = 10
+"""Lines of the learning curve whose episodes each line averages over."""
+
+COLUMNS = ("steps", "seconds", "success_rate", "collision_rate", "return", "length")
+"""Columns of the learning curve."""
+
+VALIDATION_SEED = 10_000
+"""Seed of the first validation episode."""
+
+_PRINT_SECONDS = 20.0  # between two printed lines where there is no progress bar
+
+
+class Validation(NamedTuple):
+    """Episodes of the policy without its noise, the same ones every time.
+
+    Attributes:
+        steps: Environment steps of the training so far.
+        updates: Gradient updates since the training began or was resumed.
+        seconds: Seconds of the training so far.
+        results: The episodes by split.
+    """
+
+    steps: int
+    updates: int
+    seconds: float
+    results: Mapping[str, Evaluation]
+
+    def row(self) -> dict[str, float]:
+        """Return the line of ``validation.csv``."""
+        figures: dict[str, float] = {"steps": self.steps, "updates": self.updates, "seconds": self.seconds}
+        for split, result in self.results.items():
+            prefix = "" if split == "validation" else f"{split}_"
+            figures[f"{prefix}success_rate"] = result.success_rate
+            figures[f"{prefix}collision_rate"] = result.collision_rate
+        return figures
+
+    def __str__(self) -> str:
+        figures = (
+            f"{split}: success {result.success_rate:.0%}, collision {result.collision_rate:.0%}"
+            for split, result in self.results.items()
+        )
+        return f"{self.steps:,} steps, {self.seconds:.0f} s; {'; '.join(figures)}"
+
+
+class TrainingReport(BaseCallback):  # type: ignore[misc]
+    """Record a training, save its checkpoints and stop it at its time limit.
+
+    Args:
+        out: Folder of the training.
+        settings: Settings of the training, as `as_json` returns them.
+        model: The model, untrained or resumed.
+        curve_steps: Steps per line of the learning curve.
+        splits: Splits to validate on, every ``validation_steps`` of the settings; never if these are 0.
+        options: Keywords of `evaluate` for the validation.
+        time_limit: Seconds after which the training stops, or None.
+        checkpoint_seconds: Seconds between checkpoints.
+        on_line: Called with each new line of the learning curve.
+        on_validation: Called with each validation.
+    """
+
+    def __init__(
+        self,
+        out: Path,
+        settings: Mapping[str, Any],
+        model: Any,
+        curve_steps: int,
+        splits: Sequence[str],
+        options: Mapping[str, Any],
+        time_limit: float | None,
+        checkpoint_seconds: float,
+        on_line: Callable[[Mapping[str, float]], None] = lambda line: None,
+        on_validation: Callable[[Validation], None] = lambda validation: None,
+    ):
+        super().__init__()
+        self.out, self.settings, self.model, self.splits, self.options = out, settings, model, splits, options
+        self.time_limit, self.checkpoint_seconds = time_limit, checkpoint_seconds
+        self.on_line, self.on_validation = on_line, on_validation
+        self.curve_steps, self.validation_steps = curve_steps, settings["validation_steps"]
+        done = model.num_timesteps
+        self.rows, self.validations = (
+            [row for row in read_curve(out / name) if row["steps"] <= done] if done else []
+            for name in (CURVE, VALIDATION)
+        )
+        self.last_step = done
+        self.seconds_before = max((rows[-1]["seconds"] for rows in (self.rows, self.validations) if rows), default=0.0)
+        self.began = self.saved = self.printed = time.monotonic()
+        self.episodes: list[list[dict[str, Any]]] = [[]]
+        self.console = Console(stderr=True)
+        self.progress = Progress(
+            "training", BarColumn(), "{task.completed:,.0f} steps", TimeRemainingColumn(), "{task.fields[note]}",
+            console=self.console,
+        )  # fmt: skip
+        self.task = self.progress.add_task("", total=settings["total_steps"], note="")
+        if self.console.is_terminal:
+            self.progress.start()
+
+    def say(self, text: str) -> None:
+        """Print a line, above the progress bar if there is one."""
+        self.console.print(text, highlight=False)
+
+    def _on_step(self) -> bool:
+        for info in self.locals["infos"]:
+            if "episode" in info:
+                self.episodes[-1].append(info)
+                self.logger.record_mean("episodes/success_rate", float(info["is_success"]))
+                self.logger.record_mean("episodes/collision_rate", float(info["collision"]))
+                for name, value in info[TERMS].items():
+                    self.logger.record_mean(f"reward/{name}", value)
+        if self.validation_steps and self._passed(self.validation_steps):
+            self._validate()
+        if self._passed(self.curve_steps):
+            self._add_line()
+        self.last_step = self.num_timesteps
+        if time.monotonic() - self.saved > self.checkpoint_seconds:
+            self.save()
+        return self.time_limit is None or time.monotonic() - self.began < self.time_limit
+
+    def _passed(self, interval: int) -> bool:
+        """Return whether the last step has reached a multiple of an interval."""
+        return bool(self.num_timesteps // interval > self.last_step // interval)
+
+    def _seconds(self) -> float:
+        return round(self.seconds_before + time.monotonic() - self.began, 2)
+
+    def _add_line(self) -> None:
+        """Add a line to the learning curve and show it."""
+        self.episodes = self.episodes[-WINDOW:]
+        infos = [info for line in self.episodes for info in line]
+        self.episodes.append([])
+        row = {
+            "steps": self.num_timesteps,
+            "seconds": self._seconds(),
+            "success_rate": _mean([info["is_success"] for info in infos]),
+            "collision_rate": _mean([info["collision"] for info in infos]),
+            "return": _mean([info["episode"]["r"] for info in infos]),
+            "length": _mean([info["episode"]["l"] for info in infos]),
+        }
+        self.rows.append(row)
+        note = f"success {row['success_rate']:.0%}, collision {row['collision_rate']:.0%}"
+        if self.console.is_terminal:
+            self.progress.update(self.task, completed=self.num_timesteps, note=note)
+        elif time.monotonic() - self.printed > _PRINT_SECONDS:
+            self.printed = time.monotonic()
+            self.say(f"{self.num_timesteps:,} steps, {row['seconds']:.0f} s: {note}, return {row['return']:.2f}")
+        self.on_line(row)
+
+    def _validate(self) -> None:
+        """Run the validation episodes with the policy without its noise."""
+        agent, episodes = Sb3Agent(self.model), self.settings["validation_episodes"]
+        results = {
+            split: evaluate(agent, split, episodes, seed=VALIDATION_SEED, progress=False, **self.options)
+            for split in self.splits
+        }
+        validation = Validation(self.num_timesteps, self.model._n_updates, self._seconds(), results)
+        row = validation.row()
+        self.validations.append(row)
+        for name in list(row)[3:]:
+            self.logger.record(f"validation/{name}", row[name])
+        write_curve(self.out / VALIDATION, list(row), self.validations)
+        self.say(str(validation))
+        self.on_validation(validation)
+
+    def save(self) -> None:
+        """Write the checkpoint and the learning curve."""
+        self.saved = time.monotonic()
+        save_checkpoint(self.model, self.out, {"settings": dict(self.settings)})
+        write_curve(self.out / CURVE, COLUMNS, self.rows)
+
+    def finish(self) -> None:
+        """Save, and stop the progress display."""
+        self.progress.stop()
+        self.save()
+        self.model.logger.close()
+
+
+def as_json(settings: Any) -> dict[str, Any]:
+    """Return a dataclass of settings as JSON has them: without tuples."""
+    return dict(json.loads(json.dumps(asdict(settings))))
+
+
+def check_start(out: Path, settings: Mapping[str, Any], resume: bool) -> None:
+    """Check that a training can start, or resume, in a folder; see `check_folder`."""
+    check_folder(out / CHECKPOINT, lambda: read_notes(out)["settings"], settings, "total_steps", resume)
+
+
+def set_up(model: Any, out: Path, settings: Mapping[str, Any], resume: bool) -> None:
+    """Give a model its log and, to resume, the state of the checkpoint; write ``settings.json``."""
+    model.set_logger(configure(str(out / "tensorboard"), ["tensorboard"]))
+    if resume:
+        load_checkpoint(model, out)
+        model.get_env().seed(settings["seed"] + model.num_timesteps)
+    write_atomically(out / "settings.json", json.dumps(settings, indent=1) + "\n")
+
+
+def learn(
+    model: Any, report: TrainingReport, resume: bool, callbacks: Sequence[BaseCallback] = (), algorithm: str = ""
+) -> Path:
+    """Train a model to the end of its steps, also after an interruption save it, and close its environment.
+
+    Args:
+        model: The model, after `set_up`.
+        report: Its callback.
+        resume: True if it continues a training.
+        callbacks: Further callbacks.
+        algorithm: Name in the policy file; by default that of the model's class.
+
+    Returns:
+        The path of the policy's JSON file.
+    """
+    remaining = report.settings["total_steps"] - model.num_timesteps
+    notes = {
+        **({"algorithm": algorithm} if algorithm else {}),
+        "settings": dict(report.settings),
+        "bank_sha256": SceneBank.open(report.settings["bank"]).sha256,
+    }
+    try:
+        if remaining > 0:
+            model.learn(remaining, callback=[report, *callbacks], reset_num_timesteps=not resume)
+    except KeyboardInterrupt:
+        report.say(f"interrupted after {model.num_timesteps} steps; resume to continue from here")
+        save_policy(model, report.out / "policy", notes)
+        raise
+    finally:
+        report.finish()
+        model.get_env().close()
+    return save_policy(model, report.out / "policy", notes)
+
+
+def _mean(values: Sequence[float]) -> float:
+    """Return the mean to five decimals; nan without values."""
+    return round(float(np.mean(values)), 5) if values else float("nan")
