@@ -97,14 +97,14 @@ def plan(
             result reports the length of the path through unknown space.
         margin: Distance to keep from boxes of clutter, metres, except from those next to the start: leaves extend
             beyond their scan, see `greenhouse_gym.motion.margins`.
-        surfaces: True to avoid cells where the scan saw a surface that no shape explains, see
+        unexplained: True to avoid cells where the scan saw a surface that no shape explains, see
             `greenhouse_gym.motion.unexplained_cells`.
 
     Raises:
         UnknownNameError: No such planner, parameter, arm or collision pair.
         InvalidValueError: No such tomato; a limit that is not positive and finite, or no limit; a negative seed or
             margin; an invalid parameter; a start or goals outside the limits; a scene without an occupancy grid where
-            ``unknown`` or ``surfaces`` needs one.
+            ``unknown`` or ``unexplained`` needs one.
         MissingDependencyError: OMPL is not installed.
     """
     arm, depths = get_robot(robot), depths_of(unknown)

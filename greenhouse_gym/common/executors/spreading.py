@@ -1,8 +1,8 @@
 """Spread independent tasks over any executor of `concurrent.futures`.
 
 Paths, seeds and names travel to the workers, values come back, and the caller writes the files. Trainings are the
-exception: each writes its own folder (`greenhouse_gym.learning.ppo_sweep`). Without an executor the same tasks run here,
-one after the other, with the same results.
+exception: each writes its own folder (`greenhouse_gym.learning.ppo_sweep`). Without an executor the same tasks run
+here, one after the other, with the same results.
 """
 
 from __future__ import annotations
