@@ -4,8 +4,8 @@ python benchmarks/imitation.py --seeds 0,1,2 --out-folder runs/imitation
 python benchmarks/imitation.py --agents "" --set from_rule=false --set imitation.steps=64000 --set ppo.total_steps=0
 
 Trains once for each seed with the usual settings of ``training/bc_then_ppo.py``. Judged are, on the same episodes, the
-policy after the imitation, if there is one, and after PPO, and beside them what goes straight to the waypoint without
-any learning (``waypoint``) and the teacher (``guide``). With ``from_rule=false`` its weights are random at first.
+policy after the imitation, if there is one, and after PPO, and the rule that it imitates (``waypoint``). With
+``from_rule=false`` its weights are random at first.
 Writes results/imitation.json, or with ``from_rule=false`` results/imitation_from_nothing.json, after each part; entries
 of other seeds and agents that it holds stay, if they are of the same settings and bank.
 """
@@ -38,7 +38,7 @@ def main() -> None:
     """Train, play, write the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", default="0,1,2")
-    parser.add_argument("--agents", default="waypoint,guide")
+    parser.add_argument("--agents", default="waypoint")
     parser.add_argument("--episodes", type=int, default=500)
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
     parser.add_argument("--out-folder", type=Path, default=Path("runs/imitation"))

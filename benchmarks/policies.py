@@ -5,9 +5,8 @@ python benchmarks/policies.py --entries benchmarks/leaderboard
 
 Every agent plays the same episodes: seeds 0, 1, 2, ... of the test split, policies without noise. The world is the
 reconstruction, or the simulated row behind it (``truth``). ``shielded`` and ``hybrid`` are made of the best shipped
-policy; ``waypoint`` goes without learning where the observation of that name leads, and ``guide`` is a teacher who
-plans. With ``--entries`` nothing is played: the episodes are those of the leaderboard's entries, on all their tracks,
-without trials.
+policy; ``waypoint`` goes without learning where the observation of that name leads. With ``--entries`` nothing is
+played: the episodes are those of the leaderboard's entries, on all their tracks, without trials.
 Writes results/policies.json, an entry per agent and world; those of other agents that it holds stay.
 """
 
@@ -29,9 +28,7 @@ from greenhouse_gym.evaluation.leaderboard import follows, read_entry
 from greenhouse_gym.evaluation.records import Record
 from greenhouse_gym.scene import DIFFICULTIES, SceneBank
 
-AGENTS = ",".join(
-    dict.fromkeys((BEST, "shielded", "hybrid", "waypoint", "guide", "ppo-ur5e", "straight-line", "random"))
-)
+AGENTS = ",".join(dict.fromkeys((BEST, "shielded", "hybrid", "waypoint", "ppo-ur5e", "straight-line", "random")))
 """Who plays."""
 
 

@@ -32,7 +32,7 @@ from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.evaluation.journal import RecordJournal
 from greenhouse_gym.evaluation.records import Record, wilson_interval
 from greenhouse_gym.motion.collision import CollisionChecker, planning_model
-from greenhouse_gym.motion.reach import arm_reaches
+from greenhouse_gym.motion.joint_reaches import arm_reaches
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene, Target, compile_scene
 from greenhouse_gym.scene.bank import write_bank

@@ -10,11 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from greenhouse_gym.agents import Problem
 from greenhouse_gym.agents.named import make_agent
 from greenhouse_gym.capture.images import encode_png
 from greenhouse_gym.common.files import write_atomically
+from greenhouse_gym.envs import TomatoReachEnv
 from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.planning.planners import _ALL
+from greenhouse_gym.scene import Scene
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 OWN = ("own_agent", "own_learner")
@@ -48,6 +51,24 @@ def test_own_agent_and_policy_play() -> None:
         evaluation = evaluate(agent, episodes=3, bank="mini", num_envs=3)
         assert evaluation.failures == 0
         assert all(r.joint_length > 0.1 for r in evaluation.records)
+
+
+def test_without_a_scan_the_camera_is_all_that_counts(scene: Scene) -> None:
+    def actions(known: Scene) -> list[np.ndarray]:
+        agent, taken = make_agent(f"{EXAMPLES}/without_scan.py:ExploringAgent"), []
+        env = TomatoReachEnv(bank="mini", **agent.env_options)
+        observation, info = env.reset(options={"scene": scene, "target": 4})
+        agent.reset(Problem(known, 4, env.robot, env.start, seed=5))
+        over = False
+        while not over:
+            taken.append(agent.act(observation))
+            observation, _, terminated, truncated, info = env.step(taken[-1])
+            over = terminated or truncated
+        assert info["is_success"]
+        return taken
+
+    bare = scene.model_copy(update={"stems": (), "clutter": (), "occupancy": None})
+    np.testing.assert_array_equal(actions(scene), actions(bare))
 
 
 def test_own_learner_prints_its_rate(capsys: pytest.CaptureFixture[str]) -> None:

@@ -28,9 +28,9 @@ def test_nothing_but_posix_is_needed_to_plan_and_evaluate() -> None:
         "import greenhouse_gym.envs, greenhouse_gym.cli\n"
         "from greenhouse_gym.common.executors import usable_cores\n"
         "assert usable_cores() >= 1\n"
-        "from greenhouse_gym.agents import StillAgent\n"
+        "from greenhouse_gym.agents import RandomAgent\n"
         "from greenhouse_gym.evaluation import evaluate\n"
-        "evaluate(StillAgent(), episodes=2, num_envs=2, bank='mini', observation='points')\n"
+        "evaluate(RandomAgent(), episodes=2, num_envs=2, bank='mini', observation='points')\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

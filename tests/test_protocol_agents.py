@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.geometry import Box
-from greenhouse_gym.motion.arm_spheres import arm_balls
+from greenhouse_gym.motion.arm_spheres import arm_spheres
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.robots.kinematics import tool_state
 from greenhouse_gym.scene import Scene, Shapes
@@ -28,7 +28,7 @@ def benchmark_module(monkeypatch: pytest.MonkeyPatch) -> Any:
 def leaf_at_the_start(scene: Scene) -> Box:
     """A leaf that hangs in the arm's wrist where it starts."""
     arm = get_robot("ur5e")
-    tip = tool_state(arm_balls(arm).chain, arm.start[None]).point[0]
+    tip = tool_state(arm_spheres(arm).chain, arm.start[None]).point[0]
     return Box(tip + base_position(scene, arm), np.array([0.05, 0.05, 0.05]), np.eye(3))
 
 

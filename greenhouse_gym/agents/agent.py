@@ -1,4 +1,4 @@
-"""What an agent is: something that is told the problem at an episode's start and then acts on observations."""
+"""The protocol of agents: an agent gets the problem at the start of an episode and then acts on observations."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from greenhouse_gym.scene import Scene
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What an agent may know at an episode's start.
+    """What an agent knows at the start of an episode.
 
     Attributes:
-        scene: The scene as it was reconstructed.
+        scene: The reconstructed scene.
         target: Index of the target tomato in the scene.
         robot: The arm.
         start: (joints,) start configuration, radians.
-        seed: Seed for the agent's own random choices in this episode.
-        action: What the environment makes of actions; None stands for its default, increments of the joints.
-        interval: Seconds from one action to the next.
+        seed: Seed of the agent's random choices in this episode.
+        action: The environment's action rule; joint increments if None.
+        interval: Seconds between two actions.
     """
 
     scene: Scene
@@ -41,15 +41,15 @@ class Problem:
 
     @property
     def action_space(self) -> spaces.Box:
-        """The space of an action, which has one axis."""
+        """Space of an action; it has one axis."""
         return self._rule.space
 
     @property
     def joint_steps(self) -> Array:
-        """(joints,) what an action of 1 adds to each joint's command, radians.
+        """Change of each joint's command by an action of 1, (joints,) radians.
 
         Raises:
-            InvalidValueError: The environment's actions are no motions of the joints.
+            InvalidValueError: The environment's actions do not move the joints.
         """
         rule = self._rule
         if not isinstance(rule, JointIncrements | JointVelocities):
@@ -67,13 +67,13 @@ class Problem:
 class Agent(Protocol):
     """A reaching agent, scripted, planned or learned.
 
-    An agent without memory may also have a method ``act_many(observations)`` that gives actions (n, size) for the
-    observations of n simulations at once. It is then asked for all of them together where many run side by side;
-    of any other agent every simulation gets a copy.
+    An agent without memory may also have a method ``act_many(observations)`` that returns actions (n, size) for the
+    observations of n simulations. It is called when many episodes run side by side; of any other agent, every
+    simulation gets a copy.
 
     Attributes:
-        name: How it is called in tables.
-        env_options: Keywords for `gymnasium.make` that give the environment this agent needs.
+        name: Its name in tables.
+        env_options: Keywords of `gymnasium.make` for the environment that the agent needs.
     """
 
     name: str
@@ -83,14 +83,14 @@ class Agent(Protocol):
         """Prepare for an episode."""
 
     def act(self, observation: Any) -> npt.NDArray[np.floating[Any]]:
-        """The next action, (size,), within `Problem.action_space`: [-1, 1] unless the environment has its own."""
+        """Return the next action (size,) in `Problem.action_space`: [-1, 1] unless the environment has its own."""
 
 
 def check_agent(agent: object) -> None:
-    """Raise an error unless something is an `Agent`.
+    """Raise an error unless an object is an `Agent`.
 
     Raises:
-        InvalidValueError: It is a class, or an attribute of an agent is missing.
+        InvalidValueError: It is a class, or lacks an attribute of an agent.
     """
     called = getattr(agent, "name", type(agent).__name__)
     if isinstance(agent, type):
@@ -104,6 +104,18 @@ def check_agent(agent: object) -> None:
     for attribute, fits in kinds.items():
         if not fits(getattr(agent, attribute, None)):
             raise InvalidValueError(
-                f"{called!r} is no agent: its {attribute!r} is missing or of the wrong kind; an agent has a name, "
+                f"{called!r} is no agent: its {attribute!r} is missing or of the wrong type; an agent has a name, "
                 "env_options (a mapping), reset(problem) and act(observation)"
             )
+
+
+def action_towards(waypoint: Array, command: Array, steps: Array) -> Array:
+    """Return the action (joints,) in [-1, 1] that moves straight towards a waypoint at full speed.
+
+    Args:
+        waypoint: (joints,) radians.
+        command: (joints,) current command, radians.
+        steps: (joints,) what an action of 1 adds to the command, radians; see `Problem.joint_steps`.
+    """
+    wish = (waypoint - command) / steps
+    return np.asarray(wish / max(1.0, float(np.abs(wish).max())))

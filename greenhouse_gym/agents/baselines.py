@@ -1,4 +1,4 @@
-"""Simple agents to measure others against."""
+"""Simple agents for comparison."""
 
 from __future__ import annotations
 
@@ -11,79 +11,59 @@ import numpy.typing as npt
 
 from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.agents.planner_agent import PathFollower
-from greenhouse_gym.envs.observations import WaypointObservation
+from greenhouse_gym.envs.observations import WaypointObservation, places_in
 from greenhouse_gym.planning import goal_configurations
-
-_NOTHING_SPECIAL: Mapping[str, Any] = MappingProxyType({})
-
-
-class StillAgent:
-    """Never moves."""
-
-    name = "still"
-    env_options = _NOTHING_SPECIAL
-
-    def __init__(self) -> None:
-        self._action = np.zeros(0, dtype=np.float32)
-
-    def reset(self, problem: Problem) -> None:
-        """Note the size of an action."""
-        self._action = np.zeros(problem.action_space.shape, dtype=np.float32)
-
-    def act(self, observation: Any) -> npt.NDArray[np.float32]:
-        """Zero."""
-        return self._action
 
 
 class RandomAgent:
-    """Draws every action uniformly."""
+    """Draw every action uniformly."""
 
     name = "random"
-    env_options = _NOTHING_SPECIAL
+    env_options: Mapping[str, Any] = MappingProxyType({})
 
     def __init__(self) -> None:
-        self._random = np.random.default_rng(0)
+        self._rng = np.random.default_rng(0)
         self._bounds: tuple[Any, Any] = (0.0, 0.0)
 
     def reset(self, problem: Problem) -> None:
-        """Begin the episode's own random sequence."""
-        self._random = np.random.default_rng(problem.seed)
+        """Seed the actions of the episode."""
+        self._rng = np.random.default_rng(problem.seed)
         self._bounds = problem.action_space.low, problem.action_space.high
 
     def act(self, observation: Any) -> npt.NDArray[np.float32]:
-        """Uniform in the space of actions."""
-        return np.asarray(self._random.uniform(*self._bounds), dtype=np.float32)
+        """Return a uniform sample of the action space."""
+        return np.asarray(self._rng.uniform(*self._bounds), dtype=np.float32)
 
 
 class StraightLineAgent:
-    """Takes the free goal configuration nearest to the start and moves there straight, whatever is in between.
+    """Move straight to the free goal configuration nearest to the start, through whatever is in between.
 
     It needs an environment whose actions move the joints.
     """
 
     name = "straight-line"
-    env_options = _NOTHING_SPECIAL
+    env_options: Mapping[str, Any] = MappingProxyType({})
 
     def __init__(self) -> None:
         self._follower: PathFollower | None = None
 
     def reset(self, problem: Problem) -> None:
         """Choose the goal."""
-        ends = goal_configurations(problem.scene, problem.target, problem.robot, seed=problem.seed).configurations
-        nearest = np.abs(ends - problem.start).max(-1).argsort()[:1]  # empty where no goal exists
-        self._follower = PathFollower(np.concatenate([problem.start[None], ends[nearest]]), problem)
+        goals = goal_configurations(problem.scene, problem.target, problem.robot, seed=problem.seed).configurations
+        nearest = np.abs(goals - problem.start).max(-1).argsort()[:1]  # empty if there is no goal
+        self._follower = PathFollower(np.concatenate([problem.start[None], goals[nearest]]), problem)
 
     def act(self, observation: Any) -> npt.NDArray[np.float32]:
-        """The next action along the line."""
+        """Return the next action along the line."""
         if self._follower is None:
             raise RuntimeError("reset the agent before it acts")
         return self._follower.action()
 
 
 class WaypointAgent:
-    """Goes straight to the waypoint that it is told, and stays where it is while there is no free way to one.
+    """Move straight to the observed waypoint; hold still while no collision-free waypoint is known.
 
-    That is what `observation="waypoint"` is worth without any learning.
+    This is what `observation="waypoint"` achieves without any learning.
     It needs an environment whose actions move the joints.
     """
 
@@ -94,15 +74,11 @@ class WaypointAgent:
         self._direction = self._way = slice(0)
 
     def reset(self, problem: Problem) -> None:
-        """Find the places of the direction, and of whether it is free, in the observation."""
-        ends = {}
-        end = 0
-        for name, size in WaypointObservation(problem.robot).layout:
-            end += size
-            ends[name] = slice(end - size, end)
-        self._direction, self._way = ends["waypoint_direction"], ends["path"]
+        """Look up where the direction, and whether it is free, are in the observation."""
+        groups = places_in(WaypointObservation(problem.robot).layout)
+        self._direction, self._way = groups["waypoint_direction"], groups["path"]
 
     def act(self, observation: Any) -> npt.NDArray[np.float32]:
-        """The action that goes as far that way as it may."""
+        """Return the action towards the waypoint at full speed."""
         free = observation[self._way][1]
         return np.asarray(observation[self._direction] * free, dtype=np.float32)

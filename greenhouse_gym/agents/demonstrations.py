@@ -1,4 +1,4 @@
-"""Episodes of an agent as a Minari data set: what planners and teachers do, for those who learn from data."""
+"""Episodes of an agent as a Minari data set, for offline learning."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.scene import SceneBank
 
 DATA_SET = "tomato-reach/{agent}-v0"
-"""What a data set is called in its folder, by the agent's name."""
+"""Name of a data set in its folder."""
 
 
 def record_demonstrations(
@@ -31,23 +31,23 @@ def record_demonstrations(
     tell: Callable[[int], None] = lambda done: None,
     **options: Any,
 ) -> str:
-    """Let an agent act and keep its episodes, with rewards and infos, as a Minari data set.
+    """Record episodes of an agent, with rewards and infos, as a Minari data set.
 
     Args:
-        agent: Who acts; its ``env_options`` say in which environment.
+        agent: The agent; its ``env_options`` choose the environment.
         out: Folder of data sets (``MINARI_DATASETS_PATH``).
-        episodes: How many are played; episode i has the seed ``seed + i``.
+        episodes: Number of episodes to run; episode i has the seed ``seed + i``.
         seed: Seed of the first episode.
-        split: Split of the bank; the test split is not for learning.
-        successes_only: Whether only episodes that ended in a success are kept.
-        tell: Gets the number of episodes played so far.
+        split: Split of the bank; the test split is refused.
+        successes_only: Whether only successful episodes are kept.
+        tell: Called with the number of episodes so far.
         **options: Further keywords of the environment.
 
     Returns:
-        The data set's name, with which ``minari.load_dataset`` reads it.
+        The data set's name, as ``minari.load_dataset`` takes it.
 
     Raises:
-        InvalidValueError: The test split is asked for, no episode succeeded, or the data set is there already.
+        InvalidValueError: The split is "test", no episode succeeded, or the data set exists already.
         MissingDependencyError: Minari is not installed.
     """
     with needs("data"):
@@ -55,14 +55,14 @@ def record_demonstrations(
         from minari.data_collector import EpisodeBuffer
     check_agent(agent)
     if split == "test":
-        raise InvalidValueError("split 'test' is for the end, not for learning: choose train or validation")
+        raise InvalidValueError("split 'test' is reserved for the final evaluation: choose train or validation")
     env = TomatoReachEnv(split=split, **{**options, **agent.env_options})
     bank = SceneBank.open(env.settings.bank)
     name = DATA_SET.format(agent="".join(c if c.isalnum() else "-" for c in agent.name.lower()))
     buffers: list[Any] = []
     try:
         for i in range(episodes):
-            buffer = EpisodeBuffer(id=len(buffers), seed=seed + i, **_played(agent, env, seed + i))
+            buffer = EpisodeBuffer(id=len(buffers), seed=seed + i, **_run(agent, env, seed + i))
             if buffer.infos["is_success"][-1] or not successes_only:  # type: ignore[index]
                 buffers.append(buffer)
             tell(i + 1)
@@ -70,14 +70,14 @@ def record_demonstrations(
         env.close()
     if not buffers:
         raise InvalidValueError(
-            f"agent {agent.name!r} reached nothing in {episodes} episodes: there is nothing to keep"
+            f"agent {agent.name!r} reached no target in {episodes} episodes: there is nothing to record"
         )
     about = f"TomatoReach-v0, split {split} of bank {bank.manifest.name}, manifest sha256 {bank.sha256}"
     with _datasets_in(Path(out)):
         if name in minari.list_local_datasets():
-            raise InvalidValueError(f"{out} holds a data set {name} already: choose another folder")
+            raise InvalidValueError(f"{out} already holds a data set {name}: choose another folder")
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # that there is no author, permalink or environment's entry
+            warnings.simplefilter("ignore", UserWarning)  # about a missing author, permalink and environment
             minari.create_dataset_from_buffers(
                 name,
                 buffers,
@@ -93,28 +93,28 @@ def record_demonstrations(
 
 @contextmanager
 def _datasets_in(folder: Path) -> Iterator[None]:
-    """Minari knows its folder by an environment variable."""
+    """Set the environment variable by which Minari finds its folder."""
     folder.mkdir(parents=True, exist_ok=True)
-    before = os.environ.get("MINARI_DATASETS_PATH")
+    previous = os.environ.get("MINARI_DATASETS_PATH")
     os.environ["MINARI_DATASETS_PATH"] = str(folder.resolve())
     try:
         yield
     finally:
-        if before is None:
+        if previous is None:
             del os.environ["MINARI_DATASETS_PATH"]
         else:
-            os.environ["MINARI_DATASETS_PATH"] = before
+            os.environ["MINARI_DATASETS_PATH"] = previous
 
 
-def _played(agent: Agent, env: TomatoReachEnv, seed: int) -> dict[str, Any]:
-    """An episode's columns."""
+def _run(agent: Agent, env: TomatoReachEnv, seed: int) -> dict[str, Any]:
+    """Run an episode and return its columns."""
     observation, info = env.reset(seed=seed)
     rule, interval = env.simulation.action_rule, env.simulation.interval
     agent.reset(Problem(env.scene, env.target, env.robot, env.start, seed, rule, interval))
     columns: dict[str, list[Any]] = {
         "observations": [observation], "actions": [], "rewards": [], "terminations": [], "truncations": [],
     }  # fmt: skip
-    infos = [_told(info)]
+    infos = [_selected(info)]
     over = False
     while not over:
         action = np.asarray(agent.act(observation), dtype=np.float32)
@@ -125,17 +125,17 @@ def _played(agent: Agent, env: TomatoReachEnv, seed: int) -> dict[str, Any]:
         columns["rewards"].append(float(reward))
         columns["terminations"].append(terminated)
         columns["truncations"].append(truncated)
-        infos.append(_told(info))
+        infos.append(_selected(info))
     return {**columns, "observations": _by_key(columns["observations"]), "infos": _by_key(infos)}
 
 
 def _by_key(rows: list[Any]) -> Any:
-    """Dictionaries with the same keys as one of lists, as Minari takes them; anything else as it is."""
+    """Turn a list of dictionaries into a dictionary of lists, as Minari takes them; return anything else unchanged."""
     return {key: [row[key] for row in rows] for key in rows[0]} if isinstance(rows[0], Mapping) else rows
 
 
-def _told(info: Mapping[str, Any]) -> dict[str, Any]:
-    """What of an info is the same kind of number at every step."""
+def _selected(info: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the entries of an info that have the same type at every step."""
     return {
         "is_success": bool(info["is_success"]), "collision": bool(info["collision"]),
         "distance": float(info["distance"]), "clearance": float(info["clearance"]), "target": int(info["target"]),

@@ -1,4 +1,4 @@
-"""What depth images tell of the space before a camera: perfect ones, and ones with a stereo camera's noise."""
+"""Depth images as surface points with error bounds and as free space, perfect ones and those of a stereo camera."""
 
 from __future__ import annotations
 
@@ -11,71 +11,72 @@ from scipy.ndimage import binary_erosion, grey_dilation, label, maximum
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.rendering.cameras import MAX_RANGE, DepthCamera, stereo_noise
 
-TRUSTED = 0.006
-"""Readings whose doubt is larger say nothing, metres."""
+MAX_UNCERTAINTY = 0.006
+"""Readings with a larger error bound are dropped, metres."""
 
-_SIGMAS = 3.0  # of a reading's noise that are its doubt
-_WINDOW, _ALIKE = 5, 3.0  # pixels over which disparities are averaged, and how much they may differ, in their noise
-_LEFT = 0.5  # share of the noise that is left by the average, as neighbors partly share theirs
-_AROUND = np.ones((3, 3), dtype=np.bool_)
-_BORDER = (5, 5)  # pixels about a part without readings in which its neighbors are
-_TOO_NEAR = 1.5  # what has no reading and borders on what is so near, in the least range, may be nearer than that
+_SIGMAS = 3.0  # standard deviations of the noise in an error bound
+_WINDOW, _SIMILAR = 5, 3.0  # pixels of the filter's window; its range, in standard deviations of disparity noise
+_REMAINING = 0.5  # fraction of the noise that the filter leaves, as neighboring pixels share a part of theirs
+_NEIGHBORS = np.ones((3, 3), dtype=np.bool_)
+_BORDER = (5, 5)  # pixels around a hole that count as its border
+_TOO_NEAR = 1.5  # holes that border on surfaces within this many minimum ranges may be something nearer than that
 
 
 @dataclass(frozen=True)
 class DepthReading:
-    """What an image of h by w pixels tells.
+    """Interpretation of an image of h by w pixels.
 
     Attributes:
-        depth: (h, w) along the view to what is seen on a surface, metres; 0 where nothing is.
-        doubt: (h, w) by how much that may be wrong, metres.
-        through: (h, w) up to which depth there is nothing, metres.
+        depth: (h, w) depth of a surface along the view, metres; 0 where there is none.
+        uncertainty: (h, w) its error bound, metres.
+        free: (h, w) depth up to which space is free, metres.
     """
 
     depth: Array
-    doubt: Array
-    through: Array
+    uncertainty: Array
+    free: Array
 
 
 def perfect_reading(depth: npt.NDArray[np.float32]) -> DepthReading:
-    """Take an image (h, w), metres, at its word.
+    """Interpret an image (h, w), metres, without noise.
 
-    Where readings are missing side by side there is nothing; a single one missing among others may be a lost one.
+    Holes are free space, except single pixels, which may be lost readings.
     """
     z = depth.astype(np.float64)
-    nothing = binary_erosion(z == 0, _AROUND, border_value=1)
+    nothing = binary_erosion(z == 0, _NEIGHBORS, border_value=1)
     return DepthReading(z, np.zeros_like(z), np.where(nothing, MAX_RANGE, z))
 
 
 def stereo_reading(depth: npt.NDArray[np.float32], camera: DepthCamera) -> DepthReading:
-    """Read an image (h, w), metres, as one with the noise of a D435.
+    """Interpret an image (h, w), metres, with the noise of a D435.
 
-    Disparities are averaged where they are alike (a bilateral filter; Tomasi and Manduchi, 1998), and what is still in
-    doubt by more than `TRUSTED` is not believed. A pixel without a reading shows nothing up to a depth below which the
-    right imager sees what is there: it does not see what is beside its image, or behind something nearer. What borders
-    on things at the end of the camera's range may be too near for it, and tells nothing.
+    Similar neighboring disparities are averaged (a bilateral filter; Tomasi and Manduchi, 1998); readings that are then
+    still uncertain by more than `MAX_UNCERTAINTY` are dropped. A hole is free space up to the depth beyond which the
+    right imager may miss a surface: it does not see what lies beyond the edge of its image or behind something nearer.
+    Holes that border on surfaces near the minimum range may be surfaces too near to be measured, so no space there is
+    free.
     """
     noise = stereo_noise(camera)
-    scale, rough = camera.focal * noise.baseline, noise.disparity_noise
-    read = depth > 0
-    disparity = np.where(read, scale / np.where(read, depth.astype(np.float64), 1.0), 0.0)
-    z = np.where(read, scale / np.where(read, _averaged(disparity, _ALIKE * rough), 1.0), 0.0)
-    doubt = _SIGMAS * _LEFT * rough * z**2 / scale
-    farthest = float(np.sqrt(TRUSTED * scale / (_SIGMAS * _LEFT * rough)))
-    empty = np.where(_tells_nothing(disparity, noise.min_range, scale), 0.0, _free(disparity, scale))
-    through = np.minimum(np.where(read, z, empty), farthest)
-    return DepthReading(np.where(z <= farthest, z, 0.0), doubt, through)
+    scale, disparity_noise = camera.focal * noise.baseline, noise.disparity_noise
+    valid = depth > 0
+    disparity = np.where(valid, scale / np.where(valid, depth.astype(np.float64), 1.0), 0.0)
+    z = np.where(valid, scale / np.where(valid, _filtered(disparity, _SIMILAR * disparity_noise), 1.0), 0.0)
+    uncertainty = _SIGMAS * _REMAINING * disparity_noise * z**2 / scale
+    farthest = float(np.sqrt(MAX_UNCERTAINTY * scale / (_SIGMAS * _REMAINING * disparity_noise)))
+    holes = np.where(_uninformative(disparity, noise.min_range, scale), 0.0, _free(disparity, scale))
+    free = np.minimum(np.where(valid, z, holes), farthest)
+    return DepthReading(np.where(z <= farthest, z, 0.0), uncertainty, free)
 
 
-def _averaged(disparity: Array, alike: float) -> Array:
-    """Disparities (h, w), each averaged with those about it, the more alike they are the more."""
-    about = np.lib.stride_tricks.sliding_window_view(np.pad(disparity, _WINDOW // 2), (_WINDOW, _WINDOW))
-    weight = np.exp(-0.5 * ((about - disparity[:, :, None, None]) / alike) ** 2)
-    return np.asarray((weight * about).sum(axis=(2, 3)) / weight.sum(axis=(2, 3)))
+def _filtered(disparity: Array, similar: float) -> Array:
+    """Return disparities (h, w) averaged with their neighbors, similar ones weighted more."""
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(disparity, _WINDOW // 2), (_WINDOW, _WINDOW))
+    weight = np.exp(-0.5 * ((windows - disparity[:, :, None, None]) / similar) ** 2)
+    return np.asarray((weight * windows).sum(axis=(2, 3)) / weight.sum(axis=(2, 3)))
 
 
 def _free(disparity: Array, scale: float) -> Array:
-    """(h, w) depth up to which the right imager would have seen something, metres."""
+    """Return the depth (h, w) up to which the right imager would have seen a surface, metres."""
     columns = np.arange(disparity.shape[1])
     right = np.where(disparity > 0, columns - disparity, np.inf)
     cover = np.full(disparity.shape, np.inf)
@@ -84,12 +85,12 @@ def _free(disparity: Array, scale: float) -> Array:
     return np.minimum(MAX_RANGE, scale / np.maximum(hidden, 1e-9))
 
 
-def _tells_nothing(disparity: Array, least: float, scale: float) -> npt.NDArray[np.bool_]:
-    """(h, w) where a missing reading is a lost one, or one of something nearer than the least range, metres."""
-    parts, count = label(binary_erosion(disparity == 0, _AROUND, border_value=1), _AROUND)
-    beside = np.where(disparity > 0, grey_dilation(parts, size=_BORDER), 0)
-    nearest = np.asarray(maximum(disparity, beside, np.arange(count + 1)))
-    too_near = (nearest > scale / (_TOO_NEAR * least)) | (nearest == 0)  # or has no neighbors at all
+def _uninformative(disparity: Array, min_range: float, scale: float) -> npt.NDArray[np.bool_]:
+    """Return where (h, w) a missing reading may be a lost one, or a surface nearer than the minimum range (metres)."""
+    holes, count = label(binary_erosion(disparity == 0, _NEIGHBORS, border_value=1), _NEIGHBORS)
+    border = np.where(disparity > 0, grey_dilation(holes, size=_BORDER), 0)
+    nearest = np.asarray(maximum(disparity, border, np.arange(count + 1)))
+    too_near = (nearest > scale / (_TOO_NEAR * min_range)) | (nearest == 0)  # or the hole has no border at all
     too_near[0] = True
-    outside = np.arange(disparity.shape[1]) < scale / least
-    return np.asarray(too_near[parts] | outside)
+    outside = np.arange(disparity.shape[1]) < scale / min_range
+    return np.asarray(too_near[holes] | outside)

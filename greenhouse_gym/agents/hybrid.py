@@ -1,4 +1,4 @@
-"""An agent that acts at once where that is known to end well, and plans elsewhere."""
+"""An agent that follows a policy if a rehearsal succeeds, and plans otherwise."""
 
 from __future__ import annotations
 
@@ -16,25 +16,24 @@ from greenhouse_gym.envs import EnvSettings, TomatoReachEnv
 from greenhouse_gym.envs.worlds import room_for_shapes
 
 MAX_CHECKS, ATTEMPTS = 300_000, 4
-"""Collision checks after which the planner gives up, and how many times it plans. Hard targets of the validation rows
-that it missed with 100,000 in one attempt were found from other seeds, or with more."""
+"""Collision checks of one plan, and number of attempts. Hard targets of the validation rows for which 100,000 checks
+found no path in one attempt were reached with other seeds, or with more checks."""
 
 
 class HybridAgent:
-    """Rehearses each episode with a policy in the scene as it is known, and plans if that does not succeed.
+    """Rehearse each episode with a policy in the known scene, and plan if the rehearsal fails.
 
-    Where the known scene is what is touched, the episode goes as the rehearsal went. A rehearsal takes about as long as
-    RRTConnect on an easy target; the policy then reacts to what is observed, which a path does not.
+    If the simulated world is the known scene, the episode repeats the rehearsal. A rehearsal takes about as long as
+    RRTConnect on an easy target; the policy then reacts to its observations, which a path does not.
 
     Args:
-        policy: Who acts first; the best of the shipped policies when left out.
-        planner: Who acts where the policy would fail. When left out, RRTConnect, which takes unknown space for free and
-            keeps no margin, as the rehearsal does, and begins anew a few times: there is nobody to act where it finds
-            no path.
-        name: Shown in tables.
+        policy: Agent that rehearses; the best shipped policy when left out.
+        planner: Agent that acts if the rehearsal fails. When left out, RRTConnect with several attempts, which treats
+            unknown space as free and keeps no margin, as the rehearsal does.
+        name: Name in tables.
 
     Attributes:
-        status: "rehearsed" where the policy acts, else the planner's.
+        status: "rehearsed" if the policy acts, else the planner's status.
     """
 
     name = "hybrid"
@@ -50,7 +49,7 @@ class HybridAgent:
         self._acting: Agent = self._policy
 
     def reset(self, problem: Problem) -> None:
-        """Rehearse, and plan if need be."""
+        """Rehearse, and plan if the rehearsal fails."""
         if self._rehearse(problem):
             self._acting, self.status = self._policy, "rehearsed"
             self._policy.reset(problem)
@@ -60,21 +59,21 @@ class HybridAgent:
             self.status = str(getattr(self._planner, "status", "planned"))
 
     def act(self, observation: Any) -> npt.NDArray[np.floating[Any]]:
-        """The next action of whoever acts in this episode."""
+        """Return the next action of the agent that acts in this episode."""
         return self._acting.act(observation)
 
     def _rehearse(self, problem: Problem) -> bool:
-        """Whether the policy reaches the target in the scene as it is known."""
-        room = room_for_shapes(len(problem.scene.obstacles))
-        options = {**self.env_options, "robot": problem.robot, "rate": 1 / problem.interval, "capacity": room}
+        """Return whether the policy reaches the target in the known scene."""
+        capacity = room_for_shapes(len(problem.scene.obstacles))
+        options = {**self.env_options, "robot": problem.robot, "rate": 1 / problem.interval, "capacity": capacity}
         if problem.action is not None:
             options["action"] = problem.action
-        where = {"scene": problem.scene, "target": problem.target, "start": problem.start}
-        with closing(TomatoReachEnv(EnvSettings(bank="mini", **options))) as stage:
-            observation, info = stage.reset(options=where)
+        episode = {"scene": problem.scene, "target": problem.target, "start": problem.start}
+        with closing(TomatoReachEnv(EnvSettings(bank="mini", **options))) as env:
+            observation, info = env.reset(options=episode)
             self._policy.reset(problem)
             over = False
             while not over:
-                observation, _, terminated, truncated, info = stage.step(self._policy.act(observation))
+                observation, _, terminated, truncated, info = env.step(self._policy.act(observation))
                 over = terminated or truncated
         return bool(info["is_success"])

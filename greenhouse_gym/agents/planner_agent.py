@@ -1,4 +1,4 @@
-"""An agent that plans once at an episode's start and follows its path."""
+"""An agent that plans once at the start of an episode and follows its path."""
 
 from __future__ import annotations
 
@@ -16,44 +16,45 @@ from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning import PLANNERS, PlanResult, follow_path, free_commands, plan
 from greenhouse_gym.scene import Scene, compile_scene
 
-CAREFUL = 0.15
-"""How deep planned paths enter unknown space by default, metres: the leaves that paths hit hang deeper in it."""
+MAX_DEPTH = 0.15
+"""Default depth of planned paths in unknown space, metres: the leaves that paths hit hang deeper in it."""
 
-SEEN_ENOUGH = ("upright-back",)
-"""Protocols that see the leaves in the aisle: plans held there without care, and with it many tomatoes had none."""
+COVERING_PROTOCOLS = ("upright-back",)
+"""Protocols that observe the leaves over the aisle: paths through unknown space held there, and without it many
+tomatoes had no path."""
 
-RIM = 0.01
-"""How far planned paths keep from boxes of leaves by default, metres; see `greenhouse_gym.motion.margins`."""
-
-
-def usual_care(scene: Scene) -> str | float:
-    """What space that the scan did not see is by default, as `greenhouse_gym.planning.plan` takes it."""
-    return "free" if scene.occupancy is None or scene.provenance.protocol in SEEN_ENOUGH else CAREFUL
+LEAF_MARGIN = 0.01
+"""Default distance of planned paths from boxes of leaves, metres; see `greenhouse_gym.motion.caution.with_margin`."""
 
 
-def usual_margin(scene: Scene) -> float:
-    """How far paths keep from boxes of clutter by default, metres.
+def default_unknown(scene: Scene) -> str | float:
+    """Return the default rule for unknown space in a scene, as `greenhouse_gym.planning.plan` takes it."""
+    return "free" if scene.occupancy is None or scene.provenance.protocol in COVERING_PROTOCOLS else MAX_DEPTH
 
-    Boxes that go by the area of the foliage are thin, and leaves reach beyond them. Those of scenes that were built
-    before are thick already where leaves are dense, and nobody knows of boxes from elsewhere.
+
+def default_margin(scene: Scene) -> float:
+    """Return the default distance of paths from boxes of clutter in a scene, metres.
+
+    Boxes whose number follows the area of the foliage are thin, and leaves reach beyond them. Boxes of older scenes are
+    thick already where leaves are dense; nothing is known about boxes from elsewhere.
     """
     shapes = scene.provenance.settings.get("shapes")
-    return RIM if isinstance(shapes, dict) and "clutter_per_area" in shapes else 0.0
+    return LEAF_MARGIN if isinstance(shapes, dict) and "clutter_per_area" in shapes else 0.0
 
 
 class PathFollower:
-    """Turns a joint path into the environment's actions, one after the other, and then stays still.
+    """Turns a joint path into the environment's actions, followed by zero actions.
 
     Args:
-        path: (k, joints) radians, from where the arm is.
-        problem: The episode: its arm's limits on speed and acceleration hold, and its kind of action.
-        proven: Whether the path is proven free, and the commands are to be so, too; see `free_commands`.
+        path: (k, joints) radians, from the current configuration.
+        problem: The episode; its arm's limits on speed and acceleration apply, and its action rule.
+        proven: Whether the path is proven free, and the commands must be as well; see `free_commands`.
 
     Attributes:
-        commands: (steps, joints) what is commanded after each action, radians.
+        commands: (steps, joints) command after each action, radians.
 
     Raises:
-        InvalidValueError: The environment's actions are no motions of the joints.
+        InvalidValueError: The environment's actions do not move the joints.
     """
 
     def __init__(self, path: Array, problem: Problem, proven: bool = False):
@@ -65,40 +66,41 @@ class PathFollower:
         else:
             self.commands = follow_path(*limits, lag=robot.lag)
         self._actions = iter(np.diff(self.commands, axis=0, prepend=path[:1]) / steps)
-        self._still = np.zeros(len(steps))
+        self._zero = np.zeros(len(steps))
 
     def action(self) -> npt.NDArray[np.float32]:
-        """The next action, (joints,) in [-1, 1]."""
-        return next(self._actions, self._still).astype(np.float32)
+        """Return the next action, (joints,) in [-1, 1]."""
+        return next(self._actions, self._zero).astype(np.float32)
 
 
 class PlannerAgent:
-    """Plans with any planner and follows the path through the environment's actions; stays still without a path.
+    """Plan with any planner and follow the path; hold still if there is none.
 
     It needs an environment whose actions move the joints: increments or velocities.
 
     Args:
         planner: A name in `greenhouse_gym.planning.PLANNERS`.
-        time_limit: Seconds the planner may search, or None: what it finds then hangs on how busy the machine is.
-        max_checks: Collision checks after which it stops, or None; the usual number takes some seconds.
+        time_limit: Seconds the planner may search, or None: with a limit, the result depends on the machine's load.
+        max_checks: Collision checks after which it stops, or None; the default takes some seconds.
         goals: Number of goal configurations.
-        name: Shown in tables; the planner's name when left out.
+        name: Name in tables; the planner's name when left out.
         settings: Parameters of the planner to change, as `greenhouse_gym.planning.plan` takes them.
-        unknown: What space that the scan did not see is, as `greenhouse_gym.planning.plan` takes it. When left out, it
-            is entered no deeper than `CAREFUL`, but free where a scene does not say what was seen, and where its
-            protocol is one of `SEEN_ENOUGH`.
-        margin: How far it keeps from boxes of clutter, metres, as `greenhouse_gym.planning.plan` takes it. When left
-            out, `RIM` in scenes whose boxes go by the area of the foliage, as they are built now, and 0 in others.
-        attempts: How many times it plans at most while there is no path, each time with another seed.
-        unexplained: Whether it keeps out of where the scan saw a surface without a shape, in scenes that say what was
-            seen; see `greenhouse_gym.motion.unexplained_cells`.
+        unknown: Rule for space that the scan did not observe, as `greenhouse_gym.planning.plan` takes it. When left
+            out, paths enter it no deeper than `MAX_DEPTH`; it is free if the scene has no occupancy or its protocol is one
+            of `COVERING_PROTOCOLS`. "avoid" tries several depths and always leaves a last plan through unknown space.
+        margin: Distance from boxes of clutter, metres, as `greenhouse_gym.planning.plan` takes it. When left out,
+            `LEAF_MARGIN` in scenes whose boxes follow the area of the foliage, as scenes are built now, and 0 in
+            others.
+        attempts: Largest number of plans, each with another seed, until there is a path.
+        unexplained: Whether it avoids unexplained occupied cells, in scenes with occupancy; see
+            `greenhouse_gym.motion.caution.with_unexplained_cells`.
 
     Attributes:
-        result: The last episode's plan, or None before the first.
+        result: The last episode's plan; None before the first.
 
     Raises:
         UnknownNameError: No such planner, or no such parameter of it.
-        InvalidValueError: The attempts are no whole number from 1 up.
+        InvalidValueError: The attempts are not a whole number of 1 or more.
     """
 
     env_options: Mapping[str, Any] = MappingProxyType({})
@@ -126,17 +128,17 @@ class PlannerAgent:
 
     @property
     def status(self) -> str:
-        """What became of the last episode's plan, see `greenhouse_gym.planning.PlanResult.status`."""
+        """Status of the last episode's plan, see `greenhouse_gym.planning.PlanResult.status`."""
         return "" if self.result is None else self.result.status
 
     def reset(self, problem: Problem) -> None:
-        """Plan."""
+        """Plan a path."""
         for attempt in range(self.attempts):
             self.result = plan(
                 problem.scene, problem.target, problem.robot, self.planner, self.time_limit, self.max_checks,
                 self.goals, seed=problem.seed + attempt, start=problem.start, settings=self.settings,
-                unknown=usual_care(problem.scene) if self.unknown is None else self.unknown,
-                margin=usual_margin(problem.scene) if self.margin is None else self.margin,
+                unknown=default_unknown(problem.scene) if self.unknown is None else self.unknown,
+                margin=default_margin(problem.scene) if self.margin is None else self.margin,
                 unexplained=self.unexplained and problem.scene.occupancy is not None,
             )  # fmt: skip
             if self.result.path is not None:
@@ -148,7 +150,7 @@ class PlannerAgent:
             self._follower = PathFollower(self.result.path, problem, proven=True)
 
     def act(self, observation: Any) -> npt.NDArray[np.float32]:
-        """The next action along the path, whatever is observed."""
+        """Return the next action along the path, whatever the observation."""
         if self._follower is None:
             raise RuntimeError("reset the agent before it acts")
         return self._follower.action()

@@ -1,9 +1,9 @@
-"""A small network in numpy, read from a weights file and a description beside it."""
+"""Policy networks, stored as a weights file and a JSON description."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -15,21 +15,13 @@ from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError
 
 from greenhouse_gym.agents.goal_features import flaw_of
 from greenhouse_gym.common.files import first_fault, parsing, read_bytes, write_atomically
+from greenhouse_gym.common.mlp import Mlp
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, MissingDependencyError
 
 Float32 = npt.NDArray[np.float32]
 
-ACTIVATIONS: dict[str, Callable[[Float32], Float32]] = {
-    "tanh": np.tanh,
-    "relu": lambda x: np.maximum(x, np.float32(0.0)),
-}
-"""Activations between layers by name."""
-
-OUTPUTS: dict[str, Callable[[Float32], Float32]] = {"clip": lambda x: np.clip(x, -1.0, 1.0), "tanh": np.tanh}
-"""What is made of the last layer by name."""
-
 MAX_LAYERS, MAX_WIDTH = 16, 1 << 14
-"""Layers a network may have, and entries of each."""
+"""Largest number of layers, and of entries in each."""
 
 
 class _Part(BaseModel):
@@ -44,7 +36,7 @@ class _Network(_Part):
 
 
 class _EnvOptions(_Part):
-    """The keywords of `gymnasium.make` that a policy may ask for."""
+    """Keywords of `gymnasium.make` that a policy may require."""
 
     robot: str | None = None
     observation: str | None = None
@@ -53,7 +45,7 @@ class _EnvOptions(_Part):
 
 
 class _Description(_Part):
-    """What a policy's JSON file holds."""
+    """Content of a policy's JSON file."""
 
     schema_version: Literal[2] = 2
     network: _Network
@@ -63,54 +55,27 @@ class _Description(_Part):
     training: dict[str, Any]
 
 
-@dataclass(frozen=True, eq=False)
-class Policy:
-    """A multilayer perceptron from observations to actions.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Policy(Mlp):
+    """A perceptron from observations to actions in [-1, 1], and the environment it was trained for.
 
     Attributes:
-        weights: Per layer (outputs, inputs).
-        biases: Per layer (outputs,).
-        activation: One of `ACTIVATIONS`, between layers.
-        center: (size,) subtracted from observations.
-        scale: (size,) that observations are divided by, once they are centered.
-        env_options: Keywords for `gymnasium.make` that give the environment it was trained for.
+        env_options: Keywords of `gymnasium.make` for that environment.
         layout: Name and number of entries of each group of the observation.
-        training: How it came about: algorithm, settings, steps.
-        output: One of `OUTPUTS`, which brings actions to within [-1, 1].
+        training: Algorithm, settings and progress of its training.
     """
 
-    weights: tuple[Float32, ...]
-    biases: tuple[Float32, ...]
-    activation: str
-    center: Float32
-    scale: Float32
     env_options: Mapping[str, Any]
     layout: tuple[tuple[str, int], ...]
     training: Mapping[str, Any] = field(default_factory=dict)
-    output: str = "clip"
-
-    def __call__(self, observations: npt.ArrayLike) -> Float32:
-        """Actions in [-1, 1], (joints,) or (n, joints), for observations (size,) or (n, size).
-
-        An observation gets the same action, to the last bit, alone and among others.
-        """
-        x = np.asarray(observations, dtype=np.float32)
-        if x.shape[-1:] != self.center.shape:
-            raise InvalidValueError(f"expected observations of {len(self.center)} entries, got shape {x.shape}")
-        x = ((x - self.center) / self.scale)[..., None]
-        activate = ACTIVATIONS[self.activation]
-        # a stack of products with one vector each: a product of matrices rounds otherwise for other numbers of rows
-        for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
-            x = activate(np.asarray(weight @ x + bias[:, None], dtype=np.float32))
-        return OUTPUTS[self.output]((self.weights[-1] @ x)[..., 0] + self.biases[-1]).astype(np.float32)
 
     def save(self, path: str | Path) -> Path:
-        """Write ``path``.safetensors (weights) and then ``path``.json (everything else); returns the latter.
+        """Write ``path``.safetensors (weights) and then ``path``.json (everything else); return the latter.
 
         Raises:
-            InvalidValueError: It needs an environment that a file cannot describe, or its parts do not fit together.
+            InvalidValueError: A file cannot describe its environment, or its parts do not fit together.
         """
-        described = described_at(path)
+        description_file = description_path(path)
         arrays = {"center": self.center, "scale": self.scale}
         for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             arrays[f"layer_{i}.weight"], arrays[f"layer_{i}.bias"] = weight, bias
@@ -135,30 +100,30 @@ class Policy:
             text = description.model_dump_json(indent=1, exclude_none=True)
         except ValueError as error:
             raise InvalidValueError(
-                f"this policy cannot be written: its notes on training are no JSON: {error}"
+                f"this policy cannot be written: its notes on training are not JSON: {error}"
             ) from error
-        write_atomically(described.with_suffix(".safetensors"), content)
-        return write_atomically(described, text + "\n")
+        write_atomically(description_file.with_suffix(".safetensors"), content)
+        return write_atomically(description_file, text + "\n")
 
     @classmethod
     def load(cls, path: str | Path) -> Policy:
         """Read a policy by its path, with or without a suffix.
 
         Raises:
-            FileFormatError: A file is missing or damaged, or the two do not belong together.
+            FileFormatError: A file is missing or damaged, or the two files do not belong together.
         """
-        described = described_at(path)
-        weighed = described.with_suffix(".safetensors")
-        with parsing(described, "policy's description"):
-            description = _Description.model_validate_json(read_bytes(described, "settings"))
-        content = read_bytes(weighed, "policy")
+        description_file = description_path(path)
+        weights_file = description_file.with_suffix(".safetensors")
+        with parsing(description_file, "policy's description"):
+            description = _Description.model_validate_json(read_bytes(description_file, "settings"))
+        content = read_bytes(weights_file, "policy")
         if hashlib.sha256(content).hexdigest() != description.weights_sha256:
-            raise FileFormatError(weighed, f"checksum differs from the one in {described.name}")
-        with parsing(weighed, "safetensors file"):
+            raise FileFormatError(weights_file, f"checksum differs from the one in {description_file.name}")
+        with parsing(weights_file, "safetensors file"):
             arrays = _safetensors().load(content)
         if flaw := _flaw(arrays, description):
-            raise FileFormatError(weighed, f"does not fit {described.name}: {flaw}")
-        # Unaligned arrays, as a file may give them, are multiplied in another order.
+            raise FileFormatError(weights_file, f"does not fit {description_file.name}: {flaw}")
+        # Products of unaligned arrays, as a file may contain them, are summed in another order.
         aligned = {name: np.require(array, requirements=["C", "A"]) for name, array in arrays.items()}
         layers = range(len(description.network.sizes) - 1)
         return cls(
@@ -175,12 +140,12 @@ class Policy:
 
 
 def _flaw(arrays: Mapping[str, npt.NDArray[Any]], description: _Description) -> str:
-    """Why weights do not make the network that is described; empty if they do."""
+    """Return why weights do not fit the described network; empty if they do."""
     sizes = description.network.sizes
     if max(sizes) > MAX_WIDTH:
         return f"a layer has {max(sizes)} entries, at most {MAX_WIDTH} are allowed"
-    if (described := sum(size for _, size in description.observation_layout)) and described != sizes[0]:
-        return f"the observation_layout has {described} entries, the network takes {sizes[0]}"
+    if (entries := sum(size for _, size in description.observation_layout)) and entries != sizes[0]:
+        return f"the observation_layout has {entries} entries, the network takes {sizes[0]}"
     if flaw := flaw_of(tuple(description.observation_layout)):
         return flaw
     shapes: dict[str, tuple[int, ...]] = {"center": (sizes[0],), "scale": (sizes[0],)}
@@ -203,13 +168,13 @@ def _sizes(weights: tuple[Float32, ...]) -> list[int]:
 
 
 def policy_path(path: str | Path) -> Path:
-    """A policy's path without the suffix of either of its files."""
+    """Return a policy's path without the suffix of its files."""
     path = Path(path)
     return path.with_suffix("") if path.suffix in (".json", ".safetensors") else path
 
 
-def described_at(path: str | Path) -> Path:
-    """The JSON file of the policy at a path with or without suffix."""
+def description_path(path: str | Path) -> Path:
+    """Return the JSON file of the policy at a path with or without suffix."""
     stem = policy_path(path)
     return stem.with_name(stem.name + ".json")
 

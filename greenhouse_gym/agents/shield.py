@@ -1,4 +1,4 @@
-"""An agent whose actions are changed where they would touch something in the scene as it is known."""
+"""An agent whose actions are replaced if they would collide in the known scene."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ from greenhouse_gym.planning import CollisionChecker, planning_model
 from greenhouse_gym.scene import compile_scene
 
 CANDIDATES = 32
-"""Other actions that are tried where the agent's own would touch something."""
+"""Number of random alternatives to an action that would collide."""
 
 SPREAD, GROWTH = 0.3, 0.1
-"""How far they are strewn around it, and how much farther with every step that the agent is held up."""
+"""Standard deviation of the alternatives, and its growth with every replaced action of the episode."""
 
 
 class ShieldedAgent:
-    """Takes an agent's action where the commanded motion is free, else the nearest of some others whose motion is.
+    """Take an agent's action if the commanded motion is free, else the nearest of some random alternatives that is.
 
-    It looks one step ahead and no farther: a projection, not a planner. Checked are the motions to the next command
-    from the last one and from where the arm, which lags behind and cuts corners, is reckoned to be. That makes contacts
-    rare, and proves nothing: the arm's momentum is not reckoned with.
+    It looks one step ahead: it is a projection, not a planner. It checks the motions to the next command from the last
+    one and from the estimated position of the arm, which lags behind and cuts corners. This makes contacts rare but
+    proves nothing, because the arm's momentum is neglected.
     It needs actions that move the joints.
 
     Args:
-        agent: Whose actions; the best of the shipped policies when left out.
-        name: Shown in tables.
+        agent: The agent to shield; the best shipped policy when left out.
+        name: Name in tables.
 
     Attributes:
-        changed: Number of actions of this episode that were changed.
+        changed: Number of actions replaced in this episode.
     """
 
     name = "shielded"
@@ -45,14 +45,14 @@ class ShieldedAgent:
         self.name = name
         self._agent: Agent = agent or PolicyAgent.load(BEST)
         self.env_options: Mapping[str, Any] = dict(self._agent.env_options)
-        self.changed = self._held_up = 0
-        self._random = np.random.default_rng(0)
+        self.changed = 0
+        self._rng = np.random.default_rng(0)
         self._checker: CollisionChecker | None = None
         self._command = self._arm = self._steps = self._lower = self._upper = np.zeros(0)
-        self._share = 1.0  # of the way to its command that the arm makes in a step
+        self._fraction = 1.0  # of the distance to its command that the arm moves in a step
 
     def reset(self, problem: Problem) -> None:
-        """Make the scene ready for checks."""
+        """Prepare the collision checks."""
         self._agent.reset(problem)
         robot, self._steps = problem.robot, problem.joint_steps
         self._checker = CollisionChecker(
@@ -60,24 +60,23 @@ class ShieldedAgent:
         )
         self._command, self._lower, self._upper = problem.start, robot.lower, robot.upper
         self._arm = problem.start.copy()
-        self._share = 1.0 - math.exp(-problem.interval / max(robot.lag, 1e-6))
-        self._random = np.random.default_rng(problem.seed)
-        self.changed = self._held_up = 0
+        self._fraction = 1.0 - math.exp(-problem.interval / max(robot.lag, 1e-6))
+        self._rng = np.random.default_rng(problem.seed)
+        self.changed = 0
 
     def act(self, observation: Any) -> npt.NDArray[np.float32]:
-        """The agent's action, or the nearest one found that is free; zero if none is."""
+        """Return the agent's action, or the nearest alternative that is free; zero if there is none."""
         wished = np.clip(np.asarray(self._agent.act(observation), dtype=np.float64), -1.0, 1.0)
-        action = wished if self._is_free(wished) else self._other(wished)
+        action = wished if self._is_free(wished) else self._alternative(wished)
         self._command = self._next(action)
-        self._arm += (self._command - self._arm) * self._share
+        self._arm += (self._command - self._arm) * self._fraction
         return action.astype(np.float32)
 
-    def _other(self, wished: Array) -> Array:
+    def _alternative(self, wished: Array) -> Array:
         self.changed += 1
-        self._held_up += 1
-        spread = SPREAD + GROWTH * self._held_up
-        strewn = wished + spread * self._random.normal(size=(CANDIDATES, len(wished)))
-        others = np.clip(np.concatenate([wished[None] * [[0.5], [0.25]], strewn]), -1.0, 1.0)
+        spread = SPREAD + GROWTH * self.changed
+        samples = wished + spread * self._rng.normal(size=(CANDIDATES, len(wished)))
+        others = np.clip(np.concatenate([wished[None] * [[0.5], [0.25]], samples]), -1.0, 1.0)
         for other in others[np.linalg.norm(others - wished, axis=1).argsort()]:
             if self._is_free(other):
                 return other

@@ -26,8 +26,8 @@ def compare(
         list[str] | None,
         typer.Argument(
             metavar="[AGENTS]...",
-            help="Planners, policies (names or files), random, still, straight-line, resolved-rate, waypoint, depth, "
-            "careful, watchful, guide, hybrid, shielded, or your own as file.py:Class or module:Class.",
+            help="Planners, policies (names or files), random, straight-line, waypoint, watchful, hybrid, "
+            "shielded, or your own as file.py:Class or module:Class.",
         ),
     ] = None,
     agents: Annotated[str, typer.Option(help="Further agents, separated by commas.")] = "",
@@ -167,7 +167,7 @@ def leaderboard(
 
 def demonstrations(
     out: Annotated[Path, typer.Option(help="Folder of Minari data sets.")] = Path("demonstrations"),
-    agent: Annotated[str, typer.Option(help="Who acts, as `compare` takes it.")] = "guide",
+    agent: Annotated[str, typer.Option(help="Who acts, as `compare` takes it.")] = "waypoint",
     bank: Bank = "default",
     split: Annotated[str, typer.Option(help="train or validation.")] = "train",
     observation: Annotated[str, typer.Option(help="What is observed, unless the agent says so itself.")] = "state",

@@ -12,7 +12,7 @@ from greenhouse_gym.cli.acting import Bank
 from greenhouse_gym.cli.settings import Assignments, SettingsFile
 from greenhouse_gym.common.progress import say
 
-ALGORITHMS = ("ppo", "bc-then-ppo", "depth", "sac-her")
+ALGORITHMS = ("ppo", "bc-then-ppo", "sac-her")
 """Algorithms of the command."""
 
 
@@ -20,15 +20,14 @@ def train(
     algorithm: Annotated[
         str,
         typer.Argument(
-            help="ppo; bc-then-ppo: imitation of a teacher first; depth: ways judged from images; sac-her: SAC with "
-            "hindsight replay."
+            help="ppo; bc-then-ppo: imitation of the roadmap rule first; sac-her: SAC with hindsight replay."
         ),
     ] = "ppo",
     out: Annotated[
         Path | None, typer.Option(help="Folder for the results; runs/ALGORITHM by default.", show_default=False)
     ] = None,
     bank: Bank = "default",
-    steps: Annotated[int, typer.Option(help="Environment steps of PPO and SAC; depth has none.")] = 2_000_000,
+    steps: Annotated[int, typer.Option(help="Environment steps of PPO and SAC.")] = 2_000_000,
     seed: Annotated[int, typer.Option(help="Seed of scenes, weights and noise.")] = 0,
     resume: Annotated[bool, typer.Option(help="Continue from the checkpoint in the folder of results.")] = False,
     settings: SettingsFile = None,
@@ -57,10 +56,8 @@ def _settings(algorithm: str, bank: str, steps: int, seed: int) -> object:
     """Return the default settings of an algorithm."""
     from dataclasses import replace
 
-    from greenhouse_gym.learning import BcThenPpoSettings, DepthSettings, PpoSettings, SacSettings
+    from greenhouse_gym.learning import BcThenPpoSettings, PpoSettings, SacSettings
 
-    if algorithm == "depth":
-        return DepthSettings(bank=bank, seed=seed)
     if algorithm == "sac-her":
         return SacSettings(bank=bank, total_steps=steps, seed=seed)
     if algorithm == "ppo":
@@ -73,11 +70,9 @@ def _train(settings: object, out: Path, resume: bool) -> Path:
     """Train with the algorithm of the settings and return the policy's file."""
     from greenhouse_gym.learning import (
         BcThenPpoSettings,
-        DepthSettings,
         PpoSettings,
         SacSettings,
         train_bc_then_ppo,
-        train_depth,
         train_ppo,
         train_sac,
     )
@@ -87,8 +82,6 @@ def _train(settings: object, out: Path, resume: bool) -> Path:
             return train_ppo(settings, out, resume=resume)
         case BcThenPpoSettings():
             return train_bc_then_ppo(settings, out, resume=resume, tell=_print_figures("steps"))
-        case DepthSettings():
-            return train_depth(settings, out, resume=resume, tell=_print_figures("episodes"))
         case SacSettings():
             return train_sac(settings, out, resume=resume)
     raise TypeError(f"no settings of a training: {settings!r}")

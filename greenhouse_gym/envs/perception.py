@@ -16,10 +16,11 @@ from greenhouse_gym.envs.physics import Physics
 from greenhouse_gym.envs.randomization import Disturbance
 from greenhouse_gym.envs.reach_task import Bools, State, lengths
 from greenhouse_gym.envs.stepping import Ids
-from greenhouse_gym.envs.waypoints import Ends, Headings, Ways, place_of
 from greenhouse_gym.envs.worlds import World, Worlds
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.distance_field import NO_TOMATO
+from greenhouse_gym.motion.goals import GoalSampler
+from greenhouse_gym.motion.waypoints import WaypointTracker
 from greenhouse_gym.rendering.cameras import CameraRig, Pictures, no_pictures
 from greenhouse_gym.robots import Robot
 
@@ -65,7 +66,7 @@ class Perception:
         self._clearance_rays = np.empty(
             (count, NUM_CLEARANCES if observe.requires_clearance_rays else 0), dtype=np.float32
         )
-        self._headings = Headings(count, len(robot.joints)) if requires_roadmap else None
+        self._waypoints = WaypointTracker(count, len(robot.joints)) if requires_roadmap else None
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Perception:
         """The same, without cameras until they are needed."""
@@ -95,10 +96,10 @@ class Perception:
             self._clearance_rays[i] = clearance_rays(
                 self._worlds.fields, world.field, self._ignored[i], self._target[i]
             )
-        if self._headings is not None:
+        if self._waypoints is not None:
             center = self._frame[i, :3] + self._axes[i] @ self._target[i]
-            place = place_of(world, self._robot)
-            self._headings.begin(i, Ways(place, Ends(place.compiled, episode.target, center, episode.start)))
+            goals = GoalSampler(world.roadmaps.compiled, episode.target, episode.start, center)
+            self._waypoints.begin(i, world.roadmaps.roadmap(goals))
 
     def close(self) -> None:
         """Free the cameras."""
@@ -123,9 +124,8 @@ class Perception:
         gap = self._goal[ids] - grasp
         distance, direction = self._worlds.fields.lookup(self._field[ids], self._ignored[ids], points[:, 1:])
         joints = physics.qpos[ids]
-        waypoint, path_length, path_free = self._headings_of(
-            ids, physics.command[ids] + self._joint_offset[ids], steps[ids]
-        )
+        command = physics.command[ids] + self._joint_offset[ids]
+        waypoint, path_length, path_free = self._waypoints_of(ids, command, steps[ids])
         pictures = self._photograph(ids, physics, frame, sites[:, 0], tool)
         away = lengths(gap)
         collided = np.asarray(collided, dtype=np.bool_)
@@ -152,16 +152,16 @@ class Perception:
             views=pictures.views,
         )
 
-    def _headings_of(
+    def _waypoints_of(
         self, ids: Ids | slice, command: Array, steps: npt.NDArray[np.int64]
     ) -> tuple[Array, Array, Bools]:
         """Return waypoint offsets (k, j) from the commands, path lengths (k,), and whether the motion is free (k,)."""
-        if self._headings is None:
+        if self._waypoints is None:
             n = len(command)
             return np.empty((n, 0)), np.full(n, np.nan), np.zeros(n, dtype=np.bool_)
-        self._headings.look(np.arange(self._count)[ids], command, steps)
-        way = self._headings.way[ids]
-        return self._headings.waypoint[ids] - command, way[:, 0].copy(), way[:, 1] > 0
+        tracker = self._waypoints
+        tracker.update(np.arange(self._count)[ids], command, steps)
+        return tracker.configuration[ids] - command, tracker.cost_to_go[ids].copy(), tracker.free[ids].copy()
 
     def _unknown_at(self, ids: Ids | slice, probes: Array) -> Bools:
         """Return (n, k) whether probe points (n, k, 3) lie in unobserved space; k is 0 unless required."""

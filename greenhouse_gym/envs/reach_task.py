@@ -77,7 +77,7 @@ class State(NamedTuple):
         obstacle: (n, k, 3) unit vectors from the probe points towards that obstacle, zero where it is far.
         clearance_rays: (n, `NUM_CLEARANCES`) clearances on rays from the target, metres; (n, 0) unless requested.
         waypoint: (n, j) from the joint positions that are commanded to those where the arm can go straight, see
-            `greenhouse_gym.envs.waypoints`, radians; (n, 0) unless the observation asks for it.
+            `greenhouse_gym.motion.waypoints`, radians; (n, 0) unless the observation asks for it.
         path_length: (n,) length of the path from the waypoint to the goal, radians; NaN unless requested.
         path_free: (n,) whether the straight motion to the waypoint is collision-free; False unless requested.
         collided: (n,) whether anything was touched in any substep since the last state.

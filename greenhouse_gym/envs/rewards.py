@@ -137,7 +137,7 @@ class PathReward(DenseReward):
     """As `DenseReward`, but for the progress, which is made along a way that is free, as far as one is known.
 
     A grasp point that comes nearer to its goal may be on its way into the leaves. The way that is left is that to the
-    waypoint and from there to the goal, in joint space (`greenhouse_gym.envs.waypoints`). It is a potential (Ng, Harada
+    waypoint and from there to the goal, in joint space (`greenhouse_gym.motion.roadmap`). It is a potential (Ng, Harada
     and Russell: Policy invariance under reward transformations, 1999), without a discount, so that what is paid over an
     episode depends on its beginning and its end alone. The learner is told of it in training, the policy only if it
     observes the waypoint, too. A goal environment cannot have it: no way to a goal in hindsight is known.
@@ -155,7 +155,7 @@ class PathReward(DenseReward):
 
 
 def _left(state: State) -> Array:
-    """(n,) the way that is left, radians, measured as in `greenhouse_gym.envs.waypoints`."""
+    """(n,) the way that is left, radians, measured as in `greenhouse_gym.motion.waypoints`."""
     return np.asarray(np.sqrt((state.waypoint * state.waypoint).sum(axis=1)) + state.path_length)
 
 

@@ -99,7 +99,7 @@ class TomatoReachEnv(SpecMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]]
     stands in for it. That is a plan of a few straight motions, made from the known scene: it tells more than a sensor
     could, and finding it takes time at the beginning of an episode. What is left to learn is what to do where there is
     none.
-    It is looked for anew every 8 steps and where the arm arrives (`greenhouse_gym.envs.waypoints`).
+    It is looked for anew every 8 steps and where the arm arrives (`greenhouse_gym.motion.waypoints`).
     ``depth`` comes from a camera beside the flange that looks along the tool; ``points`` is what a camera on a mast
     beside the arm sees of the plants, one per pixel. `DepthObservation`, `PointsObservation` and `RgbObservation` in
     place of the name choose the camera ("wrist" or "mast"), its size and its opening.

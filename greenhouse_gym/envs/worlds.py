@@ -16,6 +16,7 @@ from greenhouse_gym.envs.stepping import drive_and_record
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, Ellipsoid, invert, pose, rotation_about, transform
 from greenhouse_gym.motion.distance_field import FieldStore, obstacle_field
+from greenhouse_gym.motion.roadmap import SceneRoadmaps
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import CompiledScene, Scene, SceneBank, Shapes, compile_scene
 from greenhouse_gym.scene.geom_order import first_world_geom
@@ -96,6 +97,13 @@ class World:
                 f"scene {self.scene.name!r} compiles to {source.ngeom} geoms, others to {model.ngeom}: "
                 "all scenes need the same kind of stand"
             )
+
+    @cached_property
+    def roadmaps(self) -> SceneRoadmaps:
+        """Roadmaps of the scene as agents know it; a world with moved plants shares those of the world before."""
+        if self.before is not None:
+            return self.before.roadmaps
+        return SceneRoadmaps(compile_scene(self.scene, self.compiled.robot))
 
     @cached_property
     def used(self) -> int:

@@ -1,7 +1,6 @@
 """Training: PPO, imitation of a teacher before PPO, SAC with hindsight replay, checkpoints, and policy files."""
 
 from greenhouse_gym.learning.bc_then_ppo import FINE_TUNING, BcThenPpoSettings, train_bc_then_ppo
-from greenhouse_gym.learning.depth import DepthSettings, train_depth
 from greenhouse_gym.learning.policies import load_into, save_policy
 from greenhouse_gym.learning.ppo import PpoSettings, train_ppo
 from greenhouse_gym.learning.ppo_sweep import sweep_ppo
@@ -10,7 +9,6 @@ from greenhouse_gym.learning.sac import SacSettings, load_sac, train_sac
 __all__ = [
     "FINE_TUNING",
     "BcThenPpoSettings",
-    "DepthSettings",
     "PpoSettings",
     "SacSettings",
     "load_into",
@@ -18,7 +16,6 @@ __all__ = [
     "save_policy",
     "sweep_ppo",
     "train_bc_then_ppo",
-    "train_depth",
     "train_ppo",
     "train_sac",
 ]

@@ -1,4 +1,4 @@
-"""Imitation of the `Guide` where the learner itself leads (DAgger: Ross, Gordon and Bagnell, 2011)."""
+"""Imitation of the roadmap rule in states that the learner itself reaches (DAgger: Ross, Gordon and Bagnell, 2011)."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from greenhouse_gym.agents.guide import Guide, towards
+from greenhouse_gym.agents.agent import action_towards
 from greenhouse_gym.envs import TomatoReachVectorEnv
 from greenhouse_gym.envs.observations import Observed
+from greenhouse_gym.envs.simulation import ReachSimulation
 from greenhouse_gym.errors import InvalidValueError, MissingDependencyError
 from greenhouse_gym.geometry import Array
 
@@ -19,9 +20,6 @@ try:
     import torch
 except ImportError as error:  # pragma: no cover - depends on the installation
     raise MissingDependencyError("torch", "train") from error
-
-EVERY = 4
-"""Steps after which the teacher looks for the way anew."""
 
 
 @dataclass(frozen=True)
@@ -50,51 +48,16 @@ class ImitationSettings:
     learning_rate: float = 1e-3
 
 
-class Teachers:
-    """A teacher for the episode of every simulation of an environment, and its labels.
-
-    Where the observation tells a waypoint to which the way is free, the teacher goes there; elsewhere the `Guide` says
-    where, who plans. So the learner sees what the teacher goes by, but for the plans.
-
-    Args:
-        env: Its observation tells waypoints.
-    """
-
-    def __init__(self, env: TomatoReachVectorEnv):
-        self._simulation = env.simulation
-        self._steps: Array = env.simulation.action_rule.peak  # type: ignore[attr-defined]
-        self._guides: list[Guide | None] = [None] * env.num_envs
-        self._waypoints: list[Array | None] = [None] * env.num_envs
-        self._ages = np.zeros(env.num_envs, dtype=int)
-
-    def begin(self, i: int) -> None:
-        """Make ready for a new episode of a simulation."""
-        self._guides[i], self._ages[i] = None, 0
-
-    def labels(self) -> Array:
-        """What the teachers would do now, (n, joints); NaN where they know no way."""
-        command, state = self._simulation.command, self._simulation.state
-        assert state is not None
-        labels = np.full(command.shape, np.nan)
-        for i, (offset, free) in enumerate(zip(state.waypoint, state.path_free, strict=True)):
-            if free:
-                waypoint, self._ages[i] = command[i] + offset, 0
-            else:
-                waypoint = self._planned(i, command[i])
-            if waypoint is not None:
-                labels[i] = towards(waypoint, command[i], self._steps)
-        return labels
-
-    def _planned(self, i: int, command: Array) -> Array | None:
-        """Where the guide of a simulation goes."""
-        guide = self._guides[i]
-        if guide is None:
-            compiled, target = self._simulation.physical(i)
-            guide = self._guides[i] = Guide(compiled, target, self._simulation.episode(i).start)
-        if self._ages[i] % EVERY == 0:
-            self._waypoints[i] = guide.waypoint(command)
-        self._ages[i] += 1
-        return self._waypoints[i]
+def roadmap_labels(simulation: ReachSimulation) -> Array:
+    """Return the actions (n, joints) that follow each simulation's roadmap; NaN where no waypoint is visible."""
+    command, state = simulation.command, simulation.state
+    assert state is not None
+    steps: Array = simulation.action_rule.peak  # type: ignore[attr-defined]
+    labels = np.full(command.shape, np.nan)
+    for i, (offset, free) in enumerate(zip(state.waypoint, state.path_free, strict=True)):
+        if free:
+            labels[i] = action_towards(command[i] + offset, command[i], steps)
+    return labels
 
 
 def follow_waypoint(policy: Any) -> None:
@@ -156,10 +119,7 @@ def imitate(
     parameters = [*policy.mlp_extractor.policy_net.parameters(), *policy.action_net.parameters()]
     optimizer: Any = torch.optim.Adam(parameters, lr=settings.learning_rate)
     rounds = max(1, settings.steps // (settings.num_envs * settings.round_steps))
-    teachers = Teachers(env)
     observed, _ = env.reset(seed=seed)
-    for i in range(env.num_envs):
-        teachers.begin(i)
     teacher_acts = np.ones(env.num_envs, dtype=np.bool_)
     inputs: list[Observed] = []
     labels: list[Array] = []
@@ -169,7 +129,7 @@ def imitate(
         ended = successes = 0
         began = time.perf_counter()
         for _ in range(settings.round_steps):
-            label = teachers.labels()
+            label = roadmap_labels(env.simulation)
             known = np.isfinite(label[:, 0])
             inputs.append(observed[known])  # type: ignore[index]
             labels.append(label[known])
@@ -180,7 +140,6 @@ def imitate(
             for i in np.flatnonzero(terminated | truncated).tolist():
                 if not teacher_acts[i]:
                     ended, successes = ended + 1, successes + bool(infos["final_info"]["is_success"][i])
-                teachers.begin(i)
                 teacher_acts[i] = rng.random() < beta
         collected = time.perf_counter() - began
         rate = settings.learning_rate * (0.1 + 0.9 * (1 - k / rounds))

@@ -1,10 +1,10 @@
-"""Collision checks of configurations and motions, on the very model the simulator runs.
+"""Collision checks of configurations and motions, on the model that the simulator runs.
 
-A configuration is free when MuJoCo reports no contact for it. Planning keeps a small margin on top: an obstacle
-counts as touched from `MARGIN` metres on. A motion is checked at configurations so close together that no point of
-the arm moves farther than a resolution between two of them; with the resolution `PROOF` = 2 * `MARGIN` every point of
-the arm is at all times within a margin of a checked place that keeps this margin, which proves the motion free of
-obstacles. Between the arm's own parts there is no margin: whether they touch is told at the checked configurations.
+A configuration is free if MuJoCo reports no contact for it. Planning keeps a small margin in addition: an obstacle
+nearer than `MARGIN` metres counts as a contact. A motion is checked at configurations between which no point of the arm
+moves farther than a resolution; with the resolution `PROOF` = 2 * `MARGIN` every point of the arm is at all times
+within a margin of its position in a checked configuration, which proves the motion free of obstacles. There is no
+margin between the arm's own parts: their contacts are found at the checked configurations only.
 """
 
 from __future__ import annotations
@@ -21,42 +21,45 @@ import numpy.typing as npt
 
 from greenhouse_gym.errors import InvalidValueError, require_choice
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.motion.reach import arm_reaches, joint_reaches
+from greenhouse_gym.motion.joint_reaches import arm_reaches, joint_reaches
+from greenhouse_gym.motion.path import along_path
 from greenhouse_gym.scene.mjcf import CompiledScene
 
 MARGIN = 0.005
-"""Distance to obstacles that planning keeps, metres."""
+"""Distance that planning keeps from obstacles, metres."""
 
 PROOF = 2 * MARGIN
 """Resolution at which a path counts as proven free, metres."""
 
 RESOLUTIONS = (6 * PROOF, 3 * PROOF, PROOF)
-"""Resolutions at which planners check motions, metres; the next is used when a path of the one before is not free.
+"""Resolutions at which planners check motions, metres; the next is used if a path found with the one before collides.
 
-The first misses a collision in one search out of thirty, and needs half the checks of one that would miss none.
+The first misses a collision in one search out of thirty and needs half the checks of one that misses none.
 """
 
 COARSE = 0.05
-"""Resolution at which a motion is looked at before anything is proven about it, metres."""
-
+"""Resolution of first checks, before a motion is proven free, metres."""
 
 COLLISION_PAIRS = ("tomatoes", "stems", "clutter", "stand", "self")
-"""What an arm can be checked against; the stand is the floor and the cart."""
+"""Groups of geoms that an arm can be checked against; the stand is the floor and the cart."""
 
 CLEARANCE_RANGE = 0.1
-"""Clearances beyond this are given as this, metres."""
+"""Largest clearance that is measured, metres."""
+
+
+_CLEARANCE_STEP = 0.01  # metres that any point of the arm moves between two measurements of a path's clearance
 
 
 def planning_model(
     compiled: CompiledScene, target: int, margin: float = MARGIN, pairs: Collection[str] = COLLISION_PAIRS
 ) -> mujoco.MjModel:
-    """A copy of a scene's model in which the cup may touch the target and all obstacles are felt from a margin on.
+    """Copy a scene's model for planning: the cup may touch the target, and obstacles have a margin.
 
     Args:
         compiled: The scene with its arm.
         target: Index of the target tomato.
-        margin: Metres; 0 gives the simulator's own verdicts.
-        pairs: What the arm is checked against, of `COLLISION_PAIRS`. The simulator checks all.
+        margin: Metres; 0 gives the same contacts as the simulator.
+        pairs: Groups of `COLLISION_PAIRS` to check the arm against. The simulator checks all.
 
     Raises:
         InvalidValueError: The scene has no such tomato.
@@ -75,15 +78,15 @@ def planning_model(
 
 
 def checker_of(compiled: CompiledScene, target: int, pairs: Collection[str] = COLLISION_PAIRS) -> CollisionChecker:
-    """The checker that planning for a target uses, with its margin."""
+    """Return the checker for planning a path to a target, with the usual margin."""
     return CollisionChecker(planning_model(compiled, target, pairs=pairs), arm_reaches(compiled.robot))
 
 
 def _with_world_at_rest(model: mujoco.MjModel) -> mujoco.MjModel:
-    """A copy whose kinematics leave out the geoms of the world body: MuJoCo places those once, when data are made.
+    """Copy a model so that its kinematics skip the geoms of the world body, which MuJoCo places once per `MjData`.
 
-    That is part of MuJoCo's sleeping, which puts nothing else to sleep as long as nothing is stepped. A scene of 300
-    obstacles is then checked in two thirds of the time.
+    This is part of MuJoCo's sleeping, which affects nothing else as long as nothing is stepped. Checks of a scene with
+    300 obstacles take two thirds of the time.
     """
     copied = copy.copy(model)
     copied.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
@@ -91,7 +94,7 @@ def _with_world_at_rest(model: mujoco.MjModel) -> mujoco.MjModel:
 
 
 def _leave_out(compiled: CompiledScene, model: mujoco.MjModel, pairs: Collection[str]) -> None:
-    """Let the arm pass through some kinds of things."""
+    """Let the arm pass through some groups of geoms."""
     scene, first = compiled.scene, int(compiled.obstacle_geoms.start)
     world = np.flatnonzero(model.geom_bodyid == 0)
     tomatoes, stems, clutter = len(scene.tomatoes), len(scene.stems), len(scene.clutter)
@@ -110,26 +113,23 @@ def _leave_out(compiled: CompiledScene, model: mujoco.MjModel, pairs: Collection
 
 
 def path_clearance(compiled: CompiledScene, target: int, path: npt.ArrayLike) -> float:
-    """Smallest distance of the arm to any obstacle but the target along a path (k, joints), up to `CLEARANCE_RANGE`.
+    """Return the smallest distance of the arm from obstacles along a path (k, joints), up to `CLEARANCE_RANGE`, metres.
 
-    The floor and the cart do not count. Measured at configurations between which no point of the arm moves farther
-    than 1 cm, in metres; negative inside an obstacle.
+    The target, the floor and the cart do not count. It is measured at configurations between which no point of the arm
+    moves farther than 1 cm; negative inside an obstacle.
     """
-    points = np.asarray(path, dtype=np.float64)
-    way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(points, axis=0)) @ arm_reaches(compiled.robot))])
-    places = np.linspace(0.0, way[-1], 1 + int(np.ceil(way[-1] / 0.01)))
-    between = np.stack([np.interp(places, way, joint) for joint in points.T], axis=-1)
-    return smallest_clearance(compiled, compiled.model, target, between)
+    configurations = along_path(np.asarray(path, dtype=np.float64), arm_reaches(compiled.robot), _CLEARANCE_STEP)
+    return smallest_clearance(compiled, compiled.model, target, configurations)
 
 
 def smallest_clearance(compiled: CompiledScene, model: mujoco.MjModel, target: int, configurations: Array) -> float:
-    """Smallest distance of the arm to any obstacle but the target in some configurations, up to `CLEARANCE_RANGE`.
+    """Return the smallest distance of the arm from obstacles in some configurations, up to `CLEARANCE_RANGE`.
 
-    The floor, the cart and the arm itself do not count.
+    The target, the floor, the cart and the arm itself do not count.
 
     Args:
         compiled: The scene.
-        model: Its model, or a copy in which the arm stands elsewhere.
+        model: Its model, or a copy with the arm at another position.
         target: Index of the target tomato.
         configurations: (k, joints) radians.
 
@@ -145,18 +145,18 @@ def smallest_clearance(compiled: CompiledScene, model: mujoco.MjModel, target: i
 
 
 def set_margin(model: mujoco.MjModel, geoms: npt.NDArray[np.int64], margin: float) -> None:
-    """Let some geoms of the world body be felt from a distance on, in metres."""
+    """Set the margin of some geoms of the world body, metres."""
     model.geom_margin[geoms] = margin
-    # the compiler's maximum over a body's geoms, which the search for pairs of geoms goes by
+    # the broad phase uses the compiler's maximum over a body's geoms
     model.body_margin[0] = model.geom_margin[model.geom_bodyid == 0].max()
 
 
 class CollisionChecker:
-    """Tells free configurations and motions from colliding ones, and counts the checks.
+    """Checks configurations and motions for collisions, and counts the checks.
 
     Args:
-        model: The model, as `planning_model` makes it.
-        reaches: Its `joint_reaches`, where they are known: they take 5 ms.
+        model: The model, as `planning_model` returns it.
+        reaches: Its `joint_reaches`, if known: they take 5 ms to compute.
 
     Attributes:
         model: The model; do not change it.
@@ -168,36 +168,36 @@ class CollisionChecker:
         self._known_reaches = reaches
         self.model = model
         self._data = mujoco.MjData(model)
-        self._qpos = self._data.qpos  # a view: writing to it costs a third of the attribute's lookup
+        self._qpos = self._data.qpos  # a view: writing to it takes a third of the time of looking it up
 
     @cached_property
     def reaches(self) -> Array:
-        """(joints,) bounds on the distance of the points that a joint moves from its axis, metres: `joint_reaches`."""
+        """Largest motion of any point of the arm per radian of each joint, (joints,) metres: `joint_reaches`."""
         return joint_reaches(self.model) if self._known_reaches is None else self._known_reaches
 
     def is_free(self, configuration: npt.ArrayLike) -> bool:
-        """Whether nothing touches in a configuration (joints,)."""
+        """Return whether a configuration (joints,) is collision-free."""
         return self._all_free((configuration,))
 
     def motion_is_free(self, start: npt.ArrayLike, end: npt.ArrayLike, resolution: float) -> bool:
-        """Whether the straight joint motion between two configurations, both included, is free.
+        """Return whether the straight joint motion between two configurations, both included, is collision-free.
 
-        The verdict does not depend on the direction. Both ends are checked first, then the middle, the quarters, and
-        so on: where there is a collision, it is found soon.
+        The result does not depend on the direction. Both ends are checked first, then the middle, the quarters, and so
+        on, so that a collision is found soon.
         """
         a, b = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
         return self._all_free((b, a)) and self.inside_is_free(a, b, resolution)
 
     def inside_is_free(self, start: Array, end: Array, resolution: float) -> bool:
-        """As `motion_is_free`, for a motion whose ends are known to be free."""
-        if tuple(start) > tuple(end):  # one direction for both, to the last bit
+        """Return whether a motion between free ends is free, without checking the ends."""
+        if tuple(start) > tuple(end):  # the same direction for both, so that results are equal to the last bit
             start, end = end, start
-        way = end - start
-        return self._all_free(start + halving_order(self._steps(way, resolution)) * way)
+        motion = end - start
+        return self._all_free(start + halving_order(self._steps(motion, resolution)) * motion)
 
     def _all_free(self, configurations: Iterable[npt.ArrayLike]) -> bool:
-        """Whether all configurations are free; none after the first that is not is checked."""
-        model, data, qpos = self.model, self._data, self._qpos  # in a loop this tight, looking them up counts
+        """Return whether all configurations are collision-free; stop at the first collision."""
+        model, data, qpos = self.model, self._data, self._qpos  # looking them up in this tight loop takes time
         kinematics, collision = mujoco.mj_kinematics, mujoco.mj_collision
         for configuration in configurations:
             self.checks += 1
@@ -208,8 +208,8 @@ class CollisionChecker:
                 return False
         return True
 
-    def free_share(self, start: npt.ArrayLike, end: npt.ArrayLike, resolution: float) -> float:
-        """The share of the straight motion from a free configuration up to which it is free, 0 to 1."""
+    def free_fraction(self, start: npt.ArrayLike, end: npt.ArrayLike, resolution: float) -> float:
+        """Return the fraction of the straight motion from a free configuration up to the first collision, 0 to 1."""
         a, b = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
         steps = max(1, self._steps(b - a, resolution))
         for step in range(1, steps + 1):
@@ -218,22 +218,22 @@ class CollisionChecker:
         return 1.0
 
     def path_is_free(self, path: npt.ArrayLike, resolution: float) -> bool:
-        """Whether all motions of a path (k, joints) are free."""
+        """Return whether all motions of a path (k, joints) are free."""
         points = np.asarray(path, dtype=np.float64)
         if len(points) == 1:
             return self.is_free(points[0])
         return all(self.motion_is_free(a, b, resolution) for a, b in pairwise(points))
 
-    def _steps(self, way: Array, resolution: float) -> int:
-        return math.ceil(self.reaches @ np.abs(way) / resolution)
+    def _steps(self, motion: Array, resolution: float) -> int:
+        return math.ceil(self.reaches @ np.abs(motion) / resolution)
 
     def clearance(self, configuration: npt.ArrayLike) -> float:
-        """Distance from the arm to what it may not touch, metres, negative inside; inf beyond the model's margin."""
+        """Return the distance of the arm to the nearest contact, metres; < 0 inside, inf beyond the model's margin."""
         self.is_free(configuration)
         return float(self._data.contact.dist.min(initial=np.inf))
 
     def contacts(self, configuration: npt.ArrayLike) -> tuple[tuple[str, str], ...]:
-        """Names of the pairs of geoms that touch in a configuration (or are within the model's margin)."""
+        """Return the names of the pairs of geoms in contact, or within the model's margin, in a configuration."""
         self.is_free(configuration)
         pairs = self._data.contact.geom
         return tuple((self.model.geom(int(a)).name, self.model.geom(int(b)).name) for a, b in pairs)
@@ -241,7 +241,7 @@ class CollisionChecker:
 
 @lru_cache(maxsize=4096)
 def halving_order(steps: int) -> Array:
-    """The inner points of ``steps`` equal steps from 0 to 1 as (steps - 1, 1) shares: coarse ones first.
+    """Return the inner points of ``steps`` equal steps from 0 to 1 as fractions (steps - 1, 1), coarse ones first.
 
     The order is that of the bit-reversed index (van der Corput's sequence).
     """
@@ -253,6 +253,6 @@ def halving_order(steps: int) -> Array:
     for bit in range(bits):
         reverse |= ((index >> bit) & 1) << (bits - 1 - bit)
     order = reverse[reverse < steps]
-    shares: Array = (order / steps)[:, None]
-    shares.setflags(write=False)
-    return shares
+    fractions: Array = (order / steps)[:, None]
+    fractions.setflags(write=False)
+    return fractions

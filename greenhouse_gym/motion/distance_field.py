@@ -1,9 +1,9 @@
-"""Distance fields: how far it is to the nearest obstacle, and which way, looked up instead of computed.
+"""Distance fields: distance and direction to the nearest obstacle, looked up in a grid instead of computed.
 
 A field covers a box in front of the arm, in the frame of the arm's base (x forward, z up). It is sampled at nodes
-2 cm apart, kept as float16 and capped at `MAX_DISTANCE`, beyond which nobody asks. A node whose nearest obstacle is a
-tomato also knows how far it would be without it, so that one field serves every target of a scene. Fields of many
-scenes lie in one stacked array, so that one lookup serves many simulations.
+2 cm apart, stored as float16 and capped at `MAX_DISTANCE`. A node whose nearest obstacle is a tomato also stores the
+distance without that tomato, so that one field serves every target of a scene. Fields of many scenes are stacked in one
+array, so that one lookup serves many simulations.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ CELL = 0.02
 """Distance between nodes, metres."""
 
 SHAPE = (48, 88, 88)
-"""Nodes along x, y, z: multiples of the largest block of `distance_field`."""
+"""Number of nodes along x, y, z: multiples of the largest block of `distance_field`."""
 
 ORIGIN = (0.10, -0.87, -0.80)
-"""The first node in the frame of the arm's base, metres."""
+"""Position of the first node in the frame of the arm's base, metres."""
 
 MAX_DISTANCE = 0.3
-"""Distances are capped here, metres."""
+"""Largest distance that is stored, metres."""
 
 MAX_DEPTH = 1e3
-"""Depths inside an obstacle are capped here, metres: far beyond any plant, and within what float16 can tell."""
+"""Largest depth inside an obstacle that is stored, metres: larger than any plant, and within the range of float16."""
 
 NODE = np.dtype([("distance", np.float16), ("otherwise", np.float16), ("tomato", np.int16), ("", np.int16)])
-"""A node: the distance to the nearest obstacle, the index of the tomato that this is, or -1, and the distance without
-that tomato. Eight bytes, so that a lookup fetches all of it at once."""
+"""A node: the distance to the nearest obstacle, the distance without the tomato that it is, and the index of that
+tomato or -1. Its eight bytes are fetched at once."""
 
 NO_TOMATO = -2
-"""In a lookup: every tomato is an obstacle."""
+"""Value of ``ignored`` in a lookup with every tomato as an obstacle."""
 
 _BLOCK = 8
 _AT_ONCE = 4096  # pairs whose distances are computed together, so that they stay in the processor's cache
@@ -52,13 +52,13 @@ def obstacle_field(
     scene_from_base: npt.ArrayLike | None = None,
     ellipsoids: Mapping[int, Ellipsoid] = _ALL_ROUND,
 ) -> npt.NDArray[np.void]:
-    """The field of a scene.
+    """Compute the field of a scene.
 
     Args:
         tomatoes: (t, 4) centers in the frame of the arm's base and radii, metres.
         others: All other obstacles, in the scene frame.
         scene_from_base: (4, 4) pose of the arm's base in the scene; the identity when left out.
-        ellipsoids: The tomatoes that are no spheres, in the scene frame, by their index.
+        ellipsoids: The tomatoes that are ellipsoids, in the scene frame, by index.
 
     Returns:
         Array of shape `SHAPE` of `NODE`, metres.
@@ -82,7 +82,7 @@ def obstacle_field(
         away = np.sqrt(x[:, None, None] + y[:, None] + z)
         if ellipsoid is None:
             own = away - np.float32(radius)
-        else:  # exactly only where it may be nearer than what is second
+        else:  # exact only where it may be nearer than the second nearest
             own = away - np.float32(ellipsoid.semi_axes.max() + _SLACK)
             maybe = own < second
             own[maybe] = _to_ellipsoid(ellipsoid, np.argwhere(maybe) + low, scene_from_base)
@@ -96,7 +96,7 @@ def obstacle_field(
 
 
 def _to_ellipsoid(ellipsoid: Ellipsoid, nodes: npt.NDArray[np.int64], scene_from_base: npt.ArrayLike | None) -> Float32:
-    """Distances (n,) of nodes (n, 3), counted along the axes of the grid, to an ellipsoid in the scene frame."""
+    """Return distances (n,) of nodes (n, 3), given by grid indices, to an ellipsoid in the scene frame."""
     points = nodes * CELL + ORIGIN
     points = points if scene_from_base is None else transform(scene_from_base, points)
     distance = distance_to_ellipsoids(points, ellipsoid.center, ellipsoid.semi_axes, ellipsoid.rotation)
@@ -104,11 +104,10 @@ def _to_ellipsoid(ellipsoid: Ellipsoid, nodes: npt.NDArray[np.int64], scene_from
 
 
 def distance_field(shapes: Sequence[Shape], scene_from_base: npt.ArrayLike | None = None) -> npt.NDArray[np.float16]:
-    """Signed distances to the union of the shapes at the nodes of the grid, capped at `MAX_DISTANCE`.
+    """Compute signed distances from the nodes of the grid to the union of the shapes, capped at `MAX_DISTANCE`.
 
-    Exact at the nodes. Blocks of nodes are halved from 8 to 1 node per side; a shape stays with a block only while it
-    may be the nearest one somewhere in it, so few pairs of node and shape are left to compute (about 0.1 s for 600
-    shapes).
+    They are exact. Blocks of nodes are halved from 8 to 1 node per side; a shape stays with a block only while it may
+    be the nearest one somewhere in it, so few pairs of node and shape remain (about 0.1 s for 600 shapes).
 
     Args:
         shapes: Spheres, capsules and boxes in the scene frame.
@@ -121,8 +120,9 @@ def distance_field(shapes: Sequence[Shape], scene_from_base: npt.ArrayLike | Non
     if not shapes:
         return field
     parts = _Parts(shapes, np.eye(4) if scene_from_base is None else np.asarray(scene_from_base, dtype=np.float64))
-    # Blocks are families of the children of one block, at first each a family of its own; `corner` (children, families,
-    # 3) is a block's first node. A pair is a family and a shape, ordered by family; `first` (families,) is its first.
+    # A family is the children of one block; at first each block is a family. `corner` (children, families, 3) is the
+    # first node of each block. Pairs of a family and a shape are sorted by family; `first` (families,) is the index of
+    # each family's first pair.
     corner = np.stack(np.meshgrid(*(np.arange(0, n, _BLOCK) for n in SHAPE), indexing="ij"), -1).reshape(1, -1, 3)
     count = corner.shape[1]
     family, part = np.repeat(np.arange(count), len(shapes)), np.tile(np.arange(len(shapes)), count)
@@ -148,7 +148,7 @@ _OCTANTS = np.stack(np.meshgrid(*[[0, 1]] * 3, indexing="ij"), -1).reshape(8, 3)
 
 
 class _Parts:
-    """Shapes as arrays in the base frame; capsules include spheres (capsules without length)."""
+    """Shapes as arrays in the base frame; spheres are capsules without length."""
 
     def __init__(self, shapes: Sequence[Shape], scene_from_base: npt.NDArray[np.float64]):
         rotation, position = scene_from_base[:3, :3], scene_from_base[:3, 3]
@@ -173,20 +173,20 @@ class _Parts:
         self.turn = _components(turns.reshape(-1, 9))
 
     def distance(self, points: Float32, family: npt.NDArray[np.int64], part: npt.NDArray[np.int64]) -> Float32:
-        """Signed distances (children, m) of the points (3, children, families) of m families to m shapes."""
+        """Return signed distances (children, m) from the points (3, children, families) of m families to m shapes."""
         result = np.empty((points.shape[1], len(part)), dtype=np.float32)
         boxes = self.is_box[part]
         for chosen, measure in ((~boxes, self._to_capsules), (boxes, self._to_boxes)):
             pairs = np.flatnonzero(chosen)
             for begin in range(0, len(pairs), _AT_ONCE):
-                some = pairs[begin : begin + _AT_ONCE]
-                result[:, some] = measure(points[:, :, family[some]], part[some])
+                chunk = pairs[begin : begin + _AT_ONCE]
+                result[:, chunk] = measure(points[:, :, family[chunk]], part[chunk])
         return result
 
     def _to_capsules(self, points: Float32, i: npt.NDArray[np.int64]) -> Float32:
         offset, axis = points - self.start[:, None, i], self.axis[:, None, i]
-        share = np.clip(_dot(offset, axis) * self.inverse[i], 0.0, 1.0)
-        return _norm(offset - share * axis) - self.radius[i]
+        fraction = np.clip(_dot(offset, axis) * self.inverse[i], 0.0, 1.0)
+        return _norm(offset - fraction * axis) - self.radius[i]
 
     def _to_boxes(self, points: Float32, i: npt.NDArray[np.int64]) -> Float32:
         offset, turn = points - self.start[:, None, i], self.turn[:, None, i]
@@ -196,17 +196,17 @@ class _Parts:
 
 
 def _components(vectors: npt.NDArray[np.floating]) -> Float32:
-    """Vectors (..., k) as (k, ...): whole rows of one component are faster than many short vectors."""
+    """Return vectors (..., k) as (k, ...): rows of one component are faster than many short vectors."""
     return np.ascontiguousarray(np.moveaxis(vectors, -1, 0), dtype=np.float32)
 
 
 def _dot(a: Float32, b: Float32) -> Float32:
-    """Inner products (...) of vectors (3, ...)."""
+    """Return inner products (...) of vectors (3, ...)."""
     return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
 
 
 class FieldStore:
-    """Fields of many scenes in one array, addressed by slot."""
+    """Fields of many scenes in one array, indexed by slot."""
 
     def __init__(self) -> None:
         self._nodes = np.empty((16, _SIZE), dtype=np.uint64)
@@ -216,7 +216,7 @@ class FieldStore:
         return len(self._nodes) - len(self._free)
 
     def add(self, field: npt.NDArray[np.void]) -> int:
-        """Keep a field of `obstacle_field` and return its slot."""
+        """Store a field of `obstacle_field` and return its slot."""
         if not self._free:
             count = len(self._nodes)
             grown = np.empty((2 * count, _SIZE), dtype=np.uint64)
@@ -228,20 +228,20 @@ class FieldStore:
         return slot
 
     def remove(self, slot: int) -> None:
-        """Give a slot free for another field."""
+        """Release a slot."""
         self._free.append(slot)
 
     def lookup(
         self, slots: npt.NDArray[np.int64], ignored: npt.NDArray[np.int64], points: npt.NDArray[np.float64]
     ) -> tuple[Float32, Float32]:
-        """Distances to the nearest obstacle, and which way it lies, by trilinear interpolation.
+        """Return distances and directions to the nearest obstacle, by trilinear interpolation.
 
-        Outside the grid, the nearest point of the grid is asked and the way to it added. Elementwise, so a
-        simulation's result does not depend on how many are asked at once.
+        Outside the grid, the distance to the grid is added to the value at its nearest point. The computation is
+        elementwise, so a simulation's result does not depend on the number of simulations.
 
         Args:
             slots: (n,) slots, one per simulation.
-            ignored: (n,) index of the tomato that is no obstacle, or `NO_TOMATO`.
+            ignored: (n,) index of the tomato that is not an obstacle, or `NO_TOMATO`.
             points: (n, k, 3) points in the frame of the arm's base, metres.
 
         Returns:
@@ -249,7 +249,7 @@ class FieldStore:
             where the distance is capped.
         """
         n, k, _ = points.shape
-        # One row per axis from here on, and few array operations: their number is what a single simulation pays for.
+        # One row per axis from here on, and few array operations: their number sets the time of a single simulation.
         position = np.array(((points.reshape(-1, 3) - _ORIGIN) / CELL).T, dtype=np.float32, order="C")
         inside = np.minimum(np.maximum(position, _ZERO), _LAST)
         node = inside.astype(np.int64)
@@ -259,24 +259,24 @@ class FieldStore:
         corners = self._nodes.reshape(-1).take(flat + _CORNERS).view(NODE)  # (2, 2, 2, n * k): z, y, x
         is_ignored = corners["tomato"] == ignored.repeat(k)
         c = np.where(is_ignored, corners["otherwise"], corners["distance"]).astype(np.float32)
-        # Interpolated along z, then y, then x: the value together with its slopes along the axes that are done.
+        # Interpolate along z, then y, then x: the value together with its slopes along the axes done so far.
         slope = c[1] - c[0]
         along_z = np.concatenate([(c[0] + z * slope)[:, :, None], slope[:, :, None]], axis=2)  # y; x; value, slope z
         slope = along_z[1] - along_z[0]
         along_y = np.concatenate([along_z[0] + y * slope, slope[:, :1]], axis=1)  # x; value, slopes z and y
         slope = along_y[1] - along_y[0]
         value, slope_z, slope_y = along_y[0] + x * slope
-        # Two lengths at once: that of the slopes, and that of the way from outside the grid to it.
-        ways = np.concatenate([slope[0], slope_y, slope_z, (position - inside).reshape(-1)]).reshape(2, 3, -1)
-        length, beyond = _norm(ways.swapaxes(0, 1))
-        slopes, distance = ways[0], value + _CELL * beyond
+        # Two norms at once: of the slopes, and of the offset from the grid of points outside it.
+        vectors = np.concatenate([slope[0], slope_y, slope_z, (position - inside).reshape(-1)]).reshape(2, 3, -1)
+        length, outside = _norm(vectors.swapaxes(0, 1))
+        slopes, distance = vectors[0], value + _CELL * outside
         length[(distance >= _NEARLY_MAX) | (length <= _TINY)] = np.inf
         direction = slopes / -length
         return np.minimum(distance, _MAX).reshape(n, k), direction.reshape(3, n, k).transpose(1, 2, 0)
 
 
 _ORIGIN = np.array(ORIGIN)
-# A hair below the last node, so that the cell is one that has a node behind it.
+# Just below the last node, so that every cell has an upper corner.
 _LAST = np.nextafter(np.array(SHAPE, dtype=np.float32) - 1, np.float32(0.0))[:, None]
 _STRIDES = np.array([SHAPE[1] * SHAPE[2], SHAPE[2], 1])
 _SIZE = SHAPE[0] * SHAPE[1] * SHAPE[2]
@@ -285,7 +285,7 @@ _ZERO, _TINY, _CELL, _MAX, _NEARLY_MAX = np.array([0.0, 1e-6, CELL, MAX_DISTANCE
 
 
 def _norm(vectors: Float32) -> Float32:
-    """Lengths (...) of vectors (3, ...)."""
+    """Return lengths (...) of vectors (3, ...)."""
     squares = vectors * vectors
     x, y, z = squares
     x += y

@@ -1,16 +1,19 @@
-"""Goal configurations: arm configurations with the grasp point on the target's center and nothing touched.
+"""Goal configurations: configurations of the arm with the grasp point on the target's center.
 
-Method: the randomized forward kinematics search of "Simulation of a robotics operation" in the paper this package
-follows, random configurations with the grasp point within a threshold of the target, brought onto it by inverse
-kinematics (damped least squares; Wampler 1986), without near-duplicates. Everything runs on batches.
+Random guesses are brought onto the target by inverse kinematics (damped least squares; Wampler 1986). Planning searches
+the whole joint space: it keeps guesses whose grasp point lies within a threshold of the target and drops
+near-duplicates, as in "Simulation of a robotics operation" in the paper this package follows. The roadmap wants goals
+near the start, so it draws guesses within half a turn of it.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from greenhouse_gym.errors import InvalidValueError, require_seed
 from greenhouse_gym.geometry import Array
@@ -23,25 +26,35 @@ from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.mjcf import CompiledScene
 
 SAMPLE_BUDGET = 40_000
-"""After so many random configurations the search gives up."""
+"""Number of random configurations after which the search gives up."""
 
 CAREFUL_BUDGET = 5_000
-"""The same where the arm keeps out of unknown space: for many tomatoes nothing is found, however long the search."""
+"""Number of random configurations if the arm avoids unknown space: many tomatoes then have no goal at all."""
 
-_BATCH = 1000
+BATCH_SIZE = 1000
+"""Random configurations drawn at a time over the whole joint space."""
+
+LOCAL_BATCH_SIZE = 300
+"""Random configurations drawn at a time near the start."""
+
+MIN_GOALS, MAX_GOALS = 20, 60
+"""Free goals near the start: with fewer than the first number, more are sampled; no more than the second are used."""
+
+BATCHES, MAX_BATCHES = 4, 24
+"""Batches sampled to get `MIN_GOALS`, and batches sampled while there is no free goal at all."""
 
 
 @dataclass(frozen=True)
 class GoalStatistics:
-    """What became of the random configurations of a goal search.
+    """Counts of a goal search.
 
     Attributes:
         samples: Random configurations drawn.
         within_threshold: Those with the grasp point within the threshold of the target.
         converged: Those that inverse kinematics brought onto the target within the joint limits, and into the approach
-            cone where there is one.
+            cone if one is given.
         duplicate: Converged ones that repeat an accepted one.
-        colliding: Converged, new ones that touch something.
+        colliding: Converged, new ones in collision.
     """
 
     samples: int
@@ -56,12 +69,80 @@ class Goals:
     """Goal configurations for one target.
 
     Attributes:
-        configurations: (k, joints) radians, in the order found; k = 0 where none exists.
-        statistics: How the search went.
+        configurations: (k, joints) radians, in the order found; k = 0 if none exists.
+        statistics: Counts of the search.
     """
 
     configurations: Array
     statistics: GoalStatistics
+
+
+class GoalBatch(NamedTuple):
+    """Result of one batch of random guesses.
+
+    Attributes:
+        within_threshold: Number of guesses that inverse kinematics was tried on.
+        configurations: (k, joints) configurations on the target, whether or not they collide, radians.
+    """
+
+    within_threshold: int
+    configurations: Array
+
+
+class GoalSampler:
+    """Random configurations with the grasp point on a target, batch by batch, not checked for collisions.
+
+    Each batch is computed once, so all who index the sampler get the same configurations.
+
+    Args:
+        compiled: The scene with its arm.
+        target: Index of the target tomato.
+        start: (joints,) configuration that guesses lie within half a turn of, with its tool roll, radians; the whole
+            joint space when left out.
+        center: (3,) assumed center of the target in the scene, metres; its true center when left out.
+        threshold: Guesses with the grasp point farther from the target than this are dropped, metres.
+        approach: Directions the tool may come from; any when left out.
+        seed: Seed of the guesses.
+    """
+
+    def __init__(
+        self,
+        compiled: CompiledScene,
+        target: int,
+        start: Array | None = None,
+        center: Array | None = None,
+        threshold: float = math.inf,
+        approach: Approach | None = None,
+        seed: int = 0,
+    ):
+        tomato = compiled.scene.tomatoes[target]
+        self.target, self.center = target, tomato.center if center is None else center
+        self.robot, self.start = compiled.robot, compiled.robot.start if start is None else start
+        self._radius, self._threshold, self._approach = tomato.radius, threshold, approach
+        self._chain = tool_chain(compiled.model, compiled.tip_site)
+        self._local = start is not None
+        self._rng = np.random.default_rng(seed)
+        self._batches: list[GoalBatch] = []
+
+    def __getitem__(self, k: int) -> GoalBatch:
+        """Return batch ``k``."""
+        while len(self._batches) <= k:
+            self._batches.append(self._sample())
+        return self._batches[k]
+
+    def _sample(self) -> GoalBatch:
+        arm, start = self.robot, self.start
+        if self._local:
+            lower, upper = np.maximum(arm.lower, start - np.pi), np.minimum(arm.upper, start + np.pi)
+            guesses = self._rng.uniform(lower, upper, (LOCAL_BATCH_SIZE, len(start)))
+            arm.keep_tool_roll(guesses, start)
+        else:
+            guesses = self._rng.uniform(arm.lower, arm.upper, (BATCH_SIZE, len(start)))
+        if math.isfinite(self._threshold):
+            offset = tool_state(self._chain, guesses, self._radius).point - self.center
+            guesses = guesses[(offset * offset).sum(-1) <= self._threshold**2]
+        found = inverse_kinematics(self._chain, guesses, self.center, self._radius, arm, self._approach)
+        return GoalBatch(len(guesses), found)
 
 
 def goal_configurations(
@@ -75,7 +156,7 @@ def goal_configurations(
     approach: Approach | None = None,
     unknown: str | float = "free",
 ) -> Goals:
-    """Find configurations that bring the grasp point to a tomato's center without touching anything but by the cup.
+    """Find collision-free configurations that bring the grasp point to a tomato's center; only the cup may touch it.
 
     The grasp point lies one target radius ahead of the tip along the tool axis, so the cup sits on the skin.
 
@@ -83,17 +164,18 @@ def goal_configurations(
         scene: The scene.
         target: Index of the tomato in the scene.
         robot: Name or file of the arm, or a `Robot`.
-        count: How many configurations to find; the search also ends after `SAMPLE_BUDGET` random configurations.
+        count: Number of configurations to find; the search also ends after `SAMPLE_BUDGET` random configurations.
         threshold: Distance of the random grasp point from the target up to which inverse kinematics is tried, metres.
         min_difference: A configuration is new if it differs from every accepted one by at least this in some joint,
             radians.
         seed: Same seed, same result.
         approach: Directions the tool may come from; any when left out.
-        unknown: "free", or "forbid" configurations in which some of the arm is in space that the scan did not see; with
-            "avoid" those are found only where there are no others. The arm's own start counts as seen.
+        unknown: "free", or "forbid" configurations with a part of the arm in space that the scan did not observe;
+            "avoid" accepts those only if there are no others. The space that the arm occupies at its own start counts
+            as observed.
 
     Raises:
-        InvalidValueError: No such tomato, or a number that makes no sense.
+        InvalidValueError: No such tomato, or a number out of range.
     """
     arm = get_robot(robot)
     for depth in depths_of(unknown):
@@ -107,7 +189,7 @@ def goal_configurations(
 
 
 def sample_budget(depth: float) -> int:
-    """Random configurations after which the search ends where the arm may go so deep into unknown space, metres."""
+    """Return the number of random configurations to try if the arm may go this deep into unknown space, metres."""
     return SAMPLE_BUDGET if math.isinf(depth) else CAREFUL_BUDGET
 
 
@@ -122,7 +204,7 @@ def search_goals(
     approach: Approach | None = None,
     budget: int = SAMPLE_BUDGET,
 ) -> Goals:
-    """As `goal_configurations`, for a scene compiled and a checker made already.
+    """Search as `goal_configurations` does, in a compiled scene with a given checker.
 
     The search ends after ``budget`` random configurations.
     """
@@ -132,27 +214,43 @@ def search_goals(
         raise InvalidValueError(
             f"expected threshold > 0 and min_difference >= 0, got {threshold!r} and {min_difference!r}"
         )
-    arm, tomato = compiled.robot, compiled.scene.tomatoes[target]
-    chain = tool_chain(compiled.model, compiled.tip_site)
-    rng = np.random.default_rng(require_seed(seed))
-    accepted = np.empty((count, len(arm.joints)))
+    sampler = GoalSampler(compiled, target, threshold=threshold, approach=approach, seed=require_seed(seed))
+    accepted = np.empty((count, len(compiled.robot.joints)))
     found = samples = within = converged = duplicate = colliding = 0
     while found < count and samples < budget:
-        batch = rng.uniform(arm.lower, arm.upper, (_BATCH, len(arm.joints)))
-        samples += _BATCH
-        offset = tool_state(chain, batch, tomato.radius).point - tomato.center
-        near = batch[(offset * offset).sum(-1) <= threshold**2]
-        within += len(near)
-        solutions = inverse_kinematics(chain, near, tomato.center, tomato.radius, arm, approach)
-        converged += len(solutions)
-        for solution in solutions:
-            if (np.abs(accepted[:found] - solution) < min_difference).all(-1).any():
+        batch = sampler[samples // BATCH_SIZE]
+        samples += BATCH_SIZE
+        within += batch.within_threshold
+        converged += len(batch.configurations)
+        for configuration in batch.configurations:
+            if (np.abs(accepted[:found] - configuration) < min_difference).all(-1).any():
                 duplicate += 1
-            elif not checker.is_free(solution):
+            elif not checker.is_free(configuration):
                 colliding += 1
             else:
-                accepted[found] = solution
+                accepted[found] = configuration
                 found += 1
                 if found == count:
                     break
     return Goals(accepted[:found].copy(), GoalStatistics(samples, within, converged, duplicate, colliding))
+
+
+def nearest_free_goals(
+    checker: CollisionChecker, sampler: GoalSampler, min_goals: int = MIN_GOALS, batches: int = BATCHES
+) -> Array:
+    """Return up to `MAX_GOALS` collision-free goals (k, joints), those nearest to the sampler's start first, radians.
+
+    Args:
+        checker: Checks for collisions.
+        sampler: Samples goals near a start.
+        min_goals: Sampling stops once there are this many free goals,
+        batches: or after this many batches with at least one, or after `MAX_BATCHES`.
+    """
+    free: list[npt.NDArray[np.float64]] = []
+    for k in range(MAX_BATCHES):
+        goals = sampler[k].configurations
+        free += [goal for goal in goals if checker.is_free(goal)]
+        if len(free) >= min_goals or (free and k + 1 >= batches) or not len(goals):
+            break
+    found = np.array(free).reshape(-1, len(sampler.start))
+    return found[((found - sampler.start) ** 2).sum(axis=-1).argsort(kind="stable")[:MAX_GOALS]]

@@ -1,4 +1,4 @@
-"""Inverse kinematics by damped least squares (Wampler 1986), from many first guesses at once."""
+"""Inverse kinematics by damped least squares (Wampler 1986), from many initial guesses at once."""
 
 from __future__ import annotations
 
@@ -17,18 +17,17 @@ TOLERANCE = 1e-3
 
 _ITERATIONS = 20
 _DAMPING = 0.03  # metres per radian
-_TURN = 0.3  # metres per radian: weight of the tool's direction against its place
-_STEP = 0.2  # metres the grasp point is moved per iteration at most
+_TURN = 0.3  # metres per radian: weight of the tool's direction relative to its position
+_STEP = 0.2  # metres: largest correction of the grasp point per iteration
 
 
 @dataclass(frozen=True, eq=False)
 class Approach:
-    """A cone of directions in which the tool may come.
+    """A cone of directions that the tool may point in.
 
     Attributes:
-        direction: (3,) the cone's axis, the way the tool points; of any length. (1, 0, 0) is from the aisle into the
-            plants.
-        half_angle: Largest angle of the tool axis from it, radians.
+        direction: (3,) the cone's axis, of any length. (1, 0, 0) points from the aisle into the plants.
+        half_angle: Largest angle between the tool axis and the cone's axis, radians.
 
     Raises:
         InvalidValueError: No direction, or an angle outside 0 to pi.
@@ -47,7 +46,7 @@ class Approach:
         object.__setattr__(self, "direction", direction / length)
 
     def turn(self, axis: Array) -> Array:
-        """(m, 3) rotation vectors that would bring tool axes (m, 3) to the cone's edge, zero for those inside it."""
+        """Return rotation vectors (m, 3) that turn tool axes (m, 3) to the cone's edge; zero for those inside it."""
         across = np.cross(axis, self.direction)
         sine = np.linalg.norm(across, axis=-1)
         outside = np.maximum(np.arctan2(sine, axis @ self.direction) - self.half_angle, 0.0)
@@ -57,15 +56,15 @@ class Approach:
 def inverse_kinematics(
     chain: Chain, guesses: Array, point: Array, ahead: float, arm: Robot, approach: Approach | None = None
 ) -> Array:
-    """Bring the grasp point onto a point from many first guesses, by damped least squares within the joint limits.
+    """Bring the grasp point onto a point from many initial guesses, within the joint limits.
 
     Args:
         chain: The arm's chain.
         guesses: (m, n) configurations, radians.
-        point: (3,) where the grasp point shall be, metres, world frame.
+        point: (3,) desired position of the grasp point, metres, world frame.
         ahead: Distance of the grasp point from the tip along the tool axis, metres.
-        arm: The arm whose limits hold.
-        approach: The cone that the tool axis is to come into as well; None where any direction will do.
+        arm: The arm whose limits apply.
+        approach: Cone that the tool axis must end up in; any direction if None.
 
     Returns:
         (k, n) the k <= m configurations that converged to `TOLERANCE`, in the order of their guesses.
@@ -86,7 +85,7 @@ def inverse_kinematics(
             turn = approach.turn(state.axis)
             outside = np.any(turn != 0, axis=1)
             arrived &= ~outside
-            # a little beyond the edge, where it counts as inside
+            # slightly past the edge, so that the axis counts as inside
             error = np.concatenate([error, _TURN * 1.05 * turn], axis=-1)
             jacobian = np.concatenate([jacobian, _TURN * outside[:, None, None] * state.joint_axes], axis=1)
         done[active[arrived]] = True

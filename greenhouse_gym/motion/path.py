@@ -1,9 +1,9 @@
-"""Joint paths: length, resampling, and commands in time that follow a path without leaving it.
+"""Joint paths: length, resampling, and timed commands that follow a path exactly.
 
 A path is a polyline of configurations that was checked segment by segment, so the commands stay on it: along a segment
 all joints move in proportion, with a trapezoidal speed profile (the time-optimal one under a limit on speed and
-acceleration), and around a corner only so fast that the arm, which lags behind its commands, cuts it by no more than a
-tolerance. Forward and backward passes over the corners give their speeds (as in Kunz and Stilman, Time-Optimal
+acceleration), and each corner is passed slowly enough that the arm, which lags behind its commands, cuts it by no more
+than a tolerance. Forward and backward passes over the corners give their speeds (as in Kunz and Stilman, Time-Optimal
 Trajectory Generation for Path Following with Bounded Acceleration and Velocity, 2012, without their blends).
 """
 
@@ -18,23 +18,23 @@ from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 
 CORNER_TOLERANCE = 0.004
-"""How far in any joint the lagging arm may cut a corner, radians."""
+"""Largest error of any joint by which the lagging arm may cut a corner, radians."""
 
 SERVO_LAG = 0.06
-"""Time by which the arm lags behind its commands, seconds: the ratio of damping and stiffness of its servos."""
+"""Lag of the arm behind its commands, seconds: the ratio of damping and stiffness of its servos."""
 
 
 def path_length(path: npt.ArrayLike) -> float:
-    """Length of a path (k, n), by the Euclidean norm: radians for joint paths, metres for paths of points."""
+    """Return the Euclidean length of a path (k, n): radians for joint paths, metres for paths of points."""
     return float(np.linalg.norm(np.diff(np.asarray(path, dtype=np.float64), axis=0), axis=-1).sum())
 
 
 def resample(path: npt.ArrayLike, step: float) -> Array:
-    """Points (m, n) on a path (k, n), its corners among them, no two neighbors farther apart than ``step`` anywhere.
+    """Return points (m, n) on a path (k, n), its corners included, with neighbors at most a step apart.
 
     Args:
         path: The polyline.
-        step: Largest change of any coordinate from one point to the next.
+        step: Largest difference of any coordinate between two neighbors.
     """
     points = np.asarray(path, dtype=np.float64)
     pieces = [points[:1]]
@@ -42,6 +42,19 @@ def resample(path: npt.ArrayLike, step: float) -> Array:
         count = max(1, int(np.ceil(np.abs(b - a).max() / step)))
         pieces.append(a + (np.arange(1, count + 1) / count)[:, None] * (b - a))
     return np.concatenate(pieces)
+
+
+def along_path(path: Array, reaches: Array, resolution: float) -> Array:
+    """Return equally spaced configurations (m, n) on a path (k, n), between which no point of the arm moves far.
+
+    Args:
+        path: The polyline, radians.
+        reaches: (n,) the arm's `greenhouse_gym.motion.joint_reaches.joint_reaches`.
+        resolution: Largest motion of any point of the arm between two neighbors, metres.
+    """
+    position = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(path, axis=0)) @ reaches)])
+    samples = np.linspace(0.0, position[-1], 1 + int(np.ceil(position[-1] / resolution)))
+    return np.stack([np.interp(samples, position, joint) for joint in path.T], axis=-1)
 
 
 def follow_path(
@@ -52,15 +65,15 @@ def follow_path(
     corner_tolerance: float = CORNER_TOLERANCE,
     lag: float = SERVO_LAG,
 ) -> Array:
-    """Commands at equal intervals that lead along a path, from rest to rest.
+    """Return commands at equal intervals that follow a path, from rest to rest.
 
     Args:
         path: (k, n) configurations, radians.
         velocity_limits: (n,) rad/s.
         acceleration_limits: (n,) rad/s^2.
         interval: Seconds from one command to the next.
-        corner_tolerance: How far in any joint the arm may cut a corner, radians; 0 is not allowed.
-        lag: Time by which the arm lags behind, seconds.
+        corner_tolerance: Largest error of any joint by which the arm may cut a corner, radians; above 0.
+        lag: Lag of the arm behind its commands, seconds.
 
     Returns:
         (m, n) commands, all on the path; the last is its end. m = 0 for a path without length.
@@ -96,7 +109,7 @@ def follow_path(
 def _sample(
     starts: Array, directions: Array, lengths: Array, nodes: Array, top_speeds: Array, ramps: Array, interval: float
 ) -> Array:
-    """Positions at equal intervals under a trapezoidal speed on each segment between the given speeds at its ends."""
+    """Sample positions at equal intervals; segments have trapezoidal speed profiles with given speeds at their ends."""
     first, last = nodes[:-1], nodes[1:]
     peaks = np.minimum(top_speeds, np.sqrt(ramps * lengths + (first**2 + last**2) / 2))
     rising, falling = (peaks - first) / ramps, (peaks - last) / ramps

@@ -1,7 +1,9 @@
-"""A few straight motions from a start to a goal: a tree grows from the goals until it is seen from somewhere.
+"""A roadmap for one episode: goals, and nodes from which a few straight motions lead to them.
 
-The search is a small cousin of a probabilistic roadmap (Kavraki et al., 1996) with the lazy order of Bohlin and Kavraki
-(2000): of all ways that its nodes could make, the shortest is checked first.
+A tree grows from free goals until the start sees one of its nodes, directly or from a posture near the start. The
+search is a small relative of the probabilistic roadmap (Kavraki et al., 1996) with the lazy order of Bohlin and Kavraki
+(2000): of all candidate paths, the shortest is checked first. From then on one rule, in which nothing is learned, gives
+the next waypoint: of the nodes that are visible (the straight motion to them is free), the one on the shortest path.
 """
 
 from __future__ import annotations
@@ -14,119 +16,220 @@ from typing import NamedTuple
 import numpy as np
 
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.motion.collision import CollisionChecker
+from greenhouse_gym.motion.collision import CollisionChecker, planning_model
+from greenhouse_gym.motion.goals import GoalSampler, nearest_free_goals
+from greenhouse_gym.motion.joint_reaches import arm_reaches
 from greenhouse_gym.robots import Robot
+from greenhouse_gym.scene import CompiledScene
+
+ROADMAP_MARGIN = 0.004
+"""Distance kept from obstacles, metres."""
 
 RESOLUTION = 0.04
-"""How far any point of the arm may move between two checks, metres."""
+"""Largest motion of any point of the arm between two collision checks, metres."""
+
+REACHED = 0.01
+"""Largest joint error at which a node counts as reached, radians."""
+
+POSTURES, SPREAD = 96, 1.2
+"""Postures sampled around the start, and the standard deviation of each of their joints, radians."""
 
 GROWTH = ((300, 0.6), (300, 0.6), (300, 0.8), (300, 0.8), (300, 0.8))
-"""How many nodes are tried about the latest ones, and how far each joint is strewn at most, radians; one growth after
-the other, until there are ways enough."""
+"""Generations of the tree: nodes tried around the latest ones, and the largest standard deviation of a joint, radians.
+Growth ends as soon as enough paths are found."""
 
-TRIES, ENOUGH = 1500, 4
-"""Motions to new nodes that are tried after each growth, the shortest ways first, and ways that are enough."""
+MAX_TRIES, ENOUGH_PATHS = 1500, 4
+"""Motions checked after each generation, those of the shortest paths first, and paths that end the search."""
 
 NEAREST = 8
-"""Goals, those nearest to the start, that are kept whether there is a way to them or not."""
+"""Number of goals nearest to the start that are kept even if no path leads to them."""
+
+_CACHE_SIZE = 10_000  # roadmaps kept per scene
+_MAX_MOTIONS = 30  # of a path
 
 
-class Nodes(NamedTuple):
-    """Where an arm may go in an episode.
+class RoadmapNodes(NamedTuple):
+    """Nodes of a roadmap.
 
     Attributes:
-        configurations: (k, j) goals, then nodes of ways to them, radians.
-        costs: (k,) the way from each to its goal, radians: zero for goals.
-        reach: Whether a way from the start to a goal is among them.
+        configurations: (k, j) goals first, then nodes on paths to them, radians.
+        costs: (k,) cost to go: length of the path from each node to its goal, radians; zero for goals.
+        connected: Whether they hold a path from the start to a goal.
     """
 
     configurations: Array
     costs: Array
-    reach: bool
+    connected: bool
+
+
+class Waypoint(NamedTuple):
+    """The next straight motion.
+
+    Attributes:
+        configuration: (j,) its end, radians.
+        cost_to_go: Length of the path from there to the goal, radians.
+        free: Whether the straight motion is known to be free; if not, the configuration is an arbitrary node.
+    """
+
+    configuration: Array
+    cost_to_go: float
+    free: bool
+
+
+class Roadmap:
+    """Free paths to one target from anywhere near the start of an episode.
+
+    Args:
+        nodes: The nodes.
+        checker: Checks motions to them.
+        start: (j,) start of the episode, the waypoint if there are no nodes, radians.
+    """
+
+    def __init__(self, nodes: RoadmapNodes, checker: CollisionChecker, start: Array):
+        self.nodes = nodes
+        self._checker, self._start = checker, start
+
+    def waypoint(self, joints: Array) -> Waypoint:
+        """Return the visible node on the shortest path from joint positions (j,), radians."""
+        configurations, costs, _ = self.nodes
+        if not len(costs):
+            return Waypoint(self._start, 0.0, False)
+        distances = np.sqrt(((configurations - joints) ** 2).sum(axis=-1))
+        distances[(distances < REACHED) & (costs > 0)] = np.inf
+        order = (distances + costs).argsort(kind="stable")
+        if self._checker.is_free(joints):
+            for k in order:
+                if np.isfinite(distances[k]) and self._checker.motion_is_free(joints, configurations[k], RESOLUTION):
+                    return Waypoint(configurations[k], float(costs[k]), True)
+        return Waypoint(configurations[order[0]], float(costs[order[0]]), False)
+
+    def path(self, joints: Array) -> list[Array]:
+        """Return the waypoints (j,) from joint positions (j,) to a goal; empty if none is reached."""
+        waypoints: list[Array] = []
+        for _ in range(_MAX_MOTIONS):
+            waypoint = self.waypoint(waypoints[-1] if waypoints else joints)
+            if not waypoint.free:
+                return []
+            waypoints.append(waypoint.configuration)
+            if waypoint.cost_to_go == 0.0:
+                return waypoints
+        return []
+
+
+class SceneRoadmaps:
+    """Roadmaps of one scene; each is searched once.
+
+    Args:
+        compiled: The scene.
+    """
+
+    def __init__(self, compiled: CompiledScene):
+        self.compiled = compiled
+        self._postures: dict[bytes, Array] = {}  # by start
+        self._nodes: dict[bytes, RoadmapNodes] = {}  # by target, its center, and start
+
+    def roadmap(self, goals: GoalSampler) -> Roadmap:
+        """Return the roadmap from the start of a sampler to the goals that it samples."""
+        model = planning_model(self.compiled, goals.target, ROADMAP_MARGIN)
+        checker = CollisionChecker(model, arm_reaches(self.compiled.robot))
+        key = np.concatenate([[goals.target], goals.center, goals.start]).tobytes()
+        if key not in self._nodes:
+            if len(self._nodes) >= _CACHE_SIZE:
+                self._nodes.clear()
+            free, postures = nearest_free_goals(checker, goals), self._postures_around(checker, goals.start)
+            self._nodes[key] = search_nodes(checker, free, postures, goals.start, self.compiled.robot)
+        return Roadmap(self._nodes[key], checker, goals.start)
+
+    def _postures_around(self, checker: CollisionChecker, start: Array) -> Array:
+        """Return postures (k, j) that a free straight motion leads to from the start, in random order."""
+        key = start.tobytes()
+        if key not in self._postures:
+            robot = self.compiled.robot
+            samples = start + SPREAD * np.random.default_rng(0).normal(size=(POSTURES, len(start)))
+            robot.keep_tool_roll(samples, start)
+            samples = np.clip(samples, robot.lower, robot.upper)
+            free = samples[[checker.motion_is_free(start, posture, RESOLUTION) for posture in samples]]
+            self._postures[key] = free.reshape(-1, len(start))
+        return self._postures[key]
 
 
 @dataclass(frozen=True, eq=False)
 class _Node:
-    """A configuration (j,), the way from it to a goal, radians, and the node to which it goes first: none at a goal."""
+    """A configuration (j,), its cost to go in radians, and the next node on its path; None at a goal."""
 
     configuration: Array
     cost: float
-    towards: _Node | None = None
+    next: _Node | None = None
 
-    def before(self, configuration: Array) -> _Node:
-        """A node that goes here first."""
+    def preceded_by(self, configuration: Array) -> _Node:
+        """Return a node whose path begins with the motion to this one."""
         return _Node(configuration, self.cost + float(np.linalg.norm(configuration - self.configuration)), self)
 
 
-def search_nodes(checker: CollisionChecker, goals: Array, postures: Array, start: Array, robot: Robot) -> Nodes:
-    """Nodes of some short ways from a start to goals, and the nearest goals.
+def search_nodes(checker: CollisionChecker, goals: Array, postures: Array, start: Array, robot: Robot) -> RoadmapNodes:
+    """Search for a few short paths from a start to goals; return their nodes and the nearest goals.
 
     Args:
-        checker: Says which motions are free.
-        goals: (g, j) free goal configurations, those nearest to the start first, radians.
-        postures: (p, j) configurations to which the motion from the start is free.
+        checker: Checks motions.
+        goals: (g, j) free goals, those nearest to the start first, radians.
+        postures: (p, j) configurations that a free straight motion leads to from the start.
         start: (j,) configuration.
-        robot: Its limits hold.
+        robot: The arm whose limits apply.
     """
     if not len(goals) or not checker.is_free(start):
-        return Nodes(goals[:NEAREST], np.zeros(len(goals[:NEAREST])), False)
-    random = np.random.default_rng(0)
+        return RoadmapNodes(goals[:NEAREST], np.zeros(len(goals[:NEAREST])), False)
+    rng = np.random.default_rng(0)
     tree = [_Node(goal, 0.0) for goal in goals]
-    kept = tree[:NEAREST]
-    in_sight = (node for node in tree if checker.inside_is_free(start, node.configuration, RESOLUTION))
-    ways = list(islice(in_sight, ENOUGH))
-    places, latest = np.concatenate([start[None], postures]), tree
+    nearest = tree[:NEAREST]
+    visible = (node for node in tree if checker.inside_is_free(start, node.configuration, RESOLUTION))
+    paths = list(islice(visible, ENOUGH_PATHS))
+    origins, latest = np.concatenate([start[None], postures]), tree
     linked: set[int] = set()
     for generation, (count, spread) in enumerate(GROWTH):
-        if len(ways) == ENOUGH or not latest:
+        if len(paths) == ENOUGH_PATHS or not latest:
             break
-        latest = list(_grown(checker, latest, count, spread, robot, random))
-        new = latest if generation else tree + latest  # no posture has looked for the goals themselves yet
-        for place, node in _by_length(places, new):
-            if place in linked or not checker.inside_is_free(places[place], node.configuration, RESOLUTION):
+        latest = list(_grown(checker, latest, count, spread, robot, rng))
+        new = latest if generation else tree + latest  # motions from postures to the goals were not checked yet
+        for origin, node in _by_length(origins, new):
+            if origin in linked or not checker.inside_is_free(origins[origin], node.configuration, RESOLUTION):
                 continue
-            linked.add(place)
-            ways.append(node.before(places[place]) if place else node)
-            if len(ways) == ENOUGH:
+            linked.add(origin)
+            paths.append(node.preceded_by(origins[origin]) if origin else node)
+            if len(paths) == ENOUGH_PATHS:
                 break
-    return _nodes(kept + ways, bool(ways))
+    return _nodes(nearest + paths, bool(paths))
 
 
 def _grown(
-    checker: CollisionChecker,
-    nodes: Sequence[_Node],
-    count: int,
-    spread: float,
-    robot: Robot,
-    random: np.random.Generator,
+    checker: CollisionChecker, nodes: Sequence[_Node], count: int, spread: float, robot: Robot, rng: np.random.Generator
 ) -> Iterator[_Node]:
-    """New nodes, from which the motion to one of some nodes is free."""
-    for k in random.integers(len(nodes), size=count):
+    """Yield new nodes with a free motion to one of the given nodes."""
+    for k in rng.integers(len(nodes), size=count):
         node = nodes[k]
-        strewn = spread * random.uniform(0.3, 1.0) * random.normal(size=len(node.configuration))
-        strewn[-1] = 0.0  # the tool is round
-        configuration = np.clip(node.configuration + strewn, robot.lower, robot.upper)
+        offset = spread * rng.uniform(0.3, 1.0) * rng.normal(size=len(node.configuration))
+        configuration = np.clip(node.configuration + offset, robot.lower, robot.upper)
+        robot.keep_tool_roll(configuration, node.configuration)
         if checker.motion_is_free(node.configuration, configuration, RESOLUTION):
-            yield node.before(configuration)
+            yield node.preceded_by(configuration)
 
 
-def _by_length(places: Array, nodes: Sequence[_Node]) -> Iterator[tuple[int, _Node]]:
-    """Pairs of a place (index into (p, j), the start first) and a node, those of the shortest ways first."""
-    configurations = np.reshape([node.configuration for node in nodes], (len(nodes), places.shape[1]))
-    ways = np.sqrt(((places - places[0]) ** 2).sum(axis=-1))[:, None] + [node.cost for node in nodes]
-    ways += np.sqrt(((configurations - places[:, None]) ** 2).sum(axis=-1))
-    for k in ways.argsort(axis=None, kind="stable")[:TRIES].tolist():
+def _by_length(origins: Array, nodes: Sequence[_Node]) -> Iterator[tuple[int, _Node]]:
+    """Yield pairs of an origin (index into (p, j), the start first) and a node, shortest paths first."""
+    configurations = np.reshape([node.configuration for node in nodes], (len(nodes), origins.shape[1]))
+    lengths = np.sqrt(((origins - origins[0]) ** 2).sum(axis=-1))[:, None] + [node.cost for node in nodes]
+    lengths += np.sqrt(((configurations - origins[:, None]) ** 2).sum(axis=-1))
+    for k in lengths.argsort(axis=None, kind="stable")[:MAX_TRIES].tolist():
         yield k // len(nodes), nodes[k % len(nodes)]
 
 
-def _nodes(ends: Iterable[_Node], reach: bool) -> Nodes:
-    """Some nodes, and those that follow on their ways."""
+def _nodes(ends: Iterable[_Node], connected: bool) -> RoadmapNodes:
+    """Collect some nodes and all that follow on their paths."""
     found: dict[int, _Node] = {}
     for end in ends:
         node: _Node | None = end
         while node is not None:
             found[id(node)] = node
-            node = node.towards
+            node = node.next
     ordered = sorted(found.values(), key=lambda node: node.cost > 0)
     configurations = np.array([node.configuration for node in ordered])
-    return Nodes(configurations, np.array([node.cost for node in ordered]), reach)
+    return RoadmapNodes(configurations, np.array([node.cost for node in ordered]), connected)

@@ -1,4 +1,4 @@
-"""What a scan did not see is not free: unknown voxels as obstacles for planning."""
+"""Unknown space as an obstacle: boxes over the voxels that a scan did not observe."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.errors import InvalidValueError, require_choice
 from greenhouse_gym.geometry import Array, Box, bounding_balls, distance_to_shapes
 from greenhouse_gym.motion.collision import CollisionChecker, planning_model
-from greenhouse_gym.motion.reach import arm_reaches
+from greenhouse_gym.motion.joint_reaches import arm_reaches
+from greenhouse_gym.motion.path import along_path
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.robots.kinematics import Chain, tool_chain, tool_state
 from greenhouse_gym.scene import Scene
@@ -32,16 +33,16 @@ from greenhouse_gym.scene.occupancy import (
 )
 
 UNKNOWN_RULES = ("free", "avoid", "forbid")
-"""What planners make of unknown space: nothing; a place to keep out of as far as can be; an obstacle."""
+"""Rules for unknown space: it is free, avoided if possible, or an obstacle."""
 
 DEPTHS = (0.0, 0.1, 0.15, 0.2, float("inf"))
-"""Depths in metres that a path may enter unknown space, in the order in which "avoid" tries them."""
+"""Depths in unknown space that "avoid" tries in turn, metres; the last one is no limit."""
 
-_RESOLUTION = 0.02  # metres, at which a path's way through unknown space is measured
+_RESOLUTION = 0.02  # metres, at which the length of a path in unknown space is measured
 
 
 def depths_of(rule: str | float) -> tuple[float, ...]:
-    """How deep the arm may go into unknown space by a rule, metres: what is tried, one after the other.
+    """Return the depths in unknown space that a rule allows in turn, metres.
 
     Raises:
         UnknownNameError: No such rule.
@@ -56,10 +57,10 @@ def depths_of(rule: str | float) -> tuple[float, ...]:
 
 
 def occupancy_of(scene: Scene) -> OccupancyGrid:
-    """What a scan saw of a scene's space.
+    """Return a scene's occupancy.
 
     Raises:
-        InvalidValueError: The scene does not say; the message tells what helps.
+        InvalidValueError: The scene has none; the message gives the alternatives.
     """
     return require_occupancy(
         scene.occupancy,
@@ -70,16 +71,16 @@ def occupancy_of(scene: Scene) -> OccupancyGrid:
 
 
 def unknown_boxes(scene: Scene, robot: Robot, start: npt.ArrayLike, depth: float = 0.0) -> list[Box]:
-    """Boxes over the unknown space within reach in which no arm may be.
+    """Return boxes over the unknown space within reach that the arm must not enter.
 
-    Known, though not seen, is where the arm and its cart stand, and the inside of tomatoes. Beyond the reach the boxes
-    go on or end, as it takes fewer of them.
+    The space of the arm and its cart at the start counts as known, and so does the inside of tomatoes. Beyond the reach
+    the boxes extend or end, whichever takes fewer of them.
 
     Args:
-        scene: The scene; it must know what was seen.
+        scene: The scene; it must have an occupancy.
         robot: The arm.
-        start: (joints,) where it stands, radians.
-        depth: How far from seen space unknown space is still allowed, metres.
+        start: (joints,) its configuration, radians.
+        depth: Distance from known space up to which unknown space may be entered, metres.
     """
     space = occupancy_of(scene)
     depths, beyond = _depths(ByIdentity(scene), robot, tuple(np.asarray(start, dtype=np.float64).tolist()))
@@ -87,17 +88,17 @@ def unknown_boxes(scene: Scene, robot: Robot, start: npt.ArrayLike, depth: float
 
 
 def guarded(scene: Scene, robot: Robot, start: npt.ArrayLike, depth: float = 0.0) -> CompiledScene:
-    """Compile a scene for planning with the boxes of `unknown_boxes` as clutter; recent results are cached."""
+    """Compile a scene with `unknown_boxes` as additional clutter; the last results are cached."""
     return _guarded(ByIdentity(scene), robot, tuple(np.asarray(start, dtype=np.float64).tolist()), float(depth))
 
 
 def unknown_length(scene: Scene, robot: Robot, path: Array) -> float:
-    """Length of the tip's way along a path (k, joints) while some of the arm is in unknown space, metres."""
+    """Return the length of the tip's path with any part of the arm in unknown space, for a path (k, joints), metres."""
     return unknown_lengths(scene, robot, [path])[0][0]
 
 
 def unknown_lengths(scene: Scene, robot: Robot, paths: Sequence[Array]) -> list[tuple[float, float]]:
-    """The tip's way along paths (k, joints) from one start, metres: with some of the arm in unknown space, and all."""
+    """Return `unknown_length` and the whole length of the tip's path, metres, of paths (k, joints) from one start."""
     compiled = guarded(scene, robot, paths[0][0])
     model = planning_model(compiled, 0, margin=0.0, pairs=("clutter",))
     first = compiled.obstacle_geoms.start + len(scene.tomatoes) + len(scene.stems)
@@ -105,22 +106,20 @@ def unknown_lengths(scene: Scene, robot: Robot, paths: Sequence[Array]) -> list[
     model.geom_contype[known] = model.geom_conaffinity[known] = 0
     checker = CollisionChecker(model, arm_reaches(robot))
     chain = tool_chain(compiled.model, compiled.tip_site)
-    return [_unknown_and_all(checker, chain, np.asarray(path)) for path in paths]
+    return [_unknown_and_whole(checker, chain, np.asarray(path)) for path in paths]
 
 
-def _unknown_and_all(checker: CollisionChecker, chain: Chain, path: Array) -> tuple[float, float]:
-    """As `unknown_lengths`, by a checker to which unknown space is an obstacle."""
-    way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(path, axis=0)) @ checker.reaches)])
-    places = np.linspace(0.0, way[-1], 1 + int(np.ceil(way[-1] / _RESOLUTION)))
-    between = np.stack([np.interp(places, way, joint) for joint in path.T], axis=-1)
-    inside = np.array([not checker.is_free(q) for q in between])
-    steps = np.linalg.norm(np.diff(tool_state(chain, between, 0.0).point, axis=0), axis=-1)
+def _unknown_and_whole(checker: CollisionChecker, chain: Chain, path: Array) -> tuple[float, float]:
+    """Return both lengths of a path by a checker for which only unknown space is an obstacle."""
+    configurations = along_path(path, checker.reaches, _RESOLUTION)
+    inside = np.array([not checker.is_free(q) for q in configurations])
+    steps = np.linalg.norm(np.diff(tool_state(chain, configurations, 0.0).point, axis=0), axis=-1)
     return float(steps[inside[:-1] | inside[1:]].sum()), float(steps.sum())
 
 
 @dataclass(frozen=True, eq=False)
 class ByIdentity:
-    """A scene as a key, by its identity: scenes are never changed."""
+    """A scene as a cache key, compared by identity: scenes are never changed."""
 
     scene: Scene
 
@@ -132,8 +131,8 @@ class ByIdentity:
 
 
 @lru_cache(maxsize=16)
-def _guarded(kept: ByIdentity, robot: Robot, start: tuple[float, ...], depth: float) -> CompiledScene:
-    scene = kept.scene
+def _guarded(key: ByIdentity, robot: Robot, start: tuple[float, ...], depth: float) -> CompiledScene:
+    scene = key.scene
     if np.isinf(depth):
         return compile_scene(scene, robot)
     boxes = unknown_boxes(scene, robot, start, depth)
@@ -141,9 +140,9 @@ def _guarded(kept: ByIdentity, robot: Robot, start: tuple[float, ...], depth: fl
 
 
 @lru_cache(maxsize=4)
-def _depths(kept: ByIdentity, robot: Robot, start: tuple[float, ...]) -> tuple[Array, Cells]:
-    """How deep each voxel (x, y, z) lies in unknown space, metres, 0 where it is known; and those beyond the reach."""
-    scene = kept.scene
+def _depths(key: ByIdentity, robot: Robot, start: tuple[float, ...]) -> tuple[Array, Cells]:
+    """Return the depth (x, y, z) of each voxel in unknown space, metres, 0 if known; and which lie beyond the reach."""
+    scene = key.scene
     space = occupancy_of(scene)
     unknown = space.states == UNKNOWN
     if unknown.all():
@@ -161,7 +160,7 @@ def _depths(kept: ByIdentity, robot: Robot, start: tuple[float, ...]) -> tuple[A
 
 
 def _inside_tomatoes(points: Array, tomatoes: Sequence[Tomato]) -> npt.NDArray[np.bool_]:
-    """Which of points (n, 3) lie inside of a tomato, (n,)."""
+    """Return which points (n, 3) lie inside a tomato, (n,)."""
     inside = np.zeros(len(points), dtype=np.bool_)
     if tomatoes:
         shapes = [tomato.shape for tomato in tomatoes]
@@ -173,7 +172,7 @@ def _inside_tomatoes(points: Array, tomatoes: Sequence[Tomato]) -> npt.NDArray[n
 
 
 def boxes_around_arm(scene: Scene, robot: Robot, start: npt.ArrayLike) -> list[tuple[Array, Array, Array]]:
-    """Center, half extents and rotation of a box around each geom of the arm at its start, and of its cart."""
+    """Return center, half extents and rotation of a box around each geom of the arm at its start and of its cart."""
     bare = Scene(name=scene.name, placement=scene.placement, provenance=scene.provenance)
     model = compile_scene(bare, robot).model
     data = mujoco.MjData(model)

@@ -24,8 +24,8 @@ from greenhouse_gym.errors import FileFormatError, InvalidValueError, require_se
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.collision import COARSE, PROOF, CollisionChecker, path_clearance, planning_model
 from greenhouse_gym.motion.goals import search_goals
+from greenhouse_gym.motion.joint_reaches import arm_reaches
 from greenhouse_gym.motion.proof import ProvingChecker
-from greenhouse_gym.motion.reach import arm_reaches
 from greenhouse_gym.motion.unknown_space import depths_of, guarded, unknown_lengths
 from greenhouse_gym.planning.own_planners import PlannerFailedError
 from greenhouse_gym.planning.query import plan_with

@@ -233,7 +233,7 @@ class _Search:
         ends_free = self._known_free(tuple(second.tolist())) and self._known_free(tuple(first.tolist()))
         if ends_free and self.checker.inside_is_free(first, second, self.resolution):
             return 1.0
-        return 0.0 if whole or self.exhausted() else self.checker.free_share(first, second, self.resolution)
+        return 0.0 if whole or self.exhausted() else self.checker.free_fraction(first, second, self.resolution)
 
     def _known_free(self, configuration: tuple[float, ...]) -> bool:
         """Return whether a configuration is free; most are cached, as ends of other motions."""

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from greenhouse_gym.errors import InvalidValueError, require_seed
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.motion.caution import with_margin, with_unexplained_cells
 from greenhouse_gym.motion.collision import (
     COARSE,
     COLLISION_PAIRS,
@@ -21,9 +22,7 @@ from greenhouse_gym.motion.collision import (
     path_clearance,
 )
 from greenhouse_gym.motion.goals import Goals, sample_budget, search_goals
-from greenhouse_gym.motion.margins import with_margin
 from greenhouse_gym.motion.path import path_length
-from greenhouse_gym.motion.unexplained_cells import with_unexplained_cells
 from greenhouse_gym.motion.unknown_space import depths_of, guarded, occupancy_of, unknown_length
 from greenhouse_gym.planning.own_planners import PlannerFailedError, run_own_planner
 from greenhouse_gym.planning.parameters import Value
@@ -96,9 +95,9 @@ def plan(
             attempt gets an eighth of the remaining time and checks, the last one all of them. Unless it is "free", the
             result reports the length of the path through unknown space.
         margin: Distance to keep from boxes of clutter, metres, except from those next to the start: leaves extend
-            beyond their scan, see `greenhouse_gym.motion.margins`.
+            beyond their scan, see `greenhouse_gym.motion.caution`.
         unexplained: True to avoid cells where the scan saw a surface that no shape explains, see
-            `greenhouse_gym.motion.unexplained_cells`.
+            `greenhouse_gym.motion.caution`.
 
     Raises:
         UnknownNameError: No such planner, parameter, arm or collision pair.
@@ -179,7 +178,7 @@ def plan_with(
         return PlanResult("no_goal", None, planner)
     if info.single_goal:
         # the motion back to the start is free for longest: cheaper to reach than the nearest goal or a random one
-        goals = goals[np.argmax([checker.free_share(end, origin, COARSE) for end in goals])][None]
+        goals = goals[np.argmax([checker.free_fraction(end, origin, COARSE) for end in goals])][None]
     query = PlannerQuery(
         model=checker.model,
         reaches=checker.reaches,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -14,9 +15,12 @@ import numpy.typing as npt
 
 from greenhouse_gym.errors import require_choice
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.robots.kinematics import tool_chain
 from greenhouse_gym.robots.prepare import CUP_GEOM, TIP_SITE, prepare_spec
 
 __all__ = ["CUP_GEOM", "TIP_SITE", "Robot"]
+
+_ALIGNED = 1e-6  # largest sine of an angle between two axes, and largest distance (m) from one, that count as zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +77,20 @@ class Robot:
         if start is None:
             return self.start
         return self.starts[require_choice("start", start, self.starts)] if isinstance(start, str) else start
+
+    @cached_property
+    def rolls_tool(self) -> bool:
+        """True if the last joint turns the tool about its own axis, which moves nothing if the tool is round."""
+        model = self.spec().compile()
+        chain = tool_chain(model, model.site(TIP_SITE).id)
+        axis, tip = chain.axes[-1], chain.offsets[-1]
+        off_axis = np.linalg.norm(np.cross(axis, tip[:3, 2:].T), axis=1)  # of the tool's axis and of the tip
+        return not chain.sliding[-1] and bool((off_axis < _ALIGNED).all())
+
+    def keep_tool_roll(self, configurations: Array, reference: Array) -> None:
+        """Give configurations (..., n) the tool roll of a reference (n,), in place; no effect on arms without one."""
+        if self.rolls_tool:
+            configurations[..., -1] = reference[-1]
 
     def spec(self) -> mujoco.MjSpec:
         """Return a new, editable MuJoCo specification of the arm alone."""

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
+from still_agent import StillAgent
 
-from greenhouse_gym.agents import Agent, PlannerAgent, RandomAgent, StillAgent, StraightLineAgent
+from greenhouse_gym.agents import Agent, PlannerAgent, RandomAgent, StraightLineAgent
+from greenhouse_gym.agents.agent import action_towards
 from greenhouse_gym.envs.actions import ACTIONS
 from greenhouse_gym.evaluation import AgentError, compare, evaluate
 from greenhouse_gym.scene import SceneBank
@@ -35,3 +38,9 @@ def test_planned_paths_are_followed_with_every_joint_action(bank: SceneBank, act
 def test_agents_on_joint_paths_refuse_actions_of_the_tip(bank: SceneBank, agent: Agent) -> None:
     with pytest.raises(AgentError, match="action='joint' or 'joint_velocity' only, got TipVelocity"):
         evaluate(agent, episodes=1, bank=bank, action="tip_velocity")
+
+
+def test_actions_keep_the_direction_to_a_waypoint() -> None:
+    action = action_towards(np.array([0.4, -0.2, 0.0]), np.zeros(3), np.full(3, 0.08))
+    np.testing.assert_allclose(action, [1.0, -0.5, 0.0])
+    np.testing.assert_allclose(action_towards(np.array([0.04]), np.zeros(1), np.array([0.08])), [0.5])

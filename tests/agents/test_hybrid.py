@@ -2,7 +2,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from greenhouse_gym.agents import HybridAgent, PlannerAgent, Problem, StillAgent
+from still_agent import StillAgent
+
+from greenhouse_gym.agents import HybridAgent, PlannerAgent, Problem
 from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.scene import SceneBank
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from greenhouse_gym.agents import PlannerAgent, PolicyAgent, StillAgent, StraightLineAgent, named
+from greenhouse_gym.agents import PlannerAgent, PolicyAgent, RandomAgent, StraightLineAgent, named
 from greenhouse_gym.agents.named import make_agent
 from greenhouse_gym.agents.policy_agent import BEST
 from greenhouse_gym.cli.comparing import watch
@@ -14,11 +14,11 @@ from greenhouse_gym.errors import FileFormatError, InvalidValueError, MissingDep
 
 
 def test_names_of_every_kind() -> None:
-    assert isinstance(make_agent("still"), StillAgent)
+    assert isinstance(make_agent("random"), RandomAgent)
     assert isinstance(make_agent("straight-line"), StraightLineAgent)
     assert isinstance(make_agent("RRTConnect"), PlannerAgent)
     assert isinstance(make_agent("ppo-ur5e"), PolicyAgent)
-    assert isinstance(make_agent("greenhouse_gym.agents:StillAgent"), StillAgent)
+    assert isinstance(make_agent("greenhouse_gym.agents:RandomAgent"), RandomAgent)
 
 
 class WithoutOmpl(Mapping[str, object]):

@@ -6,13 +6,13 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from still_agent import StillAgent
 
 from greenhouse_gym.agents import (
     Agent,
     PlannerAgent,
     Problem,
     RandomAgent,
-    StillAgent,
     StraightLineAgent,
     planner_agent,
 )

@@ -132,7 +132,7 @@ def test_what_a_file_cannot_hold_is_not_written(policy: Policy, tmp_path: Path) 
         ({"biases": policy.biases[::-1]}, r"layer_0.bias must be float32 of shape \(5,\)"),
         ({"scale": np.zeros(4, dtype=np.float32)}, "scale has zeros"),
         ({"biases": (policy.biases[0] * np.nan, policy.biases[1])}, "not finite"),
-        ({"training": {"by": object()}}, "no JSON"),
+        ({"training": {"by": object()}}, "not JSON"),
     ):
         with pytest.raises(InvalidValueError, match=told):
             Policy(**{**vars(policy), **changed}).save(tmp_path / "p")

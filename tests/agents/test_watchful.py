@@ -1,4 +1,4 @@
-"""The agent that knows the scan and looks at what it does not show, and what it goes by."""
+"""The agent that knows the scan and observes unknown space, and its maps and viewpoints."""
 
 from __future__ import annotations
 
@@ -10,20 +10,21 @@ import numpy as np
 import pytest
 from occupancy_helpers import known_where, with_surface_at
 
-from greenhouse_gym.agents import CarefulAgent, Problem, watchful
+from greenhouse_gym.agents import Problem, watchful
 from greenhouse_gym.agents.agent import Agent
-from greenhouse_gym.agents.careful import CAREFUL_DEPTHS, Care
-from greenhouse_gym.agents.knowledge import ROOM, Knowledge
-from greenhouse_gym.agents.views import DEPTHS, WORTH, views, visible
-from greenhouse_gym.agents.watchful import WatchfulAgent, cares_with
+from greenhouse_gym.agents.local_map import CLEARANCE, LocalMap
+from greenhouse_gym.agents.planner_agent import PathFollower
+from greenhouse_gym.agents.viewpoints import DEPTHS, MIN_GAIN, initial_view, viewpoints, visible
+from greenhouse_gym.agents.watchful import CAUTION_DEPTHS, WatchfulAgent, caution_levels
 from greenhouse_gym.envs import TomatoReachEnv
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Box, distance_to_shapes
-from greenhouse_gym.motion.arm_spheres import ArmBalls, arm_balls
+from greenhouse_gym.motion.arm_spheres import ArmSpheres, arm_spheres
+from greenhouse_gym.motion.caution import CautionLevel, unexplained_cells, with_margin
 from greenhouse_gym.motion.collision import CollisionChecker, planning_model
-from greenhouse_gym.motion.margins import with_margin
-from greenhouse_gym.motion.reach import arm_reaches
-from greenhouse_gym.motion.unexplained_cells import unexplained_cells
+from greenhouse_gym.motion.goals import GoalSampler
+from greenhouse_gym.motion.joint_reaches import arm_reaches
+from greenhouse_gym.motion.roadmap import Roadmap, SceneRoadmaps
 from greenhouse_gym.planning import PlanResult
 from greenhouse_gym.rendering.cameras import MAX_RANGE, DepthCamera
 from greenhouse_gym.robots import get_robot
@@ -33,29 +34,43 @@ from greenhouse_gym.scene.mjcf import base_position
 
 ARM = get_robot("ur5e")
 TARGET = 4
-CARES = cares_with(0.0, unexplained=False, depth=0.1)
+LEVELS = caution_levels(0.0, unexplained=False, depth=0.1)
 CAMERA = DepthCamera()
 
 
+class Follower:
+    """Follow the roadmap of the scan without looking."""
+
+    name, env_options = "follower", {}
+
+    def reset(self, problem: Problem) -> None:
+        compiled = compile_scene(problem.scene, problem.robot)
+        roadmap = SceneRoadmaps(compiled).roadmap(GoalSampler(compiled, problem.target, problem.start))
+        self._follower = PathFollower(np.array([problem.start, *roadmap.path(problem.start)]), problem)
+
+    def act(self, observation: object) -> np.ndarray:
+        return self._follower.action()
+
+
 @pytest.fixture(scope="module")
-def balls() -> ArmBalls:
-    return arm_balls(ARM)
+def arm() -> ArmSpheres:
+    return arm_spheres(ARM)
 
 
 @pytest.fixture(scope="module")
 def hung(scene: Scene) -> Scene:
     """The scene with a leaf where the tip goes that follows the scan, which knows nothing of it."""
-    tips = played(CarefulAgent(), scene, scene)[1]
+    tips = played(Follower(), scene, scene)[1]
     leaf = Box(tips[3 * len(tips) // 4], [0.02, 0.02, 0.02], np.eye(3))
     return scene.model_copy(update={"clutter": (*scene.clutter, leaf)})
 
 
 def played(agent: Agent, told: Scene, true: Scene) -> tuple[str, np.ndarray]:
-    """How the episode of an agent ends that is told one scene and acts in another, and (steps, 3) where its tip was."""
+    """Run an agent that knows one scene in another; return the outcome and the positions (steps, 3) of its tip."""
     env = TomatoReachEnv(bank="mini", **agent.env_options)
     observation, info = env.reset(options={"scene": true, "target": TARGET})
     agent.reset(Problem(told, TARGET, ARM, env.start))
-    chain, base, tips = arm_balls(ARM).chain, base_position(told, ARM), []
+    chain, base, tips = arm_spheres(ARM).chain, base_position(told, ARM), []
     over = False
     while not over:
         observation, _, terminated, truncated, info = env.step(agent.act(observation))
@@ -66,7 +81,7 @@ def played(agent: Agent, told: Scene, true: Scene) -> tuple[str, np.ndarray]:
 
 
 def test_it_goes_around_what_the_scan_does_not_show(scene: Scene, hung: Scene) -> None:
-    assert played(CarefulAgent(), scene, hung)[0] == "collided", "the leaf is in the way"
+    assert played(Follower(), scene, hung)[0] == "collided", "the leaf is in the way"
     assert played(WatchfulAgent(), scene, hung)[0] == "reached"
 
 
@@ -107,19 +122,28 @@ def test_a_depth_or_an_image_without_a_meaning_is_refused() -> None:
 
 
 def test_a_margin_comes_before_depth_and_goes_at_last() -> None:
-    cares, usual = cares_with(0.02, unexplained=False, depth=0.1), cares_with(0.0, unexplained=False, depth=0.1)
-    assert cares == [Care(0.02, 0.1), Care(0.02, 0.2), Care(0.01, 0.2), Care(0.0, 0.2), Care(0.0, np.inf)]
-    assert usual == [Care(0.0, depth) for depth in CAREFUL_DEPTHS]
+    levels, defaults = (
+        caution_levels(0.02, unexplained=False, depth=0.1),
+        caution_levels(0.0, unexplained=False, depth=0.1),
+    )
+    assert levels == [
+        CautionLevel(0.02, 0.1),
+        CautionLevel(0.02, 0.2),
+        CautionLevel(0.01, 0.2),
+        CautionLevel(0.0, 0.2),
+        CautionLevel(0.0, np.inf),
+    ]
+    assert defaults == [CautionLevel(0.0, depth) for depth in CAUTION_DEPTHS]
 
 
 @pytest.mark.parametrize("margin", [0.0, 0.02])
 def test_surfaces_without_a_shape_are_left_out_of_account_at_last(margin: float) -> None:
-    cares = cares_with(margin, unexplained=True, depth=0.05)
-    heeding = [care for care in cares if care.unexplained]
-    assert cares[: len(heeding)] == heeding
-    assert heeding[:2] == [Care(margin, 0.05, unexplained=True), Care(margin, 0.1, unexplained=True)]
-    assert heeding[-1] == Care(0.0, np.inf, unexplained=True)
-    assert cares[-2:] == [Care(0.0, 0.2), Care(0.0, np.inf)]
+    levels = caution_levels(margin, unexplained=True, depth=0.05)
+    heeding = [level for level in levels if level.unexplained]
+    assert levels[: len(heeding)] == heeding
+    assert heeding[:2] == [CautionLevel(margin, 0.05, unexplained=True), CautionLevel(margin, 0.1, unexplained=True)]
+    assert heeding[-1] == CautionLevel(0.0, np.inf, unexplained=True)
+    assert levels[-2:] == [CautionLevel(0.0, 0.2), CautionLevel(0.0, np.inf)]
 
 
 def planned_way(scene: Scene, margin: float) -> list[np.ndarray]:
@@ -128,12 +152,12 @@ def planned_way(scene: Scene, margin: float) -> list[np.ndarray]:
         Problem(scene, TARGET, ARM, ARM.start),
         scene.tomatoes[TARGET].center,
         CAMERA,
-        cares_with(margin, unexplained=False, depth=0.1),
+        caution_levels(margin, unexplained=False, depth=0.1),
         False,
     )
-    care = episode._plan(ARM.start)[1]
-    assert care == Care(margin, np.inf), "the scene does not say what was seen of it"
-    return [ARM.start, *episode._way]
+    level = episode._plan(ARM.start)[1]
+    assert level == CautionLevel(margin, np.inf), "the scene does not say what was seen of it"
+    return [ARM.start, *episode._path]
 
 
 def keeps(way: list[np.ndarray], scene: Scene, margin: float) -> bool:
@@ -145,7 +169,7 @@ def keeps(way: list[np.ndarray], scene: Scene, margin: float) -> bool:
 
 def test_with_a_margin_its_way_keeps_from_what_the_scan_shows(scene: Scene) -> None:
     way = planned_way(scene, 0.0)
-    tip = tool_state(arm_balls(ARM).chain, (way[0] + way[1])[None] / 2).point[0] + base_position(scene, ARM)
+    tip = tool_state(arm_spheres(ARM).chain, (way[0] + way[1])[None] / 2).point[0] + base_position(scene, ARM)
     leaves = [Box(tip + [0.0, 0.0, up], [0.02, 0.02, 0.005], np.eye(3)) for up in np.arange(0.0, 0.3, 0.01)]
     leafy = [scene.model_copy(update={"clutter": (*scene.clutter, leaf)}) for leaf in leaves]
     beside = next(each for each in leafy if keeps(way, each, 0.005))
@@ -164,9 +188,9 @@ def test_where_nothing_else_leads_on_it_goes_back_as_it_came(scene: Scene, monke
         path = np.array([start, goal]) if found else None
         return PlanResult("solved" if found else "approximate", path, "RRTConnect")
 
-    monkeypatch.setattr(watchful, "_followed", lambda ways, command: [])
+    monkeypatch.setattr(Roadmap, "path", lambda roadmap, joints: [])
     monkeypatch.setattr(watchful, "plan", planned)
-    monkeypatch.setattr(watchful, "LOOKS", 0)
+    monkeypatch.setattr(watchful, "MAX_LOOKS", 0)
     env = TomatoReachEnv(bank="mini", **WatchfulAgent().env_options)
     observation, _ = env.reset(options={"scene": scene, "target": TARGET})
     agent = WatchfulAgent()
@@ -199,21 +223,21 @@ def test_where_it_would_stay_it_asks_again_but_not_for_ever(scene: Scene, monkey
             "solved" if found else "approximate", np.array([start, goal]) if found else None, "RRTConnect"
         )
 
-    monkeypatch.setattr(watchful, "_followed", lambda ways, command: [])
+    monkeypatch.setattr(Roadmap, "path", lambda roadmap, joints: [])
     monkeypatch.setattr(watchful, "plan", planned)
-    monkeypatch.setattr(watchful, "LOOKS", 0)
+    monkeypatch.setattr(watchful, "MAX_LOOKS", 0)
     image = np.zeros((48, 64), dtype=np.float32)
     for finds in (True, False):
         asked.clear()
         episode = watchful._Episode(
-            Problem(told, TARGET, ARM, ARM.start, 40), scene.tomatoes[TARGET].center, CAMERA, CARES, False
+            Problem(told, TARGET, ARM, ARM.start, 40), scene.tomatoes[TARGET].center, CAMERA, LEVELS, False
         )
-        episode._way = []
-        acted = [episode.act(image, ARM.start, ARM.start) for _ in range(watchful.PLANS + watchful.MORE + 3)]
+        episode._path = []
+        acted = [episode.act(image, ARM.start, ARM.start) for _ in range(watchful.MAX_PLANS + watchful.EXTRA_PLANS + 3)]
         first, again = asked[:2], asked[2:]
         assert [each["seed"] for each in first] == [40, 40], "from where it is, and from the start"
-        careful = watchful.PLANS - watchful.FREE - 1
-        seeds = np.repeat(41 + np.arange(1, watchful.PLANS + watchful.MORE), 2)[: len(again)]
+        careful = watchful.MAX_PLANS - watchful.FREE_PLANS - 1
+        seeds = np.repeat(41 + np.arange(1, watchful.MAX_PLANS + watchful.EXTRA_PLANS), 2)[: len(again)]
         assert [each["seed"] for each in again] == seeds.tolist()
         assert [each["unknown"] for each in again[: 2 * careful]] == [0.2] * (2 * careful)
         if finds:
@@ -221,11 +245,11 @@ def test_where_it_would_stay_it_asks_again_but_not_for_ever(scene: Scene, monkey
             assert np.abs(acted[-1]).max() > 0, "it goes"
             assert episode.status == f"{careful + 2}, inf"
         else:
-            assert len(again) == 2 * (watchful.PLANS + watchful.MORE - 1)
-            more = [0.2] * watchful.MORE + ["free"] * watchful.MORE
+            assert len(again) == 2 * (watchful.MAX_PLANS + watchful.EXTRA_PLANS - 1)
+            more = [0.2] * watchful.EXTRA_PLANS + ["free"] * watchful.EXTRA_PLANS
             assert [each["unknown"] for each in again[-len(more) :]] == more
             assert not np.abs(acted).any(), "it stays"
-            assert episode.status == f"{watchful.PLANS + watchful.MORE}, no way"
+            assert episode.status == f"{watchful.MAX_PLANS + watchful.EXTRA_PLANS}, no path"
 
 
 def test_a_box_of_the_scan_in_which_it_sees_nothing_is_no_obstacle_in_the_end(scene: Scene) -> None:
@@ -234,23 +258,23 @@ def test_a_box_of_the_scan_in_which_it_sees_nothing_is_no_obstacle_in_the_end(sc
     told = known_where(scene.model_copy(update={"clutter": (*scene.clutter, box)}), None)
     agent = WatchfulAgent()
     assert played(agent, told, scene)[0] == "reached"
-    assert int(agent.status.split(",")[0]) > watchful.PLANS
+    assert int(agent.status.split(",")[0]) > watchful.MAX_PLANS
 
 
 def test_the_camera_stands_for_boxes_that_it_has_looked_at_and_for_no_others(scene: Scene) -> None:
     env = TomatoReachEnv(bank="mini", observation="depth")
     base = base_position(scene, ARM)
     target = scene.tomatoes[TARGET].center - base
-    aims = next(views(arm_balls(ARM), ARM, ARM.start, target[None], lambda at: np.zeros(len(at), bool), _dice()))[0]
+    aims = first_viewpoint(target)
     leaf = Box(scene.tomatoes[TARGET].center + [-0.1, 0.0, 0.0], [0.002, 0.03, 0.03], np.eye(3))
     about = Box(leaf.center, [0.04, 0.05, 0.05], np.eye(3))
     away = Box(base + [-0.5, 0.0, 0.5], [0.05, 0.05, 0.05], np.eye(3))
     true = scene.model_copy(update={"clutter": (*scene.clutter, leaf)})
     told = scene.model_copy(update={"clutter": (about, away)})
     observation, _ = env.reset(options={"scene": true, "target": TARGET, "start": aims})
-    known = Knowledge(Problem(told, TARGET, ARM, env.start), target, CAMERA)
+    known = LocalMap(Problem(told, TARGET, ARM, env.start), target, CAMERA)
     known.add(observation["depth"][0] * MAX_RANGE, aims)
-    on_leaf = distance_to_shapes(known.boxed + base, [leaf])[:, 0] < 1e-3
+    on_leaf = distance_to_shapes(known.points_at_boxes + base, [leaf])[:, 0] < 1e-3
     assert on_leaf.any()
     assert not (distance_to_shapes(known.points + base, [leaf]) < 1e-3).any(), "the scan's box stands for it"
     trusting, wary = (known.scene(aims, 0.004, boxes).clutter for boxes in (True, False))
@@ -262,31 +286,31 @@ def test_the_camera_stands_for_boxes_that_it_has_looked_at_and_for_no_others(sce
 
 def test_what_it_went_back_on_is_forgotten(scene: Scene) -> None:
     episode = watchful._Episode(
-        Problem(scene, TARGET, ARM, ARM.start), scene.tomatoes[TARGET].center, CAMERA, CARES, False
+        Problem(scene, TARGET, ARM, ARM.start), scene.tomatoes[TARGET].center, CAMERA, LEVELS, False
     )
     start, there, farther = ARM.start, ARM.start + 0.1, ARM.start + 0.2
-    episode._came = [start]
+    episode._trail = [start]
     for place in (there, farther, there, start, farther):
         episode._arrive(place)
-    assert [each is place for each, place in zip(episode._came, (start, farther), strict=True)] == [True, True]
+    assert [each is place for each, place in zip(episode._trail, (start, farther), strict=True)] == [True, True]
 
 
-def test_it_says_so_where_it_was_not_reset() -> None:
+def test_it_must_be_reset_before_it_acts() -> None:
     with pytest.raises(RuntimeError, match="reset"):
         WatchfulAgent().act(None)
 
 
-def test_what_is_known_grows_with_the_images(scene: Scene, hung: Scene, balls: ArmBalls) -> None:
+def test_what_is_known_grows_with_the_images(scene: Scene, hung: Scene, arm: ArmSpheres) -> None:
     env = TomatoReachEnv(bank="mini", observation="depth")
     base = base_position(scene, ARM)
     target = scene.tomatoes[TARGET].center - base
     leaf = hung.clutter[-1].center - base
-    aims = next(views(balls, ARM, ARM.start, leaf[None], lambda places: np.zeros(len(places), bool), _dice()))[0]
+    aims = first_viewpoint(leaf)
     told = known_where(scene, 0.0)
     observation, _ = env.reset(options={"scene": hung, "target": TARGET, "start": aims})
-    known = Knowledge(Problem(told, TARGET, ARM, env.start), target, CAMERA)
+    known = LocalMap(Problem(told, TARGET, ARM, env.start), target, CAMERA)
     way = np.array([aims, aims + [0.0, 0.3, 0.0, 0.0, 0.0, 0.0]])
-    dark = known.dark(way)
+    dark = known.unobserved(way)
     assert not known.blocked(way)
     assert len(known.scene(aims, 0.01).clutter) == len(scene.clutter)
 
@@ -299,50 +323,61 @@ def test_what_is_known_grows_with_the_images(scene: Scene, hung: Scene, balls: A
     assert (distance_to_shapes(known.points + base, boxes).min(axis=1) < 1e-9).all()
     assert then.occupancy is not None
     assert then.occupancy.states.astype(bool).sum() > told.occupancy.states.astype(bool).sum()  # type: ignore[union-attr]
-    assert len(known.dark(way)) < len(dark)
-    unlooked = known.unlooked()
-    assert 0 < len(unlooked) < len(Knowledge(Problem(told, TARGET, ARM, env.start), target, CAMERA).unlooked())
-    tip = balls.centers(way[1:])[0, -1]
-    known.points = tip[None] + [balls.radius[-1] + ROOM / 2, 0.0, 0.0]
+    assert len(known.unobserved(way)) < len(dark)
+    first = LocalMap(Problem(told, TARGET, ARM, env.start), target, CAMERA)
+    assert 0 < len(known.unobserved_around_target()) < len(first.unobserved_around_target())
+    tip = arm.centers(way[1:])[0, -1]
+    known.points = tip[None] + [arm.radius[-1] + CLEARANCE / 2, 0.0, 0.0]
     assert known.blocked(way)
     assert not known.blocked(way[1:]), "what the arm is at already does not keep it there"
     env.close()
 
 
-def test_a_surface_without_a_shape_is_dark_until_the_camera_has_looked(scene: Scene, balls: ArmBalls) -> None:
+def test_a_surface_without_a_shape_is_dark_until_the_camera_has_looked(scene: Scene, arm: ArmSpheres) -> None:
     env = TomatoReachEnv(bank="mini", observation="depth")
     target = scene.tomatoes[TARGET].center - base_position(scene, ARM)
     space = known_where(scene, None).occupancy
     assert space is not None
     told = with_surface_at(scene, space.centers.reshape(-1, 3))
-    aims = next(views(balls, ARM, ARM.start, 0.8 * target[None], lambda at: np.zeros(len(at), bool), _dice()))[0]
+    aims = first_viewpoint(0.8 * target)
     observation, _ = env.reset(options={"scene": scene, "target": TARGET, "start": aims})
     way = np.linspace(aims, aims + [0.0, 0.3, 0.0, 0.0, 0.0, 0.0], 20)
     problem = Problem(told, TARGET, ARM, env.start)
-    known = Knowledge(problem, target, CAMERA, unexplained=True)
-    emptied = Knowledge(replace(problem, scene=known_where(scene, None)), target, CAMERA)
-    before = known.dark(way)
+    known = LocalMap(problem, target, CAMERA, unexplained=True)
+    emptied = LocalMap(replace(problem, scene=known_where(scene, None)), target, CAMERA)
+    before = known.unobserved(way)
     assert len(before) > 0
-    assert len(emptied.dark(way)) == 0, "all of it was seen"
+    assert len(emptied.unobserved(way)) == 0, "all of it was seen"
     known.add(observation["depth"][0] * MAX_RANGE, aims)
-    assert len(known.dark(way)) < len(before)
+    assert len(known.unobserved(way)) < len(before)
     assert unexplained_cells(known.scene(aims, 0.01)).sum() < unexplained_cells(told).sum()
     env.close()
 
 
-def test_a_view_shows_what_is_before_the_camera_and_not_hidden(balls: ArmBalls) -> None:
+def test_a_view_shows_what_is_before_the_camera_and_not_hidden(arm: ArmSpheres) -> None:
     places = np.random.default_rng(1).uniform([0.4, -0.3, 0.1], [0.7, 0.3, 0.6], (40, 3))
-    found = list(views(balls, ARM, ARM.start, places, lambda at: np.zeros(len(at), bool), _dice()))
+    found = list(viewpoints(arm, ARM, ARM.start, places, lambda at: np.zeros(len(at), bool), np.random.default_rng(0)))
     assert len(found) > 10
-    assert all(seen.mean() >= WORTH for _, seen in found)
+    assert all(seen.mean() >= MIN_GAIN for _, seen in found)
     best = np.array([view for view, _ in found])
-    seen = visible(balls, best, places, lambda at: np.zeros(len(at), bool))
+    seen = visible(arm, best, places, lambda at: np.zeros(len(at), bool))
     assert np.array_equal(seen, [shown for _, shown in found])
-    assert not visible(balls, best, places + [2 * DEPTHS[1], 0, 0], lambda at: np.zeros(len(at), bool)).any()
-    behind = visible(balls, best, places, lambda at: at[:, 0] > 0.3)
+    assert not visible(arm, best, places + [2 * DEPTHS[1], 0, 0], lambda at: np.zeros(len(at), bool)).any()
+    behind = visible(arm, best, places, lambda at: at[:, 0] > 0.3)
     assert behind.sum() < seen.sum()
     assert not (behind & ~seen).any()
 
 
-def _dice() -> np.random.Generator:
-    return np.random.default_rng(0)
+def test_the_initial_view_moves_the_wrist_only(arm: ArmSpheres) -> None:
+    target = np.array([0.5, 0.2, 0.3])
+    view = initial_view(arm, ARM, ARM.start, target)
+    assert set((view != ARM.start).nonzero()[0]) <= {3, 4}
+    state = tool_state(arm.chain, view[None])
+    offset = (target - state.point)[0]
+    assert float(state.axis[0] @ offset) > 0.7 * np.linalg.norm(offset)
+
+
+def first_viewpoint(point: np.ndarray) -> np.ndarray:
+    """The best configuration (j,) to look at a point (3,) that nothing occludes."""
+    rng = np.random.default_rng(0)
+    return next(viewpoints(arm_spheres(ARM), ARM, ARM.start, point[None], lambda at: np.zeros(len(at), bool), rng))[0]

@@ -1,4 +1,4 @@
-"""Where the arm can go straight in ``observation="waypoint"``."""
+"""The roadmap behind ``observation="waypoint"`` and the path reward."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ import pytest
 
 from greenhouse_gym.agents import WaypointAgent
 from greenhouse_gym.envs import PathReward, TomatoReachEnv, Transition
-from greenhouse_gym.envs import waypoints as ways
-from greenhouse_gym.envs.waypoints import EVERY, Ends, Heading, Headings, Place, Ways
 from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.geometry import Capsule
+from greenhouse_gym.motion import goals
 from greenhouse_gym.motion.collision import CollisionChecker, planning_model
-from greenhouse_gym.motion.roadmap import RESOLUTION
+from greenhouse_gym.motion.goals import GoalSampler
+from greenhouse_gym.motion.roadmap import RESOLUTION, Roadmap, SceneRoadmaps, Waypoint
+from greenhouse_gym.motion.waypoints import EVERY, WaypointTracker
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene, SceneBank, Shapes, compile_scene
 
@@ -21,51 +22,51 @@ TARGET = 4
 JOINTS = len(ARM.joints)
 
 
-def ways_in(scene: Scene, center: np.ndarray) -> Ways:
-    place = Place(compile_scene(scene, ARM))
-    return Ways(place, Ends(place.compiled, TARGET, center, ARM.start))
+def roadmap_in(scene: Scene, center: np.ndarray) -> Roadmap:
+    compiled = compile_scene(scene, ARM)
+    return SceneRoadmaps(compiled).roadmap(GoalSampler(compiled, TARGET, ARM.start, center))
 
 
 @pytest.fixture(scope="module")
 def fenced(scene: Scene) -> Scene:
-    """Bars in front of the row, between which the arm gets on detours only."""
+    """Bars in front of the row, which the arm must make detours around."""
     bars = tuple(Capsule([0.35, y, 0.2], [0.35, y, 2.2], 0.01) for y in np.arange(-0.6, 0.61, 0.25))
     return scene.model_copy(update={"name": "fenced", "clutter": (*scene.clutter, *bars)})
 
 
 @pytest.mark.parametrize(("kind", "spread", "least"), [("scene", 0.4, 6), ("fenced", 0.05, 6)])
-def test_ways_that_are_told_to_be_free_are_free(
+def test_motions_to_free_waypoints_are_free(
     kind: str, spread: float, least: int, request: pytest.FixtureRequest
 ) -> None:
     scene: Scene = request.getfixturevalue(kind)
-    known = ways_in(scene, scene.tomatoes[TARGET].center)
+    roadmap = roadmap_in(scene, scene.tomatoes[TARGET].center)
     checker = CollisionChecker(planning_model(compile_scene(scene, ARM), TARGET, margin=0.0))
     random = np.random.default_rng(0)
     free = 0
     for _ in range(12):
         joints = ARM.start + random.normal(scale=spread, size=JOINTS)
-        waypoint, left, is_free = known.heading(joints)
+        waypoint, left, is_free = roadmap.waypoint(joints)
         if is_free:
             free += 1
             assert checker.motion_is_free(joints, waypoint, RESOLUTION)
         assert left >= 0
     assert free >= least
-    for node, cost in zip(known.nodes.configurations, known.nodes.costs, strict=True):
-        nearer = known.nodes.costs < cost
-        gaps = np.linalg.norm(known.nodes.configurations - node, axis=1)
-        after = known.nodes.configurations[nearer & np.isclose(gaps + known.nodes.costs, cost)]
+    for node, cost in zip(roadmap.nodes.configurations, roadmap.nodes.costs, strict=True):
+        nearer = roadmap.nodes.costs < cost
+        gaps = np.linalg.norm(roadmap.nodes.configurations - node, axis=1)
+        after = roadmap.nodes.configurations[nearer & np.isclose(gaps + roadmap.nodes.costs, cost)]
         assert cost == 0 or any(checker.motion_is_free(node, end, RESOLUTION) for end in after)
 
 
-def test_detours_are_known_where_goals_are_not_in_sight(fenced: Scene) -> None:
-    costs = ways_in(fenced, fenced.tomatoes[TARGET].center).nodes.costs
+def test_detours_are_found_if_no_goal_is_visible(fenced: Scene) -> None:
+    costs = roadmap_in(fenced, fenced.tomatoes[TARGET].center).nodes.costs
     assert (costs > 0).any()
     assert (costs == 0).any()
 
 
-def test_what_cannot_be_reached_is_no_reason_to_move(scene: Scene) -> None:
-    known = ways_in(scene, np.array([5.0, 0.0, 1.0]))
-    waypoint, left, free = known.heading(ARM.start)
+def test_the_waypoint_of_an_unreachable_target_is_the_start(scene: Scene) -> None:
+    roadmap = roadmap_in(scene, np.array([5.0, 0.0, 1.0]))
+    waypoint, left, free = roadmap.waypoint(ARM.start)
     np.testing.assert_array_equal(waypoint, ARM.start)
     assert (left, free) == (0.0, False)
 
@@ -88,17 +89,15 @@ def test_it_begins_as_the_state_does_and_says_the_same_of_the_truth(scene: Scene
     assert np.abs(told[-JOINTS - 2 : -2]).max() == 1.0, "the direction is an action at full speed"
 
 
-def test_goals_are_looked_for_once_in_each_episode_that_is_new(
-    bank: SceneBank, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_goals_are_sampled_once_for_each_new_episode(bank: SceneBank, monkeypatch: pytest.MonkeyPatch) -> None:
     calls = []
 
     def counted(*arguments: object) -> object:
         calls.append(arguments)
         return original(*arguments)  # type: ignore[arg-type]
 
-    original = ways.inverse_kinematics
-    monkeypatch.setattr(ways, "inverse_kinematics", counted)
+    original = goals.inverse_kinematics
+    monkeypatch.setattr(goals, "inverse_kinematics", counted)
     scene = bank.scene(bank.names("train")[0]).model_copy(update={"name": "of this test alone"})
     env = TomatoReachEnv(bank=bank, observation="waypoint")
     for target in (0, 1, 0, 1):
@@ -163,20 +162,20 @@ def test_a_reward_of_ones_own_may_ask_for_the_way(scene: Scene) -> None:
     assert env.step(np.zeros(JOINTS))[1] in (0.0, 1.0)
 
 
-class SeenFromTheStartAlone(Ways):
-    """A way to a goal that is known to be free from the start and from nowhere else."""
+class VisibleFromTheStartOnly(Roadmap):
+    """A goal that is visible from the start and from nowhere else."""
 
     def __init__(self) -> None:
         pass
 
-    def heading(self, joints: np.ndarray) -> Heading:
-        return Heading(np.ones(2), 0.0, not joints.any())
+    def waypoint(self, joints: np.ndarray) -> Waypoint:
+        return Waypoint(np.ones(2), 0.0, not joints.any())
 
 
-def test_a_free_motion_is_not_given_up_in_its_middle() -> None:
-    headings, first = Headings(1, 2), np.array([0])
-    headings.begin(0, SeenFromTheStartAlone())
-    for command, steps, free in ((0.0, 0, 1.0), (0.5, EVERY, 1.0), (0.5, 0, 0.0)):  # the last begins an episode
-        headings.look(first, np.full((1, 2), command), np.array([steps]))
-        assert headings.way[0, 1] == free
-        np.testing.assert_array_equal(headings.waypoint[0], np.ones(2))
+def test_a_free_motion_is_not_given_up_halfway() -> None:
+    tracker, first = WaypointTracker(1, 2), np.array([0])
+    tracker.begin(0, VisibleFromTheStartOnly())
+    for command, steps, free in ((0.0, 0, True), (0.5, EVERY, True), (0.5, 0, False)):  # the last begins an episode
+        tracker.update(first, np.full((1, 2), command), np.array([steps]))
+        assert tracker.free[0] == free
+        np.testing.assert_array_equal(tracker.configuration[0], np.ones(2))

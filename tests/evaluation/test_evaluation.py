@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 from parallel_helpers import Elsewhere
+from still_agent import StillAgent
 
-from greenhouse_gym.agents import PlannerAgent, Problem, RandomAgent, StillAgent, StraightLineAgent
+from greenhouse_gym.agents import PlannerAgent, Problem, RandomAgent, StraightLineAgent
 from greenhouse_gym.common.executors import processes
 from greenhouse_gym.envs import Randomization
 from greenhouse_gym.errors import InvalidValueError

@@ -7,9 +7,10 @@ from typing import Any
 
 import pytest
 from parallel_helpers import Elsewhere
+from still_agent import StillAgent
 from typer.testing import CliRunner
 
-from greenhouse_gym.agents import RandomAgent, StillAgent
+from greenhouse_gym.agents import RandomAgent
 from greenhouse_gym.agents.named import make_agent
 from greenhouse_gym.cli.main import app
 from greenhouse_gym.common.executors import workers_of

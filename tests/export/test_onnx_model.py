@@ -82,10 +82,10 @@ def test_a_shipped_policy_acts_alike_in_an_episode(name: str, bank: SceneBank, t
     runtime = session(str(out))
     env = gymnasium.make("TomatoReach-v0", bank=bank, **agent.env_options)
     observation, _ = env.reset(seed=1)
-    seen, over = [agent.fed(observation)], False
+    seen, over = [agent.network_input(observation)], False
     while not over and len(seen) < 64:
         observation, _, terminated, truncated, _ = env.step(agent.act(observation))
-        seen.append(agent.fed(observation))
+        seen.append(agent.network_input(observation))
         over = terminated or truncated
     env.close()
     assert len(seen) > 5

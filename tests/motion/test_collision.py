@@ -16,7 +16,7 @@ from greenhouse_gym.motion.collision import (
     planning_model,
     set_margin,
 )
-from greenhouse_gym.motion.reach import joint_reaches
+from greenhouse_gym.motion.joint_reaches import joint_reaches
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
 
@@ -184,9 +184,9 @@ def test_motions_are_checked_finely_enough_and_alike_in_both_directions(compiled
         verdicts.append(free)
         if free:  # then the simulator finds nothing, however closely it looks
             assert all(map(simulator.is_free, start + np.linspace(0, 1, 3000)[:, None] * (end - start)))
-            assert proof.free_share(start, end, PROOF) == 1.0
+            assert proof.free_fraction(start, end, PROOF) == 1.0
         elif proof.is_free(start):
-            share = proof.free_share(start, end, PROOF)
+            share = proof.free_fraction(start, end, PROOF)
             assert share < 1.0
             assert proof.is_free(start + share * (end - start))
     assert 5 < sum(verdicts) < 35

@@ -10,8 +10,8 @@ from occupancy_helpers import known_where, with_surface_at
 from greenhouse_gym.agents import PlannerAgent, Problem
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, distance_to_shapes
+from greenhouse_gym.motion.caution import unexplained_cells, with_unexplained_cells
 from greenhouse_gym.motion.collision import CollisionChecker, planning_model
-from greenhouse_gym.motion.unexplained_cells import unexplained_cells, with_unexplained_cells
 from greenhouse_gym.planning import plan
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.robots.kinematics import tool_chain, tool_state

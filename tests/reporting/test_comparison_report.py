@@ -13,9 +13,10 @@ import cv2
 import numpy as np
 import pytest
 from html_pages import HOSTILE, Page
+from still_agent import STILL, StillAgent
 from typer.testing import CliRunner
 
-from greenhouse_gym.agents import RandomAgent, StillAgent, StraightLineAgent
+from greenhouse_gym.agents import RandomAgent, StraightLineAgent
 from greenhouse_gym.cli import app
 from greenhouse_gym.errors import FileWriteError, InvalidValueError
 from greenhouse_gym.evaluation import retrace
@@ -239,7 +240,7 @@ def test_what_was_played_before_an_interruption_is_reported(
     monkeypatch.setattr(StillAgent, "reset", interrupted)
     out = tmp_path / "report.html"
     arguments = ["--bank", str(bank.path), "--episodes", "2", "--report", str(out)]
-    assert CliRunner().invoke(app, ["compare", "random", "still", *arguments]).exit_code == 130
+    assert CliRunner().invoke(app, ["compare", "random", STILL, *arguments]).exit_code == 130
     parsed = Page(out.read_text())
     assert "random" in parsed.texts
     assert not parsed.all("iframe")
@@ -265,7 +266,7 @@ def test_the_leaderboard_has_a_page_too(tmp_path: Path) -> None:
     assert isinstance(refused.exception, InvalidValueError), "a trial alone gives no page"
     entry = json.loads(trial.read_text())
     entry["protocol"]["episodes"] = V1.episodes  # as if there were so many
-    for name in ("random", "still", "gone.py:Agent"):  # who played does not matter here
+    for name in ("random", STILL, "gone.py:Agent"):  # who played does not matter here
         (tmp_path / f"{name[:5]}.json").write_text(json.dumps({**entry, "agent": name}))
     run("leaderboard", tmp_path, "--report", out)
     html = out.read_text()

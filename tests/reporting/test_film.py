@@ -3,10 +3,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from still_agent import StillAgent
 
 pytest.importorskip("moviepy")
 
-from greenhouse_gym.agents import StillAgent
 from greenhouse_gym.reporting.film import film
 from greenhouse_gym.scene import SceneBank
 

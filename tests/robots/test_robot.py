@@ -268,3 +268,21 @@ def test_a_start_is_named_or_given(robot: Robot) -> None:
     assert robot.configuration(given) is given
     with pytest.raises(UnknownNameError, match="folded"):
         robot.configuration("asleep")
+
+
+def test_the_last_joint_rolls_the_tool(robot: Robot) -> None:
+    assert robot.rolls_tool
+    configurations = np.ones((2, len(robot.joints)))
+    robot.keep_tool_roll(configurations, np.zeros(len(robot.joints)))
+    assert (configurations[:, -1] == 0).all()
+    assert (configurations[:, :-1] == 1).all()
+
+
+def test_an_arm_whose_last_joint_tilts_the_tool_has_no_tool_roll(tmp_path: Path) -> None:
+    file = tmp_path / "tilted.xml"
+    file.write_text(ROBOTS["ur5e"].read_text().replace('name="wrist_3" axis="0 1 0"', 'name="wrist_3" axis="1 0 0"'))
+    arm = load_robot(file)
+    assert not arm.rolls_tool
+    configurations = np.ones((2, len(arm.joints)))
+    arm.keep_tool_roll(configurations, arm.start)
+    assert (configurations == 1).all()

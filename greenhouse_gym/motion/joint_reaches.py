@@ -1,4 +1,4 @@
-"""How far the points of an arm can get when a joint moves, which bounds what lies between two configurations."""
+"""Bounds on the motion of an arm's points per joint motion, which bound what lies between two configurations."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from greenhouse_gym.robots import Robot
 
 @lru_cache(maxsize=32)
 def arm_reaches(robot: Robot) -> Array:
-    """The `joint_reaches` of an arm, read-only: they are the same in all scenes."""
+    """Return the `joint_reaches` of an arm, read-only: they are the same in all scenes."""
     reaches = joint_reaches(robot.spec().compile())
     reaches.setflags(write=False)
     return reaches
 
 
 def joint_reaches(model: mujoco.MjModel) -> Array:
-    """(joints,) how far the points that a joint of a chain moves can get at most per radian or metre of it, metres.
+    """Return (joints,) the largest motion of any point of the arm per radian or metre of each joint, metres.
 
-    For a slide that is 1. For a hinge it is their largest distance from its axis, from the tool inwards: the parts that
-    turn with a joint and no later one are measured in place; all beyond the next joint lies within the distance between
-    the two anchors plus what the next anchor reaches, and what a slide adds at its limits.
+    For a slide it is 1. For a hinge it is the largest distance of a moved point from its axis, computed from the tool
+    inwards: parts that turn with a joint and no later one are measured in place; everything beyond the next joint lies
+    within the distance between the two anchors plus the reach of the next anchor, plus the travel of slides.
     """
     n = int(model.njnt)
     data = mujoco.MjData(model)
@@ -55,13 +55,13 @@ def joint_reaches(model: mujoco.MjModel) -> Array:
             gap = data.xanchor[j + 1] - anchor
             from_axis[j] = max(from_axis[j], float(np.linalg.norm(np.cross(axis, gap))) + beyond)
             from_anchor[j] = max(from_anchor[j], float(np.linalg.norm(gap)) + beyond)
-        # seen from the joint before, a slide's anchor stays where it is at rest and its parts travel
+        # relative to the previous joint, a slide's anchor stays in place and its parts travel
         beyond = from_anchor[j] + travel[j]
     return np.where(sliding, 1.0, from_axis)
 
 
 def _geom_points(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> list[tuple[Array, float]]:
-    """Balls whose hull holds a geom: the two ends of a capsule, or its bounding sphere."""
+    """Return centers and radii of spheres whose hull contains a geom: a capsule's ends, or the bounding sphere."""
     center = data.geom_xpos[geom]
     if model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_CAPSULE:
         return [(center, float(model.geom_rbound[geom]))]

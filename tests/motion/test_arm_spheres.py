@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from foreign_arms import write_arm
 
-from greenhouse_gym.motion.arm_spheres import arm_balls
+from greenhouse_gym.motion.arm_spheres import arm_spheres
 from greenhouse_gym.robots import load_robot
 from greenhouse_gym.robots.tool import mount_tool
 from greenhouse_gym.scene.mjcf import base_position, compile_scene
@@ -25,7 +25,7 @@ def test_the_balls_cover_the_links_and_little_more(kind: str, tmp_path: Path) ->
     model = compile_scene(alone, robot).model
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    balls = arm_balls(robot)
+    balls = arm_spheres(robot)
     centers = balls.centers(data.qpos[None])[0] + base_position(alone, robot)
     links = [geom for geom in range(model.ngeom) if model.geom_bodyid[geom] > 0 and model.geom(geom).name == ""]
     random = np.random.default_rng(0)

@@ -1,4 +1,4 @@
-"""How far planner agents keep out of unknown space, and from leaves, unless told otherwise."""
+"""Default caution of planner agents: depth in unknown space, and distance from leaves."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.agents import Problem, planner_agent
-from greenhouse_gym.agents.planner_agent import CAREFUL, RIM, PlannerAgent, usual_care, usual_margin
+from greenhouse_gym.agents.planner_agent import LEAF_MARGIN, MAX_DEPTH, PlannerAgent, default_margin, default_unknown
 from greenhouse_gym.build.scenes import BuildSettings
 from greenhouse_gym.planning import PlanResult, plan
 from greenhouse_gym.robots import get_robot
@@ -17,21 +17,21 @@ from greenhouse_gym.scene import Scene, SceneBank
 from greenhouse_gym.scene.occupancy import FREE, OccupancyGrid
 
 
-@pytest.mark.parametrize(("protocol", "care"), [(None, CAREFUL), ("paper", CAREFUL), ("upright-back", "free")])
+@pytest.mark.parametrize(("protocol", "care"), [(None, MAX_DEPTH), ("paper", MAX_DEPTH), ("upright-back", "free")])
 def test_care_is_for_scans_that_do_not_see_the_leaves_in_the_aisle(
     protocol: str | None, care: str | float, bank: SceneBank
 ) -> None:
     blind: Scene = bank.scene("made-up-0")
     provenance = blind.provenance.model_copy(update={"protocol": protocol})
     seen = OccupancyGrid.from_states(np.full((2, 2, 2), FREE, dtype=np.uint8), [0.0, 0.0, 0.0], 0.05)
-    assert usual_care(blind.model_copy(update={"provenance": provenance, "occupancy": seen})) == care
-    assert usual_care(blind.model_copy(update={"provenance": provenance})) == "free"
+    assert default_unknown(blind.model_copy(update={"provenance": provenance, "occupancy": seen})) == care
+    assert default_unknown(blind.model_copy(update={"provenance": provenance})) == "free"
 
 
 @pytest.mark.parametrize(
     ("settings", "margin"),
     [
-        (asdict(BuildSettings()), RIM),
+        (asdict(BuildSettings()), LEAF_MARGIN),
         ({"shapes": {"clutter_per_metre": 85}}, 0.0),
         ({"shapes": ["clutter_per_area"]}, 0.0),
         ({"shapes": None}, 0.0),
@@ -43,7 +43,7 @@ def test_boxes_that_go_by_the_foliage_are_kept_off(
 ) -> None:
     scene: Scene = bank.scene("made-up-0")
     built = scene.model_copy(update={"provenance": scene.provenance.model_copy(update={"settings": settings})})
-    assert usual_margin(built) == margin
+    assert default_margin(built) == margin
     robot, asked = get_robot("ur5e"), []
 
     def noting(*arguments: Any, **options: Any) -> PlanResult:

@@ -1,0 +1,192 @@
+"""The scan of a scene, updated with what the camera at the wrist observes in an episode."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
+
+from greenhouse_gym.agents.agent import Problem
+from greenhouse_gym.agents.occupancy_map import OccupancyMap
+from greenhouse_gym.geometry import (
+    Array,
+    Box,
+    bounding_balls,
+    distance_to_nearest,
+    distance_to_shapes,
+    invert,
+    pose,
+    rotation_about,
+    transform,
+)
+from greenhouse_gym.motion.arm_spheres import arm_spheres
+from greenhouse_gym.motion.caution import unexplained_cells
+from greenhouse_gym.rendering.cameras import DepthCamera
+from greenhouse_gym.scene import Scene
+from greenhouse_gym.scene.mjcf import base_position
+from greenhouse_gym.scene.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, boxes_around_points
+
+CLEARANCE = 0.002
+"""Distance kept from points that the camera has observed, metres."""
+
+_SHAPE, _SKIN = 0.001, 0.008  # metres: points so near to a shape of the scan, or to the target, belong to it
+_AT_ARM = 0.01  # metres: points so near to the arm are no obstacle to a path that starts there
+_EXAMINED = 0.8  # fraction of a box that the camera has to observe before its points replace the box
+_SPACING = 0.03  # metres between samples of unobserved space
+_AROUND_TARGET = 0.2  # metres: radius of the unobserved space around the target
+_ARM_GAP, _TARGET_GAP = 0.02, 0.02  # metres: unobserved space so near to the arm or the target is left out
+
+
+class LocalMap:
+    """A scanned scene with the points that only the camera has observed; points are in the frame of the arm's base.
+
+    Args:
+        problem: The episode.
+        target: (3,) the target's center, metres.
+        camera: The camera at the arm's wrist.
+        unexplained: Whether unexplained occupied cells count as unobserved until the camera has looked at them.
+        noisy: Whether the camera's images have the noise of a D435.
+
+    Attributes:
+        points: (n, 3) observed points near no shape of the scan, metres.
+        points_at_boxes: (n, 3) observed points near boxes of clutter and no other shape of the scan, metres.
+    """
+
+    def __init__(
+        self, problem: Problem, target: Array, camera: DepthCamera, unexplained: bool = False, noisy: bool = False
+    ):
+        scene = problem.scene
+        self._unexplained = unexplained_cells(scene) if unexplained and scene.occupancy is not None else None
+        self.points: Array = np.zeros((0, 3))
+        self.points_at_boxes: Array = np.zeros((0, 3))
+        self._scene, self._arm, self._target = scene, arm_spheres(problem.robot), target
+        self._tomato = scene.tomatoes[problem.target].shape
+        self._map = OccupancyMap(self._arm, camera, target, self._tomato.radius, noisy)
+        self._added = 0  # points of the map that were compared with the scan
+        self._scene_from_base = pose(
+            rotation_about([0, 0, 1], scene.placement.yaw), base_position(scene, problem.robot)
+        )
+        self._base_from_scene = invert(self._scene_from_base)
+        self._shapes = scene.obstacles
+        self._balls = bounding_balls(self._shapes)
+        self._firm = [shape for shape in self._shapes if not isinstance(shape, Box)]
+        self._firm_balls = bounding_balls(self._firm)
+
+    def add(self, depth: npt.NDArray[np.float32], joints: Array) -> bool:
+        """Add an image (h, w), metres along the view, taken in a configuration (j,); return whether it adds points."""
+        self._map.add(depth, joints)
+        new, uncertainty = self._map.points[self._added :], self._map.uncertainty[self._added :]
+        self._added += len(new)
+        if len(new):
+            points = transform(self._scene_from_base, new)
+            tolerance = np.maximum(_SHAPE, uncertainty)
+            reach = float(tolerance.max())
+            explained = distance_to_nearest(points, self._shapes, reach, self._balls) <= tolerance
+            foreign = distance_to_shapes(points, [self._tomato])[:, 0] > _SKIN + uncertainty
+            at_box = foreign & explained
+            firm = distance_to_nearest(points[at_box], self._firm, reach, self._firm_balls)
+            at_box[at_box] = firm > tolerance[at_box]
+            self.points_at_boxes = np.concatenate([self.points_at_boxes, new[at_box]])
+            new = new[foreign & ~explained]
+            self.points = np.concatenate([self.points, new])
+        return bool(len(new))
+
+    def scene(self, command: Array, voxel: float, boxes: bool = True) -> Scene:
+        """Return the scan's scene with clutter over the observed points that its shapes do not explain.
+
+        Args:
+            command: (j,) configuration of the arm; points at the arm are left out.
+            voxel: Side of the voxels that cover the points, metres: small ones cover less free space.
+            boxes: Whether all boxes of the scan are kept. If not, boxes that the camera has examined are replaced by
+                the points it has observed at them.
+        """
+        scene, points = self._scene, self._unexplained_points(boxes)
+        points = points[self._distances(points, self._arm.centers(command[None])[0]) > _AT_ARM]
+        covered = boxes_around_points(transform(self._scene_from_base, points), voxel)
+        clutter = [shape for shape in scene.clutter if boxes or not isinstance(shape, Box) or not self._examined(shape)]
+        return scene.model_copy(update={"clutter": (*clutter, *covered), "occupancy": self._occupancy()})
+
+    def _unexplained_points(self, boxes: bool) -> Array:
+        return self.points if boxes else np.concatenate([self.points, self.points_at_boxes])
+
+    def _examined(self, box: Box) -> bool:
+        """Return whether the camera has observed most of a box of the scan's clutter."""
+        along = [np.linspace(-1, 1, 2 + int(2 * half / _SPACING)) * half for half in np.asarray(box.half_extents)]
+        inside = np.stack(np.meshgrid(*along), axis=-1).reshape(-1, 3) @ np.asarray(box.rotation).T + box.center
+        return bool(self._map.observed(transform(self._base_from_scene, inside)).mean() > _EXAMINED)
+
+    def blocked(self, configurations: Array, boxes: bool = True) -> bool:
+        """Return whether observed points block an arm that moves on from the first of some configurations (m, j).
+
+        Without ``boxes``, points at boxes of the scan count, too.
+        """
+        centers, moving = self._arm.centers(configurations), self._arm.moving
+        points = self._unexplained_points(boxes)
+        points = points[self._distances(points, centers[0]) > _AT_ARM]
+        if not len(points):
+            return False
+        radius = self._arm.radius[moving]
+        reach = float(radius.max()) + CLEARANCE
+        distances, _ = cKDTree(points).query(centers[:, moving], distance_upper_bound=reach)
+        return bool((distances - radius).min() < CLEARANCE)
+
+    def unobserved(self, configurations: Array) -> Array:
+        """Return points (k, 3) of an arm in configurations (m, j) that neither the scan nor the camera has observed.
+
+        Unexplained occupied cells count as unobserved if ``unexplained`` is set. Points near the first configuration and
+        near the target are left out. A scene without occupancy has no such points.
+        """
+        space = self._scene.occupancy
+        if space is None:
+            return np.zeros((0, 3))
+        centers, moving = self._arm.centers(configurations), self._arm.moving
+        offsets = self._arm.radius[moving, None, None] * np.concatenate([np.eye(3), -np.eye(3)])
+        points = np.concatenate([centers[:, moving, None], centers[:, moving, None] + offsets], axis=2).reshape(-1, 3)
+        in_scene = transform(self._scene_from_base, points)
+        points = points[(~space.is_known(in_scene) | self._is_unexplained(in_scene)) & ~self._map.observed(points)]
+        points = (np.unique(np.floor(points / _SPACING), axis=0) + 0.5) * _SPACING
+        points = points[np.linalg.norm(points - self._target, axis=1) > self._tomato.radius + _TARGET_GAP]
+        return np.asarray(points[self._distances(points, centers[0]) > _ARM_GAP])
+
+    def unobserved_around_target(self) -> Array:
+        """Return points (k, 3) around the target that the camera has not observed, whatever the scan has."""
+        along = np.arange(-_AROUND_TARGET, _AROUND_TARGET, _SPACING)
+        offsets = np.stack(np.meshgrid(along, along, along), axis=-1).reshape(-1, 3)
+        distances = np.linalg.norm(offsets, axis=1)
+        around = (distances < _AROUND_TARGET) & (distances > self._tomato.radius + _TARGET_GAP)
+        points = self._target + offsets[around]
+        return np.asarray(points[~self._map.observed(points)])
+
+    def occupied(self, points: Array) -> npt.NDArray[np.bool_]:
+        """Return which points (n, 3) lie in voxels that the scan found occupied, (n,)."""
+        space = self._scene.occupancy
+        if space is None:
+            return np.zeros(len(points), dtype=np.bool_)
+        return np.asarray(space.states_at(transform(self._scene_from_base, points)) == OCCUPIED)
+
+    def _is_unexplained(self, points: Array) -> npt.NDArray[np.bool_]:
+        """Return which points (n, 3) of the scene lie in unexplained occupied cells, (n,)."""
+        space = self._scene.occupancy
+        if space is None or self._unexplained is None:
+            return np.zeros(len(points), dtype=np.bool_)
+        cells = np.floor((points - space.origin) / space.voxel).astype(np.int64)
+        inside = ((cells >= 0) & (cells < space.shape)).all(axis=1)
+        found = np.zeros(len(points), dtype=np.bool_)
+        found[inside] = self._unexplained[tuple(cells[inside].T)]
+        return found
+
+    def _distances(self, points: Array, centers: Array) -> Array:
+        """Return distances (n,) of points (n, 3) to an arm with its spheres at centers (b, 3), metres; < 0 inside."""
+        return np.asarray((cdist(points, centers) - self._arm.radius).min(axis=1, initial=np.inf))
+
+    def _occupancy(self) -> OccupancyGrid | None:
+        """Return the scan's occupancy with unknown and unexplained cells free where the camera has observed them."""
+        space = self._scene.occupancy
+        if space is None:
+            return None
+        states = space.states.copy()
+        cells = np.argwhere(states == UNKNOWN if self._unexplained is None else (states == UNKNOWN) | self._unexplained)
+        centers = transform(self._base_from_scene, space.origin + (cells + 0.5) * space.voxel)
+        states[tuple(cells[self._map.observed(centers)].T)] = FREE
+        return OccupancyGrid.from_states(states, space.origin, space.voxel)
