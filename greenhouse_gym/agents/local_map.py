@@ -134,8 +134,8 @@ class LocalMap:
     def unobserved(self, configurations: Array) -> Array:
         """Return points (k, 3) of an arm in configurations (m, j) that neither the scan nor the camera has observed.
 
-        Unexplained occupied cells count as unobserved if ``unexplained`` is set. Points near the first configuration and
-        near the target are left out. A scene without occupancy has no such points.
+        Unexplained occupied cells count as unobserved if ``unexplained`` is set. Points near the first configuration
+        and near the target are left out. A scene without occupancy has no such points.
         """
         space = self._scene.occupancy
         if space is None:
