@@ -21,7 +21,7 @@ from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.distance_field import NO_TOMATO
 from greenhouse_gym.motion.goals import GoalSampler
 from greenhouse_gym.motion.waypoints import WaypointTracker
-from greenhouse_gym.rendering.cameras import CameraRig, Pictures, no_pictures
+from greenhouse_gym.rendering.cameras import CameraRig, Images, no_images
 from greenhouse_gym.robots import Robot
 
 
@@ -51,7 +51,7 @@ class Perception:
         self._count, self._robot, self._observe, self._worlds = count, robot, observe, worlds
         self._success_radius, self._threads = success_radius, threads
         self._rig: CameraRig | None = None
-        self._no_pictures = no_pictures(count)
+        self._no_images = no_images(count)
         self._probe_radii = robot.probe_radii.astype(np.float32)
         self._first: World | None = None
         self._episodes: list[Episode | None] = [None] * count
@@ -126,7 +126,7 @@ class Perception:
         joints = physics.qpos[ids]
         command = physics.command[ids] + self._joint_offset[ids]
         waypoint, path_length, path_free = self._waypoints_of(ids, command, steps[ids])
-        pictures = self._photograph(ids, physics, frame, sites[:, 0], tool)
+        pictures = self._render_images(ids, physics, frame, sites[:, 0], tool)
         away = lengths(gap)
         collided = np.asarray(collided, dtype=np.bool_)
         return State(
@@ -175,11 +175,11 @@ class Perception:
             unknown[k] = ~episode.scene.occupancy.is_known(probes[k])
         return unknown
 
-    def _photograph(self, ids: Ids | slice, physics: Physics, frame: Array, tip: Array, tool: Array) -> Pictures:
+    def _render_images(self, ids: Ids | slice, physics: Physics, frame: Array, tip: Array, tool: Array) -> Images:
         """What the cameras of some simulations see."""
         cameras = self._observe.cameras
         if not cameras:
-            return self._no_pictures.first(len(tip))
+            return self._no_images.first(len(tip))
         if self._rig is None:
             threads = 1 if self._count == 1 else self._threads or usable_cores()
             assert self._first is not None
@@ -189,4 +189,4 @@ class Perception:
         chosen = np.arange(self._count)[ids]
         noises = [None if drawn is None else drawn.noise for drawn in (self._disturbances[i] for i in chosen)]
         models = [physics.models[i] for i in chosen]
-        return self._rig.photograph(models, physics.qpos[ids], frame, tip, tool, noises)
+        return self._rig.render(models, physics.qpos[ids], frame, tip, tool, noises)

@@ -1,4 +1,4 @@
-"""Run agents over a split of a bank, record what happened, compare agents and keep a leaderboard."""
+"""Evaluation of agents: episode runner, records, comparison and leaderboard."""
 
 from greenhouse_gym.evaluation.records import Evaluation, Record, comparison_table, wilson_interval
 from greenhouse_gym.evaluation.rollouts import Trace, compare, evaluate, retrace

@@ -1,4 +1,4 @@
-"""Calls that may take only so long."""
+"""Function calls with a time limit."""
 
 from __future__ import annotations
 
@@ -12,47 +12,48 @@ T = TypeVar("T")
 
 
 class Deadline:
-    """Makes calls and waits only so long for each; after one that took longer, every call fails at once.
+    """Runs calls with a time limit each. After the first timeout, every further call fails at once.
 
-    A call that hangs goes on in a thread of its own, which cannot be ended: what it works on is not to be used again.
+    Each call runs in a thread of its own. A thread cannot be killed, so a call that hangs keeps running: discard the
+    object that it works on.
 
     Args:
-        seconds: How long a call may take; None waits for ever.
+        seconds: Time limit of a call; None for no limit.
     """
 
     def __init__(self, seconds: float | None = None):
         self._seconds = seconds
-        self._over = ""
+        self._timeout_message = ""
 
     @property
     def expired(self) -> bool:
-        """Whether a call took too long."""
-        return bool(self._over)
+        """Whether a call has timed out."""
+        return bool(self._timeout_message)
 
     def call(self, function: Callable[P, T], *arguments: P.args, **keywords: P.kwargs) -> T:
-        """The function's result.
+        """Return the function's result.
 
         Raises:
-            TimeoutError: It took too long, or an earlier call did.
+            TimeoutError: This call or an earlier one timed out.
         """
         if self._seconds is None:
             return function(*arguments, **keywords)
-        if self._over:
-            raise TimeoutError(self._over)
+        if self._timeout_message:
+            raise TimeoutError(self._timeout_message)
         answers: SimpleQueue[tuple[T | None, BaseException | None]] = SimpleQueue()
 
         def work() -> None:
             try:
                 answers.put((function(*arguments, **keywords), None))
-            except BaseException as error:  # told to the caller
+            except BaseException as error:  # raised again in the caller's thread
                 answers.put((None, error))
 
         Thread(target=work, daemon=True).start()
         try:
             result, error = answers.get(timeout=self._seconds)
         except Empty:
-            self._over = f"it took longer than {self._seconds:g} s"
-            raise TimeoutError(self._over) from None
+            self._timeout_message = f"timed out after {self._seconds:g} s"
+            raise TimeoutError(self._timeout_message) from None
         if error is not None:
             raise error
         return result  # type: ignore[return-value]

@@ -1,4 +1,4 @@
-"""Records of an evaluation, kept in a file as they come, so that one that was interrupted can go on."""
+"""Journal of an evaluation: records are appended as episodes end, so that an interrupted evaluation can resume."""
 
 from __future__ import annotations
 
@@ -18,35 +18,36 @@ _RECORD = TypeAdapter(Record)
 
 
 class RecordJournal:
-    """Records in a file: lines of JSON, first what they are of, then each record with its index among the episodes.
+    """JSON Lines journal of episode records.
+
+    The first line identifies the evaluation; each further line holds one record and its episode index.
 
     Args:
-        path: The file. Where it holds records of something else, it is begun anew.
-        about: What the records are of: all that decides them.
+        path: The file. If it belongs to another evaluation, it is overwritten.
+        about: Identifies the evaluation: everything that the records depend on.
 
     Attributes:
-        records: The records that there are, by their indices.
+        records: The records by episode index.
 
     Raises:
-        FileFormatError: A line of the file, and not only the last one, is damaged.
+        FileFormatError: A complete line of the file is damaged.
     """
 
     def __init__(self, path: str | Path, about: Mapping[str, Any]):
         self._path, self.records = Path(path), dict[int, Record]()
         header = json.dumps({"schema_version": 1, **about}, sort_keys=True)
-        lines = read_bytes(path, "kept records").decode(errors="replace").split("\n") if self._path.exists() else []
+        lines = read_bytes(path, "record journal").decode(errors="replace").split("\n") if self._path.exists() else []
+        complete = []
         if lines[:1] == [header]:
-            whole = lines[1:-1]  # the interruption fell into what is behind the last line break
-            self.records = dict(self._parsed(line, number) for number, line in enumerate(whole, 2))
-        else:
-            whole = []
-        write_atomically(self._path, "\n".join([header, *whole]) + "\n")
+            complete = lines[1:-1]  # an interrupted write leaves a last line without a line break
+            self.records = dict(self._parsed(line, number) for number, line in enumerate(complete, 2))
+        write_atomically(self._path, "\n".join([header, *complete]) + "\n")
 
     def add(self, index: int, record: Record) -> None:
-        """Keep a record.
+        """Append the record of an episode.
 
         Raises:
-            FileWriteError: It cannot be written.
+            FileWriteError: The file cannot be written.
         """
         self.records[index] = record
         try:
@@ -56,7 +57,7 @@ class RecordJournal:
             raise FileWriteError(self._path, error) from error
 
     def remove(self) -> None:
-        """Remove the file, once the records stand elsewhere."""
+        """Delete the file, once its records are stored elsewhere."""
         self._path.unlink(missing_ok=True)
 
     def _parsed(self, line: str, number: int) -> tuple[int, Record]:
@@ -65,5 +66,5 @@ class RecordJournal:
             return int(content.pop("index")), _RECORD.validate_python(content)
         except (ValueError, KeyError, TypeError, AttributeError, ValidationError) as error:
             raise FileFormatError(
-                self._path, f"line {number} is no record ({error}); remove the file to play all episodes anew"
+                self._path, f"line {number} is not a record ({error}); remove the file to run all episodes again"
             ) from error

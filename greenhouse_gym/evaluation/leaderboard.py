@@ -1,4 +1,4 @@
-"""A comparison under frozen rules, kept as files that anyone can check: entries, their table, and their replay."""
+"""Leaderboard: comparisons under a frozen protocol, stored as entries that anyone can replay."""
 
 from __future__ import annotations
 
@@ -36,21 +36,24 @@ TRACKS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
         "moved": {"physics": "truth", "randomization": Randomization(plants=PlantMotion())},
     }
 )
-"""What is touched, beside what is told: the reconstruction itself, the true row, or that after the plants moved."""
+"""Simulated world of each track: the reconstruction itself, the true row, or the true row after the plants moved.
+
+Agents always observe the reconstruction.
+"""
 
 
 @dataclass(frozen=True)
 class Protocol:
-    """The rules of a comparison.
+    """Rules of a comparison.
 
     Attributes:
-        version: Their name.
-        bank: The bank of scenes.
-        split: Its split.
-        episodes: How many, on each track.
+        version: Name of the protocol.
+        bank: Bank of scenes.
+        split: Split of the bank.
+        episodes: Number of episodes on each track.
         seed: Seed of the first episode; episode i has the seed ``seed + i``.
-        difficulty: Difficulties of the targets, as frequent as the scenes have them.
-        timeout: Seconds an agent may take for one answer.
+        difficulty: Difficulties of the targets, at their natural frequency.
+        timeout: Time limit of each call of the agent, seconds.
     """
 
     version: str = "v1"
@@ -63,24 +66,24 @@ class Protocol:
 
 
 V1 = Protocol()
-"""The rules in force."""
+"""The current protocol."""
 
 _DIGITS = 6
 
 
 class Entry(BaseModel):
-    """An agent's entry: the rules, what it ran on, and a record per episode.
+    """Leaderboard entry of an agent: protocol, environment and one record per episode.
 
     Attributes:
-        agent: Its name, as `make_agent` takes it.
-        note: What else there is to say, such as how it was trained and on how many seeds.
-        protocol: The rules.
+        agent: Name of the agent, as `make_agent` takes it.
+        note: Free text, such as how it was trained and on how many seeds.
+        protocol: The protocol.
         bank_sha256: Checksum of the bank's manifest.
-        versions: Versions of the packages that decide the numbers.
-        machine: What times depend on, for each track: ``processor``, ``cores``, ``python``, ``num_envs`` (episodes side
-            by side in each process) and ``workers`` (processes), by names such as ``truth: cores``. Names without a
-            track are for those tracks that have none of their own.
-        tracks: Per track, the values of each field of `greenhouse_gym.evaluation.records.Record`, in order.
+        versions: Versions of the packages that the numbers depend on.
+        machine: Properties that times depend on, for each track: ``processor``, ``cores``, ``python``, ``num_envs``
+            (parallel episodes in each process) and ``workers`` (processes), with keys such as ``truth: cores``. Keys
+            without a track apply to tracks without their own.
+        tracks: Values of each field of `greenhouse_gym.evaluation.records.Record` by track, in order.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -95,14 +98,14 @@ class Entry(BaseModel):
     tracks: dict[str, dict[str, list[Any]]]
 
     def evaluation(self, track: str) -> Evaluation:
-        """The records of a track."""
+        """Return the records of a track as an evaluation."""
         columns = self.tracks[track]
         rows = zip(*(columns[field.name] for field in fields(Record)), strict=True)
         records = (Record(*row) for row in rows)
         return Evaluation(self.agent, tuple(replace(record, contact=tuple(record.contact)) for record in records))
 
     def at_once(self, track: str) -> str:
-        """How many episodes of a track were played side by side, x in how many processes; "?" if nobody told."""
+        """Return the number of parallel episodes x processes of a track; "?" where unknown."""
         return " x ".join(self.machine.get(f"{track}: {name}", "?") for name in ("num_envs", "workers"))
 
 
@@ -116,54 +119,54 @@ def submit(
     note: str = "",
     executor: Executor | None = None,
 ) -> Path:
-    """Play the episodes of a protocol and write the entry, after each track what there is by then.
+    """Run the episodes of a protocol and write the entry, updated after each track.
 
-    Other tracks of an entry that is there already are kept, if it is of the same agent, rules, bank and versions. Each
-    record is kept beside it, in ``NAME.TRACK.jsonl``, until its track is whole: what was interrupted goes on there.
+    An existing entry keeps its other tracks if agent, protocol, bank and versions are the same. Records are stored in a
+    journal ``NAME.TRACK.jsonl`` next to the entry until the track is complete, so that an interrupted run resumes.
 
     Args:
         agent: The agent.
-        name: What `make_agent` makes it from; the file is called after it, ``NAME.trial.json`` where the rules are not
-            those in force.
+        name: Name of the agent, as `make_agent` takes it. It also names the file: ``NAME.json``, or
+            ``NAME.trial.json`` if the protocol is not the current one.
         out: Folder of the entries.
-        tracks: Names of tracks, of `TRACKS`.
-        protocol: The rules.
-        num_envs: Episodes played side by side; only times depend on it.
-        note: What else there is to say; if nothing, what was said with the tracks that are kept.
-        executor: Where the episodes are played, as `greenhouse_gym.evaluation.evaluate` has it.
+        tracks: Names of tracks from `TRACKS`.
+        protocol: The protocol.
+        num_envs: Number of parallel episodes; only times depend on it.
+        note: Free text; empty keeps the note of an existing entry.
+        executor: Runs the episodes; see `greenhouse_gym.evaluation.evaluate`.
 
     Returns:
-        The entry's file.
+        Path of the entry.
 
     Raises:
-        InvalidValueError: No track, or an unknown one.
-        FileFormatError: The entry that is there already is damaged.
+        InvalidValueError: No track is given, or an unknown one.
+        FileFormatError: The existing entry is damaged.
     """
     if not tracks or not set(tracks) <= set(TRACKS):
         raise InvalidValueError(f"tracks must be some of {', '.join(TRACKS)}, got {', '.join(tracks) or 'none'}")
-    called = Path(name).name.replace(":", "-").removesuffix(".json")
-    path = Path(out) / (f"{called}.json" if protocol == V1 else f"{called}.trial.json")
+    stem = Path(name).name.replace(":", "-").removesuffix(".json")
+    path = Path(out) / (f"{stem}.json" if protocol == V1 else f"{stem}.trial.json")
     fresh = Entry(
         agent=name,
         note=note,
-        protocol=_plain_rules(protocol),
+        protocol=_rules_as_json(protocol),
         bank_sha256=SceneBank.open(protocol.bank).sha256,
         versions={package: version(package) for package in ("greenhouse-gym", "mujoco", "numpy")},
         machine={},
         tracks={},
     )
-    _kept(path, fresh)  # where it is damaged, that is told before anything is played
+    _merged(path, fresh)  # reports a damaged entry before any episode runs
     about = fresh.model_dump(include={"agent", "protocol", "bank_sha256", "versions"}) | {
         "sha256": _checksum_of(agent, name)
     }
     for track in tracks:
         journal = RecordJournal(path.with_suffix(f".{track}.jsonl"), {**about, "track": track})
-        played = _play(agent, protocol, track, protocol.episodes, num_envs, executor, journal)
-        entry = _kept(path, fresh)  # which others may have added tracks to meanwhile
+        evaluation = _run(agent, protocol, track, protocol.episodes, num_envs, executor, journal)
+        entry = _merged(path, fresh)  # other processes may have added tracks
         machine = {f"{track}: {name}": value for name, value in _machine(num_envs, executor).items()}
         changed = {
             "machine": {**entry.machine, **machine},
-            "tracks": {**entry.tracks, track: _columns(played.records)},
+            "tracks": {**entry.tracks, track: _columns(evaluation.records)},
         }
         write_atomically(path, entry.model_copy(update=changed).model_dump_json() + "\n")
         journal.remove()
@@ -171,40 +174,40 @@ def submit(
 
 
 def read_entry(path: str | Path) -> Entry:
-    """An entry from its file.
+    """Read an entry.
 
     Raises:
-        FileFormatError: It is missing or damaged.
+        FileFormatError: The file is missing or damaged.
     """
     with parsing(path, "leaderboard entry"):
         return Entry.model_validate_json(read_bytes(path, "leaderboard entry"))
 
 
 def is_current(entry: Entry) -> bool:
-    """Whether the bank is still the one that an entry was played on."""
+    """Return whether an entry was made on the present version of its bank."""
     return entry.bank_sha256 == SceneBank.open(str(entry.protocol["bank"])).sha256
 
 
 def follows(entry: Entry, protocol: Protocol = V1) -> bool:
-    """Whether an entry was played by some rules; one that was not by those in force is a trial."""
-    return entry.protocol == _plain_rules(protocol)
+    """Return whether an entry follows a protocol; one that does not follow the current protocol is a trial."""
+    return entry.protocol == _rules_as_json(protocol)
 
 
 def replay(entry: Entry, agent: Agent, track: str, episodes: int = 10) -> list[tuple[Record, Record]]:
-    """Play an entry's first episodes again: pairs of the record that it has and the one that comes out now."""
+    """Repeat the first episodes of an entry and return pairs of its record and the new one."""
     protocol = Protocol(**{**entry.protocol, "difficulty": tuple(entry.protocol["difficulty"])})
-    now = _play(agent, protocol, track, episodes).records
+    now = _run(agent, protocol, track, episodes).records
     return list(zip(entry.evaluation(track).records[:episodes], now, strict=True))
 
 
 def leaderboard_table(entries: Sequence[Entry], protocol: Protocol = V1) -> str:
-    """A Markdown table of entries, track by track, the best on each first.
+    """Return a Markdown table of entries by track, best first.
 
-    Entries by other rules, and those of another bank, are named below it.
+    Entries that follow another protocol or were made on another bank are listed below the table.
 
     Args:
         entries: The entries.
-        protocol: The rules of those that are ranked.
+        protocol: Protocol of the ranked entries.
     """
     heads = ["track", "agent", "episodes", "success [95 %]", "collision", "first motion ms", "action ms", "at once"]
     heads.append("steps")
@@ -231,12 +234,12 @@ def leaderboard_table(entries: Sequence[Entry], protocol: Protocol = V1) -> str:
     table = "".join("| " + " | ".join(row) + " |\n" for row in rows)
     stale = [entry.agent for entry in proper if not is_current(entry)]
     trials = [entry.agent for entry in entries if not follows(entry, protocol)]
-    table += f"\nPlayed on an earlier bank, to be submitted again: {', '.join(stale)}.\n" if stale else ""
-    return table + (f"\nTrials, by other rules than those in force: {', '.join(trials)}.\n" if trials else "")
+    table += f"\nMade on an earlier bank, to be submitted again: {', '.join(stale)}.\n" if stale else ""
+    return table + (f"\nTrials that do not follow the current protocol: {', '.join(trials)}.\n" if trials else "")
 
 
-def _kept(path: Path, fresh: Entry) -> Entry:
-    """The entry that is there already, if further tracks of a fresh one can stand in it; else the fresh one."""
+def _merged(path: Path, fresh: Entry) -> Entry:
+    """Return the existing entry if it can hold tracks of the fresh one, else the fresh one."""
     before = read_entry(path) if path.is_file() else fresh
     same = ("agent", "protocol", "bank_sha256", "versions")
     if any(getattr(before, name) != getattr(fresh, name) for name in same):
@@ -245,14 +248,14 @@ def _kept(path: Path, fresh: Entry) -> Entry:
 
 
 def _checksum_of(agent: Agent, name: str) -> str:
-    """Checksum of the files that an agent is made from: that of its class, and the one it is called by."""
+    """Return the checksum of the files that define an agent: the source of its class, and the file in its name."""
     files = [Path(name if Path(name).is_file() else name.rpartition(":")[0])]
-    with suppress(TypeError):  # the class of a file that was loaded under no name
+    with suppress(TypeError):  # a class from a file that was loaded without a module name
         files.append(Path(inspect.getsourcefile(type(agent)) or ""))
     return sha256(b"".join(file.read_bytes() for file in files if file.is_file())).hexdigest()
 
 
-def _plain_rules(protocol: Protocol) -> dict[str, Any]:
+def _rules_as_json(protocol: Protocol) -> dict[str, Any]:
     rules: dict[str, Any] = json.loads(json.dumps(asdict(protocol)))
     return rules
 
@@ -267,7 +270,7 @@ def _machine(num_envs: int, executor: Executor | None) -> dict[str, str]:
     }
 
 
-def _play(
+def _run(
     agent: Agent,
     protocol: Protocol,
     track: str,

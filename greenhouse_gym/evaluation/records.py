@@ -1,4 +1,4 @@
-"""What is recorded of an agent's episodes, and the table made of it."""
+"""Episode records, statistics over them, and comparison tables."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ class Record:
         scene: Name of the scene.
         target: Index of the target tomato.
         difficulty: Its rating.
-        success: The target was reached and nothing was touched.
-        collision: Something was touched.
-        contact: Names of the geoms that touched, the arm's first; empty without a collision.
+        success: The episode ended with success.
+        collision: The episode ended with a collision.
+        contact: Names of the two geoms of the first contact, the arm's first; empty without a contact.
         steps: Actions taken.
-        planning_time: Seconds the agent took at the episode's start.
-        action_time: Seconds the agent took per action, on average.
-        joint_length: Way of the joints, radians (Euclidean norm).
-        tip_length: Way of the tip, metres.
-        clearance: Smallest distance of the arm to any obstacle but the target, metres, at the ends of the actions;
-            at most `CLEARANCE_RANGE`. Floor, cart and the arm itself do not count.
-        roughness: Mean norm of the change of the joint steps from action to action, radians; 0 is smoothest.
+        planning_time: Time that the agent took at the start of the episode, seconds.
+        action_time: Mean time that the agent took per action, seconds.
+        joint_length: Length of the joint path, radians (Euclidean norm).
+        tip_length: Length of the tip's path, metres.
+        clearance: Smallest distance between the arm and any obstacle except the target at the ends of the actions,
+            metres, at most `CLEARANCE_RANGE`. Floor, cart and the arm itself do not count.
+        roughness: Mean norm of the change in joint steps between consecutive actions, radians; 0 is smoothest.
         total_reward: Sum of the rewards.
-        distance: From the grasp point to the target's center at the end, metres.
-        status: What the agent says of its plan; empty for agents that do not plan.
-        failure: Why the agent gave no valid action, which ended the episode; empty where it always did.
+        distance: Remaining distance at the end, metres; for reaching, from the grasp point to the target's center.
+        status: The agent's status of its plan; empty for agents that do not plan.
+        failure: Reason why the agent gave no valid action, which ended the episode; empty otherwise.
     """
 
     seed: int
@@ -64,7 +64,7 @@ class Evaluation:
     Attributes:
         agent: The agent's name.
         records: One per episode.
-        error: Why the agent could not be evaluated; empty where it was.
+        error: Reason why the agent could not be evaluated; empty otherwise.
     """
 
     agent: str
@@ -73,17 +73,17 @@ class Evaluation:
 
     @property
     def success_rate(self) -> float:
-        """Share of successful episodes; nan without episodes."""
+        """Fraction of successful episodes; NaN without episodes."""
         return mean(r.success for r in self.records) if self.records else math.nan
 
     @property
     def collision_rate(self) -> float:
-        """Share of episodes that ended with a collision; nan without episodes."""
+        """Fraction of episodes that ended with a collision; NaN without episodes."""
         return mean(r.collision for r in self.records) if self.records else math.nan
 
     @property
     def success_interval(self) -> tuple[float, float]:
-        """95 % interval of the success rate (Wilson)."""
+        """95 % confidence interval of the success rate (Wilson)."""
         return wilson_interval(sum(r.success for r in self.records), len(self.records))
 
     @property
@@ -92,26 +92,26 @@ class Evaluation:
         return sum(bool(r.failure) for r in self.records)
 
     def of(self, difficulty: str) -> Evaluation:
-        """The episodes of one difficulty."""
+        """Return the evaluation restricted to one difficulty."""
         return Evaluation(self.agent, tuple(r for r in self.records if r.difficulty == difficulty))
 
     def median(self, field: str, solved_only: bool = False) -> float:
-        """Median of a number of the records, over all episodes or the successful ones; nan where there are none."""
+        """Return the median of a record field over all or the successful episodes; NaN without any."""
         values = [float(getattr(r, field)) for r in self.records if r.success or not solved_only]
         return median(values) if values else math.nan
 
 
 @dataclass(frozen=True)
 class Pairing:
-    """How two agents did on the same episodes.
+    """Paired comparison of two agents on the same episodes.
 
     Attributes:
         first: Name of the first agent.
         second: Name of the second agent.
-        episodes: Episodes that both played.
-        only_first: Episodes in which the first alone succeeded.
-        only_second: Episodes in which the second alone succeeded.
-        p_value: Result of McNemar's exact test: how likely a difference like this is if the agents are equally good.
+        episodes: Number of episodes that both agents ran.
+        only_first: Number of episodes in which only the first agent succeeded.
+        only_second: Number of episodes in which only the second agent succeeded.
+        p_value: Probability of a difference at least this large if the agents are equally good (McNemar's exact test).
     """
 
     first: str
@@ -124,21 +124,21 @@ class Pairing:
     def __str__(self) -> str:
         verdict = "differ" if self.p_value < 0.05 else "may be equally good"
         return (
-            f"{self.first} and {self.second} {verdict}: alone successful in {self.only_first} and {self.only_second} "
-            f"of {self.episodes} episodes, McNemar p = {self.p_value:.2g}"
+            f"{self.first} and {self.second} {verdict}: only the first succeeded in {self.only_first}, only the second "
+            f"in {self.only_second} of {self.episodes} episodes, McNemar p = {self.p_value:.2g}"
         )
 
 
 def pairing(first: Evaluation, second: Evaluation) -> Pairing:
-    """Compare two agents by McNemar's exact test (1947) on the episodes that both played.
+    """Compare two agents by McNemar's exact test (1947) on the episodes that both ran.
 
     Raises:
-        InvalidValueError: They played no episode in common.
+        InvalidValueError: They have no episode in common.
     """
     theirs = {(r.seed, r.scene, r.target): r.success for r in second.records}
     both = [(r.success, theirs[key]) for r in first.records if (key := (r.seed, r.scene, r.target)) in theirs]
     if not both:
-        raise InvalidValueError(f"{first.agent} and {second.agent} played no episode in common")
+        raise InvalidValueError(f"{first.agent} and {second.agent} have no episode in common")
     ours, others = both.count((True, False)), both.count((False, True))
     p_value = 1.0
     if ours + others:
@@ -149,7 +149,7 @@ def pairing(first: Evaluation, second: Evaluation) -> Pairing:
 
 
 def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
-    """95 % confidence interval of a rate (Wilson, 1927); (0, 1) without trials."""
+    """Return the 95 % confidence interval of a rate (Wilson, 1927); (0, 1) without trials."""
     if trials == 0:
         return 0.0, 1.0
     from scipy.stats import binomtest  # takes a second
@@ -159,7 +159,7 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
 
 
 def comparison_table(evaluations: Sequence[Evaluation]) -> str:
-    """A Markdown table of `comparison_rows`, with `comparison_notes` below it."""
+    """Return `comparison_rows` as a Markdown table followed by `comparison_notes`."""
     heads, *rows = comparison_rows(evaluations)
     rows = [heads, ["---"] + ["---:"] * (len(heads) - 1), *rows]
     table = "".join("| " + " | ".join(row) + " |\n" for row in rows)
@@ -167,13 +167,16 @@ def comparison_table(evaluations: Sequence[Evaluation]) -> str:
 
 
 def difficulties_of(evaluations: Sequence[Evaluation]) -> list[str]:
-    """The difficulties that were played, the easiest first."""
+    """Return the difficulties that occur in the records, easiest first."""
     present = {r.difficulty for e in evaluations for r in e.records}
     return [d for d in DIFFICULTIES if d in present]
 
 
 def comparison_rows(evaluations: Sequence[Evaluation]) -> list[list[str]]:
-    """The heads of a table and a row per agent; ways, steps and clearances are medians over the successful episodes."""
+    """Return a header row and one row per agent.
+
+    Path lengths, steps and clearances are medians over the successful episodes.
+    """
     difficulties = difficulties_of(evaluations)
     heads = ["agent", "episodes", "success [95 %]", *difficulties, "collision", "planning s", "steps"]
     rows = [[*heads, "joints rad", "tip m", "clearance mm", "roughness rad"]]
@@ -198,10 +201,10 @@ def comparison_rows(evaluations: Sequence[Evaluation]) -> list[list[str]]:
 
 
 def comparison_notes(evaluations: Sequence[Evaluation]) -> list[str]:
-    """Which agents could not be evaluated, and which gave no valid action in some episodes."""
+    """Return notes on agents that could not be evaluated or gave no valid action in some episodes."""
     notes = [f"{e.agent}: {e.error}" for e in evaluations if e.error]
     for e in evaluations:
         if e.failures:
             first = next(r for r in e.records if r.failure)
-            notes.append(f"{e.agent}: {e.failures} episodes ended without a valid action, first {first.failure}")
+            notes.append(f"{e.agent}: {e.failures} episodes ended without a valid action; the first: {first.failure}")
     return notes

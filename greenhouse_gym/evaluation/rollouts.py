@@ -1,6 +1,6 @@
-"""Runs any agent over a split of a bank and records what happened.
+"""Evaluation of agents over a split of a bank.
 
-The same seed gives every agent the same episodes, however many are played side by side.
+The same seed gives every agent the same episodes, whatever the number of parallel environments.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from greenhouse_gym.evaluation.runner import AgentError, EpisodeRunner, never_ac
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
 
-_PARTS = 16  # of an evaluation per worker: many enough that all end at about the same time, and little is lost
+_PARTS = 16  # per worker, so that all workers finish at about the same time and an interruption loses little
 
 
 def evaluate(
@@ -45,32 +45,32 @@ def evaluate(
 ) -> Evaluation:
     """Run an agent over episodes drawn from a split.
 
-    An agent that raises an error, gives an action of the wrong shape or not a number, or times out, fails: at
-    its first action that is an error, later it ends the episode, whose record says why, and counts as no success.
+    An agent fails if it raises an error, returns an invalid action or times out. A failure before the first valid
+    action raises an error; a later one ends the episode, which then counts as unsuccessful and records the reason.
 
     Args:
-        agent: The agent; its ``env_options`` say which environment it needs.
+        agent: The agent; its ``env_options`` are keywords of the environment.
         split: "train", "validation" or "test".
-        episodes: How many.
-        seed: Episode i has the seed ``seed + i``: with the same bank, split and difficulties, the same scene and target
-            for every agent.
-        progress: Whether to show a bar; None shows it on a terminal.
-        problems: Names of scenes with targets to run instead, one episode each: of any split and difficulty, and
-            whatever ``episodes`` says.
-        num_envs: Episodes that are played side by side. Each gets a copy of the agent, unless that has ``act_many``;
-            the records are the same, but for times.
-        timeout: Seconds the agent may take to prepare for an episode or to act; None waits for ever. One that takes
-            longer loses the episode, and a copy of it plays on: a few times, if the agent can be copied.
-        executor: Where the episodes are played, some at a time, each time by a new copy of the agent; None plays all of
-            them here. The records are the same, but for times.
+        episodes: Number of episodes.
+        seed: Episode i has the seed ``seed + i``. With the same bank, split and difficulties, every agent gets the same
+            scene and target.
+        progress: Show a progress bar; None shows it on a terminal only.
+        problems: Scene names and targets to run instead, one episode each, of any split and difficulty; ``episodes`` is
+            then ignored.
+        num_envs: Number of episodes run in parallel. Each runs a copy of the agent, unless the agent has ``act_many``.
+            Only recorded times depend on it.
+        timeout: Time limit in seconds for preparing an episode and for each action; None for no limit. After a timeout,
+            the episode is lost and a copy of the agent continues, a few times at most and only if it can be copied.
+        executor: Runs batches of episodes, each with a new copy of the agent; None runs all of them in this process.
+            Only recorded times depend on it.
         journal: Receives each record as soon as its episode ends; episodes that it holds already are skipped.
-        **options: Further keywords of the environment, such as ``bank`` or ``difficulty``; those the agent needs cannot
-            be changed.
+        **options: Further keywords of the environment, such as ``bank``, ``task`` or ``difficulty``. They must agree
+            with the agent's ``env_options``.
 
     Raises:
-        InvalidValueError: No episodes, no agent, no time, a negative seed, an option that contradicts what the
-            agent needs, or an agent or option that cannot be sent to the executor's processes.
-        AgentError: The agent failed before it gave a single valid action; with an executor, in the first episode.
+        InvalidValueError: An argument is invalid, an option contradicts the agent's ``env_options``, or the agent or an
+            option cannot be sent to the executor's processes.
+        AgentError: The agent failed before its first valid action; with an executor, in the first episode.
         WorkerLostError: A process of the executor died.
     """
     for name, number in (("episodes", episodes), ("num_envs", num_envs)):
@@ -90,15 +90,15 @@ def evaluate(
     ended = {} if journal is None else {k: record for k, record in journal.records.items() if k < len(chosen)}
     left = tuple((k, where) for k, where in enumerate(chosen) if k not in ended)
     whole = _Part(agent, split, left, seed, num_envs, timeout, options, proven=bool(ended))
-    played = whole.records() if executor is None else _played_by(executor, whole)
-    for k, record in track(played if left else (), description=agent.name, disable=not show, total=len(left)):
+    results = whole.records() if executor is None else _run_by(executor, whole)
+    for k, record in track(results if left else (), description=agent.name, disable=not show, total=len(left)):
         ended[k] = record
         if journal is not None:
             journal.add(k, record)
     records = tuple(ended[k] for k in sorted(ended))
     if executor is not None and records and records[0].failure and not records[0].steps:
         if journal is not None:
-            journal.remove()  # what was wrong may be mended before the next try
+            journal.remove()  # the agent may be fixed before the next attempt
         raise never_acted(agent, records[0].seed, records[0].failure)
     return Evaluation(agent.name, records)
 
@@ -106,9 +106,9 @@ def evaluate(
 def compare(
     agents: Iterable[Agent], split: str = "test", episodes: int = 200, seed: int = 0, **options: Any
 ) -> tuple[Evaluation, ...]:
-    """Run several agents on the same episodes, one agent after the other; see `evaluate`.
+    """Evaluate several agents on the same episodes, one after the other; see `evaluate`.
 
-    An agent that cannot be evaluated gets an evaluation without records, with the error, and the others go on.
+    An agent that cannot be evaluated gets an evaluation with an error and no records; the others continue.
     """
 
     def one(agent: Agent) -> Evaluation:
@@ -122,12 +122,12 @@ def compare(
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """An episode with the way that the arm took.
+    """Record and joint path of an episode.
 
     Attributes:
-        record: What happened.
+        record: The record.
         robot: The arm.
-        joints: (steps + 1, joints) its positions at the start and after each action, radians.
+        joints: (steps + 1, joints) joint positions at the start and after each action, radians.
     """
 
     record: Record
@@ -138,16 +138,16 @@ class Trace:
 def retrace(
     agent: Agent, seeds: Sequence[int], split: str = "test", timeout: float | None = None, **options: Any
 ) -> tuple[Trace, ...]:
-    """Play some episodes of an evaluation again and keep the ways that the arm took.
+    """Repeat episodes of an evaluation and return their joint paths.
 
-    They end as they did then, but for agents whose answers depend on the time they have.
+    The outcomes are the same, unless the agent's actions depend on the time it takes.
 
     Args:
         agent: The agent.
-        seeds: Seeds of the episodes, as their records tell them.
+        seeds: Seeds of the episodes, from their records.
         split: See `evaluate`.
         timeout: See `evaluate`.
-        **options: See `evaluate`; ``num_envs`` and ``executor`` are not among them.
+        **options: Keywords of the environment; see `evaluate`.
     """
     env = TomatoReachVectorEnv(1, split=split, **{**options, **agent.env_options})
     try:
@@ -159,17 +159,17 @@ def retrace(
 
 @dataclass(frozen=True)
 class _Part:
-    """Some of an evaluation's episodes; a part can travel.
+    """Subset of an evaluation's episodes, which can be sent to another process.
 
     Attributes:
-        agent: Who plays.
-        split: Where the episodes are drawn from.
-        chosen: Place and reset options of the episodes.
-        seed: Seed of the episode in place 0.
-        num_envs: Episodes that are played side by side.
+        agent: The agent.
+        split: Split of the bank.
+        chosen: Index and reset options of each episode.
+        seed: Seed of episode 0.
+        num_envs: Number of episodes run in parallel.
         timeout: See `evaluate`.
         options: Further keywords of the environment.
-        proven: Whether the agent is known to give valid actions.
+        proven: The agent is known to give valid actions.
     """
 
     agent: Agent
@@ -182,7 +182,7 @@ class _Part:
     proven: bool = False
 
     def records(self) -> Iterator[tuple[int, Record]]:
-        """Places and records of the episodes, in the order in which they end."""
+        """Yield indices and records of the episodes in the order in which they end."""
         count = min(self.num_envs, max(1, len(self.chosen)))
         env = TomatoReachVectorEnv(count, split=self.split, **{**self.options, **self.agent.env_options})
         try:
@@ -191,16 +191,16 @@ class _Part:
         finally:
             env.close()
 
-    def played(self) -> list[tuple[int, Record]]:
-        """All places and records at once."""
+    def run(self) -> list[tuple[int, Record]]:
+        """Return all indices and records."""
         return list(self.records())
 
 
-def _played_by(executor: Executor, whole: _Part) -> Iterator[tuple[int, Record]]:
-    """Places and records of all episodes, played some at a time by an executor's workers."""
+def _run_by(executor: Executor, whole: _Part) -> Iterator[tuple[int, Record]]:
+    """Yield indices and records of all episodes, run in batches by an executor's workers."""
     require_portable(executor, f"agent {whole.agent.name!r} with its options", whole)
     chosen = whole.chosen
     size = max(whole.num_envs, math.ceil(len(chosen) / (_PARTS * workers_of(executor))))
     parts = (replace(whole, chosen=chosen[k : k + size], proven=True) for k in range(0, len(chosen), size))
-    for records in completed(_Part.played, parts, executor):
+    for records in completed(_Part.run, parts, executor):
         yield from records

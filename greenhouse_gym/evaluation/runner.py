@@ -1,4 +1,4 @@
-"""An agent plays episodes in the simulations of a vector environment, and what happened is recorded."""
+"""Runner of an agent's episodes in the simulations of a vector environment."""
 
 from __future__ import annotations
 
@@ -26,25 +26,25 @@ from greenhouse_gym.planning import path_length
 from greenhouse_gym.robots.kinematics import tool_chain, tool_state
 
 MAX_REPLACEMENTS = 3
-"""How many agents that timed out are replaced by a copy at most; each may go on working beside the others."""
+"""Maximum number of timed-out agents that are replaced by a copy; each may keep a thread busy."""
 
 
 class AgentError(GreenhouseError, RuntimeError):
-    """An agent cannot be evaluated: it failed before it gave a single valid action."""
+    """Raised for an agent that fails before its first valid action."""
 
 
 def never_acted(agent: Agent, seed: int, failure: str) -> AgentError:
-    """The error of an agent that failed before its first action."""
+    """Return the error for an agent that failed before its first action."""
     return AgentError(f"agent {agent.name!r} failed before its first action (seed {seed}): {failure}")
 
 
 class EpisodeResult(NamedTuple):
-    """An episode that is over.
+    """Result of a finished episode.
 
     Attributes:
-        episode_index: Which of the episodes it is.
-        record: What happened.
-        joints: (steps + 1, joints) true positions at the start and after each action, radians.
+        episode_index: Index of the episode.
+        record: Its record.
+        joints: (steps + 1, joints) true joint positions at the start and after each action, radians.
     """
 
     episode_index: int
@@ -53,11 +53,11 @@ class EpisodeResult(NamedTuple):
 
 
 class _Player(NamedTuple):
-    """Who plays in a simulation.
+    """Agent of a simulation.
 
     Attributes:
         agent: The agent.
-        deadline: Makes its calls.
+        deadline: Runs its calls with a time limit.
     """
 
     agent: Agent
@@ -66,17 +66,17 @@ class _Player(NamedTuple):
 
 @dataclass
 class _Run:
-    """An episode that is being played.
+    """Episode in progress.
 
     Attributes:
-        index: Which of the episodes it is.
-        problem: What the agent was told.
-        player: Who plays.
-        planning_time: Seconds the agent took to prepare.
-        action_time: Seconds it took to act so far.
+        index: Index of the episode.
+        problem: The problem given to the agent.
+        player: The agent.
+        planning_time: Time that the agent took to prepare, seconds.
+        action_time: Time that it took for its actions so far, seconds.
         total_reward: Sum of the rewards so far.
         joints: True joint positions so far, (joints,) each.
-        failure: Why the agent gave no valid action.
+        failure: Reason why the agent gave no valid action.
     """
 
     index: int
@@ -90,16 +90,16 @@ class _Run:
 
 
 class EpisodeRunner:
-    """An agent's episodes in the simulations of a vector environment, each begun as soon as one is free.
+    """Runs an agent's episodes in a vector environment; each starts as soon as a simulation is free.
 
     Args:
-        agent: Who plays.
-        env: The environment that it plays in.
-        chosen: Place and reset options of the episodes.
-        seed: Seed of the episode in index 0.
-        timeout: Seconds it may take for each answer; None waits for ever. After an answer that took longer, a copy of
-            the agent plays the next episode, `MAX_REPLACEMENTS` times at most; then they all fail.
-        proven: Whether the agent ever gave a valid action.
+        agent: The agent.
+        env: The environment.
+        chosen: Index and reset options of each episode.
+        seed: Seed of episode 0.
+        timeout: Time limit of each call of the agent, seconds; None for no limit. After a timeout, a copy of the agent
+            runs the next episode, at most `MAX_REPLACEMENTS` times; after that, all remaining episodes fail.
+        proven: The agent is known to give valid actions.
     """
 
     def __init__(
@@ -117,7 +117,7 @@ class EpisodeRunner:
         self._shared = hasattr(agent, "act_many")
         self._seconds, self._replaced = timeout, 0
         self._players = [_Player(agent, Deadline(timeout))] * env.num_envs
-        self._fresh: Agent | None = None  # an agent that plays, or hangs, is not to be copied
+        self._fresh: Agent | None = None  # copied after a timeout; an agent in use or hanging must not be
         if env.num_envs > 1 and not self._shared:
             self._fresh = agent
             self._players = [_Player(_copy(agent), Deadline(timeout)) for _ in self._players]
@@ -127,10 +127,10 @@ class EpisodeRunner:
         self._proven = proven
 
     def run(self) -> Iterator[EpisodeResult]:
-        """All episodes, in the order in which they end."""
+        """Yield the results of all episodes in the order in which they end."""
         env, ids = self._env, range(self._env.num_envs)
         if env.num_envs > 1:
-            env.reset(seed=self._seed)  # simulations can only be reset singly when all have been
+            env.reset(seed=self._seed)  # single simulations can be reset only after the first reset of all
         runs: list[_Run | None] = [None] * env.num_envs
         actions = np.zeros((env.num_envs, *self._space.shape))
         while True:
@@ -154,7 +154,7 @@ class EpisodeRunner:
                 run.total_reward += float(rewards[i])
                 run.joints.append(self._simulation.joints[i].copy())
                 if terminated[i] or truncated[i]:
-                    yield self._played(i, run)
+                    yield self._result(i, run)
                     runs[i] = None
 
     def _begin(self, i: int) -> _Run:
@@ -178,7 +178,7 @@ class EpisodeRunner:
         return run
 
     def _player(self, i: int) -> _Player:
-        """Who begins an episode in a simulation."""
+        """Return the agent for the next episode of a simulation."""
         player = self._players[i]
         if not player.deadline.expired or self._fresh is None or self._replaced == MAX_REPLACEMENTS:
             return player
@@ -188,7 +188,7 @@ class EpisodeRunner:
         return other
 
     def _act(self, runs: Sequence[_Run | None], observations: Observed, actions: Array) -> None:
-        """Ask for the actions of all runs; those of others are zero."""
+        """Fill in the actions of all runs; those of idle simulations are zero."""
         actions[:] = 0.0
         playing = [(i, run) for i, run in enumerate(runs) if run is not None]
         if not playing:
@@ -200,10 +200,10 @@ class EpisodeRunner:
         agent, deadline = self._players[0]
         began = time.perf_counter()
         try:
-            seen = select(observations, [i for i, _ in playing])
-            together = np.asarray(deadline.call(agent.act_many, seen))  # type: ignore[attr-defined]
+            batch = select(observations, [i for i, _ in playing])
+            together = np.asarray(deadline.call(agent.act_many, batch))  # type: ignore[attr-defined]
             if together.shape[:1] != (len(playing),):
-                raise InvalidValueError(f"act_many must give {len(playing)} actions, got shape {together.shape}")
+                raise InvalidValueError(f"act_many must return {len(playing)} actions, got shape {together.shape}")
         except Exception as error:
             for _, run in playing:
                 self._fail(run, error)
@@ -214,7 +214,7 @@ class EpisodeRunner:
             run.action_time += spent
 
     def _ask(self, run: _Run, act: Callable[[Any], Any], observation: Any, action: Array) -> None:
-        """Fill in a run's next action (1, size)."""
+        """Fill in the next action (1, size) of a run."""
         began = time.perf_counter()
         try:
             answer = run.player.deadline.call(act, observation)
@@ -231,20 +231,20 @@ class EpisodeRunner:
             raise never_acted(self._agent, run.problem.seed, run.failure) from error
 
     def _ended(self, runs: list[_Run | None], i: int) -> Iterator[EpisodeResult]:
-        """A run whose agent failed."""
+        """Yield the result of a run whose agent failed."""
         run = runs[i]
         if run is not None and run.failure:
             runs[i] = None
-            yield self._played(i, run)
+            yield self._result(i, run)
 
-    def _played(self, i: int, run: _Run) -> EpisodeResult:
+    def _result(self, i: int, run: _Run) -> EpisodeResult:
         simulation = self._simulation
         info = {key: values[i] for key, values in simulation.info().items()}
         steps = len(run.joints) - 1
-        way = np.array(run.joints)
+        path = np.array(run.joints)
         model, _ = simulation.model_and_data(i)
         compiled, target = simulation.physical(i)
-        tips = tool_state(tool_chain(model, compiled.tip_site), way).point
+        tips = tool_state(tool_chain(model, compiled.tip_site), path).point
         record = Record(
             seed=run.problem.seed,
             scene=info["scene"],
@@ -256,16 +256,16 @@ class EpisodeRunner:
             steps=steps,
             planning_time=run.planning_time,
             action_time=run.action_time / max(1, steps),
-            joint_length=path_length(way),
+            joint_length=path_length(path),
             tip_length=path_length(tips),
-            clearance=smallest_clearance(compiled, model, target, way),
-            roughness=float(np.linalg.norm(np.diff(way, n=2, axis=0), axis=-1).mean()) if steps > 1 else 0.0,
+            clearance=smallest_clearance(compiled, model, target, path),
+            roughness=float(np.linalg.norm(np.diff(path, n=2, axis=0), axis=-1).mean()) if steps > 1 else 0.0,
             total_reward=run.total_reward,
             distance=float(info["distance"]),
             status=str(getattr(run.player.agent, "status", "")),
             failure=run.failure,
         )
-        return EpisodeResult(run.index, record, way)
+        return EpisodeResult(run.index, record, path)
 
 
 def _copy(agent: Agent) -> Agent:
@@ -273,6 +273,6 @@ def _copy(agent: Agent) -> Agent:
         return copy.deepcopy(agent)
     except Exception as error:
         raise InvalidValueError(
-            f"agent {agent.name!r} cannot be copied for each of several simulations ({error}); "
-            "give it a method act_many(observations), or leave num_envs at 1"
+            f"agent {agent.name!r} cannot be copied for each simulation ({error}); "
+            "give it a method act_many(observations), or use num_envs=1"
         ) from error

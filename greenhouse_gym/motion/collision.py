@@ -102,7 +102,7 @@ def _leave_out(compiled: CompiledScene, model: mujoco.MjModel, pairs: Collection
         "tomatoes": np.arange(first, first + tomatoes),
         "stems": np.arange(first + tomatoes, first + tomatoes + stems),
         "clutter": np.arange(first + tomatoes + stems, first + tomatoes + stems + clutter),
-        "stand": world[(world < first) | (world >= compiled.obstacle_geoms.stop)],
+        "placement": world[(world < first) | (world >= compiled.obstacle_geoms.stop)],
         "self": np.empty(0, dtype=np.int64),
     }
     for pair in pairs:

@@ -1,4 +1,4 @@
-"""Depth cameras on the wrist and on a mast beside the arm, by ray casting: no OpenGL."""
+"""Depth and color cameras on the wrist and on a mast next to the arm, rendered by ray casting without OpenGL."""
 
 from __future__ import annotations
 
@@ -25,24 +25,24 @@ Float32 = npt.NDArray[np.float32]
 Bytes = npt.NDArray[np.uint8]
 
 CAMERAS = ("wrist", "mast")
-"""The cameras: one rides behind the tool and looks along it, one stands beside the arm and looks at the plants."""
+"""Camera mounts: behind the tool, looking along it; on a mast next to the arm, looking at the plants."""
 
 MAX_RANGE = 2.0
-"""Surfaces beyond this depth give no reading, metres."""
+"""Maximum depth of a reading, metres."""
 
 COLOR_RANGE = 10.0
-"""Surfaces beyond this distance are not in the color images, metres."""
+"""Maximum distance of a surface in color images, metres."""
 
 TIP_FROM_WRIST = pose(translation=[0.07, 0.0, -0.13])
-"""Beside the flange, looking along the tool."""
+"""Pose of the wrist camera: next to the flange, looking along the tool."""
 
 _BASE_FROM_MAST = pose(
     rotation_about([0, 0, 1], -0.5) @ rotation_about([0, 1, 0], 0.2) @ [[0, 0, 1], [-1, 0, 0], [0, -1, 0]],
     [-0.15, 0.5, 0.45],
 )
-"""Left of the arm and above its shoulder, looking to the middle of its workspace."""
+"""Pose of the mast camera: left of the arm and above its shoulder, looking at the middle of the workspace."""
 
-D435_FOCAL = 424.2  # px at 848 px width; noise figures are told for this width
+D435_FOCAL = 424.2  # px at 848 px width; the noise parameters refer to this width
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class DepthCamera:
         mount: One of `CAMERAS`.
         width: Pixels.
         height: Pixels.
-        field_of_view: Horizontal opening, degrees.
+        field_of_view: Horizontal field of view, degrees.
     """
 
     mount: str = "wrist"
@@ -76,47 +76,47 @@ class DepthCamera:
 
     @cached_property
     def rays(self) -> Array:
-        """(height * width, 3) directions through the pixels in the camera's frame, with z = 1."""
+        """(height * width, 3) directions through the pixels in the camera frame, with z = 1."""
         u = (np.arange(self.width) + 0.5 - self.width / 2) / self.focal
         v = (np.arange(self.height) + 0.5 - self.height / 2) / self.focal
         x, y = np.meshgrid(u, v)
         return np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
 
 
-class Pictures(NamedTuple):
-    """What c cameras of n simulations see.
+class Images(NamedTuple):
+    """Images of c cameras in each of n simulations.
 
     Attributes:
-        depth: (n, c, h, w) along the view, metres, 0 without a reading.
-        color: (n, c, h, w, 3) 0 to 255; c is 0 where no colors are asked for.
-        views: (n, c, 4, 4) poses of the cameras, base_from_camera.
+        depth: (n, c, h, w) depth along the optical axis, metres; 0 without a reading.
+        color: (n, c, h, w, 3) RGB, 0 to 255; c is 0 if no color images are rendered.
+        views: (n, c, 4, 4) camera poses, base_from_camera.
     """
 
     depth: Float32
     color: Bytes
     views: Array
 
-    def first(self, count: int) -> Pictures:
-        """The pictures of the first ``count`` simulations."""
-        return self if count == len(self.depth) else Pictures._make(values[:count] for values in self)
+    def first(self, count: int) -> Images:
+        """Return the images of the first ``count`` simulations."""
+        return self if count == len(self.depth) else Images._make(values[:count] for values in self)
 
 
-def no_pictures(count: int) -> Pictures:
-    """Pictures of no camera at all."""
-    return Pictures(
+def no_images(count: int) -> Images:
+    """Return the empty images of n simulations without cameras."""
+    return Images(
         np.empty((count, 0, 0, 0), np.float32), np.empty((count, 0, 0, 0, 3), np.uint8), np.empty((count, 0, 4, 4))
     )
 
 
 class CameraRig:
-    """The cameras of n simulations whose models have one layout.
+    """Cameras of n simulations whose models share a layout.
 
     Args:
-        cameras: The cameras; all of one size.
-        compiled: Any of the scenes, since all have one layout.
-        threads: Threads that cast rays.
-        renders_arm: Whether the arm is in the depth images; otherwise its pixels give no reading.
-        renders_color: Whether there are color images, too, in which the arm always is.
+        cameras: The cameras, all of the same image size.
+        compiled: Any scene of that layout.
+        threads: Number of threads for ray casting.
+        renders_arm: Render the arm in depth images; otherwise its pixels have no reading.
+        renders_color: Render color images as well; they always show the arm.
     """
 
     def __init__(
@@ -134,7 +134,7 @@ class CameraRig:
         self._casters = [RayCaster(compiled) for _ in range(max(1, threads))]
         self._pool = ThreadPoolExecutor(len(self._casters)) if len(self._casters) > 1 else None
 
-    def photograph(
+    def render(
         self,
         models: Sequence[mujoco.MjModel],
         qpos: Array,
@@ -142,16 +142,16 @@ class CameraRig:
         tip: Array,
         tool: Array,
         noises: Sequence[np.random.Generator | None],
-    ) -> Pictures:
-        """What the cameras see.
+    ) -> Images:
+        """Render the images of all cameras.
 
         Args:
             models: Model of each of the n simulations.
             qpos: (n, j) joint positions, radians.
-            frame: (n, 5) of the base in the scene: position in metres, cosine and sine of its heading.
+            frame: (n, 5) base frame in the scene: position in metres, cosine and sine of the heading.
             tip: (n, 3) tool tips in the scene, metres.
-            tool: (n, 3, 3) their rotations scene_from_tool.
-            noises: Generator of each simulation's noise; None: its images are perfect.
+            tool: (n, 3, 3) tool rotations, scene_from_tool.
+            noises: Generator of each simulation's depth noise; None for noise-free images.
         """
         scene_from_base, scene_from_tip = np.zeros((2, len(tip), 4, 4))
         scene_from_base[:, 0, 0] = scene_from_base[:, 1, 1] = frame[:, 3]
@@ -160,15 +160,15 @@ class CameraRig:
         scene_from_base[:, :3, 3] = frame[:, :3]
         scene_from_tip[:, :3, :3], scene_from_tip[:, :3, 3], scene_from_tip[:, 3, 3] = tool, tip, 1.0
         views = _camera_poses(self.cameras, invert(scene_from_base) @ scene_from_tip)
-        depth, color = self._look(models, qpos, scene_from_base[:, None] @ views)
+        depth, color = self._render_clean(models, qpos, scene_from_base[:, None] @ views)
         for own, noise in zip(depth, noises, strict=True):
             if noise is not None:
                 for c, camera in enumerate(self.cameras):
                     own[c] = _with_noise(own[c], camera, noise)
-        return Pictures(depth, color, views)
+        return Images(depth, color, views)
 
-    def _look(self, models: Sequence[mujoco.MjModel], qpos: Array, views: Array) -> tuple[Float32, Bytes]:
-        """Perfect depth and color from poses scene_from_camera (n, c, 4, 4)."""
+    def _render_clean(self, models: Sequence[mujoco.MjModel], qpos: Array, views: Array) -> tuple[Float32, Bytes]:
+        """Return noise-free depth and color from camera poses scene_from_camera (n, c, 4, 4)."""
         first = self.cameras[0]
         shape = (len(models), len(self.cameras), first.height, first.width)
         depths = np.empty(shape, dtype=np.float32)
@@ -192,26 +192,26 @@ class CameraRig:
     def _cast(
         self, caster: RayCaster, model: mujoco.MjModel, joints: Array, camera: int, view: Array
     ) -> tuple[Hits, Array]:
-        """What a camera's rays hit, and their directions (m, 3)."""
+        """Cast the rays of a camera; return the hits and the ray directions (m, 3)."""
         rays, lengths = self._rays[camera], self._lengths[camera]
         directions = (rays / lengths[:, None]) @ view[:3, :3].T
         reach = COLOR_RANGE if self._renders_color else MAX_RANGE * float(lengths.max())
         return caster.cast(model, joints, view[:3, 3].copy(), directions, reach, self._renders_color), directions
 
     def _depth(self, hits: Hits, camera: int) -> Array:
-        seen = hits.distance >= 0 if self._renders_arm else (hits.distance >= 0) & ~hits.on_arm
-        depth = np.where(seen, hits.distance / self._lengths[camera], 0.0)
+        visible = hits.distance >= 0 if self._renders_arm else (hits.distance >= 0) & ~hits.on_arm
+        depth = np.where(visible, hits.distance / self._lengths[camera], 0.0)
         depth[depth > MAX_RANGE] = 0.0
         return depth
 
     def close(self) -> None:
-        """End the threads."""
+        """Shut down the threads."""
         if self._pool is not None:
             self._pool.shutdown()
 
 
 def _camera_poses(cameras: Sequence[DepthCamera], base_from_tip: Array) -> Array:
-    """(n, c, 4, 4) base_from_camera for tool poses (n, 4, 4)."""
+    """Return (n, c, 4, 4) camera poses base_from_camera for tool poses base_from_tip (n, 4, 4)."""
     result = np.empty((len(base_from_tip), len(cameras), 4, 4))
     for k, camera in enumerate(cameras):
         result[:, k] = base_from_tip @ TIP_FROM_WRIST if camera.mount == "wrist" else _BASE_FROM_MAST
@@ -219,10 +219,7 @@ def _camera_poses(cameras: Sequence[DepthCamera], base_from_tip: Array) -> Array
 
 
 def stereo_noise(camera: DepthCamera) -> StereoNoise:
-    """The noise of a D435, its figures scaled to the width of a camera's images.
-
-    See `greenhouse_gym.capture.sensor`.
-    """
+    """Return the noise model of a D435 scaled to the image width of a camera; see `greenhouse_gym.capture.sensor`."""
     from greenhouse_gym.capture.sensor import StereoNoise
 
     scale = camera.focal / D435_FOCAL
@@ -233,7 +230,7 @@ def stereo_noise(camera: DepthCamera) -> StereoNoise:
 
 
 def _with_noise(depth: Float32, camera: DepthCamera, rng: np.random.Generator) -> Float32:
-    """What a D435 would report for an image (h, w)."""
+    """Return a depth image (h, w) with the noise of a D435."""
     from greenhouse_gym.capture.sensor import sense_depth
 
     sensed = sense_depth(depth, camera.focal, rng, stereo_noise(camera))

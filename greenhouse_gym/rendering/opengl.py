@@ -1,4 +1,4 @@
-"""Pictures with OpenGL, through MuJoCo's own renderer; headless machines use EGL."""
+"""OpenGL rendering with MuJoCo's own renderer; headless machines use EGL."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from greenhouse_gym.rendering.renderer import (
     Image,
     Line,
     Viewpoint,
-    background_share,
+    background_fade,
     default_camera,
     sky_colors,
     view_rays,
@@ -33,26 +33,26 @@ from greenhouse_gym.rendering.renderer import (
 
 _MAX_GEOMS = 4000
 _AT_THE_PLANTS = np.array([0.5, 0.0, 1.0])
-_processes: set[int] = set()  # ids of the processes in which there has been a context
-_left_behind: list[Any] = []  # contexts of the process this one was forked from, which it must not even free
+_processes: set[int] = set()  # ids of the processes that created a context
+_inherited: list[Any] = []  # contexts of the parent process of a fork, which must not be freed here
 
 
 class OpenGLMissingError(GreenhouseError, RuntimeError):
-    """No picture can be drawn with OpenGL here."""
+    """Raised where OpenGL is not available."""
 
 
 class OpenGLRenderer:
-    """Draws models of one layout into memory; several work side by side, each with a context of its own.
+    """Off-screen renderer of models that share a layout. Several renderers coexist, each with its own context.
 
-    A renderer belongs to the thread that made it. Lights and background are those of `render_scene`.
+    A renderer belongs to the thread that created it. Lights and background are those of `render_scene`.
 
     Args:
-        model: Any of the models.
+        model: Any model of that layout.
         width: Pixels.
         height: Pixels.
 
     Raises:
-        OpenGLMissingError: There is no OpenGL here, or this process was forked from one that used it.
+        OpenGLMissingError: OpenGL is not available, or this process was forked from one that used it.
     """
 
     def __init__(self, model: mujoco.MjModel, width: int = 640, height: int = 480):
@@ -66,7 +66,7 @@ class OpenGLRenderer:
             self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
         except Exception as error:  # each backend raises its own kind
             raise OpenGLMissingError(
-                f"OpenGL does not work here ({error}); on Debian and Ubuntu: apt install libegl1 libgl1"
+                f"OpenGL is not available ({error}); on Debian and Ubuntu: apt install libegl1 libgl1"
             ) from error
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
         self._scene = mujoco.MjvScene(model, maxgeom=_MAX_GEOMS)
@@ -76,10 +76,10 @@ class OpenGLRenderer:
     def picture(
         self, model: mujoco.MjModel, data: mujoco.MjData, camera: Viewpoint | None = None, lines: Sequence[Line] = ()
     ) -> Image:
-        """(h, w, 3) uint8; lines are hidden where something stands before them.
+        """Return an image (h, w, 3) uint8; lines are hidden behind surfaces.
 
         Raises:
-            OpenGLMissingError: This process was forked from the one that made the renderer.
+            OpenGLMissingError: This process was forked from the one that created the renderer.
         """
         if os.getpid() != self._process:
             raise OpenGLMissingError(_FORKED)
@@ -90,14 +90,14 @@ class OpenGLRenderer:
         mujoco.mjr_readPixels(colors, depth, self._area, self._context)
         near, far = (model.stat.extent * end for end in (model.vis.map.znear, model.vis.map.zfar))
         sky, stretch = _background(camera, width, height)
-        share = background_share(np.flipud(near / (1.0 - depth * (1.0 - near / far))) * stretch)[..., None]
+        fade = background_fade(np.flipud(near / (1.0 - depth * (1.0 - near / far))) * stretch)[..., None]
         image = np.flipud(colors)
-        return np.asarray(image + share * (sky - image) + 0.5, dtype=np.uint8)
+        return np.asarray(image + fade * (sky - image) + 0.5, dtype=np.uint8)
 
     def close(self) -> None:
         """Free the context."""
         if os.getpid() != self._process:
-            _left_behind.append(self)
+            _inherited.append(self)
             return
         self._gl.make_current()
         self._context.free()
@@ -119,13 +119,13 @@ _FORKED = "OpenGL does not work in a process that was forked from one that used 
 
 @lru_cache(maxsize=8)
 def _background(camera: Viewpoint, width: int, height: int) -> tuple[Array, Array]:
-    """The sky (h, w, 3), 0 to 255, and the lengths of the rays per unit of depth (h, w)."""
+    """Return the sky (h, w, 3), 0 to 255, and the ray length per unit of depth (h, w)."""
     rays, stretch, _ = view_rays(camera, width, height)
     return 255.0 * sky_colors(rays), stretch
 
 
 def _set_lights(scene: mujoco.MjvScene) -> None:
-    """The lights of the ray caster instead of the model's."""
+    """Replace the lights of the model by those of the ray caster."""
     towards = _AT_THE_PLANTS - KEY_LIGHT
     lights = (
         (towards, KEY * (1 - SHADOW)),  # with shadows
@@ -143,11 +143,11 @@ def _set_lights(scene: mujoco.MjvScene) -> None:
     for light in scene.lights[:2]:
         light.type = mujoco.mjtLightType.mjLIGHT_SPOT
     scene.lights[0].castshadow = 1
-    scene.lights[len(lights) - 1].ambient[:] = AMBIENT  # with a light that has shadows it would be missing in them
+    scene.lights[len(lights) - 1].ambient[:] = AMBIENT  # on a light with shadows, ambient would be missing within them
 
 
 def free_camera(camera: Viewpoint) -> mujoco.MjvCamera:
-    """MuJoCo's free camera at the same place, looking the same way."""
+    """Return MuJoCo's free camera with the same position and direction."""
     view = mujoco.MjvCamera()
     away = np.subtract(camera.look_at, camera.position)
     view.type = mujoco.mjtCamera.mjCAMERA_FREE
@@ -159,7 +159,7 @@ def free_camera(camera: Viewpoint) -> mujoco.MjvCamera:
 
 
 def add_line(scene: mujoco.MjvScene, line: Line) -> None:
-    """Add a polyline to a scene, as far as there is room for its segments."""
+    """Add a polyline to a scene until the scene has no free geoms."""
     points: Array = np.asarray(line.points, dtype=np.float64).reshape(-1, 3)
     for start, end in pairwise(points):
         if scene.ngeom >= scene.maxgeom:
@@ -169,12 +169,12 @@ def add_line(scene: mujoco.MjvScene, line: Line) -> None:
         color = np.array([*line.color, 1.0], dtype=np.float32)
         mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).reshape(-1), color)
         mujoco.mjv_connector(geom, kind, line.radius, start, end)
-        geom.emission = 0.4  # as bright in the shadow
+        geom.emission = 0.4  # equally bright in shadows
         scene.ngeom += 1
 
 
 def _context_class() -> type[Any]:
-    """EGL where there is no display and nobody chose otherwise, whatever MuJoCo chose when it was imported."""
+    """Return EGL without a display unless MUJOCO_GL is set, whatever MuJoCo selected when it was imported."""
     no_display = sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
     if no_display and not os.environ.get("MUJOCO_GL"):
         from mujoco.egl import GLContext

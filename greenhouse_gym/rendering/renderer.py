@@ -1,4 +1,4 @@
-"""Pictures without OpenGL: MuJoCo's rays, shaded on the CPU. Works on every machine, at a few pictures per second."""
+"""Rendering without OpenGL: MuJoCo's ray casting, shaded on the CPU. Works everywhere at a few images per second."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from greenhouse_gym.scene.obstacles import ArmPlacement
 Image = npt.NDArray[np.uint8]
 
 KEY_LIGHT = np.array([-2.2, -1.6, 3.6])
-"""A point light with shadows, from the aisle."""
+"""Position of the key light in the aisle, which casts shadows."""
 
 FILL_LIGHT = np.array([-0.5, 0.8, 0.3]) / np.linalg.norm([-0.5, 0.8, 0.3])
-"""The direction of a light without shadows."""
+"""Direction of the fill light, which casts no shadows."""
 
 AMBIENT, KEY, FILL, ABOVE = 0.48, 0.5, 0.16, 0.08
-"""Brightness of the light from everywhere, of the key and the fill light, and of the light from above."""
+"""Brightness of the ambient, key, fill and overhead light."""
 
 SHADOW = 0.12
-"""Share of the key light that falls into its shadows."""
+"""Fraction of the key light within its shadows."""
 
 _SKY_LOW, _SKY_HIGH = np.array([0.93, 0.95, 0.95]), np.array([0.74, 0.83, 0.9])
 _FADE = (4.0, 9.0)  # surfaces fade into the background between these distances, metres
@@ -42,8 +42,8 @@ class Viewpoint:
 
     Attributes:
         position: (x, y, z) in the scene, metres.
-        look_at: (x, y, z) in the middle of the picture, metres.
-        field_of_view: Vertical opening, degrees.
+        look_at: (x, y, z) in the center of the image, metres.
+        field_of_view: Vertical field of view, degrees.
     """
 
     position: tuple[float, float, float]
@@ -51,7 +51,7 @@ class Viewpoint:
     field_of_view: float = 46.0
 
     def axes(self) -> Array:
-        """(3, 3) rotation scene_from_camera, OpenCV: columns are right, down and forward."""
+        """Return the (3, 3) rotation scene_from_camera (OpenCV): columns are right, down and forward."""
         forward = np.subtract(self.look_at, self.position).astype(np.float64)
         forward /= np.linalg.norm(forward)
         right = np.cross(forward, [0.0, 0.0, 1.0])
@@ -61,7 +61,7 @@ class Viewpoint:
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """A polyline in the picture: ``points`` (m, 3) in the scene, RGB ``color`` in [0, 1], ``radius`` in metres."""
+    """Polyline in an image: ``points`` (m, 3) in the scene, RGB ``color`` in [0, 1], ``radius`` in metres."""
 
     points: npt.ArrayLike
     color: tuple[float, float, float]
@@ -69,7 +69,7 @@ class Line:
 
 
 def default_camera(placement: ArmPlacement | None = None) -> Viewpoint:
-    """From the aisle, beside and above the arm, so that the arm stands clear of the plants."""
+    """Return a viewpoint in the aisle next to and above the arm, from which the arm stands out from the plants."""
     placement = placement or ArmPlacement()
     turn = rotation_about([0.0, 0.0, 1.0], placement.yaw)
     position = turn @ [-1.15, -1.9, 1.7] + placement.position
@@ -86,16 +86,16 @@ def render_scene(
     lines: Sequence[Line] = (),
     samples: int = 2,
 ) -> Image:
-    """Draw a model at its current state.
+    """Render a model in its current state.
 
     Args:
-        model: The model; geoms without opacity are not seen.
+        model: The model; transparent geoms are invisible.
         data: Its state, with current kinematics.
-        camera: Where the picture is taken from; `default_camera` when left out.
+        camera: Viewpoint; `default_camera` if None.
         width: Pixels.
         height: Pixels.
-        lines: Drawn into the picture, hidden where something stands before them.
-        samples: Rays per pixel along each side: 1 is fast, 2 is smooth.
+        lines: Polylines, hidden behind surfaces.
+        samples: Rays per pixel in each direction: 1 is fast, 2 is smooth.
 
     Returns:
         (height, width, 3) uint8.
@@ -111,7 +111,7 @@ def render_scene(
     directions, stretch, focal = view_rays(camera, w, h)
 
     def shade(rows: slice) -> tuple[Array, Array]:
-        # Rays use the data's scratch memory, so each task has its own.
+        # rays use scratch memory of the data, so each task needs its own copy
         return _shade(model, copy.copy(data), eye, directions[rows].reshape(-1, 3))
 
     tasks = [slice(first, first + _ROWS_PER_TASK) for first in range(0, h, _ROWS_PER_TASK)]
@@ -130,7 +130,7 @@ def render_scene(
 def render_depth(
     model: mujoco.MjModel, data: mujoco.MjData, camera: Viewpoint | None = None, width: int = 640, height: int = 480
 ) -> npt.NDArray[np.float32]:
-    """Depth along the view, (height, width) metres, 0 where nothing is seen; the arguments are those of `render_scene`.
+    """Return (height, width) depth along the optical axis, metres, 0 without a hit; arguments as in `render_scene`.
 
     Raises:
         InvalidValueError: A size is not positive.
@@ -145,7 +145,7 @@ def render_depth(
 
 
 def view_rays(camera: Viewpoint, width: int, height: int) -> tuple[Array, Array, float]:
-    """Unit rays (h, w, 3) in the scene, their lengths per unit of depth (h, w), and the focal length in pixels."""
+    """Return unit rays (h, w, 3) in the scene, ray length per unit of depth (h, w), and the focal length in pixels."""
     focal = float(height / (2 * np.tan(np.radians(camera.field_of_view) / 2)))
     u, v = np.meshgrid((np.arange(width) + 0.5 - width / 2) / focal, (np.arange(height) + 0.5 - height / 2) / focal)
     directions = np.stack([u, v, np.ones_like(u)], -1) @ camera.axes().T
@@ -166,7 +166,7 @@ def _cast(
 
 
 def _shade(model: mujoco.MjModel, data: mujoco.MjData, eye: Array, rays: Array) -> tuple[Array, Array]:
-    """Colors (m, 3) and distances (m,) along the rays; infinite where there is nothing."""
+    """Return colors (m, 3) and distances (m,) along the rays; infinite without a hit."""
     distance, geom, normal = _cast(model, data, eye, rays)
     hit = np.flatnonzero(distance >= 0)
     away = eye + distance[hit, None] * rays[hit] - KEY_LIGHT
@@ -181,46 +181,46 @@ def _shade(model: mujoco.MjModel, data: mujoco.MjData, eye: Array, rays: Array) 
 
 
 def surface_colors(rgba: npt.NDArray[np.float32], normal: Array, rays: Array, distance: Array) -> Array:
-    """Colors (m, 3), 0 to 1, of what rays hit, without shadows: the key light is as far as the sun.
+    """Return shaded colors (m, 3), 0 to 1, without shadows and with a directional key light.
 
     Args:
-        rgba: (m, 4) colors of what is hit.
+        rgba: (m, 4) surface colors.
         normal: (m, 3) unit normals of the surfaces.
         rays: (m, 3) unit vectors.
-        distance: (m,) along them, metres; negative where nothing is hit.
+        distance: (m,) distances along the rays, metres; negative without a hit.
     """
     towards = KEY_LIGHT / np.linalg.norm(KEY_LIGHT)
     return _lit(rgba, normal, rays, distance, np.maximum((normal * towards).sum(axis=1), 0.0))
 
 
-def background_share(distance: Array) -> Array:
-    """How far surfaces at distances (...), metres, have faded into the background, 0 to 1."""
+def background_fade(distance: Array) -> Array:
+    """Return how much surfaces at distances (...), metres, fade into the background, 0 to 1."""
     return np.asarray(np.clip((distance - _FADE[0]) / (_FADE[1] - _FADE[0]), 0.0, 1.0))
 
 
 def sky_colors(rays: Array) -> Array:
-    """Colors (..., 3), 0 to 1, of the background along unit rays (..., 3)."""
+    """Return background colors (..., 3), 0 to 1, along unit rays (..., 3)."""
     up = np.clip(rays[..., 2:] * 2.0 + 0.3, 0.0, 1.0)
     return _SKY_LOW + up * (_SKY_HIGH - _SKY_LOW)
 
 
 def _lit(rgba: npt.NDArray[np.float32], normal: Array, rays: Array, distance: Array, key: Array) -> Array:
-    """Colors (m, 3) along rays, ``key`` (m,) being what of the key light falls on the surfaces."""
+    """Return colors (m, 3) along rays, given the key light (m,) on the surfaces."""
     fill = np.maximum((normal * FILL_LIGHT).sum(axis=1), 0.0)
     light = AMBIENT + ABOVE * normal[:, 2] + KEY * key + FILL * fill
     color = np.array(rgba[:, :3], dtype=np.float64) * light[:, None]
-    fade = background_share(distance)
+    fade = background_fade(distance)
     fade[distance < 0] = 1.0
     return np.clip(color + fade[:, None] * (sky_colors(rays) - color), 0.0, 1.0)
 
 
 def _draw_segment(colors: Array, depth: Array, start: Array, end: Array, focal: float, line: Line) -> None:
-    """Draw a segment given in camera coordinates over what lies behind it."""
+    """Draw a segment in camera coordinates over the surfaces behind it."""
     near = 0.05
     if max(start[2], end[2]) < near:
         return
     for a, b in ((start, end), (end, start)):
-        if a[2] < near:  # cut off what lies behind the camera
+        if a[2] < near:  # clip the part behind the camera
             a = a + (b - a) * (near - a[2]) / (b[2] - a[2])
             start, end = (a, end) if b is end else (start, a)
     h, w = depth.shape
@@ -232,9 +232,9 @@ def _draw_segment(colors: Array, depth: Array, start: Array, end: Array, focal: 
         return
     x, y = np.meshgrid(np.arange(low[0], high[0]) + 0.5, np.arange(low[1], high[1]) + 0.5)
     along = q - p
-    share = np.clip(((x - p[0]) * along[0] + (y - p[1]) * along[1]) / max(float(along @ along), 1e-9), 0.0, 1.0)
-    z = 1.0 / ((1 - share) / start[2] + share / end[2])  # 1 / depth is what is linear in a picture
-    offset = np.hypot(x - p[0] - share * along[0], y - p[1] - share * along[1])
+    fraction = np.clip(((x - p[0]) * along[0] + (y - p[1]) * along[1]) / max(float(along @ along), 1e-9), 0.0, 1.0)
+    z = 1.0 / ((1 - fraction) / start[2] + fraction / end[2])  # inverse depth is linear in an image
+    offset = np.hypot(x - p[0] - fraction * along[0], y - p[1] - fraction * along[1])
     area = (slice(low[1], high[1]), slice(low[0], high[0]))
     radius = np.maximum(focal * line.radius / z, 0.8)
     drawn = (offset <= radius) & (z - line.radius < depth[area])

@@ -1,4 +1,4 @@
-"""Pictures of the task: an arm, the straight line to its target, and the way that the tip went."""
+"""Images of a task: the arm, the straight line to its target, and the path of the tip."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ RED, PINK = (0.9, 0.05, 0.05), (1.0, 0.3, 0.65)
 
 
 def task_lines(tip: npt.ArrayLike, target: npt.ArrayLike, trace: npt.ArrayLike = ()) -> list[Line]:
-    """The straight line from ``tip`` to ``target`` (3,) in red, and the ``trace`` (m, 3) in pink, metres."""
+    """Return the straight line from ``tip`` to ``target`` (3,) in red and the ``trace`` (m, 3) in pink, metres."""
     lines = [Line(np.array([tip, target], dtype=np.float64), RED, 0.003)]
     path = np.asarray(trace, dtype=np.float64).reshape(-1, 3)
     if len(path) > 1:
@@ -34,20 +34,20 @@ def picture_of_path(
     height: int = 480,
     samples: int = 2,
 ) -> Image:
-    """The arm at the end of a joint path, the tip's way there in pink, the straight line to the target in red.
+    """Render the arm at the end of a joint path, with the tip's path in pink and the line to the target in red.
 
     Args:
         scene: The scene.
         robot: The arm.
         target: Index of the tomato.
         joint_path: (k, joints) radians.
-        camera: As in `render_scene`, and so are the rest.
+        camera: Viewpoint, as in `render_scene`.
         width: Pixels.
         height: Pixels.
-        samples: Rays per pixel along each side.
+        samples: Rays per pixel in each direction.
 
     Raises:
-        InvalidValueError: The path is empty or does not fit the arm, or there is no such tomato.
+        InvalidValueError: The path is empty or does not fit the arm, or the tomato does not exist.
     """
     arm = get_robot(robot)
     path = np.asarray(joint_path, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""What an environment's `render` gives: OpenGL where there is any, else the ray caster; a window for people."""
+"""Viewer of an environment: images by OpenGL where available, else by ray casting, or an interactive window."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ WIDTH, HEIGHT = 640, 480
 
 
 class NoDisplayError(GreenhouseError, RuntimeError):
-    """A window was asked for on a machine without a display."""
+    """Raised if a window is requested without a display."""
 
 
 class Viewer:
-    """Draws simulations whose models have one layout.
+    """Renders simulations whose models share a layout.
 
     Args:
         mode: One of `RENDER_MODES`.
@@ -34,14 +34,14 @@ class Viewer:
 
     def __init__(self, mode: str):
         self.mode = mode
-        # A context works in the thread that made it, so every thread that draws has its own.
+        # an OpenGL context works only in the thread that created it
         self._of_thread = threading.local()
         self._gl_works = mode == "rgb_array"
         self._window: Any = None
         self._shown: tuple[mujoco.MjModel, mujoco.MjData] | None = None
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Viewer:
-        """A viewer with a window and a context of its own."""
+        """Return a viewer with its own window and context."""
         return Viewer(self.mode)
 
     def draw(
@@ -53,15 +53,15 @@ class Viewer:
         target: Array,
         trace: list[Array],
     ) -> npt.NDArray[Any] | None:
-        """A picture (h, w, 3) uint8 or depth (h, w) float32 in metres, or None after showing it in the window.
+        """Return an image (h, w, 3) uint8 or depth (h, w) float32 in metres; None after updating the window.
 
         Args:
             model: The simulation's model.
             data: Its state.
-            placement: Where the arm stands.
-            tip: (3,) where the red line begins, metres.
-            target: (3,) where the red line ends, metres.
-            trace: Points (3,) the tip went through, in pink.
+            placement: The arm's placement.
+            tip: (3,) start of the red line, metres.
+            target: (3,) end of the red line, metres.
+            trace: Earlier positions (3,) of the tip, drawn in pink, metres.
 
         Raises:
             NoDisplayError: Mode "human" without a display.
@@ -83,7 +83,7 @@ class Viewer:
         return render_scene(model, data, camera, WIDTH, HEIGHT, lines, samples=1)
 
     def close(self) -> None:
-        """Close the window and free this thread's context; drawing again opens new ones."""
+        """Close the window and free this thread's context; the next drawing creates new ones."""
         if self._gl is not None:
             self._gl.close()
         if self._window is not None:
@@ -92,7 +92,7 @@ class Viewer:
 
     @property
     def _gl(self) -> OpenGLRenderer | None:
-        """This thread's renderer."""
+        """Renderer of this thread."""
         return getattr(self._of_thread, "gl", None)
 
     def _show(

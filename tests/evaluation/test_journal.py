@@ -90,7 +90,7 @@ def test_a_damaged_line_is_named(content: str, tmp_path: Path, spoil: Callable[[
     file = tmp_path / "records.jsonl"
     header, first, *others = content.split("\n")
     file.write_text("\n".join([header, spoil(first), *others]))
-    with pytest.raises(FileFormatError, match=r"records.jsonl.*line 2 is no record"):
+    with pytest.raises(FileFormatError, match=r"records.jsonl.*line 2 is not a record"):
         RecordJournal(file, ABOUT)
 
 

@@ -73,7 +73,7 @@ def test_trials_are_not_ranked(entry: Entry) -> None:
     table = leaderboard_table([entry, gone])
     assert not follows(entry)
     assert "| random |" not in table
-    assert "Trials, by other rules than those in force: random, elsewhere." in table
+    assert "Trials that do not follow the current protocol: random, elsewhere." in table
 
 
 def with_successes(entry: Entry, agent: str, **successes: list[bool]) -> Entry:
