@@ -1,4 +1,4 @@
-"""The doctor tells what is missing or broken, and what to do about it."""
+"""The doctor reports missing and broken parts, with a remedy."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ def importing(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
     return failing.append
 
 
-def told() -> dict[str, examined.Finding]:
-    return {finding.what: finding for finding in examined.findings()}
+def by_subject() -> dict[str, examined.Finding]:
+    return {finding.subject: finding for finding in examined.findings()}
 
 
 @pytest.mark.usefixtures("importing")
-def test_all_is_told_where_all_is_there() -> None:
-    found = told()
+def test_a_complete_installation_is_good() -> None:
+    found = by_subject()
     assert {"greenhouse-gym", "Python", "cores", "OpenGL", "bank default", "bank mini", "policies"} <= set(found)
     assert {"extra reconstruct", "extra plan", "extra train", "always needed"} <= set(found)
     assert all(f.state == "good" for what, f in found.items() if "extra" not in what and what != "OpenGL"), found
@@ -49,7 +49,7 @@ def test_all_is_told_where_all_is_there() -> None:
 
 
 @pytest.mark.usefixtures("importing")
-def test_a_missing_extra_is_told_with_its_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_extra_is_reported_with_its_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     version = metadata.version
 
     def without_ompl(name: str) -> str:
@@ -58,17 +58,17 @@ def test_a_missing_extra_is_told_with_its_remedy(monkeypatch: pytest.MonkeyPatch
         return version(name)
 
     monkeypatch.setattr(metadata, "version", without_ompl)
-    finding = told()["extra plan"]
-    assert (finding.state, finding.told) == ("missing", "ompl not installed")
+    finding = by_subject()["extra plan"]
+    assert (finding.state, finding.result) == ("missing", "ompl not installed")
     assert finding.advice == "pip install 'greenhouse-gym[plan]'"
-    assert CliRunner().invoke(app, ["doctor"]).exit_code == 0  # nobody needs every extra
+    assert CliRunner().invoke(app, ["doctor"]).exit_code == 0  # no one needs every extra
 
 
 def test_what_cannot_be_imported_is_broken(importing: Callable[[str], None]) -> None:
     importing("cv2")
-    finding = told()["extra reconstruct"]
+    finding = by_subject()["extra reconstruct"]
     assert finding.state == "broken"
-    assert "libcv2.so.1" in finding.told
+    assert "libcv2.so.1" in finding.result
     assert CliRunner().invoke(app, ["doctor"]).exit_code == 1
 
 
@@ -78,7 +78,7 @@ def test_no_opengl_is_no_reason_to_worry(monkeypatch: pytest.MonkeyPatch) -> Non
         raise opengl.OpenGLMissingError("OpenGL does not work here (no EGL); on Debian: apt install libegl1")
 
     monkeypatch.setattr(opengl, "OpenGLRenderer", none)
-    finding = told()["OpenGL"]
+    finding = by_subject()["OpenGL"]
     assert finding.state == "missing"
     assert finding.advice == "on Debian: apt install libegl1"
 
@@ -86,6 +86,6 @@ def test_no_opengl_is_no_reason_to_worry(monkeypatch: pytest.MonkeyPatch) -> Non
 @pytest.mark.usefixtures("importing")
 def test_an_incomplete_installation_is_broken(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(bank, "data_path", lambda kind: tmp_path)
-    found = told()
+    found = by_subject()
     assert found["bank default"].state == found["bank mini"].state == "broken"
     assert "install the package again" in found["bank default"].advice

@@ -43,6 +43,15 @@ def test_shapes_need_no_opencv() -> None:
     assert done.returncode == 0, done.stderr
 
 
+def test_libraries_of_reports_and_exports_are_loaded_where_they_are_used() -> None:
+    code = (
+        "import sys, greenhouse_gym, greenhouse_gym.cli, greenhouse_gym.export\n"
+        "assert not {'jinja2', 'matplotlib', 'tabulate', 'trimesh'} & set(sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
 def test_every_benchmark_can_be_imported() -> None:
     folder = ROOT / "benchmarks"
     names = sorted(path.stem for path in folder.glob("*.py") if path.stem != "fetch_reach")  # which needs an old MuJoCo

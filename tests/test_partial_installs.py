@@ -102,6 +102,16 @@ def test_what_is_missing_is_named_by_its_extra(tmp_path: Path, installed: str) -
     assert not [path for path in tmp_path.rglob("*") if path.is_file() and "recording" not in str(path)]
 
 
+def test_a_report_without_matplotlib_names_the_extra_before_the_episodes(tmp_path: Path) -> None:
+    commands = {"compare": [*COMMANDS["compare"], "--report", str(tmp_path / "report.html")]}
+    arguments = [sys.executable, "-c", RUN, json.dumps([["matplotlib"], commands])]
+    done = subprocess.run(arguments, capture_output=True, text=True, cwd=ROOT, check=False)
+    ((_, error, message),) = json.loads(done.stdout.splitlines()[-1]).values()
+    assert error == "MissingDependencyError"
+    assert "greenhouse-gym[viz]" in message
+    assert not list(tmp_path.iterdir())
+
+
 # -- what is declared -------------------------------------------------------------------------------------------------
 
 IMPORTED_AS = {

@@ -87,7 +87,7 @@ class PlannerAgent:
         settings: Parameters of the planner to change, as `greenhouse_gym.planning.plan` takes them.
         unknown: Rule for space that the scan did not observe, as `greenhouse_gym.planning.plan` takes it. When left
             out, paths enter it no deeper than `MAX_DEPTH`; it is free if the scene has no occupancy or its protocol is
-            one of `COVERING_PROTOCOLS`. "avoid" tries several depths and always leaves a last plan through unknown space.
+            one of `COVERING_PROTOCOLS`. "avoid" tries several depths and ends with a plan through unknown space.
         margin: Distance from boxes of clutter, metres, as `greenhouse_gym.planning.plan` takes it. When left out,
             `LEAF_MARGIN` in scenes whose boxes follow the area of the foliage, as scenes are built now, and 0 in
             others.

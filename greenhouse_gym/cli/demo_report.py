@@ -1,4 +1,4 @@
-"""How large the demo is, and what it tells at its end."""
+"""Size of the demo, and the report that it prints at its end."""
 
 from __future__ import annotations
 
@@ -8,14 +8,13 @@ from dataclasses import dataclass, field
 from time import perf_counter
 from typing import Any
 
-from rich.table import Table
-
 from greenhouse_gym.common.progress import CONSOLE
+from greenhouse_gym.common.tables import Table
 
 
 @dataclass(frozen=True)
 class DemoSettings:
-    """How large the demo is."""
+    """Size of the demo."""
 
     length: float = 2.0  # m of row
     training_steps: int = 100_000  # from the shipped policy on, about two minutes of one core
@@ -28,25 +27,23 @@ QUICK = DemoSettings(length=0.6, training_steps=10_000, episodes=5, scene_width=
 
 
 @dataclass
-class Report:
-    """What the demo prints at its end: stages with their seconds, and figures."""
+class DemoReport:
+    """Stages with their seconds and results, and figures by name."""
 
     stages: list[tuple[str, float, str]] = field(default_factory=list)
     figures: dict[str, Any] = field(default_factory=dict)
 
     @contextmanager
     def stage(self, name: str) -> Iterator[list[str]]:
-        """Time a stage; what is appended to the list it yields is printed as its result."""
+        """Time a stage; texts appended to the yielded list are printed as its result."""
         CONSOLE.rule(f"[bold]{name}", align="left")
         started, results = perf_counter(), list[str]()
         yield results
         self.stages.append((name, perf_counter() - started, ", ".join(results)))
         CONSOLE.print(self.stages[-1][2], highlight=False)
 
-    def table(self) -> Table:
-        """All stages as a table."""
-        table = Table("stage", "seconds", "result", title="The demo")
-        for name, seconds, result in self.stages:
-            table.add_row(name, f"{seconds:.1f}", result)
-        table.add_row("all", f"{sum(seconds for _, seconds, _ in self.stages):.1f}", "")
-        return table
+    def show(self) -> None:
+        """Print all stages as a table."""
+        rows = [(name, f"{seconds:.1f}", result) for name, seconds, result in self.stages]
+        total = f"{sum(seconds for _, seconds, _ in self.stages):.1f}"
+        Table(("stage", "seconds", "result"), [*rows, ("all", total, "")], words=(0, 2)).show("The demo")

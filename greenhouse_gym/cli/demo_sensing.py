@@ -1,4 +1,4 @@
-"""The stages of the demo from the plants to their shapes, each with its pictures and figures."""
+"""Stages of the demo from the plants to their shapes, each with its pictures and figures."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from greenhouse_gym.cli.demo_report import DemoSettings, Report
+from greenhouse_gym.cli.demo_report import DemoReport, DemoSettings
 from greenhouse_gym.common.progress import progress
 
 if TYPE_CHECKING:
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from greenhouse_gym.shapes import RowShapes
 
 
-def simulate(out: Path, seed: int, settings: DemoSettings, report: Report) -> tuple[PlantRow, Recording]:
-    """Grow a row and record it; the recording is read back from its files."""
+def simulate(out: Path, seed: int, settings: DemoSettings, report: DemoReport) -> tuple[PlantRow, Recording]:
+    """Grow a row and record it; return the row and the recording read from its files."""
     from greenhouse_gym.capture import open_recording, simulate_recording, write_recording
     from greenhouse_gym.capture.recordings import INDEX
     from greenhouse_gym.crops import grow_row
@@ -27,15 +27,15 @@ def simulate(out: Path, seed: int, settings: DemoSettings, report: Report) -> tu
     with report.stage("simulate a row") as results:
         row = grow_row(seed, settings.length)
         simulated = simulate_recording(row, seed)
-        (out / "recording" / INDEX).unlink(missing_ok=True)  # an earlier demo's
-        with progress("stations", len(simulated)) as done:
-            write_recording(simulated, out / "recording", lambda i: done(i + 1))
+        (out / "recording" / INDEX).unlink(missing_ok=True)  # of an earlier demo
+        with progress("stations", len(simulated)) as on_progress:
+            write_recording(simulated, out / "recording", lambda i: on_progress(i + 1))
         results += [f"{settings.length:g} m", f"{len(simulated)} stations", f"{len(row.tomatoes)} tomatoes grown"]
     return row, open_recording(out / "recording")
 
 
-def reconstruct(out: Path, row: PlantRow, recording: Recording, report: Report) -> RowCloud:
-    """Register the recording, draw what the steps did, and compare the cloud with the truth."""
+def reconstruct(out: Path, row: PlantRow, recording: Recording, report: DemoReport) -> RowCloud:
+    """Reconstruct the recording, draw each step, and compare the cloud with the truth."""
     from greenhouse_gym.accuracy import distance_to_truth, drift
     from greenhouse_gym.reconstruction import ReconstructionSettings, save_row, simplify_points, triangulate
     from greenhouse_gym.reconstruction.row import merge_segment, remove_outliers
@@ -44,16 +44,16 @@ def reconstruct(out: Path, row: PlantRow, recording: Recording, report: Report) 
 
     settings = ReconstructionSettings()
     with report.stage("reconstruct") as results:
-        with progress("stations", len(recording)) as done:
-            walk = walk_through(recording, settings, lambda i: done(i + 1))
+        with progress("stations", len(recording)) as on_progress:
+            walk = walk_through(recording, settings, lambda i: on_progress(i + 1))
         merged, outlier = merge_segment(walk, 0, settings)
         cloud = remove_outliers(merged, outlier)
-        few = simplify_points(cloud)
-        mesh = triangulate(few)
+        simplified = simplify_points(cloud)
+        mesh = triangulate(simplified)
         save_row(cloud, out / "row.npz")
         results += [
             f"{cloud.registered.sum()} of {len(cloud.registered)} stations registered",
-            f"{len(cloud)} points, simplified to {len(few)}, {len(mesh.triangles)} faces",
+            f"{len(cloud)} points, simplified to {len(simplified)}, {len(mesh.triangles)} faces",
         ]
     with report.stage("pictures of the reconstruction") as results:
         middle = len(recording) // 2
@@ -76,20 +76,20 @@ def reconstruct(out: Path, row: PlantRow, recording: Recording, report: Report) 
             "cloud_to_truth_mean": float(distance.mean()),
             "cloud_to_truth_95": float(np.quantile(distance, 0.95)),
             "points": len(cloud),
-            "simplified_points": len(few),
+            "simplified_points": len(simplified),
             "faces": len(mesh.triangles),
         }
     return cloud
 
 
 def true_poses(recording: Recording) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """True poses (stations, 4, 4) of a simulated recording, NaN where a station has none."""
+    """Return the true poses (stations, 4, 4) of a simulated recording, NaN where a station has none."""
     poses = [station.world_from_station for station in recording]
     return np.array([np.full((4, 4), np.nan) if pose is None else pose for pose in poses])
 
 
-def extract(out: Path, row: PlantRow, recording: Recording, cloud: RowCloud, report: Report) -> RowShapes:
-    """Fit shapes to the cloud, and count the tomatoes that could be seen and were found."""
+def extract(out: Path, row: PlantRow, recording: Recording, cloud: RowCloud, report: DemoReport) -> RowShapes:
+    """Fit shapes to the cloud, and count the visible tomatoes that were found."""
     from greenhouse_gym.accuracy import match_tomatoes, visible_tomatoes
     from greenhouse_gym.geometry import invert, transformed
     from greenhouse_gym.reporting.overlay import shapes_over_photograph

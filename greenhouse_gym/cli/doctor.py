@@ -1,4 +1,4 @@
-"""The command doctor: what is here, what is missing, and what to do about it."""
+"""The command doctor: check the installation and advise on missing or broken parts."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import os
 import platform
 import re
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import NamedTuple
@@ -21,33 +21,35 @@ from greenhouse_gym.common.progress import CONSOLE, say
 from greenhouse_gym.errors import GreenhouseError
 
 NOT_FOR_USERS = ("all", "dev", "docs")
-"""Extras that gather others, or that only those need who work on the package itself."""
+"""Extras that combine others or serve the development of the package."""
+
+_REINSTALL = "the installation is incomplete: install the package again"
 
 
 class Finding(NamedTuple):
-    """One thing the doctor looked at.
+    """Result of one check.
 
     Attributes:
-        what: Its name.
-        state: "good", "missing" (something optional is not there) or "broken".
-        told: What was found.
-        advice: What to do about it; empty where nothing is to be done.
+        subject: Name of the part checked.
+        state: "good", "missing" (an optional part is not installed) or "broken".
+        result: Description of the state.
+        advice: Remedy; empty if none is needed.
     """
 
-    what: str
+    subject: str
     state: str
-    told: str
+    result: str
     advice: str = ""
 
 
 def doctor() -> None:
-    """Print versions, cores, OpenGL, extras and data, and what to do about what is missing or broken."""
+    """Check versions, cores, OpenGL, extras and data, and advise on missing or broken parts."""
     colors = {"good": "green", "missing": "yellow", "broken": "red"}
     broken = False
     for finding in findings():
         broken |= finding.state == "broken"
         CONSOLE.print(f"{finding.state:8}", style=colors[finding.state], end="", highlight=False)
-        say(f"{finding.what}: {finding.told}")
+        say(f"{finding.subject}: {finding.result}")
         if finding.advice:
             say(f"{'':8}-> {finding.advice}")
     if broken:
@@ -55,43 +57,44 @@ def doctor() -> None:
 
 
 def findings() -> Iterator[Finding]:
-    """Everything the doctor looks at, one after the other."""
-    yield Finding("greenhouse-gym", "good", f"{__version__} in {Path(__file__).parents[1]}")
-    yield _python()
-    yield _cores()
-    required = {name: extra for name, extra in _requirements() if extra not in NOT_FOR_USERS}
-    for extra in ("", *sorted(set(required.values()) - {""})):
-        yield _installed(extra, [name for name, of in required.items() if of == extra])
-    yield _opengl()
-    yield from _data()
-    yield _temporary_folder()
-
-
-def _python() -> Finding:
-    asked = metadata.metadata("greenhouse-gym")["Requires-Python"] or ""
-    told = f"{platform.python_version()} on {platform.system()} {platform.machine()} (needs {asked})"
-    return Finding("Python", "good", told)
-
-
-def _cores() -> Finding:
+    """Yield the results of all checks."""
+    from greenhouse_gym.agents.policy_agent import shipped_policies
     from greenhouse_gym.common.executors import usable_cores
 
-    cores = usable_cores()
+    yield Finding("greenhouse-gym", "good", f"{__version__} in {Path(__file__).parents[1]}")
+    needed = metadata.metadata("greenhouse-gym")["Requires-Python"] or ""
+    python = f"{platform.python_version()} on {platform.system()} {platform.machine()} (needs {needed})"
+    yield Finding("Python", "good", python)
     threads = os.environ.get("OMP_NUM_THREADS")
-    return Finding("cores", "good", f"{cores} usable" + (f", OMP_NUM_THREADS={threads}" if threads else ""))
+    yield Finding("cores", "good", f"{usable_cores()} usable" + (f", OMP_NUM_THREADS={threads}" if threads else ""))
+    for extra, names in sorted(_requirements().items()):
+        if extra not in NOT_FOR_USERS:
+            yield _installed(extra, names)
+    yield _opengl()
+    yield from map(_bank, ("default", "mini"))
+    policies = ", ".join(shipped_policies())
+    found = f"{policies or 'none'} in {data_path('policies')}"
+    yield Finding("policies", "good", found) if policies else Finding("policies", "broken", found, _REINSTALL)
+    try:
+        with tempfile.TemporaryFile():
+            yield Finding("temporary files", "good", tempfile.gettempdir())
+    except OSError as error:
+        yield Finding("temporary files", "broken", f"cannot be written ({error})", "set TMPDIR to a writable folder")
 
 
-def _requirements() -> Iterator[tuple[str, str]]:
-    """Distributions the package asks for, with the extra that brings each; "" for those it always needs."""
+def _requirements() -> dict[str, list[str]]:
+    """Return the required distributions of each extra; under "" those that are always required."""
+    found: dict[str, list[str]] = {}
     for requirement in metadata.requires("greenhouse-gym") or ():
         name = re.match(r"[\w.-]+", requirement)
         extra = re.search(r"extra == ['\"](\w+)['\"]", requirement)
         if name and name[0] != "greenhouse-gym":
-            yield name[0], extra[1] if extra else ""
+            found.setdefault(extra[1] if extra else "", []).append(name[0])
+    return found
 
 
-def _installed(extra: str, names: list[str]) -> Finding:
-    what = f"extra {extra}" if extra else "always needed"
+def _installed(extra: str, names: Sequence[str]) -> Finding:
+    subject = f"extra {extra}" if extra else "always needed"
     advice = f"pip install 'greenhouse-gym[{extra}]'" if extra else "pip install greenhouse-gym"
     versions, missing = [], []
     for name in names:
@@ -100,20 +103,20 @@ def _installed(extra: str, names: list[str]) -> Finding:
         except metadata.PackageNotFoundError:
             missing.append(name)
     if missing:
-        return Finding(what, "missing" if extra else "broken", f"{', '.join(missing)} not installed", advice)
+        return Finding(subject, "missing" if extra else "broken", f"{', '.join(missing)} not installed", advice)
     for module in MODULES.get(extra, ()):
         try:
             _load(module)
-        except Exception as error:  # compiled packages fail in ways of their own
-            return Finding(what, "broken", f"{module} is installed but cannot be imported ({error})", advice)
-    return Finding(what, "good", ", ".join(versions))
+        except Exception as error:  # compiled packages raise errors of any kind
+            return Finding(subject, "broken", f"{module} is installed but cannot be imported ({error})", advice)
+    return Finding(subject, "good", ", ".join(versions))
 
 
 def _load(module: str) -> None:
     from greenhouse_gym.common.open3d_loader import open3d
 
     if module == "open3d":
-        open3d()  # which finds it a library that it may lack
+        open3d()  # which also loads a shared library that it may lack
     else:
         importlib.import_module(module)
 
@@ -126,39 +129,20 @@ def _opengl() -> Finding:
     try:
         OpenGLRenderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 16, 16).close()
     except OpenGLMissingError as error:
-        told = "none; pictures are drawn by ray casting instead, at a few per second"
-        return Finding("OpenGL", "missing", told, str(error).partition("; ")[2])
+        result = "not available; pictures are drawn by ray casting instead, at a few per second"
+        return Finding("OpenGL", "missing", result, str(error).partition("; ")[2])
     return Finding("OpenGL", "good", f"works (MUJOCO_GL={os.environ.get('MUJOCO_GL', 'not set')})")
 
 
-def _data() -> Iterator[Finding]:
-    from greenhouse_gym.agents.policy_agent import shipped_policies
+def _bank(name: str) -> Finding:
     from greenhouse_gym.scene import SceneBank
 
-    again = "the installation is incomplete: install the package again"
-    for name in ("default", "mini"):
-        try:
-            bank = SceneBank.open(name)
-            bank.scene(bank.names()[0])
-        except GreenhouseError as error:
-            yield Finding(f"bank {name}", "broken", str(error), again)
-            continue
-        missing = [entry.file for entry in bank.manifest.scenes if not (bank.path / entry.file).is_file()]
-        if missing:
-            yield Finding(f"bank {name}", "broken", f"{bank.path} lacks {', '.join(missing)}", again)
-        else:
-            yield Finding(f"bank {name}", "good", f"{len(bank)} scenes in {bank.path}")
-    policies = ", ".join(shipped_policies())
-    if policies:
-        yield Finding("policies", "good", f"{policies} in {data_path('policies')}")
-    else:
-        yield Finding("policies", "broken", f"none in {data_path('policies')}", again)
-
-
-def _temporary_folder() -> Finding:
     try:
-        with tempfile.TemporaryFile():
-            pass
-    except OSError as error:
-        return Finding("temporary files", "broken", f"cannot be written ({error})", "set TMPDIR to a folder that can")
-    return Finding("temporary files", "good", tempfile.gettempdir())
+        bank = SceneBank.open(name)
+        bank.scene(bank.names()[0])
+    except GreenhouseError as error:
+        return Finding(f"bank {name}", "broken", str(error), _REINSTALL)
+    missing = [entry.file for entry in bank.manifest.scenes if not (bank.path / entry.file).is_file()]
+    if missing:
+        return Finding(f"bank {name}", "broken", f"{bank.path} lacks {', '.join(missing)}", _REINSTALL)
+    return Finding(f"bank {name}", "good", f"{len(bank)} scenes in {bank.path}")

@@ -4,25 +4,23 @@ from __future__ import annotations
 
 import sys
 import warnings
+from collections.abc import Callable
 
 import typer
 from rich.console import Console
 from rich.markup import escape
 
 from greenhouse_gym.cli import (
-    acting,
-    arms,
-    bank,
-    comparing,
-    demo,
-    importing,
-    policy,
-    recording,
-    scans,
-    sensing,
-    sweeping,
-    training,
+    agent_commands,
+    bank_commands,
+    cloud_commands,
+    live_recording,
+    planning_commands,
+    reconstruction_commands,
+    recording_commands,
+    training_commands,
 )
+from greenhouse_gym.cli.demo import demo
 from greenhouse_gym.cli.doctor import doctor
 from greenhouse_gym.errors import GreenhouseError
 
@@ -32,30 +30,34 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-app.command()(sensing.simulate)
-app.command()(sensing.reconstruct)
-app.command()(sensing.build)
-app.command("import")(importing.import_)
-app.command()(importing.calibrate)
-app.command()(recording.record)
-app.command()(scans.shapes)
-app.command()(sensing.formats)
-app.command("build-shipped")(sensing.build_shipped)
-app.command()(acting.plan)
-app.command()(arms.mount)
-app.command()(arms.rate)
-app.command()(training.train)
-app.command()(sweeping.sweep)
-app.command()(comparing.compare)
-app.command()(comparing.submit)
-app.command()(comparing.leaderboard)
-app.command()(comparing.demonstrations)
-app.command()(comparing.watch)
-app.command()(acting.render)
-app.command()(demo.demo)
-app.command()(doctor)
-app.add_typer(bank.app, name="bank")
-app.add_typer(policy.app, name="policy")
+_COMMANDS: dict[str, Callable[..., None]] = {
+    "simulate": recording_commands.simulate,
+    "reconstruct": reconstruction_commands.reconstruct,
+    "build": reconstruction_commands.build,
+    "import": recording_commands.import_,
+    "calibrate": recording_commands.calibrate,
+    "record": live_recording.record,
+    "shapes": cloud_commands.shapes,
+    "formats": recording_commands.formats,
+    "build-shipped": reconstruction_commands.build_shipped,
+    "plan": planning_commands.plan,
+    "mount": planning_commands.mount,
+    "rate": planning_commands.rate,
+    "train": training_commands.train,
+    "sweep": training_commands.sweep,
+    "compare": agent_commands.compare,
+    "submit": agent_commands.submit,
+    "leaderboard": agent_commands.leaderboard,
+    "demonstrations": agent_commands.demonstrations,
+    "watch": agent_commands.watch,
+    "render": planning_commands.render,
+    "demo": demo,
+    "doctor": doctor,
+}
+for name, command in _COMMANDS.items():
+    app.command(name)(command)
+app.add_typer(bank_commands.app, name="bank")
+app.add_typer(agent_commands.policy_app, name="policy")
 
 
 def main() -> None:

@@ -11,7 +11,7 @@ from greenhouse_gym.errors import MissingDependencyError
 
 MODULES: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
-        "reconstruct": ("open3d", "cv2", "libusb_package", "threadpoolctl", "yaml"),
+        "reconstruct": ("open3d", "cv2", "libusb_package", "threadpoolctl", "yaml", "matplotlib"),
         "plan": ("ompl",),
         "train": ("stable_baselines3", "torch", "safetensors", "tensorboard"),
         "viz": ("matplotlib", "moviepy"),

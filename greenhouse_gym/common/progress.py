@@ -19,20 +19,20 @@ def say(text: str, style: str | None = None) -> None:
 
 
 @contextmanager
-def progress(what: str, total: int) -> Iterator[Callable[[int], None]]:
-    """Show the progress of a piece of work.
+def progress(name: str, total: int) -> Iterator[Callable[[int], None]]:
+    """Show the progress of some work.
 
     Args:
-        what: Description of the work.
-        total: Number of parts.
+        name: Name of its parts.
+        total: Number of its parts.
 
     Yields:
-        A function to call with the number of finished parts.
+        A callback that takes the number of finished parts.
     """
     if CONSOLE.is_terminal:
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
         with Progress(*columns, TimeRemainingColumn(), console=CONSOLE, transient=True) as bars:
-            task = bars.add_task(what, total=total)
+            task = bars.add_task(name, total=total)
             yield lambda done: bars.update(task, completed=done)
         return
     started = last = perf_counter()
@@ -42,6 +42,6 @@ def progress(what: str, total: int) -> Iterator[Callable[[int], None]]:
         now = perf_counter()
         if done >= total or now - last >= _SECONDS_BETWEEN_LINES:
             last = now
-            say(f"{what}: {done} of {total}, {now - started:.0f} s")
+            say(f"{name}: {done} of {total}, {now - started:.0f} s")
 
     yield report

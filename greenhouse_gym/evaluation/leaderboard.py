@@ -21,6 +21,7 @@ from pydantic import BaseModel, ConfigDict
 from greenhouse_gym.agents import Agent
 from greenhouse_gym.common.executors import workers_of
 from greenhouse_gym.common.files import parsing, read_bytes, write_atomically
+from greenhouse_gym.common.tables import Table
 from greenhouse_gym.envs.randomization import Randomization
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.evaluation.journal import RecordJournal
@@ -210,8 +211,7 @@ def leaderboard_table(entries: Sequence[Entry], protocol: Protocol = V1) -> str:
         protocol: Protocol of the ranked entries.
     """
     heads = ["track", "agent", "episodes", "success [95 %]", "collision", "first motion ms", "action ms", "at once"]
-    heads.append("steps")
-    rows = [heads, ["---", "---"] + ["---:"] * (len(heads) - 2)]
+    rows = []
     proper = [entry for entry in entries if follows(entry, protocol)]
     ranked = [entry for entry in proper if is_current(entry)]
     for track in TRACKS:
@@ -231,7 +231,7 @@ def leaderboard_table(entries: Sequence[Entry], protocol: Protocol = V1) -> str:
                     f"{e.median('steps', solved_only=True):.0f}",
                 ]
             )
-    table = "".join("| " + " | ".join(row) + " |\n" for row in rows)
+    table = Table([*heads, "steps"], rows, words=(0, 1)).as_markdown()
     stale = [entry.agent for entry in proper if not is_current(entry)]
     trials = [entry.agent for entry in entries if not follows(entry, protocol)]
     table += f"\nMade on an earlier bank, to be submitted again: {', '.join(stale)}.\n" if stale else ""

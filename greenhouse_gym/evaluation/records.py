@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import mean, median
 
+from greenhouse_gym.common.tables import Table
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.scene import DIFFICULTIES
 
@@ -159,11 +160,9 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
 
 
 def comparison_table(evaluations: Sequence[Evaluation]) -> str:
-    """Return `comparison_rows` as a Markdown table followed by `comparison_notes`."""
-    heads, *rows = comparison_rows(evaluations)
-    rows = [heads, ["---"] + ["---:"] * (len(heads) - 1), *rows]
-    table = "".join("| " + " | ".join(row) + " |\n" for row in rows)
-    return table + "".join(f"\n{note}\n" for note in comparison_notes(evaluations))
+    """Return the table of `comparison_rows` as Markdown, with `comparison_notes` below it."""
+    notes = "".join(f"\n{note}\n" for note in comparison_notes(evaluations))
+    return comparison_rows(evaluations).as_markdown() + notes
 
 
 def difficulties_of(evaluations: Sequence[Evaluation]) -> list[str]:
@@ -172,14 +171,12 @@ def difficulties_of(evaluations: Sequence[Evaluation]) -> list[str]:
     return [d for d in DIFFICULTIES if d in present]
 
 
-def comparison_rows(evaluations: Sequence[Evaluation]) -> list[list[str]]:
-    """Return a header row and one row per agent.
-
-    Path lengths, steps and clearances are medians over the successful episodes.
-    """
+def comparison_rows(evaluations: Sequence[Evaluation]) -> Table:
+    """Return a table with a row per agent; lengths, steps and clearances are medians over the successful episodes."""
     difficulties = difficulties_of(evaluations)
     heads = ["agent", "episodes", "success [95 %]", *difficulties, "collision", "planning s", "steps"]
-    rows = [[*heads, "joints rad", "tip m", "clearance mm", "roughness rad"]]
+    heads += ["joints rad", "tip m", "clearance mm", "roughness rad"]
+    rows = []
     for e in evaluations:
         low, high = e.success_interval
         rows.append(
@@ -197,7 +194,7 @@ def comparison_rows(evaluations: Sequence[Evaluation]) -> list[list[str]]:
                 f"{e.median('roughness', solved_only=True):.4f}",
             ]
         )
-    return rows
+    return Table(heads, rows)
 
 
 def comparison_notes(evaluations: Sequence[Evaluation]) -> list[str]:

@@ -1,4 +1,4 @@
-"""Scenes for other people's simulators and planners: MJCF, URDF, SDF, MoveIt, meshes, and sets of planning problems."""
+"""Export of scenes for other simulators and planners: MJCF, URDF, SDF, MoveIt, meshes, and planning problems."""
 
 from greenhouse_gym.export.files import FORMATS, export_scene
 

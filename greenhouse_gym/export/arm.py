@@ -1,4 +1,4 @@
-"""An arm as a tree of links with joints, read off its MuJoCo model, for formats that are not MuJoCo's."""
+"""An arm as a tree of links and joints, read from its MuJoCo model, for formats other than MJCF."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ _KINDS: dict[int, Kind] = {
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """How a link moves against its parent.
+    """Motion of a link relative to its parent.
 
     Attributes:
         name: Name of the joint.
         kind: "revolute", "prismatic" or "fixed".
-        axis: (3,) in the link's frame, which sits in the joint.
-        lower: Its lower limit, radians or metres.
-        upper: Its upper limit, radians or metres.
-        velocity: Its limit of speed, radians or metres per second.
+        axis: (3,) in the link's frame, whose origin is the joint.
+        lower: Lower limit, radians or metres.
+        upper: Upper limit, radians or metres.
+        velocity: Speed limit, radians or metres per second.
     """
 
     name: str
@@ -50,12 +50,12 @@ class Link:
     Attributes:
         name: Name of the link.
         parent: Name of its parent; None for the base.
-        pose: (4, 4) of the link in its parent when the joint is at 0.
-        joint: The joint to its parent.
-        parts: Its shapes, in its frame.
-        mass: Its mass, kilograms.
-        center: (4, 4) pose of the frame in which its inertia is diagonal.
-        inertia: (3,) kg m^2.
+        pose: (4, 4) pose in the parent's frame when the joint is at 0.
+        joint: Joint to the parent.
+        parts: Shapes in the link's frame.
+        mass: Mass, kilograms.
+        center: (4, 4) pose of the frame in which the inertia is diagonal.
+        inertia: (3,) diagonal of the inertia, kg m^2.
     """
 
     name: str
@@ -69,11 +69,7 @@ class Link:
 
 
 def links_of(robot: Robot) -> list[Link]:
-    """An arm's links, parents before children, and a fixed, empty link ``tip`` at the last.
-
-    Raises:
-        ValueError: A body of the arm has two joints, or one that is not at the body's origin.
-    """
+    """Return an arm's links, parents before children, and last a fixed, empty link ``tip``."""
     model = robot.spec().compile()
     links = []
     for body in range(1, model.nbody):
@@ -110,8 +106,8 @@ def _joint(model: mujoco.MjModel, robot: Robot, body: int) -> Joint:
         return Joint(f"{model.body(body).name}_joint", "fixed", np.array([0.0, 0.0, 1.0]))
     j = int(model.body_jntadr[body])
     slides = model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE
-    own = robot.joints.index(model.joint(j).name)
-    limits = (robot.lower[own], robot.upper[own], robot.velocity_limits[own])
+    k = robot.joints.index(model.joint(j).name)
+    limits = (robot.lower[k], robot.upper[k], robot.velocity_limits[k])
     return Joint(
         model.joint(j).name, "prismatic" if slides else "revolute", model.jnt_axis[j].copy(), *map(float, limits)
     )

@@ -1,4 +1,4 @@
-"""One function that writes a scene in any of the formats."""
+"""Export of a scene to any of the known formats."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from greenhouse_gym.scene.obstacles import Shapes
 
 
 class Format(NamedTuple):
-    """One format.
+    """A format of one file.
 
     Attributes:
-        summary: What it is, and what it leaves out.
-        suffix: Suffix of the file; empty for formats of several files, which go to a folder of the scene's name.
-        write: The content of the file, of a scene, an arm and the shapes that are asked for: the scene's or its truth.
+        summary: Contents, and what is left out.
+        suffix: Suffix of the file.
+        write: Returns the file's content, given a scene, an arm and the shapes to write: the scene's or the true ones.
     """
 
     summary: str
@@ -32,9 +32,9 @@ class Format(NamedTuple):
 
 FORMATS: Mapping[str, Format] = MappingProxyType(
     {
-        "mjcf": Format("MuJoCo's scene and arm", ".xml", lambda scene, arm, _: scene.to_mjcf(arm).encode()),
+        "mjcf": Format("scene and arm for MuJoCo", ".xml", lambda scene, arm, _: scene.to_mjcf(arm).encode()),
         "urdf": Format("scene and arm; capsules as cylinder and spheres", ".urdf", lambda s, arm, _: xml.urdf(s, arm)),
-        "sdf": Format("a world of scene and arm, as Gazebo reads it", ".sdf", lambda s, arm, _: xml.sdf(s, arm)),
+        "sdf": Format("scene and arm in a world, for Gazebo", ".sdf", lambda s, arm, _: xml.sdf(s, arm)),
         "moveit": Format(
             "MoveIt's planning scene as text",
             ".scene",
@@ -45,44 +45,44 @@ FORMATS: Mapping[str, Format] = MappingProxyType(
         "stl": Format("a mesh", ".stl", lambda s, _, shapes: meshes.stl(primitives(shapes))),
         "vamp": Format("problems for VAMP; stems stay capsules", ".vamp.json", lambda s, arm, _: problems.vamp(s, arm)),
         "robometrics": Format(
-            "problems for robometrics; spheres and capsules as the cylinders around them",
+            "problems for robometrics; spheres and capsules as enclosing cylinders",
             ".robometrics.yaml",
             lambda s, arm, _: problems.robometrics(s, arm),
         ),
     }
 )
-"""The formats of one file each; ``motionbenchmaker`` is a folder of pairs of files."""
+"""Formats of one file each; `FOLDER_FORMAT` is a folder of pairs of files."""
 
 FOLDER_FORMAT = "motionbenchmaker"
-_OF_TRUTH = ("moveit", "ply", "obj", "stl")
+_TRUTH_FORMATS = ("moveit", "ply", "obj", "stl")
 
 
 def export_scene(
     scene: Scene, format: str, out: str | Path, robot: str | Robot = "ur5e", truth: bool = False
 ) -> list[Path]:
-    """Write a scene in a format of others.
+    """Write a scene in one of the formats.
 
     Args:
         scene: The scene.
-        format: A key of `FORMATS`, or "motionbenchmaker".
+        format: A key of `FORMATS`, or `FOLDER_FORMAT`.
         out: Folder for the files.
         robot: Name or file of the arm, or a `Robot`.
-        truth: Write what really stands there instead of what was reconstructed; meshes and MoveIt's scene alone.
+        truth: Write the true shapes instead of the reconstructed ones; only for meshes and MoveIt's scene.
 
     Returns:
         The files.
 
     Raises:
-        UnknownNameError: There is no such format.
-        InvalidValueError: The truth is asked for where the scene has none, or the format has no place for it.
+        UnknownNameError: The format is unknown.
+        InvalidValueError: The truth is requested, but the scene or the format has none.
     """
     require_choice("export format", format, [*FORMATS, FOLDER_FORMAT])
     arm, folder = get_robot(robot), Path(out)
     shapes: Shapes = scene
     if truth:
-        if scene.truth is None or format not in _OF_TRUTH:
-            lacking = "has no truth" if scene.truth is None else f"truth goes into {', '.join(_OF_TRUTH)} alone"
-            raise InvalidValueError(f"scene {scene.name!r} cannot be written with its truth as {format}: {lacking}")
+        if scene.truth is None or format not in _TRUTH_FORMATS:
+            reason = "it has no truth" if scene.truth is None else f"expected one of {', '.join(_TRUTH_FORMATS)}"
+            raise InvalidValueError(f"the truth of scene {scene.name!r} cannot be written as {format}: {reason}")
         shapes = scene.truth
     if format == FOLDER_FORMAT:
         return problems.motion_bench_maker(scene, arm, folder / scene.name)

@@ -1,4 +1,4 @@
-"""A scene as MoveIt's planning scene: the text format of its RViz panel, and as a message."""
+"""MoveIt's planning scene: the text format of its RViz panel, and a message."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ FRAME = "base"
 
 
 def scene_text(name: str, parts: Iterable[Primitive]) -> bytes:
-    """The ``.scene`` format, in its first version, which every MoveIt reads.
+    """Return a scene in the first version of the ``.scene`` format, which every MoveIt reads.
 
-    One object per shape; a capsule is an object of a cylinder and two spheres, an ellipsoid the sphere around it.
+    Each shape is one object; a capsule becomes a cylinder and two spheres, an ellipsoid its enclosing sphere.
     """
     lines = [name]
     for part in parts:
@@ -32,7 +32,7 @@ def _row(values: Iterable[float]) -> str:
 
 
 def scene_message(name: str, parts: Iterable[Primitive]) -> dict[str, Any]:
-    """A ``moveit_msgs/PlanningScene``, as MotionBenchMaker keeps it in YAML files."""
+    """Return a ``moveit_msgs/PlanningScene`` as in MotionBenchMaker's YAML files."""
     return {"name": name, "world": {"collision_objects": [_object(part) for part in parts]}}
 
 
@@ -49,7 +49,7 @@ def _object(part: Primitive) -> dict[str, Any]:
 
 
 def _dimensions(piece: Primitive) -> list[float]:
-    """Dimensions as ``shape_msgs/SolidPrimitive`` has them: sides of a box; radius; height and radius of a cylinder."""
+    """Return the dimensions of ``shape_msgs/SolidPrimitive``: sides; radius; height and radius of a cylinder."""
     if piece.kind == "box":
         return [2 * half for half in piece.size]
     return list(reversed(piece.size))

@@ -1,4 +1,4 @@
-"""A policy as an ONNX model, which robots' and browsers' runtimes read without this package."""
+"""A policy as an ONNX model for runtimes on robots and in browsers, without this package."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from greenhouse_gym.common.extras import needs
 from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.errors import InvalidValueError
 
-OPSET, IR_VERSION = 17, 8  # of 2022: what it needs is older still, and few runtimes are
+OPSET, IR_VERSION = 17, 8  # of 2022, for old runtimes; the operators used are older still
 _NODES = {"tanh": "Tanh", "relu": "Relu"}
-_ENDS = {"clip": "Clip", "tanh": "Tanh"}
+_OUTPUTS = {"clip": "Clip", "tanh": "Tanh"}
 
 
 def export_policy(policy: Policy, path: str | Path, name: str = "policy") -> Path:
@@ -25,16 +25,16 @@ def export_policy(policy: Policy, path: str | Path, name: str = "policy") -> Pat
 
 
 def onnx_model(policy: Policy, name: str = "policy") -> bytes:
-    """A policy as an ONNX model: scaling, layers and clipping, with everything it needs inside.
+    """Return a policy as a self-contained ONNX model: scaling, layers and clipping.
 
-    Its input ``observation`` is float32 (n, size) and its output ``action`` float32 (n, joints) within [-1, 1], for
-    any n. Its metadata tell what to feed it: ``robot`` and ``observation`` by name, and as JSON ``env_options``
-    (keywords of `gymnasium.make`), ``observation_layout`` (name and number of entries of each group, in their order)
-    and ``training``.
+    The input ``observation`` is float32 (n, size) and the output ``action`` float32 (n, joints) within [-1, 1], for
+    any n. The metadata describe the input: ``robot`` and ``observation`` by name, and as JSON ``env_options``
+    (keywords of `gymnasium.make`), ``observation_layout`` (name and number of entries of each group, in order) and
+    ``training``.
 
     Raises:
         MissingDependencyError: The extra ``onnx`` is not installed.
-        InvalidValueError: Its parts do not fit together, or its environment or notes cannot be put into words.
+        InvalidValueError: The layers do not fit together, or the environment or training notes are not JSON.
     """
     with needs("onnx"):
         import onnx
@@ -54,7 +54,7 @@ def onnx_model(policy: Policy, name: str = "policy") -> bytes:
         if i < last:
             nodes.append(helper.make_node(_NODES[policy.activation], [f"layer_{i}"], [f"hidden_{i + 1}"]))
     bounds = ["low", "high"] if policy.output == "clip" else []
-    nodes.append(helper.make_node(_ENDS[policy.output], [f"layer_{last}", *bounds], ["action"]))
+    nodes.append(helper.make_node(_OUTPUTS[policy.output], [f"layer_{last}", *bounds], ["action"]))
 
     def batch(tensor: str, size: int) -> Any:
         return helper.make_tensor_value_info(tensor, onnx.TensorProto.FLOAT, ["n", size])
@@ -84,9 +84,9 @@ def onnx_model(policy: Policy, name: str = "policy") -> bytes:
 def _metadata(policy: Policy) -> dict[str, str]:
     options = dict(policy.env_options)
     named = {str(key): str(options[key]) for key in ("robot", "observation") if key in options}
-    told = {"env_options": options, "observation_layout": policy.layout, "training": dict(policy.training)}
+    values = {"env_options": options, "observation_layout": policy.layout, "training": dict(policy.training)}
     try:
-        texts = {key: json.dumps(value, allow_nan=False) for key, value in told.items()}
+        texts = {key: json.dumps(value, allow_nan=False) for key, value in values.items()}
     except (TypeError, ValueError) as error:
         raise InvalidValueError(
             f"this policy cannot be written: its environment or its notes on training are no JSON: {error}"

@@ -1,4 +1,4 @@
-"""The shapes of a scene as named primitives with poses: what all exports are made of."""
+"""Shapes of a scene as named primitives with poses, the input of every export format."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ class Primitive(NamedTuple):
     """A shape with a pose; lengths in metres.
 
     Attributes:
-        name: Its own among those of a scene.
-        kind: What it is.
+        name: Unique name within the scene.
+        kind: Kind of shape.
         size: (radius,) of a sphere; the semi-axes of an ellipsoid; (radius, length without caps) of a capsule, (radius,
             length) of a cylinder, both along z; the half extents of a box.
-        pose: (4, 4) where it is, in the frame of its world or link.
+        pose: (4, 4) pose in the frame of its world or link.
         color: RGB in [0, 1].
     """
 
@@ -38,28 +38,33 @@ class Primitive(NamedTuple):
 
     @property
     def position(self) -> Array:
-        """(3,) metres."""
+        """Position (3,), metres."""
         return self.pose[:3, 3]
 
     @property
     def quaternion(self) -> Array:
-        """(4,) x, y, z, w."""
+        """Orientation (4,) as x, y, z, w."""
         return Rotation.from_matrix(self.pose[:3, :3]).as_quat()
 
     @property
     def roll_pitch_yaw(self) -> Array:
-        """(3,) radians about the fixed x, y and z axes, one after the other."""
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of gimbal lock, where any of the angles that give the rotation will do
-            return Rotation.from_matrix(self.pose[:3, :3]).as_euler("xyz")
+        """Orientation (3,), radians; see `roll_pitch_yaw`."""
+        return roll_pitch_yaw(self.pose)
 
     def moved(self, target_from_source: Array) -> Primitive:
-        """The primitive in another frame."""
+        """Return the primitive in another frame."""
         return self._replace(pose=target_from_source @ self.pose)
 
 
+def roll_pitch_yaw(frame: Array) -> Array:
+    """Return a pose's rotations (3,) about the fixed x, y and z axes, in this order, radians."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # gimbal lock: any angles that give the rotation will do
+        return Rotation.from_matrix(frame[:3, :3]).as_euler("xyz")
+
+
 def primitives(shapes: Shapes) -> list[Primitive]:
-    """Tomatoes, stems and clutter of a scene, or of its truth, in their order and under the names of its MJCF."""
+    """Return tomatoes, stems and clutter of a scene or its truth, in order and named as in its MJCF."""
     found = [_primitive(f"tomato_{k}", tomato.shape, _fruit_color(tomato)) for k, tomato in enumerate(shapes.tomatoes)]
     found += [_primitive(f"stem_{k}_{stem.kind}", stem, STEM) for k, stem in enumerate(shapes.stems)]
     return found + [_primitive(f"clutter_{k}", shape, CLUTTER) for k, shape in enumerate(shapes.clutter)]
@@ -86,7 +91,7 @@ def _primitive(name: str, shape: Shape | Stem, color: Color) -> Primitive:
 
 
 def without_capsules(primitive: Primitive) -> Iterator[Primitive]:
-    """The same shape, exactly, for formats without capsules: a cylinder and a sphere at each end."""
+    """Yield the same shape for formats without capsules: a cylinder and a sphere at each end."""
     if primitive.kind != "capsule":
         yield primitive
         return
@@ -98,7 +103,7 @@ def without_capsules(primitive: Primitive) -> Iterator[Primitive]:
 
 
 def without_ellipsoids(primitive: Primitive) -> Primitive:
-    """For formats without ellipsoids: the sphere around one; all else as it is."""
+    """Return the enclosing sphere of an ellipsoid, for formats without ellipsoids, or any other shape as it is."""
     if primitive.kind != "ellipsoid":
         return primitive
     return primitive._replace(kind="sphere", size=(max(primitive.size),))

@@ -1,6 +1,6 @@
-"""Planning problems, a start, goals and obstacles each, as VAMP, robometrics and MotionBenchMaker keep them.
+"""Planning problems (start, goals, obstacles) in the formats of VAMP, robometrics and MotionBenchMaker.
 
-Everything is in the frame of the arm's base, and the tomato that is to be reached is no obstacle: its cup may touch it.
+Everything is in the frame of the arm's base. The target tomato is not an obstacle: the suction cup may touch it.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.mjcf import compile_scene
 
 GOALS = 10
-"""Goal configurations of a problem, beside the end of the target's witness."""
+"""Goal configurations of a problem, in addition to the end of the target's witness."""
 
 
-class Problem(NamedTuple):
-    """One problem, in the frame of the arm's base.
+class PlanningProblem(NamedTuple):
+    """A planning problem in the frame of the arm's base.
 
     Attributes:
-        name: Name of the scene, and number of the tomato.
+        name: Name of the scene and index of the tomato.
         difficulty: Difficulty of the target.
         start: (joints,) radians.
-        goals: (k, joints) radians; none for a target that is unreachable.
+        goals: (k, joints) radians; empty for an unreachable target.
         target: (3,) center of the tomato, metres.
         tip: (4, 4) pose of the tip at the first goal; z is the tool's axis.
-        obstacles: All shapes but the target.
+        obstacles: All shapes except the target.
     """
 
     name: str
@@ -50,8 +50,8 @@ class Problem(NamedTuple):
     obstacles: list[Primitive]
 
 
-def problems(scene: Scene, robot: Robot) -> Iterator[Problem]:
-    """The problems of a scene, one for each of its targets that are rated for the arm."""
+def problems(scene: Scene, robot: Robot) -> Iterator[PlanningProblem]:
+    """Yield the problems of a scene, one for each target that is rated for the arm."""
     base_from_scene = invert(arm_pose(scene, robot))
     compiled = compile_scene(scene, robot)
     data = mujoco.MjData(compiled.model)
@@ -65,18 +65,19 @@ def problems(scene: Scene, robot: Robot) -> Iterator[Problem]:
             goals = np.concatenate([[target.witness[-1]], found])
             data.qpos[:] = goals[0]
             mujoco.mj_kinematics(compiled.model, data)
-        turn, place = data.site_xmat[compiled.tip_site].reshape(3, 3), data.site_xpos[compiled.tip_site]
-        tip = base_from_scene @ pose(turn, place)
+        tip_in_scene = pose(data.site_xmat[compiled.tip_site].reshape(3, 3), data.site_xpos[compiled.tip_site])
         tomato = shapes[target.tomato]
         others = [part for part in shapes if part is not tomato]
         name = f"{scene.name}-{target.tomato:03d}"
-        yield Problem(name, target.difficulty, robot.start, goals, tomato.position, tip, others)
+        yield PlanningProblem(
+            name, target.difficulty, robot.start, goals, tomato.position, base_from_scene @ tip_in_scene, others
+        )
 
 
 def vamp(scene: Scene, robot: Robot) -> bytes:
-    """JSON for ``vamp.problem_dict_to_vamp``: spheres, cylinders that VAMP takes as capsules, and boxes.
+    """Return JSON for ``vamp.problem_dict_to_vamp``: spheres, boxes, and cylinders that VAMP reads as capsules.
 
-    Stems stay what they are. Unreachable targets are in it, with ``valid`` false.
+    Stems thus stay capsules. Unreachable targets are included, with ``valid`` false.
     """
     sets = [
         {
@@ -98,26 +99,26 @@ def vamp(scene: Scene, robot: Robot) -> bytes:
 def _by_kind(parts: Sequence[Primitive]) -> dict[str, list[dict[str, Any]]]:
     found: dict[str, list[dict[str, Any]]] = {"sphere": [], "cylinder": [], "box": []}
     for part in parts:
-        place = {
+        named = {
             "name": part.name,
             "position": part.position.tolist(),
             "orientation_euler_xyz": part.roll_pitch_yaw.tolist(),
             "orientation_quat_xyzw": part.quaternion.tolist(),
         }
         if part.kind == "sphere":
-            found["sphere"].append(place | {"radius": part.size[0]})
+            found["sphere"].append(named | {"radius": part.size[0]})
         elif part.kind == "box":
-            found["box"].append(place | {"half_extents": list(part.size)})
+            found["box"].append(named | {"half_extents": list(part.size)})
         else:
-            found["cylinder"].append(place | {"radius": part.size[0], "length": part.size[1]})
+            found["cylinder"].append(named | {"radius": part.size[0], "length": part.size[1]})
     return found
 
 
 def robometrics(scene: Scene, robot: Robot) -> bytes:
-    """YAML with the keys of robometrics' data sets, the reachable targets alone.
+    """Return YAML with the keys of robometrics' data sets, for reachable targets only.
 
-    It has cuboids and cylinders only, so spheres and capsules become the cylinders around them: that closes a little of
-    the free space, at worst that of a goal.
+    It knows cuboids and cylinders only, so spheres and capsules become their enclosing cylinders. These block a little
+    free space, in the worst case that of a goal.
     """
     sets = [
         {
@@ -142,17 +143,17 @@ def _cuboids_and_cylinders(parts: Sequence[Primitive]) -> dict[str, dict[str, An
     found: dict[str, dict[str, Any]] = {"cuboid": {}, "cylinder": {}}
     for part in map(without_ellipsoids, parts):
         x, y, z, w = part.quaternion.tolist()
-        place = {"pose": [*part.position.tolist(), w, x, y, z]}
+        posed = {"pose": [*part.position.tolist(), w, x, y, z]}
         if part.kind == "box":
-            found["cuboid"][part.name] = place | {"dims": [2 * half for half in part.size]}
+            found["cuboid"][part.name] = posed | {"dims": [2 * half for half in part.size]}
         else:
             radius, length = (*part.size, 0.0)[:2]
-            found["cylinder"][part.name] = place | {"radius": radius, "height": length + 2 * radius}
+            found["cylinder"][part.name] = posed | {"radius": radius, "height": length + 2 * radius}
     return found
 
 
 def motion_bench_maker(scene: Scene, robot: Robot, folder: Path) -> list[Path]:
-    """MotionBenchMaker's pairs of files: ``scene0001.yaml`` and ``request0001.yaml``, the reachable targets alone.
+    """Write MotionBenchMaker's pairs ``scene0001.yaml`` and ``request0001.yaml``, for reachable targets only.
 
     Returns:
         The files, below the folder.
@@ -181,6 +182,6 @@ def _joints(robot: Robot, goal: Array) -> list[dict[str, Any]]:
 
 
 def _yaml(data: Any) -> bytes:
-    """JSON that is YAML as well: YAML 1.1 takes numbers such as 1e-05, without a point, for words."""
+    """Return JSON that is also YAML: YAML 1.1 reads a number such as 1e-05, without a point, as a string."""
     text = re.sub(r"-?\d+(?:\.\d+)?e-?\d+", lambda found: f"{float(found[0]):.12f}", json.dumps(data))
     return (text + "\n").encode()

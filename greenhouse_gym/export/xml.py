@@ -8,26 +8,32 @@ from xml.etree import ElementTree as Tree
 import numpy as np
 
 from greenhouse_gym.export.arm import Link, links_of
-from greenhouse_gym.export.primitives import Primitive, primitives, without_capsules, without_ellipsoids
+from greenhouse_gym.export.primitives import (
+    Primitive,
+    primitives,
+    roll_pitch_yaw,
+    without_capsules,
+    without_ellipsoids,
+)
 from greenhouse_gym.geometry import Array, pose, rotation_about
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.mjcf import base_position
 
 _EFFORT = 150.0
-"""Largest torque or force of a joint, N m or N: URDF wants one, and the scenes' servos have none."""
+"""Maximum torque or force of a joint, N m or N; URDF requires one, but the scenes' servos have none."""
 
 
 def arm_pose(scene: Scene, robot: Robot) -> Array:
-    """(4, 4) pose of the arm's base in the scene, without the turn that the arm's file gives it."""
+    """Return the pose (4, 4) of the arm's base in the scene, without the rotation in the arm's own file."""
     return pose(rotation_about([0.0, 0.0, 1.0], scene.placement.yaw), base_position(scene, robot))
 
 
 def urdf(scene: Scene, robot: Robot) -> bytes:
-    """The scene as the link ``world``, and the arm on it.
+    """Return the scene as the link ``world``, with the arm on it.
 
-    URDF has no capsules and no ellipsoids: capsules are a cylinder and two spheres, which is exact, and ellipsoids the
-    spheres around them.
+    URDF has no capsules and no ellipsoids: a capsule becomes a cylinder and two spheres, which is exact, an ellipsoid
+    its enclosing sphere.
     """
     root = Tree.Element("robot", name=scene.name)
     world = Tree.SubElement(root, "link", name="world")
@@ -55,7 +61,7 @@ def urdf(scene: Scene, robot: Robot) -> bytes:
 
 
 def sdf(scene: Scene, robot: Robot) -> bytes:
-    """The scene as a static model and the arm as another, in a world; SDF has capsules and ellipsoids."""
+    """Return a world with two models, the static scene and the arm; SDF has capsules and ellipsoids."""
     root = Tree.Element("sdf", version="1.9")
     world = Tree.SubElement(root, "world", name=scene.name)
     plants = Tree.SubElement(world, "model", name="plants")
@@ -135,17 +141,15 @@ def _sdf_inertial(element: Tree.Element, link: Link) -> None:
         Tree.SubElement(inertia, name).text = _numbers(value)
 
 
-def _origin(element: Tree.Element, place: Array) -> None:
-    here = Primitive("", "sphere", (), place, (0.0, 0.0, 0.0))
-    Tree.SubElement(element, "origin", xyz=_numbers(*here.position), rpy=_numbers(*here.roll_pitch_yaw))
+def _origin(element: Tree.Element, frame: Array) -> None:
+    Tree.SubElement(element, "origin", xyz=_numbers(*frame[:3, 3]), rpy=_numbers(*roll_pitch_yaw(frame)))
 
 
-def _sdf_pose(element: Tree.Element, place: Array, relative_to: str | None = None) -> None:
-    here = Primitive("", "sphere", (), place, (0.0, 0.0, 0.0))
+def _sdf_pose(element: Tree.Element, frame: Array, relative_to: str | None = None) -> None:
     pose_element = Tree.SubElement(element, "pose")
     if relative_to:
         pose_element.set("relative_to", relative_to)
-    pose_element.text = _numbers(*here.position, *here.roll_pitch_yaw)
+    pose_element.text = _numbers(*frame[:3, 3], *roll_pitch_yaw(frame))
 
 
 def _numbers(*values: float) -> str:

@@ -1,1 +1,1 @@
-"""Pictures and pages for people: drawings of clouds, shapes and scenes, and the report of a row."""
+"""Pictures, films and HTML pages: clouds, shapes, scenes, reconstructions and comparisons."""

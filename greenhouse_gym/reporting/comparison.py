@@ -1,4 +1,4 @@
-"""From agents and their evaluations to the page: which episodes to show, and the ways of the arm in them."""
+"""The page about agents and their evaluations, with a few episodes that are run again for it."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from greenhouse_gym.evaluation import retrace
 from greenhouse_gym.evaluation.leaderboard import TRACKS, V1, Entry, Protocol, follows, is_current
 from greenhouse_gym.evaluation.records import Evaluation, Record
 from greenhouse_gym.reporting.comparison_figures import colors_of
-from greenhouse_gym.reporting.comparison_page import Shown, comparison_page
-from greenhouse_gym.reporting.scene_page import Episode, Motion
+from greenhouse_gym.reporting.comparison_page import comparison_page
+from greenhouse_gym.reporting.scene_page import Motion, Replay, scene_page
 from greenhouse_gym.scene import SceneBank
 
 EPISODES = 4
 RULE = (
-    "These are the episodes that divide the agents most evenly into those that succeed and those that fail; of equal "
-    "ones, those of the first seeds. Each was played again for this page, with the same seeds."
+    "The episodes that divide the agents most evenly into successes and failures; among equals, those with the lowest "
+    "seeds. Each was run again for this page, with the same seed."
 )
-_STILL = " Plants are drawn as they were scanned, not as they moved since."
+_PLANTS_AT_REST = " Plants are drawn where they were scanned, not where they moved."
 
 
-def telling_episodes(evaluations: Sequence[Evaluation], count: int = EPISODES) -> list[Record]:
-    """The episodes to show by `RULE`, among those that all agents played: the first agent's records of them."""
+def dividing_episodes(evaluations: Sequence[Evaluation], count: int = EPISODES) -> list[Record]:
+    """Return the episodes to show by `RULE`, among those that all agents ran: the first agent's records of them."""
     first, *others = ({r.seed: r for r in e.records} for e in evaluations)
     shared = [seed for seed in first if all(seed in other for other in others)]
 
@@ -46,46 +46,46 @@ def comparison_report(
     notes: Sequence[str] = (),
     **options: Any,
 ) -> str:
-    """The page about agents, with episodes of the first track played again.
+    """Return the page about agents, with some episodes of the first track run again.
 
     Args:
-        title: Its heading.
-        tracks: Per track the agents' evaluations.
-        agents: Those whose episodes to show, by their names in the evaluations; none shows no episodes.
-        split: The split that they were evaluated on.
-        bank: Its bank.
-        notes: What else there is to say.
-        **options: Further keywords of `greenhouse_gym.evaluation.retrace`, without those of the tracks.
+        title: Heading of the page.
+        tracks: The agents' evaluations by track.
+        agents: Agents whose episodes to show, by their names in the evaluations; without any, no episodes are shown.
+        split: Split of the evaluations.
+        bank: Bank of the evaluations.
+        notes: Further paragraphs.
+        **options: Further keywords of `greenhouse_gym.evaluation.retrace`, except those of the tracks.
     """
     opened = SceneBank.open(bank)
     seeds = sorted({r.seed for evaluations in tracks.values() for e in evaluations for r in e.records})
-    told = f"Bank {opened.manifest.name} (its manifest has the checksum {opened.sha256[:12]}), split {split}"
+    source = f"Bank {opened.manifest.name} (checksum of its manifest: {opened.sha256[:12]}), split {split}"
     if seeds:
-        told += f", seeds {seeds[0]} to {seeds[-1]}"
+        source += f", seeds {seeds[0]} to {seeds[-1]}"
     track, evaluations = next(iter(tracks.items()))
-    playing = [e for e in evaluations if e.records and e.agent in agents]
+    shown = [e for e in evaluations if e.records and e.agent in agents]
     colors = colors_of([e.agent for es in tracks.values() for e in es])
-    shown = shown_episodes(playing, agents, split, opened, track, colors, **options)
-    rule = f"Track {track}. {RULE}" + (_STILL if track == "moved" else "")
-    return comparison_page(title, tracks, colors, [f"{told}.", *notes], rule, shown)
+    episodes = _episode_pages(shown, agents, split, opened, track, colors, **options) if shown else []
+    rule = f"Track {track}. {RULE}" + (_PLANTS_AT_REST if track == "moved" else "")
+    return comparison_page(title, tracks, colors, [f"{source}.", *notes], rule, episodes)
 
 
 def leaderboard_report(entries: Sequence[Entry], rules: Protocol = V1) -> str:
-    """The page about those entries of a leaderboard that were played on the present bank, by the rules given.
+    """Return the page about those entries of a leaderboard that follow the given rules on the current bank.
 
     Raises:
-        InvalidValueError: There are none.
+        InvalidValueError: No entry does.
     """
     chosen = [entry for entry in entries if follows(entry, rules) and is_current(entry)]
     if not chosen:
-        raise InvalidValueError("every entry is a trial or was played on an earlier bank: there is nothing to report")
+        raise InvalidValueError("nothing to report: every entry is a trial or was run on an earlier bank")
     tracks = {track: [e.evaluation(track) for e in chosen if track in e.tracks] for track in TRACKS}
     agents, notes = {}, [f"{entry.agent}: {entry.note}" for entry in chosen if entry.note]
     for entry in chosen:
         try:
             agents[entry.agent] = make_agent(entry.agent)
         except GreenhouseError as error:
-            notes.append(f"{entry.agent} is not shown in three dimensions: {error}")
+            notes.append(f"{entry.agent} is not shown in 3-D: {error}")
     return comparison_report(
         f"Leaderboard, protocol {rules.version}",
         {track: evaluations for track, evaluations in tracks.items() if evaluations},
@@ -98,7 +98,7 @@ def leaderboard_report(entries: Sequence[Entry], rules: Protocol = V1) -> str:
     )
 
 
-def shown_episodes(
+def _episode_pages(
     evaluations: Sequence[Evaluation],
     agents: Mapping[str, Agent],
     split: str,
@@ -106,47 +106,42 @@ def shown_episodes(
     track: str,
     colors: Mapping[str, str],
     **options: Any,
-) -> list[Shown]:
-    """Play the telling episodes of a track again, and gather the ways of the arm in them.
+) -> list[tuple[str, str]]:
+    """Run the dividing episodes of a track again and return heading and scene page of each.
 
-    Agents that drive another arm than the first one are left out, for a scene shows one arm.
+    Agents that drive another arm than the first agent are left out: a scene page shows one arm.
     """
-    chosen = telling_episodes(evaluations) if evaluations else []
-    if not chosen:
-        return []
+    chosen = dividing_episodes(evaluations)
     seeds = [record.seed for record in chosen]
     options |= {"bank": bank, **TRACKS[track]}
-    ways = {e.agent: retrace(agents[e.agent], seeds, split, **options) for e in evaluations}
-    robot = next(iter(ways.values()))[0].robot
-    ways = {agent: traces for agent, traces in ways.items() if traces[0].robot.name == robot.name}
+    traces = {e.agent: retrace(agents[e.agent], seeds, split, **options) for e in evaluations}
+    robot = next(iter(traces.values()))[0].robot
     before = {e.agent: {r.seed: r for r in e.records} for e in evaluations}
-
-    def shown(k: int, record: Record) -> Shown:
-        traces = {agent: of[k] for agent, of in ways.items()}
-        told = {agent: _outcome(trace.record, before[agent][record.seed]) for agent, trace in traces.items()}
-        motions = tuple(Motion(a, trace.joints, _rgb(colors[a]), told[a]) for a, trace in traces.items())
-        where = f"scene {record.scene}, tomato {record.target} ({record.difficulty})"
-        return Shown(
-            f"Seed {record.seed}: {where}",
-            bank.scene(record.scene),
-            robot,
-            Episode(f"Seed {record.seed}", record.target, motions, track != "reconstruction"),
+    pages = []
+    for k, record in enumerate(chosen):
+        motions = tuple(
+            Motion(agent, of[k].joints, _rgb(colors[agent]), _outcome(of[k].record, before[agent][record.seed]))
+            for agent, of in traces.items()
+            if of[k].robot.name == robot.name
         )
-
-    return [shown(k, record) for k, record in enumerate(chosen)]
+        title = f"Seed {record.seed}"
+        replay = Replay(title, record.target, motions, in_truth=track != "reconstruction")
+        page = scene_page(bank.scene(record.scene), robot, replay)
+        pages.append((f"{title}: scene {record.scene}, tomato {record.target} ({record.difficulty})", page))
+    return pages
 
 
 def _outcome(now: Record, before: Record) -> str:
-    """What came of an episode, and whether that was so before."""
+    """Describe how an episode ended, and whether it ended differently before."""
     if now.failure:
-        told = f"gave up after {now.steps} actions: {now.failure}"
+        text = f"gave up after {now.steps} actions: {now.failure}"
     elif now.success:
-        told = f"reached it after {now.steps} actions"
+        text = f"reached it after {now.steps} actions"
     elif now.collision:
-        told = f"hit {now.contact[-1]} with its {now.contact[0]} after {now.steps} actions"
+        text = f"hit {now.contact[-1]} with its {now.contact[0]} after {now.steps} actions"
     else:
-        told = f"ended {100 * now.distance:.0f} cm from it after {now.steps} actions"
-    return told if now.success == before.success else f"{told}, unlike before"
+        text = f"ended {100 * now.distance:.0f} cm from it after {now.steps} actions"
+    return text if now.success == before.success else f"{text}, unlike before"
 
 
 def _rgb(color: str) -> tuple[float, float, float]:

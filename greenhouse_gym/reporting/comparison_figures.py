@@ -3,169 +3,165 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from itertools import chain, combinations
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from greenhouse_gym.common.tables import Table
 from greenhouse_gym.envs.actions import INTERVAL
 from greenhouse_gym.evaluation.records import Evaluation, Record, pairing
-from greenhouse_gym.geometry import Array
-from greenhouse_gym.reporting import pieces
-from greenhouse_gym.reporting.svg import Axis, Series, plot
+from greenhouse_gym.reporting.plots import fractions, hover, logarithmic
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 _COLORS = (
     "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#222222", "#7b3294", "#8c510a", "#66a61e",
 )  # fmt: skip
-"""Told apart by most eyes; the first eight are those of Okabe and Ito, but for their yellow."""
+"""Distinct to most eyes; the first six and black are those of Okabe and Ito."""
 
-_WIDTH, _HEIGHT = 460, 260
-_EDGE = 1.15  # factor of room at both ends of an axis of times
-_NO_TIME = 1e-6  # seconds, the least that an axis of times shows
+_MARGIN = 1.15  # factor at both ends of an axis of times
+_MIN_TIME = 1e-6  # s, shown for shorter times: the axis is logarithmic
 
 
 def colors_of(agents: Sequence[str]) -> dict[str, str]:
-    """A color for each agent, from the eleventh on in turn again."""
+    """Assign each agent a color; from the eleventh agent on they repeat."""
     return {agent: _COLORS[k % len(_COLORS)] for k, agent in enumerate(dict.fromkeys(agents))}
 
 
-def rates_plot(title: str, groups: Mapping[str, Sequence[Evaluation]], colors: Mapping[str, str]) -> str:
-    """Success rates with their 95 % intervals, agents beside each other within each group."""
-    series = []
-    for k, (agent, color) in enumerate(colors.items()):
-        shift = 0.7 * ((k + 0.5) / len(colors) - 0.5)
-        found = [(g, e) for g, es in enumerate(groups.values()) for e in es if e.agent == agent and e.records]
-        points = np.array([(g + shift, e.success_rate) for g, e in found]).reshape(-1, 2)
-        spans = np.array([e.success_interval for _, e in found]).reshape(-1, 2)
-        names = [f"{agent}, {list(groups)[g]}: {e.success_rate:.1%} of {len(e.records)}" for g, e in found]
-        series.append(Series(points, "dots", names, color=color, spans=spans))
-    across = Axis("", -0.5, len(groups) - 0.5, names=tuple(groups))
-    return plot(title, across, _SHARE, series, _WIDTH, _HEIGHT)
-
-
-def steps_plot(evaluations: Sequence[Evaluation], colors: Mapping[str, str]) -> str:
-    """Which share of the episodes had succeeded after how many actions."""
-    most = max((r.steps for e in evaluations for r in e.records), default=1)
-    return _shares("successes by actions", Axis("actions", 0.0, max(1, most)), evaluations, colors, lambda r: r.steps)
-
-
-def seconds_plot(evaluations: Sequence[Evaluation], colors: Mapping[str, str]) -> str:
-    """Which share of the episodes had succeeded after how many seconds, thought before the first action included."""
-    return _timed("successes by time", "seconds, thought included", evaluations, colors, _ended, lambda r: r.success)
-
-
-def motion_plot(evaluations: Sequence[Evaluation], colors: Mapping[str, str]) -> str:
-    """In which share of the episodes the arm had begun to move after how many seconds."""
-    return _timed("begun by time", "seconds to the first motion", evaluations, colors, first_motion, _acted)
-
-
-def motion_table(evaluations: Sequence[Evaluation]) -> str:
-    """How long agents take until the arm moves, milliseconds."""
-    rows = []
-    for e in evaluations:
-        times = [1e3 * first_motion(r) for r in e.records if _acted(r)]
-        if times:
-            rows.append((e.agent, *map(_milliseconds, np.quantile(times, (0.5, 0.9, 1.0)))))
-    return pieces.table(("agent", "median ms", "90 % within ms", "longest ms"), rows, {0})
-
-
-def pairs_table(evaluations: Sequence[Evaluation]) -> str:
-    """McNemar's test between any two agents: who succeeded alone, how often, and how likely that is by chance."""
-    played = [e for e in evaluations if e.records]
-    rows = []
-    for k, first in enumerate(played):
-        for second in played[k + 1 :]:
-            p = pairing(first, second)
-            better = p.first if p.only_first > p.only_second else p.second
-            verdict = f"{better} is better" if p.p_value < 0.05 else "may be equally good"
-            alone = (f"{p.only_first} of {p.episodes}", f"{p.only_second} of {p.episodes}")
-            rows.append((first.agent, second.agent, *alone, f"{p.p_value:.2g}", verdict))
-    heads = ("first", "second", "only first succeeded", "only second succeeded", "p", "verdict")
-    return pieces.table(heads, rows, {0, 1, 5})
-
-
-def collision_tables(evaluations: Sequence[Evaluation]) -> str:
-    """What agents touch, and with which part of the arm."""
-    of: tuple[tuple[str, Callable[[Record], str]], ...] = (("what is touched", touched), ("what touches it", toucher))
-    return "".join(_counted(name, evaluations, kind) for name, kind in of)
-
-
 def first_motion(record: Record) -> float:
-    """Seconds until the first action is known."""
+    """Return the seconds until the first action is known."""
     return record.planning_time + record.action_time
 
 
-def touched(record: Record) -> str:
-    """Of which kind the obstacle of a collision is."""
+def obstacle_kind(record: Record) -> str:
+    """Return the kind of obstacle in a collision."""
     kind, _, rest = record.contact[-1].partition("_")
     if kind == "stem":
         return f"{rest.partition('_')[2] or 'other'} stem"
     return kind if kind in ("tomato", "clutter", "floor", "cart") else "the arm itself"
 
 
-def toucher(record: Record) -> str:
-    """Which part of the arm collided."""
+def arm_part(record: Record) -> str:
+    """Return the part of the arm that collided."""
     return record.contact[0]
 
 
-_SHARE = Axis("share of the episodes", 0.0, 1.0)
+# -- plots ------------------------------------------------------------------------------------------------------------
+
+
+def draw_success_rates(axes: Axes, groups: Mapping[str, Sequence[Evaluation]], colors: Mapping[str, str]) -> None:
+    """Draw success rates with their 95 % intervals, the agents next to each other within each group."""
+    for k, (agent, color) in enumerate(colors.items()):
+        shift = 0.7 * ((k + 0.5) / len(colors) - 0.5)
+        for x, (group, evaluations) in enumerate(groups.items()):
+            for e in (e for e in evaluations if e.agent == agent and e.records):
+                low, high = e.success_interval
+                axes.vlines(x + shift, low, high, color, linewidth=1.5)
+                (dot,) = axes.plot(x + shift, e.success_rate, "o", color=color)
+                hover(dot, f"{agent}, {group}: {e.success_rate:.1%} of {len(e.records)}")
+    axes.set_xlim(-0.5, len(groups) - 0.5)
+    axes.set_xticks(range(len(groups)), list(groups))
+    axes.grid(axis="x", visible=False)
+    fractions(axes, "successful episodes")
+
+
+class Curve(NamedTuple):
+    """A plot of the fraction of episodes in which something had happened.
+
+    Attributes:
+        caption: Caption of the plot.
+        label: Label of the horizontal axis.
+        value: Returns the value of the horizontal axis at which it happened in an episode.
+        happened: Returns whether it happened in an episode.
+        over_time: The horizontal axis shows time and is logarithmic.
+    """
+
+    caption: str
+    label: str
+    value: Callable[[Record], float]
+    happened: Callable[[Record], bool]
+    over_time: bool = True
+
+    def draw(self, axes: Axes, evaluations: Sequence[Evaluation], colors: Mapping[str, str]) -> None:
+        """Draw the stairs of each agent."""
+        lowest = _MIN_TIME if self.over_time else 0.0
+        values = {
+            e.agent: sorted(max(lowest, self.value(r)) for r in e.records if self.happened(r)) for e in evaluations
+        }
+        if self.over_time:
+            times = list(chain(*values.values())) or [1.0]
+            logarithmic(axes, min(times) / _MARGIN, max(times) * _MARGIN)
+        else:
+            axes.set_xlim(0, max([1.0, *(self.value(r) for e in evaluations for r in e.records)]))
+        low, high = axes.get_xlim()
+        for e in (e for e in evaluations if e.records):
+            heights = np.arange(len(values[e.agent]) + 1) / len(e.records)
+            x, y = [low, *values[e.agent], high], [*heights, heights[-1]]
+            (line,) = axes.step(x, y, where="post", color=colors[e.agent])
+            hover(line, f"{e.agent}: {heights[-1]:.1%}")
+        axes.set_xlabel(self.label)
+        fractions(axes, "episodes")
+
+
+SUCCESSES_BY_ACTIONS = Curve(
+    "Fraction of all episodes that succeeded within a number of actions.",
+    "actions",
+    lambda r: r.steps,
+    lambda r: r.success,
+    over_time=False,
+)
+SUCCESSES_BY_TIME = Curve(
+    "The same over time: planning before the first action, then 20 actions a second, or fewer for agents that take "
+    "longer to choose one.",
+    "seconds, planning included",
+    lambda r: r.planning_time + r.steps * max(INTERVAL, r.action_time),
+    lambda r: r.success,
+)
+FIRST_MOTIONS = Curve(
+    "Fraction of all episodes in which the first action was known.",
+    "seconds to the first motion",
+    first_motion,
+    lambda r: r.steps > 0,
+)
+
+
+# -- tables -----------------------------------------------------------------------------------------------------------
+
+
+def first_motion_table(evaluations: Sequence[Evaluation]) -> Table:
+    """Return quantiles of the time until the arm moves, milliseconds."""
+    rows = []
+    for e in evaluations:
+        times = [1e3 * first_motion(r) for r in e.records if FIRST_MOTIONS.happened(r)]
+        if times:
+            rows.append((e.agent, *map(_milliseconds, np.quantile(times, (0.5, 0.9, 1.0)))))
+    return Table(("agent", "median ms", "90 % within ms", "longest ms"), rows)
 
 
 def _milliseconds(value: float) -> str:
     return f"{value:,.0f}" if value >= 100 else f"{value:.2g}"
 
 
-def _acted(record: Record) -> bool:
-    return record.steps > 0
+def pairs_table(evaluations: Sequence[Evaluation]) -> Table:
+    """Return McNemar's test of every two agents: how often one alone succeeded, and the p-value of that difference."""
+    rows = []
+    for first, second in combinations((e for e in evaluations if e.records), 2):
+        p = pairing(first, second)
+        better = p.first if p.only_first > p.only_second else p.second
+        verdict = f"{better} is better" if p.p_value < 0.05 else "may be equally good"
+        alone = (f"{p.only_first} of {p.episodes}", f"{p.only_second} of {p.episodes}")
+        rows.append((first.agent, second.agent, *alone, f"{p.p_value:.2g}", verdict))
+    heads = ("first", "second", "only first succeeded", "only second succeeded", "p", "verdict")
+    return Table(heads, rows, words=(0, 1, 5))
 
 
-def _ended(record: Record) -> float:
-    return record.planning_time + record.steps * max(INTERVAL, record.action_time)
-
-
-def _timed(
-    title: str,
-    label: str,
-    evaluations: Sequence[Evaluation],
-    colors: Mapping[str, str],
-    time: Callable[[Record], float],
-    counts: Callable[[Record], bool],
-) -> str:
-    times = [max(_NO_TIME, time(r)) for e in evaluations for r in e.records if counts(r)] or [1.0]
-    across = Axis(label, min(times) / _EDGE, max(times) * _EDGE, log=True)
-    return _shares(title, across, evaluations, colors, lambda r: max(_NO_TIME, time(r)), counts)
-
-
-def _shares(
-    title: str,
-    across: Axis,
-    evaluations: Sequence[Evaluation],
-    colors: Mapping[str, str],
-    value: Callable[[Record], float],
-    counts: Callable[[Record], bool] = lambda record: record.success,
-) -> str:
-    """Stairs: the share of an agent's episodes that count and whose value is at most that on the axis."""
-    series = []
-    for e in evaluations:
-        if e.records:
-            values = np.sort([value(r) for r in e.records if counts(r)])
-            points = _stairs(values, len(e.records), across)
-            series.append(Series(points, "line", (f"{e.agent}: {points[-1, 1]:.1%}",), color=colors[e.agent]))
-    return plot(title, across, _SHARE, series, _WIDTH, _HEIGHT)
-
-
-def _stairs(values: Array, episodes: int, across: Axis) -> Array:
-    shares = np.arange(len(values) + 1) / episodes
-    at = np.concatenate([[across.low], np.repeat(values, 2), [across.high]])
-    return np.column_stack([at, np.repeat(shares, 2)])
-
-
-def _counted(head: str, evaluations: Sequence[Evaluation], kind: Callable[[Record], str]) -> str:
+def collision_table(head: str, evaluations: Sequence[Evaluation], kind: Callable[[Record], str]) -> Table:
+    """Count each agent's collisions of each kind, the most frequent kind first."""
     counts = {e.agent: Counter(kind(r) for r in e.records if r.collision and r.contact) for e in evaluations}
-    total = sum(counts.values(), Counter())
-    kinds = [name for name, _ in sorted(total.items(), key=lambda item: (-item[1], item[0]))]
-
-    def rows() -> Iterator[tuple[str, ...]]:
-        for name in kinds:
-            yield (name, *(str(counts[e.agent][name] or "") for e in evaluations))
-
-    return pieces.table((head, *(e.agent for e in evaluations)), rows(), {0})
+    total = sum(counts.values(), Counter[str]())
+    kinds = sorted(total, key=lambda name: (-total[name], name))
+    rows = [(name, *(str(counts[e.agent][name] or "") for e in evaluations)) for name in kinds]
+    return Table((head, *(e.agent for e in evaluations)), rows)

@@ -1,72 +1,20 @@
-"""A comparison of agents on one page that opens anywhere: tables, plots, and episodes to be turned and looked at."""
+"""A comparison of agents on one page: tables, plots, and episodes in 3-D."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from html import escape
-from string import Template
-from typing import NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
-from greenhouse_gym import __version__
 from greenhouse_gym.evaluation.records import Evaluation, comparison_notes, comparison_rows, difficulties_of
-from greenhouse_gym.reporting import comparison_figures as drawn
-from greenhouse_gym.reporting import pieces
-from greenhouse_gym.reporting.scene_page import Episode, scene_page
-from greenhouse_gym.robots import Robot
-from greenhouse_gym.scene import Scene
+from greenhouse_gym.reporting import comparison_figures as figures
+from greenhouse_gym.reporting.pages import render
+from greenhouse_gym.reporting.plots import svg_plot
 
-# Scenes are pages in frames of their own, which take over what this page allows: the scripts are theirs alone.
-_PAGE = Template("""\
-<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta http-equiv="Content-Security-Policy"
-  content="default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>$title</title>
-<style>
-$style
-iframe { width: 100%; height: 38rem; border: 1px solid #ccc; display: block }
-@media (max-width: 40rem) {
-  body { margin: 1rem auto; padding: 0 1rem }
-  iframe { height: 42rem }
-  svg { font-size: 14px }
+_WORLDS = {
+    "reconstruction": "Agents know the reconstruction, and their contacts are with it.",
+    "truth": "Agents know the reconstruction; their contacts are with the scanned row.",
+    "moved": "Agents know the reconstruction; their contacts are with the scanned row, after its plants moved.",
 }
-</style>
-</head>
-<body>
-<h1>$title</h1>
-$figures
-$notes
-$content
-<footer>greenhouse-gym $version</footer>
-</body>
-</html>
-""")
-
-_TOUCHED = {
-    "reconstruction": "Agents know the reconstruction, and that is what they touch.",
-    "truth": "Agents know the reconstruction; what they touch is the row that was scanned.",
-    "moved": "Agents know the reconstruction; what they touch is the row that was scanned, after its plants moved.",
-}
-_OFTEN = 10  # pairs of agents that a page shows without being asked
-
-
-class Shown(NamedTuple):
-    """An episode of a page.
-
-    Attributes:
-        title: Its heading.
-        scene: Its scene.
-        robot: The arm.
-        episode: The agents' ways.
-    """
-
-    title: str
-    scene: Scene
-    robot: Robot
-    episode: Episode
 
 
 def comparison_page(
@@ -75,89 +23,62 @@ def comparison_page(
     colors: Mapping[str, str],
     notes: Sequence[str] = (),
     rule: str = "",
-    episodes: Sequence[Shown] = (),
+    episodes: Sequence[tuple[str, str]] = (),
 ) -> str:
-    """All about agents on the same episodes as one HTML page, which loads nothing.
+    """Return the comparison of agents on the same episodes as one HTML page, which loads nothing.
 
     Args:
         title: Its heading.
-        tracks: Per track, of `greenhouse_gym.evaluation.leaderboard.TRACKS`, the agents' evaluations.
+        tracks: The agents' evaluations by track, a key of `greenhouse_gym.evaluation.leaderboard.TRACKS`.
         colors: A color for each agent.
-        notes: What else there is to say of it all.
-        rule: How the episodes were chosen.
-        episodes: Those to look at in three dimensions.
+        notes: Paragraphs below the heading.
+        rule: The rule by which the episodes were chosen.
+        episodes: Heading and `scene_page` of each episode to show in 3-D.
     """
-    most = max((len(e.records) for evaluations in tracks.values() for e in evaluations), default=0)
-    content = [_by_track(tracks, colors)] if len(tracks) > 1 else []
-    content += [_track(name, evaluations, colors) for name, evaluations in tracks.items()]
-    if episodes:
-        content += [pieces.heading("Episodes"), pieces.paragraph(rule), *map(_shown, episodes)]
-    return _PAGE.substitute(
-        title=escape(title),
-        style=pieces.STYLE,
-        figures=pieces.figures({"agents": f"{len(colors)}", "episodes each": f"{most:,}"}),
-        notes="".join(map(pieces.paragraph, notes)),
-        content="\n".join(content),
-        version=__version__,
+    count = max((len(e.records) for evaluations in tracks.values() for e in evaluations), default=0)
+    return render(
+        "comparison.html",
+        title=title,
+        totals={"agents": len(colors), "episodes each": f"{count:,}"},
+        notes=notes,
+        colors=colors,
+        by_track=_plot("success by track", figures.draw_success_rates, tracks, colors) if len(tracks) > 1 else "",
+        tracks=[_track(name, evaluations, colors) for name, evaluations in tracks.items()],
+        rule=rule,
+        episodes=episodes,
     )
 
 
-def _by_track(tracks: Mapping[str, Sequence[Evaluation]], colors: Mapping[str, str]) -> str:
-    drawing = drawn.rates_plot("success by track", tracks, colors)
-    caption = "Success rates with their 95 % intervals (Wilson)."
-    head = pieces.heading("Success by track") + pieces.keys(colors)
-    return f'{head}<div class="pair">{_figure(drawing, caption)}</div>\n'
-
-
-def _track(name: str, evaluations: Sequence[Evaluation], colors: Mapping[str, str]) -> str:
-    """Everything about the agents on one track."""
-    heads, *rows = [[cell.replace("nan", "") for cell in row] for row in comparison_rows(evaluations)]
+def _track(name: str, evaluations: Sequence[Evaluation], colors: Mapping[str, str]) -> dict[str, Any]:
+    """Return everything that the page shows of one track."""
+    summary = comparison_rows(evaluations)
     used = {e.agent: colors[e.agent] for e in evaluations}
-    difficulties = difficulties_of(evaluations)
-    groups = {difficulty: [e.of(difficulty) for e in evaluations] for difficulty in difficulties}
-    rates = drawn.rates_plot("success by difficulty", {"all": evaluations, **groups}, used)
-    plots = (
-        (rates, "Success by difficulty, with 95 % intervals (Wilson)."),
-        (drawn.steps_plot(evaluations, used), "The share of all episodes that succeeded within a number of actions."),
-        (
-            drawn.seconds_plot(evaluations, used),
-            "The same over time: thought before the first action, then 20 actions a second, or fewer where they take "
-            "longer to think of.",
+    groups = {"all": evaluations}
+    groups |= {difficulty: [e.of(difficulty) for e in evaluations] for difficulty in difficulties_of(evaluations)}
+    rates = "Success by difficulty, with 95 % intervals (Wilson)."
+    curves = (figures.SUCCESSES_BY_ACTIONS, figures.SUCCESSES_BY_TIME, figures.FIRST_MOTIONS)
+    plots = [(_plot(rates, figures.draw_success_rates, groups, used), rates)]
+    plots += [(_plot(curve.caption, curve.draw, evaluations, used), curve.caption) for curve in curves]
+    return {
+        "name": name,
+        "world": _WORLDS[name],
+        "summary": summary._replace(rows=[(agent, *map(_or_empty, cells)) for agent, *cells in summary.rows]),
+        "warnings": comparison_notes(evaluations),
+        "colors": used,
+        "plots": plots,
+        "first_motion": figures.first_motion_table(evaluations),
+        "pairs": figures.pairs_table(evaluations),
+        "collisions": (
+            figures.collision_table("obstacle", evaluations, figures.obstacle_kind),
+            figures.collision_table("part of the arm", evaluations, figures.arm_part),
         ),
-        (drawn.motion_plot(evaluations, used), "The share of episodes in which the first action was known."),
-    )
-    return "".join(
-        (
-            pieces.heading(f"Track {name}"),
-            pieces.paragraph(f"{_TOUCHED[name]} Ways, steps and clearances are medians over successful episodes."),
-            pieces.table(heads, rows, {0}),
-            pieces.warnings(comparison_notes(evaluations)),
-            pieces.keys(used),
-            f'<div class="pair">{"".join(_figure(*one) for one in plots)}</div>',
-            pieces.heading("Time to the first motion", 3),
-            drawn.motion_table(evaluations),
-            pieces.heading("Which agents differ", 3),
-            pieces.paragraph(
-                "McNemar's exact test on the episodes that both played; p is how likely a difference like this is "
-                "between equally good agents, not corrected for the number of pairs."
-            ),
-            _folded(drawn.pairs_table(evaluations), len(evaluations) * (len(evaluations) - 1) // 2),
-            pieces.heading("Collisions", 3),
-            pieces.paragraph("Episodes that a collision ended, by what was touched and by the part of the arm."),
-            drawn.collision_tables(evaluations),
-        )
-    )
+    }
 
 
-def _folded(table: str, rows: int) -> str:
-    return table if rows <= _OFTEN else f"<details><summary>{rows} pairs</summary>{table}</details>\n"
+def _or_empty(cell: str) -> str:
+    """Return a cell's text, or nothing if it has no number."""
+    return "" if "nan" in cell else cell
 
 
-def _figure(content: str, caption: str) -> str:
-    return f"<figure>{content}<figcaption>{escape(caption)}</figcaption></figure>\n"
-
-
-def _shown(one: Shown) -> str:
-    page = escape(scene_page(one.scene, one.robot, one.episode))
-    frame = f'<iframe loading="lazy" title="{escape(one.title)}" srcdoc="{page}"></iframe>'
-    return f"{pieces.heading(one.title, 3)}{frame}\n"
+def _plot(title: str, draw: Callable[..., None], data: Any, colors: Mapping[str, str]) -> str:
+    return svg_plot(title, lambda axes: draw(axes, data, colors), 460, 260)

@@ -16,16 +16,16 @@ from greenhouse_gym.envs import TomatoReachEnv
 
 
 def film(agent: Agent, out: str | Path, seed: int = 0, **options: Any) -> bool:
-    """Film an agent's episode as MP4.
+    """Film an episode of an agent as MP4.
 
     Args:
-        agent: The agent; its ``env_options`` say which environment it needs.
+        agent: The agent; its ``env_options`` choose the environment.
         out: The file.
-        seed: Seed of the episode, as `greenhouse_gym.evaluation.evaluate` counts them.
+        seed: Seed of the episode, as in `greenhouse_gym.evaluation.evaluate`.
         **options: Further keywords of the environment.
 
     Returns:
-        Whether it ended in a success.
+        True if the episode ended in success.
 
     Raises:
         MissingDependencyError: The extra ``viz`` is not installed.

@@ -1,4 +1,4 @@
-"""Shapes drawn over the photograph they were found in, from the camera's own place."""
+"""Outlines of shapes drawn over the photograph that they were found in."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ _TOMATO, _STEM, _CLUTTER = (230, 30, 30), (20, 60, 255), (250, 200, 40)  # RGB
 def draw_outlines(
     photograph: Image, shapes: Sequence[Shape], intrinsics: Intrinsics, camera_from_shapes: Array
 ) -> Image:
-    """The outlines of shapes over a photograph (h, w, 3): tomatoes red, stems blue, the rest yellow.
+    """Draw the outlines of shapes over a photograph (h, w, 3): tomatoes red, stems blue, the rest yellow.
 
     Args:
-        photograph: What the camera saw.
-        shapes: In any frame.
-        intrinsics: The camera's.
-        camera_from_shapes: (4, 4).
+        photograph: The camera's image; not changed.
+        shapes: Shapes in any frame.
+        intrinsics: Intrinsics of the camera.
+        camera_from_shapes: (4, 4) pose of the shapes' frame.
     """
     import cv2
 
@@ -47,7 +47,7 @@ def draw_outlines(
 
 
 def shapes_over_photograph(recording: Recording, row: RowCloud, found: RowShapes, station: int) -> Image:
-    """What was found in a row over what the reference camera saw at a registered station, clutter below the rest."""
+    """Draw a row's shapes over the reference camera's photograph at a registered station, clutter below the rest."""
     camera = recording.rig.cameras[recording.rig.reference]
     photograph = recording[station].frames[recording.rig.reference].color
     camera_from_row = invert(row.world_from_station[station] @ camera.rig_from_camera)

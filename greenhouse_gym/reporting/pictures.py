@@ -1,8 +1,8 @@
-"""The paper's figures from our own data. No OpenGL: points are splatted, meshes ray-cast, arms ray-cast by MuJoCo."""
+"""Pictures of recordings, reconstructions and occupancy as PNG files; clouds are splatted and meshes ray-cast."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +11,9 @@ import numpy.typing as npt
 
 from greenhouse_gym.capture import Recording
 from greenhouse_gym.capture.images import encode_png
-from greenhouse_gym.common.extras import needs
 from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.common.open3d_loader import open3d
+from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import Array, pose, transform
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, TriangleMesh
 from greenhouse_gym.reconstruction.foreground import blacked_out
@@ -26,12 +26,15 @@ from greenhouse_gym.scene.occupancy import UNKNOWN
 Image = npt.NDArray[np.uint8]
 
 FRONT = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
-"""View from the aisle: image right is -y, up is z, away is x."""
+"""View from the aisle: -y is right, z is up, x points away."""
 
 TOP = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-"""View from above: image right is -y, up is x."""
+"""View from above: -y is right, x is up."""
 
 RED, BLUE = (0.85, 0.15, 0.12), (0.12, 0.25, 0.85)
+
+_SHEET_STATIONS, _SHEET_HEIGHT = 6, 180  # px of an image
+_FARTHEST = 1.5  # m, drawn darkest
 
 
 def save(image: Image, path: Path) -> Path:
@@ -40,23 +43,19 @@ def save(image: Image, path: Path) -> Path:
 
 
 def upright(image: Image) -> Image:
-    """A portrait camera's image turned so that up is up."""
+    """Turn a portrait camera's image upright."""
     return np.ascontiguousarray(np.rot90(image, -1))
 
 
 def side_by_side(images: Sequence[Image], gap: int = 12) -> Image:
-    """Images in a row on white, the heights made equal by padding."""
+    """Put images next to each other on white, padded to the same height."""
     tallest = max(image.shape[0] for image in images)
-    parts: list[Image] = []
-    for image in images:
-        padded = np.full((tallest, image.shape[1], 3), 255, dtype=np.uint8)
-        padded[: image.shape[0]] = image
-        parts += [padded, np.full((tallest, gap, 3), 255, dtype=np.uint8)]
-    return np.concatenate(parts[:-1], axis=1)
+    padded = [np.pad(i, ((0, tallest - len(i)), (0, gap), (0, 0)), constant_values=255) for i in images]
+    return np.concatenate(padded, axis=1)[:, :-gap]
 
 
-def overview(photograph: Image, cloud: Image, scene: Image, path: Path, height: int = 480) -> Path:
-    """The way of the data in one picture: a photograph, the row's cloud, the arm in the scene."""
+def save_pipeline(photograph: Image, cloud: Image, scene: Image, path: Path, height: int = 480) -> Path:
+    """Write the data's steps as one picture: a photograph, the row's cloud, the arm in the scene."""
     import cv2
 
     parts = [
@@ -64,6 +63,24 @@ def overview(photograph: Image, cloud: Image, scene: Image, path: Path, height: 
         for image in (photograph, cloud, scene)
     ]
     return save(side_by_side([np.asarray(part, dtype=np.uint8) for part in parts]), path)
+
+
+def contact_sheet(recording: Recording) -> Image:
+    """Return up to six stations spread over a recording, seen by the reference camera: color above depth."""
+    import cv2
+
+    columns = []
+    for i in np.unique(np.linspace(0, len(recording) - 1, _SHEET_STATIONS).round().astype(int)).tolist():
+        try:
+            frame = recording.frame(i, recording.rig.reference)
+        except FileFormatError:
+            continue
+        brightness = 1.0 - np.clip(frame.depth / _FARTHEST, 0.0, 0.9)
+        depth = np.where(frame.depth > 0, 255 * brightness, 0).astype(np.uint8)
+        width = round(_SHEET_HEIGHT * frame.color.shape[1] / frame.color.shape[0])
+        both = (frame.color, np.repeat(depth[..., None], 3, axis=2))
+        columns.append(np.concatenate([cv2.resize(image, (width, _SHEET_HEIGHT)) for image in both]))
+    return np.concatenate(columns, axis=1) if columns else np.zeros((2 * _SHEET_HEIGHT, _SHEET_HEIGHT, 3), np.uint8)
 
 
 def splat(points: Array, colors: Array, view: Array = FRONT, width: int = 1400, size: int = 2) -> Image:
@@ -91,7 +108,7 @@ def splat(points: Array, colors: Array, view: Array = FRONT, width: int = 1400, 
 
 
 def draw_mesh(mesh: TriangleMesh, view: Array = FRONT, width: int = 1400) -> Image:
-    """Draw a mesh orthographically, shaded by its faces' directions."""
+    """Draw a mesh orthographically, shaded by the normals of its faces."""
     o3d = open3d()
     scene: Any = o3d.t.geometry.RaycastingScene()
     vertices = mesh.vertices @ view.T
@@ -116,7 +133,7 @@ def registration_pictures(
     settings: ReconstructionSettings,
     out: Path,
 ) -> list[Path]:
-    """Images of two neighboring stations, their foreground, the best shift, and the clouds before and after ICP."""
+    """Draw two neighboring stations: images, foreground, silhouettes at the best shift, clouds before and after ICP."""
     one, two = (view_station(recording[i], calibration, settings) for i in (first, second))
     views = (one.reference, two.reference)
     paths = [
@@ -142,7 +159,7 @@ def registration_pictures(
 
 
 def shifted_silhouettes(first: CameraView, second: CameraView, shift: Shift) -> Image:
-    """Two silhouettes over each other after a shift: the first red, the second blue, both purple."""
+    """Draw two silhouettes over each other after a shift: the first red, the second blue, both purple."""
     a, b = overlap(first.depth, shift.pixels, shift.axis)
     one, two = first.foreground[along(shift.axis, a)], second.foreground[along(shift.axis, b)]
     image = np.full((*one.shape, 3), 255, dtype=np.uint8)
@@ -153,7 +170,7 @@ def shifted_silhouettes(first: CameraView, second: CameraView, shift: Shift) -> 
 
 
 def row_pictures(merged: RowCloud, row: RowCloud, mesh: TriangleMesh, out: Path) -> list[Path]:
-    """The row in one color per station before and after outlier removal, in its own colors, and as a mesh."""
+    """Draw a row in one color per station before and after outlier removal, in its own colors, and as a mesh."""
     count = len(row.registered)
     hue = np.random.default_rng(3).permutation(count) / count
     wheel = 0.5 + 0.45 * np.cos(2 * np.pi * (hue[:, None] + [0.0, 1 / 3, 2 / 3]))
@@ -165,46 +182,26 @@ def row_pictures(merged: RowCloud, row: RowCloud, mesh: TriangleMesh, out: Path)
     ]
 
 
-def seen_picture(row: RowCloud, out: Path) -> tuple[Path, float]:
-    """What the scan saw of space, in two upright planes, and the share of it that an arm may reach.
+def occupancy_picture(row: RowCloud, out: Path) -> tuple[Path, float]:
+    """Draw the occupancy of the scanned space in two upright planes.
 
-    Left, across the row in the middle of the walk, the aisle on the left; right, along the row halfway between cameras
-    and plants. White is seen and empty, green is surface, gray was never seen.
+    Left, across the row in the middle of the walk, with the aisle on the left; right, along the row halfway between
+    cameras and plants. White is free, green is occupied, gray is unknown.
+
+    Returns:
+        The PNG file, and the observed fraction of the space within an arm's reach.
     """
-    places = row.world_from_station[row.registered][:, :3, 3]
-    middle = np.median(places, axis=0)
+    positions = row.world_from_station[row.registered][:, :3, 3]
+    middle = np.median(positions, axis=0)
     reach = np.array([1.35, 1.35, 0.0])
-    low, high = places.min(axis=0) - reach, places.max(axis=0) + reach
+    low, high = positions.min(axis=0) - reach, positions.max(axis=0) + reach
     low[2], high[2] = 0.0, 2.4
     carving = carve(row, np.eye(4), low, high)
     cells = ((middle + [0.25, 0.0, 0.0] - carving.origin) / carving.voxel).astype(int)
-    palette = np.array([[150, 152, 158], [250, 251, 252], [58, 125, 68]], dtype=np.uint8)  # unknown, empty, surface
+    palette = np.array([[150, 152, 158], [250, 251, 252], [58, 125, 68]], dtype=np.uint8)  # unknown, free, occupied
     planes = (carving.states[:, cells[1]], carving.states[cells[0]])
     images = [np.kron(palette[plane.T[::-1]], np.ones((8, 8, 1), dtype=np.uint8)) for plane in planes]
     centers = np.moveaxis(np.indices(carving.states.shape), 0, -1) * carving.voxel + carving.origin
     near = np.linalg.norm(centers - [middle[0], middle[1], 1.1], axis=-1) < reach[0]
-    share = float((carving.states[near] != UNKNOWN).mean())
-    return save(side_by_side(images), out / "9-seen-space.png"), share
-
-
-def training_curve(steps: Sequence[float], success: Sequence[float], random_success: float, path: Path) -> Path:
-    """Success over steps, with the random agent's as a line.
-
-    Raises:
-        MissingDependencyError: The extra ``viz`` is not installed.
-    """
-    with needs("viz"):
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    figure = Figure(figsize=(7, 4.2), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
-    axes.plot(np.asarray(steps) / 1e6, 100 * np.asarray(success), color="#2c7a3f", linewidth=2, label="PPO")
-    axes.axhline(100 * random_success, color="#b03a2e", linestyle="--", label="random agent")
-    axes.set(xlabel="environment steps (millions)", ylabel="episodes that reach the tomato (%)", ylim=(0, 100))
-    axes.legend(frameon=False)
-    axes.spines[["top", "right"]].set_visible(False)
-    draw: Callable[..., None] = figure.savefig
-    path.parent.mkdir(parents=True, exist_ok=True)
-    draw(path, dpi=120)
-    return path
+    observed = float((carving.states[near] != UNKNOWN).mean())
+    return save(side_by_side(images), out / "9-occupancy.png"), observed

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from greenhouse_gym.common.tables import Table
 from greenhouse_gym.scene.bank import SceneBank
 from greenhouse_gym.scene.manifest import SPLITS
 from greenhouse_gym.scene.occupancy import REACH
@@ -115,57 +116,35 @@ def _median(values: list[int] | list[float]) -> float:
 
 
 def as_markdown(found: BankStatistics) -> str:
-    """The statistics as tables."""
+    """Return the statistics as Markdown tables."""
     total = max(sum(found.difficulties.values()), 1)
-    lines = [
-        f"{found.scenes} scenes of {found.recordings} recordings of {found.rows} rows, {total} targets, "
-        f"{found.megabytes:.1f} MB",
-        "",
-        f"Checksum of the manifest (SHA-256): `{found.sha256}`",
-        "",
-        *_table(
-            ["split", "scenes", "rows"],
-            [[split, str(scenes), str(rows)] for split, (scenes, rows) in found.splits.items()],
+    size = f"{found.scenes} scenes of {found.recordings} recordings of {found.rows} rows, {total} targets"
+    kinds = [(kind, ", ".join(f"{name} {count}" for name, count in of.items())) for kind, of in found.kinds.items()]
+    figures = [
+        *((f"{name} in a scene, mean", f"{mean:.1f}") for name, mean in found.per_scene.items()),
+        ("scenes with truth; shapes in it, mean", f"{found.truth[0]}; {found.truth[1]:.0f}"),
+        (
+            "scenes with an occupancy grid; observed part within reach, mean",
+            f"{found.seen[0]}; {found.seen[1]:.0%}",
         ),
-        "",
-        *_table(
-            ["kind", "scenes of each"],
-            [[kind, ", ".join(f"{name} {count}" for name, count in of.items())] for kind, of in found.kinds.items()],
-        ),
-        "",
-        *_table(
-            ["targets", *DIFFICULTIES],
-            [
-                _shares("all", found.difficulties),
-                *(_shares(name, counts) for name, counts in found.difficulties_of.items()),
-            ],
-        ),
-        "",
-        *_table(
-            ["figure", "value"],
-            [
-                *([f"{name} in a scene, mean", f"{mean:.1f}"] for name, mean in found.per_scene.items()),
-                ["scenes with truth; shapes in it, mean", f"{found.truth[0]}; {found.truth[1]:.0f}"],
-                [
-                    "scenes that know what was seen; seen share within reach, mean",
-                    f"{found.seen[0]}; {found.seen[1]:.0%}",
-                ],
-                *([f"checks of RRTConnect, {name}, median", f"{value:.0f}"] for name, value in found.checks.items()),
-                ["clearance of the witnesses, median", f"{1000 * found.clearance:.1f} mm"],
-                ["share of the witnesses' ways through unknown space, median", f"{found.unknown:.0%}"],
-            ],
-        ),
+        *((f"checks of RRTConnect, {name}, median", f"{value:.0f}") for name, value in found.checks.items()),
+        ("clearance of the witnesses, median", f"{1000 * found.clearance:.1f} mm"),
+        ("fraction of the witnesses' paths through unknown space, median", f"{found.unknown:.0%}"),
     ]
-    return "\n".join(lines) + "\n"
+    groups = {"all": found.difficulties, **found.difficulties_of}
+    tables = (
+        Table(("split", "scenes", "rows"), [(split, *map(str, counts)) for split, counts in found.splits.items()]),
+        Table(("kind", "scenes of each"), kinds, words=(0, 1)),
+        Table(("targets", *DIFFICULTIES), [_shares(name, counts) for name, counts in groups.items()]),
+        Table(("figure", "value"), figures),
+    )
+    head = f"{size}, {found.megabytes:.1f} MB\n\nChecksum of the manifest (SHA-256): `{found.sha256}`\n"
+    return "\n".join((head, *(table.as_markdown() for table in tables)))
 
 
 def _shares(name: str, counts: dict[str, int]) -> list[str]:
     total = max(sum(counts.values()), 1)
     return [name, *(f"{counts[difficulty]} ({counts[difficulty] / total:.1%})" for difficulty in DIFFICULTIES)]
-
-
-def _table(heads: list[str], rows: list[list[str]]) -> list[str]:
-    return ["| " + " | ".join(row) + " |" for row in (heads, ["---"] * len(heads), *rows)]
 
 
 def _known_fraction(scene: Scene) -> float:

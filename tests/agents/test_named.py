@@ -9,7 +9,7 @@ import pytest
 from greenhouse_gym.agents import PlannerAgent, PolicyAgent, RandomAgent, StraightLineAgent, named
 from greenhouse_gym.agents.named import make_agent
 from greenhouse_gym.agents.policy_agent import BEST
-from greenhouse_gym.cli.comparing import watch
+from greenhouse_gym.cli.agent_commands import watch
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, MissingDependencyError, UnknownNameError
 
 

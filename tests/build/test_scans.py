@@ -383,7 +383,7 @@ def test_the_command_writes_shapes_and_what_it_assumed(tmp_path: Path) -> None:
     done = CliRunner().invoke(app, arguments)
     assert done.exit_code == 0, done.output
     assert "units: taken as mm" in done.output
-    assert "looking for shapes among" in done.output
+    assert "searching shapes in" in done.output
     assert "ShapeWarning" not in done.output
     found = Shapes.model_validate_json((tmp_path / "out" / "shapes.json").read_text())
     assert len(found.tomatoes) == 4

@@ -102,15 +102,15 @@ def test_the_command_needs_the_place_of_one_camera_only(tmp_path: Path) -> None:
         tmp_path / "rig.yaml",
     )
     without = CliRunner().invoke(app, ["calibrate", source, "--out", str(out), *board])
-    assert "a file that says where one of the cameras first, middle, last stands" in str(without.exception)
+    assert "a rig file with the pose of one of the cameras first, middle, last" in str(without.exception)
     save_mounting(Mounting({"middle": rig.cameras["middle"].rig_from_camera}, "middle"), nominal)
     known = ["calibrate", source, "--out", str(out), "--rig", str(nominal)]
     done = CliRunner().invoke(app, [*known, *board])
-    assert "first: not in the rig file before" in done.output
+    assert "first: new in the rig file" in done.output
     assert "knocked" not in done.output
     for name, place in load_mounting(out).rig_from_camera.items():
         np.testing.assert_allclose(place, rig.cameras[name].rig_from_camera, atol=0.005)
-    assert "does not say where first, last stand" in str(CliRunner().invoke(app, [*known, "--no-board"]).exception)
+    assert "has no pose of first, last" in str(CliRunner().invoke(app, [*known, "--no-board"]).exception)
 
 
 def test_boards_that_few_cameras_see_are_told() -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from greenhouse_gym.cli.spread import spread
+from greenhouse_gym.cli.options import executor_of
 from greenhouse_gym.common import executors as parallel
 from greenhouse_gym.common.executors import RayExecutor, executor_for, ray_executor, workers_of
 from greenhouse_gym.errors import MissingDependencyError, UnknownNameError
@@ -48,4 +48,4 @@ def test_commands_take_processes_where_cores_are_idle(
 ) -> None:
     monkeypatch.setattr(parallel, "idle_cores", lambda: idle)
     monkeypatch.setattr(parallel, "executor_for", lambda backend, workers, address: backend)
-    assert spread(*given) == expected  # type: ignore[comparison-overlap]
+    assert executor_of(*given) == expected  # type: ignore[comparison-overlap]

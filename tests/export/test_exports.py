@@ -161,10 +161,10 @@ def test_meshes_are_closed_face_outwards_and_keep_the_volume(kind: Any, size: tu
     turn = Rotation.from_rotvec([0.3, -1.0, 2.0]).as_matrix()
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = turn, [1.0, 2.0, 3.0]
-    mesh = mesh_of(Primitive("one", kind, size, pose, (1.0, 0.0, 0.0)), around=64)
-    edges = np.concatenate([mesh.triangles[:, [0, 1]], mesh.triangles[:, [1, 2]], mesh.triangles[:, [2, 0]]])
+    mesh = mesh_of(Primitive("one", kind, size, pose, (1.0, 0.0, 0.0)), fineness=4)
+    edges = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
     assert {tuple(edge) for edge in edges.tolist()} == {tuple(edge[::-1]) for edge in edges.tolist()}
-    a, b, c = (mesh.vertices[mesh.triangles] - pose[:3, 3]).transpose(1, 0, 2)
+    a, b, c = (np.asarray(mesh.vertices)[mesh.faces] - pose[:3, 3]).transpose(1, 0, 2)
     assert float((a * np.cross(b, c)).sum() / 6) == pytest.approx(volume, rel=0.01)
 
 
@@ -178,11 +178,15 @@ def test_meshes_open_in_open3d(scene: Scene, format: str, tmp_path: Path) -> Non
     (path,) = export_scene(scene, format, tmp_path)
     mesh = open3d.io.read_triangle_mesh(str(path))
     expected = [mesh_of(part) for part in primitives(scene)]
-    assert len(mesh.triangles) == sum(len(one.triangles) for one in expected)
+    assert len(mesh.triangles) == sum(len(one.faces) for one in expected)
     vertices = np.concatenate([one.vertices for one in expected])
     np.testing.assert_allclose(np.asarray(mesh.get_min_bound()), vertices.min(axis=0), atol=1e-4)
     np.testing.assert_allclose(np.asarray(mesh.get_max_bound()), vertices.max(axis=0), atol=1e-4)
     assert mesh.has_vertex_colors() == (format == "ply")
+    (again,) = export_scene(scene, format, tmp_path / "again")
+    assert again.read_bytes() == path.read_bytes()
+    names = re.findall(r"^o (.*)$", path.read_text(), re.M) if format == "obj" else None
+    assert names in (None, [part.name for part in primitives(scene)])
 
 
 def vamp_capsules(problem: dict[str, Any]) -> list[tuple[Array, Array, float]]:
@@ -273,7 +277,7 @@ def test_the_truth_goes_where_it_can(turned: Scene, tmp_path: Path) -> None:
     true = turned.model_copy(update={"truth": turned.compact()})
     (path,) = export_scene(true, "moveit", tmp_path, truth=True)
     assert path.name == f"{turned.name}-truth.scene"
-    with pytest.raises(InvalidValueError, match="truth goes into moveit, ply, obj, stl alone"):
+    with pytest.raises(InvalidValueError, match="expected one of moveit, ply, obj, stl"):
         export_scene(true, "urdf", tmp_path, truth=True)
     with pytest.raises(UnknownNameError, match="unknown export format 'usd'"):
         export_scene(true, "usd", tmp_path)

@@ -94,7 +94,7 @@ def test_a_shipped_policy_acts_alike_in_an_episode(name: str, bank: SceneBank, t
     assert same(agent.policy, runtime, np.random.default_rng(0).normal(size=(64, len(agent.policy.center))))
 
 
-def test_the_model_tells_what_to_feed_it(tmp_path: Path) -> None:
+def test_the_metadata_describe_the_input(tmp_path: Path) -> None:
     policy = small()
     path = export_policy(policy, tmp_path / "p.onnx", "mine")
     runtime = session(str(path))
@@ -110,15 +110,15 @@ def test_the_model_tells_what_to_feed_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changed", "told"),
+    ("changed", "message"),
     [
         ({"biases": small().biases[::-1]}, "do not fit together"),
         ({"env_options": {"observation": object()}}, "no JSON"),
         ({"training": {"loss": float("nan")}}, "no JSON"),
     ],
 )
-def test_what_makes_no_model_is_not_written(changed: dict[str, Any], told: str, tmp_path: Path) -> None:
-    with pytest.raises(InvalidValueError, match=told):
+def test_what_makes_no_model_is_not_written(changed: dict[str, Any], message: str, tmp_path: Path) -> None:
+    with pytest.raises(InvalidValueError, match=message):
         export_policy(Policy(**{**vars(small()), **changed}), tmp_path / "p.onnx")
     assert not list(tmp_path.iterdir())
 

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import pytest
 from html_pages import HOSTILE, Page
+from matplotlib.figure import Figure
 from still_agent import STILL, StillAgent
 from typer.testing import CliRunner
 
@@ -22,11 +23,17 @@ from greenhouse_gym.errors import FileWriteError, InvalidValueError
 from greenhouse_gym.evaluation import retrace
 from greenhouse_gym.evaluation.leaderboard import V1, submit
 from greenhouse_gym.evaluation.records import Evaluation, Record
-from greenhouse_gym.reporting.comparison import telling_episodes
-from greenhouse_gym.reporting.comparison_figures import colors_of, first_motion, steps_plot, touched, toucher
-from greenhouse_gym.reporting.comparison_page import Shown, comparison_page
-from greenhouse_gym.reporting.scene_page import Episode, Motion, scene_page
-from greenhouse_gym.reporting.svg import Axis
+from greenhouse_gym.reporting.comparison import dividing_episodes
+from greenhouse_gym.reporting.comparison_figures import (
+    SUCCESSES_BY_ACTIONS,
+    arm_part,
+    colors_of,
+    first_motion,
+    obstacle_kind,
+)
+from greenhouse_gym.reporting.comparison_page import comparison_page
+from greenhouse_gym.reporting.plots import logarithmic
+from greenhouse_gym.reporting.scene_page import Motion, Replay, scene_page
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene, SceneBank
 
@@ -65,10 +72,10 @@ def data_of(scene: str) -> dict[str, object]:
 def test_episodes_that_divide_the_agents_come_first() -> None:
     played = {"a": "ssss.s", "b": "ss..cs", "c": "s....s", "d": "scs..s"}
     agents = [evaluation(name, successes) for name, successes in played.items()]
-    assert [r.seed for r in telling_episodes(agents, 4)] == [1, 2, 3, 0]
-    assert [r.scene for r in telling_episodes(agents, 1)] == ["scene-1"]
+    assert [r.seed for r in dividing_episodes(agents, 4)] == [1, 2, 3, 0]
+    assert [r.scene for r in dividing_episodes(agents, 1)] == ["scene-1"]
     short = Evaluation("e", agents[0].records[2:4])
-    assert [r.seed for r in telling_episodes([*agents, short])] == [2, 3], "only what all of them played"
+    assert [r.seed for r in dividing_episodes([*agents, short])] == [2, 3], "only what all of them played"
 
 
 def test_what_collides_with_what() -> None:
@@ -81,19 +88,20 @@ def test_what_collides_with_what() -> None:
         ("rod", "upper_arm"): "the arm itself",
     }
     for contact, kind in kinds.items():
-        assert touched(record(0, False, contact)) == kind
-        assert toucher(record(0, False, contact)) == contact[0]
+        assert obstacle_kind(record(0, False, contact)) == kind
+        assert arm_part(record(0, False, contact)) == contact[0]
 
 
 def test_curves_are_stairs_of_successes() -> None:
     agents = [evaluation("a", "s.s."), evaluation("b", "....")]
-    lines = Page(steps_plot(agents, colors_of(["a", "b"]))).all("polyline")
-    points = [[tuple(map(float, p.split(","))) for p in (line["points"] or "").split()] for line in lines]
-    stairs = np.array([(0, 0), (10, 0), (10, 0.25), (30, 0.25), (30, 0.5), (40, 0.5)])
-    xs = Axis("", 0, 40).place(stairs[:, 0], 52, 460 - 16)
-    ys = Axis("", 0, 1).place(stairs[:, 1], 260 - 40, 12)
-    assert points[0] == list(zip(xs, ys, strict=True))
-    assert {y for _, y in points[1]} == {220.0}, "nothing reached, nothing risen"
+    axes = Figure().add_subplot()
+    SUCCESSES_BY_ACTIONS.draw(axes, agents, colors_of(["a", "b"]))
+    one, other = axes.lines
+    assert one.get_drawstyle() == "steps-post"
+    assert one.get_xydata().tolist() == [[0, 0], [10, 0.25], [30, 0.5], [40, 0.5]]
+    assert set(other.get_ydata()) == {0.0}, "nothing reached, nothing risen"
+    assert axes.get_xlim() == (0, 40)
+    assert axes.get_ylim() == (0, 1)
 
 
 def test_the_first_motion_waits_for_the_plan_and_an_action() -> None:
@@ -105,18 +113,20 @@ def test_the_first_motion_waits_for_the_plan_and_an_action() -> None:
     [(0.03, 21.0, [0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20]), (0.9e-4, 11.0, [1e-4, 1e-3, 0.01, 0.1, 1, 10])],
 )
 def test_ticks_of_a_logarithmic_axis(low: float, high: float, expected: list[float]) -> None:
-    ticks = Axis("", low, high, log=True).ticks()
-    np.testing.assert_allclose(ticks, expected)
+    axes = Figure().add_subplot()
+    logarithmic(axes, low, high)
+    ticks = axes.get_xticks()
+    np.testing.assert_allclose(ticks[(ticks >= low) & (ticks <= high)], expected)
 
 
 # -- the page ---------------------------------------------------------------------------------------------------------
 
 
 def page_of(tracks: dict[str, list[Evaluation]]) -> str:
-    return comparison_page("A & B", tracks, colors_of([e.agent for es in tracks.values() for e in es]), ["told"])
+    return comparison_page("A & B", tracks, colors_of([e.agent for es in tracks.values() for e in es]), ["a note"])
 
 
-def test_the_page_tells_all_of_it_for_each_track() -> None:
+def test_the_page_has_all_figures_of_each_track() -> None:
     tracks = {
         "reconstruction": [evaluation("a", "ssssssss"), evaluation("b", "cc.....c"), Evaluation("c", (), "it broke")],
         "truth": [evaluation("a", "s......."), evaluation("b", "........")],
@@ -141,7 +151,7 @@ def test_nothing_is_loaded_and_all_text_is_escaped(scene: Scene) -> None:
     parsed = Page(comparison_page(HOSTILE, hostile, colors_of([HOSTILE, "b"]), [HOSTILE], HOSTILE))
     assert parsed.texts.count(HOSTILE) >= 5
     assert not parsed.all("script")
-    for html in (page_of(hostile), scene_page(scene, get_robot("ur5e"), episode_in(scene, HOSTILE))):
+    for html in (page_of(hostile), scene_page(scene, get_robot("ur5e"), replay_in(scene, HOSTILE))):
         outer = Page(html)
         assert not outer.all("link")
         assert not outer.all("img")
@@ -158,16 +168,16 @@ def test_many_pairs_are_folded_away() -> None:
     assert not Page(page_of({"truth": agents[:3]})).all("details")
 
 
-def episode_in(scene: Scene, name: str = "left") -> Episode:
+def replay_in(scene: Scene, name: str = "left") -> Replay:
     start = get_robot("ur5e").start
     turned = [start + k * np.array([step, 0.02, 0, 0, 0, 0]) for step in (0.05, -0.05) for k in range(20)]
     left, right = np.array(turned[:20]), np.array(turned[20:])
     motions = Motion(name, left, (1.0, 0.0, 0.0), "reached"), Motion("right", right, (0.0, 0.0, 1.0))
-    return Episode("seed 1", 2, motions)
+    return Replay("seed 1", 2, motions)
 
 
 def test_a_scene_shows_the_ways_of_all_agents_together(scene: Scene) -> None:
-    html = scene_page(scene, get_robot("ur5e"), episode_in(scene))
+    html = scene_page(scene, get_robot("ur5e"), replay_in(scene))
     data = data_of(html)
     assert data["together"] is True
     assert [m["name"] for m in data["motions"]] == ["left", "right"]  # type: ignore[attr-defined]
@@ -180,7 +190,7 @@ def test_a_scene_shows_the_ways_of_all_agents_together(scene: Scene) -> None:
 def test_a_browser_draws_the_ways_in_their_colors(scene: Scene, tmp_path: Path) -> None:
     """In a frame of the page, whose rules about what may run the frame takes over."""
     tracks = {"reconstruction": [evaluation("left", "s"), evaluation("right", "c")]}
-    shown = [Shown("Seed 1", scene, get_robot("ur5e"), episode_in(scene))]
+    shown = [("Seed 1", scene_page(scene, get_robot("ur5e"), replay_in(scene)))]
     file, picture = tmp_path / "page.html", tmp_path / "page.png"
     file.write_text(comparison_page("p", tracks, colors_of(["left", "right"]), (), "", shown))
     assert BROWSER is not None
@@ -225,7 +235,7 @@ def test_compare_writes_a_page_with_episodes_played_again(bank: SceneBank, tmp_p
             np.testing.assert_allclose(motion["path"], traces[number - 5].joints, atol=1e-5)
 
 
-def test_a_report_that_cannot_be_written_is_told_before_anything_is_played(bank: SceneBank, tmp_path: Path) -> None:
+def test_a_report_that_cannot_be_written_is_refused_before_the_episodes(bank: SceneBank, tmp_path: Path) -> None:
     result = CliRunner().invoke(app, ["compare", "random", "--bank", str(bank.path), "--report", str(tmp_path)])
     assert isinstance(result.exception, FileWriteError)
     assert "random" not in result.output
@@ -272,5 +282,5 @@ def test_the_leaderboard_has_a_page_too(tmp_path: Path) -> None:
     html = out.read_text()
     assert "<h1>Leaderboard, protocol v1</h1>" in html
     assert "random: dice" in html
-    assert "gone.py:Agent is not shown in three dimensions: gone.py: there is no such file" in html
+    assert "gone.py:Agent is not shown in 3-D: gone.py: there is no such file" in html
     assert [[m["name"] for m in data_of(f)["motions"]] for f in frames(html)] == [["random", "still"]] * 2  # type: ignore[attr-defined]

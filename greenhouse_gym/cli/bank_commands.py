@@ -7,19 +7,17 @@ from typing import Annotated, Any
 
 import typer
 
+from greenhouse_gym.cli.options import BankArgument, Robot, SceneName, scene_in
 from greenhouse_gym.common.progress import progress, say
 
-Bank = Annotated[str, typer.Argument(help="A shipped bank's name or a bank's folder.")]
-Several = Annotated[list[str] | None, typer.Option(help="May be given several times; all when left out.")]
+Several = Annotated[list[str] | None, typer.Option(help="May be given several times; all by default.")]
 
-app = typer.Typer(
-    help="Look at banks of scenes, check them, take parts of them, write them for others.", no_args_is_help=True
-)
+app = typer.Typer(help="Inspect, check, filter and export banks of scenes.", no_args_is_help=True)
 
 
 @app.command()
-def info(bank: Bank = "default") -> None:
-    """Print what is in a bank: rows, splits, styles, difficulties, seen share."""
+def info(bank: BankArgument = "default") -> None:
+    """Print a bank's statistics: rows, splits, styles, difficulties, observed space."""
     from greenhouse_gym.scene import SceneBank
     from greenhouse_gym.scene.bank_statistics import as_markdown, bank_statistics
 
@@ -31,46 +29,45 @@ def info(bank: Bank = "default") -> None:
 
 @app.command()
 def check(
-    bank: Bank = "default",
-    witnesses: Annotated[bool, typer.Option(help="Replay every witness in the simulator's world.")] = True,
+    bank: BankArgument = "default",
+    witnesses: Annotated[bool, typer.Option(help="Replay every witness in the simulator.")] = True,
 ) -> None:
-    """Check a bank's files, checksums, manifest and witnesses; each fault is a line, and the exit status is then 1."""
+    """Check files, checksums, manifest and witnesses of a bank; print its faults, with exit status 1 if it has any."""
     from greenhouse_gym.planning.audit import bank_faults
     from greenhouse_gym.scene import SceneBank
 
     opened = SceneBank.open(bank)
-    with progress("scenes", len(opened)) as report:
-        faults = list(bank_faults(opened, witnesses, report))
+    with progress("scenes", len(opened)) as on_progress:
+        faults = list(bank_faults(opened, witnesses, on_progress))
     for fault in faults:
         typer.echo(fault)
     if faults:
         raise typer.Exit(1)
-    what = "files, manifest and witnesses" if witnesses else "files and manifest"
-    say(f"{opened.path}: {len(opened)} scenes; {what} are right")
+    checked = "files, manifest and witnesses" if witnesses else "files and manifest"
+    say(f"{opened.path}: {len(opened)} scenes; {checked} are correct")
 
 
 @app.command()
 def show(
-    bank: Bank = "default",
-    scene: Annotated[str, typer.Option(help="Name of the scene; the first one by default.")] = "",
+    bank: BankArgument = "default",
+    scene: SceneName = "",
     out: Annotated[Path, typer.Option(help="HTML file to write.")] = Path("scene.html"),
-    robot: Annotated[str, typer.Option(help="Name or file of the arm.")] = "ur5e",
+    robot: Robot = "ur5e",
 ) -> None:
-    """Write a page that shows a scene from all sides, with truth, seen space and witnesses; it needs no network."""
+    """Write an offline page that shows a scene in 3-D, with truth, occupancy and witnesses."""
     from greenhouse_gym.common.files import write_atomically
     from greenhouse_gym.reporting.scene_page import scene_page
     from greenhouse_gym.robots import get_robot
     from greenhouse_gym.scene import SceneBank
 
-    opened = SceneBank.open(bank)
-    chosen = opened.scene(scene) if scene else opened[0]
+    chosen = scene_in(SceneBank.open(bank), scene)
     write_atomically(out, scene_page(chosen, get_robot(robot)))
     say(f"{chosen.name} in {out}")
 
 
 @app.command("filter")
 def filter_(
-    bank: Bank,
+    bank: BankArgument,
     out: Annotated[Path, typer.Option(help="Folder of the new bank.")],
     join: Annotated[list[str] | None, typer.Option(help="Further banks; may be given several times.")] = None,
     name: Annotated[str, typer.Option(help="Name of the new bank; the folder's name by default.")] = "",
@@ -82,20 +79,20 @@ def filter_(
     protocol: Several = None,
     difficulty: Several = None,
 ) -> None:
-    """Write the scenes of some kinds as a new bank; with --join, those of several banks together."""
+    """Write selected scenes as a new bank; with --join, scenes of several banks."""
     from greenhouse_gym.common.files import exclusive
     from greenhouse_gym.errors import InvalidValueError
     from greenhouse_gym.scene import SceneBank
     from greenhouse_gym.scene.bank import write_bank
 
     opened = SceneBank.join([bank, *join]) if join else SceneBank.open(bank)
-    asked: dict[str, Any] = {
+    wanted: dict[str, Any] = {
         "split": split, "row": row, "week": week, "style": style, "source": source, "protocol": protocol,
         "difficulty": difficulty,
     }  # fmt: skip
-    chosen = opened.select(**{kind: values for kind, values in asked.items() if values})
+    chosen = opened.select(**{kind: values for kind, values in wanted.items() if values})
     if any(out.resolve() == SceneBank.open(one).path for one in (bank, *(join or ()))):
-        raise InvalidValueError(f"{out}: the new bank needs a folder of its own, not that of a bank it is made of")
+        raise InvalidValueError(f"{out}: the new bank needs its own folder, not that of one of its sources")
     with exclusive(out):
         scenes = [(scene, chosen.split_of(scene.name)) for scene in chosen]
         made = write_bank(out, scenes, name or out.resolve().name, chosen.manifest.description)
@@ -104,19 +101,17 @@ def filter_(
 
 @app.command()
 def export(
-    bank: Bank,
+    bank: BankArgument,
     format: Annotated[
         str,
         typer.Option(help="One of mjcf, urdf, sdf, moveit, ply, obj, stl, vamp, robometrics, motionbenchmaker."),
     ],
     out: Annotated[Path, typer.Option(help="Folder for the files.")],
     scene: Several = None,
-    robot: Annotated[str, typer.Option(help="Name or file of the arm.")] = "ur5e",
-    truth: Annotated[
-        bool, typer.Option("--truth", help="Write what really stands there, as moveit, ply, obj or stl.")
-    ] = False,
+    robot: Robot = "ur5e",
+    truth: Annotated[bool, typer.Option("--truth", help="Write the true shapes, as moveit, ply, obj or stl.")] = False,
 ) -> None:
-    """Write scenes in the formats of other simulators and planners."""
+    """Write scenes in formats of other simulators and planners."""
     from greenhouse_gym.export import export_scene
     from greenhouse_gym.robots import get_robot
     from greenhouse_gym.scene import SceneBank
@@ -124,8 +119,8 @@ def export(
     opened, arm = SceneBank.open(bank), get_robot(robot)
     names = scene or opened.names()
     files = 0
-    with progress("scenes", len(names)) as report:
+    with progress("scenes", len(names)) as on_progress:
         for done, name in enumerate(names, start=1):
             files += len(export_scene(opened.scene(name), format, out, arm, truth))
-            report(done)
+            on_progress(done)
     say(f"{files} files in {out}")

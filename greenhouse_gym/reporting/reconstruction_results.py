@@ -1,4 +1,4 @@
-"""The files that a reconstruction leaves, gathered in a work folder and put in place when all are there."""
+"""The files of a reconstruction, written to a work folder and moved into place when they are complete."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from greenhouse_gym.reconstruction import (
 from greenhouse_gym.reconstruction.row import merge_segment, remove_outliers
 from greenhouse_gym.reconstruction.surface import save_mesh, save_points
 from greenhouse_gym.reconstruction.walk import Walk
-from greenhouse_gym.reporting.pictures import registration_pictures, row_pictures, seen_picture
+from greenhouse_gym.reporting.pictures import occupancy_picture, registration_pictures, row_pictures
 from greenhouse_gym.reporting.report_page import report_page, segment_name
 
 
@@ -34,21 +34,21 @@ def write_results(
     out: Path,
     work: Path,
 ) -> tuple[list[RowCloud], TriangleMesh]:
-    """Write the clouds of all segments, and of the longest the mesh, the pictures and the report.
+    """Write the clouds of all segments, and mesh, pictures and report of the longest.
 
     Args:
-        walk: The recording's.
-        recording: Read again for pictures of its stations.
-        settings: The walk's.
-        mesh_as: Makes the mesh.
-        out: Where the results go, in place of an earlier reconstruction's, which stay whole until all is there.
-        work: A folder of the same disk for what is not complete; emptied first.
+        walk: The registered stations of the recording.
+        recording: The recording, read again for pictures of its stations.
+        settings: Settings of the reconstruction.
+        mesh_as: Makes the mesh of a cloud.
+        out: Folder of the results; those of an earlier reconstruction stay until all new ones are complete.
+        work: Folder on the same disk for incomplete results; emptied first.
 
     Returns:
         The cloud of each segment, the longest first, and the mesh.
 
     Raises:
-        FileWriteError: A file could not be written, say because the disk is full.
+        FileWriteError: A file could not be written, for example because the disk is full.
     """
     shutil.rmtree(work, ignore_errors=True)
     merged, outlier = merge_segment(walk, 0, settings)
@@ -65,17 +65,17 @@ def write_results(
     pair = typical_pair(report.stations)
     pictures = registration_pictures(recording, *pair, walk.calibration, settings, work) if pair else []
     pictures += row_pictures(merged, rows[0], mesh, work)
-    picture, seen = seen_picture(rows[0], work)
+    picture, observed = occupancy_picture(rows[0], work)
     pictures.append(picture)
     head = recording.rig.cameras[recording.rig.reference].rig_from_camera[:3, 3]
-    page = report_page(recording.name, rows, len(mesh.triangles), head, settings, pair, pictures, seen)
+    page = report_page(recording.name, rows, len(mesh.triangles), head, settings, pair, pictures, observed)
     write_atomically(work / "report.html", page)
     _put_in_place(work, out)
     return rows, mesh
 
 
 def typical_pair(stations: Sequence[StationReport]) -> tuple[int, int] | None:
-    """The two neighbors whose registration has the median fitness; None if no neighbors were registered."""
+    """Return the two neighbors whose registration has the median fitness; None if no neighbors were registered."""
     pairs = sorted(
         (s.fitness, s.station) for s in stations
         if s.registered and not s.reason and s.against == s.station - 1 and s.fitness is not None
@@ -87,7 +87,7 @@ def typical_pair(stations: Sequence[StationReport]) -> tuple[int, int] | None:
 
 
 def _put_in_place(work: Path, out: Path) -> None:
-    """Move results from one folder to another, in place of what an earlier run left there."""
+    """Move results from one folder to another and replace those of an earlier run."""
     try:
         for old in out.iterdir():
             if re.fullmatch(r"row-\d+\.(npz|ply)|[1-9]-[a-z-]+\.png", old.name):

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, TextIO
 
 import typer
 
-from greenhouse_gym.cli.importing import RigFile
+from greenhouse_gym.cli.options import RigFile
 from greenhouse_gym.common.progress import say
 from greenhouse_gym.errors import InvalidValueError
 
@@ -25,19 +25,19 @@ def record(
     rig: RigFile = None,
     camera: Annotated[
         list[str] | None,
-        typer.Option("--camera", help="NAME=SERIAL of a camera, once for each; all that are connected by default."),
+        typer.Option("--camera", help="NAME=SERIAL of a camera, once for each; all connected cameras by default."),
     ] = None,
     step: Annotated[
-        float, typer.Option(help="Metres from station to station; 0 takes one at each press of Enter only.", min=0.0)
+        float, typer.Option(help="Metres between stations; 0 takes one only when Enter is pressed.", min=0.0)
     ] = 0.10,
     playback: Annotated[
-        list[Path] | None, typer.Option(help="A file of RealSense's recorder to play back, once for each camera.")
+        list[Path] | None, typer.Option(help="A RealSense recording to play back, once for each camera.")
     ] = None,
 ) -> None:
-    """Record stations with RealSense cameras: one about every 10 cm by what they show, and one at each press of Enter.
+    """Record stations with RealSense cameras: one about every 10 cm of motion, and one whenever Enter is pressed.
 
-    Each station is written at once and looked at; q and Enter, or Ctrl-C, ends. preview.png in the folder is renewed
-    all the time: what is too far for plants is dark in it.
+    Each station is written and checked at once; q and Enter, or Ctrl-C, ends. preview.png in the folder is updated
+    continuously: points beyond the plants are dark in it.
     """
     from greenhouse_gym.capture import open_recording
     from greenhouse_gym.capture.inspection import inspect_recording
@@ -50,11 +50,11 @@ def record(
     keys = Keys(sys.stdin)
     with realsense_cameras(_serials(camera or ()), playback or ()) as live:
         cameras = live.rig if rig is None else mounted_rig(live.rig, load_mounting(rig))
-        say(f"cameras {', '.join(cameras.cameras)}; Enter takes a station, q and Enter ends; look at {out / PREVIEW}")
+        say(f"cameras {', '.join(cameras.cameras)}; Enter takes a station, q and Enter ends; preview: {out / PREVIEW}")
         try:
-            write_stations(keys.until_end(live.moments), cameras, out, step, keys.pressed, _tell)
+            write_stations(keys.until_end(live.moments), cameras, out, step, keys.pressed, _report)
         except KeyboardInterrupt:
-            say("interrupted; what was recorded is kept")
+            say("interrupted; the recorded stations are kept")
     if not (out / INDEX).exists():
         raise InvalidValueError(f"no station was recorded in {out}")
     recording = open_recording(out)
@@ -64,11 +64,11 @@ def record(
 
 
 class Keys:
-    """Lines that are typed while something else goes on: an empty one asks for a station, q for the end."""
+    """Lines typed during a recording: an empty line requests a station, q ends."""
 
     def __init__(self, typed: TextIO):
         self._lines: SimpleQueue[str] = SimpleQueue()
-        self._asked = 0
+        self._requested = 0
         Thread(target=self._listen, args=(typed,), daemon=True).start()
 
     def _listen(self, typed: TextIO) -> None:
@@ -76,30 +76,30 @@ class Keys:
             self._lines.put(line.strip())
 
     def until_end(self, moments: Iterable[Station]) -> Iterator[Station]:
-        """The moments, until q is typed."""
+        """Yield moments until q is typed."""
         for moment in moments:
             while not self._lines.empty():
                 if self._lines.get().lower() == "q":
                     return
-                self._asked += 1
+                self._requested += 1
             yield moment
 
     def pressed(self) -> bool:
-        """Whether a station was asked for since the last call; said once for each press."""
-        pressed = self._asked > 0
-        self._asked = max(0, self._asked - 1)
+        """Return whether a station was requested; each press counts once."""
+        pressed = self._requested > 0
+        self._requested = max(0, self._requested - 1)
         return pressed
 
 
-def _tell(taken: Taken) -> None:
+def _report(taken: Taken) -> None:
     moved = "" if taken.moved is None else f", {100 * taken.moved:.0f} cm on"
     say(f"station {taken.number}{moved}")
     for fault in taken.faults:
         say(f"  {fault}", style="red")
 
 
-def _serials(told: Iterable[str]) -> dict[str, str] | None:
-    pairs = [one.partition("=") for one in told]
+def _serials(texts: Iterable[str]) -> dict[str, str] | None:
+    pairs = [text.partition("=") for text in texts]
     for name, _, number in pairs:
         if not name or not number:
             raise InvalidValueError(f"--camera: expected NAME=SERIAL, got {name!r}")

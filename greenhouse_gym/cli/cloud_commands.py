@@ -1,4 +1,4 @@
-"""Commands on clouds that were not recorded with this package's rig."""
+"""The command that finds shapes in clouds of other origin, and the options of such clouds."""
 
 from __future__ import annotations
 
@@ -9,40 +9,36 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from greenhouse_gym.cli.settings import Assignments, SettingsFile, shown
+from greenhouse_gym.cli.options import Assignments, Out, SettingsFile, print_settings
 from greenhouse_gym.common.progress import say
 
 if TYPE_CHECKING:
     from greenhouse_gym.build.scans import Scan, ScannedRow
 
-Units = Annotated[str | None, typer.Option(help="Unit of the cloud: m, cm, mm or a number of metres; else guessed.")]
-Up = Annotated[
-    str | None, typer.Option(help="What is up in the cloud: x, y, z, -x, -y, -z or a vector such as 0,0.1,1.")
+Units = Annotated[
+    str | None, typer.Option(help="Unit of the cloud: m, cm, mm or a number of metres; estimated by default.")
 ]
-SeenFrom = Annotated[str | None, typer.Option(help="Where the cloud was seen from, in its own frame, such as 0,0,1.2.")]
-Floor = Annotated[float | None, typer.Option(help="Height of the floor, metres; guessed when left out.")]
-
-
-def _shape_settings() -> object:
-    from greenhouse_gym.shapes import ShapeSettings
-
-    return ShapeSettings()
+Up = Annotated[
+    str | None, typer.Option(help="Up direction of the cloud: x, y, z, -x, -y, -z or a vector such as 0,0.1,1.")
+]
+SeenFrom = Annotated[str | None, typer.Option(help="Position of the scanner in the cloud's frame, such as 0,0,1.2.")]
+Floor = Annotated[float | None, typer.Option(help="Height of the floor, metres; estimated by default.")]
 
 
 def shapes(
     cloud: Annotated[Path, typer.Argument(help="File of a cloud: ply, pcd, las, laz, e57, npy, npz, xyz or txt.")],
-    out: Annotated[Path, typer.Option("--out", help="Folder for the results.")],
+    out: Out,
     units: Units = None,
     up: Up = None,
     seen_from: SeenFrom = None,
     settings: SettingsFile = None,
     assignments: Assignments = None,
-    print_settings: Annotated[bool, shown(_shape_settings)] = False,
+    print_defaults: Annotated[bool, print_settings("greenhouse_gym.shapes:ShapeSettings")] = False,
 ) -> None:
-    """Find tomatoes, stems and clutter in a cloud that comes from elsewhere; what had to be assumed is said.
+    """Find tomatoes, stems and clutter in a cloud of another source, and print the assumptions made.
 
-    Writes shapes.json (metres, z up), cloud.ply (the cloud in that frame) and report.json (what was assumed, and what
-    brings the file's points, times its unit, into that frame).
+    Writes shapes.json (metres, z up), cloud.ply (the cloud in that frame) and report.json (the assumptions, and the
+    transform of the file's points, times its unit, into that frame).
     """
     from greenhouse_gym.build.scans import extract_from_scan
     from greenhouse_gym.common.files import write_atomically
@@ -53,9 +49,9 @@ def shapes(
 
     resolved = resolve(ShapeSettings(), settings, assignments or ())
     opened = _opened(cloud, units, up, seen_from)
-    say(f"looking for shapes among {len(opened.cloud)} points")
+    say(f"searching shapes in {len(opened.cloud)} points")
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ShapeWarning)  # they are told below
+        warnings.simplefilter("ignore", ShapeWarning)  # printed below
         scan, found = extract_from_scan(opened, resolved)
     for note in (*scan.notes[len(opened.notes) :], *found.warnings):
         say(note)
@@ -68,8 +64,10 @@ def shapes(
     say(f"{len(found.tomatoes)} tomatoes, {len(found.stems)} pieces of stem, {len(found.clutter)} boxes: {out}")
 
 
-def scanned(cloud: Path, units: str | None, up: str | None, seen_from: str | None, floor: float | None) -> ScannedRow:
-    """A cloud as a row to build a bank of, from the texts of the options."""
+def scanned_row_of(
+    cloud: Path, units: str | None, up: str | None, seen_from: str | None, floor: float | None
+) -> ScannedRow:
+    """Return a cloud as a row to build a bank from, given the texts of the options."""
     from greenhouse_gym.build.scans import scanned_row
 
     return scanned_row(_opened(cloud, units, up, seen_from), floor)
@@ -78,10 +76,10 @@ def scanned(cloud: Path, units: str | None, up: str | None, seen_from: str | Non
 def _opened(cloud: Path, units: str | None, up: str | None, seen_from: str | None) -> Scan:
     from greenhouse_gym.build.scans import open_scan
 
-    told = (_number(units), _numbers("--up", up) if up and "," in up else up, _numbers("--seen-from", seen_from))
+    direction = _numbers("--up", up) if up and "," in up else up
     if cloud.is_file():
         say(f"reading {cloud}, {cloud.stat().st_size / 1e6:.0f} MB")
-    scan = open_scan(cloud, *told)
+    scan = open_scan(cloud, _number(units), direction, _numbers("--seen-from", seen_from))
     for note in scan.notes:
         say(note)
     return scan

@@ -1,0 +1,188 @@
+"""Commands from recordings to banks: reconstruct, build, build-shipped."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from greenhouse_gym.cli.cloud_commands import Floor, SeenFrom, Units, Up, scanned_row_of
+from greenhouse_gym.cli.options import (
+    Address,
+    Assignments,
+    Backend,
+    Format,
+    Out,
+    SettingsFile,
+    Workers,
+    executor_of,
+    print_settings,
+)
+from greenhouse_gym.common.progress import CONSOLE, progress, say
+
+if TYPE_CHECKING:
+    from greenhouse_gym.capture import Recording
+    from greenhouse_gym.reconstruction import ReconstructionSettings
+
+
+def reconstruct(
+    recording: Annotated[Path, typer.Argument(help="A recording of any known format: a folder, or a bag.")],
+    out: Out,
+    method: Annotated[
+        str, typer.Option(help="Meshing method: ball_pivoting, poisson or alpha_shape.")
+    ] = "ball_pivoting",
+    points: Annotated[int, typer.Option(min=4, help="Points of the simplified cloud, which is meshed.")] = 10_000,
+    faces: Annotated[int, typer.Option(min=1, help="Maximum number of faces of the mesh.")] = 18_000,
+    format: Format = None,
+    poses: Annotated[
+        str | None, typer.Option(help="Poses of the stations: estimate, given (trust the recording) or refine.")
+    ] = None,
+    settings: SettingsFile = None,
+    assignments: Assignments = None,
+    print_defaults: Annotated[bool, print_settings("greenhouse_gym.reconstruction:ReconstructionSettings")] = False,
+) -> None:
+    """Reconstruct a recording as a cloud and a mesh, with a report; resumes an interrupted run.
+
+    Finished stations are kept in the folder "walk" next to the results until all results are written.
+    """
+    from greenhouse_gym.capture import open_recording
+    from greenhouse_gym.common.files import exclusive
+    from greenhouse_gym.common.settings_files import resolve
+    from greenhouse_gym.errors import require_choice
+    from greenhouse_gym.reconstruction import METHODS, settings_for
+
+    require_choice("meshing method", method, METHODS)
+    opened = open_recording(recording, format)
+    fitting = settings_for(opened)
+    _print_differences(fitting)
+    resolved = resolve(fitting, settings, [*(assignments or ()), *([f"poses={poses}"] if poses else [])])
+    with exclusive(out):
+        _reconstruct(opened, resolved, out, method, points, faces)
+
+
+def _reconstruct(
+    opened: Recording, settings: ReconstructionSettings, out: Path, method: str, points: int, faces: int
+) -> None:
+    from greenhouse_gym.errors import FileFormatError, ReconstructionError
+    from greenhouse_gym.reconstruction import simplify_points, triangulate
+    from greenhouse_gym.reconstruction.diary import Diary
+    from greenhouse_gym.reconstruction.walk import walk_through
+    from greenhouse_gym.reporting.reconstruction_results import write_results
+
+    work = out / "walk"
+    if work.exists() and not (work / "walk.jsonl").exists():
+        raise FileFormatError(work, "is not the work folder of a reconstruction; choose another --out or remove it")
+    finished = len(Diary.open(work, opened, settings).entries)
+    if finished:
+        say(f"resuming after station {finished - 1}")
+    try:
+        with progress("stations", len(opened)) as on_progress:
+            walk = walk_through(opened, settings, lambda i: on_progress(i + 1), work)
+        with CONSOLE.status("merging, meshing, drawing"):
+            rows, mesh = write_results(
+                walk, opened, settings, lambda row: triangulate(simplify_points(row, points), method, faces),
+                out, work=work / "results",
+            )  # fmt: skip
+        shutil.rmtree(work)
+    except KeyboardInterrupt:
+        finished = len(Diary.open(work, opened, settings).entries)
+        kept = f"{finished} of {len(opened)} stations are kept in {work}"
+        say(f"interrupted: {kept}; repeat the command to resume")
+        raise typer.Exit(130) from None
+    except ReconstructionError:
+        shutil.rmtree(work)
+        raise
+    for station in rows[0].report.stations:
+        if station.reason:
+            fate = "begins a new segment" if station.registered else "skipped"
+            say(f"station {station.station} {fate}: {station.reason}")
+    for warning in rows[0].report.warnings:
+        say(f"warning: {warning}", style="red")
+    registered, cloud = sum(row.registered.sum() for row in rows), sum(map(len, rows))
+    say(f"{registered} of {len(opened)} stations, {cloud} points, {len(mesh.triangles)} faces: {out / 'report.html'}")
+
+
+def _print_differences(settings: ReconstructionSettings) -> None:
+    """Print the settings that differ from the defaults because of the recording."""
+    from dataclasses import asdict
+
+    from greenhouse_gym.reconstruction import ReconstructionSettings
+
+    usual = asdict(ReconstructionSettings())
+    for name, value in asdict(settings).items():
+        if value != usual[name]:
+            say(f"from the recording: {name} = {value} instead of {usual[name]}; --set {name}=... overrides it")
+
+
+def build(
+    recordings: Annotated[
+        list[Path], typer.Argument(help="Folders of recordings, or with --cloud files of clouds, one per row.")
+    ],
+    out: Out,
+    name: Annotated[str, typer.Option(help="The bank's name; the folder's name by default.")] = "",
+    format: Format = None,
+    cloud: Annotated[bool, typer.Option("--cloud", help="The arguments are files of clouds, not recordings.")] = False,
+    units: Units = None,
+    up: Up = None,
+    seen_from: SeenFrom = None,
+    floor: Floor = None,
+    settings: SettingsFile = None,
+    assignments: Assignments = None,
+    print_defaults: Annotated[bool, print_settings("greenhouse_gym.build.scenes:BuildSettings")] = False,
+    backend: Backend = None,
+    workers: Workers = None,
+    address: Address = "local",
+) -> None:
+    """Build a bank of scenes from recordings; resumes an interrupted build.
+
+    Settings of the reconstruction default to those that the recordings' protocol needs.
+    """
+    from greenhouse_gym.common.extras import require_extras
+
+    require_extras("reconstruct", "plan")
+    from greenhouse_gym.build import build_bank
+    from greenhouse_gym.build.scenes import BuildSettings
+    from greenhouse_gym.capture import open_recording
+    from greenhouse_gym.common.files import write_atomically
+    from greenhouse_gym.common.settings_files import as_toml, resolve
+    from greenhouse_gym.reconstruction import settings_for
+
+    opened = [
+        scanned_row_of(path, units, up, seen_from, floor) if cloud else open_recording(path, format)
+        for path in recordings
+    ]
+    needed = {settings_for(recording) for recording in opened}
+    resolved = resolve(
+        BuildSettings(reconstruction=needed.pop() if len(needed) == 1 else None), settings, assignments or ()
+    )
+    try:
+        with executor_of(backend, workers, address, len(opened)) as executor:
+            bank = build_bank(opened, out, name or out.resolve().name, settings=resolved, executor=executor)
+    except KeyboardInterrupt:
+        say(f"interrupted: finished parts are kept in {out}; repeat the command to resume")
+        raise typer.Exit(130) from None
+    write_atomically(out / "settings.toml", as_toml(resolved))
+    say(f"{len(bank)} scenes in {out}")
+
+
+def build_shipped(
+    out: Out = Path("scenes"),
+    parts: Annotated[Path, typer.Option(help="Folder for the bank of each recording.")] = Path("runs/shipped"),
+    processes: Annotated[
+        int | None, typer.Option(min=1, help="Recordings built at once; one per core by default.")
+    ] = None,
+    finished_only: Annotated[bool, typer.Option("--finished-only", help="Only join the finished parts.")] = False,
+) -> None:
+    """Build the shipped banks from simulated recordings: default, and mini for tests; resumes an interrupted build."""
+    from greenhouse_gym.build.shipped import build_shipped_banks, join_parts
+    from greenhouse_gym.common import executors as parallel
+
+    if finished_only:
+        banks = join_parts(parts, out)
+    else:
+        with parallel.processes(processes) as executor:
+            banks = build_shipped_banks(out, parts, executor)
+    for bank in banks:
+        say(f"{bank.manifest.name}: {len(bank)} scenes in {bank.path}")
