@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 from shapes_real_data import CYLINDERS, read_table
 
 from greenhouse_gym.build.scans import RawCloud, extract_from_scan, open_scan
-from greenhouse_gym.capture import PROTOCOLS, Protocol, Recording, simulate_protocol
+from greenhouse_gym.capture import PROTOCOLS, CaptureProtocol, Recording, simulate_protocol
 from greenhouse_gym.crops import grow_row
 from greenhouse_gym.errors import GreenhouseError
 from greenhouse_gym.geometry import Array, invert
@@ -65,7 +65,7 @@ def main() -> None:
     write_results(RESULTS / "automatic_frames.json", {"walks": walks, "clouds": clouds}, ["open3d"])
 
 
-def first_walk(protocol: Protocol) -> Recording:
+def first_walk(protocol: CaptureProtocol) -> Recording:
     """The first pass of a protocol, which does not say that it follows one."""
     alone = replace(protocol, passes=protocol.passes[:1])
     walk = simulate_protocol(grow_row(SEED, LENGTH), SEED, alone, stations=STATIONS)

@@ -6,18 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 
-import numpy as np
-
-from greenhouse_gym.build.scenes import BuildSettings, cut_scenes, placement_poses
-from greenhouse_gym.capture import Recording, get_protocol, simulate_protocol
-from greenhouse_gym.capture.simulated import photograph
+from greenhouse_gym.build.scenes import BuildSettings, cut_scenes
+from greenhouse_gym.capture import get_protocol, simulate_protocol
 from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.crops import CULTIVARS, STYLES, PlantRow, grow_row
-from greenhouse_gym.geometry import Array, pose, rotation_about
-from greenhouse_gym.reconstruction import RowCloud, add_looks, reconstruct_row
+from greenhouse_gym.reconstruction import reconstruct_row
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.shapes import FINE_SHAPES, ShapeSettings, extract_shapes
-from greenhouse_gym.wrist import look_rig
 
 SCENES = "scenes.jsonl"
 
@@ -84,9 +79,6 @@ def scenes_of(seed: int, protocol: str, options: Options) -> list[Scene]:
         settings = FINE_SHAPES if options.fine else ShapeSettings()
         shapes = extract_shapes(cloud.points, cloud.colors, cloud.normals, settings)
         build = BuildSettings(max_shapes=options.primitives, spacing=options.spacing, leaf_tolerance=options.leaves)
-        if get_protocol(protocol).looks:
-            cloud = look_around(cloud, placement_poses(cloud, shapes, recording, build), recording, seed, options)
-            shapes = extract_shapes(cloud.points, cloud.colors, cloud.normals, settings)
         scenes = cut_scenes(cloud, shapes, recording, row.week, build)
         print(
             f"{protocol}, row {seed}: {cloud.registered.sum()} of {len(recording)} stations, {len(cloud)} points, "
@@ -100,19 +92,3 @@ def scenes_of(seed: int, protocol: str, options: Options) -> list[Scene]:
 def scenes_in(folder: Path) -> list[Scene]:
     """The scenes that were made of a row."""
     return [Scene.model_validate_json(line) for line in (folder / SCENES).read_text().splitlines()]
-
-
-def look_around(cloud: RowCloud, row_from_stand: Array, recording: Recording, seed: int, options: Options) -> RowCloud:
-    """The cloud with what the arm's wrist camera sees from each stand, where the arm is put up to a centimetre."""
-    assert recording.truth is not None
-    first = recording[int(np.flatnonzero(cloud.registered)[0])].world_from_station
-    assert first is not None
-    random = np.random.default_rng([seed, 4])
-    errors = [
-        pose(rotation_about([0, 0, 1], random.uniform(-0.01, 0.01)), random.uniform(-0.01, 0.01, 3))
-        for _ in row_from_stand
-    ]
-    looks = photograph(
-        recording.truth, seed, look_rig(options.robot), first @ row_from_stand @ np.array(errors), walk_number=9
-    )
-    return add_looks(cloud, recording, looks, row_from_stand)[0]

@@ -56,7 +56,7 @@ def grids_of(row: Row, workdir: Path, cause: str = "noisy") -> tuple[Iterator[Gr
     """A row's cloud of one of the `CAUSES` in the frame of the truth, grid by grid, and its true tomatoes."""
     cloud, settings = cloud_of(row, cause, workdir), ShapeSettings()
     known = truth_of(row, cloud, workdir)
-    whole = Cloud(cloud.points, cloud.colors, cloud.normals).moved(known.world_from_row)
+    whole = Cloud(cloud.points, cloud.colors, cloud.normals).transformed(known.world_from_row)
     surface = look_at_surfaces(thinned(whole, True, settings, Notes()), settings)
     return by_grids(whole, surface, settings), known.row.tomatoes
 

@@ -53,7 +53,7 @@ def looked_at(row: Row, workdir: Path, cause: str) -> Looked:
     surface, _, _ = surfaces_of(row, workdir, cause)
     cloud = cloud_of(row, cause, workdir)
     known = truth_of(row, cloud, workdir)
-    cloud = cloud.moved(known.world_from_row)
+    cloud = cloud.transformed(known.world_from_row)
     shapes = extract_shapes(cloud.points, cloud.colors, cloud.normals, SETTINGS)
     main = [stem for stem in shapes.stems if stem.kind == "main"]
     places = places_near_fruit(surface, shapes.tomatoes, main, SETTINGS)

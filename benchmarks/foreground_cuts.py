@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from results_file import RESULTS, write_results
 
-from greenhouse_gym.capture import PROTOCOLS, Protocol, Recording, Rig, open_recording, simulate_protocol
+from greenhouse_gym.capture import PROTOCOLS, CaptureProtocol, Recording, Rig, open_recording, simulate_protocol
 from greenhouse_gym.crops import grow_row
 from greenhouse_gym.reconstruction import settings_for
 from greenhouse_gym.reconstruction.fitting import sensor_noise
@@ -49,7 +49,7 @@ def main() -> None:
         print(f"| {row['recording']} | {row['stems'] or '-'} | {figures} | {row['right']} |")
 
 
-def alone(protocol: Protocol) -> Protocol:
+def alone(protocol: CaptureProtocol) -> CaptureProtocol:
     """The protocol with the reference cameras only: those tell the cut."""
     return replace(
         protocol,

@@ -25,9 +25,9 @@ from greenhouse_gym.capture import Recording, open_recording
 from greenhouse_gym.errors import ReconstructionError
 from greenhouse_gym.geometry import Array, invert, rotation_angle
 from greenhouse_gym.reconstruction import ReconstructionSettings
-from greenhouse_gym.reconstruction.registration import Registration, refine, register
-from greenhouse_gym.reconstruction.views import Calibration, view_station
-from greenhouse_gym.reconstruction.walk import walk_through
+from greenhouse_gym.reconstruction.pair_registration import Registration, refine_pair, register_pair
+from greenhouse_gym.reconstruction.station_registration import register_stations
+from greenhouse_gym.reconstruction.station_views import Calibration, station_view
 
 FOREGROUNDS = (0.6, 1.0, 1.5)  # m; the paper's cut, the table's far edge, and some of the room behind
 WRONG = (0.02, 2.0)  # m, degrees; the poses are known to some millimetres
@@ -51,13 +51,13 @@ def main() -> None:
 def measure(recording: Recording, settings: ReconstructionSettings) -> dict[str, Any]:
     """All pairs of neighbors, and the whole walk, with one foreground."""
     stations = list(recording)
-    views = [view_station(station, Calibration(recording.rig), settings) for station in stations]
+    views = [station_view(station, Calibration(recording.rig), settings) for station in stations]
     poses = np.array([station.world_from_station for station in stations], dtype=np.float64)
     pairs = []
     for i, (first, second) in enumerate(pairwise(views)):
         true = invert(poses[i]) @ poses[i + 1]
         started = perf_counter()
-        found = register(first, second, 1, settings)
+        found = register_pair(first, second, 1, settings)
         seconds = perf_counter() - started
         pairs.append(
             {
@@ -65,7 +65,7 @@ def measure(recording: Recording, settings: ReconstructionSettings) -> dict[str,
                 "moved": 1e2 * float(np.linalg.norm(true[:3, 3])),
                 "turned": float(np.degrees(rotation_angle(true[:3, :3]))),
                 "registered": outcome(found, true),
-                "from_the_true_motion": outcome(refine(first, second, true, 1, 0.0, settings), true),
+                "from_the_true_motion": outcome(refine_pair(first, second, true, 1, 0.0, settings), true),
                 "seconds": seconds,
             }
         )
@@ -112,7 +112,7 @@ def text(result: dict[str, Any]) -> str:
 def walk(recording: Recording, poses: Array, settings: ReconstructionSettings) -> dict[str, Any]:
     """How the reconstruction of the whole recording ends, and every motion it accepted."""
     try:
-        walked = walk_through(recording, settings)
+        walked = register_stations(recording, settings)
     except ReconstructionError as refusal:
         return {"ends": str(refusal).partition(". ")[0], "edges": []}
     edges = [

@@ -33,11 +33,11 @@ from greenhouse_gym.crops import grow_row
 from greenhouse_gym.geometry import Array, pose, transform
 from greenhouse_gym.planning import PlanResult, goal_configurations, plan, resample
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, simplify_points, triangulate
-from greenhouse_gym.reconstruction.foreground import blacked_out
-from greenhouse_gym.reconstruction.registration import register
-from greenhouse_gym.reconstruction.row import merge_segment, remove_outliers
-from greenhouse_gym.reconstruction.views import Calibration, view_station
-from greenhouse_gym.reconstruction.walk import walk_through
+from greenhouse_gym.reconstruction.foreground import black_out
+from greenhouse_gym.reconstruction.pair_registration import register_pair
+from greenhouse_gym.reconstruction.row_cloud import merge_segment, remove_outliers
+from greenhouse_gym.reconstruction.station_registration import register_stations
+from greenhouse_gym.reconstruction.station_views import Calibration, station_view
 from greenhouse_gym.rendering.renderer import Viewpoint, default_camera, render_scene
 from greenhouse_gym.rendering.task_pictures import picture_of_path
 from greenhouse_gym.reporting.pictures import BLUE, RED, Image, shifted_silhouettes, splat, upright
@@ -96,15 +96,15 @@ def rendered(seed: int, folder: Path) -> Path:
 def photographs(recording: Recording, out: Path) -> None:
     """Figures 1 and 3 to 6: photographs, foreground, silhouettes at the best shift, clouds before and after ICP."""
     first = len(recording) // 2
-    one, two = (view_station(recording[i], Calibration(recording.rig), SETTINGS) for i in (first, first + 1))
+    one, two = (station_view(recording[i], Calibration(recording.rig), SETTINGS) for i in (first, first + 1))
     views = (one.reference, two.reference)
-    found = register(one, two, 1, SETTINGS)
+    found = register_pair(one, two, 1, SETTINGS)
     assert found.shift is not None
     assert found.offset is not None
     save_jpeg(upright(views[0].color), out / "1-greenhouse.jpg")
     titles = [f"station {first}", f"station {first + 1}"]
     panels([upright(view.color) for view in views], titles, out / "3-two-images.jpg")
-    cut = [upright(blacked_out(view.color, view.foreground)) for view in views]
+    cut = [upright(black_out(view.color, view.foreground)) for view in views]
     panels(cut, titles, out / "4-background-removed.jpg")
     white = [np.where(view.foreground[..., None], 255, np.zeros(3)).astype(np.uint8) for view in views]
     overlay = shifted_silhouettes(*views, found.shift)
@@ -113,7 +113,7 @@ def photographs(recording: Recording, out: Path) -> None:
         ["first", "second", f"overlaid at a shift of {abs(found.shift.pixels)} pixels"],
         out / "5-silhouettes.jpg",
     )
-    here, there = (view.cloud().moved(np.eye(4)) for view in (one, two))
+    here, there = (view.packed_cloud().transformed(np.eye(4)) for view in (one, two))
     clouds = []
     for first_from_second in (pose(translation=found.offset), found.first_from_second):
         points = np.concatenate([here.points, transform(first_from_second, there.points)])
@@ -162,7 +162,7 @@ def reconstruction(recording: Recording, out: Path) -> tuple[RowCloud, Numbers]:
     """Figure 7: the row in one color per station, before and after outlier removal."""
     started = time.perf_counter()
     with progress("stations registered", len(recording)) as done:
-        walk = walk_through(recording, SETTINGS, lambda i: done(i + 1))
+        walk = register_stations(recording, SETTINGS, lambda i: done(i + 1))
     merged, outlier = merge_segment(walk, 0, SETTINGS)
     row = remove_outliers(merged, outlier)
     seconds = time.perf_counter() - started

@@ -4,20 +4,26 @@ from __future__ import annotations
 
 import numpy as np
 
-from greenhouse_gym.capture import Recording, StereoDoubt, StereoNoise, WalkSettings
+from greenhouse_gym.capture import CaptureSettings, Recording, StereoDropout, StereoNoise
 from greenhouse_gym.geometry import invert
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud
-from greenhouse_gym.reconstruction.merging import merge_stations, outliers
+from greenhouse_gym.reconstruction.merging import find_outliers, merge_stations
 from greenhouse_gym.reconstruction.report import RowReport
-from greenhouse_gym.reconstruction.row import remove_outliers
-from greenhouse_gym.reconstruction.views import Calibration, view_station
+from greenhouse_gym.reconstruction.row_cloud import remove_outliers
+from greenhouse_gym.reconstruction.station_views import Calibration, station_view
 
-NOISE_FREE = WalkSettings(
+NOISE_FREE = CaptureSettings(
     color_noise=0.0,
     noise=StereoNoise(
-        disparity_noise=0.0, disparity_step=0.0, depth_unit=0.0, bias=0.0, dropout=0.0, edge_dropout=0.0, fatten=0
+        disparity_noise=0.0,
+        disparity_step=0.0,
+        depth_unit=0.0,
+        bias=0.0,
+        dropout=0.0,
+        edge_dropout=0.0,
+        edge_fattening=0,
     ),
-    doubt=StereoDoubt(thin_dropout=0.0, mixed=0.0, glare_dropout=0.0, exposure_dropout=0.0),
+    dropout=StereoDropout(thin_dropout=0.0, mixed=0.0, glare_dropout=0.0, exposure_dropout=0.0),
 )
 """The usual walk with cameras that see without error (what one of the two imagers does not see stays a hole)."""
 
@@ -25,12 +31,12 @@ NOISE_FREE = WalkSettings(
 def perfect_cloud(recording: Recording, settings: ReconstructionSettings | None = None) -> RowCloud:
     """A recording's stations merged at their true poses, as `reconstruct_row` merges them."""
     settings = settings or ReconstructionSettings()
-    clouds, screens, poses = {}, {}, []
+    clouds, min_depths, poses = {}, {}, []
     for i, station in enumerate(recording):
         assert station.world_from_station is not None
-        view = view_station(station, Calibration(recording.rig), settings)
-        clouds[i], poses = view.cloud(), [*poses, station.world_from_station]
-        screens[i] = {name: camera.screen() for name, camera in view.cameras.items()}
+        view = station_view(station, Calibration(recording.rig), settings)
+        clouds[i], poses = view.packed_cloud(), [*poses, station.world_from_station]
+        min_depths[i] = view.min_depths()
     relative = np.array([invert(poses[0]) @ pose for pose in poses])
     merged = merge_stations(clouds, relative, settings)
     cloud = merged.cloud
@@ -38,4 +44,4 @@ def perfect_cloud(recording: Recording, settings: ReconstructionSettings | None 
         cloud.points, cloud.colors, cloud.normals, merged.station, np.ones(len(poses), dtype=bool), relative,
         RowReport(()),
     )  # fmt: skip
-    return remove_outliers(row, outliers(merged, relative, screens, recording.rig, settings))
+    return remove_outliers(row, find_outliers(merged, relative, min_depths, recording.rig, settings))

@@ -33,7 +33,7 @@ from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, reco
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # the writers are those of the tests
 from bag_writer import MCAP, ROS1, SQLITE, Writer, write_rig
-from layouts import LAYOUTS, as_described_rig, walk_of
+from layouts import LAYOUTS, as_described_rig, track_of
 from row_helpers import HALF
 
 SEED, LENGTH = 1, 0.6
@@ -135,7 +135,7 @@ def bag(container: str) -> Write:
 
 def layout(name: str) -> Write:
     """What writes a layout of a single camera."""
-    return lambda path, source: LAYOUTS[name][1](path, walk_of(source, source.rig.reference))
+    return lambda path, source: LAYOUTS[name][1](path, track_of(source, source.rig.reference))
 
 
 RIGS: dict[str, tuple[str, Callable[[str], str], Write]] = {

@@ -46,10 +46,10 @@ from greenhouse_gym.accuracy import (
     visible_surface,
 )
 from greenhouse_gym.capture import (
+    CaptureSettings,
     Recording,
     Rig,
     StereoNoise,
-    WalkSettings,
     open_recording,
     simulate_recording,
     write_recording,
@@ -113,7 +113,7 @@ def cases(
 
 def render(case: Case, folder: Path) -> None:
     """Write a case's recording to a folder."""
-    settings = WalkSettings(noise=StereoNoise(bias=case.bias))
+    settings = CaptureSettings(noise=StereoNoise(bias=case.bias))
     truth = grow_row(case.seed, case.length, case.week)
     write_recording(simulate_recording(truth, case.seed, settings=settings), folder)
 

@@ -16,8 +16,8 @@ from greenhouse_gym.capture import Recording, Rig, Station
 from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.geometry import Array, invert, pose, transform
 from greenhouse_gym.reconstruction.foreground import foreground_mask
-from greenhouse_gym.reconstruction.registration import row_axis
-from greenhouse_gym.reconstruction.shift import along, best_shifts, overlap
+from greenhouse_gym.reconstruction.pair_registration import row_axis
+from greenhouse_gym.reconstruction.silhouette_shift import along, best_shifts, overlapping_parts
 
 FOREGROUND = 0.60  # m, the paper's cut
 STEP = 0.10  # m along the row, nominal
@@ -155,7 +155,7 @@ def silhouette_offset(first: Station, second: Station, rig: Rig, steps: int) -> 
     shifts = best_shifts(one, two, axis, int(0.03 * steps * focal / FOREGROUND), int(0.15 * steps * focal / nearest))
     if not shifts:
         return None
-    a, b = overlap(one, shifts[0].pixels, axis)
+    a, b = overlapping_parts(one, shifts[0].pixels, axis)
     rows, columns = np.nonzero(one[along(axis, a)] & two[along(axis, b)])
     if not len(rows):
         return None

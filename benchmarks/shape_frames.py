@@ -43,7 +43,7 @@ def compared(row: Row, workdir: Path, frame_from_world: Array, settings: ShapeSe
     """The tomatoes that are found in a row's cloud in a frame; pipes stay in it."""
     cloud = cloud_of(row, "noisy", workdir)
     known = truth_of(row, cloud, workdir)
-    whole = Cloud(cloud.points, cloud.colors, cloud.normals).moved(frame_from_world @ known.world_from_row)
+    whole = Cloud(cloud.points, cloud.colors, cloud.normals).transformed(frame_from_world @ known.world_from_row)
     surface = look_at_surfaces(thinned(whole, True, settings, Notes()), settings)
     found, _ = find_tomatoes(list(by_grids(whole, surface, settings)), settings)
     placed = [tomato.transformed(np.linalg.inv(frame_from_world)) for tomato in found]

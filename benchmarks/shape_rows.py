@@ -21,15 +21,15 @@ import greenhouse_gym
 from greenhouse_gym.accuracy import Visibility, VisibleRow, align, visible_row
 from greenhouse_gym.capture import (
     SEED_RIG,
+    CaptureSettings,
     Light,
     Recording,
-    WalkSettings,
     open_recording,
     simulate_recording,
     write_recording,
 )
 from greenhouse_gym.capture.recordings import INDEX
-from greenhouse_gym.capture.simulated import walk
+from greenhouse_gym.capture.simulated import tripod_poses
 from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.crops import DEVELOPMENT_CULTIVARS, HELD_OUT_CULTIVARS, STYLES, PlantRow, grow_row
 from greenhouse_gym.geometry import Array, invert
@@ -108,9 +108,9 @@ class Row:
 
     def poses(self) -> Array:
         """(stations, 4, 4) true poses of the rig."""
-        return walk(len(self.simulate(NOISE_FREE)), self.seed, SEED_RIG, NOISE_FREE)
+        return tripod_poses(len(self.simulate(NOISE_FREE)), self.seed, SEED_RIG, NOISE_FREE)
 
-    def simulate(self, settings: WalkSettings | None = None) -> Recording:
+    def simulate(self, settings: CaptureSettings | None = None) -> Recording:
         """Its recording, rendered as it is read."""
         light = LIGHTS[self.light] if self.light else None
         return simulate_recording(self.grow(), self.seed, settings=settings, light=light)

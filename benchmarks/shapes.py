@@ -94,7 +94,9 @@ def measure(row: Row, cause: str, workdir: Path) -> dict[str, Any]:
     points = transform(known.world_from_row, cloud.points)
     whole = visible.tomatoes._replace(in_image=visible.tomatoes.whole)  # beyond the image's edge counts as hidden
     colored = visible.tomatoes._replace(in_image=visible.tomatoes.in_color)  # the band without depth hides nothing
-    skin = skin_points(Cloud(cloud.points, cloud.colors, cloud.normals).moved(known.world_from_row), known.row.tomatoes)
+    skin = skin_points(
+        Cloud(cloud.points, cloud.colors, cloud.normals).transformed(known.world_from_row), known.row.tomatoes
+    )
     in_cloud = np.where(skin >= FEWEST_POINTS, visible.tomatoes.in_image, 0.0)
     measured = visible.tomatoes._replace(in_image=in_cloud)  # what no depth was measured of counts as hidden
     petioles = [shape for shape in known.row.clutter if isinstance(shape, Capsule)]

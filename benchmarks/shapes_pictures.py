@@ -14,7 +14,7 @@ import numpy as np
 from results_file import RESULTS
 from shape_rows import Row, cloud_of, recording_of
 
-from greenhouse_gym.capture.images import encode_png
+from greenhouse_gym.capture.image_files import encode_png
 from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.geometry import invert, transform
 from greenhouse_gym.reporting.overlay import draw_outlines

@@ -27,7 +27,7 @@ from shapes_real_data import CYLINDERS, JUNCTION, KINECT, MAIN, STALK, Seedling,
 
 from greenhouse_gym.accuracy import StemComparison, compare_stems, pool_stems
 from greenhouse_gym.accuracy.cover import COVERED_WITHIN, distance_to_nearest
-from greenhouse_gym.capture.images import encode_png
+from greenhouse_gym.capture.image_files import encode_png
 from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.crops.parts import Stem
 from greenhouse_gym.geometry import Array, Capsule, frame_along

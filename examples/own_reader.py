@@ -17,7 +17,7 @@ name = "pairs"
 description = "the folders image/ and range/ (tenths of a millimetre) and camera.txt: width height fx fy cx cy"
 
 
-def recognises(path: Path) -> bool:
+def recognizes(path: Path) -> bool:
     """Whether the folder has ranges and intrinsics."""
     return (path / "range").is_dir() and (path / "camera.txt").is_file()
 

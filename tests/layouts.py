@@ -1,4 +1,4 @@
-"""A walk of one camera written by OpenCV and numpy in the layouts of others."""
+"""A track of one camera written by OpenCV and numpy in the layouts of others."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from greenhouse_gym.capture import Recording, RgbdFrame
 from greenhouse_gym.geometry import Array, invert
 
 
-class Walk(NamedTuple):
+class CameraTrack(NamedTuple):
     """What one camera saw, and its poses (4, 4) in the world."""
 
     frames: Sequence[RgbdFrame]
     world_from_camera: Sequence[Array]
 
 
-def walk_of(recording: Recording, camera: str) -> Walk:
-    """The walk of a camera of a recording whose poses are known."""
+def track_of(recording: Recording, camera: str) -> CameraTrack:
+    """The track of a camera of a recording whose poses are known."""
     stations = list(recording)
     place = recording.rig.cameras[camera].rig_from_camera
     known = [station.world_from_station @ place for station in stations if station.world_from_station is not None]
-    return Walk([station.frames[camera] for station in stations], known)
+    return CameraTrack([station.frames[camera] for station in stations], known)
 
 
 def save(path: Path, image: np.ndarray) -> None:
@@ -52,9 +52,9 @@ def line(time: float, place: Array) -> str:
     return " ".join(f"{x:.9f}" for x in numbers)
 
 
-def as_tum(folder: Path, walk: Walk) -> None:
+def as_tum(folder: Path, track: CameraTrack) -> None:
     lists: dict[str, list[str]] = {"rgb": ["# color"], "depth": ["# depth"], "truth": ["# time tx ty tz qx qy qz qw"]}
-    for i, (frame, place) in enumerate(zip(*walk, strict=True)):
+    for i, (frame, place) in enumerate(zip(*track, strict=True)):
         save(folder / f"rgb/{i}.png", frame.color)
         save(folder / f"depth/{i}.png", units(frame.depth, 1 / 5000))
         lists["rgb"].append(f"{100 + i:.6f} rgb/{i}.png")
@@ -62,12 +62,12 @@ def as_tum(folder: Path, walk: Walk) -> None:
         lists["truth"].append(line(100.004 + i, place))
     for name, file in (("rgb", "rgb.txt"), ("depth", "depth.txt"), ("truth", "groundtruth.txt")):
         (folder / file).write_text("\n".join(lists[name]) + "\n")
-    k = walk.frames[0].intrinsics
+    k = track.frames[0].intrinsics
     (folder / "calibration.txt").write_text(f"{k.fx} {k.fy} {k.cx} {k.cy}\n")
 
 
-def as_scannet(folder: Path, walk: Walk) -> None:
-    for i, (frame, place) in enumerate(zip(*walk, strict=True)):
+def as_scannet(folder: Path, track: CameraTrack) -> None:
+    for i, (frame, place) in enumerate(zip(*track, strict=True)):
         save(folder / f"color/{i}.png", frame.color)
         save(folder / f"depth/{i}.png", units(frame.depth, 0.001))
         (folder / "pose").mkdir(exist_ok=True)
@@ -75,13 +75,13 @@ def as_scannet(folder: Path, walk: Walk) -> None:
     for kind in ("color", "depth"):
         (folder / "intrinsic").mkdir(exist_ok=True)
         matrix = np.eye(4)
-        matrix[:3, :3] = walk.frames[0].intrinsics.matrix
+        matrix[:3, :3] = track.frames[0].intrinsics.matrix
         np.savetxt(folder / f"intrinsic/intrinsic_{kind}.txt", matrix)
 
 
-def as_bop(folder: Path, walk: Walk) -> None:
+def as_bop(folder: Path, track: CameraTrack) -> None:
     cameras = {}
-    for i, (frame, place) in enumerate(zip(*walk, strict=True)):
+    for i, (frame, place) in enumerate(zip(*track, strict=True)):
         save(folder / f"rgb/{i:06d}.png", frame.color)
         save(folder / f"depth/{i:06d}.png", units(frame.depth, 0.0001))
         there = invert(place)
@@ -94,24 +94,24 @@ def as_bop(folder: Path, walk: Walk) -> None:
     (folder / "scene_camera.json").write_text(json.dumps(cameras))
 
 
-def as_open3d_recorder(folder: Path, walk: Walk) -> None:
+def as_open3d_recorder(folder: Path, track: CameraTrack) -> None:
     log = []
-    for i, (frame, place) in enumerate(zip(*walk, strict=True)):
+    for i, (frame, place) in enumerate(zip(*track, strict=True)):
         save(folder / f"color/{i:05d}.png", frame.color)
         save(folder / f"depth/{i:05d}.png", units(frame.depth, 0.001))
         log += [f"{i} {i} {i + 1}", *(" ".join(map(repr, row)) for row in place.tolist())]
     (folder / "trajectory.log").write_text("\n".join(log))
-    k = walk.frames[0].intrinsics
+    k = track.frames[0].intrinsics
     camera = {"width": k.width, "height": k.height, "intrinsic_matrix": k.matrix.T.ravel().tolist()}
     (folder / "intrinsic.json").write_text(json.dumps(camera | {"depth_scale": 1000}))
 
 
-def as_described(suffix: str, scale: float) -> Callable[[Path, Walk], None]:
+def as_described(suffix: str, scale: float) -> Callable[[Path, CameraTrack], None]:
     """Folders with a description; depth in units of ``scale`` metres, or in metres with a scale of 0."""
 
-    def write(folder: Path, walk: Walk) -> None:
-        content = described_camera(folder, "", walk.frames, suffix, scale)
-        lines = [line(i, place) for i, place in enumerate(walk.world_from_camera)]
+    def write(folder: Path, track: CameraTrack) -> None:
+        content = described_camera(folder, "", track.frames, suffix, scale)
+        lines = [line(i, place) for i, place in enumerate(track.world_from_camera)]
         (folder / "poses.txt").write_text("\n".join(lines))
         (folder / "cameras.yaml").write_text(json.dumps(content | {"poses": "poses.txt"}))  # JSON is YAML
 
@@ -145,7 +145,7 @@ def described_camera(
     }  # fmt: skip
 
 
-LAYOUTS: dict[str, tuple[str, Callable[[Path, Walk], None]]] = {
+LAYOUTS: dict[str, tuple[str, Callable[[Path, CameraTrack], None]]] = {
     "tum": ("tum", as_tum),
     "scannet": ("scannet", as_scannet),
     "open3d": ("open3d", as_open3d_recorder),

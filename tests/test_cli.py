@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 
 from greenhouse_gym.agents import Agent
 from greenhouse_gym.capture import open_recording, simulate_recording, write_recording
-from greenhouse_gym.capture.images import read_color
+from greenhouse_gym.capture.image_files import read_color
 from greenhouse_gym.capture.recordings import INDEX
 from greenhouse_gym.cli import app
 from greenhouse_gym.crops import grow_row
@@ -148,7 +148,7 @@ def test_an_interrupted_reconstruction_goes_on_and_leaves_earlier_results_whole(
 
     def untouched() -> bool:
         there = {path.name for path in tmp_path.iterdir()}
-        return there == old | {"walk"} and all((tmp_path / name).read_text() == "old" for name in old)
+        return there == old | {"registration"} and all((tmp_path / name).read_text() == "old" for name in old)
 
     @contextmanager
     def interrupted(what: str, total: int) -> Iterator[Callable[[int], None]]:
@@ -165,7 +165,7 @@ def test_an_interrupted_reconstruction_goes_on_and_leaves_earlier_results_whole(
         patched.setattr("greenhouse_gym.cli.reconstruction_commands.progress", interrupted)
         result = CliRunner().invoke(app, ["reconstruct", str(recording), "--out", str(tmp_path)])
     assert result.exit_code == 130
-    assert f"3 of 5 stations are kept in {tmp_path / 'walk'}; repeat the command to resume" in result.output
+    assert f"3 of 5 stations are kept in {tmp_path / 'registration'}; repeat the command to resume" in result.output
     assert untouched()
 
     with monkeypatch.context() as patched:
@@ -189,7 +189,7 @@ def test_a_gap_in_the_row_makes_two_segments(tmp_path: Path) -> None:
     printed = run("reconstruct", tmp_path / "recording", "--out", out, *SMALL, "--method", "alpha_shape")
     assert "7 of 7 stations" in printed
     assert "station 4 begins a new segment: " in printed
-    assert "warning: the row falls apart into 2 segments" in printed
+    assert "warning: the row splits into 2 segments" in printed
     assert str(out) in printed
     assert {path.name for path in out.iterdir()} == RESULTS | {"row-2.npz", "row-2.ply"}
     first, second = load_row(out / "row.npz"), load_row(out / "row-2.npz")
@@ -198,7 +198,7 @@ def test_a_gap_in_the_row_makes_two_segments(tmp_path: Path) -> None:
     page = (out / "report.html").read_text()
     assert "<script" not in page
     assert "<h1>&lt;script&gt;alert(1)&lt;/script&gt;[/]</h1>" in page
-    assert '<p class="warning">the row falls apart into 2 segments' in page
+    assert '<p class="warning">the row splits into 2 segments' in page
     assert "row-2.npz, row-2.ply" in page
 
 
@@ -219,10 +219,10 @@ def test_reconstruct_checks_what_it_is_given(tmp_path: Path) -> None:
     assert not out.exists()
     assert "0 of 5 stations registered" in str(fails("reconstruct", folder, "--out", out))
     assert not list(out.iterdir())  # or mended images would not be looked at
-    (out / "walk").mkdir()
-    (out / "walk" / "thesis.txt").write_text("mine")
+    (out / "registration").mkdir()
+    (out / "registration" / "thesis.txt").write_text("mine")
     assert "not the work folder of a reconstruction" in str(fails("reconstruct", folder, "--out", out))
-    assert (out / "walk" / "thesis.txt").read_text() == "mine"
+    assert (out / "registration" / "thesis.txt").read_text() == "mine"
 
 
 def test_render_draws_a_scene(bank: SceneBank, tmp_path: Path) -> None:
@@ -321,7 +321,7 @@ def test_other_commands_check_their_names(bank: SceneBank, tmp_path: Path) -> No
 def test_a_missing_recording_is_named(tmp_path: Path, command: str, options: tuple[str, ...]) -> None:
     missing = tmp_path / "Gewächshaus 7"
     error = fails(command, missing, "--out", tmp_path / "out", *options)
-    assert str(error) == f"{missing}: there is no such folder or file"
+    assert str(error) == f"{missing}: no such folder or file"
 
 
 @pytest.mark.parametrize(

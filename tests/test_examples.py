@@ -12,7 +12,7 @@ import pytest
 
 from greenhouse_gym.agents import Problem
 from greenhouse_gym.agents.named import make_agent
-from greenhouse_gym.capture.images import encode_png
+from greenhouse_gym.capture.image_files import encode_png
 from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.envs import TomatoReachEnv
 from greenhouse_gym.evaluation import evaluate

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from row_helpers import half_cloud
 
-from greenhouse_gym.capture.images import read_color
+from greenhouse_gym.capture.image_files import read_color
 from greenhouse_gym.reporting.pictures import occupancy_picture
 
 

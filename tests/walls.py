@@ -9,7 +9,7 @@ import numpy as np
 
 from greenhouse_gym.capture import Intrinsics, Recording, RgbdFrame, Station
 from greenhouse_gym.capture.formats.pairs import Lens, Pair
-from greenhouse_gym.capture.formats.videos import rig_of
+from greenhouse_gym.capture.formats.single_camera import rig_of
 from greenhouse_gym.errors import FileFormatError
 
 K = Intrinsics(320, 240, 250.0, 250.0, 159.5, 119.5)

@@ -22,7 +22,7 @@ from greenhouse_gym.crops.truth_shapes import truth_of
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, invert, pose, transform
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud
-from greenhouse_gym.reconstruction.seen import Carving, CarvingSettings, carve
+from greenhouse_gym.reconstruction.occupancy_carving import CarvedSpace, CarvingSettings, carve
 from greenhouse_gym.scene import ArmPlacement, Provenance, Scene, Shapes
 from greenhouse_gym.scene.occupancy import UNKNOWN, OccupancyGrid
 from greenhouse_gym.shapes import RowShapes, ShapeSettings
@@ -151,7 +151,7 @@ def cut_scenes(
     stations = np.flatnonzero(row.registered)
     provenance = origin or provenance_of(recording, week, settings)
     origins = _placement_origins(whole.stems, heads, recording, settings)
-    carving = None if row.sight is None else _carve(row, leveled, origins, settings)
+    carving = None if row.observed is None else _carve(row, leveled, origins, settings)
     scenes = []
     for k, point in enumerate(origins):
         shift = pose(translation=-point)
@@ -193,14 +193,14 @@ def _placement_origins(
     return [np.array([aside, along, 0.0]) for along in placement_positions(heads[:, 1], settings)]
 
 
-def _carve(row: RowCloud, leveled: Array, origins: Sequence[Array], settings: BuildSettings) -> Carving:
+def _carve(row: RowCloud, leveled: Array, origins: Sequence[Array], settings: BuildSettings) -> CarvedSpace:
     """Carve the space within reach of all placements, in the leveled frame of the cloud."""
     low, high = _workspace_corners(settings)
     ends = [origin + corner for origin in origins for corner in (low, high)]
     return carve(row, leveled, np.min(ends, axis=0), np.max(ends, axis=0), settings.carving)
 
 
-def _occupancy_around(carving: Carving, origin: Array, settings: BuildSettings) -> OccupancyGrid:
+def _occupancy_around(carving: CarvedSpace, origin: Array, settings: BuildSettings) -> OccupancyGrid:
     low, high = _workspace_corners(settings)
     states, corner = carving.cut(origin + low, origin + high)
     return OccupancyGrid.from_states(states, np.round(corner - origin, DECIMALS), carving.voxel)

@@ -4,29 +4,28 @@ from greenhouse_gym.capture.formats import RecordingFormat, open_recording, reco
 from greenhouse_gym.capture.formats.single_camera import single_camera
 from greenhouse_gym.capture.frames import RgbdFrame, Station
 from greenhouse_gym.capture.light import Light
-from greenhouse_gym.capture.passes import join_passes
-from greenhouse_gym.capture.protocols import PROTOCOLS, Protocol, get_protocol, simulate_protocol
+from greenhouse_gym.capture.protocols import PROTOCOLS, CaptureProtocol, get_protocol, join_passes, simulate_protocol
 from greenhouse_gym.capture.recordings import Recording, write_recording
 from greenhouse_gym.capture.rig import D435_DEPTH, SEED_RIG, Camera, Intrinsics, Rig, three_camera_rig
-from greenhouse_gym.capture.sensor import StereoDoubt, StereoNoise, sense_depth
-from greenhouse_gym.capture.simulated import WalkSettings, simulate_recording
+from greenhouse_gym.capture.sensor import StereoDropout, StereoNoise, sense_depth
+from greenhouse_gym.capture.simulated import CaptureSettings, simulate_recording
 
 __all__ = [
     "D435_DEPTH",
     "PROTOCOLS",
     "SEED_RIG",
     "Camera",
+    "CaptureProtocol",
+    "CaptureSettings",
     "Intrinsics",
     "Light",
-    "Protocol",
     "Recording",
     "RecordingFormat",
     "RgbdFrame",
     "Rig",
     "Station",
-    "StereoDoubt",
+    "StereoDropout",
     "StereoNoise",
-    "WalkSettings",
     "get_protocol",
     "join_passes",
     "open_recording",

@@ -1,10 +1,9 @@
-"""What tells one recording from another, so that work done for one is never taken for work on the other."""
+"""Checksums of recordings, so that results of one are never taken for those of another."""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator
-from pathlib import Path
 
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.common.files import parsing
@@ -14,20 +13,19 @@ _BLOCK = 2**20  # bytes
 
 
 def fingerprint(recording: Recording, contents: bool = True) -> str:
-    """A checksum of a recording's cameras and images, in any format.
+    """Return a checksum of a recording's cameras and images, in any format.
 
     Args:
-        recording: The recording. Of one that lies on no disk, the first and the last station are looked at.
+        recording: The recording. Of one that is not on disk, the first and the last station are hashed.
         contents: Hash the contents of its files, so that a copy has the same fingerprint; otherwise their sizes and
-            times, which takes no time and tells changes as well.
+            times, which is fast and reveals changes as well.
 
     Raises:
         FileFormatError: A file of the recording cannot be read.
     """
-    walked = (
-        f"{len(recording)} {recording.protocol} {[tuple(one) for one in recording.passes]} {recording.truth is None}"
-    )
-    checksum = hashlib.sha256(f"{walked} {recording.rig.reference}".encode())
+    passes = [(one.first, one.lift) for one in recording.passes]
+    header = f"{len(recording)} {recording.protocol} {passes} {recording.truth is None}"
+    checksum = hashlib.sha256(f"{header} {recording.rig.reference}".encode())
     for name, camera in recording.rig.cameras.items():
         checksum.update(f"\n{name} {camera.intrinsics} {camera.depth_scale!r}".encode())
         checksum.update(camera.rig_from_camera.tobytes())
@@ -37,30 +35,23 @@ def fingerprint(recording: Recording, contents: bool = True) -> str:
 
 
 def _files(recording: Recording, contents: bool) -> Iterator[bytes]:
-    """What each file is called, relative to the folder, and its content, or its size and time."""
+    """Yield the name of each file, relative to the folder, and its content, or its size and time."""
     assert recording.folder is not None
     files = recording.files or tuple(sorted(path for path in recording.folder.rglob("*") if path.is_file()))
     for path in files:
         name = path.relative_to(recording.folder) if path.is_relative_to(recording.folder) else path
         yield f"\n{name} ".encode()
-        yield _content(path) if contents else _status(path)
-
-
-def _content(path: Path) -> bytes:
-    if not path.exists():
-        return b"missing"  # costs its station, not the recording
-    with parsing(path, "file of a recording"), path.open("rb") as file:
-        checksum = hashlib.sha256()
-        while block := file.read(_BLOCK):
-            checksum.update(block)
-        return checksum.digest()
-
-
-def _status(path: Path) -> bytes:
-    if not path.exists():
-        return b"missing"
-    status = path.stat()
-    return f"{status.st_size} {status.st_mtime_ns}".encode()
+        if not path.exists():
+            yield b"missing"  # costs its station, not the recording
+        elif contents:
+            with parsing(path, "file of a recording"), path.open("rb") as file:
+                checksum = hashlib.sha256()
+                while block := file.read(_BLOCK):
+                    checksum.update(block)
+                yield checksum.digest()
+        else:
+            status = path.stat()
+            yield f"{status.st_size} {status.st_mtime_ns}".encode()
 
 
 def _images(recording: Recording) -> Iterator[bytes]:

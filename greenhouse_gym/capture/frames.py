@@ -1,4 +1,4 @@
-"""An RGB-D image and a station: what one camera, and what the whole rig, sees at one stop of the tripod."""
+"""RGB-D images, and the stations of a tripod at which all cameras of a rig take one."""
 
 from __future__ import annotations
 
@@ -30,9 +30,13 @@ class RgbdFrame:
     def __post_init__(self) -> None:
         expected = (self.intrinsics.height, self.intrinsics.width)
         if self.depth.shape != expected:
-            raise InvalidValueError(f"depth image is {_size(self.depth)}, the intrinsics say {_text(expected)}")
+            raise InvalidValueError(
+                f"depth image is {size_text(self.depth.shape)}, the intrinsics say {size_text(expected)}"
+            )
         if self.color.shape != (*expected, 3):
-            raise InvalidValueError(f"color image is {_size(self.color)}, the depth image {_text(expected)}")
+            raise InvalidValueError(
+                f"color image is {size_text(self.color.shape)}, the depth image {size_text(expected)}"
+            )
         if self.color.dtype != np.uint8 or self.depth.dtype != np.float32:
             raise InvalidValueError(
                 f"expected uint8 color and float32 depth in metres, got {self.color.dtype} and {self.depth.dtype}"
@@ -42,22 +46,25 @@ class RgbdFrame:
         """Back-project the pixels with a reading, and within ``mask`` (height, width) if given, to (n, 3) metres."""
         return self.back_project(*self.pixels(mask))
 
+    def grid_points(self, every: int, farthest: float) -> Array:
+        """Back-project one in ``every`` rows and columns, up to ``farthest`` metres of depth, to (n, 3) metres."""
+        grid = np.zeros(self.depth.shape, dtype=bool)
+        grid[::every, ::every] = True
+        return self.points(grid & (self.depth < farthest))
+
     def pixels(self, mask: npt.NDArray[np.bool_] | None = None) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-        """Rows and columns, (n,) each, of the pixels with a reading, within ``mask`` if given."""
+        """Return rows and columns, (n,) each, of the pixels with a reading, within ``mask`` if given."""
         valid = self.depth > 0 if mask is None else (self.depth > 0) & mask
         rows, columns = np.nonzero(valid)
         return rows, columns
 
     def back_project(self, rows: npt.NDArray[np.int64], columns: npt.NDArray[np.int64]) -> Array:
-        """Points (n, 3) in the camera frame, metres, of the pixels at ``rows`` and ``columns`` (n,)."""
+        """Back-project the pixels at ``rows`` and ``columns`` (n,) to points (n, 3) in the camera frame, metres."""
         return self.intrinsics.back_project(rows, columns, self.depth[rows, columns])
 
 
-def _size(image: npt.NDArray[np.generic]) -> str:
-    return _text(image.shape[:2])
-
-
-def _text(shape: tuple[int, ...]) -> str:
+def size_text(shape: tuple[int, ...]) -> str:
+    """Return the size of an image of this array shape for messages: width x height."""
     return f"{shape[1]}x{shape[0]}" if len(shape) >= 2 else str(shape)
 
 

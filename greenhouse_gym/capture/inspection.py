@@ -1,41 +1,49 @@
-"""Whether a recording is good enough: figures of its images, and a verdict in words with what to do better."""
+"""Inspection of recordings: figures of the images, a verdict, and advice on better ones."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations, permutations
 
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.capture.formats.stations import motion, sharpness_of
 from greenhouse_gym.capture.frames import RgbdFrame, Station
-from greenhouse_gym.capture.mounting_check import mounting_doubts
 from greenhouse_gym.capture.recordings import Recording
+from greenhouse_gym.capture.rig import Rig
+from greenhouse_gym.capture.station_selection import motion, sharpness
 from greenhouse_gym.errors import FileFormatError
+from greenhouse_gym.geometry import invert, transform
 
-_LOOKED_AT = 24  # stations at most
+_MAX_STATIONS = 24  # that are inspected
 _COMPARED = 3  # stations whose cameras are compared
 _NEAR, _FAR = 0.3, 1.2  # m, where plants may be
-_MISSING = 0.35  # share of the plants' pixels without depth that is too much
+_MAX_MISSING = 0.35  # fraction of the pixels without depth
 _DARK, _BRIGHT = 40, 225  # median gray of the plants' pixels
-_CLIPPED = 0.3  # share of pixels that are burnt out
+_CLIPPED = 0.3  # fraction of pixels that are burnt out
 _BLURRED = 0.35  # of the recording's own usual sharpness
-_OVERLAP = 0.55  # of an image that the next one must show as well
+_MIN_OVERLAP = 0.55  # fraction of an image that the next one must show as well
 _STILL = 0.01  # m
+_FARTHEST = 1.5  # m
+_EVERY = 6  # rows and columns of an image that are compared
+_SAME_DEPTH = 0.03  # m
+_MIN_SHARED = 200  # readings that two cameras must share
+_REQUIRED_GAIN = 0.15  # fraction of readings by which another explanation must fit better
+_TIE = 0.05  # fraction of readings by which two explanations are indistinguishable
 _SMALL_FRUIT = 0.0018  # m across a pixel; a cherry tomato of 25 mm then is 14 pixels wide
 
 
 @dataclass(frozen=True)
 class CameraFigures:
-    """What one camera's images are like, each the median over stations.
+    """Figures of one camera's images, each the median over stations.
 
     Attributes:
-        missing: Share of pixels without depth.
+        missing: Fraction of pixels without depth.
         gray: Median gray of the plants' pixels, 0 to 255.
-        clipped: Share of the plants' pixels that are burnt out.
-        distance: Distance of the plants, metres; 0 where nothing is near.
-        near: Share of the image that is near enough to be plants.
+        clipped: Fraction of the plants' pixels that are burnt out.
+        distance: Distance of the plants, metres; 0 without any near surface.
+        near: Fraction of the image that is near enough to be plants.
         sharpness: Variance of the Laplacian.
         pixel: Metres across a pixel at the plants.
     """
@@ -51,23 +59,23 @@ class CameraFigures:
 
 @dataclass(frozen=True)
 class Inspection:
-    """What a recording is like.
+    """Result of the inspection of a recording.
 
     Attributes:
         stations: Number of stations.
-        looked_at: How many of them were looked at.
+        inspected: Number of stations inspected.
         unreadable: Numbers of those that could not be read.
         cameras: The figures of each camera, by its name.
-        steps: Metres between neighboring stations that were looked at; only where that could be told.
-        overlap: Share of an image that the next station shows as well, the median; None if not known.
-        histogram: Share of all readings in each 10 cm of distance, from 0 to 3 m.
-        good_for_registration: Whether the stations can be expected to fit together.
-        good_for_small_fruit: Whether cherry tomatoes will be found.
-        verdict: Sentences: what is good, what is not, what to do better.
+        steps: Metres between neighboring stations that were inspected, where the motion could be measured.
+        overlap: Fraction of an image that the next station shows as well, the median; None if not known.
+        histogram: Fraction of all readings in each 10 cm of distance, from 0 to 3 m.
+        good_for_registration: Whether the stations can be expected to register.
+        good_for_small_fruit: Whether cherry tomatoes can be expected to be found.
+        verdict: Sentences: the verdicts, and advice.
     """
 
     stations: int
-    looked_at: int
+    inspected: int
     unreadable: tuple[int, ...]
     cameras: Mapping[str, CameraFigures]
     steps: tuple[float, ...]
@@ -79,14 +87,14 @@ class Inspection:
 
 
 def inspect_recording(recording: Recording) -> Inspection:
-    """Look at up to 24 stations, neighbors in pairs, spread over a recording."""
-    pairs = max(1, min(_LOOKED_AT, len(recording)) // 2)
+    """Inspect up to 24 stations, neighbors in pairs, spread over a recording."""
+    pairs = max(1, min(_MAX_STATIONS, len(recording)) // 2)
     starts = np.unique(np.linspace(0, max(0, len(recording) - 2), pairs).round().astype(int)).tolist()
     figures: dict[str, list[CameraFigures]] = {name: [] for name in recording.rig.cameras}
     unreadable, steps, overlaps = [], [], []
     compared: list[Station] = []
     histogram = np.zeros(30)
-    looked_at = 0
+    inspected = 0
     for start in starts:
         before: RgbdFrame | None = None
         for i in range(start, min(start + 2, len(recording))):
@@ -96,7 +104,7 @@ def inspect_recording(recording: Recording) -> Inspection:
                 unreadable.append(i)
                 before = None
                 continue
-            looked_at += 1
+            inspected += 1
             if len(compared) < _COMPARED:
                 compared.append(station)
             own = {name: _figures(frame) for name, frame in station.frames.items()}
@@ -109,7 +117,7 @@ def inspect_recording(recording: Recording) -> Inspection:
                 steps.append(moved)
                 overlaps.append(_overlap(frame, own[recording.rig.reference].distance, moved))
             before = frame
-    if not looked_at:
+    if not inspected:
         raise FileFormatError(recording.folder or recording.name, "none of its stations can be read")
     cameras = {
         name: CameraFigures(*np.median([list(vars(one).values()) for one in all_of], axis=0).tolist())
@@ -122,42 +130,50 @@ def inspect_recording(recording: Recording) -> Inspection:
     bad, hints = _faults(cameras, steps, overlap, max(blurred), unreadable)
     if len(recording) < 2:
         bad.append("it is a single station: did the camera move?")
-    if doubts := mounting_doubts(recording.rig, compared):
+    if doubts := _mounting_doubts(recording.rig, compared):
         bad.append(f"the rig does not fit the images: {', or '.join(doubts)}; turn the images, or correct the rig file")
     small = not bad and all(0 < camera.pixel < _SMALL_FRUIT for camera in cameras.values())
     verdict = (
         "good enough for registration" if not bad else "not good enough for registration: " + "; ".join(bad),
-        "fine enough for small fruit" if small else _why_not_small(cameras, bool(bad)),
+        "fine enough for small fruit" if small else _small_fruit_problem(cameras, bool(bad)),
         *hints,
     )
     return Inspection(
-        len(recording), looked_at, tuple(unreadable), cameras, tuple(steps), overlap,
-        tuple((histogram / max(histogram.sum(), 1)).round(4).tolist()), not bad, small, verdict,
-    )  # fmt: skip
+        len(recording),
+        inspected,
+        tuple(unreadable),
+        cameras,
+        tuple(steps),
+        overlap,
+        tuple((histogram / max(histogram.sum(), 1)).round(4).tolist()),
+        good_for_registration=not bad,
+        good_for_small_fruit=small,
+        verdict=verdict,
+    )
 
 
-def faults_of(station: Station, reference: str, moved: float | None) -> tuple[str, ...]:
-    """What is wrong with a single station that moved so many metres from the one before, a phrase each."""
+def station_faults(station: Station, reference: str, moved: float | None) -> tuple[str, ...]:
+    """Return the faults of a single station, ``moved`` metres from the one before, a phrase each."""
     cameras = {name: _figures(frame) for name, frame in station.frames.items()}
     overlap = None if moved is None else _overlap(station.frames[reference], cameras[reference].distance, moved)
     bad, hints = _faults(cameras, [] if moved is None else [moved], overlap, 0, [])
     return (*bad, *hints)
 
 
-def near_plants(frame: RgbdFrame) -> npt.NDArray[np.bool_]:
-    """Which pixels (height, width) are as near as plants may be."""
+def plant_mask(frame: RgbdFrame) -> npt.NDArray[np.bool_]:
+    """Mask the pixels (height, width) that are near enough to be plants."""
     return (frame.depth > _NEAR / 2) & (frame.depth < _FAR)
 
 
 def _overlap(frame: RgbdFrame, distance: float, moved: float) -> float:
-    """Share of an image of plants so many metres away that is still seen when the camera has moved so many metres."""
+    """Return the fraction of an image of plants at a distance that stays in view after a motion, both metres."""
     k = frame.intrinsics
     width = min(k.width / k.fx, k.height / k.fy)
     return max(0.0, 1.0 - moved / max(width * distance, 1e-6))
 
 
 def _figures(frame: RgbdFrame) -> CameraFigures:
-    depth, near = frame.depth[::2, ::2], near_plants(frame)[::2, ::2]  # every fourth pixel tells as much
+    depth, near = frame.depth[::2, ::2], plant_mask(frame)[::2, ::2]  # every fourth pixel is enough
     gray = frame.color[::2, ::2].mean(axis=2)
     plants = near if near.any() else np.ones_like(near)
     distance = float(np.median(depth[near])) if near.any() else 0.0
@@ -167,7 +183,7 @@ def _figures(frame: RgbdFrame) -> CameraFigures:
         clipped=float((gray[plants] > 250).mean()),
         distance=distance,
         near=float(near.mean()),
-        sharpness=sharpness_of(frame),
+        sharpness=sharpness(frame),
         pixel=distance / frame.intrinsics.fx,
     )
 
@@ -175,12 +191,12 @@ def _figures(frame: RgbdFrame) -> CameraFigures:
 def _faults(
     cameras: Mapping[str, CameraFigures], steps: list[float], overlap: float | None, blurred: int, unreadable: list[int]
 ) -> tuple[list[str], list[str]]:
-    """What keeps stations from being registered, and what could be better."""
+    """Return faults that prevent registration, and hints on better images."""
     bad, hints = [], []
     for name, camera in cameras.items():
         if camera.near < 0.02:
-            bad.append(f"camera {name} sees next to nothing between {_NEAR} and {_FAR} m: go nearer to the plants")
-        elif camera.missing > _MISSING:
+            bad.append(f"camera {name} sees almost nothing between {_NEAR} and {_FAR} m: go nearer to the plants")
+        elif camera.missing > _MAX_MISSING:
             hints.append(
                 f"camera {name} has no depth at {camera.missing:.0%} of its pixels: if plants are among them, "
                 "less sun, and 0.4 to 0.8 m away"
@@ -191,10 +207,9 @@ def _faults(
             bad.append(f"camera {name} is overexposed ({camera.clipped:.0%} burnt out): shorter exposure")
     if steps and float(np.median(steps)) < _STILL:
         bad.append("the camera hardly moves from station to station: choose fewer frames, or walk on")
-    if overlap is not None and overlap < _OVERLAP:
-        bad.append(
-            f"neighboring stations share {overlap:.0%} of an image, {_OVERLAP:.0%} or more needed: smaller steps"
-        )
+    if overlap is not None and overlap < _MIN_OVERLAP:
+        needed = f"{_MIN_OVERLAP:.0%} or more needed"
+        bad.append(f"neighboring stations share {overlap:.0%} of an image, {needed}: smaller steps")
     if blurred:
         hints.append(f"{blurred} images are blurred: stand still, walk slower, or expose shorter")
     if unreadable:
@@ -202,11 +217,65 @@ def _faults(
     return bad, hints
 
 
-def _why_not_small(cameras: Mapping[str, CameraFigures], bad: bool) -> str:
-    coarse = max(cameras.items(), key=lambda each: each[1].pixel)
-    if bad or coarse[1].pixel < _SMALL_FRUIT:
+def _small_fruit_problem(cameras: Mapping[str, CameraFigures], bad: bool) -> str:
+    name, coarsest = max(cameras.items(), key=lambda each: each[1].pixel)
+    if bad or coarsest.pixel < _SMALL_FRUIT:
         return "not good enough for small fruit"
     return (
-        f"too coarse for small fruit: a pixel of camera {coarse[0]} is {1e3 * coarse[1].pixel:.1f} mm wide, "
-        f"{1e3 * _SMALL_FRUIT:.1f} mm or less needed: go nearer or take a finer depth mode"
+        f"too coarse for small fruit: a pixel of camera {name} is {1e3 * coarsest.pixel:.1f} mm wide, "
+        f"{1e3 * _SMALL_FRUIT:.1f} mm or less needed: go nearer or use a finer depth mode"
     )
+
+
+Frames = Mapping[str, RgbdFrame]
+
+
+def _mounting_doubts(rig: Rig, stations: Sequence[Station]) -> tuple[str, ...]:
+    """Return probable faults of the camera poses, a phrase each; empty where no other explanation fits much better.
+
+    Tested are pairs of swapped cameras, and upside-down images of one camera or of all. On a rig that looks the same
+    when it is turned around, the two are indistinguishable.
+    """
+    as_given = _agreement(rig, [station.frames for station in stations])
+    if as_given is None:
+        return ()
+    found = {text: _agreement(rig, changed) for text, changed in _explanations(stations)}
+    better = {text: fit for text, fit in found.items() if fit is not None and fit > as_given + _REQUIRED_GAIN}
+    return tuple(text for text, fit in better.items() if fit > max(better.values()) - _TIE)
+
+
+def _explanations(stations: Sequence[Station]) -> Iterator[tuple[str, Sequence[Frames]]]:
+    """Yield other explanations, each with the frames that it implies."""
+    names = list(stations[0].frames)
+    for one, other in combinations(names, 2):
+        changed = {one: other, other: one}
+        swapped = [{name: s.frames[changed.get(name, name)] for name in names} for s in stations]
+        yield f"the cameras {one} and {other} seem to be swapped", swapped
+    for name in names:
+        text = f"the images of camera {name} seem to be upside down"
+        yield text, [_with_turned(station.frames, [name]) for station in stations]
+    yield "all images seem to be upside down", [_with_turned(s.frames, names) for s in stations]
+
+
+def _with_turned(frames: Frames, names: Sequence[str]) -> Frames:
+    return {name: _upside_down(frame) if name in names else frame for name, frame in frames.items()}
+
+
+def _upside_down(frame: RgbdFrame) -> RgbdFrame:
+    return RgbdFrame(frame.color[::-1, ::-1], frame.depth[::-1, ::-1], frame.intrinsics)
+
+
+def _agreement(rig: Rig, stations: Sequence[Frames]) -> float | None:
+    """Return the fraction of readings in view of two cameras whose depths agree; None if they are too few."""
+    same = shared = 0
+    for frames in stations:
+        for one, other in permutations(frames, 2):
+            target = frames[other]
+            points = frames[one].grid_points(_EVERY, _FARTHEST)
+            moved = transform(invert(rig.cameras[other].rig_from_camera) @ rig.cameras[one].rig_from_camera, points)
+            kept, rows, columns = target.intrinsics.project(moved)
+            depth = target.depth[rows, columns]
+            read = depth > 0
+            shared += int(np.count_nonzero(read))
+            same += int(np.count_nonzero(np.abs(depth[read] - moved[kept[read], 2]) < _SAME_DEPTH))
+    return same / shared if shared >= _MIN_SHARED else None

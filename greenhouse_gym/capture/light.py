@@ -1,6 +1,6 @@
-"""Light on meshes: sun with shadows, sky, light through leaves, gloss, and what the camera makes of it.
+"""Light on organ meshes: sun with shadows, sky, light through leaves, gloss, white balance and exposure.
 
-Shading is done in linear light; colors in and out are coded with a gamma of 2.2, as photographs are.
+Shading is done in linear light; input and output colors are coded with a gamma of 2.2, as photographs are.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ class Light:
     """The light in a greenhouse and the camera's settings.
 
     Attributes:
-        azimuth: Direction the sun stands in about z, radians; pi is behind the cameras that look into the row.
+        azimuth: Direction of the sun about z, radians; pi is behind cameras that face the row.
         elevation: Height of the sun, radians.
-        sun: Strength of the direct part; with ``diffuse`` = 1 about the share of a hazy day, 0 is overcast.
+        sun: Strength of the direct part; with ``diffuse`` = 1 about that of a hazy day, 0 is overcast.
         diffuse: Strength of the sky's part.
         white_balance: Gains of red, green and blue that the camera leaves uncorrected.
         exposure: Gain of all channels; above 1 highlights burn out.
@@ -44,19 +44,19 @@ class Light:
 
     @property
     def toward_sun(self) -> npt.NDArray[np.float32]:
-        """(3,) float32 unit vector to the sun in the world."""
+        """Unit vector (3,) float32 to the sun in the world."""
         level = np.cos(self.elevation)
         toward = [level * np.cos(self.azimuth), level * np.sin(self.azimuth), np.sin(self.elevation)]
         return np.array(toward, dtype=np.float32)
 
     def at_station(self, rng: np.random.Generator) -> Light:
-        """The light a station meets: another cloud, another exposure."""
+        """Sample the light at one station: clouds and exposure vary."""
         sun, exposure = np.exp(self.flicker * rng.normal(0.0, [1.0, 1 / 3]))
         return replace(self, sun=self.sun * float(sun), exposure=self.exposure * float(exposure))
 
 
 def draw_light(rng: np.random.Generator) -> Light:
-    """A greenhouse's light at some hour of some day: from overcast to direct sun from any side (prior).
+    """Sample the light of a greenhouse, from overcast to direct sun from any side (prior).
 
     The camera meters on the whole light, so that leaves come out at about a third of full white.
     """
@@ -74,13 +74,13 @@ def draw_light(rng: np.random.Generator) -> Light:
 
 @dataclass(frozen=True, eq=False)
 class Skin:
-    """How the triangles of a mesh look.
+    """Appearance of the triangles of a mesh.
 
     Attributes:
         colors: (2, t, 3) linear color of the outer and of the inner side under white light.
         normals: (v, 3) unit normals at the vertices, outwards.
-        corners: (t, 3) the triangles' vertices.
-        thin: (t,) 1 where light comes through, as in leaves, else 0.
+        corners: (t, 3) vertex indices of the triangles.
+        thin: (t,) 1 where light is transmitted, as by leaves, else 0.
         shine: (t,) strength of highlights.
     """
 
@@ -99,13 +99,13 @@ class Skin:
         thin: npt.NDArray[np.bool_],
         shine: npt.NDArray[np.float32],
     ) -> Skin:
-        """The skin of a mesh with coded colors (t, 3) from 0 to 1; the lower sides of thin triangles are paler."""
+        """Build the skin of a mesh with coded colors (t, 3) in [0, 1]; the undersides of thin triangles are paler."""
         sides = np.stack([colors, np.where(thin[:, None], _underside(colors), colors)]).astype(np.float32) ** GAMMA
         normals = _vertex_normals(vertices, corners).astype(np.float32)
         return cls(sides, normals, corners, thin.astype(np.float32), shine)
 
     def normals_at(self, triangles: npt.NDArray[np.int64], weights: Pixels) -> Pixels:
-        """Interpolated unit normals (n, 3) on triangles (n,), at weights (n, 2) of their second and third corner."""
+        """Interpolate unit normals (n, 3) on triangles (n,), at weights (n, 2) of their second and third corner."""
         a, b, c = (self.normals[self.corners[triangles, k]] for k in range(3))
         u, v = weights[:, :1], weights[:, 1:]
         normals = (1 - u - v) * a + u * b + v * c
@@ -113,7 +113,7 @@ class Skin:
 
 
 def _vertex_normals(vertices: Array, triangles: npt.NDArray[np.int64]) -> Array:
-    """Unit normals (v, 3): those of the triangles around, weighted by their areas."""
+    """Average the normals of the triangles around each vertex by area, unit normals (v, 3)."""
     a, b, c = vertices[triangles].transpose(1, 0, 2)
     flat = np.cross(b - a, c - a)
     summed = np.stack(
@@ -130,15 +130,10 @@ def shade(
     directions: Pixels,
     sunlit: npt.NDArray[np.bool_],
 ) -> tuple[Pixels, Pixels]:
-    """Coded colors (n, 3), not yet clipped, of points on triangles (n,), and what highlights add (n,), linear.
+    """Shade points on triangles (n,): coded colors (n, 3), not yet clipped, and linear brightness of highlights (n,).
 
-    Args:
-        skin: How the mesh looks.
-        light: The light that falls on it.
-        triangles: (n,) the triangles that the points lie on.
-        normals: (n, 3) outward unit normals.
-        directions: (n, 3) rays from the camera, of any length.
-        sunlit: (n,) whether nothing stands between a point and the sun.
+    ``normals`` (n, 3) are outward unit vectors, ``directions`` (n, 3) rays from the camera, ``sunlit`` (n,) marks
+    points in direct sun.
     """
     toward_camera = -directions / np.linalg.norm(directions, axis=1, keepdims=True)
     facing = np.sign((normals * toward_camera).sum(axis=1) + 1e-9)
@@ -163,15 +158,15 @@ _SKY = np.array([0.0, 0.0, 1.0], dtype=np.float32)
 
 
 def _underside(color: Array) -> Array:
-    """A leaf's lower side: a quarter lighter and paler (prior)."""
+    """Return the color of a leaf's underside: a quarter lighter and paler (prior)."""
     gray = color.mean(axis=1, keepdims=True)
     return np.clip(1.25 * (0.75 * color + 0.25 * gray), 0, 1)
 
 
 def _transmitted(base: Pixels) -> Pixels:
-    """Linear color of light that came through a leaf.
+    """Return the linear color of light transmitted by a leaf.
 
-    Yellower green than the reflected light: in LOPEX93 the redness of tomato leaves falls from -0.09 reflected to
+    It is a yellower green than reflected light: in LOPEX93 the redness of tomato leaves falls from -0.09 reflected to
     -0.16 transmitted, and about half as much light is transmitted as reflected in the green.
     """
     return base * np.array([0.55, 0.65, 0.25], dtype=np.float32)

@@ -1,4 +1,4 @@
-"""Ray-cast a row: depth, which shape each pixel shows, and shaded color. Open3D's Embree scene, no OpenGL."""
+"""Ray casting of a row: depth, shape and shaded color of each pixel, by Open3D's Embree scene without OpenGL."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.capture.light import Light, Skin, shade
-from greenhouse_gym.capture.meshes import mesh_of
+from greenhouse_gym.capture.organ_meshes import mesh_of
 from greenhouse_gym.capture.rig import Intrinsics
 from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.crops import PlantRow
@@ -31,9 +31,9 @@ RIPENESS_COLORS = np.array([[0.46, 0.58, 0.24], [0.72, 0.62, 0.20], [0.86, 0.42,
 
 
 class View(NamedTuple):
-    """What a camera sees: depth (h, w) metres (inf = nothing), shape (h, w) index or -1, color (h, w, 3) uint8.
+    """A camera's view: depth (h, w) metres (inf = background), shape (h, w) index or -1, color (h, w, 3) uint8.
 
-    Of a row of organs also ``glare`` (h, w): what highlights add to the color, as a share of full white.
+    ``glare`` (h, w) is the brightness that highlights add, as a fraction of full white; on rows of organs only.
     """
 
     depth: npt.NDArray[np.float32]
@@ -44,16 +44,16 @@ class View(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RowRaycaster:
-    """A row ready to be looked at from anywhere.
+    """A row prepared for ray casting.
 
     Attributes:
         scene: Open3D's RaycastingScene with one mesh of all shapes.
-        owner: (triangles,) index of the shape each triangle belongs to.
+        owner: (triangles,) index of the shape that each triangle belongs to.
         axes: (shapes, 2, 3) ends of the shapes' axes; both the center for spheres and boxes.
         round: (shapes,) whether a shape's normal points away from its axis.
         colors: (shapes, 3) base color, 0-1.
-        skin: How the triangles of a row of organs look; None for a row of primitives.
-        light: What falls on such a row.
+        skin: Appearance of the triangles of a row of organs; None for a row of primitives.
+        light: Light on a row of organs.
     """
 
     scene: Any
@@ -68,25 +68,15 @@ class RowRaycaster:
     def of(cls, row: PlantRow, light: Light | None = None) -> RowRaycaster:
         """Prepare a row and the one behind it; shapes are numbered tomatoes, stems, clutter, then the row behind.
 
-        Of a row of organs the meshes are cast: a fruit's triangles count as its tomato, a stem's and a leaf's as the
-        nearest capsule or piece of clutter, and what no shape stands for gets numbers beyond all shapes.
-
-        Args:
-            row: The row.
-            light: What falls on a row of organs; rows of primitives have a light of their own.
+        For a row of organs the meshes are cast: triangles of fruit belong to its tomato, those of stems and leaves to
+        the nearest capsule or piece of clutter, and all others get numbers beyond all shapes. Rows of primitives have
+        fixed light.
         """
         if row.organs:
             mesh = mesh_of(row)
             none = np.zeros((0, 2, 3))
-            return cls(
-                _scene(mesh.vertices, mesh.skin.corners),
-                mesh.owner,
-                none,
-                np.zeros(0, dtype=bool),
-                none[:, 0],
-                mesh.skin,
-                light or Light(),
-            )
+            scene, flat = _scene(mesh.vertices, mesh.skin.corners), np.zeros(0, dtype=bool)
+            return cls(scene, mesh.owner, none, flat, none[:, 0], mesh.skin, light or Light())
         shapes: list[Shape] = []
         colors: list[Array] = []
         rng = np.random.default_rng(0)
@@ -108,7 +98,7 @@ class RowRaycaster:
         return cls(scene, owner, axes, rounds, np.clip(np.array(colors) * jitter, 0, 1))
 
     def look(self, world_from_camera: Array, intrinsics: Intrinsics) -> View:
-        """Cast one ray per pixel from a camera at ``world_from_camera`` (4, 4)."""
+        """Render the view of a camera at ``world_from_camera`` (4, 4), one ray per pixel."""
         rays, hits = self._cast(world_from_camera, intrinsics)
         depth, shape = self._found(hits)
         hit = shape >= 0
@@ -130,11 +120,11 @@ class RowRaycaster:
     def measure(
         self, world_from_camera: Array, intrinsics: Intrinsics
     ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int32]]:
-        """Depth and shape of `look`, without the color, which takes most of its time."""
+        """Return depth and shape of `look`, without the color, which takes most of its time."""
         return self._found(self._cast(world_from_camera, intrinsics)[1])
 
     def _cast(self, world_from_camera: Array, intrinsics: Intrinsics) -> tuple[Any, Any]:
-        """One ray per pixel, and what it hits, as Open3D gives them."""
+        """Return Open3D's rays, one per pixel, and their hits."""
         o3d = open3d()
         # Open3D counts pixels from their corners, the package (as OpenCV) from their centers
         corner_based = intrinsics.matrix + [[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]]
@@ -147,7 +137,7 @@ class RowRaycaster:
         return rays, self.scene.cast_rays(rays)
 
     def _sunlit(self, points: Array) -> npt.NDArray[np.bool_]:
-        """Whether nothing stands between points (n, 3) and the sun."""
+        """Mask the points (n, 3) in direct sun."""
         toward = np.broadcast_to(self.light.toward_sun, points.shape)
         rays = np.concatenate([points + 1e-3 * toward, toward], axis=1).astype(np.float32)
         return ~np.asarray(self.scene.test_occlusions(open3d().core.Tensor(rays)).numpy())
@@ -162,14 +152,14 @@ class RowRaycaster:
     def _normals(self, points: Array, shape: npt.NDArray[np.int32], flat: Array) -> Array:
         start, end = self.axes[shape, 0], self.axes[shape, 1]
         axis = end - start
-        share = ((points - start) * axis).sum(-1) / np.maximum((axis * axis).sum(-1), 1e-12)
-        away = points - (start + np.clip(share, 0, 1)[:, None] * axis)
+        fraction = ((points - start) * axis).sum(-1) / np.maximum((axis * axis).sum(-1), 1e-12)
+        away = points - (start + np.clip(fraction, 0, 1)[:, None] * axis)
         away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
         return np.where(self.round[shape][:, None], away, flat)
 
 
 def _scene(vertices: Array, triangles: npt.NDArray[np.int64]) -> Any:
-    """Open3D's scene of one mesh."""
+    """Build Open3D's scene of one mesh."""
     o3d = open3d()
     scene = o3d.t.geometry.RaycastingScene()
     scene.add_triangles(o3d.core.Tensor(vertices.astype(np.float32)), o3d.core.Tensor(triangles.astype(np.uint32)))
@@ -177,7 +167,7 @@ def _scene(vertices: Array, triangles: npt.NDArray[np.int64]) -> Any:
 
 
 def tessellate(shapes: Sequence[Shape]) -> tuple[Array, npt.NDArray[np.int64], npt.NDArray[np.int32]]:
-    """Shapes as one triangle mesh: vertices (v, 3), triangles (t, 3), index of the shape of each triangle (t,)."""
+    """Tessellate shapes: vertices (v, 3), triangles (t, 3), index of the shape of each triangle (t,)."""
     vertices, triangles, owner = [], [], []
     count = 0
     fine, coarse = _unit_capsule(24, 10), _unit_capsule(10, 3)
@@ -205,7 +195,7 @@ def tessellate(shapes: Sequence[Shape]) -> tuple[Array, npt.NDArray[np.int64], n
 
 
 def _unit_capsule(around: int, rings: int) -> tuple[Array, Array, npt.NDArray[np.int64]]:
-    """Vertices (v, 3) of a unit sphere cut at its equator, the side (v,) +-1 each belongs to, triangles (t, 3)."""
+    """Return vertices (v, 3) of a unit sphere cut at its equator, the side (v,) +-1 of each, triangles (t, 3)."""
     latitude = np.concatenate([np.linspace(-np.pi / 2, 0, rings + 1), np.linspace(0, np.pi / 2, rings + 1)])
     side = np.repeat([-1.0, 1.0], rings + 1)
     longitude = np.arange(around) * 2 * np.pi / around
@@ -221,7 +211,7 @@ def _unit_capsule(around: int, rings: int) -> tuple[Array, Array, npt.NDArray[np
 
 
 def _unit_box() -> tuple[Array, npt.NDArray[np.int64]]:
-    """The eight corners (8, 3) of the box from -1 to 1, and its twelve triangles."""
+    """Return the eight corners (8, 3) of the box from -1 to 1, and its twelve triangles."""
     corners = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     return corners, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
@@ -237,7 +227,7 @@ def _is_gutter(shape: Shape) -> bool:
 
 
 def _shade(base: Array, normals: Array, directions: Array) -> Array:
-    """Diffuse light from above and from the camera, an ambient part, and a highlight."""
+    """Shade colors by diffuse light from above and from the camera, an ambient part, and a highlight."""
     toward_camera = -directions / np.linalg.norm(directions, axis=1, keepdims=True)
     facing = np.abs((normals * toward_camera).sum(1))
     normals = normals * np.sign((normals * toward_camera).sum(1, keepdims=True) + 1e-9)

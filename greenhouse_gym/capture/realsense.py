@@ -1,4 +1,4 @@
-"""RealSense cameras through their SDK, live or played back from what it recorded, as synchronized moments."""
+"""RealSense cameras through their SDK, live or played back from its recordings, as synchronized moments."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from greenhouse_gym.errors import CameraError, FileFormatError
 from greenhouse_gym.geometry import pose
 
 _WIDTH, _HEIGHT, _RATE = 848, 480, 30
-_PATIENCE = 5000  # ms without a frame after which a camera is gone
-_OVER, _STUCK = 1000, 10  # ms without a frame after which a file may be over, and how often it may not be over yet
-_TOGETHER = 0.025  # s within which images are of one moment
-_MISSES = 300  # images passed over in a row after which clocks run apart
+_TIMEOUT = 5000  # ms without a frame after which a camera is lost
+_FILE_TIMEOUT, _MAX_STALLS = 1000, 10  # ms without a frame after which a file may have ended, and repetitions
+_SAME_MOMENT = 0.025  # s between images of one moment
+_MAX_SKIPPED = 300  # images in a row without a partner, after which clocks must differ
 
 
 @dataclass(frozen=True, eq=False)
 class LiveRig:
-    """Cameras that are running.
+    """Running cameras.
 
     Attributes:
-        rig: The cameras, all at one place: where they stand is told by a rig file.
-        moments: What they show, moment by moment; ends with what is played back.
+        rig: The cameras, all with the same pose: a rig file gives the real ones.
+        moments: Their images, moment by moment; ends with the files that are played back.
     """
 
     rig: Rig
@@ -42,15 +42,15 @@ class LiveRig:
 
 @contextmanager
 def realsense_cameras(serials: Mapping[str, str] | None = None, playback: Sequence[Path] = ()) -> Iterator[LiveRig]:
-    """Start cameras, and stop them in the end.
+    """Start cameras, and stop them at the end.
 
     Args:
-        serials: Serial number of each camera, by the name it shall have. By default all that are connected, called
-            after their numbers, or "camera" if it is only one.
-        playback: Files that the SDK recorded, to be played back instead of cameras, called after the files.
+        serials: Serial number of each camera by its name. By default all connected ones, named after their numbers, or
+            "camera" if it is only one.
+        playback: Recordings of the SDK, played back instead of cameras and named after the files.
 
     Raises:
-        CameraError: No camera is there, or not that with a serial number, or one cannot be started.
+        CameraError: No camera is connected, or not the one with a serial number, or one cannot be started.
         FileFormatError: A file cannot be played back.
         MissingDependencyError: The extra ``realsense`` is not installed.
     """
@@ -68,7 +68,7 @@ def realsense_cameras(serials: Mapping[str, str] | None = None, playback: Sequen
 
 @cache
 def realsense_sdk() -> Any:
-    """The SDK, imported at first use; its wheel needs libusb, which the wheel ``libusb-package`` carries."""
+    """Import the SDK at first use; its wheel needs libusb, which the wheel ``libusb-package`` provides."""
     with needs("realsense"):
         import libusb_package
 
@@ -78,19 +78,17 @@ def realsense_sdk() -> Any:
 
 
 def synchronized(
-    streams: Mapping[str, Iterator[tuple[float, RgbdFrame]]], within: float = _TOGETHER
+    streams: Mapping[str, Iterator[tuple[float, RgbdFrame]]], within: float = _SAME_MOMENT
 ) -> Iterator[dict[str, RgbdFrame]]:
-    """Images of all cameras that were taken at about the same time; what has no partner is passed over.
+    """Yield the images of all cameras at about the same time; images without partners are skipped.
 
-    Args:
-        streams: Of each camera, the time in seconds and the image, in the order of time.
-        within: Seconds that images of one moment may be apart.
+    ``streams`` are times in seconds and images of each camera; those of one moment differ by up to ``within`` seconds.
 
     Raises:
         CameraError: Hundreds of images in a row have no partner.
     """
     newest: dict[str, tuple[float, RgbdFrame]] = {}
-    missed, behind = 0, list(streams)
+    skipped, behind = 0, list(streams)
     while True:
         for name in behind:
             found = next(streams[name], None)
@@ -102,15 +100,15 @@ def synchronized(
         apart = max(times.values()) - times[oldest]
         if apart <= within:
             yield {name: frame for name, (_, frame) in newest.items()}
-            missed, behind = 0, list(streams)
+            skipped, behind = 0, list(streams)
             continue
-        missed, behind = missed + 1, [oldest]
-        if missed > _MISSES:
-            raise CameraError(f"the images of camera {oldest!r} are {apart:.3f} s behind: its clock runs apart")
+        skipped, behind = skipped + 1, [oldest]
+        if skipped > _MAX_SKIPPED:
+            raise CameraError(f"the images of camera {oldest!r} are {apart:.3f} s behind: its clock differs")
 
 
 def _configs(sdk: Any, serials: Mapping[str, str] | None, playback: Sequence[Path]) -> Iterator[tuple[str, Any]]:
-    """A name and the SDK's configuration for each camera, or each file."""
+    """Yield a name and the SDK's configuration for each camera, or each file."""
     for file in playback:
         if not file.is_file():
             raise FileFormatError(file, "cannot be read (no such file)")
@@ -121,7 +119,7 @@ def _configs(sdk: Any, serials: Mapping[str, str] | None, playback: Sequence[Pat
         return
     found = sorted(device.get_info(sdk.camera_info.serial_number) for device in sdk.context().query_devices())
     if not found:
-        raise CameraError("no RealSense camera is connected: look at cables, and at the rules of udev for RealSense")
+        raise CameraError("no RealSense camera is connected: check cables, and the udev rules for RealSense")
     wanted = serials or ({CAMERA: found[0]} if len(found) == 1 else {f"camera_{number}": number for number in found})
     for name, number in wanted.items():
         if number not in found:
@@ -135,39 +133,39 @@ def _configs(sdk: Any, serials: Mapping[str, str] | None, playback: Sequence[Pat
 
 @dataclass(frozen=True, eq=False)
 class _Stream:
-    """A camera that is running."""
+    """A running camera."""
 
     name: str
     pipeline: Any
     pair: Pair
-    playback: Any = None  # of a file, the SDK's own
+    playback: Any = None  # the SDK's playback of a file
 
     def frames(self) -> Iterator[tuple[float, RgbdFrame]]:
-        """Time in seconds and image, depth aligned to color, until it is stopped."""
-        stuck = 0
+        """Yield times in seconds and images, depth aligned to color, until the camera is stopped."""
+        stalls = 0
         while True:
             try:
-                both = self.pipeline.wait_for_frames(_PATIENCE if self.playback is None else _OVER)
+                both = self.pipeline.wait_for_frames(_TIMEOUT if self.playback is None else _FILE_TIMEOUT)
             except RuntimeError as error:
                 if self.playback is None:
-                    raise CameraError(f"camera {self.name!r} shows nothing any more: {error}") from error
-                stuck += 1
-                if stuck > _STUCK or self.playback.current_status() != realsense_sdk().playback_status.playing:
+                    raise CameraError(f"camera {self.name!r} sends no more images: {error}") from error
+                stalls += 1
+                if stalls > _MAX_STALLS or self.playback.current_status() != realsense_sdk().playback_status.playing:
                     return
                 continue
-            stuck = 0
+            stalls = 0
             depth, color = both.get_depth_frame(), both.get_color_frame()
             if depth and color:
                 pair = replace(self.pair, depth_scale=depth.get_units())
-                images = np.array(color.get_data()), np.array(depth.get_data())  # the SDK uses its own again
+                images = np.array(color.get_data()), np.array(depth.get_data())  # the SDK reuses its buffers
                 yield color.get_timestamp() / 1000, pair.frame(*images, self.name)
 
 
 @contextmanager
-def _started(sdk: Any, name: str, config: Any, ends: bool) -> Iterator[_Stream]:
+def _started(sdk: Any, name: str, config: Any, from_file: bool) -> Iterator[_Stream]:
     pipeline, playback = sdk.pipeline(), None
     try:
-        if ends:  # before it starts: in real time, a busy machine would lose frames
+        if from_file:  # before the start: in real time, a busy machine would lose frames
             playback = config.resolve(sdk.pipeline_wrapper(pipeline)).get_device().as_playback()
             playback.set_real_time(False)
         profile = pipeline.start(config)
@@ -180,16 +178,15 @@ def _started(sdk: Any, name: str, config: Any, ends: bool) -> Iterator[_Stream]:
 
 
 def _pair(sdk: Any, profile: Any) -> Pair:
-    """How depth and color belong together, by the SDK. Its own alignment would widen what is near by a pixel."""
+    """Return lenses and poses of depth and color. The SDK's own alignment would widen the foreground by a pixel."""
     color, depth = (profile.get_stream(kind).as_video_stream_profile() for kind in (sdk.stream.color, sdk.stream.depth))
     lenses = [_lens(sdk, stream.get_intrinsics()) for stream in (color, depth)]
-    told = depth.get_extrinsics_to(color)
-    color_from_depth = pose(np.reshape(told.rotation, (3, 3)).T, told.translation)
+    extrinsics = depth.get_extrinsics_to(color)
+    color_from_depth = pose(np.reshape(extrinsics.rotation, (3, 3)).T, extrinsics.translation)
     return Pair.of(lenses[0], lenses[1], color_from_depth)
 
 
-def _lens(sdk: Any, told: Any) -> Lens:
-    """A lens by the SDK; of its models of distortion only Brown's is undone, the others' coefficients mean another."""
-    intrinsics = Intrinsics(told.width, told.height, told.fx, told.fy, told.ppx, told.ppy)
-    bent = tuple(told.coeffs) if told.model == sdk.distortion.brown_conrady else ()
-    return Lens(intrinsics, bent)
+def _lens(sdk: Any, found: Any) -> Lens:
+    """Convert the SDK's intrinsics; only Brown's distortion is undone, coefficients of its other models differ."""
+    intrinsics = Intrinsics(found.width, found.height, found.fx, found.fy, found.ppx, found.ppy)
+    return Lens(intrinsics, tuple(found.coeffs) if found.model == sdk.distortion.brown_conrady else ())

@@ -1,8 +1,8 @@
 """Recordings: the `Recording` type, and the package's own folder format, read and written.
 
 The folder holds ``recording.json`` and ``color/<camera>/000000.png``, ``depth/<camera>/000000.png`` (uint16). The
-images of a station are read when it is asked for, so a recording of any length needs the memory of one station. What a
-simulated recording knows of its row lies beside in ``truth.npz``.
+images of a station are read at each access, so a recording of any length needs the memory of one station. The ground
+truth of a simulated recording is in ``truth.npz``.
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Literal
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 
-from greenhouse_gym.capture.frames import RgbdFrame, Station
-from greenhouse_gym.capture.images import encode_png, read_color, read_depth
+from greenhouse_gym.capture.frames import RgbdFrame, Station, size_text
+from greenhouse_gym.capture.image_files import encode_png, read_color, read_depth
 from greenhouse_gym.capture.rig import Camera, Intrinsics, Rig
 from greenhouse_gym.capture.truth_file import TRUTH, load_truth, save_truth
 from greenhouse_gym.common.files import inside, parsing, read_bytes, write_atomically
@@ -27,35 +27,36 @@ from greenhouse_gym.errors import FileFormatError, GreenhouseError, InvalidValue
 from greenhouse_gym.geometry import Array, is_rotation
 
 INDEX = "recording.json"
-_COARSEST = 0.001  # m, unit of depth that is written
+_COARSEST = 0.001  # m, largest unit of depth that is written
 
 
-class Pass(NamedTuple):
-    """One walk along the row: number of its first station, and how much higher than in the first walk the rig is, m."""
+@dataclass(frozen=True)
+class Pass:
+    """One pass along the row: number of its first station, and lift of the rig above that of the first pass, metres."""
 
-    first: int
-    lift: float
+    first: Annotated[int, Field(ge=0)]
+    lift: FiniteFloat
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A walk along a row: ``len(recording)`` stations, ``recording[i]`` reads or renders one.
+    """Stations along a row: ``len(recording)`` of them, ``recording[i]`` reads or renders one.
 
     Attributes:
-        name: What to call it in reports.
+        name: Name in reports.
         rig: The cameras.
         size: Number of stations.
-        load: Gives station i; called anew at each access, nothing is kept. What can be pickled can be worked on by
-            another process.
-        folder: Where it lies on disk, or None for one that is simulated.
-        protocol: Name of the `greenhouse_gym.capture.PROTOCOLS` it follows; None for the paper's, or where not known.
-        passes: The walks along the row where there are several, each from about the same place; see `join_passes`.
-        truth: The row that was photographed, in the frame of the stations' poses, where it is simulated: its shapes to
-            collide with. A real row has none.
-        notes: What was left out or assumed when it was read, a sentence each.
-        of_camera: Whether poses were told of the reference camera, around which a rig's frame was made up: a rig file
-            then moves that frame, and the camera stays where it was.
-        files: What it is read from; none for one that is simulated. A change in them makes it another recording.
+        load: Returns station i; called at each access, nothing is cached. It must be picklable to be used by other
+            processes.
+        folder: Folder on disk, or None for a simulated one.
+        protocol: Name of its protocol in `greenhouse_gym.capture.PROTOCOLS`; None for the paper's, or where not known.
+        passes: The passes along the row, each from about the same position; see `join_passes`.
+        truth: The photographed row, in the frame of the stations' poses, with its collision shapes; None for a real
+            row.
+        notes: Sentences on omissions and assumptions of its reader.
+        camera_poses: Whether known poses are those of the reference camera, around which a rig frame was assumed: a rig
+            file then moves that frame, and the camera keeps its poses.
+        files: Files that it is read from; empty for a simulated one. A change in them makes it another recording.
     """
 
     name: str
@@ -68,21 +69,21 @@ class Recording:
     truth: PlantRow | None = None
     files: tuple[Path, ...] = ()
     notes: tuple[str, ...] = ()
-    of_camera: bool = False
+    camera_poses: bool = False
 
     def __len__(self) -> int:
         return self.size
 
     def __getitem__(self, index: int) -> Station:
         if not -self.size <= index < self.size:
-            raise IndexError(f"recording {self.name!r} has {self.size} stations, there is no station {index}")
+            raise IndexError(f"recording {self.name!r} has {self.size} stations, not {index}")
         return self.load(index % self.size)
 
     def __iter__(self) -> Iterator[Station]:
         return (self.load(index) for index in range(self.size))
 
     def frame(self, index: int, camera: str) -> RgbdFrame:
-        """One camera's image of a station; only that is read where ``load`` has a method ``camera(index, name)``."""
+        """Return one camera's image of a station; no other is read if ``load`` has a method ``camera(index, name)``."""
         alone = getattr(self.load, "camera", None)
         return self.load(index).frames[camera] if alone is None else alone(index, camera)
 
@@ -104,7 +105,7 @@ class CameraRecord(_Model):
     depth_scale: float
 
     def camera(self) -> Camera:
-        """The camera this record describes."""
+        """Return the camera that this record describes."""
         intrinsics = Intrinsics(self.width, self.height, self.fx, self.fy, self.cx, self.cy)
         return Camera(intrinsics, np.array(self.rig_from_camera), self.depth_scale)
 
@@ -117,15 +118,8 @@ class StationRecord(_Model):
     world_from_station: list[list[float]] | None = None
 
 
-class PassRecord(_Model):
-    """A walk along the row in ``recording.json``; see `Pass`."""
-
-    first: Annotated[int, Field(ge=0)]
-    lift: FiniteFloat
-
-
 class RecordingIndex(_Model):
-    """What ``recording.json`` holds."""
+    """Content of ``recording.json``."""
 
     schema_version: Literal[1] = 1
     name: str
@@ -133,7 +127,7 @@ class RecordingIndex(_Model):
     cameras: dict[str, CameraRecord]
     stations: list[StationRecord]
     protocol: str | None = None
-    passes: list[PassRecord] = [PassRecord(first=0, lift=0.0)]
+    passes: tuple[Pass, ...] = (Pass(0, 0.0),)
 
     @model_validator(mode="after")
     def _passes_in_order(self) -> RecordingIndex:
@@ -144,7 +138,7 @@ class RecordingIndex(_Model):
 
 
 def open_folder(path: str | Path) -> Recording:
-    """Open a folder in the package's own format; stations are read when they are asked for.
+    """Open a folder in the package's own format; each station is read when it is accessed.
 
     Args:
         path: The folder that holds ``recording.json``.
@@ -171,18 +165,17 @@ def open_folder(path: str | Path) -> Recording:
         for i, matrix in enumerate(record.world_from_station for record in index.stations)
     ]
 
-    passes = tuple(Pass(one.first, one.lift) for one in index.passes)
     truth = load_truth(folder / TRUTH)
-    files = (file, *([folder / TRUTH] if truth else []),
-             *(image for station in images for kind in station.values() for image in kind.values()))  # fmt: skip
+    image_files = [image for station in images for kind in station.values() for image in kind.values()]
+    files = (file, *([folder / TRUTH] if truth else []), *image_files)
     load = partial(_station, file, rig, images, poses)
-    return Recording(index.name, rig, len(index.stations), load, folder, index.protocol, passes, truth, files)
+    return Recording(index.name, rig, len(index.stations), load, folder, index.protocol, index.passes, truth, files)
 
 
 def _station(
     file: Path, rig: Rig, images: list[dict[str, dict[str, Path]]], poses: list[Array | None], i: int
 ) -> Station:
-    """Station i of a folder, whose index is the file."""
+    """Read station ``i`` of a folder with the index ``file``."""
     color, depth = images[i]["color"], images[i]["depth"]
     frames = {}
     for name, camera in rig.cameras.items():
@@ -205,11 +198,8 @@ def read_frame(color_file: str | Path, depth_file: str | Path, camera: Camera) -
     """
     color, depth = read_color(color_file), read_depth(depth_file)
     if depth.shape != color.shape[:2]:
-        raise FileFormatError(
-            depth_file,
-            f"depth image is {depth.shape[1]}x{depth.shape[0]}, its color image {color_file} is "
-            f"{color.shape[1]}x{color.shape[0]}",
-        )
+        problem = f"depth image is {size_text(depth.shape)}, its color image {color_file} is {size_text(color.shape)}"
+        raise FileFormatError(depth_file, problem)
     try:
         return RgbdFrame(color, (depth * np.float32(camera.depth_scale)).astype(np.float32), camera.intrinsics)
     except InvalidValueError as error:
@@ -219,12 +209,12 @@ def read_frame(color_file: str | Path, depth_file: str | Path, camera: Camera) -
 def write_recording(recording: Recording, path: str | Path, on_station: Callable[[int], None] | None = None) -> Path:
     """Write a recording in the package's folder format, station by station, the index last.
 
-    Each file is put in place whole, and the index comes last, so an interrupted write leaves no half recording behind.
+    Each file is written atomically, and the index comes last, so an interrupted write leaves no half recording.
     Depth is stored as uint16 in units of the camera's depth scale, or of a millimetre where that is finer.
 
     Args:
         recording: Any recording, also a simulated one.
-        path: The folder; made if missing.
+        path: The folder; created if missing.
         on_station: Called with the index of each station written.
 
     Raises:
@@ -242,11 +232,11 @@ def write_recording(recording: Recording, path: str | Path, on_station: Callable
 
 
 class RecordingWriter:
-    """Writes a recording station by station; readable from the first `save_index` on.
+    """Writer of a recording, station by station; readable from the first `save_index` on.
 
     Args:
-        path: The folder; made if missing.
-        name: What to call the recording.
+        path: The folder; created if missing.
+        name: Name of the recording.
         rig: The cameras.
         protocol: See `Recording`.
         passes: See `Recording`.
@@ -275,13 +265,13 @@ class RecordingWriter:
             for camera_name, camera in rig.cameras.items()
         }
         self._index = RecordingIndex(
-            name=name, reference=rig.reference, cameras=cameras, stations=[], protocol=protocol,
-        )  # fmt: skip
-        self._index.passes = [PassRecord(**one._asdict()) for one in passes]  # whose stations are yet to come
+            name=name, reference=rig.reference, cameras=cameras, stations=[], protocol=protocol
+        )
+        self._index.passes = passes  # not validated before their stations
 
     @property
     def count(self) -> int:
-        """The number of stations written."""
+        """Number of stations written."""
         return len(self._index.stations)
 
     def add(self, station: Station) -> None:
@@ -297,15 +287,15 @@ class RecordingWriter:
         self._index.stations.append(StationRecord(**names, world_from_station=pose))
 
     def save_index(self) -> None:
-        """Write the index of all stations so far, which makes a recording of them."""
+        """Write the index of all stations so far, which makes them a readable recording."""
         write_atomically(self.folder / INDEX, self._index.model_dump_json(indent=1) + "\n")
 
 
 def checked_pose(file: Path, what: str, matrix: npt.ArrayLike) -> Array:
-    """A (4, 4) pose that was read from a file.
+    """Return a matrix of a file as a pose (4, 4), checked.
 
     Raises:
-        FileFormatError: It is none: wrong shape, not finite, no rotation, or another last row than 0 0 0 1.
+        FileFormatError: It has a wrong shape, is not finite, not a rotation, or its last row is not 0 0 0 1.
     """
     try:
         result = np.array(matrix, dtype=np.float64)

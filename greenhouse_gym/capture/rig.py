@@ -1,4 +1,4 @@
-"""Cameras and how they stand on the tripod.
+"""Cameras and their poses on the tripod.
 
 Rig frame: origin on the floor below the tripod, x forward into the plants, y along the row, z up. Camera frame
 (OpenCV): x right, y down, z forward in the image as it is stored.
@@ -40,21 +40,21 @@ class Intrinsics:
 
     @property
     def matrix(self) -> Array:
-        """The (3, 3) camera matrix."""
+        """Camera matrix (3, 3)."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     def back_project(
         self, rows: npt.NDArray[np.int64], columns: npt.NDArray[np.int64], depth: npt.NDArray[np.floating]
     ) -> Array:
-        """Points (n, 3) in the camera frame of the pixels at ``rows`` and ``columns`` (n,), ``depth`` (n,) metres."""
+        """Back-project pixels (n,) with ``depth`` (n,) metres to points (n, 3) in the camera frame."""
         z = depth.astype(np.float64)
         return np.column_stack([(columns - self.cx) / self.fx * z, (rows - self.cy) / self.fy * z, z])
 
     def project(self, points: Array) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-        """Which points (n, 3) of the camera frame fall into the image, and on which pixels.
+        """Project points (n, 3) of the camera frame to the pixels of the image.
 
         Returns:
-            Rows of ``points`` (k,), and the row and the column of the pixel each falls on (k,).
+            Rows of those ``points`` that are inside the image (k,), and the row and the column of their pixels (k,).
         """
         ahead = np.flatnonzero(points[:, 2] > 1e-6)
         x, y, z = points[ahead].T
@@ -65,7 +65,7 @@ class Intrinsics:
 
 
 D435_DEPTH = Intrinsics(848, 480, 424.2, 424.2, 423.5, 239.5)
-"""The D435's 848x480 depth mode."""
+"""Depth mode of the D435 at 848x480."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +99,7 @@ class Rig:
     """Cameras on one tripod.
 
     Attributes:
-        cameras: Each camera by name, in the order in which they stand.
+        cameras: Each camera by name, in their order on the beam.
         reference: Name of the camera whose silhouettes align the stations: the middle one of the paper.
     """
 
@@ -112,7 +112,7 @@ class Rig:
         object.__setattr__(self, "cameras", MappingProxyType(dict(self.cameras)))
 
     def __reduce__(self) -> tuple[type[Rig], tuple[dict[str, Camera], str]]:
-        return Rig, (dict(self.cameras), self.reference)  # the view of the cameras cannot be pickled
+        return Rig, (dict(self.cameras), self.reference)  # a MappingProxyType cannot be pickled
 
 
 def three_camera_rig(
@@ -123,23 +123,24 @@ def three_camera_rig(
     height: float = 1.1,
     portrait: bool = True,
 ) -> Rig:
-    """The paper's rig: three cameras on a beam, the outer two turned towards the middle.
+    """Return the paper's rig: three cameras on a beam, the outer two turned towards the middle.
 
     Args:
-        intrinsics: The same for all three.
+        intrinsics: Intrinsics of all three.
         beam: ``"level"``: the beam lies along the row; ``"upright"``: it stands.
         spacing: Distance between neighbors on the beam, metres.
         inward: Angle by which the outer cameras turn to the middle, radians.
         height: Height of the middle camera above the floor, metres.
-        portrait: Images lie on their side, so that what stands still in the row moves along the image's vertical.
+        portrait: Images lie on their side, so that the row passes along the image's vertical axis.
     """
     if portrait:  # image right is down in the world, image down is along the row
         upright_camera = np.column_stack([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
     else:
         upright_camera = np.column_stack([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
-    along, axis = (np.array([0.0, 1.0, 0.0]), [0.0, 0.0, 1.0]) if beam == "level" else (
-        np.array([0.0, 0.0, 1.0]), [0.0, -1.0, 0.0]
-    )  # fmt: skip
+    if beam == "level":
+        along, axis = np.array([0.0, 1.0, 0.0]), [0.0, 0.0, 1.0]
+    else:
+        along, axis = np.array([0.0, 0.0, 1.0]), [0.0, -1.0, 0.0]
     cameras = {}
     for name, side in (("first", -1.0), ("middle", 0.0), ("last", 1.0)):
         turn = rotation_about(axis, -side * inward)

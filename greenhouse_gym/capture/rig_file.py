@@ -1,4 +1,4 @@
-"""Rig files: where each camera stands on the rig, as ``calibrate`` writes them and ``import`` reads them.
+"""Rig files: camera poses of a rig, as ``calibrate`` writes them and ``import`` reads them.
 
 reference: middle
 cameras:
@@ -21,7 +21,7 @@ from greenhouse_gym.capture.rig import Rig
 from greenhouse_gym.common.extras import needs
 from greenhouse_gym.common.files import parsing, read_bytes, write_atomically
 from greenhouse_gym.errors import FileFormatError, InvalidValueError
-from greenhouse_gym.geometry import Array, invert
+from greenhouse_gym.geometry import Array, invert, rotation_angle
 
 with needs("reconstruct"):
     import yaml
@@ -29,7 +29,7 @@ with needs("reconstruct"):
 
 @dataclass(frozen=True, eq=False)
 class Mounting:
-    """How the cameras of a rig are mounted, whatever their lenses.
+    """Camera poses of a rig, without the lenses.
 
     Attributes:
         rig_from_camera: (4, 4) pose of each camera in the rig frame, metres.
@@ -43,8 +43,16 @@ class Mounting:
 
     @classmethod
     def of(cls, rig: Rig) -> Mounting:
-        """How the cameras of a rig are mounted."""
+        """Return the camera poses of a rig."""
         return cls({name: camera.rig_from_camera for name, camera in rig.cameras.items()}, rig.reference)
+
+    def difference(self, rig: Rig) -> tuple[dict[str, float], dict[str, float]]:
+        """Return the rotation, radians, and the translation, metres, of each camera against a rig."""
+        moved = {
+            name: invert(camera.rig_from_camera) @ self.rig_from_camera[name] for name, camera in rig.cameras.items()
+        }
+        turned = {name: float(rotation_angle(each[:3, :3])) for name, each in moved.items()}
+        return turned, {name: float(np.linalg.norm(each[:3, 3])) for name, each in moved.items()}
 
 
 class _Camera(BaseModel):
@@ -83,33 +91,32 @@ def load_mounting(path: str | Path) -> Mounting:
 def save_mounting(mounting: Mounting, path: str | Path) -> Path:
     """Write a rig file."""
     cameras = {
-        name: {"rig_from_camera": np.round(place, 9).tolist(), "depth_error": mounting.depth_error.get(name, 0.0)}
-        for name, place in mounting.rig_from_camera.items()
+        name: {"rig_from_camera": np.round(matrix, 9).tolist(), "depth_error": mounting.depth_error.get(name, 0.0)}
+        for name, matrix in mounting.rig_from_camera.items()
     }
-    text = yaml.safe_dump(
-        {"reference": mounting.reference, "cameras": cameras}, sort_keys=False, default_flow_style=None
-    )
-    return write_atomically(path, text)
+    content = {"reference": mounting.reference, "cameras": cameras}
+    return write_atomically(path, yaml.safe_dump(content, sort_keys=False, default_flow_style=None))
 
 
-def mounted(recording: Recording, mounting: Mounting) -> Recording:
-    """The recording with its cameras where a rig file says; cameras that the file does not name are left out.
+def with_mounting(recording: Recording, mounting: Mounting) -> Recording:
+    """Return the recording with the camera poses of a rig file; cameras that the file does not name are left out.
 
     Raises:
-        InvalidValueError: The recording lacks a camera of the file, or the file that whose poses the recording tells.
+        InvalidValueError: The recording lacks a camera of the file, or the file lacks the one with known poses.
     """
     rig = mounted_rig(recording.rig, mounting)
-    moved = None
-    if recording.of_camera:
+    old_from_new = None
+    if recording.camera_poses:
         camera = recording.rig.reference
         if camera not in rig.cameras:
-            raise InvalidValueError(f"the rig file leaves out the camera {camera}, whose poses the recording tells")
-        moved = recording.rig.cameras[camera].rig_from_camera @ invert(rig.cameras[camera].rig_from_camera)
-    return replace(recording, rig=rig, load=_Kept(recording, tuple(rig.cameras), moved), of_camera=False)
+            raise InvalidValueError(f"the rig file leaves out the camera {camera}, whose poses the recording gives")
+        old_from_new = recording.rig.cameras[camera].rig_from_camera @ invert(rig.cameras[camera].rig_from_camera)
+    load = _Subset(recording, tuple(rig.cameras), old_from_new)
+    return replace(recording, rig=rig, load=load, camera_poses=False)
 
 
 def mounted_rig(rig: Rig, mounting: Mounting) -> Rig:
-    """Cameras where a rig file says; those that the file does not name are left out.
+    """Return the rig with the camera poses of a rig file; cameras that the file does not name are left out.
 
     Raises:
         InvalidValueError: A camera of the file is missing.
@@ -117,15 +124,15 @@ def mounted_rig(rig: Rig, mounting: Mounting) -> Rig:
     missing = mounting.rig_from_camera.keys() - rig.cameras.keys()
     if missing:
         raise InvalidValueError(
-            f"the rig file has the camera {', '.join(sorted(missing))}; there is only {', '.join(rig.cameras)}"
+            f"the rig file has the camera {', '.join(sorted(missing))}; the recording has only {', '.join(rig.cameras)}"
         )
-    places = mounting.rig_from_camera.items()
-    return Rig({name: replace(rig.cameras[name], rig_from_camera=place) for name, place in places}, mounting.reference)
+    poses = mounting.rig_from_camera.items()
+    return Rig({name: replace(rig.cameras[name], rig_from_camera=matrix) for name, matrix in poses}, mounting.reference)
 
 
 @dataclass(frozen=True, eq=False)
-class _Kept:
-    """Reads a station of a recording with some of its cameras only, and with another frame of the rig."""
+class _Subset:
+    """Reader of stations with a subset of their cameras, and with another rig frame."""
 
     recording: Recording
     names: tuple[str, ...]

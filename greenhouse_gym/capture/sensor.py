@@ -1,7 +1,7 @@
-"""How a stereo depth camera of the D435 kind spoils a perfect depth image. numpy only.
+"""Sensor model of a stereo depth camera like the D435. Needs numpy only.
 
 Figures: baseline 50 mm, disparity noise 0.08 px RMS, steps of 1/32 px, 1 mm depth units, an invalid band as wide as
-the disparity, occlusion of the left imager, fattened edges, and some missing pixels.
+the disparity, occlusion of the left imager, edge fattening, and some missing pixels.
 """
 
 from __future__ import annotations
@@ -16,78 +16,78 @@ from greenhouse_gym.geometry import Array
 
 @dataclass(frozen=True)
 class StereoNoise:
-    """The D435's noise; every term can be set to zero."""
+    """Noise of the D435; every term can be set to zero."""
 
     baseline: float = 0.050  # m
     disparity_noise: float = 0.08  # px RMS
     disparity_step: float = 1 / 32  # px
     depth_unit: float = 0.001  # m
     bias: float = 0.002  # one sigma of the relative depth error of a camera
-    dropout: float = 0.02  # share of pixels without a reading anywhere
-    edge_dropout: float = 0.35  # share of pixels without a reading beside a depth edge
-    fatten: int = 1  # px by which near things grow over far ones
+    dropout: float = 0.02  # fraction of pixels without a reading away from depth edges
+    edge_dropout: float = 0.35  # fraction of pixels without a reading next to a depth edge
+    edge_fattening: int = 1  # px by which foreground covers background at depth edges
     min_range: float = 0.17  # m
     max_range: float = 3.0  # m; farther readings are not modeled
 
 
 @dataclass(frozen=True)
-class StereoDoubt:
-    """Where block matching fails on plants, besides at edges; every term can be set to zero.
+class StereoDropout:
+    """Failures of block matching on plants, in addition to those at edges; every term can be set to zero.
 
     Wires of 2 mm before a far background give no depth (librealsense, issue 5477), surfaces have holes where they
     reflect the light (issues 4320 and 3744), and a poor exposure is the first reason for bad depth (Intel's notes on
     tuning the D400). None of these gives numbers: the figures here are priors.
     """
 
-    thin_width: int = 5  # px; nearer things narrower than this along an image row are thin
-    thin_dropout: float = 0.25  # share of pixels without a reading on thin things
-    mixed: float = 0.04  # share of pixels beside a depth edge whose reading lies between near and far
-    glare_from: float = 0.12  # share of full white that a highlight adds, from which on it is glare
-    glare_dropout: float = 0.6  # share of pixels without a reading in glare
+    thin_width: int = 5  # px; foreground narrower than this along an image row is thin
+    thin_dropout: float = 0.25  # fraction of pixels without a reading on thin foreground
+    mixed: float = 0.04  # fraction of pixels next to a depth edge whose reading lies between near and far
+    glare_from: float = 0.12  # fraction of full white that a highlight must add to count as glare
+    glare_dropout: float = 0.6  # fraction of pixels without a reading in glare
     burnt: int = 250  # gray level from which on all channels count as burnt out
     dark: int = 6  # gray level below which all channels count as black
-    exposure_dropout: float = 0.5  # share of pixels without a reading where burnt out or black
+    exposure_dropout: float = 0.5  # fraction of pixels without a reading where burnt out or black
 
 
-def doubtful(
+def dropout_probability(
     depth: npt.NDArray[np.floating],
     color: npt.NDArray[np.uint8],
     glare: npt.NDArray[np.floating],
     fx: float,
-    doubt: StereoDoubt = StereoDoubt(),
+    dropout: StereoDropout = StereoDropout(),
     baseline: float = StereoNoise.baseline,
 ) -> Array:
-    """Share of readings (h, w) that stereo loses on thin things, in glare and where the exposure fails.
+    """Return the probability (h, w) that stereo gives no reading: thin foreground, glare, failed exposure.
 
     Args:
-        depth: (h, w) true depth, metres; 0 or inf = nothing there.
+        depth: (h, w) true depth, metres; 0 or inf = no surface.
         color: (h, w, 3) the photograph.
-        glare: (h, w) what highlights add, as a share of full white.
+        glare: (h, w) brightness that highlights add, as a fraction of full white.
         fx: Focal length, pixels.
-        doubt: The figures.
+        dropout: The figures.
         baseline: Distance between the two imagers, metres.
     """
-    seen = np.where(np.isfinite(depth) & (depth > 0), depth, np.inf)
-    lost = np.where(_thin(fx * baseline / seen, doubt.thin_width), doubt.thin_dropout, 0.0)
-    lost = np.maximum(lost, np.where(glare > doubt.glare_from, doubt.glare_dropout, 0.0))
-    failed = (color >= doubt.burnt).all(axis=-1) | (color < doubt.dark).all(axis=-1)
-    return np.asarray(np.maximum(lost, np.where(failed, doubt.exposure_dropout, 0.0)))
+    true = np.where(np.isfinite(depth) & (depth > 0), depth, np.inf)
+    lost = np.where(_thin(fx * baseline / true, dropout.thin_width), dropout.thin_dropout, 0.0)
+    lost = np.maximum(lost, np.where(glare > dropout.glare_from, dropout.glare_dropout, 0.0))
+    failed = (color >= dropout.burnt).all(axis=-1) | (color < dropout.dark).all(axis=-1)
+    return np.asarray(np.maximum(lost, np.where(failed, dropout.exposure_dropout, 0.0)))
 
 
-def mix_edges(depth: npt.NDArray[np.floating], rng: np.random.Generator, share: float) -> npt.NDArray[np.floating]:
-    """Depth (h, w) in which a share of the pixels at edges along rows lies anywhere between near and far."""
+def mix_edges(depth: npt.NDArray[np.floating], rng: np.random.Generator, fraction: float) -> npt.NDArray[np.floating]:
+    """Move a fraction of the pixels at edges along rows of a depth image (h, w) to a depth between near and far."""
     mixed = np.array(depth)
     left, right = depth[:, :-1], depth[:, 1:]
     with np.errstate(invalid="ignore"):
         edge = np.isfinite(left) & np.isfinite(right) & (np.abs(left - right) > 0.01)
-    at = np.nonzero(edge & (rng.random(edge.shape) < share))
+    at = np.nonzero(edge & (rng.random(edge.shape) < fraction))
     part = rng.random(len(at[0]))
     mixed[at[0], at[1] + rng.integers(0, 2, len(part))] = (1 - part) * left[at] + part * right[at]
     return mixed
 
 
 def draw_biases(count: int, rng: np.random.Generator, noise: StereoNoise) -> Array:
-    """Relative depth error of each of ``count`` cameras, (count,), normal with sigma ``noise.bias``."""
+    """Sample the relative depth error of each of ``count`` cameras, (count,), normal with sigma ``noise.bias``."""
     return rng.normal(0.0, noise.bias, count)
 
 
@@ -97,29 +97,29 @@ def sense_depth(
     rng: np.random.Generator,
     noise: StereoNoise = StereoNoise(),
     bias: float = 0.0,
-    lost: Array | float = 0.0,
+    dropout: Array | float = 0.0,
 ) -> npt.NDArray[np.float32]:
-    """What the camera reports for a true depth image.
+    """Turn a true depth image into one that the camera would report.
 
     Args:
-        depth: (height, width) true depth in metres; 0 or inf = nothing there.
+        depth: (height, width) true depth in metres; 0 or inf = no surface.
         fx: Focal length in pixels.
         rng: Source of the noise.
         noise: The camera's figures.
-        bias: This camera's relative depth error: it reports ``(1 + bias)`` times the depth.
-        lost: (height, width) share of readings lost besides, as by `doubtful`.
+        bias: Relative depth error of this camera: it reports ``(1 + bias)`` times the depth.
+        dropout: (height, width) additional probability of no reading, as from `dropout_probability`.
 
     Returns:
         (height, width) float32 metres, 0 = no reading.
     """
-    seen = np.where(np.isfinite(depth) & (depth > 0), depth, np.inf)
-    for _ in range(noise.fatten):
-        seen = _grow_near(seen)
-    disparity = fx * noise.baseline / seen  # 0 where there is nothing
-    valid = (disparity > 0) & (seen >= noise.min_range) & (seen <= noise.max_range)
+    true = np.where(np.isfinite(depth) & (depth > 0), depth, np.inf)
+    for _ in range(noise.edge_fattening):
+        true = _dilate_foreground(true)
+    disparity = fx * noise.baseline / true  # 0 where there is no surface
+    valid = (disparity > 0) & (true >= noise.min_range) & (true <= noise.max_range)
     valid &= ~_hidden_from_right_imager(disparity)
-    edges = _beside_edge(disparity)
-    valid &= rng.random(depth.shape) >= np.maximum(np.where(edges, noise.edge_dropout, noise.dropout), lost)
+    edges = _near_edge(disparity)
+    valid &= rng.random(depth.shape) >= np.maximum(np.where(edges, noise.edge_dropout, noise.dropout), dropout)
     disparity = disparity + _smooth_noise(rng, depth.shape) * noise.disparity_noise
     if noise.disparity_step > 0:
         disparity = np.rint(disparity / noise.disparity_step) * noise.disparity_step
@@ -130,16 +130,16 @@ def sense_depth(
     return measured.astype(np.float32)
 
 
-def _grow_near(depth: Array) -> Array:
-    """Every pixel takes the nearest depth of itself and its left and right neighbors."""
-    grown = depth.copy()
-    grown[:, 1:] = np.minimum(grown[:, 1:], depth[:, :-1])
-    grown[:, :-1] = np.minimum(grown[:, :-1], depth[:, 1:])
-    return grown
+def _dilate_foreground(depth: Array) -> Array:
+    """Replace every pixel by the nearest depth of itself and its left and right neighbors."""
+    dilated = depth.copy()
+    dilated[:, 1:] = np.minimum(dilated[:, 1:], depth[:, :-1])
+    dilated[:, :-1] = np.minimum(dilated[:, :-1], depth[:, 1:])
+    return dilated
 
 
 def _hidden_from_right_imager(disparity: Array) -> npt.NDArray[np.bool_]:
-    """Pixels of the left image whose point the right imager does not see: outside it, or behind something nearer."""
+    """Mask pixels of the left image whose point lies outside the right image or behind nearer surfaces there."""
     columns = np.arange(disparity.shape[1])
     in_right = columns - disparity
     from_the_right = np.full_like(in_right, np.inf)
@@ -148,8 +148,8 @@ def _hidden_from_right_imager(disparity: Array) -> npt.NDArray[np.bool_]:
     return (in_right < 0) | (from_the_right <= in_right - 0.5)
 
 
-def _beside_edge(disparity: Array, jump: float = 1.0) -> npt.NDArray[np.bool_]:
-    """Pixels within 2 of a disparity step of more than ``jump`` px."""
+def _near_edge(disparity: Array, jump: float = 1.0) -> npt.NDArray[np.bool_]:
+    """Mask pixels within 2 of a disparity step of more than ``jump`` px."""
     edge = np.zeros(disparity.shape, dtype=bool)
     for axis in (0, 1):
         step = np.abs(np.diff(disparity, axis=axis)) > jump
@@ -165,17 +165,17 @@ def _beside_edge(disparity: Array, jump: float = 1.0) -> npt.NDArray[np.bool_]:
 
 
 def _thin(disparity: Array, width: int) -> npt.NDArray[np.bool_]:
-    """Pixels of things that are narrower than ``width`` along a row and nearer than what is on both sides."""
+    """Mask foreground that is narrower than ``width`` along a row, nearer than the surfaces on both sides."""
     thin = np.zeros(disparity.shape, dtype=bool)
     for left in range(1, width):
         right = width - left
-        apart = disparity[:, left:-right] - np.maximum(disparity[:, :-width], disparity[:, width:])
-        thin[:, left:-right] |= apart > 1.0
+        step = disparity[:, left:-right] - np.maximum(disparity[:, :-width], disparity[:, width:])
+        thin[:, left:-right] |= step > 1.0
     return thin
 
 
 def _smooth_noise(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
-    """Unit normal noise that neighbors partly share, as block matching makes it."""
+    """Sample unit normal noise that is correlated between neighbors, as block matching makes it."""
     white = rng.standard_normal((shape[0] + 2, shape[1] + 2))
     rows = white[:-2] + white[1:-1] + white[2:]
     return (rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:]) / 3.0

@@ -1,4 +1,4 @@
-"""What a simulated recording knows of its row, as one ``.npz`` file of tables without pickles."""
+"""Ground truth of a simulated recording: one ``.npz`` file of shape tables without pickles."""
 
 from __future__ import annotations
 
@@ -18,14 +18,12 @@ from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 
 TRUTH = "truth.npz"
-LARGEST = 50_000_000
-"""Bytes that such a file may unpack to; a row of 5 m takes about one million."""
-
+MAX_BYTES = 50_000_000  # that such a file may unpack to; a row of 5 m takes about one million
 _BEHIND = "behind_"
 
 
 def save_truth(row: PlantRow, path: str | Path) -> Path:
-    """Write the shapes to collide with of a row and of the one behind it."""
+    """Write the collision shapes of a row and of the one behind it."""
     truth = truth_of(row)
     arrays: dict[str, Array] = {"size": np.array([truth.length, float(truth.week)])}
     for prefix, part in (("", truth), (_BEHIND, truth.behind)):
@@ -38,7 +36,7 @@ def save_truth(row: PlantRow, path: str | Path) -> Path:
 
 
 def load_truth(path: str | Path) -> PlantRow | None:
-    """Read what `save_truth` wrote; None where there is no such file.
+    """Read a row that `save_truth` wrote; None if the file does not exist.
 
     Raises:
         FileFormatError: The file is damaged.
@@ -46,7 +44,7 @@ def load_truth(path: str | Path) -> PlantRow | None:
     if not Path(path).is_file():
         return None
     with parsing(path, "truth of a recording"):
-        arrays = read_arrays(read_bytes(path, "truth"), LARGEST)
+        arrays = read_arrays(read_bytes(path, "truth"), MAX_BYTES)
         length, week = _floats(arrays["size"], 1)
         row = PlantRow(*_parts(arrays, ""), length=float(length), week=int(week))
         if _BEHIND + ShapeTables._fields[0] in arrays:

@@ -43,7 +43,7 @@ def shapes(
     from greenhouse_gym.build.scans import extract_from_scan
     from greenhouse_gym.common.files import write_atomically
     from greenhouse_gym.common.settings_files import resolve
-    from greenhouse_gym.reconstruction.surface import save_points
+    from greenhouse_gym.reconstruction.row_files import save_points
     from greenhouse_gym.scene import Shapes
     from greenhouse_gym.shapes import ShapeSettings, ShapeWarning
 

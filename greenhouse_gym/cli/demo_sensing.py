@@ -38,15 +38,15 @@ def reconstruct(out: Path, row: PlantRow, recording: Recording, report: DemoRepo
     """Reconstruct the recording, draw each step, and compare the cloud with the truth."""
     from greenhouse_gym.accuracy import distance_to_truth, drift
     from greenhouse_gym.reconstruction import ReconstructionSettings, save_row, simplify_points, triangulate
-    from greenhouse_gym.reconstruction.row import merge_segment, remove_outliers
-    from greenhouse_gym.reconstruction.walk import walk_through
+    from greenhouse_gym.reconstruction.row_cloud import merge_segment, remove_outliers
+    from greenhouse_gym.reconstruction.station_registration import register_stations
     from greenhouse_gym.reporting.pictures import registration_pictures, row_pictures
 
     settings = ReconstructionSettings()
     with report.stage("reconstruct") as results:
         with progress("stations", len(recording)) as on_progress:
-            walk = walk_through(recording, settings, lambda i: on_progress(i + 1))
-        merged, outlier = merge_segment(walk, 0, settings)
+            stations = register_stations(recording, settings, lambda i: on_progress(i + 1))
+        merged, outlier = merge_segment(stations, 0, settings)
         cloud = remove_outliers(merged, outlier)
         simplified = simplify_points(cloud)
         mesh = triangulate(simplified)
@@ -57,7 +57,7 @@ def reconstruct(out: Path, row: PlantRow, recording: Recording, report: DemoRepo
         ]
     with report.stage("pictures of the reconstruction") as results:
         middle = len(recording) // 2
-        paths = registration_pictures(recording, middle - 1, middle, walk.calibration, settings, out)
+        paths = registration_pictures(recording, middle - 1, middle, stations.calibration, settings, out)
         paths += row_pictures(merged, cloud, mesh, out)
         results.append(f"{len(paths)} pictures")
     with report.stage("compare with the truth") as results:

@@ -17,7 +17,7 @@ from greenhouse_gym.errors import InvalidValueError
 
 if TYPE_CHECKING:
     from greenhouse_gym.capture import Station
-    from greenhouse_gym.capture.recorder import Taken
+    from greenhouse_gym.capture.recorder import RecordedStation
 
 
 def record(
@@ -91,7 +91,7 @@ class Keys:
         return pressed
 
 
-def _report(taken: Taken) -> None:
+def _report(taken: RecordedStation) -> None:
     moved = "" if taken.moved is None else f", {100 * taken.moved:.0f} cm on"
     say(f"station {taken.number}{moved}")
     for fault in taken.faults:

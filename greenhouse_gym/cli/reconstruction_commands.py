@@ -45,7 +45,7 @@ def reconstruct(
 ) -> None:
     """Reconstruct a recording as a cloud and a mesh, with a report; resumes an interrupted run.
 
-    Finished stations are kept in the folder "walk" next to the results until all results are written.
+    Finished stations are kept in the folder "registration" next to the results until all results are written.
     """
     from greenhouse_gym.capture import open_recording
     from greenhouse_gym.common.files import exclusive
@@ -67,27 +67,27 @@ def _reconstruct(
 ) -> None:
     from greenhouse_gym.errors import FileFormatError, ReconstructionError
     from greenhouse_gym.reconstruction import simplify_points, triangulate
-    from greenhouse_gym.reconstruction.diary import Diary
-    from greenhouse_gym.reconstruction.walk import walk_through
+    from greenhouse_gym.reconstruction.station_journal import StationJournal, station_file
+    from greenhouse_gym.reconstruction.station_registration import register_stations
     from greenhouse_gym.reporting.reconstruction_results import write_results
 
-    work = out / "walk"
-    if work.exists() and not (work / "walk.jsonl").exists():
+    work = out / "registration"
+    if work.exists() and any(work.iterdir()) and not station_file(work, 0).exists():
         raise FileFormatError(work, "is not the work folder of a reconstruction; choose another --out or remove it")
-    finished = len(Diary.open(work, opened, settings).entries)
+    finished = len(StationJournal.open(work, opened, settings).entries)
     if finished:
         say(f"resuming after station {finished - 1}")
     try:
         with progress("stations", len(opened)) as on_progress:
-            walk = walk_through(opened, settings, lambda i: on_progress(i + 1), work)
+            stations = register_stations(opened, settings, lambda i: on_progress(i + 1), work)
         with CONSOLE.status("merging, meshing, drawing"):
             rows, mesh = write_results(
-                walk, opened, settings, lambda row: triangulate(simplify_points(row, points), method, faces),
+                stations, opened, settings, lambda row: triangulate(simplify_points(row, points), method, faces),
                 out, work=work / "results",
             )  # fmt: skip
         shutil.rmtree(work)
     except KeyboardInterrupt:
-        finished = len(Diary.open(work, opened, settings).entries)
+        finished = len(StationJournal.open(work, opened, settings).entries)
         kept = f"{finished} of {len(opened)} stations are kept in {work}"
         say(f"interrupted: {kept}; repeat the command to resume")
         raise typer.Exit(130) from None

@@ -60,11 +60,10 @@ def import_(
     import.json (figures and verdict) and import.png (stations side by side).
     """
     from greenhouse_gym.capture import open_recording, write_recording
-    from greenhouse_gym.capture.formats.stations import choose_stations
-    from greenhouse_gym.capture.formats.videos import chosen
-    from greenhouse_gym.capture.images import encode_png
+    from greenhouse_gym.capture.image_files import encode_png
     from greenhouse_gym.capture.inspection import inspect_recording
     from greenhouse_gym.capture.recordings import INDEX
+    from greenhouse_gym.capture.station_selection import choose_stations, select_stations
     from greenhouse_gym.common.files import write_atomically
     from greenhouse_gym.errors import FileFormatError
     from greenhouse_gym.reporting.pictures import contact_sheet
@@ -81,7 +80,7 @@ def import_(
             notes.append(f"the motion is unknown at {len(picked.lost)} frames and was assumed to continue")
         if picked.unreadable:
             notes.append(f"{len(picked.unreadable)} frames are unreadable and were left out")
-        opened = chosen(opened, picked.frames)
+        opened = select_stations(opened, picked.frames)
     with progress("stations", len(opened)) as on_progress:
         write_recording(replace(opened, notes=()), out, lambda i: on_progress(i + 1))
     found = inspect_recording(open_recording(out))
@@ -117,7 +116,7 @@ def calibrate(
     from greenhouse_gym.capture.boards import Board, calibrate_from_boards
     from greenhouse_gym.capture.rig_file import save_mounting
     from greenhouse_gym.errors import InvalidValueError
-    from greenhouse_gym.reconstruction.overlap import calibrate_from_overlap
+    from greenhouse_gym.reconstruction.rig_from_overlap import calibrate_from_overlap
 
     opened, new = _on_nominal_rig(open_recording(source, format), rig)
     if new and not board:
@@ -150,7 +149,7 @@ def calibrate(
 
 def _on_nominal_rig(opened: Recording, rig: Path | None) -> tuple[Recording, tuple[str, ...]]:
     """Return the recording with cameras posed by a rig file, and the cameras it lacks, posed like its reference."""
-    from greenhouse_gym.capture.rig_file import load_mounting, mounted
+    from greenhouse_gym.capture.rig_file import load_mounting, with_mounting
     from greenhouse_gym.errors import InvalidValueError
 
     if rig is None:
@@ -161,7 +160,7 @@ def _on_nominal_rig(opened: Recording, rig: Path | None) -> tuple[Recording, tup
     mounting = load_mounting(rig)
     new = tuple(name for name in opened.rig.cameras if name not in mounting.rig_from_camera)
     poses = dict(mounting.rig_from_camera) | dict.fromkeys(new, mounting.rig_from_camera[mounting.reference])
-    return mounted(opened, replace(mounting, rig_from_camera=poses)), new
+    return with_mounting(opened, replace(mounting, rig_from_camera=poses)), new
 
 
 def _poses(opened: Recording) -> set[bytes]:
@@ -169,11 +168,11 @@ def _poses(opened: Recording) -> set[bytes]:
 
 
 def _on_rig(opened: Recording, rig: Path | None) -> Recording:
-    from greenhouse_gym.capture.rig_file import load_mounting, mounted
+    from greenhouse_gym.capture.rig_file import load_mounting, with_mounting
     from greenhouse_gym.errors import InvalidValueError
 
     if rig is not None:
-        return mounted(opened, load_mounting(rig))
+        return with_mounting(opened, load_mounting(rig))
     if len(_poses(opened)) < len(opened.rig.cameras):
         names = ", ".join(opened.rig.cameras)
         raise InvalidValueError(

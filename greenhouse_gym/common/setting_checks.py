@@ -1,61 +1,70 @@
-"""What numbers the settings of the sensing side may hold: one check for all of their dataclasses."""
+"""Bounds of numbers in settings, checked by pydantic for all settings of the sensing side."""
 
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import fields
-from math import isfinite
-from numbers import Integral, Real
-from typing import Any
+from functools import cache
+from types import UnionType
+from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+from pydantic import AfterValidator, Field, TypeAdapter, ValidationError
 
 from greenhouse_gym.errors import InvalidValueError
 
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Fraction = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
+Count = Annotated[int, Field(ge=0)]
+PositiveCount = Annotated[int, Field(gt=0)]
 
-def check_numbers(settings: Any, positive: Collection[str] = (), shares: Collection[str] = ()) -> None:
-    """Raise an error unless every number of a dataclass is one that makes sense.
 
-    Fields are told apart by their annotations: a ``float`` is finite and at least 0, an ``int`` whole and at least 0, a
-    ``bool`` true or false, a ``tuple[float, float]`` two such numbers that go up. Only what is annotated with
-    ``| None`` may be None. Other fields are not looked at.
+def check_numbers(settings: object, positive: Collection[str] = (), fractions: Collection[str] = ()) -> None:
+    """Raise an error unless every field of a dataclass holds a value of its type, within its bounds.
+
+    Bounds are annotated (``voxel: Positive``). A number without bounds must be finite and at least 0, and the two
+    numbers of a ``tuple[float, float]`` must ascend.
 
     Args:
         settings: The dataclass.
-        positive: Fields that must not be 0.
-        shares: Fields that must not be larger than 1.
+        positive: Fields that must not be 0, where that is not annotated.
+        fractions: Fields that must not exceed 1, where that is not annotated.
 
     Raises:
-        InvalidValueError: A value is something else; the message names the field.
+        InvalidValueError: A value is out of its bounds or of another type; the message names field, bounds and value.
     """
-    for field in fields(settings):
-        name, value = field.name, getattr(settings, field.name)
-        kind, _, optional = str(field.type).partition(" | ")
-        if value is None and optional == "None":
-            continue
-        expected = _expected(kind, name in positive, name in shares)
-        if expected and not _fits(kind, value, name in positive, name in shares):
-            raise InvalidValueError(f"{name} must be {expected}, got {value!r}")
+    kind: Any = type(settings)
+    for name, adapter in _adapters(kind, frozenset(positive), frozenset(fractions)).items():
+        value = getattr(settings, name)
+        try:
+            adapter.validate_python(value.item() if isinstance(value, np.generic) else value, strict=True)
+        except ValidationError as error:
+            problem = error.errors(include_url=False)[0]["msg"].removeprefix("Value error, ")
+            raise InvalidValueError(f"{name}: {problem}, got {value!r}") from error
 
 
-def _expected(kind: str, positive: bool, share: bool) -> str:
-    start, least = ("above 0", 1) if positive else ("from 0 on", 0)
-    return {
-        "float": f"a number {start.removesuffix(' on')} up to 1" if share else f"a number {start}",
-        "int": f"a whole number from {least} on",
-        "bool": "true or false",
-        "tuple[float, float]": f"two numbers {start}, the smaller one first",
-    }.get(kind, "")
+@cache
+def _adapters(kind: Any, positive: frozenset[str], fractions: frozenset[str]) -> dict[str, TypeAdapter[Any]]:
+    """Return a validator for each field of a dataclass."""
+    hints = get_type_hints(kind, include_extras=True)
+    return {name: TypeAdapter(_bounded(hint, name in positive, name in fractions)) for name, hint in hints.items()}
 
 
-def _fits(kind: str, value: Any, positive: bool, share: bool) -> bool:
-    if kind == "bool":
-        return isinstance(value, bool)
-    if kind == "tuple[float, float]":
-        pair = isinstance(value, tuple | list) and len(value) == 2 and all(map(_is_number, value))
-        return pair and _fits("float", value[0], positive, share) and value[0] < value[1]
-    if not _is_number(value) or (kind == "int" and not isinstance(value, Integral)):
-        return False
-    return (value > 0 or (value == 0 and not positive)) and not (share and value > 1)
+def _bounded(hint: Any, positive: bool, fraction: bool) -> Any:
+    """Return a type with bounds on its plain numbers."""
+    if hint is int:
+        return PositiveCount if positive else Count
+    if hint is float:
+        lowest: dict[str, Any] = {"gt": 0} if positive else {"ge": 0}
+        return Annotated[float, Field(**lowest, le=1 if fraction else None, allow_inf_nan=False)]
+    if get_origin(hint) in (Union, UnionType):
+        return Union[tuple(_bounded(each, positive, fraction) for each in get_args(hint))]  # noqa: UP007
+    if hint == tuple[float, float]:
+        number = _bounded(float, positive, fraction)
+        return Annotated[tuple[number, number], AfterValidator(_ascending)]  # type: ignore[valid-type]
+    return hint
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, Real) and not isinstance(value, bool) and isfinite(value)
+def _ascending(ends: tuple[float, float]) -> tuple[float, float]:
+    if ends[0] >= ends[1]:
+        raise ValueError("Input should be two ascending numbers")
+    return ends

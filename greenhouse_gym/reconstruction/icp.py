@@ -1,10 +1,9 @@
 """Fine registration of two stations: point-to-plane ICP between surfaces that face the same way.
 
-A point's partner is what the other station's cameras measured at the pixels it falls on (Blais and Levine 1995), so no
-search tree is needed, and several cameras may each give one. The error is measured along the mean of both normals
-(symmetric point-to-plane, Rusinkiewicz 2019) with Tukey weights. Stems are thinner than the distance within which
-partners are looked for, and stations see them from different sides, so two points are partners only if their normals
-agree.
+A point's partner is the reading of the other station's cameras at the pixels it projects to (Blais and Levine 1995), so
+no search tree is needed, and each camera may give one. The error is measured along the mean of both normals (symmetric
+point-to-plane, Rusinkiewicz 2019) with Tukey weights. Stems are thinner than the distance within which partners are
+looked for, and stations see them from different sides, so two points are partners only if their normals agree.
 """
 
 from __future__ import annotations
@@ -19,23 +18,25 @@ from scipy.spatial.transform import Rotation
 from greenhouse_gym.geometry import Array, invert, pose, transform
 from greenhouse_gym.reconstruction.point_clouds import Cloud
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings
-from greenhouse_gym.reconstruction.views import StationView
+from greenhouse_gym.reconstruction.station_views import StationView
 
+MAX_ITERATIONS = 30
+MIN_FACING = 0.8  # cosine between the normals of partners
+SEE_THROUGH = 0.03  # m behind a point at which another station must have a reading to contradict the point
 _RELAXATION = 1.3  # times a step, which falls short while partners beyond reach are missing
 
 
 @dataclass(frozen=True, eq=False)
-class Alignment:
-    """What fine registration found.
+class IcpResult:
+    """Result of fine registration.
 
     Attributes:
         first_from_second: (4, 4).
-        overlap: Share of the second station's sample that the first could see.
-        fitness: Share of those with a partner.
-        contradicted: Share of those that have none, and that the first station sees through.
+        overlap: Fraction of the second station's sample that the first could see.
+        fitness: Fraction of those with a partner.
+        contradicted: Fraction of those without a partner that the first station sees through.
         rmse: Root mean square distance of partners along their normals, metres.
-        held: (6,) how much each independent motion would move partners along their normals, a share, the least first;
-            see `held`. Near 0 the stations can slide or turn along each other.
+        constraint: (6,) ascending, see `motion_constraint`. Near 0 the stations can slide or turn along each other.
         information: (6, 6) rotation then translation, in the first station's frame, for the pose graph.
     """
 
@@ -44,7 +45,7 @@ class Alignment:
     fitness: float
     contradicted: float
     rmse: float
-    held: Array
+    constraint: Array
     information: Array
 
 
@@ -64,80 +65,73 @@ class Partners(NamedTuple):
     facing: Array
 
 
-def align(first: StationView, second: Cloud, start: Array, settings: ReconstructionSettings) -> Alignment:
-    """Register the second cloud to the first station from a start within ``settings.fine_distance``.
+def fine_icp(first: StationView, second: Cloud, start: Array, settings: ReconstructionSettings) -> IcpResult:
+    """Register the second cloud, in its own rig frame, to the first station.
 
-    Args:
-        first: What to register to.
-        second: The cloud to move, in its own station's rig frame.
-        start: (4, 4) first_from_second to start from.
-        settings: All settings.
+    ``start`` (4, 4) is first_from_second, right to about ``settings.fine_distance``.
     """
     current = np.array(start, dtype=np.float64)
-    for every in (4, 1):  # a quarter of the points brings it near
-        some = second.select(np.arange(0, len(second), every))
-        for _ in range(settings.icp_iterations):
-            step, center = _step(first, some.moved(current), settings)
+    for every in (4, 1):  # a quarter of the points gets it close
+        subset = second.select(np.arange(0, len(second), every))
+        for _ in range(MAX_ITERATIONS):
+            step, center = _gauss_newton_step(first, subset.transformed(current), settings)
             step *= _RELAXATION
             turn = Rotation.from_rotvec(step[:3]).as_matrix()
             current = pose(turn, center + step[3:] - turn @ center) @ current
             if np.abs(step).max() < 2e-5 * every:
                 break
-    return assess(first, second, current, settings)
+    return assess_pose(first, second, current, settings)
 
 
-def _step(first: StationView, moved: Cloud, settings: ReconstructionSettings) -> tuple[Array, Array]:
-    """One Gauss-Newton step: rotation vector and translation (6,) of a moved cloud about a center (3,)."""
-    found = partners(first, moved, settings)
+def _gauss_newton_step(first: StationView, moved: Cloud, settings: ReconstructionSettings) -> tuple[Array, Array]:
+    """Return the rotation vector and translation (6,) of one step of a moved cloud about a center (3,)."""
+    found = find_partners(first, moved, settings)
     if len(found.row) < 6:
         return np.zeros(6), np.zeros(3)
     points = moved.points[found.row]
     center = points.mean(axis=0)
     jacobian = np.column_stack([np.cross(points - center, found.axes), found.axes])
-    weighted = jacobian * tukey(found.residual)[:, None]
+    weighted = jacobian * tukey_weights(found.residual)[:, None]
     step = np.linalg.lstsq(jacobian.T @ weighted, -weighted.T @ found.residual, rcond=1e-9)[0]
     return np.asarray(step), np.asarray(center)
 
 
-def assess(first: StationView, second: Cloud, first_from_second: Array, settings: ReconstructionSettings) -> Alignment:
-    """How well the second cloud, moved to where it is said to stand, agrees with the first station."""
-    moved = second.moved(first_from_second)
-    found = partners(first, moved, settings)
-    seen, through = _seen(first, moved.points, settings.see_through)
+def assess_pose(
+    first: StationView, second: Cloud, first_from_second: Array, settings: ReconstructionSettings
+) -> IcpResult:
+    """Measure the agreement of the second cloud, at a given pose, with the first station."""
+    moved = second.transformed(first_from_second)
+    found = find_partners(first, moved, settings)
+    visible, through = _visibility(first, moved.points)
     matched = np.zeros(len(moved), dtype=bool)
     matched[found.row] = True
-    seen |= matched
-    overlap = np.count_nonzero(seen)
+    visible |= matched
+    overlap = np.count_nonzero(visible)
     if len(found.row) < 6:
-        share = overlap / max(len(moved), 1)
-        return Alignment(first_from_second, share, 0.0, 0.0, float("nan"), np.zeros(6), np.eye(6))
-    weight = tukey(found.residual)
+        fraction = overlap / max(len(moved), 1)
+        return IcpResult(first_from_second, fraction, 0.0, 0.0, float("nan"), np.zeros(6), np.eye(6))
+    weight = tukey_weights(found.residual)
     jacobian = np.column_stack([np.cross(moved.points[found.row], found.axes), found.axes])
     rmse = float(np.sqrt(np.mean(found.residual**2)))
     information = jacobian.T @ (jacobian * weight[:, None]) / max(rmse, 1e-6) ** 2
-    return Alignment(
+    return IcpResult(
         first_from_second,
         overlap=overlap / len(moved),
         fitness=np.count_nonzero(matched) / overlap,
         contradicted=np.count_nonzero(through & ~matched) / overlap,
         rmse=rmse,
-        held=held(moved.points[found.row], moved.normals[found.row], found.facing, weight),
+        constraint=motion_constraint(moved.points[found.row], moved.normals[found.row], found.facing, weight),
         information=information,
     )
 
 
-def held(points: Array, normals: Array, facing: Array, weight: Array) -> Array:
-    """By how much each independent motion shows, as a share of the mean square motion of the points: (6,), least first.
+def motion_constraint(points: Array, normals: Array, facing: Array, weight: Array) -> Array:
+    """Return how strongly partners constrain each independent motion, (6,) ascending.
 
+    Each entry is the mean square motion of the points (k, 3) along their normals, as a fraction of all of their motion.
     These are the eigenvalues of the registration's information, lengths counted in radii of the points. Each entry
-    multiplies the normal that one station measured with the one that the other did, so that the noise of normals, which
-    makes any flat wall look as if it held a motion along itself, cancels.
-
-    Args:
-        points: (k, 3) of partners, in one frame.
-        normals: (k, 3) as one station measured them.
-        facing: (k, 3) as the other did.
-        weight: (k,).
+    multiplies the normal that one station measured, ``normals`` (k, 3), with the one that the other did, ``facing``
+    (k, 3), so that the noise of normals, which would make any flat wall seem to constrain motion along itself, cancels.
     """
     center = points.mean(axis=0)
     radius = max(float(np.sqrt(((points - center) ** 2).sum(axis=1).mean())), 1e-9)
@@ -146,45 +140,45 @@ def held(points: Array, normals: Array, facing: Array, weight: Array) -> Array:
     return np.asarray(np.linalg.eigvalsh((information + information.T) / 2))
 
 
-def partners(first: StationView, moved: Cloud, settings: ReconstructionSettings) -> Partners:
-    """What the first station measured where the points of a cloud in its frame fall, if near and facing alike."""
+def find_partners(first: StationView, moved: Cloud, settings: ReconstructionSettings) -> Partners:
+    """Pair points of a cloud with the first station's readings at their pixels that are near and face the same way."""
     rows, residuals, axes, facing = [], [], [], []
     for view in first.cameras.values():
         row, v, u = view.camera.intrinsics.project(transform(invert(view.camera.rig_from_camera), moved.points))
         shown = view.foreground[v, u]
         row, v, u = row[shown], v[shown], u[shown]
-        apart = moved.points[row] - view.points(v, u)
+        difference = moved.points[row] - view.points(v, u)
         other = view.normals[v, u].astype(np.float64)
         axis = moved.normals[row] + other
         # unit normals: |a + b|^2 = 2 + 2 a . b
         squared = (axis**2).sum(axis=1)
-        near = ((apart**2).sum(axis=1) < settings.fine_distance**2) & (squared > 2 + 2 * settings.facing)
+        near = ((difference**2).sum(axis=1) < settings.fine_distance**2) & (squared > 2 + 2 * MIN_FACING)
         axis = axis[near] / np.sqrt(squared[near])[:, None]
         rows.append(row[near])
         axes.append(axis)
         facing.append(other[near])
-        residuals.append((apart[near] * axis).sum(axis=1))
+        residuals.append((difference[near] * axis).sum(axis=1))
     return Partners(*map(np.concatenate, (rows, residuals, axes, facing)))
 
 
-def _seen(first: StationView, points: Array, margin: float) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
-    """Which points (n,) in the first station's frame it could see, and which of them it sees through.
+def _visibility(first: StationView, points: Array) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+    """Mask the points (n,) in the first station's frame that it could see, and those it sees through.
 
-    A point is seen through if a camera's reading lies more than ``margin`` behind it, and hidden if all readings lie
-    more than that in front of it.
+    A point is seen through if a camera's reading lies clearly behind it, and hidden if all readings lie clearly in
+    front of it.
     """
-    seen, through = np.zeros((2, len(points)), dtype=bool)
+    visible, through = np.zeros((2, len(points)), dtype=bool)
     for view in first.cameras.values():
         in_camera = transform(invert(view.camera.rig_from_camera), points)
         row, v, u = view.camera.intrinsics.project(in_camera)
         reading = view.depth[v, u]
         behind = reading - in_camera[row, 2]
-        seen[row] |= (reading > 0) & (behind > -margin)
-        through[row] |= behind > margin
-    return seen, through
+        visible[row] |= (reading > 0) & (behind > -SEE_THROUGH)
+        through[row] |= behind > SEE_THROUGH
+    return visible, through
 
 
-def tukey(residual: Array) -> Array:
-    """Weights (k,) that fall to zero at 2.5 standard deviations, estimated robustly, at least a millimetre."""
+def tukey_weights(residual: Array) -> Array:
+    """Return weights (k,) that fall to zero at 2.5 standard deviations, estimated robustly, at least a millimetre."""
     scale = max(2.5 * 1.4826 * float(np.median(np.abs(residual))), 0.001)
     return np.clip(1 - (residual / scale) ** 2, 0, None) ** 2

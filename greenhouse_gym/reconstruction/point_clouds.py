@@ -1,7 +1,8 @@
-"""Clouds of points with colors and normals, and the passage to Open3D."""
+"""Point clouds with colors and normals, voxel means, and conversion to Open3D."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,8 +12,8 @@ import numpy.typing as npt
 from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.geometry import Array, transform
 
-_BLACK, _BURNT = 0.03, 0.97  # all channels below, or above: nothing is left of a color
-_MAX_FAILED = 0.9  # share of the points that may be so
+_BLACK, _BURNT = 0.03, 0.97  # bounds of all channels beyond which a color holds no information
+_MAX_FAILED = 0.9  # fraction of the points beyond these bounds
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,18 +34,17 @@ class Cloud:
         return len(self.points)
 
     def select(self, rows: npt.NDArray[np.generic]) -> Cloud:
-        """The points at ``rows``: indices or a mask."""
+        """Return the points at ``rows``: indices or a mask."""
         return Cloud(self.points[rows], self.colors[rows], self.normals[rows])
 
-    def moved(self, target_from_source: Array) -> Cloud:
-        """The cloud expressed in another frame."""
-        return Cloud(
-            transform(target_from_source, self.points), self.colors, self.normals @ target_from_source[:3, :3].T
-        )
+    def transformed(self, target_from_source: Array) -> Cloud:
+        """Return the cloud expressed in another frame."""
+        normals = self.normals @ target_from_source[:3, :3].T
+        return Cloud(transform(target_from_source, self.points), self.colors, normals)
 
 
 def to_open3d(cloud: Cloud) -> Any:
-    """A cloud as Open3D's legacy point cloud."""
+    """Convert a cloud to Open3D's legacy point cloud."""
     o3d = open3d()
     result = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(cloud.points))
     result.colors = o3d.utility.Vector3dVector(cloud.colors)
@@ -61,18 +61,18 @@ class PackedCloud:
     normals: npt.NDArray[np.int8]
 
     def select(self, rows: npt.NDArray[np.generic]) -> PackedCloud:
-        """The points at ``rows``: indices or a mask."""
+        """Return the points at ``rows``: indices or a mask."""
         return PackedCloud(self.points[rows], self.colors[rows], self.normals[rows])
 
-    def moved(self, target_from_source: Array) -> Cloud:
-        """The cloud expressed in another frame, at full width again."""
+    def transformed(self, target_from_source: Array) -> Cloud:
+        """Return the cloud in double precision, expressed in another frame."""
         normals = self.normals / 127.0
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-        return Cloud(self.points.astype(np.float64), self.colors / 255.0, normals).moved(target_from_source)
+        return Cloud(self.points.astype(np.float64), self.colors / 255.0, normals).transformed(target_from_source)
 
 
 def voxels(points: Array, size: float, offset: float = 0.0) -> npt.NDArray[np.int64]:
-    """A number for the cube of ``size`` metres each point (n, 3) lies in, the grid moved by ``offset`` cubes."""
+    """Number the cubes of ``size`` metres that points (n, 3) lie in, the grid shifted by ``offset`` cubes: (n,)."""
     cubes = np.floor(points / size + offset).astype(np.int64)
     cubes -= cubes.min(axis=0, initial=0)
     extent = cubes.max(axis=0, initial=0) + 1
@@ -80,7 +80,7 @@ def voxels(points: Array, size: float, offset: float = 0.0) -> npt.NDArray[np.in
 
 
 def means_by_voxel(points: Array, voxel: float, *values: Array) -> tuple[list[Array], npt.NDArray[np.int64]]:
-    """The means of values (n, 3) of the points in each occupied cube, and the row of its mean for each point, (n,)."""
+    """Average values (n, 3) of the points in each occupied cube; also return the row of each point's mean (n,)."""
     _, cube, count = np.unique(voxels(points, voxel), return_inverse=True, return_counts=True)
     return [
         np.column_stack([np.bincount(cube, each[:, k], len(count)) for k in range(3)]) / count[:, None]
@@ -89,24 +89,20 @@ def means_by_voxel(points: Array, voxel: float, *values: Array) -> tuple[list[Ar
 
 
 def voxel_means(cloud: Cloud, voxel: float) -> tuple[Cloud, npt.NDArray[np.int64]]:
-    """The mean point of each occupied cube of ``voxel`` metres, and the row of its mean for each point, (n,)."""
+    """Average the points in each occupied cube of ``voxel`` metres; also return the row of each point's mean (n,)."""
     (points, colors, normals), cube = means_by_voxel(cloud.points, voxel, cloud.points, cloud.colors, cloud.normals)
     return Cloud(points, colors, normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)), cube
 
 
-def merge(clouds: list[Cloud]) -> Cloud:
-    """Clouds of one frame as one."""
+def merge(clouds: Sequence[Cloud]) -> Cloud:
+    """Concatenate clouds of one frame."""
     if not clouds:
         return Cloud(*np.zeros((3, 0, 3)))
-    return Cloud(
-        np.concatenate([c.points for c in clouds]),
-        np.concatenate([c.colors for c in clouds]),
-        np.concatenate([c.normals for c in clouds]),
-    )
+    return Cloud(*(np.concatenate([getattr(c, name) for c in clouds]) for name in ("points", "colors", "normals")))
 
 
 def exposure_failure(colors: npt.NDArray[np.floating]) -> str:
-    """How photographs failed whose points have these colors (n, 3), from 0 to 1: a phrase for a message, or ""."""
+    """Return the failure of photographs with these colors (n, 3), from 0 to 1, as a phrase for a message, or ""."""
     if not len(colors):
         return ""
     black, burnt = (colors < _BLACK).all(axis=1).mean(), (colors > _BURNT).all(axis=1).mean()

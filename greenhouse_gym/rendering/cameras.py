@@ -225,7 +225,7 @@ def stereo_noise(camera: DepthCamera) -> StereoNoise:
     scale = camera.focal / D435_FOCAL
     full = StereoNoise()
     return replace(
-        full, disparity_noise=full.disparity_noise * scale, disparity_step=full.disparity_step * scale, fatten=0
+        full, disparity_noise=full.disparity_noise * scale, disparity_step=full.disparity_step * scale, edge_fattening=0
     )
 
 

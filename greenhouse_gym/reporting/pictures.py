@@ -10,17 +10,17 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.capture import Recording
-from greenhouse_gym.capture.images import encode_png
+from greenhouse_gym.capture.image_files import encode_png
 from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import Array, pose, transform
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, TriangleMesh
-from greenhouse_gym.reconstruction.foreground import blacked_out
-from greenhouse_gym.reconstruction.registration import register
-from greenhouse_gym.reconstruction.seen import carve
-from greenhouse_gym.reconstruction.shift import Shift, along, overlap
-from greenhouse_gym.reconstruction.views import Calibration, CameraView, view_station
+from greenhouse_gym.reconstruction.foreground import black_out
+from greenhouse_gym.reconstruction.occupancy_carving import carve
+from greenhouse_gym.reconstruction.pair_registration import register_pair
+from greenhouse_gym.reconstruction.silhouette_shift import Shift, along, overlapping_parts
+from greenhouse_gym.reconstruction.station_views import Calibration, CameraView, station_view
 from greenhouse_gym.scene.occupancy import UNKNOWN
 
 Image = npt.NDArray[np.uint8]
@@ -134,21 +134,21 @@ def registration_pictures(
     out: Path,
 ) -> list[Path]:
     """Draw two neighboring stations: images, foreground, silhouettes at the best shift, clouds before and after ICP."""
-    one, two = (view_station(recording[i], calibration, settings) for i in (first, second))
+    one, two = (station_view(recording[i], calibration, settings) for i in (first, second))
     views = (one.reference, two.reference)
     paths = [
         save(side_by_side([upright(view.color) for view in views]), out / "1-two-images.png"),
         save(
-            side_by_side([upright(blacked_out(view.color, view.foreground)) for view in views]),
+            side_by_side([upright(black_out(view.color, view.foreground)) for view in views]),
             out / "2-foreground.png",
         ),
     ]
-    found = register(one, two, second - first, settings)
+    found = register_pair(one, two, second - first, settings)
     if found.shift is None or found.offset is None:
         return paths
     overlay = shifted_silhouettes(*views, found.shift)
     paths.append(save(upright(overlay), out / "3-silhouettes-at-best-shift.png"))
-    here, there = (view.cloud().moved(np.eye(4)) for view in (one, two))
+    here, there = (view.packed_cloud().transformed(np.eye(4)) for view in (one, two))
     pictures = []
     for first_from_second in (pose(translation=found.offset), found.first_from_second):
         everything = np.concatenate([here.points, transform(first_from_second, there.points)])
@@ -160,7 +160,7 @@ def registration_pictures(
 
 def shifted_silhouettes(first: CameraView, second: CameraView, shift: Shift) -> Image:
     """Draw two silhouettes over each other after a shift: the first red, the second blue, both purple."""
-    a, b = overlap(first.depth, shift.pixels, shift.axis)
+    a, b = overlapping_parts(first.depth, shift.pixels, shift.axis)
     one, two = first.foreground[along(shift.axis, a)], second.foreground[along(shift.axis, b)]
     image = np.full((*one.shape, 3), 255, dtype=np.uint8)
     image[one & ~two] = (220, 50, 40)

@@ -19,15 +19,15 @@ from greenhouse_gym.reconstruction import (
     report_as_json,
     save_row,
 )
-from greenhouse_gym.reconstruction.row import merge_segment, remove_outliers
-from greenhouse_gym.reconstruction.surface import save_mesh, save_points
-from greenhouse_gym.reconstruction.walk import Walk
+from greenhouse_gym.reconstruction.row_cloud import merge_segment, remove_outliers
+from greenhouse_gym.reconstruction.row_files import save_mesh, save_points
+from greenhouse_gym.reconstruction.station_registration import RegisteredStations
 from greenhouse_gym.reporting.pictures import occupancy_picture, registration_pictures, row_pictures
 from greenhouse_gym.reporting.report_page import report_page, segment_name
 
 
 def write_results(
-    walk: Walk,
+    stations: RegisteredStations,
     recording: Recording,
     settings: ReconstructionSettings,
     mesh_as: Callable[[RowCloud], TriangleMesh],
@@ -37,7 +37,7 @@ def write_results(
     """Write the clouds of all segments, and mesh, pictures and report of the longest.
 
     Args:
-        walk: The registered stations of the recording.
+        stations: The registered stations of the recording.
         recording: The recording, read again for pictures of its stations.
         settings: Settings of the reconstruction.
         mesh_as: Makes the mesh of a cloud.
@@ -51,9 +51,9 @@ def write_results(
         FileWriteError: A file could not be written, for example because the disk is full.
     """
     shutil.rmtree(work, ignore_errors=True)
-    merged, outlier = merge_segment(walk, 0, settings)
+    merged, outlier = merge_segment(stations, 0, settings)
     rows = [remove_outliers(merged, outlier)]
-    rows += [remove_outliers(*merge_segment(walk, k, settings)) for k in range(1, len(walk.segments))]
+    rows += [remove_outliers(*merge_segment(stations, k, settings)) for k in range(1, len(stations.segments))]
     for k, row in enumerate(rows):
         save_row(row, work / f"{segment_name(k)}.npz")
         save_points(row, work / f"{segment_name(k)}.ply")
@@ -63,7 +63,7 @@ def write_results(
     write_atomically(work / "report.json", report_as_json(report))
     write_atomically(work / "settings.toml", as_toml(settings))
     pair = typical_pair(report.stations)
-    pictures = registration_pictures(recording, *pair, walk.calibration, settings, work) if pair else []
+    pictures = registration_pictures(recording, *pair, stations.calibration, settings, work) if pair else []
     pictures += row_pictures(merged, rows[0], mesh, work)
     picture, observed = occupancy_picture(rows[0], work)
     pictures.append(picture)

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from greenhouse_gym.capture.images import read_color
+from greenhouse_gym.capture.image_files import read_color
 from greenhouse_gym.common.extras import needs
 from greenhouse_gym.common.tables import Table
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, StationReport
-from greenhouse_gym.reconstruction.calibration import CalibrationReport
+from greenhouse_gym.reconstruction.report import CalibrationReport
 from greenhouse_gym.reporting.pages import render
 from greenhouse_gym.reporting.plots import BAD, GOOD, hover, limits_around, svg_plot, whole_numbers
 

@@ -17,8 +17,8 @@ from greenhouse_gym.accuracy import (
     place_by_windows,
     visible_surface,
 )
-from greenhouse_gym.capture import WalkSettings
-from greenhouse_gym.capture.simulated import walk
+from greenhouse_gym.capture import CaptureSettings
+from greenhouse_gym.capture.simulated import tripod_poses
 from greenhouse_gym.crops import PlantRow, grow_row
 from greenhouse_gym.geometry import Array, distance_to_shapes, invert, pose, rotation_about, transform
 
@@ -39,7 +39,7 @@ def truth() -> PlantRow:
 
 @cache
 def true_walk() -> Array:
-    return walk(STATIONS, 1, HALF, WalkSettings())
+    return tripod_poses(STATIONS, 1, HALF, CaptureSettings())
 
 
 @cache
@@ -84,7 +84,7 @@ def test_visible_surface_lies_on_the_true_shapes_within_the_cut() -> None:
     assert distance_to_surface(surface(), truth()).max() < 1e-4
     shapes = [*truth().tomatoes, *truth().stems, *truth().clutter]
     assert np.abs(distance_to_shapes(surface()[::500], shapes)).min(axis=1).max() < 5e-4
-    reach = 0.60 + WalkSettings().offset_error + np.sin(2 * WalkSettings().angle_error)
+    reach = 0.60 + CaptureSettings().offset_error + np.sin(2 * CaptureSettings().angle_error)
     assert surface()[:, 0].max() < reach
     assert surface()[:, 1].min() < 0 < 1.2 < surface()[:, 1].max()
 

@@ -29,10 +29,10 @@ from greenhouse_gym.accuracy import (
 )
 from greenhouse_gym.accuracy.cover import outer_samples
 from greenhouse_gym.accuracy.silhouettes import Outlines
-from greenhouse_gym.capture import Intrinsics, WalkSettings
+from greenhouse_gym.capture import CaptureSettings, Intrinsics
 from greenhouse_gym.capture.rig import Camera, Rig
 from greenhouse_gym.capture.sensor import StereoNoise
-from greenhouse_gym.capture.simulated import walk
+from greenhouse_gym.capture.simulated import tripod_poses
 from greenhouse_gym.crops import PlantRow, grow_row
 from greenhouse_gym.crops.parts import Stem, StemKind, Tomato
 from greenhouse_gym.geometry import (
@@ -403,7 +403,7 @@ def test_a_moved_shape_has_moved() -> None:
 
 @cache
 def grown() -> tuple[PlantRow, Array]:
-    return grow_row(seed=3, length=0.5), walk(3, 3, HALF, WalkSettings())
+    return grow_row(seed=3, length=0.5), tripod_poses(3, 3, HALF, CaptureSettings())
 
 
 def test_alignment_finds_a_rigid_motion() -> None:

@@ -138,7 +138,7 @@ def test_fruit_tells_which_end_is_up() -> None:
     over = np.diag([1.0, -1.0, -1.0])
     turned = [replace(tomato, center=over @ tomato.center) for tomato in fruit]
     assert fruit_hangs(scan.cloud, RowShapes(tuple(fruit))) > 3.0
-    assert fruit_hangs(scan.cloud.moved(pose(over)), RowShapes(tuple(turned))) < -3.0
+    assert fruit_hangs(scan.cloud.transformed(pose(over)), RowShapes(tuple(turned))) < -3.0
     assert fruit_hangs(scan.cloud, RowShapes(tuple(fruit[:5]))) == 0.0
 
 

@@ -15,9 +15,9 @@ from row_helpers import half_recording
 from scipy.spatial.transform import Rotation
 
 from greenhouse_gym.capture import Recording, RgbdFrame, open_recording
-from greenhouse_gym.capture.formats import moments
+from greenhouse_gym.capture.formats import bag_topics
 from greenhouse_gym.capture.formats.single_camera import RIG_FROM_CAMERA
-from greenhouse_gym.capture.rig_file import Mounting, mounted
+from greenhouse_gym.capture.rig_file import Mounting, with_mounting
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import pose
 
@@ -114,13 +114,13 @@ def test_poses_of_moving_transforms_are_those_of_the_camera(tmp_path: Path) -> N
             bag.transform("/tf", "odom", "base", place, stamp + 1000)
     recording = open_recording(tmp_path / "walk")
     mast = Mounting({"camera": hangs}, "camera")
-    for place, alone, on_mast in zip(places, recording, mounted(recording, mast), strict=True):
+    for place, alone, on_mast in zip(places, recording, with_mounting(recording, mast), strict=True):
         world_from_mast = pose(translation=[5.0, 0.0, 0.0]) @ place @ turned
         np.testing.assert_allclose(alone.world_from_station, world_from_mast @ hangs @ RIG_FROM_CAMERA.T, atol=1e-9)
         np.testing.assert_allclose(on_mast.world_from_station, world_from_mast, atol=1e-9)
 
 
-def test_transforms_in_a_ring_or_of_other_frames_tell_nothing(tmp_path: Path) -> None:
+def test_transforms_in_a_ring_or_of_other_frames_are_ignored(tmp_path: Path) -> None:
     with Writer(tmp_path / "walk", SQLITE) as bag:
         bag.camera("/camera", frames())
         bag.transform("/tf", "map", "gripper", np.eye(4), START)
@@ -129,7 +129,7 @@ def test_transforms_in_a_ring_or_of_other_frames_tell_nothing(tmp_path: Path) ->
     assert all(station.world_from_station is None for station in open_recording(tmp_path / "walk"))
 
 
-def test_several_cameras_are_matched_by_their_stamps_and_drops_are_told(tmp_path: Path) -> None:
+def test_several_cameras_are_matched_by_their_stamps_and_drops_are_reported(tmp_path: Path) -> None:
     with Writer(tmp_path / "walk.bag", ROS1) as bag:
         bag.camera("/left", frames())
         for k, (frame, stamp) in enumerate(zip(frames(), stamps(), strict=True)):
@@ -144,15 +144,13 @@ def test_several_cameras_are_matched_by_their_stamps_and_drops_are_told(tmp_path
     assert "1 of 3 moments lack an image (1 on /right/depth/image_raw)" in recording.notes[0]
 
 
-def test_clocks_that_run_apart_are_told(tmp_path: Path) -> None:
+def test_clocks_that_differ_are_reported(tmp_path: Path) -> None:
     as_usual(tmp_path / "walk.bag", ROS1, late=10**12)
-    with pytest.raises(FileFormatError, match="clocks run apart"):
+    with pytest.raises(FileFormatError, match="clocks differ"):
         open_recording(tmp_path / "walk.bag")
 
 
-def test_clocks_that_drift_are_told_by_when_the_bag_got_the_images(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_clocks_that_drift_are_detected_by_arrival_times(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each image of a video has a partner near in time, if only the wrong one."""
     with Writer(tmp_path / "walk.bag", ROS1) as bag:
         for camera, slower in (("left", 0), ("right", 60_000_000)):
@@ -163,11 +161,11 @@ def test_clocks_that_drift_are_told_by_when_the_bag_got_the_images(
                     bag.info(f"/{camera}/{stream}/camera_info", got)
                 bag.image(f"/{camera}/color/image_raw", frame.color, "rgb8", stamp, got)
                 bag.image(f"/{camera}/depth/image_raw", frame.depth, "32FC1", stamp, got)
-    monkeypatch.setattr(moments, "_ENDS", 1)
-    assert "0.00 s in the beginning and 0.12 s in the end" in open_recording(tmp_path / "walk.bag").notes[0]
+    monkeypatch.setattr(bag_topics, "_ENDS", 1)
+    assert "0.00 s at the beginning and 0.12 s at the end" in open_recording(tmp_path / "walk.bag").notes[0]
 
 
-def test_a_camera_that_stops_before_the_others_is_told(tmp_path: Path) -> None:
+def test_a_camera_that_stops_before_the_others_is_reported(tmp_path: Path) -> None:
     with Writer(tmp_path / "walk.bag", ROS1) as bag:
         bag.camera("/left", frames())
         bag.camera("/right", frames()[:1])
@@ -176,7 +174,7 @@ def test_a_camera_that_stops_before_the_others_is_told(tmp_path: Path) -> None:
     assert "/left/color/image_raw has 3 images, /right/color/image_raw only 1" in recording.notes[0]
 
 
-def test_what_is_missing_or_twice_there_is_told(tmp_path: Path) -> None:
+def test_missing_and_duplicate_topics_are_reported(tmp_path: Path) -> None:
     frame = frames()[0]
     with Writer(tmp_path / "blind.bag", ROS1) as bag:
         bag.image("/camera/color/image_raw", frame.color, "rgb8", START)
@@ -195,7 +193,7 @@ def test_what_is_missing_or_twice_there_is_told(tmp_path: Path) -> None:
         open_recording(tmp_path / "gray.bag")
 
 
-def test_unknown_encodings_and_damaged_bags_are_told(tmp_path: Path) -> None:
+def test_unknown_encodings_and_damaged_bags_are_reported(tmp_path: Path) -> None:
     with Writer(tmp_path / "odd.bag", ROS1) as bag:
         for kind in ("color", "depth"):
             bag.info(f"/camera/{kind}/camera_info", START)
@@ -208,12 +206,12 @@ def test_unknown_encodings_and_damaged_bags_are_told(tmp_path: Path) -> None:
     for name, content in (("empty.bag", b""), ("text.db3", b"no database"), ("cut.bag", whole[: len(whole) // 2])):
         (tmp_path / name).write_bytes(content)
         repair = "sqlite3 text.db3 .recover" if name == "text.db3" else f"rosbag reindex {name}"
-        with pytest.raises(FileFormatError, match=f"{name}: not a valid bag .*; if .* cut short, repair it: {repair}"):
+        with pytest.raises(FileFormatError, match=f"{name}: not a valid bag .*; .* repair it: {repair}"):
             open_recording(tmp_path / name)
 
 
 def test_depth_of_another_lens_is_aligned_by_the_static_transforms(tmp_path: Path) -> None:
-    """Depth of a wall, seen 15 mm beside the color camera."""
+    """Depth of a wall, seen from 15 mm next to the color camera."""
     wall = np.full((K.height, K.width), 0.5, np.float32)
     wall[:, K.width // 2 :] = 1.0
     with Writer(tmp_path / "walk", SQLITE) as bag:
@@ -254,7 +252,7 @@ def test_an_open_bag_is_read_by_threads_and_travels(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("container", [ROS1, MCAP, SQLITE])
-def test_a_bag_cut_short_is_told_or_read_in_part(tmp_path: Path, container: str) -> None:
+def test_a_truncated_bag_is_refused_or_read_in_part(tmp_path: Path, container: str) -> None:
     path = tmp_path / ("walk.bag" if container == ROS1 else "walk")
     as_usual(path, container)
     file = path if container == ROS1 else next(file for file in path.iterdir() if file.suffix in (".mcap", ".db3"))

@@ -1,4 +1,4 @@
-"""A rig found from boards that are drawn, seen through lenses, blurred and noisy."""
+"""Calibration of a rig from boards rendered through lenses, blurred and noisy."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from greenhouse_gym.capture import (
     write_recording,
 )
 from greenhouse_gym.capture.boards import Board, calibrate_from_boards, find_board
-from greenhouse_gym.capture.rig_file import Mounting, load_mounting, mounted, save_mounting
+from greenhouse_gym.capture.rig_file import Mounting, load_mounting, save_mounting, with_mounting
 from greenhouse_gym.cli import app
 from greenhouse_gym.errors import FileFormatError, InvalidValueError
 from greenhouse_gym.geometry import Array, invert, pose, rotation_about, rotation_angle
@@ -35,7 +35,7 @@ BIAS = {"first": 0.01, "middle": 0.0, "last": -0.006}
 
 def seen(camera_from_board: Array, seed: int, bias: float) -> RgbdFrame:
     """The board before gray, as a camera sees it, with noise and the depth error of the camera."""
-    drawn = BOARD.drawn().generateImage((BOARD.columns * PIXELS, BOARD.rows * PIXELS))
+    drawn = BOARD.to_opencv().generateImage((BOARD.columns * PIXELS, BOARD.rows * PIXELS))
     scale = BOARD.square / PIXELS
     from_pixel = np.array([[scale, 0, scale / 2], [0, scale, scale / 2], [0, 0, 0], [0, 0, 1.0]])
     plane = K.matrix @ camera_from_board[:3] @ from_pixel
@@ -95,9 +95,9 @@ def test_the_command_needs_the_place_of_one_camera_only(tmp_path: Path) -> None:
     rig = true_rig()
     nowhere = {name: replace(camera, rig_from_camera=np.eye(4)) for name, camera in rig.cameras.items()}
     board = ["--squares", "7x5", "--square", "0.035", "--marker", "0.026"]
-    walk = Recording("board", Rig(nowhere, "middle"), 4, lambda i: shown()[i])
+    recording = Recording("board", Rig(nowhere, "middle"), 4, lambda i: shown()[i])
     source, nominal, out = (
-        str(write_recording(walk, tmp_path / "board")),
+        str(write_recording(recording, tmp_path / "board")),
         tmp_path / "nominal.yaml",
         tmp_path / "rig.yaml",
     )
@@ -113,7 +113,7 @@ def test_the_command_needs_the_place_of_one_camera_only(tmp_path: Path) -> None:
     assert "has no pose of first, last" in str(CliRunner().invoke(app, [*known, "--no-board"]).exception)
 
 
-def test_boards_that_few_cameras_see_are_told() -> None:
+def test_boards_that_few_cameras_see_are_reported() -> None:
     beside = seen(pose(translation=[9, 0, 1]), 0, 0)
     blind = [Station({**station.frames, "last": beside}) for station in shown()[:3]]
     with pytest.raises(InvalidValueError, match=r"last \(0 times\)"):
@@ -146,7 +146,7 @@ def test_cameras_that_a_rig_file_does_not_name_are_left_out() -> None:
     from row_helpers import half_recording
 
     two = Mounting({"middle": np.eye(4), "last": pose(translation=[0, 0.2, 0])}, "middle")
-    recording = mounted(half_recording(), two)
+    recording = with_mounting(half_recording(), two)
     assert set(recording[0].frames) == set(recording.rig.cameras) == {"middle", "last"}
     with pytest.raises(InvalidValueError, match="has the camera other"):
-        mounted(half_recording(), Mounting({"other": np.eye(4)}, "other"))
+        with_mounting(half_recording(), Mounting({"other": np.eye(4)}, "other"))

@@ -16,7 +16,7 @@ from greenhouse_gym.capture.recordings import write_recording
 INTRINSICS = Intrinsics(4, 3, 2.0, 2.0, 1.5, 1.0)
 
 
-def walk(seed: int = 0, stations: int = 3) -> Recording:
+def made(seed: int = 0, stations: int = 3) -> Recording:
     rig = Rig({"c": Camera(INTRINSICS, np.eye(4))}, "c")
 
     def load(i: int) -> Station:
@@ -27,7 +27,7 @@ def walk(seed: int = 0, stations: int = 3) -> Recording:
 
 
 def greenhouse(folder: Path) -> Path:
-    write_recording(walk(), folder)
+    write_recording(made(), folder)
     return folder / "color" / "c" / "000001.png"
 
 
@@ -67,16 +67,16 @@ def test_other_images_make_another_recording(tmp_path: Path, make: Callable[[Pat
     assert gone != first
 
 
-def test_what_lies_on_no_disk_is_told_by_its_images() -> None:
-    assert fingerprint(walk()) == fingerprint(walk())
-    different = [fingerprint(w) for w in (walk(), walk(seed=1), walk(stations=2))]
+def test_a_recording_in_memory_is_identified_by_its_images() -> None:
+    assert fingerprint(made()) == fingerprint(made())
+    different = [fingerprint(w) for w in (made(), made(seed=1), made(stations=2))]
     moved = Rig({"c": Camera(INTRINSICS, np.diag([1.0, -1.0, -1.0, 1.0]))}, "c")
-    different.append(fingerprint(replace(walk(), rig=moved)))
+    different.append(fingerprint(replace(made(), rig=moved)))
     assert len(set(different)) == 4
 
 
 def test_a_reader_that_names_no_files_has_those_of_its_folder(tmp_path: Path) -> None:
-    write_recording(walk(), tmp_path)
+    write_recording(made(), tmp_path)
     recording = replace(open_recording(tmp_path), files=())
     before = fingerprint(recording)
     (tmp_path / "notes.txt").write_text("x")

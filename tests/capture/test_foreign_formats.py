@@ -1,4 +1,4 @@
-"""Layouts of others, written by OpenCV and numpy from a simulated walk, read back equal."""
+"""Layouts of others, written by OpenCV and numpy from a simulated recording, read back equal."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from layouts import LAYOUTS, Walk, save, walk_of
+from layouts import LAYOUTS, CameraTrack, save, track_of
 from row_helpers import HALF, half_recording
 from scipy.spatial.transform import Rotation
 
 from greenhouse_gym.capture import Intrinsics, Recording, open_recording
-from greenhouse_gym.capture.formats.pairs import Lens, Pair, aligned, read_units
-from greenhouse_gym.capture.formats.videos import nearest_in_time
+from greenhouse_gym.capture.formats.pairs import Lens, Pair, aligned
+from greenhouse_gym.capture.formats.trajectories import nearest_in_time
+from greenhouse_gym.capture.image_files import read_any_depth
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import Array, pose
 
@@ -25,25 +26,25 @@ K = CAMERA.intrinsics
 STATIONS = 3
 
 
-def walk() -> Walk:
-    whole = walk_of(half_recording(), "middle")
-    return Walk(whole.frames[:STATIONS], whole.world_from_camera[:STATIONS])
+def track() -> CameraTrack:
+    whole = track_of(half_recording(), "middle")
+    return CameraTrack(whole.frames[:STATIONS], whole.world_from_camera[:STATIONS])
 
 
 def written(name: str, folder: Path) -> Recording:
     if name.startswith("exr"):
         pytest.importorskip("OpenEXR")
     folder.mkdir(parents=True, exist_ok=True)
-    LAYOUTS[name][1](folder, walk())
+    LAYOUTS[name][1](folder, track())
     return open_recording(folder)
 
 
 @pytest.mark.parametrize("name", LAYOUTS)
-def test_a_walk_in_a_layout_of_others_is_read_back(tmp_path: Path, name: str) -> None:
+def test_a_recording_in_a_layout_of_others_is_read_back(tmp_path: Path, name: str) -> None:
     recording = written(name, tmp_path / "walk")
     assert len(recording) == STATIONS
     assert open_recording(tmp_path / "walk", format=LAYOUTS[name][0]).size == STATIONS
-    for station, frame, place in zip(recording, *walk(), strict=True):
+    for station, frame, place in zip(recording, *track(), strict=True):
         found = station.frames["camera"]
         np.testing.assert_array_equal(found.color, frame.color)
         np.testing.assert_allclose(found.depth, frame.depth, atol=1e-6)
@@ -54,7 +55,7 @@ def test_a_walk_in_a_layout_of_others_is_read_back(tmp_path: Path, name: str) ->
         np.testing.assert_allclose(camera, place, atol=1e-6)
 
 
-def test_images_without_a_partner_in_time_are_left_out_and_told(tmp_path: Path) -> None:
+def test_images_without_a_partner_in_time_are_left_out_and_reported(tmp_path: Path) -> None:
     written("tum", tmp_path)
     lines = (tmp_path / "depth.txt").read_text().splitlines()
     (tmp_path / "depth.txt").write_text("\n".join([lines[0], lines[1], lines[3]]))
@@ -98,12 +99,12 @@ def test_an_exr_of_several_channels_and_a_cut_one(tmp_path: Path) -> None:
     for name, channels in (("zb.exr", {"depth.Z": depth, "B": depth + 1}), ("bg.exr", {"B": depth, "G": depth})):
         with exr.File({"type": exr.scanlineimage}, channels) as file:
             file.write(str(tmp_path / name))
-    np.testing.assert_array_equal(read_units(tmp_path / "zb.exr"), depth)
+    np.testing.assert_array_equal(read_any_depth(tmp_path / "zb.exr"), depth)
     with pytest.raises(FileFormatError, match="which of its channels B, G is depth"):
-        read_units(tmp_path / "bg.exr")
+        read_any_depth(tmp_path / "bg.exr")
     (tmp_path / "cut.exr").write_bytes((tmp_path / "zb.exr").read_bytes()[:2000])
     with pytest.raises(FileFormatError, match=r"cut\.exr"):
-        read_units(tmp_path / "cut.exr")
+        read_any_depth(tmp_path / "cut.exr")
 
 
 def test_a_scene_of_bop_with_two_cameras_is_refused(tmp_path: Path) -> None:
@@ -119,10 +120,10 @@ def test_a_scene_of_bop_with_two_cameras_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["x.exr", "x.npy", "x.png", "x.tiff"])
 def test_what_is_no_depth_image_is_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(FileFormatError, match=name):
-        read_units(tmp_path / name)
+        read_any_depth(tmp_path / name)
     save(tmp_path / "8.png", np.zeros((4, 4), np.uint8))
     with pytest.raises(FileFormatError, match="one channel of depth"):
-        read_units(tmp_path / "8.png")
+        read_any_depth(tmp_path / "8.png")
 
 
 # -- two lenses -------------------------------------------------------------------------------------------------------

@@ -30,7 +30,7 @@ def mine(**changes: Any) -> SimpleNamespace:
     def open_it(path: Path) -> Recording:
         return single_camera(path, INTRINSICS, sorted(path.glob("rgb/*")), sorted(path.glob("depth/*")))
 
-    parts = {"name": "mine", "description": "mine.txt", "recognises": lambda path: (path / "mine.txt").exists()}
+    parts = {"name": "mine", "description": "mine.txt", "recognizes": lambda path: (path / "mine.txt").exists()}
     return SimpleNamespace(**parts | {"open": open_it} | changes)
 
 
@@ -87,9 +87,9 @@ def test_a_package_can_bring_a_format(folder: Path, installed: Any) -> None:
     assert len(open_recording(folder)) == len(open_recording(folder, format="mine")) == 2
 
 
-def test_two_formats_that_recognize_one_folder_are_told(folder: Path, installed: Any) -> None:
+def test_two_formats_that_recognize_one_folder_are_reported(folder: Path, installed: Any) -> None:
     installed(mine=mine(), yours=mine(name="yours"))
-    with pytest.raises(FileFormatError, match="several formats recognize it: mine, yours; name the one"):
+    with pytest.raises(FileFormatError, match="several formats recognize it: mine, yours; choose one"):
         open_recording(folder)
     assert len(open_recording(folder, format="yours")) == 2
 
@@ -97,7 +97,7 @@ def test_two_formats_that_recognize_one_folder_are_told(folder: Path, installed:
 def test_unknown_formats_list_the_choices(folder: Path) -> None:
     with pytest.raises(UnknownNameError, match=r"recording format 'open-3d'.*greenhouse, calibrated, open3d"):
         open_recording(folder, format="open-3d")
-    with pytest.raises(InvalidValueError, match="no recording format: it lacks description, recognises, open"):
+    with pytest.raises(InvalidValueError, match="no recording format: it lacks description, recognizes, open"):
         open_recording(folder, format=SimpleNamespace(name="x"))  # type: ignore[arg-type]
 
 
@@ -112,7 +112,7 @@ def fail(*_: object) -> Any:
     raise RuntimeError("the cable is loose")
 
 
-@pytest.mark.parametrize("part", ["recognises", "open"])
+@pytest.mark.parametrize("part", ["recognizes", "open"])
 def test_a_reader_that_raises_is_named(folder: Path, installed: Any, part: str) -> None:
     installed(mine=mine(**{part: fail}))
     with pytest.raises(FileFormatError, match=r"recording: .*format 'mine': the cable is loose"):
@@ -125,7 +125,7 @@ def test_a_reader_that_finds_nothing_is_named(folder: Path, result: object) -> N
         open_recording(folder, format=mine(open=lambda path: result))
 
 
-def test_a_reader_that_raises_half_way_tells_where(folder: Path) -> None:
+def test_a_reader_that_raises_half_way_is_located(folder: Path) -> None:
     whole = open_recording(folder, format=mine())
 
     def open_it(path: Path) -> Recording:
@@ -138,7 +138,7 @@ def test_a_reader_that_raises_half_way_tells_where(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("station", [None, SimpleNamespace(frames={}), SimpleNamespace(frames={"camera": 1})])
-def test_a_reader_that_gives_no_stations_is_told(folder: Path, station: object) -> None:
+def test_a_reader_that_gives_no_stations_is_reported(folder: Path, station: object) -> None:
     whole = open_recording(folder, format=mine())
 
     def open_it(path: Path) -> Recording:

@@ -13,12 +13,12 @@ from typer.testing import CliRunner
 from walls import STEP, frame, video
 
 from greenhouse_gym.capture import RgbdFrame, Station, open_recording, write_recording
-from greenhouse_gym.capture.formats.stations import choose_stations, motion
 from greenhouse_gym.capture.inspection import inspect_recording
+from greenhouse_gym.capture.station_selection import choose_stations, motion
 from greenhouse_gym.cli import app
 
 
-def test_a_motion_is_told_by_what_the_images_show() -> None:
+def test_a_motion_is_measured_on_images() -> None:
     assert motion(frame(0), frame(2)) == pytest.approx(0.04, abs=0.002)
     assert motion(frame(0), frame(0)) == pytest.approx(0.0, abs=1e-4)
     assert motion(frame(0, gray=0.0), frame(1)) is None
@@ -33,7 +33,7 @@ def test_stations_are_ten_centimetres_apart_and_sharp() -> None:
     assert all(i % 5 or i == 0 for i in found.frames)
 
 
-def test_few_frames_of_a_slow_walk_are_looked_at() -> None:
+def test_few_frames_of_a_slow_video_are_read() -> None:
     seen: list[int] = []
 
     def load(i: int) -> Station:
@@ -69,14 +69,14 @@ def test_a_good_recording_is_called_good() -> None:
 FAULTS = {
     "too dark": video(6, gray=0.15),
     "overexposed": video(6, gray=30.0),
-    "next to nothing": video(6, distance=2.5),
+    "almost nothing": video(6, distance=2.5),
     "hardly moves": video(6, still=True),
     "share": replace(video(), size=4, load=lambda i: Station({"camera": frame(15 * i + 1)})),
 }
 
 
 @pytest.mark.parametrize("what", FAULTS)
-def test_what_is_wrong_is_said(what: str) -> None:
+def test_faults_are_reported(what: str) -> None:
     found = inspect_recording(FAULTS[what])
     assert not found.good_for_registration
     assert what in found.verdict[0]
@@ -119,9 +119,9 @@ MISTAKES = {
 @pytest.mark.xdist_group("row")
 @pytest.mark.parametrize("said", ["", *MISTAKES])
 def test_swapped_cameras_and_images_upside_down_are_noticed(said: str) -> None:
-    walk = half_recording()
+    recording = half_recording()
     mistake = MISTAKES.get(said, lambda station: station)
-    verdict = inspect_recording(from_stations([mistake(walk[i]) for i in range(2)], walk)).verdict[0]
+    verdict = inspect_recording(from_stations([mistake(recording[i]) for i in range(2)], recording)).verdict[0]
     assert f"the rig does not fit the images: {said}; turn" in verdict if said else "does not fit" not in verdict
 
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from greenhouse_gym.capture import StereoDoubt, StereoNoise, sense_depth
+from greenhouse_gym.capture import StereoDropout, StereoNoise, sense_depth
 from greenhouse_gym.capture.light import Light, Skin, draw_light, shade
 from greenhouse_gym.capture.raycast import RowRaycaster
 from greenhouse_gym.capture.rig import Intrinsics
-from greenhouse_gym.capture.sensor import doubtful, mix_edges
+from greenhouse_gym.capture.sensor import dropout_probability, mix_edges
 from greenhouse_gym.crops import Organ, PlantRow
 from greenhouse_gym.crops.organs import tube_organ
 from greenhouse_gym.crops.parts import Stem
@@ -90,7 +90,7 @@ def test_a_leaf_throws_its_shadow_and_triangles_know_their_shape() -> None:
 def test_thin_things_lose_depth_and_thick_ones_do_not() -> None:
     depth = np.full((100, 200), 1.5)
     depth[:, 50:53] = depth[:, 120:160] = 0.5
-    lost = doubtful(depth, np.full((100, 200, 3), 100, dtype=np.uint8), np.zeros(depth.shape), 424.2)
+    lost = dropout_probability(depth, np.full((100, 200, 3), 100, dtype=np.uint8), np.zeros(depth.shape), 424.2)
     assert (lost[:, 50:53] > 0).all()
     assert not lost[:, 53:].any()
     assert not lost[:, :50].any()
@@ -99,7 +99,7 @@ def test_thin_things_lose_depth_and_thick_ones_do_not() -> None:
 def test_glare_and_bad_exposure_lose_depth() -> None:
     color, glare = np.full((4, 4, 3), 100, dtype=np.uint8), np.zeros((4, 4))
     color[0], color[1], glare[2] = 255, 0, 0.5
-    lost = doubtful(np.full((4, 4), 0.5), color, glare, 424.2)
+    lost = dropout_probability(np.full((4, 4), 0.5), color, glare, 424.2)
     assert (lost[:3] > 0.4).all()
     assert not lost[3].any()
 
@@ -117,14 +117,14 @@ def test_mixed_pixels_lie_between_near_and_far() -> None:
 def test_without_doubt_the_sensor_is_the_old_one() -> None:
     depth = np.random.default_rng(3).uniform(0.4, 0.8, (60, 80))
     old, new = (
-        sense_depth(depth, 424.2, np.random.default_rng(5), StereoNoise(), lost=lost)
+        sense_depth(depth, 424.2, np.random.default_rng(5), StereoNoise(), dropout=lost)
         for lost in (0.0, np.zeros((60, 80)))
     )
     assert np.array_equal(old, new)
-    assert StereoDoubt().thin_dropout > 0
+    assert StereoDropout().thin_dropout > 0
 
 
 @pytest.mark.parametrize(("level", "message"), [(0.0, "underexposed"), (1.0, "overexposed"), (0.5, "")])
-def test_exposures_that_fail_are_said(level: float, message: str) -> None:
+def test_exposures_that_fail_are_reported(level: float, message: str) -> None:
     assert exposure_failure(np.full((100, 3), level)).endswith(message)
     assert bool(exposure_failure(np.full((100, 3), level))) == bool(message)

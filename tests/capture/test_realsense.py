@@ -1,4 +1,4 @@
-"""What RealSense's own recorder writes, of a software device, is read back equal."""
+"""Recordings of a software device by RealSense's own recorder are read back equal."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ for sensor in sensors:
 
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What the SDK's recorder wrote of a software device."""
+    """Recording of a software device by the SDK's recorder."""
     ctypes.CDLL(str(libusb.get_library_path()), mode=ctypes.RTLD_GLOBAL)
     pytest.importorskip("pyrealsense2")
     file = tmp_path_factory.mktemp("realsense") / "rs.db3"
@@ -81,7 +81,7 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def number_of(frame: RgbdFrame) -> int:
-    """Which frame of the software device this is, bit for bit."""
+    """Return the number of the software device's frame that equals this one."""
     made = []
     for n in range(FRAMES):
         random = np.random.default_rng(n)
@@ -114,7 +114,7 @@ def test_the_command_records_what_is_played_back(file: Path, tmp_path: Path) -> 
     number_of(recording[0].frames["camera"])
 
 
-def test_no_camera_and_no_file_are_told(tmp_path: Path) -> None:
+def test_no_camera_and_no_file_are_reported(tmp_path: Path) -> None:
     pytest.importorskip("pyrealsense2")
     with pytest.raises(CameraError, match="no RealSense camera is connected"), realsense_cameras():
         pass

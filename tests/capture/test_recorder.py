@@ -1,4 +1,4 @@
-"""Recording on the spot: what is taken, what is said, and what is left when it is cut short."""
+"""The recorder: stations taken, faults reported, and what remains of an interrupted recording."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from walls import STEP, frame, video
 
 from greenhouse_gym.capture import RgbdFrame, Station, open_recording
 from greenhouse_gym.capture.realsense import synchronized
-from greenhouse_gym.capture.recorder import PREVIEW, Taken, record
+from greenhouse_gym.capture.recorder import PREVIEW, RecordedStation, record
 from greenhouse_gym.cli.live_recording import Keys
 from greenhouse_gym.errors import CameraError, FileFormatError
 
@@ -29,7 +29,7 @@ def moments(count: int = 30, blurred: int = 0, fail: BaseException | None = None
 
 
 def test_stations_are_taken_by_themselves_every_ten_centimetres(tmp_path: Path) -> None:
-    taken: list[Taken] = []
+    taken: list[RecordedStation] = []
     count = record(moments(), RIG, tmp_path / "row", 0.10, on_station=taken.append)
     assert count == len(open_recording(tmp_path / "row")) == len(taken)
     assert count in (5, 6)
@@ -51,7 +51,7 @@ def test_a_blurred_moment_is_passed_over(tmp_path: Path) -> None:
 
 def test_stations_are_taken_when_asked_for(tmp_path: Path) -> None:
     answers = iter([False, True, False, True, False])
-    assert record(moments(5), RIG, tmp_path / "row", 0.0, asked=lambda: next(answers)) == 2
+    assert record(moments(5), RIG, tmp_path / "row", 0.0, requested=lambda: next(answers)) == 2
     found = open_recording(tmp_path / "row")
     for station, i in zip(found, (1, 3), strict=True):
         np.testing.assert_array_equal(station.frames["camera"].color, frame(i).color)
@@ -85,15 +85,15 @@ def test_a_disk_that_fails_in_the_middle_of_a_station_leaves_those_before(
     assert open_recording(tmp_path / "row")[0].frames["camera"].depth.any()
 
 
-def test_faults_are_said_at_once(tmp_path: Path) -> None:
-    taken: list[Taken] = []
+def test_faults_are_reported_at_once(tmp_path: Path) -> None:
+    taken: list[RecordedStation] = []
     dark = (Station({"camera": frame(0, gray=0.1)}) for _ in range(2))
     record(dark, RIG, tmp_path / "dark", on_station=taken.append)
     assert any("too dark" in fault for fault in taken[0].faults)
     taken.clear()
     far = (Station({"camera": frame(0, distance=2.5)}) for _ in range(2))
     record(far, RIG, tmp_path / "far", on_station=taken.append)
-    assert any("next to nothing" in fault for fault in taken[0].faults)
+    assert any("almost nothing" in fault for fault in taken[0].faults)
 
 
 # -- several cameras --------------------------------------------------------------------------------------------------
@@ -111,11 +111,11 @@ def test_images_without_a_partner_are_passed_over() -> None:
     np.testing.assert_array_equal(found[1]["right"].color, frame(1).color)
 
 
-def test_clocks_that_run_apart_are_told() -> None:
+def test_clocks_that_differ_are_reported() -> None:
     left, right = (0.01 * i for i in range(2000)), (100.0 + 0.01 * i for i in range(2000))
     one = frame(0)
     streams = {name: ((time, one) for time in times) for name, times in (("left", left), ("right", right))}
-    with pytest.raises(CameraError, match=r"'left' are 9.* s behind: its clock runs apart"):
+    with pytest.raises(CameraError, match=r"'left' are 9.* s behind: its clock differs"):
         next(synchronized(streams))
 
 

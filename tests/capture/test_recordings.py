@@ -163,10 +163,10 @@ def test_writing_onto_a_recording_is_refused_and_keeps_the_old(folder: Path) -> 
     assert {path: path.read_bytes() for path in folder.rglob("*.*")} == before
 
 
-def test_progress_is_told(tmp_path: Path) -> None:
-    told: list[int] = []
-    write_recording(tiny_recording(), tmp_path / "r", told.append)
-    assert told == [0, 1, 2]
+def test_progress_is_reported(tmp_path: Path) -> None:
+    reported: list[int] = []
+    write_recording(tiny_recording(), tmp_path / "r", reported.append)
+    assert reported == [0, 1, 2]
 
 
 # -- damaged images ---------------------------------------------------------------------------------------------------
@@ -221,7 +221,7 @@ def test_a_missing_image_is_named(folder: Path, file: Path) -> None:
         open_recording(folder)[0]
 
 
-def test_depth_of_another_size_than_color_tells_both(folder: Path) -> None:
+def test_depth_of_another_size_than_color_names_both(folder: Path) -> None:
     (folder / DEPTH).write_bytes(png(np.full((10, 20), 100, np.uint16)))
     with pytest.raises(FileFormatError, match=rf"{DEPTH}: depth image is 20x10.*{COLOR} is {WIDTH}x{HEIGHT}"):
         open_recording(folder)[0]
@@ -323,7 +323,7 @@ def test_a_station_without_images_for_a_camera(folder: Path) -> None:
 def test_what_is_no_recording_at_all(tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match="not a recording"):
         open_recording(tmp_path)
-    with pytest.raises(FileFormatError, match="missing: there is no such folder or file"):
+    with pytest.raises(FileFormatError, match="missing: no such folder or file"):
         open_recording(tmp_path / "missing")
     file = tmp_path / "file"
     file.touch()
@@ -426,7 +426,7 @@ def test_images_without_a_number_have_no_place_in_a_calibrated_folder(calibrated
 def test_a_calibrated_folder_without_calibration_or_images(calibrated: Path) -> None:
     for image in (calibrated / "rgb").iterdir():
         image.unlink()
-    with pytest.raises(FileFormatError, match="no color images"):
+    with pytest.raises(FileFormatError, match="no pairs of color and depth images"):
         open_recording(calibrated)
     (calibrated / "camera_x.yaml").unlink()
     with pytest.raises(FileFormatError, match="camera_"):

@@ -1,4 +1,4 @@
-"""A simulated walk in the formats of others comes through `import` as it went in."""
+"""A simulated recording in the formats of others passes `import` unchanged."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from layouts import LAYOUTS, as_described_rig, walk_of
+from layouts import LAYOUTS, as_described_rig, track_of
 from row_helpers import HALF, from_stations, half_recording
 from typer.testing import CliRunner
 
@@ -59,6 +59,6 @@ def test_three_cameras_come_through(tmp_path: Path, name: str) -> None:
 
 @pytest.mark.parametrize("name", ["tum", "npy of metres"])
 def test_one_camera_comes_through(tmp_path: Path, name: str) -> None:
-    LAYOUTS[name][1](tmp_path / "walk", walk_of(two_stations(), "middle"))
+    LAYOUTS[name][1](tmp_path / "walk", track_of(two_stations(), "middle"))
     mounting = Mounting({"camera": HALF.cameras["middle"].rig_from_camera}, "camera")
     assert_same(imported(tmp_path, tmp_path / "walk", mounting), two_stations(), {"camera": "middle"})

@@ -10,7 +10,7 @@ from greenhouse_gym.capture.sensor import draw_biases
 
 FX = 424.2
 FULL = StereoNoise()
-SILENT = StereoNoise(disparity_noise=0.0, disparity_step=0.0, bias=0.0, dropout=0.0, edge_dropout=0.0, fatten=0)
+SILENT = StereoNoise(disparity_noise=0.0, disparity_step=0.0, bias=0.0, dropout=0.0, edge_dropout=0.0, edge_fattening=0)
 
 
 def wall(depth: float, shape: tuple[int, int] = (240, 320)) -> np.ndarray:
@@ -95,14 +95,14 @@ def test_the_left_border_is_outside_the_right_image() -> None:
 
 
 def test_near_things_grow_over_far_ones() -> None:
-    for fatten in (0, 1, 3):
-        noise = StereoNoise(**{**vars(SILENT), "fatten": fatten})
+    for edge_fattening in (0, 1, 3):
+        noise = StereoNoise(**{**vars(SILENT), "edge_fattening": edge_fattening})
         measured = sense(step_image(), noise)
         near = np.flatnonzero((measured[120] > 0) & (measured[120] < 0.6))
-        assert (near.min(), near.max()) == (120 - fatten, 199 + fatten)
+        assert (near.min(), near.max()) == (120 - edge_fattening, 199 + edge_fattening)
 
 
-def test_pixels_are_missing_mostly_beside_edges() -> None:
+def test_pixels_are_missing_mostly_at_edges() -> None:
     noise = StereoNoise(**{**vars(SILENT), "dropout": 0.02, "edge_dropout": 0.35})
     missing = sense(step_image(), noise) == 0
     assert missing[:, 198:202][85:155].mean() == pytest.approx(0.35, abs=0.06)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from row_helpers import HALF, grown
 
-from greenhouse_gym.capture import SEED_RIG, Recording, Station, WalkSettings, simulate_recording
-from greenhouse_gym.capture.simulated import walk
+from greenhouse_gym.capture import SEED_RIG, CaptureSettings, Recording, Station, simulate_recording
+from greenhouse_gym.capture.simulated import tripod_poses
 from greenhouse_gym.errors import GreenhouseError, InvalidValueError
 from greenhouse_gym.geometry import rotation_angle
 
@@ -30,7 +30,7 @@ def test_same_seed_same_frames_in_any_order(recording: Recording) -> None:
     assert_same(again[4], last)
 
 
-def test_other_seeds_give_other_walks_and_noise(recording: Recording) -> None:
+def test_other_seeds_give_other_motions_and_noise(recording: Recording) -> None:
     other = simulate_recording(grown(), seed=6, rig=HALF)
     a, b = recording[0], other[0]
     assert (a.world_from_station != b.world_from_station).any()  # type: ignore[union-attr]
@@ -46,9 +46,9 @@ def test_frames_look_like_photographs(recording: Recording) -> None:
         assert frame.depth.max() <= 3.02
 
 
-def test_a_walk_stays_within_its_errors() -> None:
-    settings = WalkSettings()
-    poses = walk(400, 0, SEED_RIG, settings)
+def test_the_tripod_stays_within_its_errors() -> None:
+    settings = CaptureSettings()
+    poses = tripod_poses(400, 0, SEED_RIG, settings)
     head = SEED_RIG.cameras["middle"].rig_from_camera[:3, 3]
     heads = poses[:, :3, :3] @ head + poses[:, :3, 3] - head
     assert heads[0, 1] == pytest.approx(0.0)
@@ -62,12 +62,12 @@ def test_a_walk_stays_within_its_errors() -> None:
 
 def test_number_of_stations() -> None:
     assert len(simulate_recording(grown(), seed=0, rig=HALF, stations=3)) == 3
-    assert len(simulate_recording(grown(), seed=0, rig=HALF, settings=WalkSettings(step=0.05))) == 10
+    assert len(simulate_recording(grown(), seed=0, rig=HALF, settings=CaptureSettings(step=0.05))) == 10
 
 
 def test_without_errors_the_tripod_goes_straight() -> None:
-    still = WalkSettings(step_error=0.0, offset_error=0.0, angle_error=0.0)
-    poses = walk(4, 0, SEED_RIG, still)
+    still = CaptureSettings(step_error=0.0, offset_error=0.0, angle_error=0.0)
+    poses = tripod_poses(4, 0, SEED_RIG, still)
     np.testing.assert_allclose(poses[:, :3, :3], np.broadcast_to(np.eye(3), (4, 3, 3)), atol=1e-15)
     np.testing.assert_allclose(poses[:, :3, 3], [[0, 0.1 * k, 0] for k in range(4)], atol=1e-15)
 

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 from row_helpers import HALF
 
-from greenhouse_gym.capture import Recording, Station, open_recording, simulate_recording, write_recording
+from greenhouse_gym.capture import Recording, Station, join_passes, open_recording, simulate_recording, write_recording
 from greenhouse_gym.capture.fingerprint import fingerprint
-from greenhouse_gym.capture.passes import join_passes
 from greenhouse_gym.crops import grow_row
 
 

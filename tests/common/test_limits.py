@@ -8,14 +8,14 @@ import pytest
 from greenhouse_gym.build.scenes import BuildSettings
 from greenhouse_gym.errors import InvalidValueError, UnknownNameError
 from greenhouse_gym.reconstruction import ReconstructionSettings
-from greenhouse_gym.reconstruction.seen import CarvingSettings
+from greenhouse_gym.reconstruction.occupancy_carving import CarvingSettings
 from greenhouse_gym.shapes import FINE_SHAPES, ShapeSettings
 
 NAN, INFINITE = float("nan"), float("inf")
 CLASSES = (BuildSettings, CarvingSettings, ReconstructionSettings, ShapeSettings)
 LENGTHS = (
     *((ShapeSettings, name) for name in ("voxel", "fine_voxel", "vote_cell", "clutter_cell", "string_radius")),
-    *((ReconstructionSettings, name) for name in ("voxel", "foreground", "coarse_distance", "outlier_radius")),
+    *((ReconstructionSettings, name) for name in ("voxel", "foreground", "fine_distance", "max_rmse")),
     *((BuildSettings, name) for name in ("spacing", "width", "reach", "leaf_tolerance")),
     (CarvingSettings, "voxel"),
 )
@@ -23,17 +23,18 @@ LENGTHS = (
 
 @pytest.mark.parametrize("kind", CLASSES)
 def test_every_number_of_every_class_is_looked_at(kind: Any) -> None:
-    numbers = [field for field in fields(kind) if str(field.type).partition(" ")[0] in ("float", "int")]
+    kinds = ("float", "int", "Positive", "Fraction", "Count", "PositiveCount")
+    numbers = [field for field in fields(kind) if str(field.type).partition(" ")[0] in kinds]
     assert numbers
     for field in numbers:
         for value in (NAN, INFINITE, -1, "7", [1]):
-            with pytest.raises(InvalidValueError, match=f"^{field.name} must be a (whole )?number .*, got "):
+            with pytest.raises(InvalidValueError, match=f"^{field.name}: Input should be .*, got "):
                 kind(**{field.name: value})
 
 
 @pytest.mark.parametrize(("kind", "name"), LENGTHS)
 def test_lengths_without_a_size_are_refused(kind: Any, name: str) -> None:
-    with pytest.raises(InvalidValueError, match=f"^{name} must be a number above 0, got 0.0"):
+    with pytest.raises(InvalidValueError, match=f"^{name}: Input should be greater than 0, got 0.0"):
         kind(**{name: 0.0})
 
 
@@ -43,7 +44,7 @@ def test_lengths_without_a_size_are_refused(kind: Any, name: str) -> None:
     [(0.012, 0.004), (0.01, 0.01), (0.0, 0.01), (-0.01, 0.01), (0.01, NAN), (0.01, INFINITE), (0.01,), 0.01],
 )
 def test_ranges_that_do_not_go_up_are_refused(name: str, ends: Any) -> None:
-    with pytest.raises(InvalidValueError, match=f"^{name} must be two numbers above 0, the smaller one first, got "):
+    with pytest.raises(InvalidValueError, match=f"^{name}: .*, got "):
         ShapeSettings(**{name: ends})
 
 
@@ -52,24 +53,39 @@ def test_none_is_for_fields_that_can_do_without() -> None:
     assert BuildSettings(max_targets=None).max_targets is None
     others: list[tuple[Any, str]] = [(ShapeSettings, "radii"), (ShapeSettings, "voxel"), (BuildSettings, "max_shapes")]
     for kind, name in others:
-        with pytest.raises(InvalidValueError, match=f"^{name} must be .*, got None"):
+        with pytest.raises(InvalidValueError, match=f"^{name}: Input should be .*, got None"):
             kind(**{name: None})
 
 
 @pytest.mark.parametrize(
     ("kind", "values", "message"),
     [
-        (ReconstructionSettings, {"samples": 0}, "samples must be a whole number from 1 on, got 0"),
-        (ReconstructionSettings, {"samples": 1.5}, "samples must be a whole number from 1 on, got 1.5"),
-        (ReconstructionSettings, {"samples": True}, "samples must be a whole number from 1 on, got True"),
-        (ReconstructionSettings, {"min_overlap": 1.2}, "min_overlap must be a number from 0 up to 1, got 1.2"),
-        (ReconstructionSettings, {"normal_window": 4}, "normal_window must be odd, so that it has a middle, got 4"),
-        (ReconstructionSettings, {"links": (1,)}, "links must be whole numbers of steps from 2 on, got (1,)"),
-        (ReconstructionSettings, {"step_range": (0.2, 0.1)}, "step_range must be two numbers from 0 on, the smaller"),
-        (ReconstructionSettings, {"calibrate_edges": 1}, "calibrate_edges must be true or false, got 1"),
-        (CarvingSettings, {"aisle": "no"}, "aisle must be true or false, got 'no'"),
-        (BuildSettings, {"max_targets": 0}, "max_targets must be a whole number from 1 on, got 0"),
-        (ShapeSettings, {"min_confidence": 40}, "min_confidence must be a number from 0 up to 1, got 40"),
+        (
+            ReconstructionSettings,
+            {"calibration_stations": -1},
+            "calibration_stations: Input should be greater than or equal to 0, got -1",
+        ),
+        (
+            ReconstructionSettings,
+            {"calibration_stations": 1.5},
+            "calibration_stations: Input should be a valid integer, got 1.5",
+        ),
+        (
+            ReconstructionSettings,
+            {"calibration_stations": True},
+            "calibration_stations: Input should be a valid integer, got True",
+        ),
+        (ReconstructionSettings, {"min_overlap": 1.2}, "min_overlap: Input should be less than or equal to 1, got 1.2"),
+        (ReconstructionSettings, {"links": (1,)}, "links: Input should be greater than or equal to 2, got (1,)"),
+        (
+            ReconstructionSettings,
+            {"step_range": (0.2, 0.1)},
+            "step_range: Input should be two ascending numbers, got (0.2, 0.1)",
+        ),
+        (ReconstructionSettings, {"calibrate_edges": 1}, "calibrate_edges: Input should be a valid boolean, got 1"),
+        (CarvingSettings, {"aisle": "no"}, "aisle: Input should be a valid boolean, got 'no'"),
+        (BuildSettings, {"max_targets": 0}, "max_targets: Input should be greater than 0, got 0"),
+        (ShapeSettings, {"min_confidence": 40}, "min_confidence: Input should be less than or equal to 1, got 40"),
     ],
 )
 def test_other_values_that_make_no_sense(kind: Any, values: dict[str, Any], message: str) -> None:
@@ -78,8 +94,8 @@ def test_other_values_that_make_no_sense(kind: Any, values: dict[str, Any], mess
     assert str(refused.value).startswith(message)
 
 
-def test_unknown_ways_to_pose_stations_are_named() -> None:
-    with pytest.raises(UnknownNameError, match=r"unknown way to pose stations 'guess'.*estimate, given, refine"):
+def test_unknown_sources_of_station_poses_are_named() -> None:
+    with pytest.raises(UnknownNameError, match=r"unknown source of station poses 'guess'.*estimate, given, refine"):
         ReconstructionSettings(poses="guess")  # type: ignore[arg-type]
 
 

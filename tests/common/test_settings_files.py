@@ -138,4 +138,4 @@ def test_null_stands_for_none_and_is_kept(tmp_path: Path) -> None:
 def test_what_a_class_says_of_its_values_is_the_message() -> None:
     with pytest.raises(InvalidValueError) as refused:
         resolve(BuildSettings(), None, ["shapes.voxel=0"])
-    assert str(refused.value) == "setting shapes: voxel must be a number above 0, got 0.0"
+    assert str(refused.value) == "setting shapes: voxel: Input should be greater than 0, got 0.0"

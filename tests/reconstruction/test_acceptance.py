@@ -1,8 +1,6 @@
-"""What the geometry does not determine is refused: a wall, a table, a pole; what it does is accepted."""
+"""Motions that the geometry does not constrain are refused: along a wall, a table, a pole."""
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,10 +9,10 @@ from row_helpers import HALF, half_recording, true_poses
 from greenhouse_gym.capture import Camera, RgbdFrame, Rig, Station, sense_depth
 from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.geometry import Array, invert, pose, rotation_about, rotation_angle
-from greenhouse_gym.reconstruction import ReconstructionSettings
-from greenhouse_gym.reconstruction.icp import align
-from greenhouse_gym.reconstruction.registration import unconvincing
-from greenhouse_gym.reconstruction.views import Calibration, view_station
+from greenhouse_gym.reconstruction import ReconstructionSettings, station_views
+from greenhouse_gym.reconstruction.icp import fine_icp
+from greenhouse_gym.reconstruction.pair_registration import alignment_problem
+from greenhouse_gym.reconstruction.station_views import Calibration, station_view
 
 CREDULOUS = ReconstructionSettings(foreground=0.9, min_fitness=0.0, max_rmse=1.0, max_contradicted=1.0, min_overlap=0.0)
 LOOSE = {"wall": 3, "table": 3, "pole": 2}
@@ -49,27 +47,27 @@ def photographed(name: str, world_from_station: Array, seed: int, on: Rig) -> St
 
 @pytest.mark.parametrize("normal_window", [5, 7, 11])
 @pytest.mark.parametrize("name", LOOSE)
-def test_what_can_slide_or_turn_is_refused(name: str, normal_window: int) -> None:
+def test_what_can_slide_or_turn_is_refused(monkeypatch: pytest.MonkeyPatch, name: str, normal_window: int) -> None:
     on = rig(0.9 if name == "table" else 0.0)
-    settings = replace(CREDULOUS, normal_window=normal_window)
+    monkeypatch.setattr(station_views, "NORMAL_WINDOW", normal_window)
     moved = pose(rotation_about([0, 0, 1], 0.02), [0.0, 0.05, 0.0])
     first, second = (
-        view_station(photographed(name, place, seed, on), Calibration(on), settings)
+        station_view(photographed(name, place, seed, on), Calibration(on), CREDULOUS)
         for seed, place in enumerate((np.eye(4), moved))
     )
-    found = align(first, second.sample, moved, settings)
+    found = fine_icp(first, second.sample, moved, CREDULOUS)
     assert found.fitness > 0.5
-    assert (found.held < 0.05).sum() >= LOOSE[name]
-    assert "too even" in unconvincing(found, settings)
+    assert (found.constraint < 0.05).sum() >= LOOSE[name]
+    assert "too even" in alignment_problem(found, CREDULOUS)
 
 
-def test_a_row_is_held_in_all_ways() -> None:
+def test_a_row_constrains_all_motions() -> None:
     recording, poses = half_recording(), true_poses(half_recording())
-    views = [view_station(recording[i], Calibration(HALF), ReconstructionSettings()) for i in (0, 2)]
+    views = [station_view(recording[i], Calibration(HALF), ReconstructionSettings()) for i in (0, 2)]
     true = invert(poses[0]) @ poses[2]
-    found = align(views[0], views[1].sample, true, ReconstructionSettings())
-    assert unconvincing(found, ReconstructionSettings()) == ""
-    assert found.held[0] > 0.006
-    assert found.held[1] > 0.1
+    found = fine_icp(views[0], views[1].sample, true, ReconstructionSettings())
+    assert alignment_problem(found, ReconstructionSettings()) == ""
+    assert found.constraint[0] > 0.006
+    assert found.constraint[1] > 0.1
     apart = invert(true) @ found.first_from_second
     assert rotation_angle(apart[:3, :3]) < 0.01

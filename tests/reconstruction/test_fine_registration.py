@@ -10,24 +10,24 @@ import pytest
 
 from greenhouse_gym.capture import (
     SEED_RIG,
+    CaptureSettings,
     Intrinsics,
     RgbdFrame,
     Station,
     StereoNoise,
-    WalkSettings,
     simulate_recording,
 )
 from greenhouse_gym.capture.rig import D435_DEPTH
 from greenhouse_gym.capture.sensor import draw_biases
-from greenhouse_gym.capture.simulated import misplaced
+from greenhouse_gym.capture.simulated import perturbed_rig
 from greenhouse_gym.crops import grow_row
 from greenhouse_gym.geometry import invert, pose, rotation_about, rotation_angle, transform
 from greenhouse_gym.reconstruction import ReconstructionSettings
 from greenhouse_gym.reconstruction.calibration import calibrate
-from greenhouse_gym.reconstruction.icp import align
-from greenhouse_gym.reconstruction.normals import image_normals
-from greenhouse_gym.reconstruction.registration import register, unconvincing
-from greenhouse_gym.reconstruction.views import Calibration, StationView, view_station
+from greenhouse_gym.reconstruction.depth_normals import image_normals
+from greenhouse_gym.reconstruction.icp import fine_icp
+from greenhouse_gym.reconstruction.pair_registration import alignment_problem, register_pair
+from greenhouse_gym.reconstruction.station_views import Calibration, StationView, station_view
 
 SETTINGS = ReconstructionSettings()
 CAMERA = Intrinsics(200, 150, 110.0, 105.0, 99.0, 74.0)
@@ -73,7 +73,7 @@ def test_single_pixels_look_back_along_the_ray() -> None:
 
 
 NOISELESS = StereoNoise(
-    disparity_noise=0.0, disparity_step=0.0, depth_unit=0.0, bias=0.0, dropout=0.0, edge_dropout=0.0, fatten=0
+    disparity_noise=0.0, disparity_step=0.0, depth_unit=0.0, bias=0.0, dropout=0.0, edge_dropout=0.0, edge_fattening=0
 )
 
 
@@ -81,12 +81,12 @@ NOISELESS = StereoNoise(
 def views(noiseless: bool) -> tuple[StationView, StationView, np.ndarray]:
     """Two stations and the true motion between them."""
     noise = NOISELESS if noiseless else StereoNoise(bias=0.0)
-    recording = simulate_recording(grow_row(6, 0.5), seed=6, stations=2, settings=WalkSettings(noise=noise))
+    recording = simulate_recording(grow_row(6, 0.5), seed=6, stations=2, settings=CaptureSettings(noise=noise))
     stations = list(recording)
     poses = [station.world_from_station for station in stations]
     assert poses[0] is not None
     assert poses[1] is not None
-    one, two = (view_station(station, Calibration(recording.rig), SETTINGS) for station in stations)
+    one, two = (station_view(station, Calibration(recording.rig), SETTINGS) for station in stations)
     return one, two, invert(poses[0]) @ poses[1]
 
 
@@ -100,14 +100,14 @@ def off(motion: np.ndarray, points: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(("noiseless", "millimetres", "degrees"), [(True, 0.1, 0.02), (False, 0.3, 0.08)])
 def test_the_true_motion_is_recovered(noiseless: bool, millimetres: float, degrees: float) -> None:
     first, second, true = views(noiseless)
-    found = align(first, second.sample, off(true, second.sample.points), SETTINGS)
+    found = fine_icp(first, second.sample, off(true, second.sample.points), SETTINGS)
     apart = transform(found.first_from_second, second.sample.points) - transform(true, second.sample.points)
     assert 1e3 * np.linalg.norm(apart.mean(axis=0)) < millimetres
     assert np.degrees(rotation_angle(found.first_from_second[:3, :3].T @ true[:3, :3])) < degrees
     assert found.overlap > 0.5
     assert found.fitness > 0.7
     assert found.contradicted < 0.02
-    assert found.held[1] > 0.05
+    assert found.constraint[1] > 0.05
     assert np.linalg.eigvalsh(found.information).min() > 0
 
 
@@ -118,33 +118,33 @@ def test_what_is_not_there_is_contradicted() -> None:
     hand += 0.5 * toward  # halfway to the camera
     half = np.arange(len(hand)) % 2 == 0
     points = np.where(half[:, None], hand, second.sample.points)
-    found = align(first, replace(second.sample, points=points), true, SETTINGS)
+    found = fine_icp(first, replace(second.sample, points=points), true, SETTINGS)
     assert 0.3 < found.contradicted < 0.6
 
 
 def test_clouds_without_partners_have_no_fitness() -> None:
     first, second, _ = views(False)
     far = pose(translation=[5.0, 0.0, 0.0])
-    assert align(first, second.sample, far, SETTINGS).fitness == 0.0
+    assert fine_icp(first, second.sample, far, SETTINGS).fitness == 0.0
 
 
-def test_a_wall_does_not_tell_how_far_it_moved() -> None:
+def test_a_wall_does_not_constrain_its_motion() -> None:
     depth = np.full((D435_DEPTH.height, D435_DEPTH.width), 0.5) + np.random.default_rng(0).normal(0, 1e-3, (480, 848))
     depth[:, 400:] = 0  # so that the silhouettes have an edge
     frame = RgbdFrame(np.zeros((480, 848, 3), dtype=np.uint8), depth.astype(np.float32), D435_DEPTH)
     rig = replace(SEED_RIG, cameras={"middle": SEED_RIG.cameras["middle"]})
-    wall = view_station(Station({"middle": frame}), Calibration(rig), SETTINGS)
-    found = register(wall, wall, 1, SETTINGS)
+    wall = station_view(Station({"middle": frame}), Calibration(rig), SETTINGS)
+    found = register_pair(wall, wall, 1, SETTINGS)
     assert found.reason
-    moved = align(wall, wall.sample, pose(translation=[0.0, 0.08, 0.0]), SETTINGS)
+    moved = fine_icp(wall, wall.sample, pose(translation=[0.0, 0.08, 0.0]), SETTINGS)
     assert moved.fitness > SETTINGS.min_fitness
-    assert "too even" in unconvincing(moved, SETTINGS)
+    assert "too even" in alignment_problem(moved, SETTINGS)
 
 
 def test_biases_of_the_cameras_are_found() -> None:
     noise = StereoNoise(bias=0.01)
     row = grow_row(5, 0.4)
-    recording = simulate_recording(row, seed=5, stations=3, settings=WalkSettings(noise=noise))
+    recording = simulate_recording(row, seed=5, stations=3, settings=CaptureSettings(noise=noise))
     true = draw_biases(3, np.random.default_rng([5, 1]), noise)
     calibration, report = calibrate(recording, SETTINGS)
     found = np.array([*report.bias.values()])
@@ -161,10 +161,10 @@ def test_one_camera_has_no_bias_to_compare() -> None:
 
 
 def test_cameras_that_stand_off_the_rig_file_are_found() -> None:
-    off_file = WalkSettings(camera_offset=0.002, camera_angle=0.005)
+    off_file = CaptureSettings(camera_offset=0.002, camera_angle=0.005)
     recording = simulate_recording(grow_row(7, 0.5), seed=7, settings=off_file)
     calibration, report = calibrate(recording, SETTINGS)
-    actual = misplaced(recording.rig, 7, off_file)
+    actual = perturbed_rig(recording.rig, 7, off_file)
     assert report.turned
     for name, camera in actual.cameras.items():
         true, filed, found = (r.cameras[name].rig_from_camera for r in (actual, recording.rig, calibration.rig))

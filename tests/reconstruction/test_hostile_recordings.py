@@ -28,7 +28,7 @@ from greenhouse_gym.reconstruction import (
     simplify_points,
     triangulate,
 )
-from greenhouse_gym.reconstruction.surface import save_mesh, save_points
+from greenhouse_gym.reconstruction.row_files import save_mesh, save_points
 from greenhouse_gym.shapes import extract_shapes
 
 pytestmark = pytest.mark.xdist_group("row")  # the row is rendered once
@@ -80,7 +80,7 @@ def test_nothing_within_reach_is_refused_with_what_was_read() -> None:
     assert "0 of 5 stations registered" in message
     for i in range(5):
         assert f"station {i}: camera 'middle': 0.0% foreground nearer than 0.6 m" in message
-    assert message.count("readings at 1.") == 5
+    assert message.count("median reading at 1.") == 5
 
 
 def test_images_full_of_foreground_are_refused() -> None:
@@ -88,11 +88,11 @@ def test_images_full_of_foreground_are_refused() -> None:
     full = [with_depth(s, lambda _, depth: rng.uniform(0.4, 0.45, depth.shape)) for s in half_recording()]
     message = refusal(full)
     assert "0 of 5 stations registered" in message
-    assert "100.0% of the image is nearer than 0.6 m, at most 98% expected (readings at 0.425 m" in message
+    assert "100.0% of the image is nearer than 0.6 m, at most 98% expected (median reading at 0.425 m" in message
 
 
 @pytest.mark.parametrize("top", [1.1, 2.0])
-def test_a_flat_wall_does_not_tell_how_far_the_tripod_moved(top: float) -> None:
+def test_a_flat_wall_does_not_constrain_the_motion(top: float) -> None:
     """It stands half a metre away, up to the middle of the images or beyond, and looks the same all along the row."""
     rng = np.random.default_rng(0)
 
@@ -106,14 +106,14 @@ def test_a_flat_wall_does_not_tell_how_far_the_tripod_moved(top: float) -> None:
         return sense_depth(true, camera.intrinsics.fx, rng)
 
     message = refusal([with_depth(station, wall) for station in list(half_recording())[:2]])
-    assert "station 1: the surfaces are too even to tell how far it moved" in message
+    assert "station 1: the surfaces are too even to constrain the motion" in message
 
 
 def test_a_camera_that_is_dead_is_named_and_the_others_do() -> None:
     dead = recording_of([with_depth(s, lambda name, depth: depth * (name != "first")) for s in half_recording()])
     row = reconstruct_row(dead)
     assert row.registered.all()
-    assert row.report.warnings == ("camera 'first' saw no foreground at any station",)
+    assert row.report.warnings == ("camera 'first' has no foreground at any station",)
     metres, degrees = worst_errors(row, dead)
     assert metres < 0.005
     assert degrees < 0.6
@@ -158,13 +158,13 @@ def test_readings_that_are_no_distances_are_none() -> None:
     rng = np.random.default_rng(0)
     nonsense = np.array([np.nan, np.inf, -np.inf, -0.4, 1e-30], dtype=np.float32)
 
-    def spoil(_: str, depth: Depth) -> Depth:
+    def damage(_: str, depth: Depth) -> Depth:
         return np.where(rng.random(depth.shape) < 0.15, rng.choice(nonsense, depth.shape), depth)
 
-    spoilt = recording_of([with_depth(station, spoil) for station in half_recording()])
-    row = reconstruct_row(spoilt, KNOWN)
+    damaged = recording_of([with_depth(station, damage) for station in half_recording()])
+    row = reconstruct_row(damaged, KNOWN)
     assert row.registered.all()
-    assert worst_errors(row, spoilt)[0] < 0.006
+    assert worst_errors(row, damaged)[0] < 0.006
     for name in ("points", "colors", "normals"):
         assert np.isfinite(getattr(row, name)).all()
     for end in (np.min, np.max):  # nothing where nothing is
@@ -196,7 +196,7 @@ def points_of_hand(row: RowCloud) -> int:
 
 
 def voxels_of_hand(name: str, share: float) -> int:
-    """How many points it would leave in the cloud if nobody objected."""
+    """How many points it would leave in the cloud if none of them contradicted it."""
     frame = with_hand(half_recording()[2], {name: share}).frames[name]
     camera = half_recording().rig.cameras[name]
     points = transform(camera.rig_from_camera, frame.points((frame.color == HAND).all(axis=-1)))
@@ -219,7 +219,7 @@ def test_a_hand_in_front_of_the_cameras_costs_the_station() -> None:
 
 
 def test_a_hand_at_the_first_station_costs_it_too() -> None:
-    """Nothing is known yet against which it could be held, so the second station is held against it."""
+    """No earlier station can contradict it, so the second one is checked against it."""
     row = with_hand_at(0, {"first": 0.5})
     np.testing.assert_array_equal(row.registered, [False, True, True, True, True])
     assert "of the earlier station stands where this one sees through" in row.report.stations[1].reason
@@ -250,7 +250,9 @@ def folder(tmp_path: Path) -> Path:
     return write_recording(half_recording(), tmp_path / "recording")
 
 
-@pytest.mark.parametrize(("scale", "reading"), [(1.0, r"readings at \d{3} m"), (1e-6, r"readings at 0\.000\d+ m")])
+@pytest.mark.parametrize(
+    ("scale", "reading"), [(1.0, r"median reading at \d{3} m"), (1e-6, r"median reading at 0\.000\d+ m")]
+)
 def test_a_depth_scale_that_is_off_by_a_thousand(folder: Path, scale: float, reading: str) -> None:
     index = json.loads((folder / INDEX).read_text())
     for camera in index["cameras"].values():
@@ -322,14 +324,14 @@ def plain_mesh() -> TriangleMesh:
     return triangulate(simplify_points(plain_row(), 3000), faces=None)
 
 
-def test_a_full_disk_while_stations_are_noted(tmp_path: Path) -> None:
-    folder = tmp_path / "walk"
+def test_a_full_disk_while_stations_are_written(tmp_path: Path) -> None:
+    folder = tmp_path / "registration"
     with ExitStack() as disk, pytest.raises(FileWriteError, match=r"000003\.npz: cannot be written \(File too large"):
         reconstruct_row(
             half_recording(), KNOWN, folder=folder,
             on_station=lambda i: disk.enter_context(no_file_larger_than(100_000)) if i == 2 else None,
         )  # fmt: skip
-    assert sorted(file.name for file in folder.iterdir()) == ["000000.npz", "000001.npz", "000002.npz", "walk.jsonl"]
+    assert sorted(file.name for file in folder.iterdir()) == ["000000.npz", "000001.npz", "000002.npz"]
     row = reconstruct_row(half_recording(), KNOWN, folder=folder)
     np.testing.assert_array_equal(row.world_from_station, plain_row().world_from_station)
     np.testing.assert_array_equal(row.points, plain_row().points)

@@ -14,7 +14,7 @@ from greenhouse_gym.build.scenes import BuildSettings, placement_positions
 from greenhouse_gym.capture import (
     PROTOCOLS,
     Camera,
-    Protocol,
+    CaptureProtocol,
     Recording,
     Rig,
     join_passes,
@@ -40,10 +40,10 @@ def beam_at(height: float) -> Rig:
 
 @cache
 def two_passes() -> Recording:
-    """Four stations at 1.0 m, and three on a second walk at 1.4 m."""
+    """Four stations at 1.0 m, and three in a second pass at 1.4 m."""
     row = grow_row(seed=3, length=0.4)
     low = simulate_recording(row, 3, beam_at(1.0))
-    high = simulate_recording(row, 3, beam_at(1.4), 3, walk_number=1)
+    high = simulate_recording(row, 3, beam_at(1.4), 3, pass_number=1)
     return rendered(join_passes([low, high]))
 
 
@@ -72,7 +72,7 @@ def test_an_unknown_protocol_names_the_recording_and_the_choices() -> None:
 
 
 def test_a_tripod_farther_back_registers_and_says_so_in_its_folder(tmp_path: Path) -> None:
-    back = Protocol("back", "", (three_camera_rig(SMALL, "upright", 0.45, 0.0, 1.3),), back=0.3)
+    back = CaptureProtocol("back", "", (three_camera_rig(SMALL, "upright", 0.45, 0.0, 1.3),), back=0.3)
     simulated = simulate_protocol(grow_row(seed=3, length=0.2), 3, back)
     recording = open_recording(write_recording(simulated, tmp_path / "row"))
     assert recording.protocol == "back"
@@ -88,7 +88,7 @@ def test_a_tripod_farther_back_registers_and_says_so_in_its_folder(tmp_path: Pat
 
 def test_passes_at_two_heights_become_one_cloud() -> None:
     recording = two_passes()
-    assert [tuple(one) for one in recording.passes] == [(0, 0.0), (4, pytest.approx(0.4))]
+    assert [(one.first, one.lift) for one in recording.passes] == [(0, 0.0), (4, pytest.approx(0.4))]
     row = reconstruct_row(recording, KNOWN)
     assert row.registered.all()
     assert row.report.segments == (tuple(range(7)),)
@@ -113,7 +113,7 @@ def test_passes_are_kept_in_the_recordings_folder(tmp_path: Path) -> None:
 
 def test_passes_that_do_not_overlap_are_an_error() -> None:
     low = simulate_recording(grow_row(seed=3, length=0.3), 3, beam_at(1.0))
-    elsewhere = simulate_recording(grow_row(seed=5, length=0.3), 3, beam_at(1.2), walk_number=1)
+    elsewhere = simulate_recording(grow_row(seed=5, length=0.3), 3, beam_at(1.2), pass_number=1)
     with pytest.raises(ReconstructionError, match=r"pass 1 overlaps with no pass before it\. station 3 to "):
         reconstruct_row(rendered(join_passes([low, elsewhere])), KNOWN)
 
@@ -132,9 +132,9 @@ def test_only_passes_of_one_rig_are_joined() -> None:
         join_passes([low, simulate_recording(row, 3, alone)])
 
 
-def test_another_walk_has_other_steps_and_the_same_cameras() -> None:
+def test_another_pass_has_other_steps_and_the_same_cameras() -> None:
     row = grow_row(seed=3, length=0.2)
-    first, second = (simulate_recording(row, 3, HALF, walk_number=k) for k in range(2))
+    first, second = (simulate_recording(row, 3, HALF, pass_number=k) for k in range(2))
     a, b = first[1].world_from_station, second[1].world_from_station
     assert a is not None
     assert b is not None

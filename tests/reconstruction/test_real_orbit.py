@@ -17,11 +17,11 @@ import pytest
 from greenhouse_gym.capture import Recording, open_recording
 from greenhouse_gym.errors import ReconstructionError
 from greenhouse_gym.geometry import Array, invert, rotation_angle
-from greenhouse_gym.reconstruction import ReconstructionSettings, registration, settings_for
-from greenhouse_gym.reconstruction.icp import align
-from greenhouse_gym.reconstruction.registration import Registration, register, unconvincing
-from greenhouse_gym.reconstruction.views import Calibration, StationView, view_station
-from greenhouse_gym.reconstruction.walk import walk_through
+from greenhouse_gym.reconstruction import ReconstructionSettings, pair_registration, settings_for
+from greenhouse_gym.reconstruction.icp import fine_icp
+from greenhouse_gym.reconstruction.pair_registration import Registration, alignment_problem, register_pair
+from greenhouse_gym.reconstruction.station_registration import register_stations
+from greenhouse_gym.reconstruction.station_views import Calibration, StationView, station_view
 
 FOLDER = Path(os.environ.get("GREENHOUSE_GYM_REAL_DATA", "/nonexistent"))
 pytestmark = [
@@ -52,7 +52,7 @@ def orbit() -> Recording:
 
 @cache
 def view(i: int, foreground: float) -> StationView:
-    return view_station(orbit()[i], Calibration(orbit().rig), replace(CUT, foreground=foreground))
+    return station_view(orbit()[i], Calibration(orbit().rig), replace(CUT, foreground=foreground))
 
 
 def true_motion(first: int, second: int) -> Array:
@@ -73,7 +73,9 @@ def is_wrong(found: Array, true: Array) -> bool:
 def registrations(settings: ReconstructionSettings, steps: int = 1) -> Mapping[tuple[int, int], Registration]:
     """Of stations ``steps`` apart."""
     return {
-        (i, i + steps): register(view(i, settings.foreground), view(i + steps, settings.foreground), steps, settings)
+        (i, i + steps): register_pair(
+            view(i, settings.foreground), view(i + steps, settings.foreground), steps, settings
+        )
         for i in range(len(orbit()) - steps)
     }
 
@@ -98,28 +100,28 @@ def test_the_geometry_alone_refuses_wrong_motions(monkeypatch: pytest.MonkeyPatc
     found = registrations(CREDULOUS)
     assert not accepted(found)
     assert any("too even" in each.reason for each in found.values())
-    monkeypatch.setattr(registration, "_HELD", (-1.0, -1.0))
+    monkeypatch.setattr(pair_registration, "_MIN_CONSTRAINT", (-1.0, -1.0))
     assert wrong_ones(accepted(registrations(CREDULOUS)))
 
 
 def test_a_right_motion_in_a_room_is_accepted() -> None:
-    """Frames 2 m from the walls, with the noise of that distance; nothing is set but what a hand-held camera may do."""
+    """Frames 2 m from the walls, with the noise of that distance; only the limits of a hand-held camera are set."""
     recording = open_recording(FOLDER / "open3d_rgbd")
     settings = settings_for(recording)
-    first, last = (view_station(recording[i], Calibration(recording.rig), settings) for i in (0, 4))
+    first, last = (station_view(recording[i], Calibration(recording.rig), settings) for i in (0, 4))
     poses = [recording[i].world_from_station for i in (0, 4)]
     assert poses[0] is not None
     assert poses[1] is not None
     true = invert(poses[0]) @ poses[1]
-    found = align(first, last.sample, true, settings)
-    assert unconvincing(found, settings) == ""
+    found = fine_icp(first, last.sample, true, settings)
+    assert alignment_problem(found, settings) == ""
     assert np.linalg.norm(found.first_from_second[:3, 3] - true[:3, 3]) < 0.005
 
 
-def test_the_walk_accepts_no_wrong_motion_either() -> None:
+def test_station_registration_accepts_no_wrong_motion_either() -> None:
     stations = replace(orbit(), size=3)
     try:
-        motions = {pair: edge.first_from_second for pair, edge in walk_through(stations, CUT).edges.items()}
+        motions = {pair: edge.first_from_second for pair, edge in register_stations(stations, CUT).edges.items()}
     except ReconstructionError:  # too few for a row
         motions = {}
     assert wrong_ones(motions) == []

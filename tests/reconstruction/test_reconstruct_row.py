@@ -20,8 +20,8 @@ from greenhouse_gym.capture import RgbdFrame, Station
 from greenhouse_gym.errors import GreenhouseError, ReconstructionError
 from greenhouse_gym.geometry import invert, pose, rotation_about, rotation_angle, transform
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, reconstruct_row
-from greenhouse_gym.reconstruction.registration import implausible, register
-from greenhouse_gym.reconstruction.views import Calibration, view_station
+from greenhouse_gym.reconstruction.pair_registration import motion_problem, register_pair
+from greenhouse_gym.reconstruction.station_views import Calibration, station_view
 
 pytestmark = pytest.mark.xdist_group("row")  # the rows are rendered once
 
@@ -101,18 +101,18 @@ def test_the_same_recording_gives_the_same_row() -> None:
     np.testing.assert_array_equal(again.station, half_cloud().station)
 
 
-def test_progress_is_told_and_true_poses_are_not_looked_at() -> None:
-    told: list[int] = []
+def test_progress_is_reported_and_true_poses_are_not_used() -> None:
+    reported: list[int] = []
     stations = [Station(station.frames, None) for station in half_recording()]
-    row = reconstruct_row(from_stations(stations[:3], half_recording()), on_station=told.append)
-    assert told == [0, 1, 2]
+    row = reconstruct_row(from_stations(stations[:3], half_recording()), on_station=reported.append)
+    assert reported == [0, 1, 2]
     for i in range(2):
         a, b = row.world_from_station, half_cloud().world_from_station
         distance, _ = motion_error(invert(a[i]) @ a[i + 1], invert(b[i]) @ b[i + 1])
         assert distance < 0.004
 
 
-def test_a_walk_the_other_way_is_registered_too() -> None:
+def test_a_recording_in_the_other_direction_is_registered_too() -> None:
     there = half_cloud()
     back = reconstructed(list(half_recording())[::-1])
     assert back.registered.all()
@@ -237,22 +237,22 @@ def about_head(turn: np.ndarray, shift: list[float]) -> np.ndarray:
     ],
 )
 def test_motions_no_tripod_makes(motion: np.ndarray, steps: int, reason: str) -> None:
-    found = implausible(motion, HEAD, steps, 0, SETTINGS)
+    found = motion_problem(motion, HEAD, steps, 0, SETTINGS)
     assert found.startswith(reason)
     assert bool(found) == bool(reason)
 
 
 def test_the_tripod_keeps_its_direction() -> None:
     there, back = (about_head(np.eye(3), [0, step, 0]) for step in (0.1, -0.1))
-    assert implausible(there, HEAD, 1, 1, SETTINGS) == implausible(back, HEAD, 1, -1, SETTINGS) == ""
-    assert "against the way" in implausible(back, HEAD, 1, 1, SETTINGS)
-    assert "against the way" in implausible(there, HEAD, 1, -1, SETTINGS)
+    assert motion_problem(there, HEAD, 1, 1, SETTINGS) == motion_problem(back, HEAD, 1, -1, SETTINGS) == ""
+    assert "opposite to the stations before" in motion_problem(back, HEAD, 1, 1, SETTINGS)
+    assert "opposite to the stations before" in motion_problem(there, HEAD, 1, -1, SETTINGS)
 
 
 def test_registration_says_how_it_went() -> None:
     known = Calibration(half_recording().rig)
-    views = [view_station(half_recording()[i], known, SETTINGS) for i in (0, 1)]
-    found = register(views[0], views[1], 1, SETTINGS)
+    views = [station_view(half_recording()[i], known, SETTINGS) for i in (0, 1)]
+    found = register_pair(views[0], views[1], 1, SETTINGS)
     assert found.accepted
     assert found.shift is not None
     assert found.offset is not None
@@ -261,11 +261,11 @@ def test_registration_says_how_it_went() -> None:
     assert found.information is not None
     assert found.information.shape == (6, 6)
     np.testing.assert_array_equal(found.first_from_second, np.round(found.first_from_second, 9))
-    back = register(views[1], views[0], 1, SETTINGS)
+    back = register_pair(views[1], views[0], 1, SETTINGS)
     distance, angle = motion_error(back.first_from_second @ found.first_from_second, np.eye(4))
     assert distance < 0.004
     assert np.degrees(angle) < 0.5
     strict = ReconstructionSettings(min_fitness=0.999)
-    refused = register(views[0], views[1], 1, strict)
+    refused = register_pair(views[0], views[1], 1, strict)
     assert not refused.accepted
     assert "fitness" in refused.reason

@@ -1,8 +1,7 @@
-"""A walk that was interrupted goes on from its notes, and ends as if nothing had happened."""
+"""An interrupted registration resumes from its journal, with the same result."""
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 from collections.abc import Callable
@@ -16,9 +15,9 @@ import pytest
 from row_helpers import from_stations, half_recording
 
 from greenhouse_gym.capture import Recording, Station, open_recording, write_recording
-from greenhouse_gym.capture.images import encode_png
-from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, reconstruct_row, walk
-from greenhouse_gym.reconstruction.diary import Diary, Entry
+from greenhouse_gym.capture.image_files import encode_png
+from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, reconstruct_row, station_registration
+from greenhouse_gym.reconstruction.station_journal import StationJournal
 
 pytestmark = pytest.mark.xdist_group("row")
 
@@ -53,16 +52,16 @@ def interrupt(
 
 
 @pytest.fixture(scope="module")
-def noted(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Notes of three stations of four."""
-    folder = tmp_path_factory.mktemp("noted")
+def written_journal(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Journal of three stations of four."""
+    folder = tmp_path_factory.mktemp("written_journal")
     interrupt(folder, 2)
     return folder
 
 
 @pytest.fixture
-def notes(noted: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(noted, tmp_path / "notes"))
+def journal(written_journal: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(written_journal, tmp_path / "journal"))
 
 
 def resume(
@@ -81,31 +80,31 @@ def resume(
 
 
 def assert_same(row: RowCloud, expected: RowCloud) -> None:
-    """To the last bit, but for the times it took."""
+    """Compare to the last bit, except for the times."""
     for name in ("points", "colors", "normals", "station", "registered", "world_from_station"):
         np.testing.assert_array_equal(getattr(row, name), getattr(expected, name))
     assert replace(row.report, seconds={}) == replace(expected.report, seconds={})
 
 
 @pytest.mark.parametrize(("after", "error"), [(0, KeyboardInterrupt), (1, RuntimeError), (3, KeyboardInterrupt)])
-def test_an_interrupted_walk_goes_on_to_the_same_row(
+def test_an_interrupted_registration_resumes_to_the_same_row(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, after: int, error: type[BaseException]
 ) -> None:
     interrupt(tmp_path, after, error=error)
-    placed: list[int] = []
-    place = walk._place
+    registered: list[int] = []
+    register = station_registration._register_station
 
-    def counted(i: int, *rest: Any) -> Entry:
-        placed.append(i)
-        return place(i, *rest)
+    def counted(i: int, *rest: Any) -> Any:
+        registered.append(i)
+        return register(i, *rest)
 
-    monkeypatch.setattr(walk, "_place", counted)
+    monkeypatch.setattr(station_registration, "_register_station", counted)
     row, _ = resume(tmp_path)
-    assert placed == list(range(after + 1, 4))
+    assert registered == list(range(after + 1, 4))
     assert_same(row, uninterrupted())
 
 
-def test_a_walk_interrupted_again_and_again(tmp_path: Path) -> None:
+def test_a_registration_interrupted_again_and_again(tmp_path: Path) -> None:
     for after in range(4):
         interrupt(tmp_path, after)
     row, read = resume(tmp_path)
@@ -113,7 +112,7 @@ def test_a_walk_interrupted_again_and_again(tmp_path: Path) -> None:
     assert_same(row, uninterrupted())
 
 
-def test_a_calibrated_walk_goes_on_to_the_same_row(tmp_path: Path) -> None:
+def test_a_calibrated_registration_resumes_to_the_same_row(tmp_path: Path) -> None:
     calibrated = ReconstructionSettings(calibration_stations=1)
     interrupt(tmp_path, 1, settings=calibrated)
     row, _ = resume(tmp_path, settings=calibrated)
@@ -121,28 +120,28 @@ def test_a_calibrated_walk_goes_on_to_the_same_row(tmp_path: Path) -> None:
     assert_same(row, uninterrupted(calibrated))
 
 
-def test_progress_is_told_for_what_was_noted_too(notes: Path) -> None:
-    told: list[int] = []
-    reconstruct_row(short_recording(), KNOWN, told.append, notes)
-    assert told == [0, 1, 2, 3]
+def test_progress_includes_resumed_stations(journal: Path) -> None:
+    reported: list[int] = []
+    reconstruct_row(short_recording(), KNOWN, reported.append, journal)
+    assert reported == [0, 1, 2, 3]
 
 
-# -- another walk -----------------------------------------------------------------------------------------------------
+# -- another recording ------------------------------------------------------------------------------------------------
 
 
-def test_other_settings_begin_anew(notes: Path) -> None:
-    other = replace(KNOWN, samples=4000)
-    row, read = resume(notes, settings=other)
+def test_other_settings_start_again(journal: Path) -> None:
+    other = replace(KNOWN, max_rmse=0.002)
+    row, read = resume(journal, settings=other)
     assert read == [0, 1, 2, 3]
     assert_same(row, uninterrupted(other))
 
 
-def test_another_recording_of_the_same_name_begins_anew(notes: Path) -> None:
+def test_another_recording_of_the_same_name_starts_again(journal: Path) -> None:
     other = from_stations([half_recording()[i] for i in (1, 2, 3, 4)], half_recording())
-    assert resume(notes, other)[1] == [0, 1, 2, 3]
+    assert resume(journal, other)[1] == [0, 1, 2, 3]
 
 
-def spoil_image(folder: Path) -> None:
+def damage_image(folder: Path) -> None:
     (folder / "depth" / "middle" / "000001.png").write_bytes(encode_png(np.zeros((240, 424), dtype=np.uint16)))
 
 
@@ -163,94 +162,95 @@ def rename_index(folder: Path) -> None:
     index.write_text(index.read_text().replace('"name": "simulated-1"', '"name": "another"'))
 
 
-@pytest.mark.parametrize("change", [spoil_image, replace_image_by_one_of_its_size, remove_image, rename_index])
-def test_a_changed_recording_begins_anew(tmp_path: Path, change: Callable[[Path], None]) -> None:
+@pytest.mark.parametrize("change", [damage_image, replace_image_by_one_of_its_size, remove_image, rename_index])
+def test_a_changed_recording_starts_again(tmp_path: Path, change: Callable[[Path], None]) -> None:
     recording = from_stations(list(half_recording())[:2], half_recording())
     folder = write_recording(recording, tmp_path / "recording")
-    notes = tmp_path / "notes"
-    interrupt(notes, 0, open_recording(folder))
-    assert len(Diary.open(notes, open_recording(folder), KNOWN).entries) == 1
+    journal = tmp_path / "journal"
+    interrupt(journal, 0, open_recording(folder))
+    assert len(StationJournal.open(journal, open_recording(folder), KNOWN).entries) == 1
     change(folder)
-    assert Diary.open(notes, open_recording(folder), KNOWN).entries == []
+    assert StationJournal.open(journal, open_recording(folder), KNOWN).entries == []
 
 
-# -- spoiled notes ----------------------------------------------------------------------------------------------------
+# -- damaged journals -------------------------------------------------------------------------------------------------
 
 
-def lines(folder: Path) -> list[str]:
-    return (folder / "walk.jsonl").read_text().splitlines()
-
-
-def write(folder: Path, content: list[str]) -> None:
-    (folder / "walk.jsonl").write_text("\n".join(content) + "\n")
-
-
-def truncate_line(folder: Path) -> None:
-    log = folder / "walk.jsonl"
-    log.write_bytes(log.read_bytes()[:-200])
-
-
-def change_pose(folder: Path) -> None:
-    """As plausible as before, but not what was found."""
-    *others, last = lines(folder)
-    line = json.loads(last)
-    line["edges"]["1"][0][1][3] += 0.01
-    write(folder, [*others, json.dumps(line)])
-
-
-def no_text(folder: Path) -> None:
-    log = folder / "walk.jsonl"
-    log.write_bytes(log.read_bytes() + b"\xff\xfe\x00")
-
-
-def drop_line(folder: Path) -> None:
-    content = lines(folder)
-    write(folder, [*content[:2], *content[3:]])
-
-
-def other_json(folder: Path) -> None:
-    write(folder, [*lines(folder), "[1, 2]", "7", "null", "{}"])
-
-
-def change_header(folder: Path) -> None:
-    write(folder, ["{}", *lines(folder)[1:]])
-
-
-def no_log(folder: Path) -> None:
-    (folder / "walk.jsonl").unlink()
-
-
-def no_cloud(folder: Path) -> None:
-    (folder / "000001.npz").unlink()
-
-
-def truncate_cloud(folder: Path) -> None:
+def truncate_file(folder: Path) -> None:
     file = folder / "000002.npz"
     file.write_bytes(file.read_bytes()[:-1000])
 
 
-def flip_cloud(folder: Path) -> None:
+def flip_bit(folder: Path) -> None:
     file = folder / "000000.npz"
     content = bytearray(file.read_bytes())
     content[len(content) // 2] ^= 1
     file.write_bytes(content)
 
 
-def swap_clouds(folder: Path) -> None:
+def remove_file(folder: Path) -> None:
+    (folder / "000001.npz").unlink()
+
+
+def swap_files(folder: Path) -> None:
     one, two = (folder / f"00000{i}.npz" for i in (0, 1))
     content = one.read_bytes()
     one.write_bytes(two.read_bytes())
     two.write_bytes(content)
 
 
+def change_pose(folder: Path) -> None:
+    """The bytes of a pose, as plausible as before."""
+    file = folder / "000002.npz"
+    pose = np.load(file)["pose 1"]
+    moved = pose.copy()
+    moved[1, 3] += 0.01
+    content = file.read_bytes()
+    assert pose.tobytes() in content
+    file.write_bytes(content.replace(pose.tobytes(), moved.tobytes()))
+
+
+def drop_array(folder: Path) -> None:
+    file = folder / "000002.npz"
+    arrays = dict(np.load(file))
+    del arrays["information 1"]
+    np.savez(file, **arrays)
+
+
+def text(folder: Path) -> None:
+    (folder / "000001.npz").write_bytes(b"\xff\xfe\x00 null")
+
+
+def other_arrays(folder: Path) -> None:
+    np.savez(folder / "000001.npz", numbers=np.arange(3))
+
+
+def change_identity(folder: Path) -> None:
+    file = folder / "000001.npz"
+    np.savez(file, **(dict(np.load(file)) | {"identity": np.array("another")}))
+
+
+def extra_files(folder: Path) -> None:
+    (folder / "000003.npz").write_bytes(b"")
+    (folder / "thesis.txt").write_text("mine")
+
+
 @pytest.mark.parametrize(
-    ("spoil", "kept"),
+    ("damage", "kept"),
     [
-        (truncate_line, 2), (change_pose, 2), (no_text, 3), (drop_line, 1), (other_json, 3), (change_header, 0),
-        (no_log, 0), (no_cloud, 1), (truncate_cloud, 2), (flip_cloud, 0), (swap_clouds, 0),
+        (truncate_file, 2),
+        (flip_bit, 0),
+        (remove_file, 1),
+        (swap_files, 0),
+        (change_pose, 2),
+        (drop_array, 2),
+        (text, 1),
+        (other_arrays, 1),
+        (change_identity, 1),
+        (extra_files, 3),
     ],
-)  # fmt: skip
-def test_spoiled_notes_are_made_again(notes: Path, spoil: Callable[[Path], None], kept: int) -> None:
-    spoil(notes)
-    assert len(Diary.open(notes, short_recording(), KNOWN).entries) == kept
-    assert_same(resume(notes)[0], uninterrupted())
+)
+def test_damaged_journals_are_written_again(journal: Path, damage: Callable[[Path], None], kept: int) -> None:
+    damage(journal)
+    assert len(StationJournal.open(journal, short_recording(), KNOWN).entries) == kept
+    assert_same(resume(journal)[0], uninterrupted())

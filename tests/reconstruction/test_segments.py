@@ -58,7 +58,7 @@ def test_a_gap_splits_the_row_in_two() -> None:
         assert all(station.registered for station in row.report.stations)
         assert set(np.unique(row.station)) == set(registered(row))
         assert row.report.warnings == (
-            "the row falls apart into 2 segments: stations 0 to 3 (4 stations); 4 to 6 (3 stations)",
+            "the row splits into 2 segments: stations 0 to 3 (4 stations); 4 to 6 (3 stations)",
         )
     beginning = longest.report.stations[4]
     assert beginning.against == 3
@@ -73,7 +73,7 @@ def test_a_gap_of_black_stations_too_long_to_be_bridged_splits_the_row_in_two() 
     assert registered(other) == [19, 20, 21]
     assert longest.report.stations[19].against is None
     assert f"15 of {len(numbers)} stations were skipped" in longest.report.warnings
-    assert any("falls apart into 2 segments" in warning for warning in longest.report.warnings)
+    assert any("splits into 2 segments" in warning for warning in longest.report.warnings)
 
 
 def test_the_row_is_the_longest_segment() -> None:

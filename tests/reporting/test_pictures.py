@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 from row_helpers import half_recording
 
-from greenhouse_gym.capture.images import read_color
+from greenhouse_gym.capture.image_files import read_color
 from greenhouse_gym.reconstruction import ReconstructionSettings
-from greenhouse_gym.reconstruction.views import Calibration
+from greenhouse_gym.reconstruction.station_views import Calibration
 from greenhouse_gym.reporting.pictures import registration_pictures
 
 pytestmark = pytest.mark.xdist_group("row")

@@ -12,8 +12,8 @@ import pytest
 from html_pages import HOSTILE, Page
 
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, RowReport, StationReport
-from greenhouse_gym.reconstruction.calibration import CalibrationReport
-from greenhouse_gym.reconstruction.fattening import Fattening
+from greenhouse_gym.reconstruction.edge_fattening import EdgeFattening
+from greenhouse_gym.reconstruction.report import CalibrationReport
 from greenhouse_gym.reporting.pictures import save
 from greenhouse_gym.reporting.plots import hover, limits_around, svg_plot
 from greenhouse_gym.reporting.reconstruction_results import typical_pair
@@ -109,7 +109,7 @@ def test_what_was_found_out_about_the_cameras() -> None:
 def test_fattened_edges_are_reported() -> None:
     for calibration in (CALIBRATION, CalibrationReport({"middle": 0.0}, {}, {})):
         assert "px too far" not in " ".join(Page(page(two_segments(calibration=calibration))).texts)
-        grown = replace(calibration, fattening=Fattening(2, 0))
+        grown = replace(calibration, edge_fattening=EdgeFattening(2, 0))
         text = " ".join(" ".join(Page(page(two_segments(calibration=grown))).texts).split())
         assert "reached 2 px too far along the rows of the depth images and 0 px too far along their columns" in text
 

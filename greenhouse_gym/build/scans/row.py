@@ -27,7 +27,7 @@ class ScannedRow(Recording):
 
     Attributes:
         scan: Where they come from, with all that was assumed.
-        row: The cloud; ``sight`` is None, since nobody knows what was looked through.
+        row: The cloud; ``observed`` is None, since its depth images are not known.
         shapes: In the same frame.
     """
 
@@ -61,7 +61,7 @@ def scanned_row(scan: Scan, floor: float | None = None, settings: ShapeSettings 
             floor = float(np.median(heights)) - _SHOULDER
             said = f"floor: not in the file; taken {_SHOULDER:g} m below the fruit"
     down, shapes = pose(translation=[0.0, 0.0, -floor]), _lowered(shapes, floor)
-    scan = replace(scan, cloud=scan.cloud.moved(down), row_from_file=down @ scan.row_from_file)
+    scan = replace(scan, cloud=scan.cloud.transformed(down), row_from_file=down @ scan.row_from_file)
     points = scan.cloud.points
     front = float(np.quantile(points[:, 0], 0.01))
     stems = [(stem.start[0] + stem.end[0]) / 2 for stem in shapes.stems if stem.kind == "main"]

@@ -100,7 +100,7 @@ def open_scan(
     turn, said = row_from_file(cloud.points, cloud.normals, direction)
     notes.append(said)
     return Scan(
-        path.stem if path else "cloud", cloud.moved(turn), turn @ pose(translation=-origin), unit, tuple(notes),
+        path.stem if path else "cloud", cloud.transformed(turn), turn @ pose(translation=-origin), unit, tuple(notes),
         up is not None, path,
     )  # fmt: skip
 
@@ -116,7 +116,7 @@ def extract_from_scan(scan: Scan, settings: ShapeSettings | None = None) -> tupl
     over = pose(np.diag([1.0, -1.0, -1.0]))
     note = "up: turned over, since the fruit stood upon what should hold it"
     turned = replace(
-        scan, cloud=scan.cloud.moved(over), row_from_file=over @ scan.row_from_file, notes=(*scan.notes, note)
+        scan, cloud=scan.cloud.transformed(over), row_from_file=over @ scan.row_from_file, notes=(*scan.notes, note)
     )
     cloud = turned.cloud
     return turned, extract_shapes(cloud.points, cloud.colors, cloud.normals, settings)

@@ -1,4 +1,4 @@
-"""What opens a bag: the package rosbags, and for RealSense's newer recordings, a lone database, a reader of our own."""
+"""Readers of bags: the package rosbags, and an own reader for RealSense's newer recordings, a single database."""
 
 from __future__ import annotations
 
@@ -19,8 +19,7 @@ _REPAIRS = {
     ".bag": "rosbag reindex {0}",
     ".mcap": "mcap recover {0} --output repaired.mcap",
     ".db3": "sqlite3 {0} .recover | sqlite3 repaired.db3",
-}
-"""What mends a bag that lacks its end, by suffix."""
+}  # commands that repair a truncated bag, by suffix
 
 
 @dataclass(frozen=True)
@@ -33,7 +32,7 @@ class Topic:
 
 
 class Database:
-    """A ROS 2 bag's database without its ``metadata.yaml``, with the part of rosbags' reader that is used here."""
+    """A ROS 2 bag's database without its ``metadata.yaml``, with the interface of rosbags' reader that is used here."""
 
     def __init__(self, connection: sqlite3.Connection):
         from rosbags.typesys import Stores, get_typestore
@@ -46,7 +45,7 @@ class Database:
     def messages(
         self, connections: Collection[Topic] = (), start: int | None = None, stop: int | None = None
     ) -> Iterator[tuple[Topic, int, bytes]]:
-        """The topic, the time and the content of messages from ``start`` to before ``stop``, in the order of time."""
+        """Yield topic, time and content of messages from ``start`` to before ``stop``, in the order of time."""
         wanted = {topic.number: topic for topic in connections or self.connections}
         marks = ",".join("?" * len(wanted))
         rows = self._connection.execute(
@@ -58,13 +57,13 @@ class Database:
             yield wanted[number], at, content
 
     def deserialize(self, content: bytes, kind: str) -> Any:
-        """A message."""
+        """Decode a message."""
         return self._types.deserialize_cdr(content, kind)
 
 
 @contextmanager
-def opened(bag: Path) -> Iterator[Any]:
-    """A reader of a bag: of the file of a ROS 1 bag, the folder of a ROS 2 bag, or a lone database.
+def open_bag(bag: Path) -> Iterator[Any]:
+    """Open a reader of a bag: the file of a ROS 1 bag, the folder of a ROS 2 bag, or a single database.
 
     Raises:
         FileFormatError: It is damaged.
@@ -87,16 +86,16 @@ def opened(bag: Path) -> Iterator[Any]:
 
 
 def _repair(bag: Path) -> str:
-    """What to do about a bag whose recording was cut short."""
+    """Return advice on a bag whose recording was interrupted."""
     files = [bag] if bag.is_file() else [file for file in bag.iterdir() if file.suffix in _REPAIRS]
     named = [_REPAIRS[file.suffix.lower()].format(file.name) for file in files if file.suffix.lower() in _REPAIRS]
-    return f"if its recording was cut short, repair it: {named[0]}" if named else "is it a bag?"
+    return f"if its recording was interrupted, repair it: {named[0]}" if named else "is it a bag?"
 
 
 class OpenBag:
-    """A bag that stays open from one reading to the next, since its index is long; by one thread at a time.
+    """A bag that stays open between reads, since its index is long; used by one thread at a time.
 
-    It is closed with the last reference to it. Another process, which gets it pickled or by a fork, opens it anew.
+    It is closed with the last reference to it. Another process, which gets it pickled or by a fork, opens it again.
     """
 
     def __init__(self, bag: Path):
@@ -110,11 +109,11 @@ class OpenBag:
 
     @contextmanager
     def reader(self) -> Iterator[Any]:
-        """The reader of `opened`."""
+        """Yield the reader of `open_bag`."""
         with self._lock:
             if self._process != os.getpid():
                 kept = ExitStack()
-                self._reader = kept.enter_context(opened(self.bag))
+                self._reader = kept.enter_context(open_bag(self.bag))
                 self._process = os.getpid()
                 weakref.finalize(self, kept.close)
             yield self._reader

@@ -9,12 +9,13 @@ import numpy as np
 from pydantic import BaseModel, Field, TypeAdapter
 
 from greenhouse_gym.capture.formats.pairs import Lens, Pair
-from greenhouse_gym.capture.formats.videos import read_any_color, video
+from greenhouse_gym.capture.formats.single_camera import video
+from greenhouse_gym.capture.image_files import read_any_color
 from greenhouse_gym.capture.recordings import Recording, checked_pose
 from greenhouse_gym.capture.rig import Intrinsics
 from greenhouse_gym.common.files import parsing, read_bytes
 from greenhouse_gym.errors import FileFormatError
-from greenhouse_gym.geometry import Array, invert
+from greenhouse_gym.geometry import Array, invert, pose
 
 name = "bop"
 description = "the folders rgb/ and depth/ and the file scene_camera.json of a scene of BOP"
@@ -24,16 +25,16 @@ _MILLIMETRE = 0.001
 
 
 class _Image(BaseModel):
-    """What the file says of one image; lengths in millimetres."""
+    """Camera and pose of one image; lengths in millimetres."""
 
     matrix: Annotated[list[float], Field(alias="cam_K", min_length=9, max_length=9)]
     depth_scale: Annotated[float, Field(gt=0)] = 1.0
-    turn: list[float] | None = Field(None, alias="cam_R_w2c", min_length=9, max_length=9)
-    place: list[float] | None = Field(None, alias="cam_t_w2c", min_length=3, max_length=3)
+    rotation: list[float] | None = Field(None, alias="cam_R_w2c", min_length=9, max_length=9)
+    translation: list[float] | None = Field(None, alias="cam_t_w2c", min_length=3, max_length=3)
 
 
-def recognises(path: Path) -> bool:
-    """Whether the folder has the file and color images."""
+def recognizes(path: Path) -> bool:
+    """Return whether the folder has the file and color images."""
     return (path / INDEX).is_file() and (path / "rgb").is_dir()
 
 
@@ -68,10 +69,8 @@ def _color(path: Path, number: int) -> Path:
 
 
 def _pose(file: Path, number: int, image: _Image) -> Array | None:
-    """World from camera."""
-    if image.turn is None or image.place is None:
+    """Return world_from_camera."""
+    if image.rotation is None or image.translation is None:
         return None
-    matrix = np.eye(4)
-    matrix[:3, :3] = np.reshape(image.turn, (3, 3))
-    matrix[:3, 3] = _MILLIMETRE * np.array(image.place)
-    return invert(checked_pose(file, f"the pose of image {number}", matrix))
+    camera_from_world = pose(np.reshape(image.rotation, (3, 3)), _MILLIMETRE * np.array(image.translation))
+    return invert(checked_pose(file, f"the pose of image {number}", camera_from_world))

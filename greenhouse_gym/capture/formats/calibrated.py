@@ -6,14 +6,12 @@ import json
 import re
 from pathlib import Path
 
-from scipy.spatial.transform import Rotation
-
-from greenhouse_gym.capture.formats.single_camera import read_numbers, single_camera
+from greenhouse_gym.capture.formats.single_camera import single_camera
+from greenhouse_gym.capture.formats.trajectories import read_poses
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.capture.rig import Intrinsics
 from greenhouse_gym.common.files import parsing, read_bytes
 from greenhouse_gym.errors import FileFormatError
-from greenhouse_gym.geometry import Array, pose
 
 name = "calibrated"
 description = "the folders rgb/ and depth/, camera_*.yaml, optionally groundtruth_handeye.txt"
@@ -21,8 +19,8 @@ description = "the folders rgb/ and depth/, camera_*.yaml, optionally groundtrut
 _POSES = "groundtruth_handeye.txt"
 
 
-def recognises(path: Path) -> bool:
-    """Whether the folder has both folders of images and a calibration."""
+def recognizes(path: Path) -> bool:
+    """Return whether the folder has both folders of images and a calibration."""
     return (path / "rgb").is_dir() and (path / "depth").is_dir() and bool(_calibrations(path))
 
 
@@ -35,16 +33,17 @@ def open(path: Path) -> Recording:
     calibration, *_ = _calibrations(path) or [path / "camera_*.yaml"]
     intrinsics = _intrinsics(calibration)
     color = sorted((path / "rgb").glob("*.png"))
+    depth = [path / "depth" / file.name for file in color]
     truth = path / _POSES
-    poses = _poses(truth) if truth.exists() else {}
+    if not truth.exists():
+        return single_camera(path, intrinsics, color, depth, described_by=[calibration])
     for file in color:
-        if poses and not file.stem.isdecimal():
+        if not file.stem.isdecimal():
             raise FileFormatError(file, f"expected a number as the image's name, by which {_POSES} gives its pose")
-    return single_camera(
-        path, intrinsics, color, [path / "depth" / file.name for file in color],
-        [poses.get(int(file.stem)) if poses else None for file in color],
-        described_by=[calibration, *([truth] if poses else [])],
-    )  # fmt: skip
+    numbers, matrices = read_poses(truth)
+    poses = dict(zip(numbers.astype(int).tolist(), matrices, strict=True))
+    known = [poses.get(int(file.stem)) for file in color]
+    return single_camera(path, intrinsics, color, depth, known, described_by=[calibration, truth])
 
 
 def _calibrations(path: Path) -> list[Path]:
@@ -55,18 +54,5 @@ def _intrinsics(path: Path) -> Intrinsics:
     with parsing(path, "calibration with image_width, image_height and a camera_matrix of nine numbers"):
         text = read_bytes(path, "calibration").decode()
         fields = dict(re.findall(r"^(\w+):\s*(\S.*)$", text, re.M))
-        matrix = json.loads(fields["camera_matrix"])
-        return Intrinsics(
-            int(fields["image_width"]), int(fields["image_height"]), matrix[0], matrix[4], matrix[2], matrix[5]
-        )
-
-
-def _poses(path: Path) -> dict[int, Array]:
-    """World from camera by the number of the image."""
-    poses = {}
-    for row in read_numbers(path, 8):
-        if not row[4:8].any():
-            raise FileFormatError(path, f"the quaternion of image {row[0]:.0f} is zero")
-        with parsing(path, "list of poses"):
-            poses[int(row[0])] = pose(Rotation.from_quat(row[4:8]).as_matrix(), row[1:4])
-    return poses
+        width, height, k = (json.loads(fields[key]) for key in ("image_width", "image_height", "camera_matrix"))
+        return Intrinsics(int(width), int(height), k[0], k[4], k[2], k[5])

@@ -1,4 +1,4 @@
-"""Plain folders of images, described by a small file ``cameras.yaml`` beside them.
+"""Plain folders of images, described by a small file ``cameras.yaml`` next to them.
 
 color: rgb/*.jpg               # sorted by name, as many as depth images
 depth: depth/*.npy             # PNG, PGM or TIFF of 16 bits, fractions in TIFF, NPY or EXR
@@ -8,13 +8,13 @@ depth_intrinsics: {...}        # where depth is not aligned to color
 color_from_depth: [[...], ...] # 4x4, metres
 poses: poses.txt               # world from camera: lines of "id tx ty tz qx qy qz qw" in the images' order
 reference: middle              # only with several cameras
-cameras:                       # instead of the first six: each with the same keys and where it stands on the rig
+cameras:                       # instead of the first six: each with the same keys and its pose on the rig
 middle: {color: ..., depth: ..., intrinsics: {...}, rig_from_camera: [[...], ...]}
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Annotated, TypeAlias
@@ -22,10 +22,11 @@ from typing import Annotated, TypeAlias
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from greenhouse_gym.capture.formats.pairs import Lens, Pair, read_units
-from greenhouse_gym.capture.formats.single_camera import CAMERA, RIG_FROM_CAMERA
-from greenhouse_gym.capture.formats.videos import poses_by_time, read_any_color, station_pose
+from greenhouse_gym.capture.formats.pairs import Lens, Pair
+from greenhouse_gym.capture.formats.single_camera import CAMERA, RIG_FROM_CAMERA, station_pose
+from greenhouse_gym.capture.formats.trajectories import read_poses
 from greenhouse_gym.capture.frames import Station
+from greenhouse_gym.capture.image_files import read_any_color, read_any_depth
 from greenhouse_gym.capture.recordings import Recording, checked_pose
 from greenhouse_gym.capture.rig import Camera, Intrinsics, Rig
 from greenhouse_gym.common.extras import needs
@@ -42,7 +43,9 @@ description = "any folders of color and depth images, described by a file camera
 INDEX = "cameras.yaml"
 
 Images: TypeAlias = Mapping[str, tuple[list[Path], list[Path]]]
-Matrix = Annotated[list[list[float]], Field(min_length=4, max_length=4)]
+"""Color and depth files by camera."""
+
+_Matrix = Annotated[list[list[float]], Field(min_length=4, max_length=4)]
 
 
 class _Part(BaseModel):
@@ -68,8 +71,8 @@ class _Camera(_Part):
     intrinsics: _Lens
     depth_scale: Annotated[float, Field(gt=0)] = 0.001
     depth_intrinsics: _Lens | None = None
-    color_from_depth: Matrix | None = None
-    rig_from_camera: Matrix | None = None
+    color_from_depth: _Matrix | None = None
+    rig_from_camera: _Matrix | None = None
 
 
 class _Several(_Part):
@@ -82,8 +85,8 @@ class _Single(_Camera):
     poses: str | None = None
 
 
-def recognises(path: Path) -> bool:
-    """Whether the folder has a description."""
+def recognizes(path: Path) -> bool:
+    """Return whether the folder has a description."""
     return (path / INDEX).is_file()
 
 
@@ -106,53 +109,51 @@ def open(path: Path) -> Recording:
             single = _Single.model_validate(content)
             cameras, reference, poses = {CAMERA: single}, CAMERA, single.poses
         pairs = {name: _pair(file, camera) for name, camera in cameras.items()}
-        rig = Rig({name: _placed(file, name, camera, pairs[name]) for name, camera in cameras.items()}, reference)
+        rig = Rig({name: _rig_camera(file, name, camera, pairs[name]) for name, camera in cameras.items()}, reference)
     images = {name: (_images(path, camera.color), _images(path, camera.depth)) for name, camera in cameras.items()}
-    counts = {f"{name} {kind}": len(found) for name, both in images.items()
-              for kind, found in zip(("color", "depth"), both, strict=True)}  # fmt: skip
-    if len(set(counts.values())) > 1 or not min(counts.values()):
-        counted = ", ".join(f"{count} of {what}" for what, count in counts.items())
-        raise FileFormatError(file, f"expected equally many images of each kind, found {counted}")
+    counts = {
+        f"{name} {kind}": len(found)
+        for name, both in images.items()
+        for kind, found in zip(("color", "depth"), both, strict=True)
+    }
     size = min(counts.values())
+    if len(set(counts.values())) > 1 or not size:
+        counted = ", ".join(f"{count} of {kind}" for kind, count in counts.items())
+        raise FileFormatError(file, f"expected equally many images of each kind, found {counted}")
     alone = cameras.keys() == {CAMERA} and cameras[CAMERA].rig_from_camera is None
     known: list[Array | None] = [None] * size
     if poses is not None:
-        by_number = poses_by_time(inside(path, poses, named_in=file))[1]
-        if len(by_number) != size:
-            raise FileFormatError(path / poses, f"{len(by_number)} poses for {size} images")
-        known = [station_pose(place) if alone else place for place in by_number]
+        matrices = read_poses(inside(path, poses, named_in=file))[1]
+        if len(matrices) != size:
+            raise FileFormatError(path / poses, f"{len(matrices)} poses for {size} images")
+        known = [station_pose(matrix) if alone else matrix for matrix in matrices]
     files = (file, *(image for both in images.values() for found in both for image in found))
     load = partial(_station, pairs, images, tuple(known))
-    return Recording(path.name, rig, size, load, path, files=files, of_camera=alone)
+    return Recording(path.name, rig, size, load, path, files=files, camera_poses=alone)
 
 
-def _station(
-    pairs: Mapping[str, Pair],
-    images: Mapping[str, tuple[list[Path], list[Path]]],
-    poses: tuple[Array | None, ...],
-    i: int,
-) -> Station:
-    frames = {
-        name: pair.frame(read_any_color(images[name][0][i]), read_units(images[name][1][i]), images[name][0][i])
-        for name, pair in pairs.items()
-    }
+def _station(pairs: Mapping[str, Pair], images: Images, poses: Sequence[Array | None], i: int) -> Station:
+    frames = {}
+    for name, pair in pairs.items():
+        color, depth = (files[i] for files in images[name])
+        frames[name] = pair.frame(read_any_color(color), read_any_depth(depth), color)
     return Station(frames, poses[i])
 
 
 def _pair(file: Path, camera: _Camera) -> Pair:
-    between = camera.color_from_depth
+    matrix = camera.color_from_depth
     return Pair(
         camera.intrinsics.lens(),
         None if camera.depth_intrinsics is None else camera.depth_intrinsics.lens(),
-        np.eye(4) if between is None else checked_pose(file, "color_from_depth", between),
+        np.eye(4) if matrix is None else checked_pose(file, "color_from_depth", matrix),
         camera.depth_scale,
     )
 
 
-def _placed(file: Path, name: str, camera: _Camera, pair: Pair) -> Camera:
-    there = camera.rig_from_camera
-    stands = RIG_FROM_CAMERA if there is None else checked_pose(file, f"{name}: rig_from_camera", there)
-    return Camera(pair.color.intrinsics, stands, camera.depth_scale)
+def _rig_camera(file: Path, name: str, camera: _Camera, pair: Pair) -> Camera:
+    matrix = camera.rig_from_camera
+    pose = RIG_FROM_CAMERA if matrix is None else checked_pose(file, f"{name}: rig_from_camera", matrix)
+    return Camera(pair.color.intrinsics, pose, camera.depth_scale)
 
 
 def _images(folder: Path, pattern: str) -> list[Path]:

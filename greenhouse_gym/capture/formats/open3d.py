@@ -17,19 +17,19 @@ name = "open3d"
 description = "the folders color/ and depth/, optionally camera*.json or intrinsic.json, and trajectory.log"
 
 PRIMESENSE = Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5)
-"""What Open3D assumes for RGB-D folders that carry no intrinsics."""
+"""Intrinsics that Open3D assumes for RGB-D folders without any."""
 
 
 class _CameraFile(BaseModel):
-    """Open3D's camera: the matrix column by column."""
+    """Open3D's camera; the matrix is stored column by column."""
 
     width: int
     height: int
     intrinsic_matrix: list[float] = Field(min_length=9, max_length=9)
 
 
-def recognises(path: Path) -> bool:
-    """Whether the folder, or ``RGBD`` in it, has images in both of its folders, and no index of another format."""
+def recognizes(path: Path) -> bool:
+    """Return whether the folder, or ``RGBD`` in it, has both folders of images, and no index of another format."""
     folder = _inner(path)
     described = any((folder / other).exists() for other in (INDEX, "cameras.yaml", "intrinsic"))
     return not described and (folder / "depth").is_dir() and bool(_color_images(folder))
@@ -47,10 +47,9 @@ def open(path: Path) -> Recording:
     trajectory = folder / "trajectory.log"
     described_by = [*cameras, *([trajectory] if trajectory.exists() else [])]
     poses = _poses(trajectory, len(color)) if trajectory.exists() else [None] * len(color)
-    return single_camera(
-        folder, _intrinsics(cameras[0]) if cameras else PRIMESENSE,
-        color, [folder / "depth" / f"{file.stem}.png" for file in color], poses, described_by=described_by,
-    )  # fmt: skip
+    intrinsics = _intrinsics(cameras[0]) if cameras else PRIMESENSE
+    depth = [folder / "depth" / f"{file.stem}.png" for file in color]
+    return single_camera(folder, intrinsics, color, depth, poses, described_by=described_by)
 
 
 def _inner(path: Path) -> Path:
@@ -69,7 +68,7 @@ def _intrinsics(path: Path) -> Intrinsics:
 
 
 def _poses(path: Path, images: int) -> list[Array | None]:
-    """World from camera of each image; None for those that the trajectory does not reach."""
+    """Return world_from_camera of each image; None for those beyond the end of the trajectory."""
     with parsing(path, "trajectory with a header line and a 4x4 matrix per image"):
         lines = [line for line in read_bytes(path, "trajectory").decode().splitlines() if line.strip()]
         blocks = [

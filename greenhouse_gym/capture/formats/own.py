@@ -1,4 +1,4 @@
-"""The package's own folders: ``recording.json`` beside the images it names."""
+"""The package's own folders: ``recording.json`` next to the images it names."""
 
 from __future__ import annotations
 
@@ -11,6 +11,6 @@ description = f"{INDEX} and the images it names"
 open = open_folder
 
 
-def recognises(path: Path) -> bool:
-    """Whether the folder has an index."""
+def recognizes(path: Path) -> bool:
+    """Return whether the folder has an index."""
     return (path / INDEX).is_file()

@@ -1,21 +1,17 @@
-"""A color and a depth image as they come off a sensor, made one frame: distortion undone, depth aligned to color."""
+"""Frames from the raw color and depth images of a sensor: undistorted, depth aligned to color."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.capture.frames import RgbdFrame
-from greenhouse_gym.capture.images import read_exr, read_image
+from greenhouse_gym.capture.frames import RgbdFrame, size_text
 from greenhouse_gym.capture.rig import Intrinsics
-from greenhouse_gym.common.array_files import read_array
 from greenhouse_gym.common.extras import needs
-from greenhouse_gym.common.files import parsing, read_bytes
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import Array, transform
 
@@ -25,11 +21,11 @@ with needs("reconstruct"):
 
 @dataclass(frozen=True, eq=False)
 class Lens:
-    """A pinhole and how its images are distorted.
+    """A pinhole camera and the distortion of its images.
 
     Attributes:
         intrinsics: The pinhole.
-        distortion: OpenCV's coefficients (k1, k2, p1, p2, k3, ...); none of an image that is rectified.
+        distortion: OpenCV's coefficients (k1, k2, p1, p2, k3, ...); empty for rectified images.
     """
 
     intrinsics: Intrinsics
@@ -38,13 +34,13 @@ class Lens:
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """How a camera's color and depth images belong together.
+    """Lenses, relative pose and units of a camera's color and depth images.
 
     Attributes:
         color: The color camera's lens.
-        depth: The depth camera's; None where depth is aligned to color already.
+        depth: The depth camera's lens; None where depth is aligned to color already.
         color_from_depth: (4, 4) pose of the depth camera in the color camera, metres.
-        depth_scale: Metres per unit of whole numbers; numbers with a fraction are metres.
+        depth_scale: Metres per unit of whole numbers; fractional numbers are metres.
     """
 
     color: Lens
@@ -54,22 +50,23 @@ class Pair:
 
     @classmethod
     def of(cls, color: Lens, depth: Lens, color_from_depth: Array, depth_scale: float = 0.001) -> Pair:
-        """A pair of two lenses, of which the depth's does not matter where it is, and stands, as the color's."""
+        """Return a pair of two lenses, that of depth dropped where lens and pose equal those of color."""
         same = color.intrinsics == depth.intrinsics and np.allclose(color_from_depth, np.eye(4), atol=1e-6)
         return cls(color, None if same else depth, color_from_depth, depth_scale)
 
     def frame(self, color: npt.NDArray[np.uint8], depth: npt.NDArray[Any], named: object) -> RgbdFrame:
-        """One frame of a color image (h, w, 3) and a depth image (h', w') in its own units.
+        """Combine a color image (h, w, 3) and a depth image (h', w') in its own units into one frame.
 
         Raises:
-            FileFormatError: An image is not of its lens's size; ``named`` is what to call it.
+            FileFormatError: An image does not have its lens's size; ``named`` is its name in messages.
         """
         own = self.depth or self.color
-        for what, image, lens in (("color", color, self.color), ("depth", depth, own)):
+        for kind, image, lens in (("color", color, self.color), ("depth", depth, own)):
             size = (lens.intrinsics.height, lens.intrinsics.width)
             if image.shape[:2] != size:
-                seen, said = f"{image.shape[1]}x{image.shape[0]}", f"{size[1]}x{size[0]}"
-                raise FileFormatError(named, f"{what} image is {seen}, the intrinsics say {said}")
+                raise FileFormatError(
+                    named, f"{kind} image is {size_text(image.shape)}, the intrinsics say {size_text(size)}"
+                )
         metres = in_metres(depth, self.depth_scale)
         if any(self.color.distortion):
             color = cv2.remap(color, *_undistortion(self.color), cv2.INTER_LINEAR)
@@ -81,7 +78,7 @@ class Pair:
 
 
 def in_metres(depth: npt.NDArray[Any], scale: float) -> npt.NDArray[np.float32]:
-    """A depth image in metres, 0 where it is not a positive number."""
+    """Convert a depth image to metres, 0 where it is not a positive number."""
     metres = depth.astype(np.float32)
     if np.issubdtype(depth.dtype, np.integer):
         metres *= np.float32(scale)
@@ -90,7 +87,7 @@ def in_metres(depth: npt.NDArray[Any], scale: float) -> npt.NDArray[np.float32]:
 
 @lru_cache(maxsize=16)
 def _undistortion(lens: Lens) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-    """Where each pixel of the undistorted image is found."""
+    """Return the coordinates in the distorted image of each pixel of the undistorted one."""
     k = lens.intrinsics
     distortion = np.array(lens.distortion)
     maps = cv2.initUndistortRectifyMap(k.matrix, distortion, None, k.matrix, (k.width, k.height), cv2.CV_32FC1)
@@ -100,9 +97,9 @@ def _undistortion(lens: Lens) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.f
 def aligned(
     depth: npt.NDArray[np.float32], own: Intrinsics, color: Intrinsics, color_from_depth: Array
 ) -> npt.NDArray[np.float32]:
-    """Depth (h', w') of one camera as another camera (h, w) beside it would measure it; the nearest reading counts.
+    """Project the depth (h', w') of one camera into another camera (h, w) next to it; the nearest reading wins.
 
-    A pixel of a coarser depth image covers several of the color image: as many as its size asks for.
+    A pixel of a coarser depth image covers as many pixels of the color image as it is larger.
     """
     rows, columns = np.nonzero(depth > 0)
     z = depth[rows, columns].astype(np.float64)
@@ -121,21 +118,3 @@ def aligned(
             np.minimum.at(result, v[inside] * color.width + u[inside], metres[inside])
     result[~np.isfinite(result)] = 0.0
     return result.reshape(color.height, color.width)
-
-
-def read_units(path: Path) -> npt.NDArray[Any]:
-    """A depth image file in its own units: PNG, PGM or TIFF of 16 bits or of fractions, NPY or OpenEXR.
-
-    Raises:
-        FileFormatError: It is missing, damaged, of no such kind, or has several channels.
-    """
-    if path.suffix.lower() == ".npy":
-        with parsing(path, "depth image"):
-            image = read_array(read_bytes(path, "image"))
-    elif path.suffix.lower() == ".exr":
-        image = read_exr(path)
-    else:
-        image = read_image(path)
-    if image.ndim != 2 or image.dtype.kind not in "uif" or image.dtype == np.uint8:
-        raise FileFormatError(path, f"expected one channel of depth, got {image.dtype} of shape {image.shape}")
-    return image

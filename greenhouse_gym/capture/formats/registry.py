@@ -1,7 +1,7 @@
-"""One way in, `open_recording`, for every format that is known: the package's own, and those of installed packages.
+"""Registry of recording formats: `open_recording` reads the package's own and those of installed packages.
 
-A format is a module, or any object, with a ``name``, a ``description``, ``recognises(path)`` and ``open(path)``. A
-package that brings one names it among its entry points:
+A format is a module, or any object, with a ``name``, a ``description``, ``recognizes(path)`` and ``open(path)``. A
+package that provides one names it among its entry points:
 
     [project.entry-points."greenhouse_gym.formats"]
     my-rig = "my_package.my_rig"
@@ -24,38 +24,38 @@ from greenhouse_gym.common.files import parsing
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError
 
 ENTRY_POINTS = "greenhouse_gym.formats"
-"""The group of entry points by which other packages add formats."""
+"""Group of entry points by which other packages add formats."""
 
 
 class RecordingFormat(Protocol):
-    """What reads recordings of one kind; a module with these names is one."""
+    """Reader of recordings of one kind; a module with these names is one."""
 
     @property
     def name(self) -> str:
-        """What to call it, in ``open_recording(path, format=name)``."""
+        """Name in ``open_recording(path, format=name)``."""
 
     @property
     def description(self) -> str:
-        """What a recording of this kind consists of, in a few words."""
+        """Contents of a recording of this kind, in a few words."""
 
-    def recognises(self, path: Path) -> bool:
-        """Whether this looks like such a recording; no image is read, and nothing is raised for what it is not."""
+    def recognizes(self, path: Path) -> bool:
+        """Return whether this looks like such a recording, without reading images or raising errors."""
 
     def open(self, path: Path) -> Recording:
-        """The recording, whose ``load`` reads a station when it is asked for."""
+        """Open the recording; its ``load`` reads a station when it is accessed."""
 
 
 _OWN: tuple[RecordingFormat, ...] = (own, calibrated, open3d, tum, scannet, bop, described, bags)
-_MISSING = "there is no such folder or file"
+_MISSING = "no such folder or file"
 
 
 @cache
 def recording_formats() -> Mapping[str, RecordingFormat]:
-    """All formats by name: the package's own first, then those that installed packages bring.
+    """Return all formats by name: the package's own first, then those of installed packages.
 
     Raises:
-        InvalidValueError: An installed package's format cannot be imported, lacks one of the four names, or is called
-            like another format.
+        InvalidValueError: An installed package's format cannot be imported, lacks one of the four names, or has the
+            name of another format.
     """
     formats = {known.name: known for known in _OWN}
     for entry in sorted(entry_points(group=ENTRY_POINTS), key=lambda entry: entry.name):
@@ -65,22 +65,21 @@ def recording_formats() -> Mapping[str, RecordingFormat]:
         except Exception as error:
             raise InvalidValueError(f"{where}: {error}") from error
         if found.name in formats:
-            raise InvalidValueError(f"{where}: another format is called {found.name!r} as well")
+            raise InvalidValueError(f"{where}: another format has the name {found.name!r}")
         formats[found.name] = found
     return MappingProxyType(formats)
 
 
 def open_recording(path: str | Path, format: str | RecordingFormat | None = None) -> Recording:
-    """Open a recording; its stations are read when they are asked for.
+    """Open a recording; each station is read when it is accessed.
 
     Args:
-        path: Its folder, or whatever its format reads.
-        format: One of `recording_formats` by name, or an object that is one; the one that recognizes the path when left
-            out.
+        path: Its folder, or a file that its format reads.
+        format: A name in `recording_formats`, or a format; by default the one that recognizes the path.
 
     Raises:
-        UnknownNameError: No format is called so.
-        InvalidValueError: What was given as a format is none.
+        UnknownNameError: No format has that name.
+        InvalidValueError: The format lacks one of the four names.
         FileFormatError: No format recognizes the path, or several do, or a file is missing or damaged. Images are
             checked when their station is read.
     """
@@ -95,7 +94,7 @@ def open_recording(path: str | Path, format: str | RecordingFormat | None = None
         if chosen in _OWN and not path.exists():
             raise FileFormatError(path, _MISSING)
     else:
-        chosen = _checked(format, "the format that was given")
+        chosen = _checked(format, "the given format")
     with parsing(path, f"recording of the format {chosen.name!r}"):
         recording = chosen.open(path)
     if not isinstance(recording, Recording) or recording.size < 1:
@@ -108,13 +107,13 @@ def _recognized(path: Path) -> RecordingFormat:
     fitting = []
     for known in formats.values():
         with parsing(path, f"path for the format {known.name!r}"):
-            if known.recognises(path):
+            if known.recognizes(path):
                 fitting.append(known)
     if len(fitting) == 1:
         return fitting[0]
     if fitting:
         names = ", ".join(known.name for known in fitting)
-        raise FileFormatError(path, f"several formats recognize it: {names}; name the one that is meant")
+        raise FileFormatError(path, f"several formats recognize it: {names}; choose one by its name")
     if not path.exists():
         raise FileFormatError(path, _MISSING)
     kinds = "; ".join(f"{known.name}: {known.description}" for known in formats.values())
@@ -122,12 +121,12 @@ def _recognized(path: Path) -> RecordingFormat:
 
 
 def _checked(format: object, where: str) -> RecordingFormat:
-    """The object, if it is a format.
+    """Return the object, checked to be a format.
 
     Raises:
         InvalidValueError: It lacks one of the four names.
     """
-    missing = [name for name in ("name", "description", "recognises", "open") if not hasattr(format, name)]
+    missing = [name for name in ("name", "description", "recognizes", "open") if not hasattr(format, name)]
     if missing:
         raise InvalidValueError(f"{where}, {format!r:.80}, is no recording format: it lacks {', '.join(missing)}")
     return format  # type: ignore[return-value]
@@ -135,7 +134,7 @@ def _checked(format: object, where: str) -> RecordingFormat:
 
 @dataclass(frozen=True, eq=False)
 class _Checked:
-    """Stations as a format's reader gives them, if they are some."""
+    """Reader of a format's stations that checks their types."""
 
     recording: Recording
     path: Path

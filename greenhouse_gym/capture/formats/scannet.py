@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from greenhouse_gym.capture.formats.pairs import Lens, Pair, read_units
-from greenhouse_gym.capture.formats.single_camera import read_numbers
-from greenhouse_gym.capture.formats.videos import read_any_color, video
+from greenhouse_gym.capture.formats.pairs import Lens, Pair
+from greenhouse_gym.capture.formats.single_camera import video
+from greenhouse_gym.capture.formats.trajectories import read_numbers
+from greenhouse_gym.capture.image_files import read_any_color, read_any_depth
 from greenhouse_gym.capture.recordings import Recording, checked_pose
 from greenhouse_gym.capture.rig import Intrinsics
 from greenhouse_gym.errors import FileFormatError
@@ -20,8 +21,8 @@ description = "the folders color/, depth/, intrinsic/ and optionally pose/ as Sc
 _COLOR, _DEPTH = "intrinsic_color.txt", "intrinsic_depth.txt"
 
 
-def recognises(path: Path) -> bool:
-    """Whether the folder has images and intrinsics of both cameras."""
+def recognizes(path: Path) -> bool:
+    """Return whether the folder has images and intrinsics of both cameras."""
     return all((path / part).is_dir() for part in ("color", "depth")) and (path / "intrinsic" / _COLOR).is_file()
 
 
@@ -36,7 +37,7 @@ def open(path: Path) -> Recording:
     if not color:
         raise FileFormatError(path, "holds no color images")
     matrices = [path / "intrinsic" / name for name in (_COLOR, _DEPTH)]
-    color_shape, depth_shape = read_any_color(color[0]).shape, read_units(depth[0]).shape
+    color_shape, depth_shape = read_any_color(color[0]).shape, read_any_depth(depth[0]).shape
     lenses = [Lens(_intrinsics(file, shape)) for file, shape in zip(matrices, (color_shape, depth_shape), strict=True)]
     extrinsics = [_matrix(path / "intrinsic" / f"extrinsic_{kind}.txt") for kind in ("color", "depth")]
     same = lenses[0].intrinsics == lenses[1].intrinsics
@@ -59,7 +60,7 @@ def _matrix(file: Path) -> Array:
 
 
 def _pose(file: Path) -> Array | None:
-    """The pose of an image; None where tracking was lost, which is written as -inf."""
+    """Read the pose of an image; None where tracking was lost, which is written as -inf."""
     if not file.exists() or "inf" in file.read_text():
         return None
     return checked_pose(file, "the pose", read_numbers(file, 4))

@@ -1,4 +1,4 @@
-"""Recordings of one hand-held camera, whatever their files are called.
+"""Recordings of one hand-held camera.
 
 The camera becomes a rig of one: the rig frame sits in the camera with x forward and z up in the image, so that
 reconstruction finds the same conventions as with a tripod.
@@ -6,24 +6,23 @@ reconstruction finds the same conventions as with a tripod.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-
-from greenhouse_gym.capture.frames import Station
+from greenhouse_gym.capture.formats.pairs import Pair
+from greenhouse_gym.capture.frames import RgbdFrame, Station
+from greenhouse_gym.capture.image_files import read_any_color, read_any_depth
 from greenhouse_gym.capture.recordings import Recording, read_frame
 from greenhouse_gym.capture.rig import Camera, Intrinsics, Rig
-from greenhouse_gym.common.files import parsing, read_bytes
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import Array, pose
 
-RIG_FROM_CAMERA = pose(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]))
-"""Where the camera of a rig of one stands in the rig's frame."""
+RIG_FROM_CAMERA = pose([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""Pose of the camera of a rig of one in the rig's frame."""
 
 CAMERA = "camera"
-"""The name of that camera."""
+"""Name of that camera."""
 
 
 def single_camera(
@@ -35,51 +34,88 @@ def single_camera(
     depth_scale: float = 0.001,
     described_by: Sequence[Path] = (),
 ) -> Recording:
-    """A recording of one camera from the names of its images.
+    """Return a recording of one camera from its image files, depth aligned to color.
 
     Args:
-        folder: Where it lies; its name becomes the recording's.
+        folder: Its folder, whose name becomes the recording's.
         intrinsics: The camera's intrinsics.
         color: The color images, one per station.
         depth: The depth images, as many.
         world_from_camera: (4, 4) true pose of the camera at each station, or None where it is not known.
         depth_scale: Metres per unit of the depth images.
-        described_by: The files that intrinsics and poses come from.
+        described_by: Files of intrinsics and poses.
 
     Raises:
         FileFormatError: There are no images, or the lists differ in length.
     """
+    camera = Camera(intrinsics, RIG_FROM_CAMERA, depth_scale)
     poses = [None] * len(color) if world_from_camera is None else world_from_camera
+    return _recording(folder, camera, partial(read_frame, camera=camera), color, depth, poses, described_by)
+
+
+def video(
+    folder: Path,
+    pair: Pair,
+    color: Sequence[Path],
+    depth: Sequence[Path],
+    world_from_camera: Sequence[Array | None],
+    described_by: Sequence[Path] = (),
+    notes: Sequence[str] = (),
+) -> Recording:
+    """Return a recording of one camera from image files of any kind that `Pair` turns into frames.
+
+    Raises:
+        FileFormatError: There are no images, or the lists differ in length.
+    """
+    camera = rig_of(pair).cameras[CAMERA]
+    return _recording(folder, camera, partial(_read_pair, pair), color, depth, world_from_camera, described_by, notes)
+
+
+def rig_of(pair: Pair) -> Rig:
+    """Return the rig of one camera."""
+    return Rig({CAMERA: Camera(pair.color.intrinsics, RIG_FROM_CAMERA, pair.depth_scale)}, CAMERA)
+
+
+def station_pose(world_from_camera: Array | None) -> Array | None:
+    """Return the pose of the rig frame for a pose of the camera of a rig of one."""
+    return None if world_from_camera is None else world_from_camera @ RIG_FROM_CAMERA.T
+
+
+def _recording(
+    folder: Path,
+    camera: Camera,
+    read: Callable[[Path, Path], RgbdFrame],
+    color: Sequence[Path],
+    depth: Sequence[Path],
+    poses: Sequence[Array | None],
+    described_by: Sequence[Path],
+    notes: Sequence[str] = (),
+) -> Recording:
     if not color:
-        raise FileFormatError(folder, "holds no color images")
+        raise FileFormatError(folder, "holds no pairs of color and depth images")
     if not len(color) == len(depth) == len(poses):
         raise FileFormatError(folder, f"{len(color)} color images, {len(depth)} depth images, {len(poses)} poses")
-    camera = Camera(intrinsics, RIG_FROM_CAMERA, depth_scale)
-    load = partial(_station, color, depth, camera, poses)
-    rig = Rig({CAMERA: camera}, CAMERA)
-    files = (*described_by, *color, *depth)
-    return Recording(folder.name, rig, len(color), load, folder, files=files, of_camera=True)
+    return Recording(
+        folder.name,
+        Rig({CAMERA: camera}, CAMERA),
+        len(color),
+        partial(_station, read, tuple(color), tuple(depth), tuple(poses)),
+        folder,
+        files=(*described_by, *color, *depth),
+        notes=tuple(notes),
+        camera_poses=True,
+    )
 
 
 def _station(
-    color: Sequence[Path], depth: Sequence[Path], camera: Camera, poses: Sequence[Array | None], i: int
+    read: Callable[[Path, Path], RgbdFrame],
+    color: Sequence[Path],
+    depth: Sequence[Path],
+    poses: Sequence[Array | None],
+    i: int,
 ) -> Station:
-    known = poses[i]
-    frame = read_frame(color[i], depth[i], camera)
-    return Station({CAMERA: frame}, None if known is None else known @ RIG_FROM_CAMERA.T)
+    return Station({CAMERA: read(color[i], depth[i])}, station_pose(poses[i]))
 
 
-def read_numbers(path: Path, columns: int) -> Array:
-    """A text file of numbers (lines, columns), lines without any, and those that begin with #, left out.
-
-    Raises:
-        FileFormatError: The file cannot be read, or holds something else.
-    """
-    with parsing(path, f"file of {columns} numbers a line"):
-        lines = [line.split() for line in read_bytes(path, "trajectory").decode().splitlines()]
-        rows = np.array([list(map(float, line)) for line in lines if line and line[0][0] != "#"])
-        if rows.ndim != 2 or rows.shape[1] != columns:
-            raise ValueError(f"shape {rows.shape}")
-        if not np.isfinite(rows).all():
-            raise ValueError("not all are finite")
-    return rows
+def _read_pair(pair: Pair, color: Path, depth: Path) -> RgbdFrame:
+    return pair.frame(read_any_color(color), read_any_depth(depth), color)

@@ -1,4 +1,4 @@
-"""TUM's and ETH3D's folders: ``rgb.txt`` and ``depth.txt``, lines of a time and a file, 5000 units to the metre."""
+"""Folders of TUM and ETH3D: ``rgb.txt`` and ``depth.txt``, lines of a time and a file, 5000 units to the metre."""
 
 from __future__ import annotations
 
@@ -7,14 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from greenhouse_gym.capture.formats.pairs import Lens, Pair
-from greenhouse_gym.capture.formats.single_camera import read_numbers
-from greenhouse_gym.capture.formats.videos import (
-    POSED_WITHIN,
-    nearest_in_time,
-    poses_by_time,
-    read_any_color,
-    video,
-)
+from greenhouse_gym.capture.formats.single_camera import video
+from greenhouse_gym.capture.formats.trajectories import POSE_TOLERANCE, nearest_in_time, read_numbers, read_poses
+from greenhouse_gym.capture.image_files import read_any_color
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.capture.rig import Intrinsics
 from greenhouse_gym.common.files import inside, parsing, read_bytes
@@ -25,7 +20,7 @@ name = "tum"
 description = "rgb.txt and depth.txt as of TUM and ETH3D, optionally groundtruth.txt and calibration.txt"
 
 _SCALE = 1 / 5000
-_TOGETHER = 0.02  # s within which two images are a pair
+_SAME_MOMENT = 0.02  # s between two images of a pair
 _CAMERAS = {
     "freiburg1": (517.3, 516.5, 318.6, 255.3),
     "freiburg2": (520.9, 521.0, 325.1, 249.7),
@@ -34,8 +29,8 @@ _CAMERAS = {
 _USUAL = (525.0, 525.0, 319.5, 239.5)
 
 
-def recognises(path: Path) -> bool:
-    """Whether the folder has both lists."""
+def recognizes(path: Path) -> bool:
+    """Return whether the folder has both lists."""
     return (path / "rgb.txt").is_file() and (path / "depth.txt").is_file()
 
 
@@ -47,21 +42,21 @@ def open(path: Path) -> Recording:
     """
     color_times, color = _list(path, "rgb.txt")
     depth_times, depth = _list(path, "depth.txt")
-    partner = nearest_in_time(color_times, depth_times, _TOGETHER)
+    partner = nearest_in_time(color_times, depth_times, _SAME_MOMENT)
     paired = np.flatnonzero(partner >= 0)
-    notes = [f"{len(color) - len(paired)} of {len(color)} color images have no depth image at their time"]
+    notes = []
+    if len(paired) < len(color):
+        notes.append(f"{len(color) - len(paired)} of {len(color)} color images have no depth image at their time")
     truth, calibration = path / "groundtruth.txt", path / "calibration.txt"
-    times, poses = poses_by_time(truth) if truth.exists() else (np.zeros(0), np.zeros((0, 4, 4)))
-    posed = nearest_in_time(color_times[paired], times, POSED_WITHIN)
+    times, poses = read_poses(truth) if truth.exists() else (np.zeros(0), np.zeros((0, 4, 4)))
+    posed = nearest_in_time(color_times[paired], times, POSE_TOLERANCE)
     known: list[Array | None] = [poses[k] if k >= 0 else None for k in posed]
     if not calibration.exists() and not any(label in path.name for label in _CAMERAS):
         notes.append("no calibration.txt: taken as 640x480 with a focal length of 525 pixels")
     described_by = [path / "rgb.txt", path / "depth.txt", *(f for f in (truth, calibration) if f.exists())]
-    return video(
-        path, Pair(Lens(_intrinsics(path, calibration)), depth_scale=_SCALE),
-        [color[k] for k in paired], [depth[k] for k in partner[paired]], known, described_by,
-        notes if len(paired) < len(color) else notes[1:],
-    )  # fmt: skip
+    pair = Pair(Lens(_intrinsics(path, calibration)), depth_scale=_SCALE)
+    images = [color[k] for k in paired], [depth[k] for k in partner[paired]]
+    return video(path, pair, *images, known, described_by, notes)
 
 
 def _intrinsics(path: Path, calibration: Path) -> Intrinsics:
@@ -74,13 +69,13 @@ def _intrinsics(path: Path, calibration: Path) -> Intrinsics:
 
 
 def _size(path: Path) -> tuple[int, int]:
-    """Width and height of the first color image."""
+    """Return width and height of the first color image."""
     height, width = read_any_color(_list(path, "rgb.txt")[1][0]).shape[:2]
     return width, height
 
 
 def _list(folder: Path, file: str) -> tuple[Array, list[Path]]:
-    """Times (n,) and files of a list, sorted by time."""
+    """Read times (n,) and files of a list, sorted by time."""
     with parsing(folder / file, "list of times and files"):
         lines = [line.split() for line in read_bytes(folder / file, "trajectory").decode().splitlines()]
         pairs = sorted((float(line[0]), line[1]) for line in lines if line and not line[0].startswith("#"))

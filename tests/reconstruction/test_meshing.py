@@ -14,8 +14,9 @@ from scipy.spatial import cKDTree
 from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError
 from greenhouse_gym.reconstruction import METHODS, TriangleMesh, simplify_points, triangulate
+from greenhouse_gym.reconstruction.meshing import check_mesh
 from greenhouse_gym.reconstruction.point_clouds import Cloud, merge, voxel_means
-from greenhouse_gym.reconstruction.surface import check_mesh, save_mesh, save_points
+from greenhouse_gym.reconstruction.row_files import save_mesh, save_points
 
 pytestmark = pytest.mark.xdist_group("row")
 
@@ -301,7 +302,7 @@ def test_clouds_move_select_and_merge() -> None:
     cloud = ball(10)
     shift = np.eye(4)
     shift[:3, 3] = [1, 2, 3]
-    moved = cloud.moved(shift)
+    moved = cloud.transformed(shift)
     np.testing.assert_allclose(moved.points, cloud.points + [1, 2, 3])
     np.testing.assert_array_equal(moved.normals, cloud.normals)
     both = merge([cloud, moved])

@@ -1,4 +1,4 @@
-"""Surface normals straight from a depth image: a plane is linear in inverse depth, so box filters fit it everywhere."""
+"""Surface normals of a depth image: a plane is linear in inverse depth, so box filters fit one at every pixel."""
 
 from __future__ import annotations
 
@@ -16,20 +16,14 @@ with needs("reconstruct"):
 def image_normals(
     depth: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_], intrinsics: Intrinsics, window: int = 7
 ) -> Array:
-    """Unit normals toward the camera at the masked pixels, in the camera frame.
+    """Return unit normals toward the camera at the masked pixels of a depth image, in the camera frame.
 
     With x' = (u - cx) / fx and y' = (v - cy) / fy, the points of a plane n . X = d have 1/z = (n . (x', y', 1)) / d, so
-    a linear fit of inverse depth in a window gives the normal's direction. Only masked pixels count, so a surface cut
-    out of its background is not bent towards it.
-
-    Args:
-        depth: (height, width) metres.
-        mask: (height, width) pixels to use; all must have a reading.
-        intrinsics: The camera's.
-        window: Side of the window, pixels.
+    a linear fit of inverse depth in a window gives the normal's direction. Only masked pixels count, all of which must
+    have a reading, so the background of a surface does not bend its normals.
 
     Returns:
-        (n, 3) unit vectors in the order of ``np.nonzero(mask)``; against the line of sight where a fit is not possible.
+        (n, 3) unit vectors in the order of ``np.nonzero(mask)``; opposite to the line of sight where no fit exists.
     """
     k = intrinsics
     x = ((np.arange(k.width) - k.cx) / k.fx)[None, :].astype(np.float32)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from greenhouse_gym.common.array_files import read_array
 from greenhouse_gym.common.extras import needs
 from greenhouse_gym.common.files import parsing, read_bytes
 from greenhouse_gym.errors import FileFormatError
@@ -14,17 +16,16 @@ from greenhouse_gym.errors import FileFormatError
 with needs("reconstruct"):
     import cv2
 
-MAX_PIXELS = 64 * 10**6
-"""The most pixels an image may have; the largest cameras have as many."""
+MAX_PIXELS = 64 * 10**6  # as many as the largest cameras have
 
 
 def read_color(path: str | Path) -> npt.NDArray[np.uint8]:
-    """A color image file as (height, width, 3) uint8 RGB."""
+    """Read a color image file as (height, width, 3) uint8 RGB."""
     return np.asarray(_decode(Path(path), cv2.IMREAD_COLOR_RGB), dtype=np.uint8)
 
 
 def read_depth(path: str | Path) -> npt.NDArray[np.uint16]:
-    """A one-channel 16-bit depth image file as (height, width) uint16, in the file's own units."""
+    """Read a one-channel 16-bit depth image file as (height, width) uint16, in the file's own units."""
     image = _decode(Path(path), cv2.IMREAD_UNCHANGED)
     if image.ndim != 2 or image.dtype != np.uint16:
         raise FileFormatError(path, f"expected one channel of 16 bits, got {image.dtype} of shape {image.shape}")
@@ -32,14 +33,14 @@ def read_depth(path: str | Path) -> npt.NDArray[np.uint16]:
 
 
 def read_image(path: str | Path) -> npt.NDArray[np.generic]:
-    """An image file as it is, color as BGR: also kinds that only strangers write, PNM and TIFF."""
+    """Read an image file unchanged, color as BGR; PNM and TIFF, which the package never writes, are read as well."""
     return _decode(Path(path), cv2.IMREAD_UNCHANGED, foreign=True)
 
 
 def read_exr(path: Path) -> npt.NDArray[np.generic]:
-    """The depth in an OpenEXR file (height, width), fractions of metres: its only channel, or that called Z, V, Y or R.
+    """Read the depth in an OpenEXR file (height, width): its only channel, or the one called Z, V, Y or R.
 
-    OpenCV's wheels read no OpenEXR.
+    OpenCV's wheels do not read OpenEXR.
 
     Raises:
         FileFormatError: It is missing, damaged, too large, or has no such channel.
@@ -54,17 +55,45 @@ def read_exr(path: Path) -> npt.NDArray[np.generic]:
         if np.prod(np.subtract(last, first) + 1.0) > MAX_PIXELS:
             raise FileFormatError(path, f"an image of more than {MAX_PIXELS} pixels is too large")
         with OpenEXR.File(str(path), separate_channels=True) as file:
-            channels = {channel.rpartition(".")[2]: held.pixels for channel, held in file.channels().items()}
+            channels = {channel.rpartition(".")[2]: data.pixels for channel, data in file.channels().items()}
     named = [channel for channel in ("Z", "V", "Y", "R") if channel in channels]
     if len(channels) > 1 and not named:
         raise FileFormatError(path, f"which of its channels {', '.join(channels)} is depth? Expected Z, V, Y or R")
     return np.asarray(channels[named[0]] if named else next(iter(channels.values())))
 
 
-def encode_png(image: npt.NDArray[np.uint8] | npt.NDArray[np.uint16]) -> bytes:
-    """An image, (height, width) or (height, width, 3) RGB, as the bytes of a PNG file.
+def read_any_color(path: Path) -> npt.NDArray[np.uint8]:
+    """Read a color image of any known kind as RGB."""
+    image = read_image(path)
+    if image.ndim == 2:
+        image = np.repeat(image[..., None], 3, axis=2)
+    if image.dtype != np.uint8 or image.shape[2] not in (3, 4):
+        raise FileFormatError(path, f"expected color of 8 bits, got {image.dtype} of shape {image.shape}")
+    return np.ascontiguousarray(cv2.cvtColor(np.asarray(image[..., :3]), cv2.COLOR_BGR2RGB))
 
-    OpenCV's own settings make files twice as fast as any level of compression that is asked for.
+
+def read_any_depth(path: Path) -> npt.NDArray[Any]:
+    """Read a depth image file in its own units: PNG, PGM or TIFF of 16 bits or of fractions, NPY or OpenEXR.
+
+    Raises:
+        FileFormatError: It is missing, damaged, of an unknown kind, or has several channels.
+    """
+    if path.suffix.lower() == ".npy":
+        with parsing(path, "depth image"):
+            image = read_array(read_bytes(path, "image"))
+    elif path.suffix.lower() == ".exr":
+        image = read_exr(path)
+    else:
+        image = read_image(path)
+    if image.ndim != 2 or image.dtype.kind not in "uif" or image.dtype == np.uint8:
+        raise FileFormatError(path, f"expected one channel of depth, got {image.dtype} of shape {image.shape}")
+    return image
+
+
+def encode_png(image: npt.NDArray[np.uint8] | npt.NDArray[np.uint16]) -> bytes:
+    """Encode an image, (height, width) or (height, width, 3) RGB, as a PNG file.
+
+    OpenCV's default settings are twice as fast as any explicit level of compression.
     """
     stored = image[..., ::-1] if image.ndim == 3 else image
     done, buffer = cv2.imencode(".png", np.ascontiguousarray(stored))
@@ -95,12 +124,12 @@ def _decode(path: Path, mode: int, foreign: bool = False) -> npt.NDArray[np.gene
 
 
 def _png_size(data: bytes) -> tuple[int, int] | None:
-    """Width and height in the first chunk of a PNG file."""
+    """Return width and height from the first chunk of a PNG file."""
     return (int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")) if len(data) >= 24 else None
 
 
 def _jpeg_size(data: bytes) -> tuple[int, int] | None:
-    """Width and height in the frame header of a JPEG file; None if it has none."""
+    """Return width and height from the frame header of a JPEG file; None without one."""
     at = 2
     while at + 9 <= len(data) and data[at] == 0xFF:
         marker, length = data[at + 1], int.from_bytes(data[at + 2 : at + 4], "big")

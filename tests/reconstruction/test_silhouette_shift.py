@@ -10,11 +10,11 @@ from scipy import ndimage
 from greenhouse_gym.capture import SEED_RIG, Intrinsics, RgbdFrame, three_camera_rig
 from greenhouse_gym.capture.rig import D435_DEPTH
 from greenhouse_gym.geometry import transform
-from greenhouse_gym.reconstruction import ReconstructionSettings
-from greenhouse_gym.reconstruction.foreground import blacked_out, foreground_mask
-from greenhouse_gym.reconstruction.registration import mean_offset, row_axis, silhouette_shifts
-from greenhouse_gym.reconstruction.shift import Shift, along, best_shifts, overlap
-from greenhouse_gym.reconstruction.views import Calibration, CameraView, view_camera
+from greenhouse_gym.reconstruction import ReconstructionSettings, pair_registration
+from greenhouse_gym.reconstruction.foreground import black_out, foreground_mask
+from greenhouse_gym.reconstruction.pair_registration import mean_offset, row_axis, silhouette_shifts
+from greenhouse_gym.reconstruction.silhouette_shift import Shift, along, best_shifts, overlapping_parts
+from greenhouse_gym.reconstruction.station_views import Calibration, CameraView, camera_view
 
 SETTINGS = ReconstructionSettings()
 
@@ -73,18 +73,18 @@ def test_a_row_that_repeats_itself_has_several_good_shifts() -> None:
 def test_overlap_shows_the_same_pixels(shift: int) -> None:
     image = np.random.default_rng(0).random((40, 5))
     first, second = image[10:30], image[10 + shift : 30 + shift]
-    a, b = overlap(first, shift, 0)
+    a, b = overlapping_parts(first, shift, 0)
     np.testing.assert_array_equal(first[a], second[b])
     assert len(first[a]) == 20 - abs(shift)
 
 
 def view(depth: np.ndarray, color: int = 90) -> CameraView:
-    """What a camera at the origin of the rig, looking forward, sees."""
+    """View of a camera at the origin of the rig that looks forward."""
     height, width = depth.shape
     intrinsics = Intrinsics(width, height, 100.0, 100.0, (width - 1) / 2, (height - 1) / 2)
     rig = three_camera_rig(intrinsics)
     image = RgbdFrame(np.full((height, width, 3), color, np.uint8), depth.astype(np.float32), intrinsics)
-    return view_camera(image, "middle", Calibration(rig), SETTINGS)
+    return camera_view(image, "middle", Calibration(rig), SETTINGS)
 
 
 def test_foreground_is_what_is_nearer_than_60_cm() -> None:
@@ -95,7 +95,7 @@ def test_foreground_is_what_is_nearer_than_60_cm() -> None:
     np.testing.assert_array_equal(mask, [[False, True], [True, False]])
     np.testing.assert_array_equal(foreground_mask(depth, camera, rig, 0.4), [[False, True], [False, False]])
     color = np.full((2, 2, 3), 90, np.uint8)
-    np.testing.assert_array_equal(blacked_out(color, mask)[..., 0], [[0, 90], [90, 0]])
+    np.testing.assert_array_equal(black_out(color, mask)[..., 0], [[0, 90], [90, 0]])
 
 
 def test_turned_cameras_keep_the_slab_of_the_middle_one() -> None:
@@ -141,7 +141,7 @@ def test_no_shared_pixels_no_offset() -> None:
 
 def reference_view(i: int) -> CameraView:
     frame = half_recording()[i].frames["middle"]
-    return view_camera(frame, "middle", Calibration(half_recording().rig), SETTINGS)
+    return camera_view(frame, "middle", Calibration(half_recording().rig), SETTINGS)
 
 
 def test_silhouettes_of_a_row_give_the_way_of_the_tripod() -> None:
@@ -168,12 +168,12 @@ def test_silhouettes_of_a_row_give_the_way_of_the_tripod() -> None:
         assert back[0].pixels < 0
 
 
-def test_reasons_why_silhouettes_cannot_be_compared() -> None:
+def test_reasons_why_silhouettes_cannot_be_compared(monkeypatch: pytest.MonkeyPatch) -> None:
     good, other = reference_view(0), reference_view(1)
     dark = replace(good, depth=np.zeros_like(good.depth), foreground=np.zeros_like(good.foreground))
     assert "second image has 0.0% foreground" in str(silhouette_shifts(good, dark, 1, SETTINGS))
     assert "first image has 0.0% foreground" in str(silhouette_shifts(dark, good, 1, SETTINGS))
     full = replace(good, depth=np.full_like(good.depth, 0.3), foreground=np.ones_like(good.foreground))
     assert "100.0% of the image is nearer than 0.6 m" in str(silhouette_shifts(good, full, 1, SETTINGS))
-    strict = ReconstructionSettings(max_shift_difference=0.01)
-    assert "silhouettes differ by" in str(silhouette_shifts(good, other, 1, strict))
+    monkeypatch.setattr(pair_registration, "MAX_SHIFT_DIFFERENCE", 0.01)
+    assert "silhouettes differ by" in str(silhouette_shifts(good, other, 1, SETTINGS))

@@ -1,4 +1,4 @@
-"""The paper's second step: shift one silhouette over the other until they differ least."""
+"""Silhouette alignment, the paper's second step: shift one silhouette over the other to the least difference."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ class Shift(NamedTuple):
     """A shift of silhouettes along an image axis.
 
     Attributes:
-        pixels: What is at row (or column) r + pixels in the first image is at r in the second.
+        pixels: Row (or column) r + pixels of the first image shows what row r of the second shows.
         axis: Image axis: 0 = along the rows' index (vertical), 1 = horizontal.
-        difference: Pixels that differ, as a share of the foreground in the overlap; 0 = the same, 1 = disjoint.
+        difference: Pixels that differ, as a fraction of the foreground in the overlap; 0 = the same, 1 = disjoint.
     """
 
     pixels: int
@@ -22,8 +22,8 @@ class Shift(NamedTuple):
     difference: float
 
 
-def overlap(image: npt.NDArray[np.generic], shift: int, axis: int) -> tuple[slice, slice]:
-    """Slices of the first and of the second image (2-D index) that show the same pixels after a shift."""
+def overlapping_parts(image: npt.NDArray[np.generic], shift: int, axis: int) -> tuple[slice, slice]:
+    """Return slices of the first and of the second image (2-D index) that show the same pixels after a shift."""
     size = image.shape[axis]
     first = slice(max(shift, 0), size + min(shift, 0))
     second = slice(max(-shift, 0), size + min(-shift, 0))
@@ -31,7 +31,7 @@ def overlap(image: npt.NDArray[np.generic], shift: int, axis: int) -> tuple[slic
 
 
 def along(axis: int, part: slice) -> tuple[slice, slice]:
-    """A 2-D index that takes ``part`` along one axis and everything along the other."""
+    """Return a 2-D index that takes ``part`` along one axis and everything along the other."""
     return (part, slice(None)) if axis == 0 else (slice(None), part)
 
 
@@ -44,34 +44,25 @@ def best_shifts(
     step: int = 2,
     count: int = 1,
 ) -> list[Shift]:
-    """Shift the second silhouette a few pixels at a time and keep the shifts with the least difference.
+    """Shift the second silhouette (height, width) by ``step`` pixels at a time, from ``shortest`` to ``longest``.
 
-    Both directions are tried: the tripod may go either way along the row. A row repeats itself, so beside the best
-    shift the next best valleys of the difference may be asked for.
-
-    Args:
-        first: (height, width) foreground of one station.
-        second: (height, width) foreground of a later one.
-        axis: Image axis along which the row passes.
-        shortest: Fewest pixels to try, in either direction.
-        longest: Most pixels to try.
-        step: Pixels between two tries.
-        count: Most shifts wanted.
+    Both directions are tried: the tripod may move either way along the row. A row repeats itself, so the next best
+    minima of the difference can be returned as well.
 
     Returns:
-        Shifts that differ less than their neighbors, the best first; none where no try left any foreground.
+        Up to ``count`` local minima of the difference, the best first; empty where no try left any foreground.
     """
     tried: list[Shift] = []
     tries = list(range(shortest, min(longest, first.shape[axis] - 1) + 1, step))
     for pixels in [*(-s for s in reversed(tries)), *tries]:
-        a, b = overlap(first, pixels, axis)
+        a, b = overlapping_parts(first, pixels, axis)
         one, two = first[along(axis, a)], second[along(axis, b)]
         foreground = np.count_nonzero(one) + np.count_nonzero(two)
         if foreground == 0:
             continue
         tried.append(Shift(pixels, axis, float(np.count_nonzero(one != two) / foreground)))
     around = [np.inf, *(shift.difference for shift in tried), np.inf]
-    valleys = [
+    minima = [
         shift for k, shift in enumerate(tried) if shift.difference <= around[k] and shift.difference < around[k + 2]
     ]
-    return sorted(valleys, key=lambda shift: shift.difference)[:count]
+    return sorted(minima, key=lambda shift: shift.difference)[:count]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from greenhouse_gym.capture.formats.messages import image_of, lens_of
+from greenhouse_gym.capture.formats.ros_messages import image_of, lens_of
 from greenhouse_gym.errors import FileFormatError
 
 

@@ -12,28 +12,25 @@ from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.geometry import Array, invert
 
 
-class Edge(NamedTuple):
+class PoseEdge(NamedTuple):
     """An accepted registration: ``first_from_second`` (4, 4) and its ``information`` (6, 6), rotation first."""
 
     first_from_second: Array
     information: Array
 
 
-Edges = Mapping[tuple[int, int], Edge]
+PoseEdges = Mapping[tuple[int, int], PoseEdge]
 """Registrations by the numbers of the earlier and the later station."""
 
 
-def optimize(stations: Sequence[int], edges: Edges, distance: float) -> Array:
-    """Poses (k, 4, 4) of ``stations`` in the first one's frame.
+def optimize_poses(stations: Sequence[int], edges: PoseEdges, distance: float) -> Array:
+    """Return poses (k, 4, 4) of ``stations`` in the first one's frame.
 
-    Args:
-        stations: Their numbers; edges must join them all.
-        edges: Registrations; those between other stations are left out.
-        distance: Within which partners were looked for, metres.
+    Edges must connect them all; those of other stations are ignored. ``distance`` is that of partners, metres.
     """
     pipelines = open3d().pipelines.registration
     graph = pipelines.PoseGraph()
-    for first_from_station in _along_edges(stations, edges):
+    for first_from_station in _chained_poses(stations, edges):
         graph.nodes.append(pipelines.PoseGraphNode(first_from_station))
     number = {station: k for k, station in enumerate(stations)}
     own = {(a, b): edge for (a, b), edge in edges.items() if a in number and b in number}
@@ -43,7 +40,7 @@ def optimize(stations: Sequence[int], edges: Edges, distance: float) -> Array:
                 number[later], number[earlier], edge.first_from_second, edge.information, uncertain=False
             )
         )
-    if len(own) >= len(stations):  # else a chain, which fits as it is
+    if len(own) >= len(stations):  # else a chain, which has no residual
         pipelines.global_optimization(
             graph,
             pipelines.GlobalOptimizationLevenbergMarquardt(),
@@ -54,30 +51,30 @@ def optimize(stations: Sequence[int], edges: Edges, distance: float) -> Array:
     return np.round(invert(optimized[0]) @ optimized, 9)
 
 
-def _along_edges(stations: Sequence[int], edges: Edges) -> list[Array]:
-    """Poses of ``stations`` in the first one's frame, from edge to edge: where there is one, from the station before.
+def _chained_poses(stations: Sequence[int], edges: PoseEdges) -> list[Array]:
+    """Return poses of ``stations`` in the first one's frame by single edges, from the station before where possible.
 
     Raises:
-        ValueError: The edges do not join them all.
+        ValueError: The edges do not connect them all.
     """
     poses = {stations[0]: np.eye(4)}
     waiting = list(pairwise(stations))
     while waiting:
         left = []
         for before, station in waiting:
-            pose_by_edge = _by_edge(station, [before, *poses], poses, edges)
-            if pose_by_edge is None:
+            pose = _pose_by_edge(station, [before, *poses], poses, edges)
+            if pose is None:
                 left.append((before, station))
             else:
-                poses[station] = pose_by_edge
+                poses[station] = pose
         if len(left) == len(waiting):
-            raise ValueError(f"no edges join stations {[station for _, station in left]} to the others")
+            raise ValueError(f"no edges connect stations {[station for _, station in left]} to the others")
         waiting = left
     return [poses[station] for station in stations]
 
 
-def _by_edge(station: int, others: Sequence[int], poses: Mapping[int, Array], edges: Edges) -> Array | None:
-    """The pose of a station by its edge to the first of the others that has a pose and shares one."""
+def _pose_by_edge(station: int, others: Sequence[int], poses: Mapping[int, Array], edges: PoseEdges) -> Array | None:
+    """Return the pose of a station by its edge to the first of the others that has a pose and shares one."""
     for other in others:
         if other in poses and (other, station) in edges:
             return poses[other] @ edges[other, station].first_from_second

@@ -10,9 +10,9 @@ from greenhouse_gym.crops import PlantRow
 from greenhouse_gym.errors import ReconstructionError
 from greenhouse_gym.geometry import distance_to_shapes, pose
 from greenhouse_gym.reconstruction import RowCloud, RowReport
-from greenhouse_gym.reconstruction.row import Sight
-from greenhouse_gym.reconstruction.seen import CarvingSettings, carve
-from greenhouse_gym.reconstruction.views import BLOCK
+from greenhouse_gym.reconstruction.occupancy_carving import CarvingSettings, carve
+from greenhouse_gym.reconstruction.row_cloud import ObservedSpace
+from greenhouse_gym.reconstruction.station_views import BLOCK
 from greenhouse_gym.scene.occupancy import FREE, OCCUPIED, UNKNOWN
 
 LOW, HIGH = np.array([-0.3, -0.6, 0.3]), np.array([1.2, 0.6, 2.0])
@@ -25,7 +25,7 @@ def looking_at(depth: float, points: np.ndarray | None = None) -> RowCloud:
     screen = np.full((-(-k.height // BLOCK), -(-k.width // BLOCK)), round(1000 * depth), dtype=np.uint16)
     return RowCloud(
         cloud, cloud, cloud, np.zeros(len(cloud), np.int32), np.array([True]), np.eye(4)[None], RowReport(()),
-        Sight(HALF, {0: dict.fromkeys(HALF.cameras, screen)}),
+        ObservedSpace(HALF, {0: dict.fromkeys(HALF.cameras, screen)}),
     )  # fmt: skip
 
 
@@ -35,7 +35,7 @@ def states_at(row: RowCloud, points: list[list[float]], settings: CarvingSetting
     return [int(carving.states[tuple(cell)]) for cell in cells]
 
 
-def test_space_is_empty_up_to_the_reading_and_unseen_behind_and_beside() -> None:
+def test_space_is_empty_up_to_the_reading_and_unknown_behind_and_next_to_it() -> None:
     before, behind, above, aisle = [0.52, 0.02, 1.12], [0.92, 0.02, 1.12], [0.32, 0.02, 1.82], [-0.22, 0.02, 1.82]
     assert states_at(looking_at(0.8), [before, behind, above, aisle]) == [FREE, UNKNOWN, UNKNOWN, FREE]
     assert states_at(looking_at(0.0), [before, behind, above, aisle]) == [UNKNOWN, UNKNOWN, UNKNOWN, FREE]
@@ -81,5 +81,5 @@ def test_what_was_carved_out_of_a_row_is_empty_in_the_truth() -> None:
 
 
 def test_a_cloud_from_a_file_cannot_be_carved() -> None:
-    with pytest.raises(ReconstructionError, match="sight"):
-        carve(replace(looking_at(0.8), sight=None), np.eye(4), LOW, HIGH)
+    with pytest.raises(ReconstructionError, match="depth images"):
+        carve(replace(looking_at(0.8), observed=None), np.eye(4), LOW, HIGH)
