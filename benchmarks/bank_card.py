@@ -1,12 +1,12 @@
-"""Write the data card of the shipped banks, ``scenes/README.md``, with its picture, from the banks themselves.
+"""Write the data card of the shipped banks, ``scenes/README.md``, and its picture from the banks themselves.
 
-python benchmarks/bank_card.py
+python -m benchmarks.bank_card
+
+Takes 5 minutes.
 """
 
 from __future__ import annotations
 
-import argparse
-from collections import Counter
 from pathlib import Path
 from string import Template
 from types import SimpleNamespace
@@ -15,11 +15,13 @@ import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
 
+from benchmarks.common import parser, table
+from greenhouse_gym.build import shipped
 from greenhouse_gym.common.files import data_path, write_atomically
-from greenhouse_gym.geometry import Box, distance_to_nearest, distance_to_shapes
+from greenhouse_gym.geometry import distance_to_nearest
 from greenhouse_gym.planning import certify
 from greenhouse_gym.scene import DIFFICULTIES, SceneBank
-from greenhouse_gym.scene.manifest import SPLITS
+from greenhouse_gym.scene.bank_statistics import BankStatistics, as_markdown, bank_statistics
 from greenhouse_gym.scene.occupancy import OCCUPIED, REACH
 
 mpl.use("Agg")
@@ -31,24 +33,23 @@ COLORS = dict(zip(DIFFICULTIES, ("#4c9f70", "#e0b040", "#c8553d", "#555555"), st
 CARD = Template("""\
 # The shipped banks of scenes
 
-`default` is the bank that environments, planners and benchmarks use when nothing else is said; `mini` holds a
-scene of each kind of row of it, for tests. Both are data only. This card is written by `python
-benchmarks/bank_card.py`, the banks by `greenhouse-gym build-shipped`, the leaves of their truth once more by `python
-benchmarks/renew_truth.py`; nothing here is edited by hand.
-`greenhouse-gym bank check` replays every witness.
+`default` is the bank that environments, planners and benchmarks use by default; `mini` holds one scene of each kind of
+row of it, for tests. Both are data only. This card is written by `python -m benchmarks.bank_card`, the banks by
+`greenhouse-gym build-shipped`, the leaves of their truth once more by a script that git history keeps; nothing here is
+edited by hand. `greenhouse-gym bank check` replays every witness.
 
 ## How a scene is made
 
-A row of plants is grown ($rows rows of $length m; our own generator, or organ meshes grown by Helios),
-photographed by a simulated three-camera rig with stereo noise, reconstructed to a cloud, turned into spheres,
-capsules and boxes, and cut into scenes, one for each place along the row where the arm is put up ($spacing m
-apart, so the scenes of a recording overlap). Nothing in it is real, and nothing was placed by hand. $progress
+A row of plants is grown ($rows rows of $length m; our own generator, or organ meshes grown by Helios), photographed by
+a simulated three-camera rig with stereo noise, reconstructed to a cloud, turned into spheres, capsules and boxes, and
+cut into scenes, one for each arm placement along the row ($spacing m apart, so the scenes of a recording overlap).
+Nothing in it is real, and nothing was placed by hand. $progress
 
-Every scene holds what was reconstructed (at most $primitives shapes within $width m along the row, what an agent
-is told), the truth (everything within $reach m of the shoulder; the leaves of Helios' plants as boxes within
-$leaves mm of them), what the scan saw of the space around the arm, and targets: at most $targets tomatoes, spread
-over their distances from the shoulder. Where the arm would begin in the true plants nobody would put it up: there
-is no scene of such a place. A recording's row keeps its name in all weeks, and a row is in one split only.
+Every scene holds the reconstruction, which an agent knows (at most $primitives shapes within $width m along the row),
+the truth (everything within $reach m of the shoulder; the leaves of Helios' plants as boxes within $leaves mm of them),
+the occupancy grid of the space around the arm, and targets: at most $targets tomatoes, spread over their distances from
+the shoulder. Where the arm's start would touch the true plants, there is no scene. A recording's row keeps its name in
+all weeks, and a row is in one split only.
 
 ## Difficulty
 
@@ -56,12 +57,12 @@ By collision checks, so that it does not depend on the machine, and in the recon
 
 - **easy**: a straight joint motion to one of up to $goals goal configurations is free.
 - **medium**: RRTConnect needs no more than $hard checks, in the median over $seeds seeds.
-- **hard**: it needs more, or most runs find nothing within $most checks; where none does, one of $seeds
-  further runs finds a path within $last.
+- **hard**: it needs more, or most runs find nothing within $most checks; if none does, one of $seeds further runs finds
+  a path within $last.
 - **unreachable**: no goal configuration among $samples random ones, or no run finds a path. That is no proof.
 
-A target's certificate tells its goal configurations, the checks (medium and hard), the clearance of its witness,
-and the share of the witness's way through space that the scan did not see.
+A target's certificate holds its goal configurations, the checks (medium and hard), the clearance of its witness, and
+the fraction of the witness's path in unknown space.
 
 ![Targets by difficulty, style and source](difficulty.png)
 
@@ -73,16 +74,15 @@ $default
 $mini
 ## Known limits
 
-- Stands of one recording are near each other: count rows, not scenes, for independent samples; intervals over
+- Arm placements of one recording are near each other: count rows, not scenes, for independent samples; intervals over
   targets of few test rows are too narrow.
 - Simulated plants do not bend, and both generators hang trusses towards the aisle, as pickers turn them.
-- A witness is free in the reconstruction. What the reconstruction missed or invented is told by the truth; a plan
-  that is free here can touch a leaf there. Most witnesses pass through unknown space, above and behind what the
-  rig saw.
-- At most $primitives shapes are kept; in dense rows and cherry rows the farthest are left out. That there are
-  surfaces is still told by what the scan saw of the space around the arm.
-- Boxes of Helios' leaves lie within $leaves mm of a leaf with nearly all of their surface; at its edges the leaf sticks
-  out of them by up to 3 mm.
+- A witness is free in the reconstruction. Only the truth holds what the reconstruction missed or invented; a plan that
+  is free here can touch a leaf there. Most witnesses pass through unknown space, above and behind the view of the rig.
+- At most $primitives shapes are kept; in dense rows and cherry rows the farthest are left out. The occupancy grid still
+  holds their surfaces.
+- Boxes of Helios' leaves lie within $leaves mm of a leaf with nearly all of their surface; at its edges the leaf
+  protrudes from them by up to 3 mm.
 
 ## Splits, license, citing
 
@@ -92,91 +92,40 @@ Train and tune on `train`, choose on `validation`, report on `test` once. The da
 
 def main() -> None:
     """Read the banks and write the card."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--scenes", type=Path, default=data_path("scenes"))
-    folder = parser.parse_args().scenes
-    from greenhouse_gym.build import shipped
-
+    command = parser(__doc__)
+    command.add_argument("--scenes", type=Path, default=data_path("scenes"))
+    folder = command.parse_args().scenes
     default, mini = (SceneBank.open(folder / name) for name in ("default", "mini"))
-    entries = default.manifest.scenes
-    rows, made = len({entry.row for entry in entries}), len({entry.name.rsplit("-", 1)[0] for entry in entries})
-    recordings = len(list(shipped.shots()))
-    settings = SimpleNamespace(**default[0].provenance.settings)  # what they were built with, whatever is usual now
-    built = ""
-    if made < recordings:
-        built = (
-            f"The recipe names {recordings} recordings of {shipped.ROWS} rows; {made} of them are "
-            "here so far, and the same command goes on with the others."
+    statistics, recordings = bank_statistics(default), len(list(shipped.shots()))
+    settings = SimpleNamespace(**default[0].provenance.settings)  # of the build, not today's defaults
+    progress = ""
+    if statistics.recordings < recordings:
+        progress = (
+            f"The recipe names {recordings} recordings of {shipped.ROWS} rows; {statistics.recordings} of them exist "
+            "so far, and the same command builds the others."
         )
     card = CARD.substitute(
-        rows=rows, length=shipped.ROW_LENGTH, spacing=settings.spacing, progress=built,
-        primitives=settings.max_shapes, width=settings.width, reach=settings.reach,
-        leaves=f"{1000 * settings.leaf_tolerance:g}", targets=settings.max_targets, goals=certify.GOALS,
-        hard=certify.HARD, seeds=certify.SEEDS, most=certify.MAX_CHECKS, last=certify.LAST_CHECKS,
-        samples=certify.SAMPLES, default=tables(default), mini=tables(mini),
+        rows=statistics.rows, length=shipped.ROW_LENGTH, spacing=settings.spacing,
+        progress=progress, primitives=settings.max_shapes, width=settings.width, reach=settings.reach,
+        leaves=f"{1000 * settings.leaf_tolerance:g}", targets=settings.max_targets, goals=certify.GOALS, hard=certify.HARD,
+        seeds=certify.SEEDS, most=certify.MAX_CHECKS, last=certify.LAST_CHECKS, samples=certify.SAMPLES,
+        default=described(default, statistics), mini=described(mini, bank_statistics(mini)),
     )  # fmt: skip
-    draw(shares(default), folder / PICTURE)
+    draw(statistics.difficulties_of, folder / PICTURE)
     write_atomically(folder / "README.md", card)
 
 
-def shares(bank: SceneBank) -> dict[str, Counter[str]]:
-    """Targets of each difficulty, of all and of each style and source, as the manifest tells them."""
-    found: dict[str, Counter[str]] = {}
-    for entry in bank.manifest.scenes:
-        for kind in ("all", entry.style or "unknown", entry.source or "unknown", entry.protocol or "paper"):
-            found.setdefault(kind, Counter()).update(
-                {str(name): count for name, count in (entry.targets or {}).items()}
-            )
-    return found
+def described(bank: SceneBank, statistics: BankStatistics) -> str:
+    """Return the statistics of a bank, and its unexplained occupied cells, as Markdown."""
+    cells = [(kind, count, f"{part:.0%}") for kind, (count, part) in sorted(unexplained_cells(bank).items())]
+    text = "Occupied cells within reach, and the fraction of them that no shape explains:"
+    return f"{as_markdown(statistics)}\n{text}\n\n{table(('scenes', 'cells', 'unexplained'), cells)}\n"
 
 
-def tables(bank: SceneBank) -> str:
-    """The bank in numbers; `greenhouse-gym bank info` reads the scenes and tells more."""
-    entries = bank.manifest.scenes
-    lines = [
-        f"{len(entries)} scenes of {len({entry.row for entry in entries})} rows, "
-        f"{sum((bank.path / entry.file).stat().st_size for entry in entries) / 1e6:.1f} MB",
-        "",
-        f"Checksum of the manifest (SHA-256): `{bank.sha256}`",
-        "",
-        "| split | scenes | rows |",
-        "| --- | --- | --- |",
-    ]
-    for split in SPLITS:
-        mine = [entry.row for entry in entries if entry.split == split]
-        lines.append(f"| {split} | {len(mine)} | {len(set(mine))} |")
-    thick, inside = foliage(bank)
-    lines += [
-        "",
-        f"Half of the boxes are thicker than {1000 * thick:.0f} mm; {inside:.1%} of the tomatoes' centers lie in one.",
-    ]
-    lines += ["", "Voxels within reach in which the scan saw a surface, and the share of them that no shape is in:"]
-    lines += ["", "| scenes | voxels | without a shape |", "| --- | --- | --- |"]
-    for scenes, (count, share) in sorted(surfaces_without_shapes(bank).items()):
-        lines.append(f"| {scenes} | {count} | {share:.0%} |")
-    lines += ["", "| targets | " + " | ".join(DIFFICULTIES) + " |", "| --- " * 5 + "|"]
-    for kind, counts in shares(bank).items():
-        of = [f"{counts[name]} ({counts[name] / max(sum(counts.values()), 1):.1%})" for name in DIFFICULTIES]
-        lines.append(f"| {kind} | {' | '.join(of)} |")
-    return "\n".join(lines) + "\n"
+def unexplained_cells(bank: SceneBank) -> dict[str, tuple[int, float]]:
+    """Count the occupied cells within reach, and return the fraction that no shape explains, by kind of scene.
 
-
-def foliage(bank: SceneBank) -> tuple[float, float]:
-    """The median thickness of boxes, metres, and the share of tomatoes whose center lies in one."""
-    thickness: list[float] = []
-    inside: list[bool] = []
-    for scene in bank:
-        boxes = [shape for shape in scene.clutter if isinstance(shape, Box)]
-        thickness += [2 * float(box.half_extents.min()) for box in boxes]
-        centers = [tomato.center for tomato in scene.tomatoes]
-        inside += (distance_to_shapes(centers, boxes).min(axis=1, initial=np.inf) < 0).tolist()
-    return float(np.median(thickness)), float(np.mean(inside))
-
-
-def surfaces_without_shapes(bank: SceneBank) -> dict[str, tuple[int, float]]:
-    """Voxels within reach in which the scan saw a surface, and the share of them that no shape is in, by kind of scene.
-
-    A shape farther from a voxel's middle than its corners are is not in it; one nearer than that is taken to be.
+    A shape farther from a cell's center than its corners does not explain it.
     """
     far: dict[str, list[npt.NDArray[np.bool_]]] = {}
     for entry, scene in zip(bank.manifest.scenes, bank, strict=True):
@@ -186,24 +135,24 @@ def surfaces_without_shapes(bank: SceneBank) -> dict[str, tuple[int, float]]:
         shoulder = scene.placement.position + [0.0, 0.0, scene.placement.shoulder_height]
         centers = centers[np.linalg.norm(centers - shoulder, axis=1) < REACH]
         corner = scene.occupancy.voxel * np.sqrt(3) / 2
-        most = scene.provenance.settings["max_shapes"]
-        size = f"with all of the {most} shapes" if len(scene.obstacles) == most else "with fewer shapes"
+        maximum = scene.provenance.settings["max_shapes"]
+        size = f"with all of the {maximum} shapes" if len(scene.obstacles) == maximum else "with fewer shapes"
         away = distance_to_nearest(centers, scene.obstacles, corner)
         far.setdefault(f"{entry.source or 'unknown'}, {size}", []).append(away > corner)
     return {kind: (sum(map(len, parts)), float(np.concatenate(parts).mean())) for kind, parts in far.items()}
 
 
-def draw(found: dict[str, Counter[str]], path: Path) -> None:
-    """Share of each difficulty among the targets of each style and source."""
+def draw(targets: dict[str, dict[str, int]], path: Path) -> None:
+    """Draw the fraction of each difficulty among the targets of each style and source."""
     figure, bars = plt.subplots(figsize=(7, 3.4), dpi=80)
-    kinds = sorted(found)
+    kinds = sorted(targets)
     bottom = np.zeros(len(kinds))
     for difficulty in DIFFICULTIES:
-        counts = [found[kind] for kind in kinds]
-        share = np.array([count[difficulty] / max(sum(count.values()), 1) for count in counts])
-        bars.bar(kinds, share, bottom=bottom, color=COLORS[difficulty], label=difficulty)
-        bottom += share
-    bars.set_ylabel("share of the targets")
+        counts = [targets[kind] for kind in kinds]
+        fraction = np.array([count[difficulty] / max(sum(count.values()), 1) for count in counts])
+        bars.bar(kinds, fraction, bottom=bottom, color=COLORS[difficulty], label=difficulty)
+        bottom += fraction
+    bars.set_ylabel("fraction of the targets")
     bars.legend(fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(DIFFICULTIES), frameon=False)
     figure.tight_layout()
     figure.savefig(path)

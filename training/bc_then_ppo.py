@@ -1,17 +1,16 @@
-"""Imitate a teacher that knows the scenes, then continue with PPO, and validate the policy.
+"""Imitate a teacher that knows the scenes, continue with PPO, and evaluate the policy on validation rows.
 
-python training/bc_then_ppo.py --out runs/bc --set ppo.total_steps=1000000 --set imitation.steps=400000
+python -m training.bc_then_ppo --out runs/bc --set ppo.total_steps=1000000 --set imitation.steps=400000
 
-Every setting can be given by ``--set``, inner ones with a dot; ``--print`` lists and explains them.
+``--set`` gives any setting, nested ones with a dot; ``--print`` lists all settings with their descriptions.
 """
 
 from __future__ import annotations
 
-from training_arguments import parsed
-
 from greenhouse_gym.agents import PolicyAgent
 from greenhouse_gym.evaluation import compare, comparison_table
 from greenhouse_gym.learning import BcThenPpoSettings, train_bc_then_ppo
+from training.arguments import parsed
 
 
 def main() -> None:

@@ -1,21 +1,20 @@
-"""Train a reaching policy with PPO and validate it.
+"""Train a reaching policy with PPO and evaluate it on validation rows.
 
-python training/ppo.py --out runs/ppo-ur5e --set total_steps=2000000 --set robot=ur5e
+python -m training.ppo --out runs/ppo-ur5e --set total_steps=2000000 --set robot=ur5e
 
-Every setting can be given by ``--set``; ``--print`` lists and explains them.
+``--set`` gives any setting; ``--print`` lists all settings with their descriptions.
 """
 
 from __future__ import annotations
 
-from training_arguments import parsed
-
 from greenhouse_gym.agents import PolicyAgent, RandomAgent
 from greenhouse_gym.evaluation import compare, comparison_table
 from greenhouse_gym.learning import PpoSettings, train_ppo
+from training.arguments import parsed
 
 
 def main() -> None:
-    """Train, then compare the policy with random actions on validation episodes."""
+    """Train, then play validation episodes with the policy and with random actions."""
     arguments, settings = parsed(__doc__, PpoSettings(), "runs/ppo-ur5e", 512)
     path = train_ppo(settings, arguments.out, resume=arguments.resume)
     agents = (PolicyAgent.load(path), RandomAgent())

@@ -1,0 +1,176 @@
+"""Simulated rows on which shapes are measured: their recordings, clouds and truth, made once and kept in a folder.
+
+Folders carry a fingerprint of the code that made their content, so outdated content is never read.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.common import fingerprint
+from benchmarks.sensing import perfect_clouds
+from benchmarks.sensing.drawn_cultivars import drawn_cultivar
+from benchmarks.sensing.perfect_clouds import NOISE_FREE, perfect_cloud
+from greenhouse_gym import capture, geometry, plants, reconstruction
+from greenhouse_gym.accuracy import Visibility, VisibleRow, align, silhouettes, visibility, visible_row
+from greenhouse_gym.capture import (
+    SEED_RIG,
+    Light,
+    Recording,
+    open_recording,
+    simulate_recording,
+    write_recording,
+)
+from greenhouse_gym.capture.recordings import INDEX
+from greenhouse_gym.capture.simulated import tripod_poses
+from greenhouse_gym.common.files import write_atomically
+from greenhouse_gym.crops import DEVELOPMENT_CULTIVARS, HELD_OUT_CULTIVARS, STYLES, PlantRow, grow_row
+from greenhouse_gym.geometry import Array, invert
+from greenhouse_gym.reconstruction import RowCloud, load_row, reconstruct_row, save_row
+from greenhouse_gym.scene.obstacles import Shapes
+
+CAUSES = ("noisy", "noise-free")
+"""Origins of a cloud: `reconstruct_row` of a noisy recording, or perfect images merged at their true poses."""
+
+BARE = "noisy-without-normals"
+"""The noisy cloud without its normals."""
+
+HELD_OUT_MESHES = range(601, 611)
+"""Seeds of held-out rows of Helios' plants."""
+
+DRAWN_MESHES = range(901, 931)
+"""Seeds of rows of Helios' plants with random cultivars; networks are fitted to them, and nothing is measured."""
+
+CHOICE_MESHES = range(931, 961)
+"""Seeds of more such rows, by which settings may be chosen; nothing is fitted to them."""
+
+LIGHTS = {
+    "overcast": Light(sun=0.0, diffuse=1.0, gloss=0.3),
+    "low sun behind the cameras": Light(azimuth=float(np.pi), elevation=0.35, sun=1.2, diffuse=0.6, gloss=0.8),
+    "low sun against the cameras": Light(azimuth=0.0, elevation=0.35, sun=1.2, diffuse=0.6, gloss=0.8),
+    "passing clouds": Light(sun=1.0, diffuse=0.7, flicker=0.4),
+    "warm and overexposed": Light(exposure=1.6, white_balance=(1.12, 1.0, 0.82)),
+    "cold and dark": Light(exposure=0.55, white_balance=(0.88, 1.0, 1.18)),
+}
+"""Light in which a row of organs may be photographed, by name."""
+
+
+_CAPTURED = (geometry, plants, capture)
+
+
+@dataclass(frozen=True)
+class Row:
+    """A simulated row; week and style follow from the seed.
+
+    Attributes:
+        seed: Seed of the plants, the walk and the noise; those of `HELD_OUT_MESHES` are of held-out cultivars.
+        length: Length, m.
+        source: Source of the plants, as in `grow_row`.
+        light: One of `LIGHTS`; None for a light that follows from the seed.
+    """
+
+    seed: int
+    length: float = 2.0
+    source: str = "own"
+    light: str | None = None
+
+    @property
+    def week(self) -> int:
+        """Growth week."""
+        return self.seed % 3
+
+    @property
+    def style(self) -> str:
+        """Fruit style; every style meets every week."""
+        if self.source == "helios" and self.seed in (*DRAWN_MESHES, *CHOICE_MESHES):
+            return "drawn"
+        if self.source == "helios":
+            cultivars = list(HELD_OUT_CULTIVARS if self.seed in HELD_OUT_MESHES else DEVELOPMENT_CULTIVARS)
+            return cultivars[(self.seed - 1) % 100 % len(cultivars)]
+        return list(STYLES)[(self.seed + self.seed // 3) % len(STYLES)]
+
+    @property
+    def name(self) -> str:
+        """Name of its files."""
+        source = "" if self.source == "own" else f"{self.source}-"
+        return f"{source}{self.length:g}m-{self.seed}-week{self.week}-{self.style}" + (
+            f"-{self.light.replace(' ', '-')}" if self.light else ""
+        )
+
+    def grow(self) -> PlantRow:
+        """Return the true row."""
+        style = drawn_cultivar(self.seed) if self.style == "drawn" else self.style
+        return grow_row(self.seed, self.length, self.week, style, source=self.source)
+
+    def poses(self) -> Array:
+        """(stations, 4, 4) true poses of the rig."""
+        return tripod_poses(len(self.simulate(NOISE_FREE)), self.seed, SEED_RIG, NOISE_FREE)
+
+    def simulate(self, settings: WalkSettings | None = None) -> Recording:
+        """Return its recording, rendered when it is read."""
+        light = LIGHTS[self.light] if self.light else None
+        return simulate_recording(self.grow(), self.seed, settings=settings, light=light)
+
+
+def recording_of(row: Row, workdir: Path) -> Recording:
+    """Return a row's noisy recording from disk."""
+    folder = workdir / f"recordings-{fingerprint(*_CAPTURED)}" / row.name
+    if not (folder / INDEX).exists():
+        write_recording(row.simulate(), folder)
+    return open_recording(folder)
+
+
+def cloud_of(row: Row, cause: str, workdir: Path) -> RowCloud:
+    """Return a row's cloud of one of the `CAUSES` or `BARE`, in the frame of its first registered station."""
+    cause = "noisy" if cause == BARE else cause
+    file = workdir / f"clouds-{fingerprint(*_CAPTURED, reconstruction, perfect_clouds)}" / f"{row.name}-{cause}.npz"
+    make: Callable[[], RowCloud] = {
+        "noisy": lambda: reconstruct_row(recording_of(row, workdir)),
+        "noise-free": lambda: perfect_cloud(row.simulate(NOISE_FREE)),
+    }[cause]
+    if not file.exists():
+        file.parent.mkdir(parents=True, exist_ok=True)
+        save_row(make(), file)
+    return load_row(file)
+
+
+class Known(NamedTuple):
+    """A true row, the true poses (stations, 4, 4) of the rig, and the pose (4, 4) of a cloud's frame in the world."""
+
+    row: PlantRow
+    world_from_station: Array
+    world_from_row: Array
+
+
+def truth_of(row: Row, cloud: RowCloud, workdir: Path) -> Known:
+    """Return the truth of a row; for rows of meshes, which grow slowly, it is read from the recording's folder."""
+    if row.source == "own":
+        truth, poses = row.grow(), row.poses()
+        return Known(truth, poses, align(cloud, truth, poses))
+    recording = recording_of(row, workdir)
+    assert recording.truth is not None
+    poses = np.array([station.world_from_station for station in recording])
+    registered = np.flatnonzero(cloud.registered)
+    middle = registered[len(registered) // 2]
+    return Known(recording.truth, poses, poses[middle] @ invert(cloud.world_from_station[middle]))
+
+
+def visible_of(row: Row, workdir: Path) -> VisibleRow:
+    """Return the parts of a row that its recording could show."""
+    folder = workdir / f"visible-{fingerprint(*_CAPTURED, visibility, silhouettes)}"
+    row = replace(row, light=None)  # the same things are in front of the cameras in any light
+    shares, pieces = folder / f"{row.name}.npy", folder / f"{row.name}.json"
+    if not (shares.exists() and pieces.exists()):
+        seen = visible_row(row.grow(), SEED_RIG, row.poses())
+        buffer = io.BytesIO()
+        np.save(buffer, np.stack(seen.tomatoes))
+        write_atomically(shares, buffer.getvalue())
+        write_atomically(pieces, Shapes(stems=seen.stems, clutter=seen.clutter).model_dump_json())
+    shapes = Shapes.model_validate_json(pieces.read_bytes())
+    return VisibleRow(Visibility(*np.load(shares)), shapes.stems, shapes.clutter)

@@ -1,0 +1,232 @@
+"""Measure the shapes extracted from real clouds: cans and mugs on a table, and scanned tomato seedlings.
+
+python -m benchmarks.sensing.shapes_real
+
+No setting is changed for them. Tables keep their size; seedlings, some centimetres high, are scaled to the height of a
+piece of a grown plant, and their figures are metres at that height. A seedling's main stem is its skeleton from the
+lowest node to the first fork, or the line through the points with that label. The data come from others and are not
+part of the repository: without the folder GREENHOUSE_GYM_REAL_DATA nothing is measured. Takes 2 minutes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial import cKDTree
+
+from benchmarks.common import REAL_DATA, RESULTS, parser, write_results
+from benchmarks.sensing.real_clouds import (
+    CYLINDERS,
+    JUNCTION,
+    MAIN,
+    STALK,
+    Seedling,
+    TableScene,
+    read_seedlings,
+    read_table,
+)
+from greenhouse_gym.accuracy import StemComparison, compare_stems, pool_stems
+from greenhouse_gym.accuracy.cover import COVERED_WITHIN, distance_to_nearest
+from greenhouse_gym.crops.parts import Stem
+from greenhouse_gym.geometry import Array, Capsule, frame_along
+from greenhouse_gym.shapes import extract_shapes
+
+SEEDLING_HEIGHT = 0.4
+"""Height to which every seedling is scaled, m."""
+
+Figures = dict[str, Any]
+
+
+# -- cans and mugs ----------------------------------------------------------------------------------------------------
+
+
+def measure_table(scene: TableScene) -> tuple[dict[str, Figures], Figures]:
+    """Compare each can and mug with its labeled points, and count the other shapes on the table."""
+    shapes = extract_shapes(scene.points, scene.colors, scene.normals)
+    cans = {
+        f"{scene.name} {label}": measure_can(scene.points[scene.labels == label], shapes.stems)
+        for label in scene.cylinders
+    }
+    pipes = sum(stem.kind == "pipe" for stem in shapes.stems)
+    found = sum(can["found"] for can in cans.values())
+    return cans, {
+        "other_pipes": pipes - found,
+        "other_stems": len(shapes.stems) - pipes,
+        "tomatoes": len(shapes.tomatoes),  # the table has none
+    }
+
+
+def measure_can(points: Array, stems: Sequence[Stem]) -> Figures:
+    """Compare a labeled can's points (n, 3) with the stem that explains most of them."""
+    reference = fit_cylinder(points)
+    explained = [np.abs(distance_to_nearest(points, [stem])) < 0.01 for stem in stems]
+    best = max(range(len(stems)), key=lambda i: int(explained[i].sum()), default=-1)
+    own = residual(points, reference)
+    figures: Figures = {"points": len(points), "reference_radius": reference.radius, "reference_residual": own}
+    if best < 0 or explained[best].mean() < 0.3:
+        return figures | {"found": False}
+    stem = stems[best]
+    cosine = abs(direction(stem) @ direction(reference))
+    return figures | {
+        "found": True,
+        "radius": stem.radius,
+        "radius_residual": residual(points, stem),
+        "axis_angle": float(np.arccos(min(cosine, 1.0))),
+    }
+
+
+def residual(points: Array, cylinder: Capsule) -> float:
+    """Return the median distance of points (n, 3) from the cylinder's side, m."""
+    along = direction(cylinder)
+    away = points - cylinder.start
+    return float(np.median(np.abs(np.linalg.norm(away - np.outer(away @ along, along), axis=1) - cylinder.radius)))
+
+
+def direction(capsule: Capsule) -> Array:
+    """Return the unit vector along a capsule."""
+    return np.asarray((capsule.end - capsule.start) / capsule.length)
+
+
+def fit_cylinder(points: Array) -> Capsule:
+    """Fit a cylinder to labeled points (n, 3) by robust least squares of the distance to the axis minus the radius.
+
+    The fit starts from several directions, since the points show one side of the cylinder and perhaps an end.
+    """
+    thinned = points[:: max(1, len(points) // 1500)]
+    center = thinned.mean(axis=0)
+    fits = []
+    for along in (*np.eye(3), *np.linalg.svd(thinned - center, full_matrices=False)[2]):
+        frame = frame_along(along)
+
+        def away(x: Array, frame: Array = frame) -> Array:
+            axis = frame @ [x[2], x[3], 1.0]
+            apart = thinned - center - frame[:, :2] @ x[:2]
+            return np.asarray(np.linalg.norm(np.cross(apart, axis / np.linalg.norm(axis)), axis=1) - x[4])
+
+        fit = least_squares(away, [*(frame[:, :2].T @ [0.0, 0.0, 0.03]), 0.0, 0.0, 0.035], loss="cauchy", f_scale=0.001)
+        fits.append((fit.cost, frame, fit.x))
+    _, frame, x = min((f for f in fits if 0.01 < f[2][4] < 0.15), key=lambda f: f[0])
+    axis = frame @ [x[2], x[3], 1.0]
+    axis /= np.linalg.norm(axis)
+    origin = center + frame[:, :2] @ x[:2]
+    reach = (points - origin) @ axis
+    return Capsule(origin + reach.min() * axis, origin + reach.max() * axis, float(x[4]))
+
+
+# -- seedlings --------------------------------------------------------------------------------------------------------
+
+
+def measure_seedling(plant: Seedling) -> tuple[StemComparison, Figures]:
+    """Compare a seedling's main stem with the extracted stems, and measure false stems; lengths after scaling."""
+    shapes = extract_shapes(plant.points, plant.colors)
+    found = [replace(stem, kind="main") for stem in shapes.stems]
+    edges = chain(slice_means(plant.points[plant.labels == MAIN])) if plant.skeleton is None else plant.skeleton
+    true = [Stem(a, b, 0.002, "main") for a, b in edges if np.linalg.norm(b - a) > 1e-6]
+    main = true if plant.skeleton is None else [Stem(a, b, 0.002, "main") for a, b in to_first_fork(plant.skeleton)]
+    compared = compare_stems(true, main, [], found, "main")
+    figures: Figures = {
+        "points": len(plant.points),
+        "scale": plant.scale,
+        "main_stem": compared.visible,
+        "recall": compared.recall,
+        "axis_error": float(np.median(compared.axis_error)),
+        "stems": len(shapes.stems),
+        "tomatoes": len(shapes.tomatoes),  # seedlings have none
+    }
+    if plant.labels is None:
+        figures |= {"whole_skeleton_recall": compare_stems(true, true, [], found, "main").recall}
+        figures |= {"false": compared.false_fraction}
+    else:
+        stem = plant.points[plant.labels == MAIN]
+        near = np.abs(distance_to_nearest(stem, found))
+        stalk = distance_to_nearest(plant.points[plant.labels == STALK], found)
+        figures |= {"radius_residual": float(np.median(near[near <= COVERED_WITHIN]))}
+        figures |= {"stalk_points_covered": float((stalk <= COVERED_WITHIN).mean())}
+        figures |= {"false": false_length(found, plant.points[np.isin(plant.labels, (JUNCTION, MAIN, STALK))])}
+    return compared, figures
+
+
+def slice_means(points: Array, height: float = 0.01) -> Array:
+    """Return the means (k, 3) of the points (n, 3) in horizontal slices, from the lowest up."""
+    slices = np.floor(points[:, 2] / height)
+    return np.array([points[slices == number].mean(axis=0) for number in np.unique(slices)])
+
+
+def chain(nodes: Array) -> Array:
+    """Return the edges (k - 1, 2, 3) from each of the nodes (k, 3) to the next."""
+    return np.stack([nodes[:-1], nodes[1:]], axis=1)
+
+
+def to_first_fork(edges: Array) -> Array:
+    """Return the edges (m, 2, 3) of a tree (k, 2, 3) from the lowest node to the first fork."""
+    nodes, ends = np.unique(edges.reshape(-1, 3), axis=0, return_inverse=True)
+    left = ends.reshape(-1, 2).tolist()
+    degrees = np.bincount(ends.ravel())
+    path = [int(np.argmin(nodes[:, 2]))]
+    while len(path) == 1 or degrees[path[-1]] == 2:
+        edge = next(edge for edge in left if path[-1] in edge)
+        left.remove(edge)
+        path.append(edge[0] + edge[1] - path[-1])
+    return chain(nodes[path])
+
+
+def false_length(stems: Sequence[Stem], points: Array) -> float:
+    """Return the fraction of the stems' length farther than `COVERED_WITHIN` from labeled points (n, 3)."""
+    if not stems:
+        return float("nan")
+    tree = cKDTree(points)
+    far = total = 0.0
+    for stem in stems:
+        along = (np.arange(8) + 0.5)[:, None] / 8
+        gap = tree.query(stem.start + along * (stem.end - stem.start))[0] - stem.radius
+        far, total = far + stem.length * float((gap > COVERED_WITHIN).mean()), total + stem.length
+    return far / total
+
+
+def main() -> None:
+    """Measure, write the results, print them."""
+    command = parser(__doc__)
+    command.add_argument("--data", type=Path, default=REAL_DATA)
+    command.add_argument("--out", type=Path, default=RESULTS / "shapes_real.json")
+    arguments = command.parse_args()
+    if not arguments.data.is_dir():
+        print("no real data: set GREENHOUSE_GYM_REAL_DATA or give --data")
+        return
+    cans: dict[str, Figures] = {}
+    tables: dict[str, Figures] = {}
+    for name in CYLINDERS:
+        on_table, tables[name] = measure_table(read_table(arguments.data, name))
+        cans |= on_table
+    compared: list[StemComparison] = []
+    seedlings: dict[str, Figures] = {}
+    for plant in read_seedlings(arguments.data, SEEDLING_HEIGHT):
+        comparison, seedlings[plant.name] = measure_seedling(plant)
+        compared.append(comparison)
+    found = [can for can in cans.values() if can["found"]]
+    stems = pool_stems(compared)
+    summary = {
+        "cans_found": len(found),
+        "cans": len(cans),
+        "radius_residual_median": median(found, "radius_residual"),
+        "axis_angle_median": median(found, "axis_angle"),
+        "seedling_stem_recall": stems.recall,
+        "seedling_axis_error_median": float(np.median(stems.axis_error)),
+    }
+    results = {"summary": summary, "cans and mugs": cans, "tables": tables, "seedlings": seedlings}
+    write_results(arguments.out, results)
+    for name, figures in {"summary": summary, **cans, **tables, **seedlings}.items():
+        print(name, {key: round(v, 4) if isinstance(v, float) else v for key, v in figures.items()})
+
+
+def median(figures: Sequence[Figures], name: str) -> float | None:
+    """Return the median of one figure; None without figures."""
+    return float(np.median([one[name] for one in figures])) if figures else None
+
+
+if __name__ == "__main__":
+    main()
