@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from parallel_helpers import Elsewhere
 
-from greenhouse_gym.planning import sweep
+from greenhouse_gym.planning import planner_sweep as sweep
 from greenhouse_gym.planning.planner_sweep import Run, SweepSettings, sweep_planners
 from greenhouse_gym.scene import Scene
 
