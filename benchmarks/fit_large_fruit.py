@@ -11,7 +11,6 @@ greenhouse_gym/shapes/large_fruit.json and large_fruit_beside.json.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,6 +21,7 @@ from shape_rows import CAUSES, Row, visible_of
 
 from greenhouse_gym.accuracy import Visibility
 from greenhouse_gym.crops.parts import Tomato
+from greenhouse_gym.geometry import pose
 from greenhouse_gym.shapes import ShapeSettings
 from greenhouse_gym.shapes.credibility import BESIDE, IN_ROW, Judge, Judges, credibility
 from greenhouse_gym.shapes.networks import network_file
@@ -45,7 +45,7 @@ def looked_at(row: Row, workdir: Path, cause: str) -> list[Looked]:
     visible, found = visible_of(row, workdir).tomatoes, []
     grids, true = grids_of(row, workdir, cause)
     for grid in grids:
-        moved = [replace(tomato, center=tomato.center + grid.shift) for tomato in true]
+        moved = [tomato.transformed(pose(translation=grid.shift)) for tomato in true]
         looks = look(grid.surface, SETTINGS)
         first, second = labeled(looks.fits, looks.first, moved), labeled(looks.beside, looks.second, moved)
         found.append(Looked(looks, first, second, moved, visible))

@@ -9,7 +9,8 @@ to which a scene file keeps them, and the script stops where they are not. What 
 stays as it is, so entries of the leaderboard keep the track on which that is all that matters, and lose the others,
 which have to be submitted again. A stand that was left out because the coarser leaves reached into the arm's start
 stays left out. Takes about half an hour of two cores; what an interrupted run has finished is not made again. With
-``--keep-truth``, nothing but the form of the files changes, in a minute, and entries keep all their tracks. """
+``--keep-truth``, nothing but the form of the files changes, in a minute, and entries keep all their tracks.
+"""
 
 from __future__ import annotations
 

@@ -51,7 +51,7 @@ def test_a_row_is_found_where_a_scene_has_it(row: PlantRow, frame_of: Find) -> N
 
 def test_another_row_is_refused(row: PlantRow, frame_of: Find) -> None:
     scene = scene_in(row, pose(translation=[0.1, -0.4, 0.0]))
-    moved = [replace(tomato, center=tomato.center + [0.0, 0.0, 0.001 * k]) for k, tomato in enumerate(row.tomatoes)]
+    moved = [tomato.transformed(pose(translation=[0.0, 0.0, 0.001 * k])) for k, tomato in enumerate(row.tomatoes)]
     with pytest.raises(SystemExit, match=r"there: its tomatoes are not those of the row, .* mm apart"):
         frame_of(replace(row, tomatoes=tuple(moved)), scene)
     with pytest.raises(SystemExit, match="there: 0 of its tomatoes are told apart"):

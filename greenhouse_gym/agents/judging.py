@@ -77,7 +77,7 @@ def features_of(
     )
     deep = around.centers[..., 0] > target[0] - DEEP
     dark = [
-        np.stack([(around.unseen & where)[:, seen.arm.part == part].mean(axis=1) for part in range(len(PARTS))])
+        np.stack([(around.unknown & where)[:, seen.arm.part == part].mean(axis=1) for part in range(len(PARTS))])
         for where in (deep, ~deep)
     ]
     parts = [np.minimum.reduceat(near, first, axis=1), near[:, first + counts - 1]]

@@ -71,7 +71,7 @@ class Knowledge:
         self._balls = bounding_balls(self._shapes)
         self._firm = [shape for shape in self._shapes if not isinstance(shape, Box)]
         self._firm_balls = bounding_balls(self._firm)
-        self._tomato = scene.tomatoes[problem.target]
+        self._tomato = scene.tomatoes[problem.target].shape
 
     def add(self, depth: npt.NDArray[np.float32], joints: Array) -> bool:
         """Take in an image (h, w), metres along the view, from a configuration (j,); whether it showed anything new."""

@@ -174,7 +174,11 @@ def cut_scenes(
 
 
 def _in_frame(parts: ShapeParts, target_from_source: Array) -> ShapeParts:
-    return ShapeParts(*(tuple(in_frame(part, target_from_source) for part in kind) for kind in parts))
+    return ShapeParts(
+        tuple(in_frame(tomato, target_from_source) for tomato in parts.tomatoes),
+        tuple(in_frame(stem, target_from_source) for stem in parts.stems),
+        tuple(in_frame(shape, target_from_source) for shape in parts.clutter),
+    )
 
 
 def placement_poses(row: RowCloud, shapes: RowShapes, recording: Recording, settings: BuildSettings) -> Array:

@@ -69,7 +69,7 @@ def plane(seed: int = 0, count: int = 20_000) -> tuple[np.ndarray, np.ndarray, n
 def assert_nothing_swallows(shapes: RowShapes, points: np.ndarray) -> None:
     """No single shape holds much more than what was seen there."""
     extent = np.ptp(points, axis=0).max() if len(points) else 0.0
-    for shape in (*shapes.tomatoes, *shapes.stems):
+    for shape in (*(tomato.shape for tomato in shapes.tomatoes), *shapes.stems):
         assert shape.radius < 0.05
     for box in shapes.clutter:
         assert 2 * box.half_extents.max() <= np.sqrt(3) * extent + 0.01
