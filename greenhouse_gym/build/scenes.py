@@ -15,10 +15,9 @@ from greenhouse_gym.capture.fingerprint import fingerprint
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.common.setting_checks import check_numbers
 from greenhouse_gym.crops import PlantRow
-from greenhouse_gym.crops.decimation import TOLERANCE
 from greenhouse_gym.crops.parts import Stem
 from greenhouse_gym.crops.shape_tables import ShapeParts, as_tables, from_tables, select_near, transform_tables
-from greenhouse_gym.crops.truth_shapes import truth_of
+from greenhouse_gym.crops.truth_shapes import TOLERANCE, truth_of
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, invert, pose, transform
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud
