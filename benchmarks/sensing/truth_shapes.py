@@ -21,9 +21,9 @@ from benchmarks.common import RESULTS, parser, write_results
 from benchmarks.sensing.shape_boxes import box_surface
 from greenhouse_gym.build.scenes import BuildSettings
 from greenhouse_gym.crops import CULTIVARS, PlantRow, grow_row
-from greenhouse_gym.crops.decimation import leaf_boxes, surface_points
 from greenhouse_gym.crops.organs import THIN_KINDS, Organ
 from greenhouse_gym.crops.parts import STEM_KINDS
+from greenhouse_gym.crops.truth_shapes import leaf_boxes, surface_points
 from greenhouse_gym.geometry import Array, Box, Shape, distance_to_shapes
 
 SPACING = 0.002

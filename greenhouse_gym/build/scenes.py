@@ -15,10 +15,9 @@ from greenhouse_gym.capture.fingerprint import fingerprint
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.common.setting_checks import check_numbers
 from greenhouse_gym.crops import PlantRow
-from greenhouse_gym.crops.decimation import TOLERANCE
 from greenhouse_gym.crops.parts import Stem
 from greenhouse_gym.crops.shape_tables import ShapeParts, as_tables, from_tables, select_near, transform_tables
-from greenhouse_gym.crops.truth_shapes import truth_of
+from greenhouse_gym.crops.truth_shapes import TOLERANCE, truth_of
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, invert, pose, transform
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud
@@ -174,7 +173,11 @@ def cut_scenes(
 
 
 def _in_frame(parts: ShapeParts, target_from_source: Array) -> ShapeParts:
-    return ShapeParts(*(tuple(in_frame(part, target_from_source) for part in kind) for kind in parts))
+    return ShapeParts(
+        tuple(in_frame(tomato, target_from_source) for tomato in parts.tomatoes),
+        tuple(in_frame(stem, target_from_source) for stem in parts.stems),
+        tuple(in_frame(shape, target_from_source) for shape in parts.clutter),
+    )
 
 
 def placement_poses(row: RowCloud, shapes: RowShapes, recording: Recording, settings: BuildSettings) -> Array:

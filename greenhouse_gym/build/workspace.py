@@ -44,9 +44,9 @@ def keep_nearest(parts: ShapeParts, count: int) -> ShapeParts:
         parts: Shapes in the frame of a scene.
         count: Maximum number of shapes.
     """
-    pedicel = [isinstance(shape, Stem) and shape.kind == "pedicel" for shape in parts.shapes]
+    pedicel = np.array([isinstance(shape, Stem) and shape.kind == "pedicel" for shape in parts.shapes])
     keep = np.zeros(len(pedicel), dtype=np.bool_)
-    keep[np.lexsort([_distance_to_shoulder(parts), pedicel])[:count]] = True
+    keep[np.lexsort((_distance_to_shoulder(parts), pedicel))[:count]] = True
     return parts.select(keep)
 
 

@@ -13,21 +13,11 @@ from greenhouse_gym.capture.light import Light, Skin, shade
 from greenhouse_gym.capture.organ_meshes import mesh_of
 from greenhouse_gym.capture.rig import Intrinsics
 from greenhouse_gym.common.open3d_loader import open3d
-from greenhouse_gym.crops import PlantRow
+from greenhouse_gym.crops import Palette, PlantRow
 from greenhouse_gym.crops.plant_row import GUTTER_COLOR
 from greenhouse_gym.geometry import Array, Box, Capsule, Ellipsoid, Shape, frame_along, invert
 
-_STEM_COLORS = {
-    "main": (0.36, 0.50, 0.22),
-    "peduncle": (0.42, 0.58, 0.26),
-    "pedicel": (0.45, 0.60, 0.28),
-    "string": (0.85, 0.84, 0.78),
-    "pipe": (0.80, 0.80, 0.80),
-}
-_LEAF_COLOR = (0.20, 0.42, 0.16)
 _BACKGROUND = (0.75, 0.80, 0.82)
-RIPENESS_COLORS = np.array([[0.46, 0.58, 0.24], [0.72, 0.62, 0.20], [0.86, 0.42, 0.12], [0.76, 0.10, 0.07]])
-"""Skin color (RGB, 0-1) at ripeness 0, 1/3, 2/3 and 1."""
 
 
 class View(NamedTuple):
@@ -79,12 +69,12 @@ class RowRaycaster:
             return cls(scene, mesh.owner, none, flat, none[:, 0], mesh.skin, light or Light())
         shapes: list[Shape] = []
         colors: list[Array] = []
-        rng = np.random.default_rng(0)
+        rng, palette = np.random.default_rng(0), row.palette
         while True:
             shapes += row.shapes
-            colors += [_ripeness_color(1.0 if t.ripeness is None else t.ripeness) for t in row.tomatoes]
-            colors += [np.array(_STEM_COLORS[stem.kind]) for stem in row.stems]
-            colors += [np.array(GUTTER_COLOR if _is_gutter(shape) else _LEAF_COLOR) for shape in row.clutter]
+            colors += [_fruit_color(palette, t.ripeness) for t in row.tomatoes]
+            colors += [np.array(palette.stems[stem.kind]) for stem in row.stems]
+            colors += [np.array(GUTTER_COLOR if _is_gutter(shape) else palette.leaf) for shape in row.clutter]
             if row.behind is None:
                 break
             row = row.behind
@@ -217,9 +207,9 @@ def _unit_box() -> tuple[Array, npt.NDArray[np.int64]]:
     return corners, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
 
 
-def _ripeness_color(ripeness: float) -> Array:
-    stops = np.linspace(0, 1, len(RIPENESS_COLORS))
-    return np.array([np.interp(ripeness, stops, RIPENESS_COLORS[:, k]) for k in range(3)])
+def _fruit_color(palette: Palette, ripeness: float | None) -> Array:
+    stops, skin = np.linspace(0, 1, len(palette.fruit)), np.array(palette.fruit)
+    return np.array([np.interp(1.0 if ripeness is None else ripeness, stops, skin[:, k]) for k in range(3)])
 
 
 def _is_gutter(shape: Shape) -> bool:

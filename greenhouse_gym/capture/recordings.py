@@ -22,7 +22,7 @@ from greenhouse_gym.capture.image_files import encode_png, read_color, read_dept
 from greenhouse_gym.capture.rig import Camera, Intrinsics, Rig
 from greenhouse_gym.capture.truth_file import TRUTH, load_truth, save_truth
 from greenhouse_gym.common.files import inside, parsing, read_bytes, write_atomically
-from greenhouse_gym.crops.row import PlantRow
+from greenhouse_gym.crops.plant_row import PlantRow
 from greenhouse_gym.errors import FileFormatError, GreenhouseError, InvalidValueError
 from greenhouse_gym.geometry import Array, is_rotation
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from greenhouse_gym.common.array_files import read_arrays
 from greenhouse_gym.common.files import parsing, read_bytes, write_atomically
-from greenhouse_gym.crops.row import PlantRow
+from greenhouse_gym.crops.plant_row import PlantRow
 from greenhouse_gym.crops.shape_tables import ShapeTables, as_tables, from_tables
 from greenhouse_gym.crops.truth_shapes import truth_of
 from greenhouse_gym.errors import InvalidValueError

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -91,7 +90,7 @@ def true_poses(recording: Recording) -> np.ndarray[Any, np.dtype[np.float64]]:
 def extract(out: Path, row: PlantRow, recording: Recording, cloud: RowCloud, report: DemoReport) -> RowShapes:
     """Fit shapes to the cloud, and count the visible tomatoes that were found."""
     from greenhouse_gym.accuracy import match_tomatoes, visible_tomatoes
-    from greenhouse_gym.geometry import invert, transformed
+    from greenhouse_gym.geometry import invert
     from greenhouse_gym.reporting.overlay import shapes_over_photograph
     from greenhouse_gym.reporting.pictures import save, upright
     from greenhouse_gym.shapes import extract_shapes
@@ -106,7 +105,7 @@ def extract(out: Path, row: PlantRow, recording: Recording, cloud: RowCloud, rep
         poses = true_poses(recording)
         visible = visible_tomatoes(row, recording.rig, poses)
         first_from_world = invert(poses[int(np.flatnonzero(cloud.registered)[0])])
-        true = [replace(tomato, shape=transformed(tomato.shape, first_from_world)) for tomato in row.tomatoes]
+        true = [tomato.transformed(first_from_world) for tomato in row.tomatoes]
         matches = match_tomatoes(true, shapes.tomatoes)
         found = int(visible[matches.true].sum())
         false = len(shapes.tomatoes) - len(matches.found)

@@ -1,10 +1,17 @@
-"""Rows of tomato plants with known truth: procedural ones, and plants grown by Helios."""
+"""Crops: rows of plants with known truth, as analytic shapes or as meshes grown by Helios."""
 
-from greenhouse_gym.crops.cultivars import CULTIVARS, DEVELOPMENT_CULTIVARS, HELD_OUT_CULTIVARS, Cultivar
+from greenhouse_gym.crops.crop import Crop, Growth, PlantMotion
+from greenhouse_gym.crops.cultivars import (
+    CULTIVARS,
+    DEVELOPMENT_CULTIVARS,
+    HELD_OUT_CULTIVARS,
+    STYLES,
+    Cultivar,
+    FruitStyle,
+)
 from greenhouse_gym.crops.organs import Organ
-from greenhouse_gym.crops.plant_row import PlantRow
-from greenhouse_gym.crops.row import SOURCES, STYLES, grow_row
-from greenhouse_gym.crops.truss import FruitStyle
+from greenhouse_gym.crops.plant_row import Palette, PlantRow
+from greenhouse_gym.crops.tomato import SOURCES, TOMATO, grow_row
 
 __all__ = [
     "CULTIVARS",
@@ -12,9 +19,14 @@ __all__ = [
     "HELD_OUT_CULTIVARS",
     "SOURCES",
     "STYLES",
+    "TOMATO",
+    "Crop",
     "Cultivar",
     "FruitStyle",
+    "Growth",
     "Organ",
+    "Palette",
+    "PlantMotion",
     "PlantRow",
     "grow_row",
 ]

@@ -1,42 +1,42 @@
-"""Cultivars of mesh plants: how they fruit, leaf and look, by name."""
+"""Fruit styles of analytic plants and cultivars of mesh plants, by name."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-Color = tuple[float, float, float]
+from greenhouse_gym.crops.plant_row import Color
 
 RED: tuple[Color, ...] = ((0.50, 0.56, 0.30), (0.74, 0.64, 0.24), (0.86, 0.44, 0.14), (0.76, 0.11, 0.08))
-"""Skin at ripeness 0, 1/3, 2/3 and 1: green with redness -0.06, as photographs have it (-0.03), to red."""
+"""Skin at ripeness 0, 1/3, 2/3 and 1: from green with redness -0.06, close to photographs (-0.03), to red."""
 
 
 @dataclass(frozen=True)
 class Cultivar:
-    """How a cultivar grows; ranges are (smallest, largest) and drawn evenly.
+    """Growth of a cultivar; ranges are (minimum, maximum) and sampled uniformly.
 
-    Sizes of fruit and numbers per truss are published ones; a crop with a leaf area index of 3 and 1.6 m between rows
-    carries 4.8 m2 of leaf per metre of row on two lines over two metres of height. The default is what one line carries
-    of this between 1.15 m, above the ripe trusses, and 2.4 m, up to where plants are modeled.
+    Sizes of fruit and numbers per truss are published values. A crop with a leaf area index of 3 and 1.6 m between rows
+    carries 4.8 m2 of leaf per metre of row, on two lines over two metres of height. The default leaf area is the part
+    of one line between 1.15 m, above the ripe trusses, and 2.4 m, the top of the model.
 
     Attributes:
-        model: Helios' plant model, ``"tomato"`` or ``"cherrytomato"``: the form of leaves and trusses.
+        model: Helios' plant model, ``"tomato"`` or ``"cherrytomato"``; determines the form of leaves and trusses.
         count: Fruits per truss.
         diameter: Width of a grown fruit, metres.
-        aspect: Height of a fruit over its width: below 1 oblate, above 1.25 a plum; drawn per row.
-        ribs: Depth of the ribs as a share of the radius; drawn per truss.
+        aspect: Height of a fruit over its width: below 1 oblate, above 1.25 a plum; sampled per row.
+        ribs: Depth of the ribs as a fraction of the radius; sampled per truss.
         skin: Color of the skin at ripeness 0, 1/3, 2/3 and 1.
         rachis: Length of peduncle and rachis together, metres.
-        peduncle_radius: Radius of a peduncle, metres; drawn per truss.
-        stem_radius: Radius of the main stem at the gutter, metres; drawn per plant.
-        winding: How far the stem winds around its string, metres.
+        peduncle_radius: Radius of a peduncle, metres; sampled per truss.
+        stem_radius: Radius of the main stem at the gutter, metres; sampled per plant.
+        winding: Radius at which the stem winds around its string, metres.
         leaf_area: Area of all leaves, one side, square metres per metre of row.
-        leaf_redness: Median of the leaves' (R - G) / (R + G) in white light; drawn per row.
-        leaf_curl: Helios' longitudinal curvature of a leaflet, negative downwards; drawn per leaflet.
+        leaf_redness: Median of the leaves' (R - G) / (R + G) in white light; sampled per row.
+        leaf_curl: Helios' longitudinal curvature of a leaflet, negative downwards; sampled per leaflet.
         leaf_width: Width of a leaflet over its length.
-        bare_below: Leaves below this height are taken off, metres.
-        flowering: Height at which the youngest truss opens, metres; drawn per plant. Lower than on a real vine (prior),
-            so that the zone the cameras see holds fruit of every age.
-        side_shoots: Chance of a side shoot in the axil of a leaf.
+        bare_below: Height below which leaves are taken off, metres.
+        flowering: Height at which the youngest truss opens, metres; sampled per plant. Lower than on a real vine (prior),
+            so that the cameras see fruit of every age.
+        side_shoots: Probability of a side shoot in the axil of a leaf.
         shoot_length: Length of a side shoot, metres.
         lines: Lines of plants in a row, 0.35 m apart; a commercial row has two on one gutter.
     """
@@ -94,7 +94,7 @@ DEVELOPMENT_CULTIVARS = {
     ),
     "dense": replace(_CLUSTER, leaf_area=4.8, lines=2, bare_below=0.8),
 }
-"""To develop with: the styles of fruit; cluster tomatoes on thick stems, untrained, and with a leaf area index of 3."""
+"""For development: the fruit styles, and cluster tomatoes on thick stems, untrained, or with a leaf area index of 3."""
 
 HELD_OUT_CULTIVARS = {
     "held-out-cluster": Cultivar(
@@ -147,7 +147,30 @@ HELD_OUT_CULTIVARS = {
         leaf_curl=(-0.35, -0.10),
     ),
 }
-"""For measuring only: other sizes, colors, leaves and densities. Nothing is tuned on them."""
+"""For measurements only: other sizes, colors, leaves and densities. Nothing is tuned on them."""
 
 CULTIVARS = DEVELOPMENT_CULTIVARS | HELD_OUT_CULTIVARS
 """All cultivars of mesh plants by name."""
+
+
+@dataclass(frozen=True)
+class FruitStyle:
+    """Fruit of an analytic plant.
+
+    Attributes:
+        count: Minimum and maximum number of fruits per truss.
+        diameter: Minimum and maximum diameter of a fruit, metres.
+        rachis: Length of peduncle and rachis together, metres.
+    """
+
+    count: tuple[int, int]
+    diameter: tuple[float, float]
+    rachis: float
+
+
+STYLES = {
+    "cluster": FruitStyle(count=(3, 5), diameter=(0.045, 0.067), rachis=0.13),
+    "beefsteak": FruitStyle(count=(3, 4), diameter=(0.067, 0.095), rachis=0.13),
+    "cherry": FruitStyle(count=(10, 20), diameter=(0.026, 0.034), rachis=0.17),
+}
+"""Fruit styles by name, with numbers and sizes of grown fruit."""

@@ -15,14 +15,14 @@ _PLAIN = np.array([[1.0, 0.0]])
 
 
 class LeafPalette(NamedTuple):
-    """A plant's leaf color: brightness R + G, redness (R - G) / (R + G), and blue as a share of R + G."""
+    """Leaf color of a plant: brightness R + G, redness (R - G) / (R + G), and blue as a fraction of R + G."""
 
     light: float
     redness: float
     blue: float
 
     def colors(self, tone: Array) -> Array:
-        """Colors (t, 3) of triangles with tones (t, 2) as in `Frond`."""
+        """Return colors (t, 3) of triangles with tones (t, 2) as in `Frond`."""
         light = self.light * tone[:, 0]
         redness = self.redness + 0.5 * tone[:, 1]
         rgb = np.column_stack([light * (1 + redness) / 2, light * (1 - redness) / 2, light * self.blue])
@@ -30,21 +30,21 @@ class LeafPalette(NamedTuple):
 
 
 def leaf_palette(rng: np.random.Generator, redness: float) -> LeafPalette:
-    """One plant's leaf color around its row's redness (prior: plants of a row differ by 0.01, one sigma)."""
+    """Sample the leaf color of a plant around its row's redness (prior: standard deviation 0.01 within a row)."""
     return LeafPalette(rng.uniform(0.58, 0.78), redness + rng.normal(0, 0.01), rng.uniform(0.15, 0.25))
 
 
 def grow_frond(
     rng: np.random.Generator, frond: Frond, node: Array, azimuth: float, size: float, palette: LeafPalette, plant: int
 ) -> list[Organ]:
-    """A compound leaf at a node.
+    """Grow a compound leaf at a node.
 
     Args:
-        rng: Source of its variation.
+        rng: Source of all randomness.
         frond: Its shape.
         node: (4,) point on the main stem's axis and the stem's radius, metres.
         azimuth: Direction of growth about z, radians.
-        size: Against Helios' own size.
+        size: Scale of Helios' leaf.
         palette: Its plant's color.
         plant: Number of its plant.
 
@@ -75,15 +75,15 @@ def grow_shoot(
     color: Array,
     plant: int,
 ) -> list[Organ]:
-    """A side shoot: a stem that leaves the axil steeply and bends up or sags, with leaves of its own.
+    """Grow a side shoot: a stem that leaves the axil steeply and bends up or sags, with leaves of its own.
 
     Args:
-        rng: Source of its variation.
-        vine: Whose leaves it takes.
+        rng: Source of all randomness.
+        vine: Vine that provides the leaves.
         node: (4,) point on the main stem's axis and the stem's radius, metres.
         azimuth: Direction of growth about z, radians.
         length: Its length, metres.
-        leaf_size: Size of its leaves against Helios' own.
+        leaf_size: Scale of Helios' leaves.
         palette: Its plant's leaf color.
         color: (3,) color of its stem.
         plant: Number of its plant.
@@ -97,9 +97,9 @@ def grow_shoot(
     axis = np.column_stack([points, radii])
     organs = [tube_organ("main", axis, color, plant)]
     for leaf in range(1 + int(length * SHOOT_LEAVES_PER_METRE)):
-        share = (leaf + 1) / (1 + int(length * SHOOT_LEAVES_PER_METRE))
-        here = np.array([np.interp(share, np.linspace(0, 1, steps + 1), axis[:, k]) for k in range(4)])
+        fraction = (leaf + 1) / (1 + int(length * SHOOT_LEAVES_PER_METRE))
+        here = np.array([np.interp(fraction, np.linspace(0, 1, steps + 1), axis[:, k]) for k in range(4)])
         frond = vine.fronds[int(rng.integers(len(vine.fronds)))]
-        size = leaf_size * float(rng.uniform(0.6, 1.1)) * (1.2 - 0.5 * share)
+        size = leaf_size * float(rng.uniform(0.6, 1.1)) * (1.2 - 0.5 * fraction)
         organs += grow_frond(rng, frond, here, azimuth + 2.4 * (leaf + 1), size, palette, plant)
     return organs

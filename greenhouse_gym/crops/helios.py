@@ -1,7 +1,8 @@
-"""The one place that imports PyHelios (extra ``plants``): grow a vine and hand out its organs as meshes.
+"""Grow a vine with PyHelios (extra ``plants``) and return its organs as meshes. No other module imports PyHelios.
 
-The vine is trained as a grower does it: no side shoots, 36 nodes, a truss in about every third axil. What comes back is
-a set of organs, each in the frame of the node it grew from, that `greenhouse_gym.crops.trained` hangs along a string.
+The vine is trained as a grower does it: no side shoots, 36 nodes, a truss in about every third axil. The
+result is a set of organs, each in the frame of the node it grew from, that `greenhouse_gym.crops.mesh_growth` hangs
+along a string.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ class Frond(NamedTuple):
     Attributes:
         petiole: (k, 4) axis and radii, metres.
         blade: All leaflets, cut along their lobes.
-        tone: (t, 2) for each triangle of the blade the texture's brightness as a share of its median, and by how much
-            its redness (R - G) / (R + G) lies above the median.
+        tone: (t, 2) per triangle of the blade: brightness of the texture relative to its median, and redness
+            (R - G) / (R + G) above its median.
     """
 
     petiole: Array
@@ -41,7 +42,7 @@ class Frond(NamedTuple):
 
     @property
     def area(self) -> float:
-        """One side of the blade, square metres."""
+        """Area of one side of the blade, square metres."""
         a, b, c = self.blade.vertices[self.blade.triangles].transpose(1, 0, 2)
         return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
 
@@ -53,9 +54,9 @@ class Vine:
     Attributes:
         fronds: Grown compound leaves in the order of their nodes.
         peduncles: (k, 4) axes and radii, in the frame of a frond.
-        fruit: Skin, its volume center about the origin, stem end up, as wide as one metre.
+        fruit: Skin of a fruit one metre wide, centered at the origin, stem end up.
         calyx: Sepals on that fruit.
-        flower: An open flower, its foot at the origin, opening upwards, metres.
+        flower: An open flower with its foot at the origin, opening upwards, metres.
         flower_colors: (t, 3) of its triangles.
     """
 
@@ -69,10 +70,10 @@ class Vine:
 
 @cache
 def pyhelios() -> ModuleType:
-    """PyHelios, imported at first use.
+    """Import PyHelios at first use.
 
     Raises:
-        MissingDependencyError: The extra ``plants`` is not installed, or another version of PyHelios than was tried.
+        MissingDependencyError: The extra ``plants`` is not installed, or PyHelios has an untested version.
     """
     try:
         version = metadata.version("pyhelios3d")
@@ -88,7 +89,7 @@ def pyhelios() -> ModuleType:
 def grow_vine(
     seed: int, model: str = "tomato", leaf_curl: tuple[float, float] = (-0.45, -0.2), leaf_width: float = 0.55
 ) -> Vine:
-    """Grow a vine and take its organs apart; the same call gives the same vine. About 1.5 s.
+    """Grow a vine and take its organs apart; the same arguments give the same vine. Takes about 1.5 s.
 
     Args:
         seed: Seed of Helios' random numbers.
@@ -97,7 +98,7 @@ def grow_vine(
         leaf_width: Width of a leaflet over its length.
 
     Raises:
-        MissingDependencyError: PyHelios is missing or not the version that was tried.
+        MissingDependencyError: PyHelios is missing or of an untested version.
         GrowthError: The vine bears no fruit, or Helios fails.
         FileFormatError: The leaf's texture is missing.
     """
@@ -115,7 +116,7 @@ def grow_vine(
             plants.setPlantPhenologicalThresholds(plant, 0.0, 3.0, 2.0, 2.0, 10.0, 1e5, 1e5, True)
             flower = None
             days = 0.0
-            while flower is None and days < DAYS:  # a flower lasts two days, and in the end all have set fruit
+            while flower is None and days < DAYS:  # a flower lasts two days; at the end all have set fruit
                 step = 1.0 if days else 14.0
                 plants.advanceTime(step, plant_id=plant)
                 days += step
@@ -135,7 +136,7 @@ def grow_vine(
 
 
 def _trained(parameters: dict[str, Any], leaf_curl: tuple[float, float], leaf_width: float) -> dict[str, Any]:
-    """Shoot parameters of a high-wire vine: no side shoots, more and longer internodes, a truss in every third axil."""
+    """Return shoot parameters of a high-wire vine: no side shoots, longer internodes, a truss per three axils."""
 
     def constant(value: float) -> dict[str, Any]:
         return {"distribution": "constant", "parameters": [value]}
@@ -185,7 +186,7 @@ def _axis(context: Any, tube: int) -> Array:
 
 
 def _upright(axis: Array) -> tuple[Array, Array]:
-    """A tube's axis (k, 4) from its foot on, turned about z so that it leads towards +x; the turn (3, 3)."""
+    """Return a tube's axis (k, 4) from its foot, rotated about z towards +x, and the rotation (3, 3)."""
     outward = axis[min(2, len(axis) - 1), :2] - axis[0, :2]
     c, s = outward / max(float(np.linalg.norm(outward)), 1e-9)
     turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])

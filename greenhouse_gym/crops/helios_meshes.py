@@ -1,4 +1,4 @@
-"""Organs of a vine as meshes, out of the loose triangles that Helios hands out."""
+"""Turn the loose triangles that Helios returns into meshes of organs."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Soup(NamedTuple):
 
 
 def cut_along_lobes(soup: Soup) -> tuple[Mesh, Array]:
-    """The opaque part of textured leaflets: triangles at its edge are split in four, and those outside dropped."""
+    """Return the opaque part of textured leaflets; triangles at its edge are split in four, outside ones dropped."""
     textured = np.isfinite(soup.uv).all(axis=(1, 2))
     opaque, tones = _texture(soup.texture)
     corners, uv = soup.corners[textured], soup.uv[textured]
@@ -47,7 +47,7 @@ def cut_along_lobes(soup: Soup) -> tuple[Mesh, Array]:
 
 
 def _split(corners: Array, uv: Array) -> tuple[Array, Array]:
-    """Each triangle into four at the middles of its sides, corners (t, 3, 3) and texture coordinates (t, 3, 2)."""
+    """Split triangles in four at the middles of their sides: corners (t, 3, 3) and texture coordinates (t, 3, 2)."""
 
     def four(a: Array) -> Array:
         middle = (a + np.roll(a, -1, axis=1)) / 2  # of sides 0-1, 1-2, 2-0
@@ -64,7 +64,7 @@ def _split(corners: Array, uv: Array) -> tuple[Array, Array]:
 
 @lru_cache(maxsize=4)
 def _texture(path: str) -> tuple[Array, Array]:
-    """Which pixels (h, w) of a leaf's texture are opaque, and their tones (h, w, 2) as in `Frond`."""
+    """Return the opaque pixels (h, w) of a leaf's texture and their tones (h, w, 2) as in `Frond`."""
     from PIL import Image
 
     try:
@@ -81,7 +81,7 @@ def _texture(path: str) -> tuple[Array, Array]:
 
 
 def _sample(image: Array, uv: Array) -> Array:
-    """Pixels (n, ...) of an image at texture coordinates (n, 2), the second of which runs upwards."""
+    """Return pixels (n, ...) of an image at texture coordinates (n, 2), whose second axis points upwards."""
     height, width = image.shape[:2]
     columns = np.clip((uv[:, 0] * width).astype(int), 0, width - 1)
     rows = np.clip(((1 - uv[:, 1]) * height).astype(int), 0, height - 1)
@@ -89,7 +89,7 @@ def _sample(image: Array, uv: Array) -> Array:
 
 
 def _welded(corners: Array) -> tuple[Mesh, npt.NDArray[np.bool_]]:
-    """Loose triangles (t, 3, 3) as a mesh with shared vertices; which of them (t,) have an area and are kept."""
+    """Weld loose triangles (t, 3, 3) to a mesh; also return which of them (t,) have an area and are kept."""
     keys = np.rint(corners.reshape(-1, 3) * 1e6).astype(np.int64)
     packed = ((keys[:, 0] + (1 << 20)) << 42) | ((keys[:, 1] + (1 << 20)) << 21) | (keys[:, 2] + (1 << 20))
     _, first, index = np.unique(packed, return_index=True, return_inverse=True)
@@ -101,12 +101,12 @@ def _welded(corners: Array) -> tuple[Mesh, npt.NDArray[np.bool_]]:
 
 
 def fruit_of(soup: Soup) -> tuple[Mesh, Mesh]:
-    """Skin and sepals of Helios' fruit; its long stalk is left out, for pedicels have a length of their own."""
+    """Return skin and sepals of Helios' fruit without its long stalk: pedicels have their own lengths."""
     skin = soup.colors[:, 0] > soup.colors[:, 1]
     body, _ = _welded(soup.corners[skin])
     low, high = body.vertices.min(axis=0), body.vertices.max(axis=0)
     center = (low + high) / 2
-    # the sepals sit at the stem end, so their middle tells the axis
+    # the sepals sit at the stem end, so their middle determines the axis
     up = soup.corners[~skin].reshape(-1, 3).mean(axis=0) - center
     up /= np.linalg.norm(up)
     frame = _frame(up)
@@ -122,7 +122,7 @@ def fruit_of(soup: Soup) -> tuple[Mesh, Mesh]:
 
 
 def flower_of(soup: Soup) -> tuple[Mesh, Array]:
-    """A flower with its foot at the origin, opening upwards, and the colors (t, 3) of its triangles."""
+    """Return a flower with its foot at the origin, opening upwards, and the colors (t, 3) of its triangles."""
     mesh, good = _welded(soup.corners)
     green = soup.colors[good][:, 0] < 0.5
     used = mesh.triangles[green] if green.any() else mesh.triangles
@@ -133,14 +133,14 @@ def flower_of(soup: Soup) -> tuple[Mesh, Array]:
 
 
 def _frame(up: Array) -> Array:
-    """A rotation (3, 3) whose third column is ``up``."""
+    """Return a rotation (3, 3) whose third column is ``up``."""
     side = np.cross(up, np.eye(3)[np.abs(up).argmin()])
     side /= np.linalg.norm(side)
     return np.column_stack([side, np.cross(up, side), up])
 
 
 def _outward(mesh: Mesh) -> npt.NDArray[np.int64]:
-    """A star-shaped mesh's triangles, each turned so that it winds counter-clockwise seen from outside."""
+    """Return the triangles of a star-shaped mesh, all wound counter-clockwise seen from outside."""
     a, b, c = mesh.vertices[mesh.triangles].transpose(1, 0, 2)
     inward = (np.cross(b - a, c - a) * (a + b + c)).sum(axis=1) < 0
     return np.where(inward[:, None], mesh.triangles[:, ::-1], mesh.triangles)

@@ -1,4 +1,4 @@
-"""Organs of a plant as triangle meshes, and the truth that follows from them: ellipsoids of fruit, axes of stems."""
+"""Plant organs as triangle meshes, and the shapes derived from them: ellipsoids of fruit, axes of stems."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ OrganKind = Literal[
 ORGAN_KINDS: tuple[str, ...] = get_args(OrganKind)
 
 THIN_KINDS = ("leaf", "calyx", "flower")
-"""Kinds of organs that are sheets: light comes through them, and thin boxes stand for them."""
+"""Kinds of organs that are sheets: light passes through them, and thin boxes represent them."""
 
 
 @dataclass(frozen=True, eq=False)
 class Organ:
     """One organ of a plant, or a fixture of the row, as a triangle mesh in the world frame (metres).
 
-    Triangles wind counter-clockwise seen from outside, of a leaf from above.
+    Triangles wind counter-clockwise seen from outside, those of leaves from above.
 
     Attributes:
         kind: One of `ORGAN_KINDS`.
@@ -57,7 +57,7 @@ class Organ:
         if triangles.ndim != 2 or triangles.shape[1:] != (3,) or not len(triangles):
             raise InvalidValueError(f"{self.kind}: triangles must be (t, 3) with t > 0, got shape {triangles.shape}")
         if triangles.min() < 0 or triangles.max() >= len(vertices):
-            raise InvalidValueError(f"{self.kind}: triangles name vertices beyond the {len(vertices)} there are")
+            raise InvalidValueError(f"{self.kind}: triangles refer to vertices beyond the {len(vertices)} given")
         if np.shape(self.colors) != (len(triangles), 3) or not np.isfinite(self.colors).all():
             raise InvalidValueError(
                 f"{self.kind}: colors must be finite and ({len(triangles)}, 3), got shape {np.shape(self.colors)}"
@@ -67,8 +67,8 @@ class Organ:
         if self.kind == "fruit" and volume(vertices, triangles) <= 0:
             raise InvalidValueError("fruit: its triangles wind inwards; expected counter-clockwise seen from outside")
 
-    def moved(self, target_from_source: Array) -> Organ:
-        """The organ after a rigid motion (4, 4)."""
+    def transformed(self, target_from_source: Array) -> Organ:
+        """Express the organ in another frame, given by a pose (4, 4)."""
         axis = None
         if self.axis is not None:
             axis = np.column_stack([transform(target_from_source, self.axis[:, :3]), self.axis[:, 3]])
@@ -76,27 +76,27 @@ class Organ:
 
 
 def areas(vertices: Array, triangles: npt.NDArray[np.int64]) -> Array:
-    """Areas (t,) of triangles, square metres."""
+    """Return the areas (t,) of triangles, square metres."""
     a, b, c = vertices[triangles].transpose(1, 0, 2)
     return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2)
 
 
 def volume(vertices: Array, triangles: npt.NDArray[np.int64]) -> float:
-    """The volume a closed mesh encloses, cubic metres; negative where its triangles wind inwards."""
+    """Return the volume enclosed by a closed mesh, cubic metres; negative if its triangles wind inwards."""
     a, b, c = (vertices - vertices.mean(axis=0))[triangles].transpose(1, 0, 2)
     return float((np.cross(a, b) * c).sum() / 6)
 
 
 def fruit_ellipsoid(vertices: Array, triangles: npt.NDArray[np.int64], rotation: Array) -> Ellipsoid:
-    """The ellipsoid with the volume, the volume's center and the second moments of a closed mesh, along given axes.
+    """Return the ellipsoid with the volume, centroid and second moments of a closed mesh, along given axes.
 
     Args:
-        vertices: (v, 3) of the skin.
-        triangles: (t, 3) that wind outwards.
-        rotation: (3, 3) world_from_fruit, which the ellipsoid keeps.
+        vertices: (v, 3) vertices of the skin.
+        triangles: (t, 3) triangles, wound outwards.
+        rotation: (3, 3) world_from_fruit; the rotation of the ellipsoid.
 
     Raises:
-        InvalidValueError: The mesh encloses nothing.
+        InvalidValueError: The mesh encloses no volume.
     """
     local = vertices @ rotation
     middle = local.mean(axis=0)
@@ -114,7 +114,7 @@ def fruit_ellipsoid(vertices: Array, triangles: npt.NDArray[np.int64], rotation:
 
 
 def stems_of(organs: Iterable[Organ]) -> tuple[Stem, ...]:
-    """Capsules along the axes of those organs that are stems, each with the mean of its ends' radii."""
+    """Return capsules along the axes of stem organs, each with the mean radius of its ends."""
     return tuple(
         Stem(a[:3], b[:3], float((a[3] + b[3]) / 2), kind=organ.kind)  # type: ignore[arg-type]
         for organ in organs
@@ -124,11 +124,11 @@ def stems_of(organs: Iterable[Organ]) -> tuple[Stem, ...]:
 
 
 def tube(axis: Array, around: int = 8) -> tuple[Array, npt.NDArray[np.int64]]:
-    """A closed tube along points (k, 4) with radii, as vertices (v, 3) and triangles (t, 3) that wind outwards."""
+    """Return vertices (v, 3) and outward triangles (t, 3) of a closed tube along points with radii (k, 4)."""
     points, radii = axis[:, :3], axis[:, 3]
     along = np.gradient(points, axis=0)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    across = np.linalg.svd(along)[2][2]  # as little along the tube as any direction: it hardly twists
+    across = np.linalg.svd(along)[2][2]  # the direction least along the tube, so it hardly twists
     side = across - (along @ across)[:, None] * along
     side /= np.linalg.norm(side, axis=1, keepdims=True)
     angles = np.arange(around)[:, None, None] * 2 * np.pi / around
@@ -153,6 +153,6 @@ def tube_organ(
     truss: int | None = None,
     around: int = 8,
 ) -> Organ:
-    """An organ that is a tube along an axis (k, 4) of points and radii, in one color (3,)."""
+    """Return an organ that is a tube along an axis (k, 4) of points and radii, in one color (3,)."""
     vertices, triangles = tube(axis, around)
     return Organ(kind, vertices, triangles, np.tile(color, (len(triangles), 1)), plant, truss, None, axis)

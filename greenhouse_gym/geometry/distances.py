@@ -94,8 +94,11 @@ def distance_to_shapes(points: npt.ArrayLike, shapes: Sequence[Shape], chunk: in
     """
     p = np.asarray(points, dtype=np.float64).reshape(-1, 3)
     result = np.empty((len(p), len(shapes)))
+    by_kind: dict[type, list[int]] = {kind: [] for kind in _DISTANCES}
+    for k, shape in enumerate(shapes):
+        by_kind[next(kind for kind in _DISTANCES if isinstance(shape, kind))].append(k)
     for kind, (distance, fields) in _DISTANCES.items():
-        columns = [k for k, shape in enumerate(shapes) if isinstance(shape, kind)]
+        columns = by_kind[kind]
         arguments = [np.array([getattr(shapes[k], field) for k in columns]) for field in fields]
         for first in range(0, len(p) if columns else 0, chunk):
             rows = slice(first, first + chunk)

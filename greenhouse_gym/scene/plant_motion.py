@@ -8,12 +8,12 @@ displacement fields, and a truss moves rigidly about the point where it leaves t
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 
 import numpy as np
 
+from greenhouse_gym.crops.crop import PlantMotion
 from greenhouse_gym.crops.parts import Stem, Tomato
-from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import (
     Array,
     Box,
@@ -32,29 +32,6 @@ _WAVES = 6
 _FIXED = 0.15  # minimum half length of a box that is a fixed gutter and not a leaf, metres
 
 Field = Callable[[Array], Array]
-
-
-@dataclass(frozen=True)
-class PlantMotion:
-    """Standard deviations of the motion of plants.
-
-    Attributes:
-        truss_turn: Turn of a truss about the vertical through its root, radians.
-        truss_swing: Swing of a truss about horizontal axes through its root, radians.
-        stem_shift: Shift of stems and all that hangs on them, metres along each horizontal axis.
-        leaf_shift: Additional shift of leaves, metres along each axis.
-    """
-
-    truss_turn: float = 0.10
-    truss_swing: float = 0.05
-    stem_shift: float = 0.005
-    leaf_shift: float = 0.010
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not (isinstance(value, int | float) and np.isfinite(value) and 0 <= value <= 1):
-                raise InvalidValueError(f"plant motion {field.name} must be a number from 0 to 1, got {value!r}")
 
 
 def move_plants(shapes: Shapes, motion: PlantMotion, rng: np.random.Generator) -> Shapes:

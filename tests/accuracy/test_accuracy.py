@@ -82,7 +82,7 @@ def aligned(row: KnownRow) -> Array:
 
 def test_visible_surface_lies_on_the_true_shapes_within_the_cut() -> None:
     assert distance_to_surface(surface(), truth()).max() < 1e-4
-    shapes = [*truth().tomatoes, *truth().stems, *truth().clutter]
+    shapes = truth().shapes
     assert np.abs(distance_to_shapes(surface()[::500], shapes)).min(axis=1).max() < 5e-4
     reach = 0.60 + CaptureSettings().offset_error + np.sin(2 * CaptureSettings().angle_error)
     assert surface()[:, 0].max() < reach

@@ -20,7 +20,6 @@ from greenhouse_gym.accuracy import (
     cut,
     excess,
     match_tomatoes,
-    moved,
     pool_stems,
     pool_tomatoes,
     visibility,
@@ -45,6 +44,7 @@ from greenhouse_gym.geometry import (
     distance_to_shapes,
     pose,
     rotation_about,
+    transformed,
 )
 
 K = Intrinsics(160, 120, 150.0, 150.0, 79.5, 59.5)
@@ -53,17 +53,17 @@ ONE_CAMERA = Rig({"only": Camera(K, pose(FORWARD, [0.0, 0.0, 1.0]))}, "only")
 """A camera at (0, 0, 1) that looks along x; image right is -y, up is z."""
 
 
-def row_of(*shapes: Shape) -> PlantRow:
+def row_of(*shapes: Tomato | Shape) -> PlantRow:
     tomatoes = tuple(s for s in shapes if isinstance(s, Tomato))
     stems = tuple(s for s in shapes if isinstance(s, Stem))
     return PlantRow(tomatoes, stems, tuple(s for s in shapes if not isinstance(s, (Tomato, Stem))), 1.0, 0)
 
 
-def seen(*shapes: Shape) -> Visibility:
+def seen(*shapes: Tomato | Shape) -> Visibility:
     """Visibility of the first shape to one camera."""
-    row = row_of(*shapes)
-    order: list[Shape] = [*row.tomatoes, *row.stems, *row.clutter]
-    return visibility(row, [shapes[0]], np.array([order.index(shapes[0])]), ONE_CAMERA, np.eye(4)[None])
+    row, first = row_of(*shapes), shapes[0]
+    shape = first.shape if isinstance(first, Tomato) else first
+    return visibility(row, [shape], np.array([row.shapes.index(shape)]), ONE_CAMERA, np.eye(4)[None])
 
 
 def tomato(y: float, truss: int = 0, ripeness: float | None = 1.0, z: float = 1.0, radius: float = 0.03) -> Tomato:
@@ -79,7 +79,7 @@ def wall(y: float, half_width: float, x: float = 0.3) -> Box:
 
 
 @pytest.mark.parametrize(
-    "shape",
+    "part",
     [
         tomato(0.02, z=1.03),
         Tomato(Ellipsoid([0.5, 0.02, 1.0], [0.02, 0.04, 0.08], rotation_about([1.0, 0.0, 0.0], 0.4)), 0),
@@ -87,8 +87,9 @@ def wall(y: float, half_width: float, x: float = 0.3) -> Box:
         Box([0.5, 0.02, 1.0], [0.03, 0.02, 0.001], rotation_about([1, 2, 3], 0.7)),
     ],
 )
-def test_a_shape_alone_is_wholly_visible_and_covers_the_pixels_that_a_ray_caster_says(shape: Shape) -> None:
-    alone = seen(shape)
+def test_a_shape_alone_is_wholly_visible_and_covers_the_pixels_that_a_ray_caster_says(part: Tomato | Shape) -> None:
+    shape = part.shape if isinstance(part, Tomato) else part
+    alone = seen(part)
     assert alone.in_image[0] > 0.97
     assert alone.whole[0] > 0.97
     lone = Outlines.of([shape]).seen_from(np.linalg.inv(ONE_CAMERA.cameras["only"].rig_from_camera)).silhouette(0, K)
@@ -121,8 +122,8 @@ def test_what_stands_before_hides_its_share() -> None:
 
 
 def test_beyond_the_cut_nothing_is_seen() -> None:
-    assert seen(replace(tomato(0.0), center=[0.64, 0.0, 1.0])).in_image[0] == 0.0
-    assert seen(replace(tomato(0.0), center=[0.61, 0.0, 1.0])).in_image[0] > 0.5
+    assert seen(replace(tomato(0.0), shape=Sphere([0.64, 0.0, 1.0], 0.03))).in_image[0] == 0.0
+    assert seen(replace(tomato(0.0), shape=Sphere([0.61, 0.0, 1.0], 0.03))).in_image[0] > 0.5
 
 
 def test_the_edge_of_the_image_counts_for_the_whole_alone() -> None:
@@ -375,30 +376,30 @@ def test_surface_inside_another_shape_does_not_count() -> None:
 
 def test_true_shapes_have_no_excess_and_bloated_ones_do() -> None:
     row = row_of(tomato(0.0), Stem([0.5, 0.2, 0.8], [0.5, 0.2, 1.4], 0.006, "main"), wall(0.6, 0.1))
-    true: list[Shape] = [*row.tomatoes, *row.stems, *row.clutter]
+    true = row.shapes
     assert excess(true, row) == 0.0
     assert excess([Sphere([0.5, 0.0, 1.0], 0.01)], row) == 0.0  # inside of what is there
     assert excess([Sphere([0.5, 0.0, 1.0], 0.044)], row) == 0.0
     assert excess([Sphere([0.5, 0.0, 1.0], 0.047)], row) == 1.0
-    away = moved(row.stems[0], pose(translation=[0, -0.1, 0]))
+    away = transformed(row.stems[0], pose(translation=[0, -0.1, 0]))
     share = 2 * np.pi * 0.006 * 0.6 + 4 * np.pi * 0.006**2
     ball = 4 * np.pi * 0.03**2
-    assert excess([row.tomatoes[0], away], row) == pytest.approx(share / (share + ball), abs=0.03)
+    assert excess([row.tomatoes[0].shape, away], row) == pytest.approx(share / (share + ball), abs=0.03)
     assert excess([], row) == 0.0
 
 
 def test_a_moved_shape_has_moved() -> None:
     there = pose(rotation_about([0, 0, 1], np.pi / 2), [1.0, 0.0, 0.0])
-    ball = moved(Tomato(Sphere([1, 0, 0], 0.03), truss=3, ripeness=0.5), there)
+    ball = Tomato(Sphere([1, 0, 0], 0.03), truss=3, ripeness=0.5).transformed(there)
     np.testing.assert_allclose(ball.center, [1, 1, 0], atol=1e-12)
     assert (ball.truss, ball.ripeness, ball.radius) == (3, 0.5, 0.03)
-    stem = moved(Stem([0, 0, 0], [1, 0, 0], 0.01, "string"), there)
+    stem = transformed(Stem([0, 0, 0], [1, 0, 0], 0.01, "string"), there)
     np.testing.assert_allclose([stem.start, stem.end], [[1, 0, 0], [1, 1, 0]], atol=1e-12)
     assert stem.kind == "string"
     points = np.random.default_rng(0).uniform(-1, 1, (50, 3))
     box = Box([0.1, 0.2, 0.3], [0.3, 0.2, 0.1], rotation_about([1, 0, 0], 0.3))
     after = points @ there[:3, :3].T + there[:3, 3]
-    np.testing.assert_allclose(distance_to_shapes(after, [moved(box, there)]), distance_to_shapes(points, [box]))
+    np.testing.assert_allclose(distance_to_shapes(after, [transformed(box, there)]), distance_to_shapes(points, [box]))
 
 
 @cache

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -136,7 +135,7 @@ def test_fruit_tells_which_end_is_up() -> None:
         for k in range(4)
     ]
     over = np.diag([1.0, -1.0, -1.0])
-    turned = [replace(tomato, center=over @ tomato.center) for tomato in fruit]
+    turned = [tomato.transformed(pose(over)) for tomato in fruit]
     assert fruit_hangs(scan.cloud, RowShapes(tuple(fruit))) > 3.0
     assert fruit_hangs(scan.cloud.transformed(pose(over)), RowShapes(tuple(turned))) < -3.0
     assert fruit_hangs(scan.cloud, RowShapes(tuple(fruit[:5]))) == 0.0

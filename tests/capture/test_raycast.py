@@ -17,12 +17,12 @@ SHAPES: list[tuple[Shape, float, float]] = [
     (Capsule([0, 0, L], [0, 0, 0], 0.005), np.pi * 0.005**2 * (L + 0.02 / 3), 2 * np.pi * 0.005 * (L + 0.01)),
     (Capsule([1, 1, 1], [1, 1, 1], R), 4 / 3 * np.pi * R**3, 4 * np.pi * R**2),
     (
-        Tomato(Ellipsoid([0, 0, 1], [R, R, R], TURN), truss=0),
+        Ellipsoid([0, 0, 1], [R, R, R], TURN),
         4 / 3 * np.pi * R**3,
         4 * np.pi * R**2,
     ),
     (
-        Tomato(Ellipsoid([0, 0, 1], [0.8 * R, R, R / 0.8], TURN), truss=0),
+        Ellipsoid([0, 0, 1], [0.8 * R, R, R / 0.8], TURN),
         4 / 3 * np.pi * R**3,
         4 * np.pi * 1.0175 * R**2,
     ),

@@ -70,7 +70,7 @@ def test_all_cameras_of_a_rig_see_one_world(beam: Literal["level", "upright"], p
         assert camera.rig_from_camera[0, 2] > 0.9
     station = pose(translation=[0.0, 0.25, 0.0])
     caster = RowRaycaster.of(grown())
-    shapes = [*grown().tomatoes, *grown().stems, *grown().clutter]
+    shapes = grown().shapes
     for camera in rig.cameras.values():
         view = caster.look(station @ camera.rig_from_camera, camera.intrinsics)
         depth = np.where(view.depth < 0.6, view.depth, 0).astype(np.float32)

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from greenhouse_gym.accuracy.cover import outer_samples
-from greenhouse_gym.crops.decimation import leaf_boxes, surface_points
+from greenhouse_gym.crops.truth_shapes import leaf_boxes, surface_points
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import distance_to_shapes, rotation_about
 

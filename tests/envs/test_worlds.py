@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import copy
-import dataclasses
 import gc
 import json
 import weakref
@@ -14,7 +13,7 @@ import pytest
 from greenhouse_gym.envs import TomatoReachEnv, TomatoReachVectorEnv, worlds
 from greenhouse_gym.envs.physics import name_of
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.geometry import Box
+from greenhouse_gym.geometry import Box, pose
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene, SceneBank, Shapes
 from greenhouse_gym.scene.bank import write_bank
@@ -98,7 +97,7 @@ def test_a_bank_whose_manifest_does_not_tell_how_large_its_scenes_are_gets_the_u
 
 def test_a_bank_that_is_written_anew_gives_its_new_scenes(scene: Scene, tmp_path: Path) -> None:
     def first_target(x: float) -> np.ndarray:
-        moved = [dataclasses.replace(t, center=t.center + [x, 0.0, 0.0]) for t in scene.tomatoes]
+        moved = [t.transformed(pose(translation=[x, 0.0, 0.0])) for t in scene.tomatoes]
         placed = scene.model_copy(update={"tomatoes": tuple(moved)})
         write_bank(tmp_path, [(placed, "train")], name="same")
         env = TomatoReachEnv(bank=tmp_path)

@@ -49,7 +49,7 @@ def test_the_inside_of_tomatoes_is_known(scene: Scene) -> None:
         nothing = known_where(known, 0.0)
         boxes = unknown_boxes(nothing, ARM, ARM.start)
         cells = nothing.occupancy.centers.reshape(-1, 3)  # type: ignore[union-attr]
-        inside = cells[distance_to_shapes(cells, known.tomatoes).min(axis=1) < 0]
+        inside = cells[distance_to_shapes(cells, [tomato.shape for tomato in known.tomatoes]).min(axis=1) < 0]
         assert len(inside) > 2
         assert (distance_to_shapes(inside, boxes).min(axis=1) > 0).all()
 

@@ -70,7 +70,7 @@ def test_what_was_carved_out_of_a_row_is_empty_in_the_truth() -> None:
     assert isinstance(truth, PlantRow)
     empty = np.argwhere(carving.states == FREE)
     centers = carving.origin + (empty + 0.5) * carving.voxel
-    shapes = [*truth.tomatoes, *truth.stems, *truth.clutter]
+    shapes = truth.shapes
     thick = [s for s in shapes if getattr(s, "radius", 1.0) > 0.003]  # strings are seen by few pixels
     inside = distance_to_shapes(centers, thick).min(axis=1) < 0
     assert len(empty) > 3000

@@ -7,7 +7,7 @@ import pytest
 from row_helpers import full_cloud, full_recording, grown, true_poses
 
 from greenhouse_gym.accuracy import match_tomatoes, visible_tomatoes
-from greenhouse_gym.capture.raycast import RIPENESS_COLORS
+from greenhouse_gym.crops import Palette
 from greenhouse_gym.crops.parts import Stem, Tomato
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Ellipsoid, Sphere, distance_to_shapes, invert, transform
@@ -69,7 +69,7 @@ def plane(seed: int = 0, count: int = 20_000) -> tuple[np.ndarray, np.ndarray, n
 def assert_nothing_swallows(shapes: RowShapes, points: np.ndarray) -> None:
     """No single shape holds much more than what was seen there."""
     extent = np.ptp(points, axis=0).max() if len(points) else 0.0
-    for shape in (*shapes.tomatoes, *shapes.stems):
+    for shape in (*(tomato.shape for tomato in shapes.tomatoes), *shapes.stems):
         assert shape.radius < 0.05
     for box in shapes.clutter:
         assert 2 * box.half_extents.max() <= np.sqrt(3) * extent + 0.01
@@ -135,7 +135,7 @@ def test_balls_far_apart_hang_on_trusses_of_their_own() -> None:
     np.testing.assert_array_equal(group_trusses([Sphere([0, 0, 0], 0.03)], 0.015), [0])
 
 
-@pytest.mark.parametrize(("ripeness", "color"), list(zip(np.linspace(0, 1, 4), RIPENESS_COLORS, strict=True)))
+@pytest.mark.parametrize(("ripeness", "color"), list(zip(np.linspace(0, 1, 4), np.array(Palette().fruit), strict=True)))
 def test_ripeness_comes_from_the_color_whatever_the_light(ripeness: float, color: np.ndarray) -> None:
     shapes = extract_shapes(*half_sphere((0.45, 0.2, 1.1), 0.03, color=color))
     assert shapes.tomatoes[0].ripeness == pytest.approx(ripeness, abs=0.1)
@@ -303,7 +303,7 @@ def as_surface(colors: np.ndarray, bends: tuple[float, float] = (0.0, 0.0), leaf
 
 
 def test_leaves_gutters_and_strings_are_neither_fruit_nor_stem() -> None:
-    plant = np.array([*RIPENESS_COLORS, [0.36, 0.50, 0.22]])
+    plant = np.array([*Palette().fruit, [0.36, 0.50, 0.22]])
     other = np.array([[0.20, 0.42, 0.16], [0.90, 0.90, 0.88], [0.85, 0.84, 0.78]])
     cloud = as_surface(np.concatenate([plant, other]), leaf=-0.36)
     assert (
@@ -629,7 +629,7 @@ def test_tomatoes_of_a_simulated_row_against_the_truth() -> None:
     assert {stem.kind for stem in shapes.stems} >= {"main", "peduncle"}
     assert_nothing_swallows(shapes, cloud.points)
     for tomato in shapes.tomatoes:  # the truth and the found have one frame
-        assert isinstance(tomato, Sphere)
+        assert isinstance(tomato.shape, Sphere)
     again = extract_shapes(cloud.points, cloud.colors, cloud.normals)
     assert [t.center.tolist() for t in again.tomatoes] == [t.center.tolist() for t in shapes.tomatoes]
 

@@ -1,8 +1,8 @@
 """Hang the organs of Helios' vines along strings: a high-wire row as meshes, week by week.
 
-Helios grows the organs; what a grower decides is decided here: which leaves are off, how high which truss hangs, how
-many fruits it bears. A vine is lowered by one truss a week, so in week w every truss hangs one spacing lower and is a
-week older than in week w - 1; plants, trusses and fruits keep their numbers.
+Helios grows the organs. This module takes the decisions of a grower: which leaves are removed, at which height a truss
+hangs, how many fruits it bears. A vine is lowered by one truss a week, so in week w every truss hangs one spacing lower
+and is a week older than in week w - 1; plants, trusses and fruits keep their numbers.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ import numpy as np
 
 from greenhouse_gym.crops.cultivars import Cultivar
 from greenhouse_gym.crops.foliage import SHOOT_LEAVES_PER_METRE, grow_frond, grow_shoot, leaf_palette
-from greenhouse_gym.crops.fruiting import TrussPlace, grow_mesh_truss
 from greenhouse_gym.crops.helios import Vine, grow_vine
+from greenhouse_gym.crops.mesh_trusses import TrussNode, grow_mesh_truss
 from greenhouse_gym.crops.organs import Organ, stems_of, tube_organ
 from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.crops.plant_row import (
@@ -34,7 +34,7 @@ from greenhouse_gym.errors import GrowthError
 from greenhouse_gym.geometry import Array
 
 VINES = 3
-"""Vines that Helios grows for a row; every plant takes its organs from one of them, each placed and sized anew."""
+"""Number of vines that Helios grows for a row; each plant takes its organs from one vine, placed and scaled again."""
 
 FIRST_RED = 0.75
 """Height at which a truss is red, metres."""
@@ -42,7 +42,7 @@ FIRST_RED = 0.75
 HIGHEST_LEAF = WIRE_HEIGHT - 0.1
 LINE_SPACING = 0.35
 SHOOT_LEAF = 0.5
-"""Size of a side shoot's leaves against those of the main stem."""
+"""Size of a side shoot's leaves relative to those of the main stem."""
 
 _STEM_COLOR = (0.42, 0.52, 0.27)
 _STRING_COLOR = (0.85, 0.84, 0.78)
@@ -50,8 +50,8 @@ _PIPE_COLOR = (0.80, 0.80, 0.80)
 
 
 @dataclass(frozen=True)
-class _Crop:
-    """What all plants of a row share."""
+class _RowTraits:
+    """Traits that all plants of a row share."""
 
     seed: int
     week: int
@@ -66,20 +66,20 @@ def grow_mesh_row(seed: int, length: float, week: int, cultivar: Cultivar, stem_
     """Grow a row of Helios plants with a second row behind it.
 
     Args:
-        seed: Same seed, same plants; over the weeks the same plants grow on.
+        seed: Same seed, same plants; over the weeks the same plants continue to grow.
         length: Length of row to be photographed, metres; plants stand half a metre beyond both ends.
         week: Growth week, 0 = first harvest.
-        cultivar: How the plants grow.
+        cultivar: Growth of the plants.
         stem_line: x of the row, metres.
 
     Raises:
-        MissingDependencyError: PyHelios is missing, or not the version that was tried.
-        GrowthError: Nothing that grew bears fruit.
+        MissingDependencyError: PyHelios is missing or of an untested version.
+        GrowthError: No plant bears fruit.
     """
     rng = np.random.default_rng([seed, 7])
     seeds = rng.integers(1, 2**31, VINES).tolist()
     vines = tuple(grow_vine(own, cultivar.model, cultivar.leaf_curl, cultivar.leaf_width) for own in seeds)
-    crop = _Crop(
+    traits = _RowTraits(
         seed,
         week,
         cultivar,
@@ -88,15 +88,15 @@ def grow_mesh_row(seed: int, length: float, week: int, cultivar: Cultivar, stem_
         rng.uniform(*cultivar.leaf_redness),
         _leaf_size(cultivar, vines),
     )
-    front = _grow_row(crop, 0, length, stem_line)
-    back = _grow_row(crop, 1, length, stem_line + ROW_PITCH)
+    front = _grow_row(traits, 0, length, stem_line)
+    back = _grow_row(traits, 1, length, stem_line + ROW_PITCH)
     if not front.tomatoes:
         raise GrowthError(f"the row with seed {seed} bears no fruit in week {week}: {cultivar}")
     return replace(front, behind=back)
 
 
 def _leaf_size(cultivar: Cultivar, vines: Sequence[Vine]) -> float:
-    """The size of leaves, against Helios' own, that gives a row its leaf area."""
+    """Return the scale of Helios' leaves that gives a row its leaf area."""
     nodes = np.arange(cultivar.bare_below, HIGHEST_LEAF, float(np.mean(TRUSS_SPACING)) / 3)
     each = np.mean([frond.area for vine in vines for frond in vine.fronds])
     on_a_metre = cultivar.lines / np.mean(PLANT_SPACING) * (_youth(nodes) ** 2).sum() * each
@@ -106,32 +106,32 @@ def _leaf_size(cultivar: Cultivar, vines: Sequence[Vine]) -> float:
     return float(np.sqrt(cultivar.leaf_area / (on_a_metre * in_shoots)))
 
 
-def _grow_row(crop: _Crop, number: int, length: float, x: float) -> PlantRow:
-    """One row, front or behind, with its lines of plants and its fixtures."""
+def _grow_row(traits: _RowTraits, number: int, length: float, x: float) -> PlantRow:
+    """Grow one row, front or behind, with its lines of plants and its fixtures."""
     organs: list[Organ] = []
     tomatoes: list[Tomato] = []
     plants = count()
-    for line in range(crop.cultivar.lines):
-        seed = [crop.seed, number] if not line else [crop.seed, number, line]
+    for line in range(traits.cultivar.lines):
+        seed = [traits.seed, number] if not line else [traits.seed, number, line]
         rng = np.random.default_rng(seed)
         y = -0.5 + rng.uniform(0, 0.2)
         while y <= length + 0.5:
             plant = next(plants)
             base = np.array([x + line * LINE_SPACING + rng.uniform(-0.03, 0.03), y, GUTTER_HEIGHT])
-            grown, fruits = _grow_plant(crop, [crop.seed, number, plant], base, plant, len(tomatoes))
+            grown, fruits = _grow_plant(traits, [traits.seed, number, plant], base, plant, len(tomatoes))
             organs += grown
             tomatoes += fruits
             y += rng.uniform(*PLANT_SPACING)
     organs += _fixtures(x, length)
-    return PlantRow(tuple(tomatoes), stems_of(organs), (), length, crop.week, None, tuple(organs))
+    return PlantRow(tuple(tomatoes), stems_of(organs), (), length, traits.week, None, tuple(organs))
 
 
 def _fixtures(x: float, length: float) -> list[Organ]:
-    """The gutter and two pipe rails in front of the row."""
+    """Return the gutter and the two pipe rails in front of the row."""
     low, high = -0.8, length + 0.8
     organs = []
-    for beside in (0.32, 0.82):
-        axis = np.array([[x - beside, low, 0.06, 0.0255], [x - beside, high, 0.06, 0.0255]])
+    for offset in (0.32, 0.82):
+        axis = np.array([[x - offset, low, 0.06, 0.0255], [x - offset, high, 0.06, 0.0255]])
         organs.append(tube_organ("pipe", axis, _PIPE_COLOR, around=16))
     corners = np.array([[i, j, k] for i in (-0.11, 0.11) for j in (low, high) for k in (-0.1, 0.0)])
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
@@ -141,11 +141,11 @@ def _fixtures(x: float, length: float) -> list[Organ]:
 
 
 def _grow_plant(
-    crop: _Crop, seed: list[int], base: Array, plant: int, first_fruit: int
+    traits: _RowTraits, seed: list[int], base: Array, plant: int, first_fruit: int
 ) -> tuple[list[Organ], list[Tomato]]:
-    """One plant's organs, and its tomatoes, the first of which is number ``first_fruit`` of the row."""
+    """Grow one plant; its tomatoes are numbered from ``first_fruit`` within the row."""
     rng = np.random.default_rng(seed)
-    cultivar, vine = crop.cultivar, crop.vines[seed[2] % len(crop.vines)]
+    cultivar, vine = traits.cultivar, traits.vines[seed[2] % len(traits.vines)]
     spacing = rng.uniform(*TRUSS_SPACING)
     axis, string = _axes(rng, base, rng.uniform(*cultivar.stem_radius), cultivar.winding)
     stem_color = np.array(_STEM_COLOR) * rng.uniform(0.9, 1.1)
@@ -156,16 +156,16 @@ def _grow_plant(
     tomatoes: list[Tomato] = []
     offset, twist, first_frond = rng.uniform(0, spacing), rng.uniform(0, 2 * np.pi), int(rng.integers(0, 1000))
     flowering = rng.uniform(*cultivar.flowering)
-    palette = leaf_palette(rng, crop.leaf_redness)
-    for j in range(crop.week, crop.week + int((HIGHEST_TRUSS - LOWEST_TRUSS) / spacing) + 2):
+    palette = leaf_palette(rng, traits.leaf_redness)
+    for j in range(traits.week, traits.week + int((HIGHEST_TRUSS - LOWEST_TRUSS) / spacing) + 2):
         own = np.random.default_rng([*seed, j])
-        height = LOWEST_TRUSS + offset + (j - crop.week) * spacing
+        height = LOWEST_TRUSS + offset + (j - traits.week) * spacing
         if height > HIGHEST_TRUSS:
             break
         azimuth = np.pi + own.normal(0, 0.7)  # pickers turn trusses to the aisle
         age = (flowering - height) / (flowering - FIRST_RED)
-        place = TrussPlace(_at(axis, height), azimuth, plant, 100 * plant + j, first_fruit + len(tomatoes))
-        grown, fruits = grow_mesh_truss(np.random.default_rng([*seed, j, 1]), vine, cultivar, crop.aspect, place, age)
+        place = TrussNode(_at(axis, height), azimuth, plant, 100 * plant + j, first_fruit + len(tomatoes))
+        grown, fruits = grow_mesh_truss(np.random.default_rng([*seed, j, 1]), vine, cultivar, traits.aspect, place, age)
         organs += grown
         tomatoes += fruits
         for leaf in range(3):
@@ -174,7 +174,7 @@ def _grow_plant(
                 continue
             own = np.random.default_rng([*seed, j, 2 + leaf])
             frond = vine.fronds[(first_frond + node) % len(vine.fronds)]
-            size = crop.leaf_size * float(_youth(np.array(here))) * own.uniform(0.88, 1.12)
+            size = traits.leaf_size * float(_youth(np.array(here))) * own.uniform(0.88, 1.12)
             organs += grow_frond(own, frond, _at(axis, here), twist + 2.4 * node, size, palette, plant)
             if own.random() < cultivar.side_shoots:
                 shoot = own.uniform(*cultivar.shoot_length)
@@ -184,12 +184,12 @@ def _grow_plant(
 
 
 def _youth(height: Array) -> Array:
-    """Size of leaves at heights, as a share of a grown one: those at the top are still growing."""
+    """Return the relative size of leaves at heights: those at the top are still growing."""
     return np.clip((WIRE_HEIGHT + 0.1 - height) / 0.4, 0.35, 1.0)
 
 
 def _axes(rng: np.random.Generator, base: Array, radius: float, winding: float) -> tuple[Array, Array]:
-    """The axes (k, 4) of a main stem, and of the string it winds around, from the gutter to the wire."""
+    """Return the axes (k, 4) of a main stem and of its string, from the gutter to the wire."""
     heights = np.arange(GUTTER_HEIGHT, WIRE_HEIGHT + 0.01, 0.04)
     coarse = np.arange(GUTTER_HEIGHT, WIRE_HEIGHT + 0.05, 0.1)
     sway = np.cumsum(rng.normal(0, 0.008, (len(coarse), 2)), axis=0)
@@ -200,10 +200,10 @@ def _axes(rng: np.random.Generator, base: Array, radius: float, winding: float) 
     around = np.column_stack([np.cos(phase), np.sin(phase)])
     taper = radius * np.interp(heights, [GUTTER_HEIGHT, WIRE_HEIGHT], [1.0, 0.7])
     stem = np.column_stack([path + winding * around, heights, taper])
-    beside = path - (taper + 0.003)[:, None] * around
-    return stem, np.column_stack([beside, heights, np.full(len(heights), 0.001)])
+    string = path - (taper + 0.003)[:, None] * around
+    return stem, np.column_stack([string, heights, np.full(len(heights), 0.001)])
 
 
 def _at(axis: Array, height: float) -> Array:
-    """Point and radius (4,) of an axis (k, 4) at a height."""
+    """Return point and radius (4,) of an axis (k, 4) at a height."""
     return np.array([np.interp(height, axis[:, 2], axis[:, k]) for k in range(4)])

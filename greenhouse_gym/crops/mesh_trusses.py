@@ -6,12 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from greenhouse_gym.crops.analytic_growth import push_apart
 from greenhouse_gym.crops.cultivars import Cultivar
 from greenhouse_gym.crops.helios import Vine
 from greenhouse_gym.crops.helios_meshes import Mesh
 from greenhouse_gym.crops.organs import Organ, fruit_ellipsoid, tube_organ
 from greenhouse_gym.crops.parts import Tomato
-from greenhouse_gym.crops.truss import push_apart
 from greenhouse_gym.geometry import Array, frame_along, rotation_about
 
 _TRUSS_COLOR = (0.44, 0.56, 0.28)
@@ -20,20 +20,20 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 def fruit_size(age: float) -> float:
-    """Width of a fruit as a share of the grown one, at an age from 0 (flower) to 1 (red): a logistic curve.
+    """Return the relative width of a fruit at an age from 0 (flower) to 1 (red), a logistic curve.
 
-    Tomatoes grow along a sigmoid that levels off before they turn (prior: half the width at a quarter of the time).
+    Tomatoes grow along a sigmoid that levels off before they turn red (prior: half the width at a quarter of the time).
     """
     return float(1 / (1 + np.exp(-9 * (age - 0.25))))
 
 
 def ripeness_at(age: float) -> float:
-    """Ripeness at an age: green until 0.55, red from 1 on."""
+    """Return the ripeness at an age: green until 0.55, red from 1 on."""
     return float(np.clip((age - 0.55) / 0.45, 0.0, 1.0))
 
 
-class TrussPlace(NamedTuple):
-    """Where a truss grows and how it is counted.
+class TrussNode(NamedTuple):
+    """Position and numbers of a truss.
 
     Attributes:
         node: (4,) point on the main stem's axis and the stem's radius, metres.
@@ -51,17 +51,17 @@ class TrussPlace(NamedTuple):
 
 
 def grow_mesh_truss(
-    rng: np.random.Generator, vine: Vine, cultivar: Cultivar, aspect: float, place: TrussPlace, age: float
+    rng: np.random.Generator, vine: Vine, cultivar: Cultivar, aspect: float, place: TrussNode, age: float
 ) -> tuple[list[Organ], list[Tomato]]:
     """Grow one truss from a node of the main stem.
 
     Args:
-        rng: Source of all variation; the truss keeps its shape as it ages.
-        vine: Whose organs it takes.
+        rng: Source of all randomness; the truss keeps its shape as it ages.
+        vine: Vine that provides the organs.
         cultivar: Numbers and sizes.
         aspect: Height of a fruit over its width.
-        place: Where it grows.
-        age: 0 when its flowers open, 1 when its fruits are red; below 0 there is none yet.
+        place: Its position and numbers.
+        age: 0 when its flowers open, 1 when its fruits are red; negative before.
 
     Returns:
         Its organs, and its tomatoes.
@@ -91,8 +91,8 @@ def grow_mesh_truss(
     shade = np.array(_TRUSS_COLOR) * rng.uniform(0.9, 1.1)
     organs = [tube_organ("peduncle", rachis, shade, plant, truss)]
 
-    shares = np.linspace(0.45, 1.0, number)
-    joints = np.column_stack([np.interp(shares, np.linspace(0, 1, len(points)), points[:, k]) for k in range(3)])
+    fractions = np.linspace(0.45, 1.0, number)
+    joints = np.column_stack([np.interp(fractions, np.linspace(0, 1, len(points)), points[:, k]) for k in range(3)])
     sideways = np.cross(UP, outward)
     sides = np.where(np.arange(number) % 2 == 0, 1.0, -1.0) * (np.arange(number) < number - 1)
     directions = sides[:, None] * sideways + 0.4 * outward + [0.0, 0.0, -0.8] + noise
@@ -136,7 +136,7 @@ def grow_mesh_truss(
 
 
 def _shaped(fruit: Mesh, width: float, aspect: float, ribs: float, rib_count: int) -> Mesh:
-    """Helios' fruit with a width, a height over width, and ribs that are deepest at the stem end."""
+    """Scale Helios' fruit to a width and a height over width, with ribs that are deepest at the stem end."""
     x, y, z = fruit.vertices.T
     height = (z - z.min()) / (z.max() - z.min())
     fold = 1 - ribs * (0.35 + 0.65 * height) * (0.5 - 0.5 * np.cos(rib_count * np.arctan2(y, x)))
@@ -145,20 +145,20 @@ def _shaped(fruit: Mesh, width: float, aspect: float, ribs: float, rib_count: in
 
 
 def _skin_colors(skin: Mesh, stops: Array, ripeness: float, rng: np.random.Generator) -> Array:
-    """Colors (t, 3): a fruit reddens from its blossom end, and its shoulders stay green longest."""
+    """Return the colors (t, 3) of a fruit, which reddens from its blossom end; its shoulders stay green longest."""
     height = skin.vertices[skin.triangles].mean(axis=1)[:, 2]
     height = (height - height.min()) / max(float(np.ptp(height)), 1e-9)
     lag = 0.35 * ripeness * (1 - ripeness) * 2
     local = np.clip(ripeness + lag * (0.5 - height), 0.0, 1.0)
-    shares = np.linspace(0, 1, len(stops))
-    colors = np.column_stack([np.interp(local, shares, stops[:, k]) for k in range(3)])
+    positions = np.linspace(0, 1, len(stops))
+    colors = np.column_stack([np.interp(local, positions, stops[:, k]) for k in range(3)])
     return np.clip(colors * rng.normal(1.0, 0.05), 0.0, 1.0)
 
 
 def _calyx(
     vine: Vine, width: float, full: float, top: float, frame: Array, center: Array, plant: int, truss: int, fruit: int
 ) -> list[Organ]:
-    """Sepals at the stem end; they are nearly grown when the fruit is not."""
+    """Return the sepals at the stem end, which grow earlier than the fruit."""
     size = 0.5 * width + 0.5 * min(full, 2.5 * width)
     local = vine.calyx.vertices * size
     local = local + [0.0, 0.0, top - size * vine.fruit.vertices[:, 2].max()]
@@ -167,7 +167,7 @@ def _calyx(
 
 
 def _flower(vine: Vine, joint: Array, direction: Array, plant: int, truss: int, shade: Array) -> list[Organ]:
-    """An open flower on its pedicel."""
+    """Return an open flower on its pedicel."""
     foot = joint + 0.012 * direction
     frame = frame_along(direction)
     vertices = vine.flower.vertices @ frame.T + foot
@@ -178,9 +178,9 @@ def _flower(vine: Vine, joint: Array, direction: Array, plant: int, truss: int, 
 
 
 def _pedicel(joint: Array, end: Array, radius: float, shade: Array, plant: int, truss: int) -> Organ:
-    """A pedicel with the knuckle at which it breaks, bent a little upwards."""
-    share = np.array([0.0, 0.3, 0.5, 0.62, 0.74, 1.0])
-    bow = 0.15 * np.linalg.norm(end - joint) * np.sin(np.pi * share)
-    points = joint + share[:, None] * (end - joint) + bow[:, None] * UP
+    """Return a pedicel, slightly bent upwards, with the knuckle at which it breaks."""
+    fraction = np.array([0.0, 0.3, 0.5, 0.62, 0.74, 1.0])
+    bow = 0.15 * np.linalg.norm(end - joint) * np.sin(np.pi * fraction)
+    points = joint + fraction[:, None] * (end - joint) + bow[:, None] * UP
     radii = max(radius, 0.0008) * np.array([1.0, 0.95, 1.0, 1.35, 1.1, 1.25])
     return tube_organ("pedicel", np.column_stack([points, radii]), shade, plant, truss)
