@@ -5,7 +5,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 EXTRAS := all,dev
 # the last two need real recordings, in the folder that GREENHOUSE_GYM_REAL_DATA names
-BENCHMARKS := reconstruction shapes planners throughput sac_her paper_figures $(if $(GREENHOUSE_GYM_REAL_DATA),orbit shapes_real)
+BENCHMARKS := sensing.reconstruction sensing.shapes sensing.paper_figures planning.planners speed.throughput \
+	$(if $(GREENHOUSE_GYM_REAL_DATA),sensing.orbit sensing.shapes_real)
 
 .PHONY: demo test test-ompl-2 test-rllib lint bench docs clean
 
@@ -39,7 +40,8 @@ lint: $(VENV)/.installed
 
 bench: $(VENV)/.installed
 	$(BIN)/python -m pytest -m slow
-	for name in $(BENCHMARKS); do $(BIN)/python benchmarks/$$name.py || exit 1; done
+	for name in $(BENCHMARKS); do $(BIN)/python -m benchmarks.$$name || exit 1; done
+	$(BIN)/python -m benchmarks.agents.trainings sac
 
 # the site, in site/; strict: a warning, a dead link, or a page that loads anything from the network is an error
 docs: $(VENV)/.docs

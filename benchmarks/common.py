@@ -1,4 +1,4 @@
-"""Helpers that all benchmarks share: result files, rates with intervals, tables, processes of their own, timing."""
+"""Common helpers of all benchmarks: result files, rates with intervals, tables, processes of their own, timing."""
 
 from __future__ import annotations
 

@@ -52,9 +52,10 @@ def test_libraries_of_reports_and_exports_are_loaded_where_they_are_used() -> No
     assert done.returncode == 0, done.stderr
 
 
-def test_every_benchmark_can_be_imported() -> None:
-    folder = ROOT / "benchmarks"
-    names = sorted(path.stem for path in folder.glob("*.py") if path.stem != "fetch_reach")  # which needs an old MuJoCo
+def test_every_benchmark_and_training_can_be_imported() -> None:
+    files = [*(ROOT / "benchmarks").rglob("*.py"), *(ROOT / "training").glob("*.py")]
+    names = sorted(".".join(path.relative_to(ROOT).with_suffix("").parts) for path in files)
+    names.remove("benchmarks.speed.fetch_reach")  # needs an old MuJoCo
     code = f"import importlib\nfor name in {names}: importlib.import_module(name)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=folder, check=False)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=False)
     assert done.returncode == 0, done.stderr

@@ -22,8 +22,8 @@ POINTS = np.array([[0.4, y, z] for y in np.linspace(-0.5, 0.5, 11) for z in np.l
 @pytest.fixture
 def compare(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
     """Count disagreements over some configurations, one stand."""
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "benchmarks"))
-    from shape_collisions import compare_collisions
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[1]))
+    from benchmarks.sensing.shape_collisions import compare_collisions
 
     def run(shapes: list[Shape], hidden: tuple[int, ...] = ()) -> Any:
         shares = np.array([0.0 if i in hidden else 1.0 for i in range(3)])

@@ -49,7 +49,7 @@ EVERY = 8
 
 
 class Method(NamedTuple):
-    """A way to learn: its function and its default settings."""
+    """A training function and its default settings."""
 
     train: Callable[..., Any]
     settings: Any

@@ -123,10 +123,10 @@ def main() -> None:
         failed = follow(*one, first, a.starts[0])
         if failed is None or failed.contact is None:
             continue
-        held = follow(*other, second, a.starts[1])
-        if held is not None and held.contact is None:
+        reached = follow(*other, second, a.starts[1])
+        if reached is not None and reached.contact is None:
             figure, axes = plt.subplots(2, 3, figsize=(15, 8), constrained_layout=True)
-            for line, title, followed in zip(axes, titles, (failed, held), strict=True):
+            for line, title, followed in zip(axes, titles, (failed, reached), strict=True):
                 draw_line(line, title, followed)
             figure.savefig(a.out, dpi=80)
             return

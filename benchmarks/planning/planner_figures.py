@@ -46,7 +46,7 @@ def summary(runs: Sequence[Run]) -> list[dict[str, Any]]:
         by = {difficulty: part for difficulty, part in by.items() if part}
         for run in group:
             run["rate"] = run["checks"] / run["planning_time"] if run["checks"] >= MIN_CHECKS else None
-            run["share"] = run["rate"] / run["bare_rate"] if run["rate"] else None
+            run["fraction_of_bare_rate"] = run["rate"] / run["bare_rate"] if run["rate"] else None
         rows.append(
             {
                 "planner": name,
@@ -69,7 +69,7 @@ def summary(runs: Sequence[Run]) -> list[dict[str, Any]]:
                 ),
                 "checks_median": _median(group, "checks"),
                 "checks_per_second_median": _median(group, "rate"),
-                "share_of_bare_rate_median": _median(group, "share"),
+                "fraction_of_bare_rate_median": _median(group, "fraction_of_bare_rate"),
                 "raw_length_median_rad": _median(solved, "raw_length"),
                 "length_median_rad": _median(solved, "length"),
                 "clearance_median_m": _median(solved, "clearance"),
@@ -121,7 +121,7 @@ def markdown(rows: Sequence[dict[str, Any]]) -> str:
                 number(r["clearance_median_m"] and 1000 * r["clearance_median_m"], ".0f"),
                 number(r["smoothness_median"], ".1f"),
                 *(r["statuses"].get(status, 0) for status in ("timeout", "crashed")),
-                number(r["share_of_bare_rate_median"], ".2f"),
+                number(r["fraction_of_bare_rate_median"], ".2f"),
                 "yes" if r["reproducible"] else "no",
             )
         )

@@ -6,7 +6,7 @@ Foreground: for every protocol's rig, the cut is right if it lies at least 5 cm 
 row. Direction: a step of the walk is reconstructed both ways along the row, with only the rig's calibration known;
 direction and length are right if the second station is within 10 mm of its true position. Clouds: the cloud of that
 walk is read like a file of unknown origin, in millimetres, centimetres or metres, with y up, upside down, or in any
-orientation; checked are units, upright axis, up end of that axis, and the side from which it was seen. If only the
+orientation; checked are units, upright axis, up end of that axis, and the side from which it was scanned. If only the
 fruit shows which end is up, shapes are extracted first. Real recordings and clouds in the folder
 GREENHOUSE_GYM_REAL_DATA are read as they are. Takes 5 minutes.
 """
@@ -40,7 +40,7 @@ UPRIGHT = np.cos(np.deg2rad(10.0))
 FORMS: dict[str, tuple[float, Array]] = {  # units per metre, file_from_row
     "mm, y up": (1000.0, np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])),
     "m, upside down": (1.0, np.diag([1.0, -1.0, -1.0])),
-    "cm, any way": (100.0, Rotation.from_rotvec([0.7, -0.4, 1.1]).as_matrix()),
+    "cm, any orientation": (100.0, Rotation.from_rotvec([0.7, -0.4, 1.1]).as_matrix()),
 }
 Figures = dict[str, Any]
 
@@ -52,7 +52,7 @@ def main() -> None:
     walks, clouds = [], []
     for protocol in PROTOCOLS.values():
         walk = first_walk(protocol)
-        walks += [walked(walk, way, protocol.name) for way in ("forward", "backward")]
+        walks += [walked(walk, direction, protocol.name) for direction in ("forward", "backward")]
         row = reconstruct_row(walk, ReconstructionSettings(foreground=protocol.foreground, poses="given"))
         clouds += [{"cloud": protocol.name, **read_as_file(row, form)} for form in FORMS]
     clouds += list(real_clouds())
@@ -63,16 +63,16 @@ def main() -> None:
             [
                 (
                     cut["recording"], cut["stems"] or "-", f"{cut['cut']:.2f}", f"{cut['kept']:.0%}",
-                    f"{1e3 * cut['noise']:.2f}", f"{1e3 * cut['partners']:.1f}", cut["right"],
+                    f"{1e3 * cut['noise']:.2f}", f"{1e3 * cut['correspondence_distance']:.1f}", cut["right"],
                 )
                 for cut in cuts
             ],
         )
     )  # fmt: skip
-    columns = ("walk", "way", "direction", "went", "true", "wrong_mm", "right", "refused")
+    columns = ("walk", "order", "direction", "went", "true", "wrong_mm", "right", "refused")
     print("\n" + table(columns, [[_cell(one.get(name, "")) for name in columns] for one in walks]))
     columns = ("cloud", "form", "units", "axis", "end", "side")
-    print("\n" + table((*columns, "notes"), [[*(one[n] for n in columns), "; ".join(one["said"])] for one in clouds]))
+    print("\n" + table((*columns, "notes"), [[*(one[n] for n in columns), "; ".join(one["notes"])] for one in clouds]))
 
 
 def _cell(value: Any) -> str:
@@ -111,7 +111,7 @@ def foreground(recording: Recording) -> Figures:
         "cut": settings.foreground,
         "kept": float(np.mean(frame.depth[frame.depth > 0] < settings.foreground)),
         "noise": sensor_noise([frame], camera, recording.rig, settings.foreground),
-        "partners": settings.fine_distance,
+        "correspondence_distance": settings.fine_distance,
     }
 
 
@@ -126,13 +126,13 @@ def first_walk(protocol: Protocol) -> Recording:
     return replace(walk, protocol=None, load=stations.__getitem__)
 
 
-def walked(walk: Recording, way: str, name: str) -> Figures:
+def walked(walk: Recording, order: str, name: str) -> Figures:
     """Reconstruct a walk, or the same from its end, with the settings found in its images."""
-    if way == "backward":
+    if order == "backward":
         walk = replace(walk, load=lambda i, there=walk.load: there(STATIONS - 1 - i), truth=None)
     first, last = (np.asarray(walk[i].world_from_station) for i in (0, STATIONS - 1))
     true = invert(first) @ last
-    figures: Figures = {"walk": name, "way": way, "true": float(true[1, 3])}
+    figures: Figures = {"walk": name, "order": order, "true": float(true[1, 3])}
     try:
         row = reconstruct_row(walk, settings_for(walk))
         refused = None if row.registered[-1] else str(row.report.stations[-1].reason)
@@ -167,7 +167,7 @@ def read_as_file(row: RowCloud, form: str) -> Figures:
         "axis": bool(abs(turn[2, 2]) > UPRIGHT),
         "end": bool(turn[2, 2] > UPRIGHT),
         "side": bool(turn[0, 0] > UPRIGHT),
-        "said": list(scan.notes),
+        "notes": list(scan.notes),
     }
 
 
@@ -189,7 +189,7 @@ def read_real(file: Path, unit: float, up: Array) -> Figures:
     found = float(scan.row_from_file[2, :3] @ up)
     return {
         "cloud": file.name, "form": "as it is", "units": bool(np.isclose(scan.unit, unit)),
-        "axis": bool(abs(found) > UPRIGHT), "end": bool(found > UPRIGHT), "side": None, "said": list(scan.notes),
+        "axis": bool(abs(found) > UPRIGHT), "end": bool(found > UPRIGHT), "side": None, "notes": list(scan.notes),
     }  # fmt: skip
 
 

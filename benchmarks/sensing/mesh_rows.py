@@ -98,34 +98,20 @@ def main() -> None:
             lights[name] = {"cloud": clouds, **found(rows, workdir)}
             print(f"{name}: reconstructed", flush=True)
     write_results(arguments.out, {"seconds_per_station": stations, "shapes": shapes, "lights": lights})
-    seconds = {name: group["processor_seconds_per_metre"] for name, group in shapes.items()}
-    print(
-        table(
-            ("rows", "station / own", "shapes per metre, s (/ own)", "tomatoes: F1 (in the cloud)"),
-            [
-                (
-                    name, f"{stations[name] / stations['own']:.2f}",
-                    f"{seconds[name]:.1f} ({seconds[name] / seconds['own']:.2f})", _f1(shapes[name]),
-                )
-                for name in shapes
-            ],
-        )
-    )  # fmt: skip
-    heads = (
-        "light",
-        "registered",
-        "drift",
-        "cloud to truth, mean / 95 %, mm",
-        "complete",
-        "tomatoes: F1 (in the cloud)",
-    )
-    rows_of_light = []
+    heads = ("rows", "station, s", "shapes per metre, s", "tomatoes: F1 (in the cloud)")
+    lines = [
+        (name, f"{stations[name]:.2f}", f"{group['processor_seconds_per_metre']:.1f}", _f1(group))
+        for name, group in shapes.items()
+    ]
+    print(table(heads, lines))
+    heads = ("light", "registered", "drift", "cloud to truth, mean / 95 %, mm", "complete", heads[-1])
+    lines = []
     for name, one in lights.items():
         cloud = one["cloud"]
         distances = " / ".join(f"{1e3 * cloud[key]:.2f}" for key in ("distance_mean", "distance_95"))
-        shares = f"{cloud['registered']:.0%}", f"{cloud['drift']:.2%}", distances, f"{cloud['completeness']:.1%}"
-        rows_of_light.append((name, *shares, _f1(one)))
-    print("\n" + table(heads, rows_of_light))
+        cells = f"{cloud['registered']:.0%}", f"{cloud['drift']:.2%}", distances, f"{cloud['completeness']:.1%}"
+        lines.append((name, *cells, _f1(one)))
+    print("\n" + table(heads, lines))
 
 
 def _f1(group: dict[str, Any]) -> str:

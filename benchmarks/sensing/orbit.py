@@ -65,13 +65,13 @@ def measure(recording: Recording, settings: ReconstructionSettings) -> dict[str,
     walked = walk(recording, poses, settings)
     tried = [pair[start] for pair in pairs for start in starts] + walked["edges"]
     result: dict[str, Any] = {
-        "foreground_share": float(np.mean([view.reference.foreground.mean() for view in views])),
+        "foreground_fraction": float(np.mean([view.reference.foreground.mean() for view in views])),
         "accepted": sum(pair["registered"]["accepted"] for pair in pairs),
         "accepted_wrong": sum(found["accepted"] and found["wrong"] for found in tried),
         "walk": walked,
         "pairs": pairs,
     }
-    fraction = f"{result['foreground_share']:.0%} of the image"
+    fraction = f"{result['foreground_fraction']:.0%} of the image"
     print(f"\nforeground up to {settings.foreground:g} m, {fraction}; the walk: {walked['ends']}")
     error = "error mm / deg"
     print(

@@ -171,8 +171,8 @@ def meshes(row: RowCloud) -> Numbers:
             f"{name}_s": time.perf_counter() - wall,
             f"{name}_processor_s": time.process_time() - processor,
         }
-    few = simplify_points(row, 10_000)
-    return numbers | {"simplified_points": len(few), "final_faces": len(triangulate(few).triangles)}
+    simplified = simplify_points(row, 10_000)
+    return numbers | {"simplified_points": len(simplified), "final_faces": len(triangulate(simplified).triangles)}
 
 
 def simulation(recording: Recording, row: RowCloud, shapes: RowShapes, out: Path) -> Numbers:

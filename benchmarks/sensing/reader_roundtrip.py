@@ -63,7 +63,7 @@ def main() -> None:
     lines = []
     for row in rows:
         poses = "-" if row["pose_mm"] is None else f"{row['pose_mm']:.4f}"
-        clouds = [f"{one['99']:.4f}, {one['most']:.4f}" if one else "-" for one in (row["estimated"], row["given"])]
+        clouds = [f"{one['99']:.4f}, {one['maximum']:.4f}" if one else "-" for one in (row["estimated"], row["given"])]
         depth = f"{row['depth_mm']:.4f}"
         lines.append((row["format"], row["cameras"], depth, row["color"], poses, row["points"], *clouds))
     print(table(heads, lines))
@@ -108,7 +108,7 @@ def compared(read: Recording, own: Recording, expected: RowCloud) -> dict[str, A
 def apart_mm(row: RowCloud, other: RowCloud) -> dict[str, float]:
     """Return quantiles of the distances from the points of either cloud to the surface of the other, mm."""
     gaps = 1e3 * np.concatenate([distances(row, other), distances(other, row)])
-    return {"99": float(np.quantile(gaps, 0.99)), "most": float(gaps.max())}
+    return {"99": float(np.quantile(gaps, 0.99)), "maximum": float(gaps.max())}
 
 
 def distances(cloud: RowCloud, other: RowCloud) -> Array:

@@ -78,9 +78,9 @@ def read_table(folder: Path, name: str) -> TableScene:
     """Read one of the `CYLINDERS` tables; up is the normal of the points labeled as table."""
     cloud = open3d().t.io.read_point_cloud(str(Path(folder) / "cylinders" / f"{name}.pcd"))
     points = cloud.point["positions"].numpy().astype(np.float64)
-    seen = np.isfinite(points).all(axis=1) & (np.nan_to_num(points[:, 2]) > 0.1)
-    points, labels = points[seen], cloud.point["label"].numpy().ravel()[seen].astype(np.int64)
-    colors = cloud.point["colors"].numpy()[seen]
+    valid = np.isfinite(points).all(axis=1) & (np.nan_to_num(points[:, 2]) > 0.1)
+    points, labels = points[valid], cloud.point["label"].numpy().ravel()[valid].astype(np.int64)
+    colors = cloud.point["colors"].numpy()[valid]
     row, v, u = KINECT.project(points)
     depth = np.zeros((KINECT.height, KINECT.width), dtype=np.float32)
     depth[v, u] = points[row, 2]

@@ -3,7 +3,7 @@
 python -m benchmarks.sensing.reconstruction --lengths 2 5 --workdir recordings
 
 Sensor noise, bias and tripod error are on. Rows of several lengths are reconstructed by the package, by plain Open3D,
-and by the paper's method alone; some once more with broken stations or larger camera biases. Every reconstruction runs
+and by the paper's method alone; some once more with broken stations. Every reconstruction runs
 in its own process, so that the peak memory is its own, and reads its recording from disk, so that the time per station
 includes reading. The seeds are used nowhere else. Each measurement is written at once; a later run measures only what
 is missing or was measured by other code. Takes four hours, with ``--lengths 2 5 --methods package`` half an hour.
@@ -37,8 +37,8 @@ from benchmarks.sensing import broken_stations, registration_baselines
 from benchmarks.sensing.broken_stations import break_stations
 from benchmarks.sensing.registration_baselines import multiway, paper_chain
 from greenhouse_gym import accuracy, capture, geometry, plants, reconstruction
-from greenhouse_gym.accuracy import ReconstructedRow, clouds
-from greenhouse_gym.capture import Recording, Rig, StereoNoise, WalkSettings, open_recording, simulate_recording
+from greenhouse_gym.accuracy import ReconstructedRow
+from greenhouse_gym.capture import Recording, Rig, open_recording, simulate_recording
 from greenhouse_gym.capture.recordings import INDEX, write_recording
 from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.crops import PlantRow, grow_row
@@ -51,7 +51,6 @@ METHODS: dict[str, Callable[[Recording], ReconstructedRow]] = {
     "paper_chain": paper_chain,
 }
 BROKEN_LENGTHS, BROKEN_METHODS = (5.0, 10.0), ("package", "paper_chain")
-BIAS_LENGTH, BIASES, USUAL_BIAS = 5.0, (0.0, 0.002, 0.005, 0.01), StereoNoise().bias
 MISPLACED = 0.02  # m
 Record = dict[str, Any]
 
@@ -65,19 +64,17 @@ class Case:
         seed: Seed of the row, the walk and the noise.
         method: One of `METHODS`.
         broken: Whether 15 % of the stations are broken.
-        bias: Standard deviation of a camera's relative depth error.
     """
 
     length: float
     seed: int
     method: str = "package"
     broken: bool = False
-    bias: float = USUAL_BIAS
 
     @property
     def recording(self) -> str:
         """Name of the recording's folder."""
-        return f"{self.length:g}m-{self.seed}" + ("" if self.bias == USUAL_BIAS else f"-bias-{self.bias:g}")
+        return f"{self.length:g}m-{self.seed}"
 
     def grow(self) -> PlantRow:
         """Return the true row; its growth week follows from the seed."""
@@ -93,14 +90,11 @@ def cases(
             yield from (Case(length, seed, method) for method in methods)
         if "broken" in parts and length in BROKEN_LENGTHS:
             yield from (Case(length, seed, method, broken=True) for method in BROKEN_METHODS if method in methods)
-        if "bias" in parts and length == BIAS_LENGTH:
-            yield from (Case(length, seed, bias=bias) for bias in BIASES)
 
 
 def render(case: Case, folder: Path) -> None:
     """Write a case's recording to a folder."""
-    settings = WalkSettings(noise=StereoNoise(bias=case.bias))
-    write_recording(simulate_recording(case.grow(), case.seed, settings=settings), folder)
+    write_recording(simulate_recording(case.grow(), case.seed), folder)
 
 
 def measure(case: Case, folder: Path) -> Record:
@@ -167,7 +161,7 @@ def _is_misplaced(i: int, row: ReconstructedRow, poses: Array, good: npt.NDArray
 
 def code() -> str:
     """Return the fingerprint of the code on which the figures depend."""
-    return fingerprint(geometry, plants, capture, reconstruction, clouds, registration_baselines, broken_stations)
+    return fingerprint(geometry, plants, capture, reconstruction, accuracy, registration_baselines, broken_stations)
 
 
 def main() -> None:
@@ -175,7 +169,7 @@ def main() -> None:
     command = parser(__doc__)
     command.add_argument("--lengths", type=float, nargs="+", default=[2.0, 5.0, 10.0, 20.0], help="m")
     command.add_argument("--seeds", type=int, nargs="+", default=[201, 202, 203])
-    command.add_argument("--only", nargs="+", choices=["rows", "broken", "bias"], default=["rows", "broken", "bias"])
+    command.add_argument("--only", nargs="+", choices=["rows", "broken"], default=["rows", "broken"])
     command.add_argument("--methods", nargs="+", choices=list(METHODS), default=list(METHODS))
     add_workdir(command)
     command.add_argument("--out", type=Path, default=RESULTS / "reconstruction.json")
@@ -203,9 +197,9 @@ def main() -> None:
 
 
 def tables(records: Sequence[Record]) -> Iterator[str]:
-    """Yield a table of rows and methods, one of their ratios, one of broken rows, and one of camera biases."""
+    """Yield a table of rows and methods, and one of rows with broken stations."""
     records = sorted(records, key=lambda r: (r["length"], r["seed"]))
-    usual = [r for r in records if not r["broken"] and r["bias"] == USUAL_BIAS]
+    usual = [r for r in records if not r["broken"]]
     yield table(
         (
             "row", "method", "registered", "drift", "cloud to truth, mean / 95 %, mm", "unaligned", "complete",
@@ -221,16 +215,6 @@ def tables(records: Sequence[Record]) -> Iterator[str]:
             for r in usual
         ],
     )  # fmt: skip
-    means = {key: _means(group) for key, group in _groups(usual, "length", "method").items()}
-    yield table(
-        ("rows", "method", "mean drift", "complete", "drift / package", "time / package"),
-        [
-            (f"{length:g} m", method, f"{mean['drift']:.2%}", f"{mean['completeness']:.1%}", *ratios)
-            for (length, method), mean in means.items()
-            if (own := means.get((length, "package")))
-            for ratios in [[f"{mean[key] / own[key]:.1f}" for key in ("drift", "seconds_per_station")]]
-        ],
-    )
     yield table(
         ("row, broken", "method", "good registered", "broken accepted", "of these misplaced", "drift", "complete"),
         [
@@ -243,31 +227,6 @@ def tables(records: Sequence[Record]) -> Iterator[str]:
             if r["broken"]
         ],
     )  # fmt: skip
-    swept = {(r["length"], r["seed"]) for r in records if r["bias"] != USUAL_BIAS}
-    own = [
-        r for r in records
-        if r["method"] == "package" and not r["broken"] and (r["length"], r["seed"]) in swept
-    ]  # fmt: skip
-    yield table(
-        ("camera bias", "rows", "mean drift", "cloud to truth, mean / 95 %, mm", "complete"),
-        [
-            (f"{bias:.1%}", len(group), f"{mean['drift']:.2%}", _distances(mean), f"{mean['completeness']:.1%}")
-            for (bias,), group in sorted(_groups(own, "bias").items())
-            for mean in [_means(group)]
-        ],
-    )
-
-
-def _groups(records: Sequence[Record], *keys: str) -> dict[tuple[Any, ...], list[Record]]:
-    groups: dict[tuple[Any, ...], list[Record]] = {}
-    for record in records:
-        groups.setdefault(tuple(record[key] for key in keys), []).append(record)
-    return groups
-
-
-def _means(records: Sequence[Record]) -> dict[str, float]:
-    keys = ("drift", "completeness", "distance_mean", "distance_95", "seconds_per_station")
-    return {key: float(np.mean([record[key] for record in records])) for key in keys}
 
 
 def _distances(record: Record, suffix: str = "") -> str:

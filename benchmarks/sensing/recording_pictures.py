@@ -58,9 +58,9 @@ def main() -> None:
     walk = Recording("walk", alone, STATIONS, stations.__getitem__)
     figure, axes = plt.subplots(2, len(DEGRADED), figsize=(15, 10), layout="constrained")
     for (name, degrade), (above, below) in zip(DEGRADED.items(), axes.T, strict=True):
-        seen = [Station({alone.reference: degrade(one.frames[alone.reference])}) for one in stations]
-        print(f"{name}: {'; '.join(inspect_recording(replace(walk, load=seen.__getitem__)).verdict)}")
-        frame = seen[0].frames[alone.reference]  # of a camera in portrait orientation
+        degraded = [Station({alone.reference: degrade(one.frames[alone.reference])}) for one in stations]
+        print(f"{name}: {'; '.join(inspect_recording(replace(walk, load=degraded.__getitem__)).verdict)}")
+        frame = degraded[0].frames[alone.reference]  # of a camera in portrait orientation
         above.imshow(np.rot90(frame.color, -1))
         above.set_title(name, color="darkgreen" if name == "good" else "firebrick")
         below.imshow(np.rot90(np.where(frame.depth > 0, frame.depth, np.inf), -1), cmap="gray_r", vmax=MAX_DEPTH)

@@ -155,12 +155,12 @@ def silhouette_offset(first: Station, second: Station, rig: Rig, steps: int) -> 
 
 def _foreground(station: Station, rig: Rig) -> Array:
     """Return the downsampled foreground points (n, 3) of all cameras in the rig frame."""
-    seen = []
+    points = []
     for name, frame in station.frames.items():
         camera = rig.cameras[name]
         near = frame.points(foreground_mask(frame.depth, camera, rig, FOREGROUND))
-        seen.append(transform(camera.rig_from_camera, near))
-    return _thinned(np.concatenate(seen))
+        points.append(transform(camera.rig_from_camera, near))
+    return _thinned(np.concatenate(points))
 
 
 def _row(stations: list[Array], poses: Array) -> BaselineRow:

@@ -17,8 +17,8 @@ from benchmarks.common import fingerprint
 from benchmarks.sensing import perfect_clouds
 from benchmarks.sensing.drawn_cultivars import drawn_cultivar
 from benchmarks.sensing.perfect_clouds import NOISE_FREE, perfect_cloud
-from greenhouse_gym import capture, geometry, plants, reconstruction
-from greenhouse_gym.accuracy import Visibility, VisibleRow, align, silhouettes, visibility, visible_row
+from greenhouse_gym import accuracy, capture, geometry, plants, reconstruction
+from greenhouse_gym.accuracy import Visibility, VisibleRow, align, visible_row
 from greenhouse_gym.capture import (
     SEED_RIG,
     Light,
@@ -163,14 +163,14 @@ def truth_of(row: Row, cloud: RowCloud, workdir: Path) -> Known:
 
 def visible_of(row: Row, workdir: Path) -> VisibleRow:
     """Return the parts of a row that its recording could show."""
-    folder = workdir / f"visible-{fingerprint(*_CAPTURED, visibility, silhouettes)}"
+    folder = workdir / f"visible-{fingerprint(*_CAPTURED, accuracy)}"
     row = replace(row, light=None)  # the same things are in front of the cameras in any light
-    shares, pieces = folder / f"{row.name}.npy", folder / f"{row.name}.json"
-    if not (shares.exists() and pieces.exists()):
-        seen = visible_row(row.grow(), SEED_RIG, row.poses())
+    fractions, pieces = folder / f"{row.name}.npy", folder / f"{row.name}.json"
+    if not (fractions.exists() and pieces.exists()):
+        visible = visible_row(row.grow(), SEED_RIG, row.poses())
         buffer = io.BytesIO()
-        np.save(buffer, np.stack(seen.tomatoes))
-        write_atomically(shares, buffer.getvalue())
-        write_atomically(pieces, Shapes(stems=seen.stems, clutter=seen.clutter).model_dump_json())
+        np.save(buffer, np.stack(visible.tomatoes))
+        write_atomically(fractions, buffer.getvalue())
+        write_atomically(pieces, Shapes(stems=visible.stems, clutter=visible.clutter).model_dump_json())
     shapes = Shapes.model_validate_json(pieces.read_bytes())
-    return VisibleRow(Visibility(*np.load(shares)), shapes.stems, shapes.clutter)
+    return VisibleRow(Visibility(*np.load(fractions)), shapes.stems, shapes.clutter)

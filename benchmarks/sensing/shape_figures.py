@@ -59,7 +59,7 @@ def pooled(records: Sequence[Record]) -> Figures:
     tomatoes = {
         name: pool_tomatoes([_tomatoes(record["tomatoes"][name]) for record in records]) for name in VISIBILITIES
     }
-    seen = tomatoes["all"]
+    usual = tomatoes["all"]
     kinds = {kind: pool_stems([_stems(record["stems"][kind]) for record in records]) for kind in STEM_KINDS}
     thin = pool_stems([kinds["peduncle"], kinds["pedicel"]])
     counts = [count for record in records for count in record["primitives"]]
@@ -68,15 +68,15 @@ def pooled(records: Sequence[Record]) -> Figures:
         "tomatoes": {
             **{name: _tomato_figures(comparison) for name, comparison in tomatoes.items()},
             "whole green": _tomato_figures(tomatoes["whole"].of_ripeness(*RIPENESS_BANDS["green"])),
-            "ripeness": {name: _tomato_figures(seen.of_ripeness(*band)) for name, band in RIPENESS_BANDS.items()},
+            "ripeness": {name: _tomato_figures(usual.of_ripeness(*band)) for name, band in RIPENESS_BANDS.items()},
             "occlusion": {
-                name: _tomato_figures(seen.of_visible_fraction(*band)) for name, band in OCCLUSION_BANDS.items()
+                name: _tomato_figures(usual.of_visible_fraction(*band)) for name, band in OCCLUSION_BANDS.items()
             },
             "center_error_median_unaligned": _quantile([e for r in records for e in r["unaligned_center_error"]], 0.5),
         },
         "trusses": {
-            "visible": len(seen.truss_right),
-            "right": _mean(seen.truss_right),
+            "visible": len(usual.truss_right),
+            "right": _mean(usual.truss_right),
             "right_whole": _mean(tomatoes["whole"].truss_right),
             "right_measured": _mean(tomatoes["measured"].truss_right),
         },
@@ -90,7 +90,7 @@ def pooled(records: Sequence[Record]) -> Figures:
         "small_tomatoes": _small([record["small_tomatoes"] for record in records]),
         "calibration": calibration([record["confidence"] for record in records]),
         "boxes": {name: _mean([r["boxes"][name] for r in records]) for name in records[0]["boxes"]},
-        "primitives": {"mean": _mean(counts), "most": max(counts, default=0)},
+        "primitives": {"mean": _mean(counts), "maximum": max(counts, default=0)},
     }
 
 
@@ -126,8 +126,8 @@ def _collision_figures(counts: Sequence[Mapping[str, int]]) -> Figures:
     names = counts[0] if counts else ("missed", "free_in_shapes", "invented", "free_in_truth")
     total = {name: sum(count[name] for count in counts) for name in names}
     return total | {
-        "missed_share": total["missed"] / max(total["free_in_shapes"], 1),
-        "invented_share": total["invented"] / max(total["free_in_truth"], 1),
+        "missed_fraction": total["missed"] / max(total["free_in_shapes"], 1),
+        "invented_fraction": total["invented"] / max(total["free_in_truth"], 1),
     }
 
 
@@ -164,7 +164,7 @@ _NUMBER, _PERCENT, _MM, _SECONDS = "{:.3f}", "{:.1%}", "{:.2f} mm", "{:.2f} s"
 _GOALS = (
     ("tomatoes: F1", ">= 0.96", "tomatoes/all/f1", _NUMBER),
     ("green tomatoes: F1", ">= 0.92", "tomatoes/ripeness/green/f1", _NUMBER),
-    ("tomatoes seen at 30 % of their silhouette: F1", "", "tomatoes/whole/f1", _NUMBER),
+    ("tomatoes visible at 30 % of their silhouette: F1", "", "tomatoes/whole/f1", _NUMBER),
     ("green ones of these: F1", "", "tomatoes/whole green/f1", _NUMBER),
     ("tomatoes with skin in the cloud: F1", "", "tomatoes/measured/f1", _NUMBER),
     ("tomatoes that color shows, with depth or without: F1", "", "tomatoes/colored/f1", _NUMBER),
@@ -185,10 +185,10 @@ _GOALS = (
     ("peduncles and pedicels: recall", ">= 0.80", "stems/peduncle and pedicel/recall", _NUMBER),
     ("points within 8 mm of a shape", ">= 99 %", "coverage", _PERCENT),
     ("surface beyond 15 mm of the truth", "<= 5 %", "excess", _PERCENT),
-    ("collides in the visible truth if free in shapes", "<= 2 %", "collisions/missed_share", _PERCENT),
-    ("collides in the shapes if free in the truth", "<= 5 %", "collisions/invented_share", _PERCENT),
+    ("collides in the visible truth if free in shapes", "<= 2 %", "collisions/missed_fraction", _PERCENT),
+    ("collides in the shapes if free in the truth", "<= 5 %", "collisions/invented_fraction", _PERCENT),
     ("primitives per scene, mean", "<= 300", "primitives/mean", "{:.0f}"),
-    ("primitives per scene, maximum", "", "primitives/most", "{}"),
+    ("primitives per scene, maximum", "", "primitives/maximum", "{}"),
     ("fruit below 24 mm: F1", ">= 0.80", "small_tomatoes/f1", _NUMBER),
     ("true ones among confidence >= 0.8", ">= 90 %", "calibration/sure_and_true", _PERCENT),
     ("found fruit with its front in a box", "<= 1 %", "boxes/fronts_inside", _PERCENT),

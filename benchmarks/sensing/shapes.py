@@ -101,12 +101,12 @@ def measure(row: Row, cause: str, workdir: Path) -> dict[str, Any]:
     skin = accuracy.skin_points(
         Cloud(cloud.points, cloud.colors, cloud.normals).moved(known.world_from_row), known.row.tomatoes
     )
-    seen = visible.tomatoes
+    tomatoes = visible.tomatoes
     fractions = {
-        "all": seen.in_image,
-        "whole": seen.whole,  # parts beyond the image's edge count as hidden
-        "measured": np.where(skin >= MIN_SKIN_POINTS, seen.in_image, 0.0),
-        "colored": seen.in_color,  # the band without depth hides nothing
+        "all": tomatoes.in_image,
+        "whole": tomatoes.whole,  # parts beyond the image's edge count as hidden
+        "measured": np.where(skin >= MIN_SKIN_POINTS, tomatoes.in_image, 0.0),
+        "colored": tomatoes.in_color,  # the band without depth hides nothing
     }
     petioles = [shape for shape in known.row.clutter if isinstance(shape, Capsule)]
     unaligned = in_frame(shapes, known.world_from_station[np.flatnonzero(cloud.registered)[0]])
@@ -116,10 +116,10 @@ def measure(row: Row, cause: str, workdir: Path) -> dict[str, Any]:
         "points": len(cloud),
         "shapes": {"tomatoes": len(shapes.tomatoes), "stems": len(shapes.stems), "clutter": len(shapes.clutter)},
         "tomatoes": {
-            name: plain(accuracy.compare_tomatoes(true, seen._replace(in_image=fraction), placed.tomatoes))
+            name: plain(accuracy.compare_tomatoes(true, tomatoes._replace(in_image=fraction), placed.tomatoes))
             for name, fraction in fractions.items()
         },
-        "small_tomatoes": small_tomatoes(true, seen.visible, placed.tomatoes),
+        "small_tomatoes": small_tomatoes(true, tomatoes.visible, placed.tomatoes),
         "confidence": [list(shapes.confidence), is_true(true, placed.tomatoes).tolist()],
         "unaligned_center_error": accuracy.match_tomatoes(true, unaligned.tomatoes).center_errors.tolist(),
         "stems": {

@@ -21,10 +21,10 @@ def main() -> None:
     single, many = gymnasium.make(ID), gymnasium.make_vec(ID, WORKERS, vectorization_mode="async")
     single.reset(seed=0)
     many.reset(seed=0)
-    random = np.random.default_rng(0)
+    rng = np.random.default_rng(0)
     for line in sys.stdin:
         kind, count = line.split()[0], int(line.split()[1])
-        actions = random.uniform(-1, 1, (count, WORKERS, 4)).astype(np.float32)
+        actions = rng.uniform(-1, 1, (count, WORKERS, 4)).astype(np.float32)
         began = time.perf_counter()
         for action in actions:
             if kind == "async":

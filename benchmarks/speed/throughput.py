@@ -123,7 +123,7 @@ def measure(a: argparse.Namespace) -> dict[str, list[float]]:
         single.reset(seed=0)
         return SINGLE_STEPS / seconds_of(act)
 
-    def look() -> None:
+    def take_images() -> None:
         nothing = np.zeros(SMALL, dtype=int)
         for _ in range(3):
             depth.simulation._perception.look(slice(None), depth.simulation._physics, nothing.astype(bool), nothing)
@@ -138,7 +138,7 @@ def measure(a: argparse.Namespace) -> dict[str, list[float]]:
             "single environment": partial(rate_single, step_single),
             **{name: task for name, task in fetch.items() if "single" in name},
             "single environment, resets": partial(rate_single, lambda: [single.reset() for _ in range(SINGLE_STEPS)]),
-            "depth images 64x48, 64 simulations": lambda: SMALL * 3 / seconds_of(look),
+            "depth images 64x48, 64 simulations": lambda: SMALL * 3 / seconds_of(take_images),
             "depth environment, 64 simulations": partial(step_all, depth, actions[:5, :SMALL], None),
             **{
                 f"physics {physics}, 64 simulations": partial(step_all, env, actions[:, :SMALL])

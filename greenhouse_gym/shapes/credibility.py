@@ -1,6 +1,6 @@
 """How credible a sphere is as a tomato: the mean of logistic regressions and of networks that are told more.
 
-benchmarks/fit_credibility.py fits the regressions, and benchmarks/fit_large_fruit.py the networks, to rows of plants.
+training/shape_networks.py fits the regressions, and training/shape_networks.py the networks, to rows of plants.
 """
 
 from __future__ import annotations

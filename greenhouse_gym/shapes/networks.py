@@ -1,6 +1,6 @@
 """Small networks that say how likely something is by its measures; read from JSON, and played without PyTorch.
 
-benchmarks/fit_large_fruit.py, benchmarks/fit_small_fruit.py and benchmarks/fit_peduncles.py fit them.
+training/shape_networks.py, training/shape_networks.py and training/shape_networks.py fit them.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The rows by which benchmarks measure shapes: their names, their light, and who may be fitted to them."""
+"""The rows on which benchmarks measure shapes: names, light, and rows reserved for fits."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture
 def rows(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    monkeypatch.syspath_prepend(BENCHMARKS)
-    import shape_rows
+    monkeypatch.syspath_prepend(str(ROOT))
+    from benchmarks.sensing import rows
 
-    return shape_rows
+    return rows
 
 
 def test_rows_in_another_light_have_files_of_their_own(rows: ModuleType) -> None:
