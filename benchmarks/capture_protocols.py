@@ -33,7 +33,7 @@ from greenhouse_gym.capture import PROTOCOLS, get_protocol
 from greenhouse_gym.common.executors import completed, executor_for
 from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.envs import PlantMotion, Randomization
-from greenhouse_gym.envs.tomato_reach import TomatoReachEnv
+from greenhouse_gym.envs.environment import GreenhouseEnv
 from greenhouse_gym.motion.unknown_space import UNSEEN_RULES
 from greenhouse_gym.planning import PlanResult, plan
 from greenhouse_gym.scene import Scene
@@ -218,7 +218,7 @@ def reach(
 ) -> dict[str, Any]:
     """One episode: a plan on the reconstruction, followed in the truth."""
     reaching = env.unwrapped
-    assert isinstance(reaching, TomatoReachEnv)
+    assert isinstance(reaching, GreenhouseEnv)
     planned = plan_of(scene, target, unseen, start, options)
     if planned.path is None:
         return {"status": planned.status, "outcome": "no plan"}

@@ -29,7 +29,7 @@ from results_file import RESULTS, write_results
 import greenhouse_gym
 from greenhouse_gym.agents import PolicyAgent
 from greenhouse_gym.common.executors import processes
-from greenhouse_gym.envs import TomatoReachVectorEnv
+from greenhouse_gym.envs import GreenhouseVectorEnv
 from greenhouse_gym.envs.scene_window import DRAWS_PER_SCENE, WINDOW
 from greenhouse_gym.scene import SceneBank
 from greenhouse_gym.scene.manifest import MANIFEST
@@ -84,7 +84,7 @@ def measure(few: Path, many: Path, resets: int, rounds: int) -> dict[str, Any]:
     banks = {"few": few, "many": many}
     envs = {
         # other capacities, so that neither takes the room of the other's worlds, which environments of a kind share
-        name: TomatoReachVectorEnv(SIMULATIONS, bank=bank, autoreset_mode="SameStep", threads=1, capacity=300 + k)
+        name: GreenhouseVectorEnv(SIMULATIONS, bank=bank, autoreset_mode="SameStep", threads=1, capacity=300 + k)
         for k, (name, bank) in enumerate(banks.items())
     }
     policy = PolicyAgent.load("ppo-ur5e")
@@ -134,7 +134,7 @@ def seconds(act: Callable[[], object]) -> float:
 
 def memory_after(bank: Path, resets: int) -> int:
     """Bytes of this process in memory (Linux) after so many episodes have begun."""
-    env = TomatoReachVectorEnv(SIMULATIONS, bank=bank, threads=1)
+    env = GreenhouseVectorEnv(SIMULATIONS, bank=bank, threads=1)
     for _ in range(resets // SIMULATIONS):
         env.reset()
         env.step(np.zeros((SIMULATIONS, 6)))

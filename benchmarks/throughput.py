@@ -32,9 +32,9 @@ from rich.console import Console
 from rich.table import Table
 
 from greenhouse_gym.crops.parts import Tomato
-from greenhouse_gym.envs import TomatoReachEnv, TomatoReachVectorEnv
-from greenhouse_gym.envs.reach_task import ACTION_STEP, SUBSTEPS
+from greenhouse_gym.envs import GreenhouseEnv, GreenhouseVectorEnv
 from greenhouse_gym.envs.settings import PHYSICS
+from greenhouse_gym.envs.state import ACTION_STEP, SUBSTEPS
 from greenhouse_gym.geometry import Box
 from greenhouse_gym.scene import Provenance, Scene, Target, compile_scene
 from greenhouse_gym.scene.bank import write_bank
@@ -77,7 +77,7 @@ def fetch_reach(python: str | None) -> Iterator[dict[str, Callable[[], float]]]:
         process.wait()
 
 
-def bare_physics(vector: TomatoReachVectorEnv, actions: np.ndarray) -> Callable[[], None]:
+def bare_physics(vector: GreenhouseVectorEnv, actions: np.ndarray) -> Callable[[], None]:
     """Steps the scenes of a vector environment, compiled without what the environment adds, and does nothing else."""
     simulation = vector.simulation
     models, starts = [], []
@@ -85,7 +85,7 @@ def bare_physics(vector: TomatoReachVectorEnv, actions: np.ndarray) -> Callable[
         episode = simulation.episode(i)
         compiled = compile_scene(episode.scene, simulation.robot, simulation.worlds.capacity)
         model = copy.copy(compiled.model)
-        compiled.allow_cup_on(model, episode.target)
+        compiled.allow_cup_on(model, episode.targets[0])
         model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
         models.append(model)
         starts.append(episode.start)
@@ -108,13 +108,11 @@ def measure(arguments: argparse.Namespace) -> dict[str, list[float]]:
     count = arguments.num_envs
     where = {"bank": arguments.bank, "split": arguments.split}
     actions = np.random.default_rng(0).uniform(-1, 1, (STEPS, count, 6))
-    vector = TomatoReachVectorEnv(count, **where, autoreset_mode="SameStep", threads=arguments.threads)
-    depth = TomatoReachVectorEnv(64, **where, observation="depth", autoreset_mode="SameStep", threads=arguments.threads)
-    single = TomatoReachEnv(**where)
+    vector = GreenhouseVectorEnv(count, **where, autoreset_mode="SameStep", threads=arguments.threads)
+    depth = GreenhouseVectorEnv(64, **where, observation="depth", autoreset_mode="SameStep", threads=arguments.threads)
+    single = GreenhouseEnv(**where)
     twins = {
-        physics: TomatoReachVectorEnv(
-            64, **where, physics=physics, autoreset_mode="SameStep", threads=arguments.threads
-        )
+        physics: GreenhouseVectorEnv(64, **where, physics=physics, autoreset_mode="SameStep", threads=arguments.threads)
         for physics in (PHYSICS if vector.simulation.sampler.bank.largest_truth() else ())
     }
     for env in (vector, depth, *twins.values()):
@@ -147,7 +145,7 @@ def measure(arguments: argparse.Namespace) -> dict[str, list[float]]:
         for action in actions[:5, :64]:
             depth.step(action)
 
-    def step_twin(env: TomatoReachVectorEnv) -> float:
+    def step_twin(env: GreenhouseVectorEnv) -> float:
         env.reset(seed=0)
         return rate(64 * STEPS, lambda: [env.step(action) for action in actions[:, :64]] and None)
 
@@ -183,7 +181,7 @@ def obstacles_table(threads: int) -> dict[int, float]:
             scenes = [(crowded_scene(seed, count), "train") for seed in range(4)]
             banks[count] = write_bank(Path(folder) / str(count), scenes, name=f"{count} obstacles")
         envs = {
-            count: TomatoReachVectorEnv(64, bank=bank, capacity=count, autoreset_mode="SameStep", threads=threads)
+            count: GreenhouseVectorEnv(64, bank=bank, capacity=count, autoreset_mode="SameStep", threads=threads)
             for count, bank in banks.items()
         }
         for env in envs.values():
@@ -216,8 +214,8 @@ def memory_of_the_vector_environment(arguments: argparse.Namespace) -> float:
     """Peak resident memory, GB, of a process that runs the environment on every scene of the split."""
     code = (
         "import resource, sys, numpy as np\n"
-        "from greenhouse_gym.envs import TomatoReachVectorEnv\n"
-        f"env = TomatoReachVectorEnv({arguments.num_envs}, bank={arguments.bank!r}, split={arguments.split!r},"
+        "from greenhouse_gym.envs import GreenhouseVectorEnv\n"
+        f"env = GreenhouseVectorEnv({arguments.num_envs}, bank={arguments.bank!r}, split={arguments.split!r},"
         " autoreset_mode='SameStep')\n"
         "env.reset(seed=0)\n"
         f"for name in env.simulation.sampler.bank.names({arguments.split!r}):\n"

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.agents.planner_agent import PathFollower
-from greenhouse_gym.envs.observations import WaypointObservation
+from greenhouse_gym.envs.observations import PATH_FEATURES, StateObservation
 from greenhouse_gym.planning import goal_configurations
 
 _NOTHING_SPECIAL: Mapping[str, Any] = MappingProxyType({})
@@ -97,7 +97,7 @@ class WaypointAgent:
         """Find the places of the direction, and of whether it is free, in the observation."""
         ends = {}
         end = 0
-        for name, size in WaypointObservation(problem.robot).layout:
+        for name, size in StateObservation(problem.robot, extra=PATH_FEATURES).layout:
             end += size
             ends[name] = slice(end - size, end)
         self._direction, self._way = ends["waypoint_direction"], ends["path"]

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.common.extras import needs
-from greenhouse_gym.envs.observations import Layout, places_in
+from greenhouse_gym.envs.features import Layout, feature_slices
 
 with needs("train"):
     import torch
@@ -27,7 +27,7 @@ class Demonstrator:
     """
 
     def __init__(self, layout: Layout, seed: int):
-        at = places_in(layout)
+        at = feature_slices(layout)
         self._direction, self._free = at["waypoint_direction"], at["path"].start + 1
         self._random = np.random.default_rng(seed)
 

@@ -23,7 +23,7 @@ from greenhouse_gym.agents.depth_agent import DepthAgent, Ways
 from greenhouse_gym.agents.judging import FEATURES, Judge, guessed
 from greenhouse_gym.agents.policy import Policy
 from greenhouse_gym.common.files import parsing, read_bytes, write_atomically
-from greenhouse_gym.envs import TomatoReachEnv
+from greenhouse_gym.envs import make_env
 from greenhouse_gym.envs.settings import check_whole
 from greenhouse_gym.errors import FileFormatError, MissingDependencyError, require_seed
 from greenhouse_gym.evaluation import evaluate
@@ -183,7 +183,7 @@ def play(
         free.extend(checker.path_is_free([ways.start, *way], RESOLUTION) for way in ways.points[::TOLD])
 
     agent = DepthAgent(judge, hear, images=settings.images)
-    env = TomatoReachEnv(
+    env = make_env(
         bank=settings.bank, split=settings.split, robot=settings.robot, difficulty=settings.difficulty,
         **agent.env_options,
     )  # fmt: skip
@@ -196,7 +196,7 @@ def play(
             compiled, target = simulation.physical(0)
             reaches = arm_reaches(simulation.robot)
             checker = CollisionChecker(planning_model(compiled, target, settings.margin), reaches)
-            agent.reset(Problem(episode.scene, episode.target, simulation.robot, episode.start, seed))
+            agent.reset(Problem(episode.scene, simulation.target(0), simulation.robot, episode.start, seed))
             ended = False
             while not ended:
                 seen, _, terminated, truncated, info = env.step(agent.act(seen))

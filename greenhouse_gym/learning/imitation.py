@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from greenhouse_gym.agents.guide import Guide, towards
-from greenhouse_gym.envs import TomatoReachVectorEnv
+from greenhouse_gym.envs import GreenhouseVectorEnv
 from greenhouse_gym.envs.observations import Observed
 from greenhouse_gym.errors import InvalidValueError, MissingDependencyError
 from greenhouse_gym.geometry import Array
@@ -59,7 +59,7 @@ class Teachers:
         env: Its observation tells waypoints.
     """
 
-    def __init__(self, env: TomatoReachVectorEnv):
+    def __init__(self, env: GreenhouseVectorEnv):
         self._simulation = env.simulation
         self._steps: Array = env.simulation.action_rule.peak  # type: ignore[attr-defined]
         self._guides: list[Guide | None] = [None] * env.num_envs
@@ -136,7 +136,7 @@ def follow_waypoint(policy: Any) -> None:
 
 def imitate(
     policy: Any,
-    env: TomatoReachVectorEnv,
+    env: GreenhouseVectorEnv,
     settings: ImitationSettings,
     seed: int = 0,
     tell: Callable[[int, dict[str, float]], None] = lambda steps, figures: None,

@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.agents import Problem
-from greenhouse_gym.envs import EnvSettings, TomatoReachVectorEnv
+from greenhouse_gym.envs import EnvSettings, GreenhouseVectorEnv, make_vec_env
 from greenhouse_gym.envs.observations import Observed
-from greenhouse_gym.envs.simulation import ReachSimulation
+from greenhouse_gym.envs.simulation import Simulation
 from greenhouse_gym.errors import InvalidValueError, MissingDependencyError
 from greenhouse_gym.learning.sb3_steps import Stepped, Steps
 
@@ -73,7 +73,7 @@ class Sb3Agent:
         return Sb3Agent(self.model, self.name, self.env_options, self._deterministic)
 
 
-def simulation_of(model: Any) -> ReachSimulation | None:
+def simulation_of(model: Any) -> Simulation | None:
     """The simulation of the environment that a model of Stable-Baselines3 is trained on; None without any of ours."""
     env = model.get_env()
     try:
@@ -83,14 +83,14 @@ def simulation_of(model: Any) -> ReachSimulation | None:
 
 
 class Sb3VecEnv(VecEnv):  # type: ignore[misc]
-    """A `TomatoReachVectorEnv` with autoreset in the same step, as Stable-Baselines3 wants it.
+    """A `GreenhouseVectorEnv` with autoreset in the same step, as Stable-Baselines3 wants it.
 
     Infos are empty except at an episode's end, where they hold ``terminal_observation``, ``TimeLimit.truncated``,
     ``is_success``, the environment's other keys, and ``episode_terms``, the sums of the reward's terms by name. Goal
     environments give whole infos at every step, which ``HerReplayBuffer(copy_info_dict=True)`` needs.
     """
 
-    def __init__(self, env: TomatoReachVectorEnv):
+    def __init__(self, env: GreenhouseVectorEnv):
         self.env = env  # first: the base class asks for the render mode
         self._steps = Steps(env)
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
@@ -171,9 +171,9 @@ def make_sb3_vec_env(
         render_mode: How `render` shows it.
         threads: Threads that simulate.
         seed: Seeds the simulations' generators with seed + i at the first reset.
-        **fields: Fields of `EnvSettings`, as in `TomatoReachEnv`.
+        **fields: Fields of `EnvSettings`, as in `GreenhouseEnv`.
     """
-    env = TomatoReachVectorEnv(
+    env = make_vec_env(
         num_envs, settings, render_mode=render_mode, autoreset_mode="SameStep", threads=threads, **fields
     )
     wrapped = Sb3VecEnv(env)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from greenhouse_gym.envs.observations import Layout, places_in
+from greenhouse_gym.envs.features import Layout, feature_slices
 from greenhouse_gym.errors import MissingDependencyError
 
 try:
@@ -43,7 +43,7 @@ class ScaledObservation(BaseFeaturesExtractor):  # type: ignore[misc]
 
     def __init__(self, observation_space: Any, layout: Layout):
         super().__init__(observation_space, features_dim=int(np.prod(observation_space.shape)))
-        self.starts = {name: place.start for name, place in places_in(layout).items()}
+        self.starts = {name: place.start for name, place in feature_slices(layout).items()}
         pairs = np.concatenate([np.tile(CENTERS_AND_SCALES[name], (size, 1)) for name, size in layout])
         self.register_buffer("center", torch.tensor(pairs[:, 0], dtype=torch.float32))
         self.register_buffer("scale", torch.tensor(pairs[:, 1], dtype=torch.float32))

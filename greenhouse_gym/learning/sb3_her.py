@@ -9,8 +9,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from greenhouse_gym.agents.goal_features import GOAL_FEATURES_SIZE, goal_features
-from greenhouse_gym.envs.observations import Layout, places_in
-from greenhouse_gym.envs.reach_task import lengths
+from greenhouse_gym.envs.features import Layout, feature_slices
 from greenhouse_gym.errors import MissingDependencyError
 
 try:
@@ -63,9 +62,9 @@ class GoalReplayBuffer(HerReplayBuffer):  # type: ignore[misc]
     ) -> npt.NDArray[np.float64]:
         goals = super()._sample_goals(batch_indices, env_indices)
         here = self.observations["achieved_goal"][batch_indices, env_indices]
-        radius = self.env.get_attr("settings")[0].success_radius
+        task, nothing = self.env.get_attr("simulation")[0].task, np.zeros(len(here), dtype=np.bool_)
         for _ in range(_DRAWS - 1):
-            again = np.flatnonzero(lengths(goals - here) < radius)
+            again = np.flatnonzero(task.evaluate_goals(here, goals, nothing).success)
             if not len(again):
                 break
             goals[again] = super()._sample_goals(batch_indices[again], env_indices[again])
@@ -96,7 +95,7 @@ class GoalFeatures(BaseFeaturesExtractor):  # type: ignore[misc]
     def __init__(self, space: spaces.Dict, layout: Layout):
         super().__init__(space, sum(size for _, size in layout) + GOAL_FEATURES_SIZE)
         self.scaled = ScaledObservation(space["observation"], layout)
-        self._at = places_in(layout)
+        self._at = feature_slices(layout)
 
     def forward(self, observations: dict[str, Any]) -> Any:
         """Features (n, size + 18)."""

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from greenhouse_gym.common.executors import RayActor, RayExecutor, workers_of
 from greenhouse_gym.common.extras import needs
-from greenhouse_gym.envs import EnvSettings, TomatoReachVectorEnv
+from greenhouse_gym.envs import EnvSettings, make_vec_env
 from greenhouse_gym.envs.observations import Observed
 from greenhouse_gym.envs.settings import check_whole, settings_with
 from greenhouse_gym.errors import InvalidValueError
@@ -45,7 +45,7 @@ class RayVecEnv(VecEnv):  # type: ignore[misc]
         check_whole("threads", threads, 1)
         check_whole("num_envs", num_envs, actors)
         self._actors: list[RayActor] = []
-        self._here = TomatoReachVectorEnv(1, settings, autoreset_mode="SameStep", threads=1)
+        self._here = make_vec_env(1, settings, autoreset_mode="SameStep", threads=1)
         super().__init__(num_envs, self._here.single_observation_space, self._here.single_action_space)
         self._cluster = RayExecutor(address, cpus=threads, workers=actors * threads)
         if actors > (most := workers_of(self._cluster)):

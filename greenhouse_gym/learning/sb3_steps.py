@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.envs import EnvSettings, TomatoReachVectorEnv
+from greenhouse_gym.envs import EnvSettings, GreenhouseVectorEnv, make_vec_env
 from greenhouse_gym.envs.observations import Observed
 
 Stepped = tuple[Observed, npt.NDArray[np.float32], npt.NDArray[np.bool_], list[dict[str, Any]]]
@@ -26,7 +26,7 @@ class Steps:
         env: The environment.
     """
 
-    def __init__(self, env: TomatoReachVectorEnv):
+    def __init__(self, env: GreenhouseVectorEnv):
         self._env = env
         self._sums: dict[str, npt.NDArray[np.float64]] = {}  # of the episodes that are under way
 
@@ -72,7 +72,7 @@ class Steps:
 
 def steps_of(count: int, settings: EnvSettings, threads: int) -> Steps:
     """Some of the simulations of an environment, kept by a process of a cluster."""
-    return Steps(TomatoReachVectorEnv(count, settings, autoreset_mode="SameStep", threads=threads))
+    return Steps(make_vec_env(count, settings, autoreset_mode="SameStep", threads=threads))
 
 
 def _info(infos: dict[str, Any], i: int) -> dict[str, Any]:

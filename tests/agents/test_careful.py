@@ -11,7 +11,7 @@ from seen_helpers import seen_where
 from greenhouse_gym.agents import CarefulAgent, Problem, WaypointAgent, careful
 from greenhouse_gym.agents.agent import Agent
 from greenhouse_gym.agents.careful import Care
-from greenhouse_gym.envs import TomatoReachEnv
+from greenhouse_gym.envs import GreenhouseEnv
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Box
 from greenhouse_gym.motion.collision import CollisionChecker, planning_model
@@ -26,7 +26,7 @@ TARGET = 4
 
 def played(agent: Agent, scene: Scene) -> tuple[bool, np.ndarray]:
     """Whether an agent reaches the target, and (steps, joints) the commands on its way, radians."""
-    env = TomatoReachEnv(bank="mini", **agent.env_options)
+    env = GreenhouseEnv(bank="mini", **agent.env_options)
     observation, info = env.reset(options={"scene": scene, "target": TARGET})
     problem = Problem(scene, TARGET, ARM, env.start)
     agent.reset(problem)

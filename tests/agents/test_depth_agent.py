@@ -7,7 +7,7 @@ import pytest
 from greenhouse_gym.agents.depth_agent import DepthAgent, Ways
 from greenhouse_gym.agents.judging import FEATURES, guessed
 from greenhouse_gym.agents.sight_map import FAR, SightMap
-from greenhouse_gym.envs import TomatoReachEnv
+from greenhouse_gym.envs import GreenhouseEnv
 from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.geometry import distance_to_shapes
 from greenhouse_gym.motion.approaches import approaches, glance, looks_at
@@ -67,7 +67,7 @@ def test_what_is_seen_lies_on_the_surfaces_of_others(arm: ArmBalls, bank: SceneB
     base = base_position(scene, robot)
     center = tomato.center - base
     look = looks_at(arm, robot, robot.start, center)[0]
-    env = TomatoReachEnv(bank=bank, observation="depth")
+    env = GreenhouseEnv(bank=bank, observation="depth")
     seen, _ = env.reset(seed=0, options={"scene": scene, "target": target, "start": look})
     known = SightMap(arm, DepthCamera(), center, tomato.radius)
     nothing = known.around(look[None]).clearance
@@ -110,7 +110,7 @@ def test_without_images_it_has_no_ways_that_keep_away_from_anything(bank: SceneB
 
 def test_it_says_what_is_missing(bank: SceneBank) -> None:
     agent = DepthAgent(guessed)
-    env = TomatoReachEnv(bank=bank, observation="depth")
+    env = GreenhouseEnv(bank=bank, observation="depth")
     seen, _ = env.reset(seed=0)
     with pytest.raises(RuntimeError, match="reset the agent"):
         agent.act(seen)

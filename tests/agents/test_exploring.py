@@ -7,7 +7,7 @@ import pytest
 
 from greenhouse_gym.agents import Problem
 from greenhouse_gym.agents.exploring import ExploringAgent, unscanned
-from greenhouse_gym.envs import TomatoReachEnv
+from greenhouse_gym.envs import GreenhouseEnv
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene
 
@@ -18,7 +18,7 @@ TARGET = 4
 def played(told: Scene, true: Scene) -> tuple[bool, list[np.ndarray]]:
     """Whether the target of a scene is reached by an agent that is told another one, and its actions."""
     agent, actions = ExploringAgent(), []
-    env = TomatoReachEnv(bank="mini", **agent.env_options)
+    env = GreenhouseEnv(bank="mini", **agent.env_options)
     observation, info = env.reset(options={"scene": true, "target": TARGET})
     agent.reset(Problem(told, TARGET, ARM, env.start, seed=5))
     over = False

@@ -7,7 +7,7 @@ pytest.importorskip("ompl")
 
 from greenhouse_gym.agents import GuidedAgent, ResolvedRateAgent
 from greenhouse_gym.agents.guide import Guide, towards
-from greenhouse_gym.envs import TomatoReachVectorEnv
+from greenhouse_gym.envs import GreenhouseVectorEnv
 from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.planning import CollisionChecker, planning_model
 from greenhouse_gym.robots import get_robot
@@ -53,7 +53,7 @@ def lonely(scene: Scene) -> Scene:
 
 
 def test_resolved_rates_lead_through_free_space_and_away_from_things(lonely: Scene, scene: Scene) -> None:
-    env = TomatoReachVectorEnv(2, bank="mini", threads=1)
+    env = GreenhouseVectorEnv(2, bank="mini", threads=1)
     agents = [ResolvedRateAgent(), ResolvedRateAgent()]
     env.close()
     from greenhouse_gym.agents import Problem

@@ -16,7 +16,7 @@ from greenhouse_gym.agents.careful import CAREFUL_DEPTHS, Care
 from greenhouse_gym.agents.knowledge import ROOM, Knowledge
 from greenhouse_gym.agents.views import DEPTHS, WORTH, views, visible
 from greenhouse_gym.agents.watchful import WatchfulAgent, cares_with
-from greenhouse_gym.envs import TomatoReachEnv
+from greenhouse_gym.envs import GreenhouseEnv
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Box, distance_to_shapes
 from greenhouse_gym.motion.arm_spheres import ArmBalls, arm_balls
@@ -52,7 +52,7 @@ def hung(scene: Scene) -> Scene:
 
 def played(agent: Agent, told: Scene, true: Scene) -> tuple[str, np.ndarray]:
     """How the episode of an agent ends that is told one scene and acts in another, and (steps, 3) where its tip was."""
-    env = TomatoReachEnv(bank="mini", **agent.env_options)
+    env = GreenhouseEnv(bank="mini", **agent.env_options)
     observation, info = env.reset(options={"scene": true, "target": TARGET})
     agent.reset(Problem(told, TARGET, ARM, env.start))
     chain, base, tips = arm_balls(ARM).chain, base_position(told, ARM), []
@@ -83,7 +83,7 @@ def test_it_looks_at_what_nobody_has_seen_before_it_goes_there(scene: Scene) -> 
 
 def test_its_images_may_be_of_another_size(scene: Scene, hung: Scene) -> None:
     agent = WatchfulAgent(image=(96, 72))
-    env = TomatoReachEnv(bank="mini", **agent.env_options)
+    env = GreenhouseEnv(bank="mini", **agent.env_options)
     assert env.observation_space["depth"].shape == (1, 72, 96)  # type: ignore[index]
     env.close()
     assert played(agent, scene, hung)[0] == "reached"
@@ -167,7 +167,7 @@ def test_where_nothing_else_leads_on_it_goes_back_as_it_came(scene: Scene, monke
     monkeypatch.setattr(watchful, "_followed", lambda ways, command: [])
     monkeypatch.setattr(watchful, "plan", planned)
     monkeypatch.setattr(watchful, "LOOKS", 0)
-    env = TomatoReachEnv(bank="mini", **WatchfulAgent().env_options)
+    env = GreenhouseEnv(bank="mini", **WatchfulAgent().env_options)
     observation, _ = env.reset(options={"scene": scene, "target": TARGET})
     agent = WatchfulAgent()
     agent.reset(Problem(scene, TARGET, ARM, env.start))
@@ -238,7 +238,7 @@ def test_a_box_of_the_scan_in_which_it_sees_nothing_is_no_obstacle_in_the_end(sc
 
 
 def test_the_camera_stands_for_boxes_that_it_has_looked_at_and_for_no_others(scene: Scene) -> None:
-    env = TomatoReachEnv(bank="mini", observation="depth")
+    env = GreenhouseEnv(bank="mini", observation="depth")
     base = base_position(scene, ARM)
     target = scene.tomatoes[TARGET].center - base
     aims = next(views(arm_balls(ARM), ARM, ARM.start, target[None], lambda at: np.zeros(len(at), bool), _dice()))[0]
@@ -277,7 +277,7 @@ def test_it_says_so_where_it_was_not_reset() -> None:
 
 
 def test_what_is_known_grows_with_the_images(scene: Scene, hung: Scene, balls: ArmBalls) -> None:
-    env = TomatoReachEnv(bank="mini", observation="depth")
+    env = GreenhouseEnv(bank="mini", observation="depth")
     base = base_position(scene, ARM)
     target = scene.tomatoes[TARGET].center - base
     leaf = hung.clutter[-1].center - base
@@ -310,7 +310,7 @@ def test_what_is_known_grows_with_the_images(scene: Scene, hung: Scene, balls: A
 
 
 def test_a_surface_without_a_shape_is_dark_until_the_camera_has_looked(scene: Scene, balls: ArmBalls) -> None:
-    env = TomatoReachEnv(bank="mini", observation="depth")
+    env = GreenhouseEnv(bank="mini", observation="depth")
     target = scene.tomatoes[TARGET].center - base_position(scene, ARM)
     space = seen_where(scene, None).seen
     assert space is not None
