@@ -15,6 +15,6 @@ class ReachForIt:
         """Prepare for an episode; the problem tells scene, target, arm, start and seed."""
 
     def act(self, observation: np.ndarray) -> np.ndarray:
-        """The next action in [-1, 1], from what is observed (`help(TomatoReachEnv)` lists every entry)."""
+        """The next action in [-1, 1], from what is observed (`help(GreenhouseEnv)` lists every entry)."""
         turn = np.arctan2(observation[22], observation[21]) - observation[0]
         return np.clip([5 * turn, 0.5, 0.5, 0, 0, 0], -1, 1)

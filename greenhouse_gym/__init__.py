@@ -12,8 +12,8 @@ ENV_IDS: tuple[str, ...] = ("TomatoReach-v0",)
 
 gymnasium.register(
     id="TomatoReach-v0",
-    entry_point="greenhouse_gym.envs.tomato_reach:TomatoReachEnv",
-    vector_entry_point="greenhouse_gym.envs.vector:TomatoReachVectorEnv",
+    entry_point="greenhouse_gym.envs.environment:GreenhouseEnv",
+    vector_entry_point="greenhouse_gym.envs.vector:GreenhouseVectorEnv",
 )
 
 __all__ = ["ENV_IDS", "__version__"]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from conftest import make_scene, with_ellipsoids
 
-from greenhouse_gym.envs import TomatoReachEnv
+from greenhouse_gym.envs import GreenhouseEnv
 from greenhouse_gym.motion.collision import CollisionChecker, planning_model
 from greenhouse_gym.scene import SceneBank, compile_scene
 from greenhouse_gym.scene.bank import write_bank
@@ -18,7 +18,7 @@ from greenhouse_gym.scene.bank import write_bank
 
 def disagreements_on_the_way(bank: SceneBank, episodes: int, names: list[str]) -> tuple[int, int, int]:
     """Configurations checked, collisions among them, and disagreements, over episodes of random actions."""
-    random, env = np.random.default_rng(0), TomatoReachEnv(bank=bank)
+    random, env = np.random.default_rng(0), GreenhouseEnv(bank=bank)
     checked = touched = wrong = 0
     for episode in range(episodes):
         env.reset(seed=episode, options={"scene": names[episode % len(names)]})
@@ -32,7 +32,7 @@ def disagreements_on_the_way(bank: SceneBank, episodes: int, names: list[str]) -
     return checked, touched, wrong
 
 
-def substeps(env: TomatoReachEnv, random: np.random.Generator) -> Iterator[tuple[np.ndarray, bool]]:
+def substeps(env: GreenhouseEnv, random: np.random.Generator) -> Iterator[tuple[np.ndarray, bool]]:
     """The configurations at the ends of the physics steps of each action, and the simulator's verdict on them."""
     import mujoco
 
@@ -59,7 +59,7 @@ def substeps(env: TomatoReachEnv, random: np.random.Generator) -> Iterator[tuple
 
 def disagreements_at_random(bank: SceneBank, count: int, names: list[str]) -> tuple[int, int]:
     """Collisions and disagreements over random configurations, as starts of episodes."""
-    random, env = np.random.default_rng(1), TomatoReachEnv(bank=bank)
+    random, env = np.random.default_rng(1), GreenhouseEnv(bank=bank)
     touched = wrong = 0
     for name in names:
         env.reset(seed=0, options={"scene": name, "target": 0})

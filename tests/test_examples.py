@@ -14,7 +14,7 @@ from greenhouse_gym.agents import Problem
 from greenhouse_gym.agents.named import make_agent
 from greenhouse_gym.capture.image_files import encode_png
 from greenhouse_gym.common.files import write_atomically
-from greenhouse_gym.envs import TomatoReachEnv
+from greenhouse_gym.envs import GreenhouseEnv
 from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.planning.planners import _ALL
 from greenhouse_gym.scene import Scene
@@ -57,7 +57,7 @@ def test_own_agent_and_policy_play() -> None:
 def test_without_a_scan_the_camera_is_all_that_counts(scene: Scene) -> None:
     def actions(known: Scene) -> list[np.ndarray]:
         agent, taken = make_agent(f"{EXAMPLES}/without_scan.py:ExploringAgent"), []
-        env = TomatoReachEnv(bank="mini", **agent.env_options)
+        env = GreenhouseEnv(bank="mini", **agent.env_options)
         observation, info = env.reset(options={"scene": scene, "target": 4})
         agent.reset(Problem(known, 4, env.robot, env.start, seed=5))
         over = False

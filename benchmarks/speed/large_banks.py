@@ -27,7 +27,7 @@ import numpy as np
 from benchmarks.common import RESULTS, in_own_process, parser, seconds_of, write_results
 from greenhouse_gym import ENV_IDS
 from greenhouse_gym.agents import PolicyAgent
-from greenhouse_gym.envs import TomatoReachVectorEnv
+from greenhouse_gym.envs import GreenhouseVectorEnv
 from greenhouse_gym.envs.scene_window import DRAWS_PER_SCENE, WINDOW
 from greenhouse_gym.scene import SceneBank
 from greenhouse_gym.scene.manifest import MANIFEST
@@ -82,7 +82,7 @@ def compared(few: Path, many: Path, rounds: int) -> dict[str, Any]:
     """Step environments on both banks in turns."""
     envs = {
         # with different capacities, so that neither takes the prepared worlds of the other
-        name: TomatoReachVectorEnv(SIMULATIONS, bank=bank, autoreset_mode="SameStep", threads=1, capacity=300 + k)
+        name: GreenhouseVectorEnv(SIMULATIONS, bank=bank, autoreset_mode="SameStep", threads=1, capacity=300 + k)
         for k, (name, bank) in enumerate({"few": few, "many": many}.items())
     }
     policy = PolicyAgent.load("ppo-ur5e")
@@ -115,7 +115,7 @@ def compared(few: Path, many: Path, rounds: int) -> dict[str, Any]:
 
 def memory_after(bank: Path, resets: int) -> int:
     """Return the memory of this process, bytes (Linux), after so many episodes have begun."""
-    env = TomatoReachVectorEnv(SIMULATIONS, bank=bank, threads=1)
+    env = GreenhouseVectorEnv(SIMULATIONS, bank=bank, threads=1)
     for _ in range(resets // SIMULATIONS):
         env.reset()
         env.step(np.zeros((SIMULATIONS, 6)))

@@ -27,9 +27,9 @@ import numpy as np
 from mujoco.batch import Batch
 
 from benchmarks.common import RESULTS, in_own_process, parser, seconds_of, table, write_results
-from greenhouse_gym.envs import TomatoReachEnv, TomatoReachVectorEnv
-from greenhouse_gym.envs.reach_task import ACTION_STEP, SUBSTEPS
+from greenhouse_gym.envs import GreenhouseEnv, GreenhouseVectorEnv
 from greenhouse_gym.envs.settings import PHYSICS
+from greenhouse_gym.envs.state import ACTION_STEP, SUBSTEPS
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.scene import compile_scene
 
@@ -63,7 +63,7 @@ def fetch_reach(python: str | None) -> Iterator[dict[str, Callable[[], float]]]:
         process.wait()
 
 
-def bare_physics(vector: TomatoReachVectorEnv, actions: Array) -> Callable[[], None]:
+def bare_physics(vector: GreenhouseVectorEnv, actions: Array) -> Callable[[], None]:
     """Return a function that only steps the scenes of a vector environment, compiled without its additions."""
     simulation = vector.simulation
     models, starts = [], []
@@ -94,12 +94,12 @@ def measure(a: argparse.Namespace) -> dict[str, list[float]]:
     where: dict[str, Any] = {"bank": a.bank, "split": a.split}
     batch: dict[str, Any] = {**where, "autoreset_mode": "SameStep", "threads": a.threads}
     actions = np.random.default_rng(0).uniform(-1, 1, (STEPS, a.num_envs, 6))
-    vector = TomatoReachVectorEnv(a.num_envs, **batch)
-    depth = TomatoReachVectorEnv(SMALL, observation="depth", **batch)
-    single = TomatoReachEnv(**where)
+    vector = GreenhouseVectorEnv(a.num_envs, **batch)
+    depth = GreenhouseVectorEnv(SMALL, observation="depth", **batch)
+    single = GreenhouseEnv(**where)
     bank = vector.simulation.sampler.bank
     twins = {
-        physics: TomatoReachVectorEnv(SMALL, physics=physics, **batch)
+        physics: GreenhouseVectorEnv(SMALL, physics=physics, **batch)
         for physics in (PHYSICS if bank.largest_truth() else ())
     }
     for env in (vector, depth, *twins.values()):
@@ -108,7 +108,7 @@ def measure(a: argparse.Namespace) -> dict[str, list[float]]:
         single.reset(options={"scene": name, "target": 0})
     step_bare = bare_physics(vector, actions)
 
-    def step_all(env: TomatoReachVectorEnv, some: Array, seed: int | None = 0) -> float:
+    def step_all(env: GreenhouseVectorEnv, some: Array, seed: int | None = 0) -> float:
         if seed is not None:
             env.reset(seed=seed)
         return some.shape[0] * some.shape[1] / seconds_of(lambda: [env.step(action) for action in some])
@@ -153,7 +153,7 @@ def measure(a: argparse.Namespace) -> dict[str, list[float]]:
 
 def peak_memory(num_envs: int, bank: str, split: str) -> float:
     """Return the peak memory, GB, of this process after the environment has run on every scene of the split."""
-    env = TomatoReachVectorEnv(num_envs, bank=bank, split=split, autoreset_mode="SameStep")
+    env = GreenhouseVectorEnv(num_envs, bank=bank, split=split, autoreset_mode="SameStep")
     env.reset(seed=0)
     for name in env.simulation.sampler.bank.names(split):
         env.reset(options={"scene": name, "target": 0})

@@ -11,7 +11,8 @@ import numpy.typing as npt
 
 from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.agents.planner_agent import PathFollower
-from greenhouse_gym.envs.observations import WaypointObservation, places_in
+from greenhouse_gym.envs.features import feature_slices
+from greenhouse_gym.envs.observations import PATH_FEATURES, StateObservation
 from greenhouse_gym.planning import goal_configurations
 
 
@@ -75,7 +76,7 @@ class WaypointAgent:
 
     def reset(self, problem: Problem) -> None:
         """Look up where the direction, and whether it is free, are in the observation."""
-        groups = places_in(WaypointObservation(problem.robot).layout)
+        groups = feature_slices(StateObservation(problem.robot, extra=PATH_FEATURES).layout)
         self._direction, self._way = groups["waypoint_direction"], groups["path"]
 
     def act(self, observation: Any) -> npt.NDArray[np.float32]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from greenhouse_gym.agents.agent import Agent, Problem, check_agent
 from greenhouse_gym.common.extras import needs
-from greenhouse_gym.envs import TomatoReachEnv
+from greenhouse_gym.envs import GreenhouseEnv, make_env
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.scene import SceneBank
 
@@ -56,7 +56,7 @@ def record_demonstrations(
     check_agent(agent)
     if split == "test":
         raise InvalidValueError("split 'test' is reserved for the final evaluation: choose train or validation")
-    env = TomatoReachEnv(split=split, **{**options, **agent.env_options})
+    env = make_env(split=split, **{**options, **agent.env_options})
     bank = SceneBank.open(env.settings.bank)
     name = DATA_SET.format(agent="".join(c if c.isalnum() else "-" for c in agent.name.lower()))
     buffers: list[Any] = []
@@ -106,7 +106,7 @@ def _datasets_in(folder: Path) -> Iterator[None]:
             os.environ["MINARI_DATASETS_PATH"] = previous
 
 
-def _run(agent: Agent, env: TomatoReachEnv, seed: int) -> dict[str, Any]:
+def _run(agent: Agent, env: GreenhouseEnv, seed: int) -> dict[str, Any]:
     """Run an episode and return its columns."""
     observation, info = env.reset(seed=seed)
     rule, interval = env.simulation.action_rule, env.simulation.interval

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.envs.observations import Layout, places_in
+from greenhouse_gym.envs.features import Layout, feature_slices
 from greenhouse_gym.errors import InvalidValueError
 
 GOAL_FEATURES, GOAL_FEATURES_SIZE = "goal_features", 18
@@ -80,7 +80,7 @@ def goal_vector(observation: Mapping[str, npt.ArrayLike], layout: Layout) -> npt
         got = list(observation) if isinstance(observation, Mapping) else type(observation).__name__
         raise InvalidValueError(f"expected a goal environment's observation, a dict of {', '.join(_PARTS)}, got {got}")
     seen, achieved, desired = (np.asarray(observation[name], dtype=np.float32) for name in _PARTS)
-    features = goal_features(seen, achieved, desired, places_in(layout), _lengths)
+    features = goal_features(seen, achieved, desired, feature_slices(layout), _lengths)
     return np.concatenate([seen, *features], axis=-1, dtype=np.float32)
 
 

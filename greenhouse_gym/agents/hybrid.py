@@ -12,8 +12,8 @@ import numpy.typing as npt
 from greenhouse_gym.agents.agent import Agent, Problem
 from greenhouse_gym.agents.planner_agent import PlannerAgent
 from greenhouse_gym.agents.policy_agent import BEST, PolicyAgent
-from greenhouse_gym.envs import EnvSettings, TomatoReachEnv
-from greenhouse_gym.envs.worlds import room_for_shapes
+from greenhouse_gym.envs import make_env
+from greenhouse_gym.envs.worlds import capacity_for
 
 MAX_CHECKS, ATTEMPTS = 300_000, 4
 """Collision checks of one plan, and number of attempts. Hard targets of the validation rows for which 100,000 checks
@@ -64,12 +64,12 @@ class HybridAgent:
 
     def _rehearse(self, problem: Problem) -> bool:
         """Return whether the policy reaches the target in the known scene."""
-        capacity = room_for_shapes(len(problem.scene.obstacles))
+        capacity = capacity_for(len(problem.scene.obstacles))
         options = {**self.env_options, "robot": problem.robot, "rate": 1 / problem.interval, "capacity": capacity}
         if problem.action is not None:
             options["action"] = problem.action
         episode = {"scene": problem.scene, "target": problem.target, "start": problem.start}
-        with closing(TomatoReachEnv(EnvSettings(bank="mini", **options))) as env:
+        with closing(make_env(bank="mini", **options)) as env:
             observation, info = env.reset(options=episode)
             self._policy.reset(problem)
             over = False

@@ -2,11 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
-import importlib.util
-from pathlib import Path
-from types import ModuleType
-
 from greenhouse_gym.agents.agent import Agent, check_agent
 from greenhouse_gym.agents.baselines import RandomAgent, StraightLineAgent, WaypointAgent
 from greenhouse_gym.agents.hybrid import HybridAgent
@@ -15,7 +10,8 @@ from greenhouse_gym.agents.policy import description_path
 from greenhouse_gym.agents.policy_agent import PolicyAgent, shipped_policies
 from greenhouse_gym.agents.shield import ShieldedAgent
 from greenhouse_gym.agents.watchful import WatchfulAgent
-from greenhouse_gym.errors import FileFormatError, InvalidValueError, MissingDependencyError, UnknownNameError
+from greenhouse_gym.common.own_code import load_object
+from greenhouse_gym.errors import FileFormatError, MissingDependencyError, UnknownNameError
 from greenhouse_gym.planning import PAPER_PLANNERS, PLANNERS
 
 _NAMED: tuple[type[Agent], ...] = (
@@ -40,9 +36,11 @@ def make_agent(name: str) -> Agent:
     """
     if name in SIMPLE:
         return SIMPLE[name]()
-    module, colon, attribute = name.rpartition(":")
+    _, colon, attribute = name.rpartition(":")
     if colon and attribute.isidentifier():
-        return _own_agent(module, attribute)
+        agent: Agent = load_object(name, "agent", lambda value: isinstance(value, type) and hasattr(value, "act"))
+        check_agent(agent)
+        return agent
     if name in shipped_policies() or description_path(name).is_file():
         return PolicyAgent.load(name)
     if name.endswith(".json"):
@@ -57,38 +55,3 @@ def make_agent(name: str) -> Agent:
         return PlannerAgent(name)  # raises if OMPL is missing
     own = "(a policy's file, file.py:Class or module:Class)"
     raise UnknownNameError("agent", name, [*SIMPLE, *shipped_policies(), own, *planners])
-
-
-def _own_agent(module: str, attribute: str) -> Agent:
-    loaded = _from_file(module) if module.endswith(".py") else _from_path(module)
-    if not hasattr(loaded, attribute):
-        classes = [key for key, value in vars(loaded).items() if isinstance(value, type) and hasattr(value, "act")]
-        raise UnknownNameError(f"agent in {module}", attribute, classes)
-    found = getattr(loaded, attribute)
-    try:
-        agent: Agent = found() if isinstance(found, type) else found
-    except TypeError as error:
-        raise InvalidValueError(f"{module}:{attribute} cannot be made without arguments: {error}") from error
-    check_agent(agent)
-    return agent
-
-
-def _from_path(module: str) -> ModuleType:
-    try:
-        return importlib.import_module(module)
-    except (ImportError, ValueError) as error:
-        raise InvalidValueError(f"module {module!r} cannot be imported: {error}") from error
-
-
-def _from_file(file: str) -> ModuleType:
-    if not Path(file).is_file():
-        raise FileFormatError(file, "there is no such file; expected Python code with an agent")
-    spec = importlib.util.spec_from_file_location("own_agent", file)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    try:
-        spec.loader.exec_module(module)
-    except Exception as error:  # whatever stands in it
-        raise FileFormatError(file, f"cannot be run: {type(error).__name__}: {error}") from error
-    return module

@@ -1,7 +1,6 @@
-"""From what users choose, names or objects of their own, to what the simulation works with.
+"""Choices of users, by name or as their own objects, and checks of what these objects return.
 
-What comes from outside is checked at every step, so that a mistake in it is told by its name instead of turning up as a
-strange number somewhere else.
+Values from a user's code are checked at every step, so that a mistake is reported by its name where it happens.
 """
 
 from __future__ import annotations
@@ -15,28 +14,31 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
+from greenhouse_gym.common.own_code import load_object
 from greenhouse_gym.envs.actions import ACTIONS, ActionChoice, ActionRule, ToolMotion
+from greenhouse_gym.envs.contacts import CONTACT_GROUPS
 from greenhouse_gym.envs.image_observations import DepthObservation, PointsObservation, RgbObservation
 from greenhouse_gym.envs.observations import (
-    ClearanceRaysObservation,
+    PATH_FEATURES,
     GoalObservation,
     ObservationChoice,
     ObservationSpec,
     Observed,
     StateObservation,
-    WaypointObservation,
 )
-from greenhouse_gym.envs.reach_task import State
-from greenhouse_gym.envs.rewards import REWARDS, DenseReward, PathReward, Reward, SparseReward, Transition
-from greenhouse_gym.errors import InvalidValueError, UnknownNameError
+from greenhouse_gym.envs.rewards import DenseReward, PathReward, Reward, SparseReward, Transition
+from greenhouse_gym.envs.state import State
+from greenhouse_gym.envs.task import Outcome, Task
+from greenhouse_gym.envs.tasks import TASKS, TomatoReach
+from greenhouse_gym.errors import InvalidValueError, UnknownNameError, require_choice
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
 
-OBSERVATIONS: Mapping[str, Callable[[Robot], ObservationSpec]] = {
+OBSERVATIONS: Mapping[str, Callable[[Robot, Task], ObservationSpec]] = {
     "state": StateObservation,
-    "state_occupancy": partial(StateObservation, unknown=True),
-    "clearance_rays": ClearanceRaysObservation,
-    "waypoint": WaypointObservation,
+    "state_occupancy": partial(StateObservation, extra=("unknown",)),
+    "clearance_rays": partial(StateObservation, extra=("clearance_rays",)),
+    "waypoint": partial(StateObservation, extra=PATH_FEATURES),
     "goal": GoalObservation,
     "goal_waypoint": partial(GoalObservation, path=True),
     "depth": DepthObservation(),
@@ -44,59 +46,110 @@ OBSERVATIONS: Mapping[str, Callable[[Robot], ObservationSpec]] = {
     "rgb": RgbObservation(),
     "rgbd": RgbObservation(depth=True),
 }
-"""Kinds of observations by name."""
+"""Observations by name."""
+
+_OWN_SETTINGS = (DepthObservation, PointsObservation, RgbObservation)
 
 
-def make_observation(kind: ObservationChoice, robot: Robot) -> ObservationSpec:
-    """The observation of that name, with those settings, or of the user's own.
+def make_task(choice: str | Task | type[Task], success_radius: float) -> Task:
+    """Return a task by name, by file or module, or as the user's own object.
+
+    Args:
+        choice: See `EnvSettings.task`.
+        success_radius: Setting of the task "reach".
 
     Raises:
-        UnknownNameError: There is no such name.
-        InvalidValueError: It is no `Observation`.
+        UnknownNameError: The task or one of its contact groups does not exist.
+        InvalidValueError: The choice is not a `Task`.
+        FileFormatError: The file of a task is missing or cannot be run.
+    """
+    if isinstance(choice, str) and ":" in choice:
+        choice = load_object(choice, "task", lambda value: isinstance(value, type) and issubclass(value, Task))
+    if isinstance(choice, str):
+        kind = _named("task", choice, TASKS)
+        task = TomatoReach(success_radius) if kind is TomatoReach else kind()
+    else:
+        task = choice() if isinstance(choice, type) else choice
+    if not isinstance(task, Task):
+        raise InvalidValueError(f"task must be a Task, got {task!r}")
+    for group in (*task.ends_on, *task.costs):
+        require_choice("contact group", group, CONTACT_GROUPS)
+    return task
+
+
+def make_observation(kind: ObservationChoice, robot: Robot, task: Task) -> ObservationSpec:
+    """Return an observation by name, with other settings, or the user's own.
+
+    Raises:
+        UnknownNameError: The name does not exist.
+        InvalidValueError: The object is not an `Observation`.
     """
     if isinstance(kind, str):
-        return _named("observation", kind, OBSERVATIONS)(robot)
+        return _named("observation", kind, OBSERVATIONS)(robot, task)
+    if isinstance(kind, _OWN_SETTINGS):
+        return kind(robot, task)
     own = _made("observation", kind, robot)
-    return (
-        own
-        if isinstance(own, ObservationSpec) and type(own).__module__.startswith("greenhouse_gym.")
-        else _Checked(own)
-    )
+    return own if isinstance(own, ObservationSpec) and _is_ours(own) else _Checked(own)
 
 
 def make_action(kind: ActionChoice, robot: Robot, interval: float) -> ActionRule:
-    """The kind of action of that name, or of the user's own.
+    """Return a kind of action by name, or the user's own.
 
     Args:
-        kind: A name or an `ActionRule`, or what makes one.
+        kind: A name or an `ActionRule`, or a function that makes one.
         robot: The arm.
-        interval: Seconds between two actions.
+        interval: Time between two actions, seconds.
 
     Raises:
-        UnknownNameError: There is no such name.
-        InvalidValueError: It is no `ActionRule`.
+        UnknownNameError: The name does not exist.
+        InvalidValueError: The object is not an `ActionRule`.
     """
     if isinstance(kind, str):
         return _named("action", kind, ACTIONS)(robot, interval)
     return _CheckedAction(_made("action", kind, robot, interval), len(robot.joints))
 
 
-def make_reward(kind: str | Reward) -> Reward:
-    """The reward of that name, with those settings, or the user's own.
+def make_reward(kind: str | Reward, task: Task) -> Reward:
+    """Return a reward of the task by name, or the user's own.
 
     Raises:
-        UnknownNameError: There is no such name.
-        InvalidValueError: It is no function.
+        UnknownNameError: The name does not exist.
+        InvalidValueError: The object is not a function.
     """
     if isinstance(kind, str):
-        return _named("reward", kind, REWARDS)
+        return _named("reward", kind, task.rewards)
     if isinstance(kind, type) or not callable(kind):
-        raise InvalidValueError(f"reward must be one of {_listed(REWARDS)} or a function of a Transition, got {kind!r}")
+        choices = _listed(task.rewards)
+        raise InvalidValueError(f"reward must be one of {choices} or a function of a Transition, got {kind!r}")
     return kind if type(kind) in (DenseReward, SparseReward, PathReward) else _CheckedReward(kind)
 
 
+def checked_outcome(task: Task, outcome: Outcome, count: int) -> Outcome:
+    """Return the outcome of a task for n simulations if it is valid.
+
+    Raises:
+        InvalidValueError: A value has the wrong shape or type, or is not finite.
+    """
+    if _is_ours(task):
+        return outcome
+    where = f"task {_name(task)}"
+    if not isinstance(outcome, Outcome):
+        raise InvalidValueError(f"{where} must return an Outcome, got {outcome!r}")
+    distance = _array(f"{where}, distance", outcome.distance, (count,))
+    _check_finite(f"{where}, distance", distance)
+    flags = ("success", "failure", *(() if outcome.next_target is None else ("next_target",)))
+    checked = {name: _array(f"{where}, {name}", getattr(outcome, name), (count,)) for name in flags}
+    for name, values in checked.items():
+        if values.dtype != np.bool_:
+            raise InvalidValueError(f"{where}, {name} must be bool, got {values.dtype}")
+    if outcome.memory and outcome.memory.keys() != task.memory.keys():
+        raise InvalidValueError(f"{where}, memory must have {_listed(task.memory)}, got {_listed(outcome.memory)}")
+    memory = {name: _array(f"{where}, memory {name!r}", values, (count,)) for name, values in outcome.memory.items()}
+    return Outcome(distance.astype(np.float64), memory=memory, **checked)
+
+
 class _Checked(ObservationSpec):
-    """An observation from outside."""
+    """Observation of a user, with checks."""
 
     def __init__(self, own: Any):
         self._own, self._name = own, f"observation {_name(own)}"
@@ -116,20 +169,20 @@ class _Checked(ObservationSpec):
             raise InvalidValueError(f"{self._name} has goals: its space must have {' and '.join(goals)} of shape (3,)")
 
     def __call__(self, state: State) -> Observed:
-        """Its observations, checked and copied."""
-        seen, count = self._own(state), len(state.joints)
+        """Return checked copies of its observations."""
+        observed, count = self._own(state), len(state.joints)
         if not isinstance(self.space, spaces.Dict):
-            return self._part("", seen, count)
-        if not isinstance(seen, Mapping) or seen.keys() != self._boxes.keys():
-            given = list(seen) if isinstance(seen, Mapping) else type(seen).__name__
-            raise InvalidValueError(f"{self._name} must give a dict with {_listed(self._boxes)}, got {given}")
-        return {key: self._part(key, seen[key], count) for key in self._boxes}
+            return self._part("", observed, count)
+        if not isinstance(observed, Mapping) or observed.keys() != self._boxes.keys():
+            given = list(observed) if isinstance(observed, Mapping) else type(observed).__name__
+            raise InvalidValueError(f"{self._name} must return a dict with {_listed(self._boxes)}, got {given}")
+        return {key: self._part(key, observed[key], count) for key in self._boxes}
 
     def _part(self, key: str, values: Any, count: int) -> npt.NDArray[Any]:
         box, where = self._boxes[key], self._name + _at(key)
         array = _array(where, values, (count, *box.shape))
         if array.dtype != box.dtype:
-            raise InvalidValueError(f"{where} must be of its space's type {box.dtype}, got {array.dtype}")
+            raise InvalidValueError(f"{where} must have the type of its space, {box.dtype}, got {array.dtype}")
         outside = ~((array >= box.low) & (array <= box.high))
         if outside.any():
             i = tuple(np.argwhere(outside)[0])
@@ -141,7 +194,7 @@ class _Checked(ObservationSpec):
 
 
 class _CheckedAction:
-    """A kind of action from outside."""
+    """Kind of action of a user, with checks."""
 
     def __init__(self, own: Any, joints: int):
         self._own, self._joints, self._name = own, joints, f"action {_name(own)}"
@@ -151,24 +204,24 @@ class _CheckedAction:
             raise InvalidValueError(f"{self._name}: its space must be a Box of one axis, got {self.space}")
 
     def __call__(self, action: Array, state: State, motion: ToolMotion) -> Array:
-        """Its changes of the commands, checked."""
+        """Return the checked changes of the commands."""
         change = _array(self._name, self._own(action, state, motion), (len(action), self._joints))
         _check_finite(self._name, change)
         return change.astype(np.float64)
 
 
 class _CheckedReward:
-    """A reward from outside."""
+    """Reward of a user, with checks."""
 
     def __init__(self, own: Callable[[Transition], Any]):
         self._own, self._name = own, f"reward {_name(own)}"
         self.requires_roadmap = bool(getattr(own, "requires_roadmap", False))
 
     def __call__(self, step: Transition) -> dict[str, Array]:
-        """Its terms, checked and copied."""
+        """Return checked copies of its terms."""
         terms = self._own(step)
         if not isinstance(terms, Mapping) or not terms or not all(isinstance(name, str) for name in terms):
-            raise InvalidValueError(f"{self._name} must give a dict of arrays by the terms' names, got {terms!r}")
+            raise InvalidValueError(f"{self._name} must return a dict of arrays by term, got {terms!r}")
         result = {}
         for name, values in terms.items():
             where = f"{self._name}, term {name!r}"
@@ -184,35 +237,36 @@ def _named(kind: str, name: str, choices: Mapping[str, Any]) -> Any:
 
 
 def _made(kind: str, own: Any, *arguments: Any) -> Any:
-    """The user's object: as it is where it has a space, else made from the arguments."""
+    """Return the user's object if it has a space, else the result of calling it."""
     if callable(own) and (isinstance(own, type) or not isinstance(getattr(own, "space", None), spaces.Space)):
         try:
             signature(own).bind(*arguments)
         except TypeError as error:
             given = " and ".join(type(argument).__name__ for argument in arguments)
             raise InvalidValueError(
-                f"{kind} {_name(own)} must be an object, or what makes one from {given}, but: {error}"
+                f"{kind} {_name(own)} must be an object or a function of {given} that makes one: {error}"
             ) from error
         made = own(*arguments)
     else:
         made = own
     if not callable(made) or not isinstance(getattr(made, "space", None), spaces.Space):
         raise InvalidValueError(
-            f"{kind} must be a name, or an object (or what makes one) that has a Gymnasium space as its attribute "
-            f"'space' and can be called, got {made!r}"
+            f"{kind} must be a name, or a callable object (or a function that makes one) with a Gymnasium space as "
+            f"its attribute 'space', got {made!r}"
         )
     return made
 
 
 def _array(where: str, values: Any, shape: tuple[int, ...]) -> npt.NDArray[Any]:
-    """A copy of the values, if they are numbers of that shape."""
+    """Return a copy of the values if they are numbers of that shape."""
     try:
         array = np.array(values)
     except ValueError as error:
-        raise InvalidValueError(f"{where} must give an array of shape {shape}, got {values!r}") from error
+        raise InvalidValueError(f"{where} must return an array of shape {shape}, got {values!r}") from error
     if array.shape != shape or array.dtype.kind not in "buif":
         raise InvalidValueError(
-            f"{where} must give numbers of shape {shape} for {shape[0]} simulations, got {array.dtype} of {array.shape}"
+            f"{where} must return numbers of shape {shape} for {shape[0]} simulations, got {array.dtype} of "
+            f"{array.shape}"
         )
     return array
 
@@ -221,6 +275,10 @@ def _check_finite(where: str, array: npt.NDArray[Any]) -> None:
     if not np.isfinite(array).all():
         i = tuple(np.argwhere(~np.isfinite(array))[0])
         raise InvalidValueError(f"{where} must be finite, got {array[i]} in simulation {i[0]}")
+
+
+def _is_ours(own: object) -> bool:
+    return type(own).__module__.startswith("greenhouse_gym.")
 
 
 def _name(own: Any) -> str:

@@ -1,4 +1,4 @@
-"""Which scene, target and start an episode has: sampled from a bank, or named in the reset's options."""
+"""Episodes: scene, targets and start, sampled from a bank or given by the options of a reset."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from greenhouse_gym.scene import DIFFICULTIES, Scene, SceneBank, Target
 from greenhouse_gym.scene.manifest import SPLITS
 
 UNRATED = "unrated"
-"""Difficulty of a tomato that the scene does not list as a target."""
+"""Difficulty of a tomato that is not rated for the arm."""
 
 OPTIONS = ("scene", "target", "start", "difficulty")
 
@@ -27,39 +27,38 @@ DifficultyChoice: TypeAlias = str | Iterable[str] | Mapping[str, float]
 """One difficulty, several, or a weight for each."""
 
 _DRAWS = 64
-_KEPT = 300
+_CACHED = 300
 
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """What an episode is about.
+    """Scene, targets and start of an episode.
 
     Attributes:
         scene: The scene.
-        target: Index of the target among the scene's tomatoes.
-        difficulty: One of `DIFFICULTIES`, or `UNRATED`.
+        targets: Indices of the target tomatoes in the scene, in the order in which they become the target.
+        difficulty: Rating of the first target, one of `DIFFICULTIES`, or `UNRATED`.
         start: (joints,) start configuration, radians.
     """
 
     scene: Scene
-    target: int
+    targets: tuple[int, ...]
     difficulty: str
     start: Array
 
 
 class EpisodeSampler:
-    """Draws episodes from one split of a bank: a scene, then one of its targets of the wanted difficulties.
+    """Draws episodes from one split of a bank: a scene, then one of its targets with a matching difficulty.
 
-    Of a large bank few scenes are drawn from at a time; see `greenhouse_gym.envs.scene_window`.
-
-    An arm that a scene has no ratings for gets the targets that are rated for other arms, as `UNRATED` ones.
+    Episodes of a large bank are drawn from a few scenes at a time, see `greenhouse_gym.envs.scene_window`. If a scene
+    is not rated for the arm, the targets rated for other arms are used, as `UNRATED` ones.
 
     Args:
         bank: Name, folder or `SceneBank`.
-        split: One of "train", "validation", "test".
+        split: "train", "validation" or "test".
         robot: The arm.
-        difficulty: One difficulty, several, or weights: the difficulty is drawn by weight then, before the scene.
-        start: Where the arm starts, as the reset's option; its own start when left out.
+        difficulty: One difficulty, several, or weights. With weights, the difficulty is drawn before the scene.
+        start: Start configuration, as in the options of a reset; the arm's default if None.
     """
 
     def __init__(
@@ -73,9 +72,9 @@ class EpisodeSampler:
         self.bank = SceneBank.open(bank)
         self.split = require_choice("split", split, SPLITS)
         self.robot = robot
-        self._usual_start = self._start(start)
-        # kept with its scene, so that the scene's identity stays its own; those asked for last
-        self._kept: OrderedDict[tuple[int, tuple[str, ...]], tuple[Scene, list[Target]]] = OrderedDict()
+        self._default_start = self._start(start)
+        # entries hold their scene, so that the id of a scene in a key is not reused
+        self._cache: OrderedDict[tuple[int, tuple[str, ...]], tuple[Scene, list[Target]]] = OrderedDict()
         self.set_difficulty(difficulty)
         self._names = self.bank.names(split)
         if not self._names:
@@ -86,40 +85,40 @@ class EpisodeSampler:
         self._window = SceneWindow(self._names)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> EpisodeSampler:
-        """A sampler whose difficulties are its own; the bank is shared."""
+        """Return an independent sampler that shares the bank."""
         twin = copy.copy(self)
-        twin._kept, twin._window = OrderedDict(), copy.copy(self._window)
+        twin._cache, twin._window = OrderedDict(), copy.copy(self._window)
         return twin
 
     @property
     def at_a_time(self) -> int | None:
-        """How many scenes of a large bank are drawn from at a time; None where all are."""
+        """Number of scenes of a large bank that are drawn from at a time; None for a small bank."""
         return None if self._window.whole else WINDOW
 
     def restart(self, seed: int) -> None:
-        """From now on, draw the scenes of a large bank in the order of a seed; a small bank stays as it is."""
+        """Restart the order of the scenes of a large bank with a seed; no effect on a small bank."""
         self._window.restart(seed)
 
     def set_difficulty(self, difficulty: DifficultyChoice) -> None:
-        """Draw targets of these difficulties from the next episode on.
+        """Set the difficulties of targets from the next episode on.
 
         Raises:
-            UnknownNameError: There is no such difficulty.
-            InvalidValueError: None is given, or the weights are negative or all zero.
+            UnknownNameError: A difficulty does not exist.
+            InvalidValueError: No difficulty is given, or the weights are negative or all zero.
         """
         self._wanted = parse_difficulty(difficulty)
 
     @property
     def difficulty(self) -> dict[str, float]:
-        """Weight of each difficulty that is drawn, or 0 for all where they are drawn as the scenes have them."""
+        """Weight of each chosen difficulty; all 0 if they are drawn at their natural frequency."""
         return dict(self._wanted)
 
     def draw(self, rng: np.random.Generator, options: Mapping[str, Any] | None = None) -> Episode:
-        """Draw an episode; ``options`` may fix the scene (name or `Scene`), target (tomato), start and difficulty.
+        """Draw an episode with one target; ``options`` may fix scene (name or `Scene`), target, start and difficulty.
 
         Raises:
-            UnknownNameError: An option, scene or difficulty of that name does not exist.
-            InvalidValueError: A target or start is outside what is allowed, or no target fits the difficulties.
+            UnknownNameError: An option, scene or difficulty does not exist.
+            InvalidValueError: A target or start is invalid, or no target has a matching difficulty.
         """
         if options is not None and not isinstance(options, Mapping):
             raise InvalidValueError(f"reset options must be a dict, got {options!r}")
@@ -127,7 +126,7 @@ class EpisodeSampler:
         for key in options:
             require_choice("reset option", key, OPTIONS)
         wanted = self._wanted if options.get("difficulty") is None else parse_difficulty(options["difficulty"])
-        start = self._usual_start if options.get("start") is None else self._start(options["start"])
+        start = self._default_start if options.get("start") is None else self._start(options["start"])
         scene, tomato = options.get("scene"), options.get("target")
         if scene is None and tomato is not None:
             raise InvalidValueError("the reset option 'target' needs the option 'scene'")
@@ -137,17 +136,22 @@ class EpisodeSampler:
             scene = self.bank.scene(scene) if isinstance(scene, str) else scene
         if tomato is not None:
             assert scene is not None
-            return Episode(scene, *self._rate(scene, tomato), start)
+            index, difficulty = self._rate(scene, tomato)
+            return Episode(scene, (index,), difficulty, start)
         names = _draw_difficulty(wanted, rng)
         if scene is None:
             scene, fitting = self._draw_scene(rng, names)
         elif not (fitting := self._fitting(scene, names)):
             raise InvalidValueError(self._nothing_fits(f"scene {scene.name!r}", names))
         target = fitting[int(rng.integers(len(fitting)))]
-        return Episode(scene, target.tomato, self._rating(target), start)
+        return Episode(scene, (target.tomato,), self._rating(target), start)
+
+    def targets(self, scene: Scene) -> list[int]:
+        """Return the tomatoes of a scene that are rated with one of the chosen difficulties."""
+        return [target.tomato for target in self._fitting(scene, tuple(self._wanted))]
 
     def _draw_scene(self, rng: np.random.Generator, names: tuple[str, ...]) -> tuple[Scene, list[Target]]:
-        # Drawing again when a scene has no fitting target keeps scenes equally likely without reading them all.
+        # rejection sampling keeps scenes equally likely without reading all of them
         for _ in range(_DRAWS):
             scene = self.bank.scene(self._window.draw(rng))
             if fitting := self._fitting(scene, names):
@@ -160,14 +164,14 @@ class EpisodeSampler:
 
     def _fitting(self, scene: Scene, names: tuple[str, ...]) -> list[Target]:
         key = (id(scene), names)
-        if key not in self._kept:
+        if key not in self._cache:
             mine = [target for target in scene.targets if target.robot == self.robot.name]
             rated = mine or list({target.tomato: target for target in scene.targets}.values())
-            self._kept[key] = (scene, [target for target in rated if target.difficulty in names])
-        self._kept.move_to_end(key)
-        while len(self._kept) > (self.at_a_time or _KEPT):
-            self._kept.popitem(last=False)
-        return self._kept[key][1]
+            self._cache[key] = (scene, [target for target in rated if target.difficulty in names])
+        self._cache.move_to_end(key)
+        while len(self._cache) > (self.at_a_time or _CACHED):
+            self._cache.popitem(last=False)
+        return self._cache[key][1]
 
     def _rating(self, target: Target) -> str:
         return str(target.difficulty) if target.robot == self.robot.name else UNRATED
@@ -204,11 +208,11 @@ class EpisodeSampler:
 
 
 def parse_difficulty(difficulty: DifficultyChoice) -> dict[str, float]:
-    """Names of difficulties with their weights, which are all 0 where none were given.
+    """Return difficulties with their weights; all weights are 0 if none are given.
 
     Raises:
-        UnknownNameError: There is no such difficulty.
-        InvalidValueError: None is given, or the weights are negative or all zero.
+        UnknownNameError: A difficulty does not exist.
+        InvalidValueError: No difficulty is given, or the weights are negative or all zero.
     """
     if not isinstance(difficulty, (str, Iterable)):
         raise InvalidValueError(
@@ -217,7 +221,7 @@ def parse_difficulty(difficulty: DifficultyChoice) -> dict[str, float]:
     if isinstance(difficulty, Mapping):
         weights = {require_choice("difficulty", name, DIFFICULTIES): _weight(w) for name, w in difficulty.items()}
         if not all(np.isfinite(w) and w >= 0 for w in weights.values()) or not any(weights.values()):
-            raise InvalidValueError(f"difficulty weights must be from 0 up and not all 0, got {dict(difficulty)}")
+            raise InvalidValueError(f"difficulty weights must not be negative or all 0, got {dict(difficulty)}")
         return {name: weight for name, weight in weights.items() if weight > 0}
     names = (difficulty,) if isinstance(difficulty, str) else tuple(difficulty)
     if not names:

@@ -1,4 +1,4 @@
-"""Rewards and ends of episodes from goals alone, as hindsight experience replay asks for them."""
+"""Rewards and terminations from goals alone, for hindsight experience replay."""
 
 from __future__ import annotations
 
@@ -8,17 +8,18 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.envs.reach_task import Bools, lengths
-from greenhouse_gym.envs.rewards import Reward, Transition, total_reward
-from greenhouse_gym.envs.settings import EnvSettings
+from greenhouse_gym.envs.contacts import CONTACT_GROUPS
+from greenhouse_gym.envs.rewards import Reward, Transition, total_reward, with_contact_cost
+from greenhouse_gym.envs.state import Bools
+from greenhouse_gym.envs.task import GoalTask
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 
 Info = Mapping[str, Any] | Sequence[Mapping[str, Any]] | npt.NDArray[Any]
 
 
-class Verdict(NamedTuple):
-    """What n steps were worth had their goals been others.
+class Relabeled(NamedTuple):
+    """Rewards and ends of n steps with other goals.
 
     Attributes:
         reward: (n,).
@@ -31,62 +32,69 @@ class Verdict(NamedTuple):
     truncated: Bools
 
 
-def judge(
-    achieved: npt.ArrayLike, desired: npt.ArrayLike, info: Info, reward: Reward, settings: EnvSettings
-) -> Verdict:
-    """Judge steps by their goals; everything else that counts is read from their infos.
+def relabel(
+    achieved: npt.ArrayLike, desired: npt.ArrayLike, info: Info, task: GoalTask, reward: Reward, step_limit: int
+) -> Relabeled:
+    """Evaluate steps with other goals; everything else is read from their infos.
 
     Args:
-        achieved: (3,) or (n, 3) grasp points after the step, metres.
-        desired: (3,) or (n, 3) centers to reach, metres.
-        info: The step's info, or one per step.
+        achieved: (3,) or (n, 3) achieved goals after the step, metres.
+        desired: (3,) or (n, 3) desired goals, metres.
+        info: Info of the step, or one for each step.
+        task: The task.
         reward: The reward.
-        settings: What counts as a success, and when a step is the last.
+        step_limit: Steps after which an episode is truncated.
 
     Raises:
-        InvalidValueError: An info lacks what a goal environment's steps tell.
+        InvalidValueError: An info lacks a key that the steps of a goal environment have.
     """
-    goals = np.atleast_2d(np.asarray(desired, dtype=np.float64))
+    reached, goals = (np.atleast_2d(np.asarray(points, dtype=np.float64)) for points in (achieved, desired))
     infos = [info] if isinstance(info, Mapping) else list(info)
 
-    def told(key: str) -> npt.NDArray[Any]:
+    def from_info(key: str) -> npt.NDArray[Any]:
         try:
             return np.array([one[key] for one in infos])
         except (KeyError, IndexError, TypeError):
             raise InvalidValueError(
-                f"info must be that of a step and hold {key!r}; with Stable-Baselines3 pass copy_info_dict=True to "
+                f"info must be that of a step and contain {key!r}; with Stable-Baselines3 pass copy_info_dict=True to "
                 "HerReplayBuffer"
             ) from None
 
-    collided, steps = told("collision").astype(np.bool_), told("steps")
-    after = lengths(goals - np.atleast_2d(np.asarray(achieved, dtype=np.float64)))
+    collided, steps = from_info("collision").astype(np.bool_), from_info("steps")
+    previous = from_info("previous_goal").astype(np.float64).reshape(-1, 3)
+    outcome = task.evaluate_goals(reached, goals, collided)
     transition = Transition(
-        before=lengths(goals - told("previous_goal").astype(np.float64).reshape(-1, 3)),
-        after=after,
+        before=task.evaluate_goals(previous, goals, collided).distance,
+        after=outcome.distance,
         collided=collided,
-        success=(after < settings.success_radius) & ~collided,
-        effort=told("effort").astype(np.float64),
+        success=outcome.success,
+        effort=from_info("effort").astype(np.float64),
         steps=steps,
     )
-    terminated = transition.success | collided
-    return Verdict(total_reward(reward(transition)), terminated, (steps >= settings.step_limit) & ~terminated)
+    terms = reward(transition)
+    if task.costs:
+        contacts = np.array([[counts[group] for group in CONTACT_GROUPS] for counts in from_info("contacts")])
+        terms = with_contact_cost(terms, task.costs, contacts)
+    terminated = outcome.success | outcome.failure
+    return Relabeled(total_reward(terms), terminated, (steps >= step_limit) & ~terminated)
 
 
-GoalFunction = Callable[[npt.ArrayLike, npt.ArrayLike, Info], Any]
+def add_goal_functions(env: Any) -> None:
+    """Add the methods ``compute_reward``, ``compute_terminated`` and ``compute_truncated`` to a goal environment.
 
-
-def goal_functions(reward: Reward, settings: EnvSettings) -> tuple[GoalFunction, GoalFunction, GoalFunction]:
-    """The methods ``compute_reward``, ``compute_terminated`` and ``compute_truncated`` of a goal environment.
-
-    Each takes achieved and desired goals and the info as `judge` does, and gives a number for one goal and an array
-    (n,) for many.
+    Other environments stay without them, because libraries recognize goal environments by these methods. Each takes
+    achieved and desired goals and infos, as `relabel` does, and returns a number for one goal or (n,) for many.
     """
+    if not env.simulation.observe.has_goals:
+        return
+    task, reward, step_limit = env.simulation.task, env.simulation.reward_terms, env.settings.step_limit
 
-    def function(part: str) -> GoalFunction:
+    def function(part: str) -> Callable[[npt.ArrayLike, npt.ArrayLike, Info], Any]:
         def compute(achieved_goal: npt.ArrayLike, desired_goal: npt.ArrayLike, info: Info) -> Any:
-            values = getattr(judge(achieved_goal, desired_goal, info, reward, settings), part)
+            values = getattr(relabel(achieved_goal, desired_goal, info, task, reward, step_limit), part)
             return values.item() if np.ndim(achieved_goal) == 1 else values
 
         return compute
 
-    return function("reward"), function("terminated"), function("truncated")
+    for part in Relabeled._fields:
+        setattr(env, "compute_" + part, function(part))

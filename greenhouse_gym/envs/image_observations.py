@@ -1,4 +1,4 @@
-"""Observations with images in them: what a camera sees beside the arm's own state, by ray casting (no OpenGL)."""
+"""Observations with camera images by ray casting (without OpenGL), and the arm's own state."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from greenhouse_gym.envs.observations import MAX_OFFSET, ObservationSpec, Observed, Vector
-from greenhouse_gym.envs.reach_task import State
+from greenhouse_gym.envs.features import MAX_OFFSET, FeatureVector
+from greenhouse_gym.envs.observations import REACH, ObservationSpec, Observed, body_features
+from greenhouse_gym.envs.state import State
+from greenhouse_gym.envs.task import Task
 from greenhouse_gym.rendering.cameras import MAX_RANGE, DepthCamera
 from greenhouse_gym.robots import Robot
 
-_BODY = ("joint_position", "joint_velocity", "command_error", "grasp_offset", "target_position")
-
 
 class _WithImages(ObservationSpec, ABC):
-    """The arm's own state and the target's place; subclasses put beside it what one camera sees."""
+    """Joints and features of the task; subclasses add the images of one camera."""
 
-    def __init__(self, robot: Robot, camera: DepthCamera, images: dict[str, spaces.Space[Any]]):
-        self._vector = Vector(robot, _BODY)
+    def __init__(self, robot: Robot, task: Task, camera: DepthCamera, images: dict[str, spaces.Space[Any]]):
+        self._vector = FeatureVector(robot, body_features(task))
         self.layout = self._vector.layout
         self.cameras = (camera,)
         self.space = spaces.Dict({**images, "state": self._vector.space})
@@ -30,66 +30,66 @@ class _WithImages(ObservationSpec, ABC):
 
 @dataclass(frozen=True)
 class DepthObservation:
-    """Settings of the observation ``depth``: a depth image beside the arm's own state.
+    """Settings of the observation ``depth``: a depth image and the arm's own state.
 
     Attributes:
-        camera: Which camera, its size and opening.
+        camera: The camera.
     """
 
     camera: DepthCamera = field(default_factory=DepthCamera)
 
-    def __call__(self, robot: Robot) -> _Depth:
-        """The observation for an arm."""
-        return _Depth(robot, self.camera)
+    def __call__(self, robot: Robot, task: Task = REACH) -> _Depth:
+        """Return the observation for an arm and a task."""
+        return _Depth(robot, task, self.camera)
 
 
 @dataclass(frozen=True)
 class PointsObservation:
-    """Settings of the observation ``points``: a cloud without the arm beside the arm's own state.
+    """Settings of the observation ``points``: a point cloud without the arm, and the arm's own state.
 
     Attributes:
-        camera: Which camera, and its grid of rays: one point per pixel.
+        camera: The camera; the cloud has one point per pixel.
     """
 
     camera: DepthCamera = field(default_factory=lambda: DepthCamera("mast", 32, 24))
 
-    def __call__(self, robot: Robot) -> _Points:
-        """The observation for an arm."""
-        return _Points(robot, self.camera)
+    def __call__(self, robot: Robot, task: Task = REACH) -> _Points:
+        """Return the observation for an arm and a task."""
+        return _Points(robot, task, self.camera)
 
 
 @dataclass(frozen=True)
 class RgbObservation:
-    """Settings of the observations ``rgb`` and ``rgbd``: a color image beside the arm's own state.
+    """Settings of the observations ``rgb`` and ``rgbd``: a color image and the arm's own state.
 
     Attributes:
-        camera: Which camera, its size and opening.
-        depth: Whether there is the depth image, too.
+        camera: The camera.
+        depth: Include a depth image as well.
     """
 
     camera: DepthCamera = field(default_factory=DepthCamera)
     depth: bool = False
 
-    def __call__(self, robot: Robot) -> _Rgb:
-        """The observation for an arm."""
-        return _Rgb(robot, self.camera, self.depth)
+    def __call__(self, robot: Robot, task: Task = REACH) -> _Rgb:
+        """Return the observation for an arm and a task."""
+        return _Rgb(robot, task, self.camera, self.depth)
 
 
 class _Depth(_WithImages):
     renders_arm = True
 
-    def __init__(self, robot: Robot, camera: DepthCamera):
-        super().__init__(robot, camera, {"depth": _depth_space(camera)})
+    def __init__(self, robot: Robot, task: Task, camera: DepthCamera):
+        super().__init__(robot, task, camera, {"depth": _depth_space(camera)})
 
     def __call__(self, state: State) -> Observed:
         return {"depth": _depth_image(state), "state": self._vector(state)}
 
 
 class _Points(_WithImages):
-    def __init__(self, robot: Robot, camera: DepthCamera):
+    def __init__(self, robot: Robot, task: Task, camera: DepthCamera):
         self._rays = camera.rays
         cloud = spaces.Box(-MAX_OFFSET, MAX_OFFSET, (len(self._rays), 3), dtype=np.float32)
-        super().__init__(robot, camera, {"points": cloud})
+        super().__init__(robot, task, camera, {"points": cloud})
 
     def __call__(self, state: State) -> Observed:
         depth = state.depth.reshape(len(state.depth), -1, 1)
@@ -103,9 +103,9 @@ class _Points(_WithImages):
 class _Rgb(_WithImages):
     renders_arm = renders_color = True
 
-    def __init__(self, robot: Robot, camera: DepthCamera, depth: bool):
+    def __init__(self, robot: Robot, task: Task, camera: DepthCamera, depth: bool):
         color = spaces.Box(0, 255, (3, camera.height, camera.width), dtype=np.uint8)
-        super().__init__(robot, camera, {"rgb": color, **({"depth": _depth_space(camera)} if depth else {})})
+        super().__init__(robot, task, camera, {"rgb": color, **({"depth": _depth_space(camera)} if depth else {})})
         self._with_depth = depth
 
     def __call__(self, state: State) -> Observed:

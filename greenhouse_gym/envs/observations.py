@@ -1,74 +1,63 @@
-"""What an agent sees: from a `State` of n simulations to arrays that fit a Gymnasium space."""
+"""Observations: from the state of n simulations to arrays in a Gymnasium space."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from greenhouse_gym.envs.actions import max_command_error
-from greenhouse_gym.envs.clearance_rays import NUM_CLEARANCES
-from greenhouse_gym.envs.reach_task import ACTION_STEP, Float32, State
+from greenhouse_gym.envs.features import FEATURES, MAX_OFFSET, Feature, FeatureVector, Layout
+from greenhouse_gym.envs.state import State
+from greenhouse_gym.envs.task import GoalTask, Task
+from greenhouse_gym.envs.tasks import TomatoReach
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.geometry import Array
-from greenhouse_gym.motion.distance_field import MAX_DISTANCE
 from greenhouse_gym.rendering.cameras import DepthCamera
 from greenhouse_gym.robots import Robot
 
-JOINT_MARGIN = 0.1
-"""How far beyond its limit a joint is reported, radians (limits are soft in the physics)."""
-
-MAX_OFFSET = 3.0
-"""Positions are reported up to here along each axis, metres."""
-
-MIN_CLEARANCE = -0.1
-"""Clearances are reported down to here, metres."""
-
-MAX_PATH_LENGTH = 6.3
-"""Ways of a joint are reported up to here, radians."""
-
-Layout: TypeAlias = tuple[tuple[str, int], ...]
 Observed: TypeAlias = npt.NDArray[Any] | dict[str, npt.NDArray[Any]]
+
+REACH = TomatoReach()
+"""Default task of observations that are made outside an environment."""
 
 
 class Observation(Protocol):
-    """A kind of observation: its space, and what is seen.
+    """Kind of observation: a space and a function from states to values in it.
 
-    ``observation=`` takes an object like this, or a class or function that makes one from the arm. Compute elementwise
-    (no 2-D matrix products), so that a simulation's numbers do not depend on how many there are.
+    Pass such an object as ``observation=``, or a class or function that makes one from the arm. Compute elementwise (no
+    2-D matrix products), so that the numbers of a simulation do not depend on how many there are.
 
-    An object may have the attributes of `ObservationSpec`, too; left out, they are what that class says.
+    An object may also have the attributes of `ObservationSpec`; missing ones have the defaults of that class.
 
     Attributes:
-        space: The space of one simulation's observation: a `Box`, or a `Dict` of boxes.
+        space: Space of one simulation's observation: a `Box`, or a `Dict` of boxes.
     """
 
     @property
     def space(self) -> spaces.Space[Any]:
-        """The space of one simulation's observation."""
+        """Space of one simulation's observation."""
 
     def __call__(self, state: State) -> Observed:
-        """Observations of n simulations within the space, (n, *shape) or a dict of such arrays."""
+        """Return observations of n simulations within the space, (n, *shape) or a dict of such arrays."""
 
 
 class ObservationSpec(ABC):
-    """An `Observation` that says what it needs to be computed, and what is in it.
+    """`Observation` that declares what it contains and what it requires.
 
     Attributes:
-        space: The space of one simulation's observation.
-        layout: Name of each group of entries of its vector with its number of entries, in order.
-        cameras: What takes images for it; all of one size.
-        renders_arm: Whether the arm is in the depth images.
-        renders_color: Whether there are color images, too.
-        requires_occupancy: Whether it tells which places the scan saw; all scenes must then say so.
-        requires_clearance_rays: Whether it tells how much room there is around the target.
-        requires_roadmap: Whether it tells where the arm can go straight.
-        target_is_obstacle: Whether the clearances count the target too.
-        has_goals: Whether it is a goal environment's.
+        space: Space of one simulation's observation.
+        layout: Name and size of each feature of its vector, in order.
+        cameras: Cameras that it requires, all of the same image size.
+        renders_arm: Depth images show the arm.
+        renders_color: Color images are rendered as well.
+        requires_occupancy: It reads `State.unknown`; every scene must have an occupancy grid.
+        requires_clearance_rays: It reads `State.clearance_rays`.
+        requires_roadmap: It reads `State.waypoint`, `State.path_length` or `State.path_free`.
+        target_is_obstacle: Clearances include the target.
+        has_goals: It is an observation of a goal environment.
     """
 
     space: spaces.Space[Any]
@@ -84,198 +73,115 @@ class ObservationSpec(ABC):
 
     @abstractmethod
     def __call__(self, state: State) -> Observed:
-        """Observations of n simulations, new arrays within the space."""
+        """Return observations of n simulations, new arrays within the space."""
 
 
 ObservationFactory: TypeAlias = Callable[[Robot], Observation]
 ObservationChoice: TypeAlias = str | Observation | ObservationFactory
 
-
-_GROUPS: dict[str, tuple[Callable[[State], npt.NDArray[Any]], Callable[[Robot], tuple[Any, Any]]]] = {
-    "joint_position": (lambda s: s.joints, lambda r: (r.lower - JOINT_MARGIN, r.upper + JOINT_MARGIN)),
-    "joint_velocity": (lambda s: s.velocities, lambda r: (-2.0 * r.velocity_limits, 2.0 * r.velocity_limits)),
-    "command_error": (lambda s: s.command_error, lambda r: _around(2 * max_command_error(r), len(r.joints))),
-    "grasp_offset": (lambda s: s.target - s.grasp, lambda r: _around(MAX_OFFSET, 3)),
-    "target_position": (lambda s: s.target, lambda r: _around(MAX_OFFSET, 3)),
-    "tip_position": (lambda s: s.tip, lambda r: _around(MAX_OFFSET, 3)),
-    "tool_axis": (lambda s: s.axis, lambda r: _around(1.0, 3)),
-    "clearance": (
-        lambda s: s.clearance,
-        lambda r: (np.full(len(r.probes), MIN_CLEARANCE), np.full(len(r.probes), MAX_DISTANCE)),
-    ),
-    "obstacle_direction": (
-        lambda s: s.obstacle.reshape(len(s.obstacle), -1),
-        lambda r: _around(1.0, 3 * len(r.probes)),
-    ),
-    "unknown": (lambda s: s.unknown, lambda r: (np.zeros(len(r.probes)), np.ones(len(r.probes)))),
-    "waypoint_offset": (lambda s: s.waypoint, lambda r: _around(MAX_PATH_LENGTH, len(r.joints))),
-    "waypoint_direction": (lambda s: _direction(s.waypoint), lambda r: _around(1.0, len(r.joints))),
-    "path": (
-        lambda s: np.stack([s.path_length, s.path_free], axis=1),
-        lambda r: (np.zeros(2), np.array([MAX_PATH_LENGTH, 1.0])),
-    ),
-    "clearance_rays": (
-        lambda s: s.clearance_rays,
-        lambda r: (np.full(NUM_CLEARANCES, MIN_CLEARANCE), np.full(NUM_CLEARANCES, MAX_DISTANCE)),
-    ),
-}
+PATH_FEATURES = ("waypoint_offset", "waypoint_direction", "path")
+"""Features of the roadmap: offset and direction to the waypoint, and length and freedom of the path."""
 
 
-def _around(limit: float, size: int) -> tuple[Array, Array]:
-    return np.full(size, -limit), np.full(size, limit)
+def body_features(task: Task) -> dict[str, Feature]:
+    """Return the features of the arm's own joints, followed by those of the task."""
+    return {**named_features("joint_position", "joint_velocity", "command_error"), **task.features}
 
 
-def _direction(offset: Array) -> Array:
-    """(n, j) the action that moves a command straight by an offset (n, j), as fast as may be."""
-    return np.asarray(offset / np.maximum(ACTION_STEP, np.abs(offset).max(axis=1, keepdims=True)))
-
-
-class Vector:
-    """Groups of numbers side by side, clipped to their bounds.
-
-    Args:
-        robot: The arm.
-        names: Names of the groups, in order.
-
-    Attributes:
-        layout: Name of each group with its number of entries.
-        space: The space of one simulation's vector.
-    """
-
-    def __init__(self, robot: Robot, names: tuple[str, ...]):
-        self._parts = [_GROUPS[name][0] for name in names]
-        bounds = [_GROUPS[name][1](robot) for name in names]
-        self.layout: Layout = tuple((name, len(low)) for name, (low, _) in zip(names, bounds, strict=True))
-        self.low, self.high = (np.concatenate(side).astype(np.float32) for side in zip(*bounds, strict=True))
-        self.space = spaces.Box(self.low, self.high, dtype=np.float32)
-
-    def __call__(self, state: State) -> Float32:
-        """Vectors (n, size)."""
-        result = np.empty((len(state.joints), len(self.low)), dtype=np.float32)
-        np.concatenate([part(state) for part in self._parts], axis=1, out=result, casting="same_kind")
-        np.maximum(result, self.low, out=result)
-        np.minimum(result, self.high, out=result)
-        return result
-
-
-_STATE = (
-    "joint_position", "joint_velocity", "command_error", "grasp_offset", "target_position", "clearance",
-    "obstacle_direction",
-)  # fmt: skip
-_GOAL_STATE = (
-    "joint_position", "joint_velocity", "command_error", "tip_position", "tool_axis", "clearance", "obstacle_direction",
-)  # fmt: skip
-_PATH = ("waypoint_offset", "waypoint_direction", "path")
+def named_features(*names: str) -> dict[str, Feature]:
+    """Return features of `FEATURES` by name."""
+    return {name: FEATURES[name] for name in names}
 
 
 class StateObservation(ObservationSpec):
-    """Joints, target and clearances as one vector; `TomatoReachEnv` documents every index.
+    """Joints, features of the task and clearances in one vector; `GreenhouseEnv` documents every index.
 
     Args:
         robot: The arm.
-        unknown: Append one number for each probe point: 1 in space that the scan did not observe, else 0.
+        task: The task.
+        extra: Names of further features to append: "unknown", "clearance_rays" or those in `PATH_FEATURES`.
     """
 
-    def __init__(self, robot: Robot, unknown: bool = False):
-        self._vector = Vector(robot, (*_STATE, "unknown") if unknown else _STATE)
-        self.requires_occupancy = unknown
-        self.space = self._vector.space
-        self.layout = self._vector.layout
-
-    def __call__(self, state: State) -> Observed:
-        """Observations (n, size)."""
-        return self._vector(state)
-
-
-class ClearanceRaysObservation(ObservationSpec):
-    """The vector of `StateObservation`, then the room on rays away from the target: how it can be approached."""
-
-    requires_clearance_rays = True
-
-    def __init__(self, robot: Robot):
-        self._vector = Vector(robot, (*_STATE, "clearance_rays"))
+    def __init__(self, robot: Robot, task: Task = REACH, extra: Sequence[str] = ()):
+        features = body_features(task) | named_features("clearance", "obstacle_direction", *extra)
+        self._vector = FeatureVector(robot, features)
         self.space, self.layout = self._vector.space, self._vector.layout
+        self.requires_occupancy = "unknown" in extra
+        self.requires_clearance_rays = "clearance_rays" in extra
+        self.requires_roadmap = not set(PATH_FEATURES).isdisjoint(extra)
 
     def __call__(self, state: State) -> Observed:
-        """Observations (n, size)."""
-        return self._vector(state)
-
-
-class WaypointObservation(ObservationSpec):
-    """As `StateObservation`, and where the arm can go straight on its way: not what to do where it cannot."""
-
-    requires_roadmap = True
-
-    def __init__(self, robot: Robot):
-        self._vector = Vector(robot, (*_STATE, *_PATH))
-        self.space, self.layout = self._vector.space, self._vector.layout
-
-    def __call__(self, state: State) -> Observed:
-        """Observations (n, size)."""
+        """Return observations (n, size)."""
         return self._vector(state)
 
 
 class GoalObservation(ObservationSpec):
-    """The three parts of a goal environment; ``observation`` holds nothing that depends on the target.
+    """Observation of a goal environment; its part ``observation`` does not depend on the target.
 
     Args:
         robot: The arm.
-        path: Append the waypoint and the remaining path to the target, which do depend on it. A goal in hindsight does
-            not change them.
+        task: The task, which must have goals.
+        path: Append the waypoint and the path to the target, which do depend on it. A goal in hindsight does not change
+            them.
+
+    Raises:
+        InvalidValueError: The task has no goals.
     """
 
     target_is_obstacle = has_goals = True
 
-    def __init__(self, robot: Robot, path: bool = False):
-        self.requires_roadmap = path
-        self._vector = Vector(robot, (*_GOAL_STATE, *_PATH) if path else _GOAL_STATE)
+    def __init__(self, robot: Robot, task: Task = REACH, path: bool = False):
+        if not isinstance(task, GoalTask):
+            raise InvalidValueError(
+                f"a goal environment needs a GoalTask, got the task {type(task).__name__}; choose another observation"
+            )
+        self._task, self.requires_roadmap = task, path
+        features = named_features(
+            "joint_position", "joint_velocity", "command_error", "tip_position", "tool_axis", "clearance",
+            "obstacle_direction",
+        )  # fmt: skip
+        self._vector = FeatureVector(robot, features | named_features(*(PATH_FEATURES if path else ())))
         self.layout = self._vector.layout
         goal = spaces.Box(-MAX_OFFSET, MAX_OFFSET, (3,), dtype=np.float64)
         self.space = spaces.Dict({"observation": self._vector.space, "achieved_goal": goal, "desired_goal": goal})
 
     def __call__(self, state: State) -> Observed:
-        """Observations (n, size), grasp points (n, 3) and centers (n, 3); the goals are exact, float64."""
+        """Return observations (n, size), and achieved and desired goals (n, 3), which are exact (float64)."""
+        achieved, desired = self._task.goals(state)
         return {
-            "achieved_goal": state.grasp.copy(),
-            "desired_goal": state.target.copy(),
+            "achieved_goal": achieved.copy(),
+            "desired_goal": desired.copy(),
             "observation": self._vector(state),
         }
 
 
-def places_in(layout: Layout) -> dict[str, slice]:
-    """Where each group of a layout lies in its vector."""
-    ends = np.cumsum([size for _, size in layout]).tolist()
-    return {name: slice(end - size, end) for (name, size), end in zip(layout, ends, strict=True)}
-
-
 def select(observed: Observed, ids: Any) -> Any:
-    """The observations of some simulations, or of one, out of those of all."""
+    """Return the observations of some simulations, or of one."""
     if isinstance(observed, dict):
         return {key: values[ids] for key, values in observed.items()}
     return observed[ids]
 
 
-def check_goals_are_known(observation: ObservationSpec, hidden: str) -> None:
-    """Refuse goal environments in which the goal that counts differs from the one that is told.
+def check_goals(observation: ObservationSpec, hidden: str, reward_requires_roadmap: bool) -> None:
+    """Check that rewards in a goal environment can be computed from its goals.
+
+    Args:
+        observation: The observation.
+        hidden: Setting that makes the observed goals differ from the true ones, if any.
+        reward_requires_roadmap: The reward reads the roadmap, which knows no path to goals in hindsight.
 
     Raises:
-        InvalidValueError: They differ.
+        InvalidValueError: They cannot.
     """
-    if observation.has_goals and hidden:
+    if not observation.has_goals:
+        return
+    if hidden:
         raise InvalidValueError(
-            f'observation="goal" computes rewards from the goals it tells, which {hidden} makes differ from those that '
-            'count; choose observation="state"'
+            f'observation="goal" computes rewards from the observed goals, but {hidden} makes these differ from the '
+            'true goals; choose observation="state"'
         )
-
-
-def check_goals_stay(observation: ObservationSpec, reward_requires_roadmap: bool) -> None:
-    """Reject goal environments whose reward depends on the path to the goal: hindsight goals have no known path.
-
-    Raises:
-        InvalidValueError: Such a reward is chosen.
-    """
-    if observation.has_goals and reward_requires_roadmap:
+    if reward_requires_roadmap:
         raise InvalidValueError(
-            'a reward that requires the roadmap, as "path" does, has no path to goals in hindsight; choose '
+            'a reward that requires the roadmap, such as "path", has no path to goals in hindsight; choose '
             'reward="dense" or "sparse", or observation="waypoint"'
         )

@@ -1,17 +1,20 @@
-"""The physics of n simulations: private models, and what is touched."""
+"""Physics of n simulations: private models, stepping, and contacts."""
 
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable, Collection, Sequence
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
+import numpy.typing as npt
 
 from greenhouse_gym.envs.actions import ToolMotion
+from greenhouse_gym.envs.contacts import CONTACT_GROUPS, Contact, Contacts, contact_groups, name_of
 from greenhouse_gym.envs.randomization import Disturbance, displace_base
-from greenhouse_gym.envs.reach_task import Bools, ControlTiming
-from greenhouse_gym.envs.stepping import Ids, ManyStepper, OneStepper, Stepper
+from greenhouse_gym.envs.state import Bools, ControlTiming, Ids
+from greenhouse_gym.envs.stepping import ManyStepper, OneStepper, Stepper
 from greenhouse_gym.envs.worlds import World
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.scene.geom_order import compiled_geom_id, put_arm_first
@@ -19,35 +22,8 @@ from greenhouse_gym.scene.geom_order import compiled_geom_id, put_arm_first
 _SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 
 
-class Contact(NamedTuple):
-    """What touches what.
-
-    Attributes:
-        names: Names of two geoms, the arm's part first; empty when nothing is touched.
-        self_collision: Whether both belong to the arm.
-    """
-
-    names: tuple[str, ...] = ()
-    self_collision: bool = False
-
-
-NOTHING = Contact()
-
-
-class Contacts(NamedTuple):
-    """What n simulations collided in an action.
-
-    Attributes:
-        any: (n,) whether anything was touched in any substep.
-        contacts: The first contact of those that collided, by simulation.
-    """
-
-    any: Bools
-    contacts: dict[int, Contact]
-
-
 class _Start(NamedTuple):
-    """What a simulation goes on from: positions, velocities, the solver's first guess and commands, each (j,)."""
+    """Initial values of an action: positions, velocities, solver warm start and commands, each (j,)."""
 
     joints: Array
     velocities: Array
@@ -56,28 +32,29 @@ class _Start(NamedTuple):
 
 
 class Physics:
-    """n simulations, each on a private padded model into which a reset copies the episode's scene.
+    """n simulations, each with a private padded model into which a reset copies the scene of the episode.
 
     Args:
         count: Number of simulations n.
-        world: Any world; all that are loaded must compile to the same sizes.
-        threads: Threads that simulate; 0 uses all cores.
-        timing: How the time goes.
+        world: Any world; all worlds that are loaded must compile to the same sizes.
+        threads: Number of simulation threads; 0 uses all cores.
+        timing: Timing of actions and physics steps.
+        ends_on: Contact groups that end an episode.
 
     Attributes:
-        models: Each simulation's model, the arm's geoms before those of the world. They are set to compute the poses of
-            what never moves only when their data are reset (MuJoCo's sleep flag), which saves a third of the time; the
-            arm itself never sleeps.
+        models: The model of each simulation, the arm's geoms first. MuJoCo's sleep flag makes them compute the poses of
+            static bodies only when their data are reset, which saves a third of the time; the arm never sleeps.
     """
 
-    def __init__(self, count: int, world: World, threads: int, timing: ControlTiming):
+    def __init__(self, count: int, world: World, threads: int, timing: ControlTiming, ends_on: Collection[str]):
         compiled = world.compiled
         self.models = [copy.copy(compiled.model) for _ in range(count)]
         for model in self.models:
             model.opt.enableflags |= _SLEEP
             put_arm_first(model)
         self._timing = timing
-        self._worlds: list[World | None] = [None] * count
+        self._ends = np.isin(CONTACT_GROUPS, list(ends_on))
+        self._worlds = [world] * count
         self._stepper: Stepper = (
             OneStepper(self.models[0], timing.substeps)
             if count == 1
@@ -102,84 +79,104 @@ class Physics:
         """(n, j) commanded joint positions, radians, live."""
         return self._stepper.command
 
-    def load(self, i: int, world: World, target: int, disturbance: Disturbance) -> None:
-        """Make a simulation's model that of a world; takes effect with the next `place`."""
-        prepare(self.models[i], world, target, disturbance, self._worlds[i])
+    def load(self, i: int, world: World, targets: Sequence[int], disturbance: Disturbance) -> None:
+        """Copy a world into the model of a simulation; takes effect with the next `place`."""
+        prepare(self.models[i], world, targets, disturbance, self._worlds[i])
         self._worlds[i] = world
 
     def place(self, ids: Ids, configurations: Array) -> Contacts:
-        """Put some arms, at rest, at configurations (len(ids), j)."""
-        collided = self._stepper.place(ids, configurations)
-        still = np.zeros(configurations.shape[1])
-        contacts = {
-            int(ids[k]): self._first_contact(int(ids[k]), _Start(configurations[k], still, still, configurations[k]))
-            for k in np.flatnonzero(collided)
-        }
-        return Contacts(collided, contacts)
+        """Place some arms at rest at configurations (len(ids), j) and return their contacts there."""
+        touching = self._stepper.place(ids, configurations)
+        rest = np.zeros(configurations.shape[1])
+        return self._contacts(ids, touching, lambda k: _Start(configurations[k], rest, rest, configurations[k]), 0)
 
     def advance(self, command: Array) -> Contacts:
-        """One action: the servos' commands move evenly to the new ones (n, j)."""
+        """Run one action, during which the servos' commands move at constant speed to the new ones (n, j)."""
         stepper = self._stepper
         before = [array.copy() for array in (stepper.qpos, stepper.qvel, stepper.warmstart, stepper.command)]
         stepper.speed[:] = (command - stepper.command) / self._timing.interval
-        collided = stepper.run()
-        contacts = {
-            i: self._first_contact(i, _Start(*(array[i] for array in before)))
-            for i in np.flatnonzero(collided).tolist()
-        }
-        return Contacts(collided, contacts)
+        touching = stepper.run()
+        ids = np.arange(len(touching))
+        return self._contacts(ids, touching, lambda i: _Start(*(array[i] for array in before)), self._timing.substeps)
 
     def sites(self, ids: Ids | slice) -> tuple[Array, Array]:
-        """Tip and probe points (m, 1 + k, 3) and tool frames (m, 3, 3) of some simulations in their scenes."""
+        """Return tip and probe points (m, 1 + k, 3) and tool frames (m, 3, 3) of some simulations in their scenes."""
         frames = self._stepper.site_xmat[ids, self._tip].reshape(-1, 3, 3)
         return self._stepper.site_xpos[ids][:, self._points], frames
 
     def motion(self, heading: Array) -> ToolMotion:
-        """How the tools move with the joints, (n, 2) cosine and sine of the bases' headings given."""
+        """Return the tools' motions with the joints, given (n, 2) cosine and sine of the bases' headings."""
         stepper = self._stepper
         return ToolMotion(stepper.xanchor, stepper.xaxis, stepper.site_xpos[:, self._tip], heading)
 
     def copy_state(self, i: int, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Copy a simulation's state into the ``data`` of its ``model`` and compute what follows from it."""
+        """Copy the state of a simulation into the ``data`` of its ``model`` and run the forward computation."""
         stepper = self._stepper
         data.qpos[:], data.qvel[:], data.act[:] = stepper.qpos[i], stepper.qvel[i], stepper.command[i]
         mujoco.mj_forward(model, data)
 
-    def _first_contact(self, i: int, start: _Start) -> Contact:
-        """The deepest contact where a simulation first touches anything in an action, found by doing it once more."""
+    def _contacts(self, ids: Ids, touching: Bools, start: Callable[[int], _Start], substeps: int) -> Contacts:
+        """Classify the contacts of the few simulations that have any by repeating their action."""
+        counts = np.zeros((len(ids), len(CONTACT_GROUPS)), dtype=np.int64)
+        collided = np.zeros(len(ids), dtype=np.bool_)
+        first: dict[int, Contact] = {}
+        for k in np.flatnonzero(touching).tolist():
+            i = int(ids[k])
+            counts[k], contact = self._repeat(i, start(k), substeps)
+            if contact is not None:
+                collided[k], first[i] = True, contact
+        return Contacts(counts, collided, first)
+
+    def _repeat(self, i: int, start: _Start, substeps: int) -> tuple[npt.NDArray[np.int64], Contact | None]:
+        """Repeat the last action of a simulation; return its contacts by group and the first that ends the episode.
+
+        Counts include the state after each physics step; without any step, they are those of the start.
+        """
         model, data = self.models[i], self._data
         mujoco.mj_resetData(model, data)
         data.qpos[:], data.qvel[:], data.qacc_warmstart[:], data.act[:] = start
         data.ctrl[:] = self._stepper.speed[i]
         mujoco.mj_step1(model, data)
-        for _ in range(self._timing.substeps):
-            if data.ncon:
-                break
+        counts, first = self._present(i)
+        if substeps:
+            counts[:] = 0  # those of the start belong to the action before
+        for _ in range(substeps):
             mujoco.mj_step2(model, data)
             mujoco.mj_step1(model, data)
-        contact = data.contact[int(np.argmin(data.contact.dist))]
+            present, contact = self._present(i)
+            counts += present
+            first = first or contact
+        return counts, first
+
+    def _present(self, i: int) -> tuple[npt.NDArray[np.int64], Contact | None]:
+        """Return the present contacts by group and the deepest that ends the episode."""
+        model, data, world = self.models[i], self._data, self._worlds[i]
+        if not data.ncon:
+            return np.zeros(len(CONTACT_GROUPS), dtype=np.int64), None
+        groups = contact_groups(model, data, world.groups)
+        counts = np.bincount(groups, minlength=len(CONTACT_GROUPS))
+        ending = np.flatnonzero(self._ends[groups])
+        if not len(ending):
+            return counts, None
+        contact = data.contact[int(ending[np.argmin(data.contact.dist[ending])])]
         geoms = sorted((int(contact.geom1), int(contact.geom2)), key=lambda g: model.geom_bodyid[g], reverse=True)
-        world = self._worlds[i]
-        assert world is not None
-        # The simulation's own model has the names of the first scene, so they are read from the world's.
+        # the simulation's own model has the names of the first scene that was loaded
         names = tuple(name_of(world.compiled.model, compiled_geom_id(model, g)) for g in geoms)
-        return Contact(names, self_collision=bool(model.geom_bodyid[geoms[1]] > 0))
-
-
-def name_of(model: mujoco.MjModel, geom: int) -> str:
-    """A geom's name, or that of its body where it has none, as in files of other makers' arms."""
-    # asked for by id: `MjModel.geom` makes a table of all names first, of which there are thousands
-    own = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_GEOM, geom)
-    return str(own or model.body(model.geom_bodyid[geom]).name or f"geom {geom}")
+        return counts, Contact(names, self_collision=bool(model.geom_bodyid[geoms[1]] > 0))
 
 
 def prepare(
-    model: mujoco.MjModel, world: World, target: int, disturbance: Disturbance, last: World | None = None
+    model: mujoco.MjModel, world: World, targets: Sequence[int], disturbance: Disturbance, last: World | None = None
 ) -> None:
-    """Make a model that of an episode: the world's geoms, the cup allowed on the target, the base where it stands.
+    """Copy a world into a model, let the cup touch the targets, and displace the arm's base.
 
-    It takes less time where the world that the model was last is told.
+    Args:
+        model: The model.
+        world: The world.
+        targets: Indices of the tomatoes that the cup may touch.
+        disturbance: The episode's disturbance.
+        last: World that the model holds; what both share is not copied.
     """
-    world.load(model, target, last)
+    world.load(model, targets, last)
     if disturbance.shift.any() or disturbance.yaw:
         displace_base(model, world.frame[3:], disturbance.shift, disturbance.yaw)

@@ -1,4 +1,4 @@
-"""Domain randomization: what an episode gets wrong on purpose, off by default and drawn from the episode's seed."""
+"""Domain randomization, off by default and drawn from the seed of the episode."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from greenhouse_gym.crops.crop import PlantMotion
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.scene.plant_motion import PlantMotion
 
 
 @dataclass(frozen=True)
 class Randomization:
-    """How far an episode may be off; each figure is drawn uniformly within plus and minus its size.
+    """Ranges of domain randomization; each value is drawn uniformly within plus and minus its range.
 
     Attributes:
-        base_position: Shift of the arm's base on its stand along x and y, metres. Positions are still told in the frame
-            of the stand.
-        base_yaw: Turn of the arm's base on its stand, radians.
-        joint_offset: Error of the joint positions that are observed, radians per joint.
-        target_position: Error of the target's position that is observed, metres along each axis.
-        depth_noise: Whether depth images carry the noise of a D435.
-        plants: How far the plants have moved since they were scanned, for ``physics="truth"``; None for not at all. The
-            scene that is observed and planned in stays as it was scanned.
+        base_position: Shift of the arm's base on its stand along x and y, metres. Positions are still observed in the
+            frame of the stand.
+        base_yaw: Rotation of the arm's base on its stand, radians.
+        joint_offset: Error of the observed joint positions, radians per joint.
+        target_position: Error of the observed target position along each axis, metres.
+        depth_noise: Depth images have the noise of a D435.
+        plants: Motion of the true plants since the scan, for ``physics="truth"``; None for none. The scene that agents
+            observe and plan in stays as it was scanned.
     """
 
     base_position: float = 0.0
@@ -47,18 +47,18 @@ class Randomization:
 
 
 NO_RANDOMIZATION = Randomization()
-"""Nothing is randomized: everything is as it is told."""
+"""No randomization."""
 
 
 class Disturbance(NamedTuple):
-    """What was drawn for an episode.
+    """Randomization of one episode.
 
     Attributes:
         shift: (2,) shift of the base, metres.
-        yaw: Turn of the base, radians.
-        joints: (j,) added to the observed joint positions, radians.
-        target: (3,) added to the observed target, metres.
-        noise: Generator of the depth images' noise, or None.
+        yaw: Rotation of the base, radians.
+        joints: (j,) error added to the observed joint positions, radians.
+        target: (3,) error added to the observed target, metres.
+        noise: Generator of the depth noise, or None.
         plants: Seed of the plants' motion, or None.
     """
 
@@ -71,7 +71,7 @@ class Disturbance(NamedTuple):
 
 
 def draw_disturbance(settings: Randomization, joints: int, rng: np.random.Generator) -> Disturbance:
-    """Draw an episode's disturbance; what is off draws nothing, so that seeds keep their meaning."""
+    """Draw the disturbance of an episode; ranges of zero draw no random numbers, so that seeds keep their meaning."""
 
     def uniform(size: float, shape: int) -> Array:
         return rng.uniform(-size, size, shape) if size else np.zeros(shape)
@@ -87,7 +87,7 @@ def draw_disturbance(settings: Randomization, joints: int, rng: np.random.Genera
 
 
 def displace_base(model: mujoco.MjModel, heading: Array, shift: Array, yaw: float) -> None:
-    """Move the arm of a freshly loaded model on its stand; ``heading`` (2,) is the stand's, as cosine and sine."""
+    """Displace the arm of a freshly loaded model on its stand, whose ``heading`` (2,) is given as cosine and sine."""
     cosine, sine = heading
     model.body_pos[1, 0] += cosine * shift[0] - sine * shift[1]
     model.body_pos[1, 1] += sine * shift[0] + cosine * shift[1]

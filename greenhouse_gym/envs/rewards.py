@@ -1,4 +1,4 @@
-"""What a step is worth: from a `Transition` of n simulations to named terms, whose sum is the reward."""
+"""Rewards: from a `Transition` of n simulations to named terms, whose sum is the reward."""
 
 from __future__ import annotations
 
@@ -10,24 +10,25 @@ from typing import Any, ClassVar, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.envs.reach_task import Bools, State
+from greenhouse_gym.envs.contacts import CONTACT_GROUPS
+from greenhouse_gym.envs.state import Bools, State
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 
 
 @dataclass(frozen=True, eq=False)
 class Transition:
-    """What the reward of n steps may depend on; all arrays are to be read only.
+    """Step of n simulations, from which rewards are computed; all arrays are read-only.
 
     Attributes:
-        before: (n,) distance from the grasp point to its goal before the step, metres.
-        after: (n,) that distance after the step.
-        collided: (n,) whether anything was touched in the step, which ends the episode.
-        success: (n,) whether the grasp point arrived and nothing was touched, which ends the episode.
-        effort: (n,) sum of the squares of the action's entries.
-        steps: (n,) steps of the episode so far, this one included.
-        states: What the simulations looked like before and after, or None in hindsight: when a goal environment
-            asks what a step would have been worth with another goal. `start` and `end` read them.
+        before: (n,) distance to the goal before the step, metres; for reaching, from the grasp point to the target.
+        after: (n,) distance to the goal after the step, metres.
+        collided: (n,) whether a contact ended the episode in this step.
+        success: (n,) whether the step solved the task, which ends the episode.
+        effort: (n,) sum of squares of the action.
+        steps: (n,) steps of the episode so far, including this one.
+        states: States before and after the step; None in hindsight, when a goal environment evaluates a step with
+            another goal. `start` and `end` read them.
     """
 
     before: Array
@@ -40,47 +41,47 @@ class Transition:
 
     @property
     def start(self) -> State:
-        """What the simulations looked like before the step.
+        """State before the step.
 
         Raises:
-            InvalidValueError: In hindsight.
+            InvalidValueError: There is no state in hindsight.
         """
-        return self._known()[0]
+        return self._required_states()[0]
 
     @property
     def end(self) -> State:
-        """What the simulations look like after the step.
+        """State after the step.
 
         Raises:
-            InvalidValueError: In hindsight.
+            InvalidValueError: There is no state in hindsight.
         """
-        return self._known()[1]
+        return self._required_states()[1]
 
-    def _known(self) -> tuple[State, State]:
+    def _required_states(self) -> tuple[State, State]:
         if self.states is None:
             raise InvalidValueError(
-                "in hindsight a reward knows before, after, collided, success, effort and steps only, not the "
-                'states it read: write it with these, or choose observation="state"'
+                "in hindsight a reward knows only before, after, collided, success, effort and steps, but this one "
+                'reads a state: use these values, or choose observation="state"'
             )
         return self.states
 
 
 Terms: TypeAlias = Mapping[str, Array]
 Reward: TypeAlias = Callable[[Transition], Terms]
-"""From n steps to terms by name, each (n,); the reward is their sum, in their order.
+"""Function from n steps to terms by name, each (n,); the reward is their sum in this order.
 
-A reward with an attribute ``requires_roadmap`` that is true is told where the arm can go straight (`State.waypoint` and
-`State.path_length`), whatever is observed.
+If it has a true attribute ``requires_roadmap``, states contain `State.waypoint`, `State.path_length` and
+`State.path_free`, whatever is observed.
 """
 
 
 @dataclass(frozen=True)
 class SparseReward:
-    """A reward that is paid only at the end of an episode.
+    """Reward at the end of an episode only.
 
     Attributes:
-        success: What a success is worth.
-        collision: What a collision is worth.
+        success: Reward for a success.
+        collision: Reward for a collision.
     """
 
     success: float = 1.0
@@ -90,7 +91,7 @@ class SparseReward:
         _check_finite(self)
 
     def __call__(self, step: Transition) -> dict[str, Array]:
-        """The terms of n steps."""
+        """Return the terms of n steps."""
         return {
             "success": np.where(step.success, self.success, 0.0),
             "collision": np.where(step.collided, self.collision, 0.0),
@@ -99,17 +100,17 @@ class SparseReward:
 
 @dataclass(frozen=True)
 class DenseReward:
-    """A reward that is also paid for progress.
+    """Reward with a term for progress.
 
-    From one start, every success returns more than any crash: progress telescopes to the same 4 d in both, and time
-    and effort cost at most 8.2 (with 7 joints) of the 11 between them.
+    From the same start, every success returns more than any collision: progress telescopes to the same 4 d in both, and
+    time and effort cost at most 8.2 (with 7 joints) of the 11 between them.
 
     Attributes:
-        success: What a success is worth.
-        collision: What a collision is worth.
-        progress: What each metre is worth by which the grasp point came nearer to its goal.
-        time: What each step is worth.
-        effort: What the sum of the squares of the action's entries is multiplied by.
+        success: Reward for a success.
+        collision: Reward for a collision.
+        progress: Reward per metre of progress toward the goal.
+        time: Reward per step.
+        effort: Factor of the sum of squares of the action.
     """
 
     success: float = 10.0
@@ -122,7 +123,7 @@ class DenseReward:
         _check_finite(self)
 
     def __call__(self, step: Transition) -> dict[str, Array]:
-        """The terms of n steps."""
+        """Return the terms of n steps."""
         return {
             "success": np.where(step.success, self.success, 0.0),
             "collision": np.where(step.collided, self.collision, 0.0),
@@ -134,34 +135,48 @@ class DenseReward:
 
 @dataclass(frozen=True)
 class PathReward(DenseReward):
-    """As `DenseReward`, but for the progress, which is made along a way that is free, as far as one is known.
+    """As `DenseReward`, with progress along a collision-free path where one is known.
 
-    A grasp point that comes nearer to its goal may be on its way into the leaves. The way that is left is that to the
-    waypoint and from there to the goal, in joint space (`greenhouse_gym.motion.roadmap`). It is a potential (Ng, Harada
-    and Russell: Policy invariance under reward transformations, 1999), without a discount, so that what is paid over an
-    episode depends on its beginning and its end alone. The learner is told of it in training, the policy only if it
-    observes the waypoint, too. A goal environment cannot have it: no way to a goal in hindsight is known.
+    A grasp point that approaches its goal in a straight line may run into leaves. The remaining path leads to the
+    waypoint and from there to the goal, in joint space (`greenhouse_gym.motion.waypoints`). It is a potential (Ng,
+    Harada and Russell: Policy invariance under reward transformations, 1999) without a discount, so the progress over an
+    episode depends only on its start and end. The policy need not observe the waypoint. Goal environments cannot use
+    it, because the path to a goal in hindsight is unknown.
 
     Attributes:
-        progress: What each radian is worth by which the way that is left became shorter.
+        progress: Reward per radian by which the remaining path became shorter.
     """
 
     requires_roadmap: ClassVar[bool] = True
     progress: float = 2.0
 
     def __call__(self, step: Transition) -> dict[str, Array]:
-        """The terms of n steps."""
-        return super().__call__(step) | {"progress": self.progress * (_left(step.start) - _left(step.end))}
+        """Return the terms of n steps."""
+        return super().__call__(step) | {
+            "progress": self.progress * (_remaining_path(step.start) - _remaining_path(step.end))
+        }
 
 
-def _left(state: State) -> Array:
-    """(n,) the way that is left, radians, measured as in `greenhouse_gym.motion.waypoints`."""
+def _remaining_path(state: State) -> Array:
+    """Return (n,) the length of the path to the goal, radians, measured as in `greenhouse_gym.motion.waypoints`."""
     return np.asarray(np.sqrt((state.waypoint * state.waypoint).sum(axis=1)) + state.path_length)
 
 
 def total_reward(terms: Terms) -> Array:
-    """(n,) sum of the terms, in their order."""
+    """Return (n,) the sum of the terms in their order."""
     return np.asarray(reduce(np.add, terms.values()))
+
+
+def with_contact_cost(terms: Terms, costs: Mapping[str, float], contacts: npt.NDArray[np.int64]) -> Terms:
+    """Return the terms with a further term ``contact``.
+
+    Args:
+        terms: The terms of a reward.
+        costs: Reward per contact by group, see `Task.costs`.
+        contacts: (n, groups) contacts of the step.
+    """
+    weights = np.array([costs.get(group, 0.0) for group in CONTACT_GROUPS])
+    return {**terms, "contact": (contacts * weights).sum(axis=1)}
 
 
 def _check_finite(reward: Any) -> None:

@@ -1,8 +1,8 @@
-"""Which scenes of a large bank episodes are drawn from at present.
+"""Sliding window over the scenes of a large bank, from which episodes are drawn.
 
-A scene must be read, compiled and measured out before an arm can move in it, which takes as long as hundreds of steps.
-So only some scenes are drawn from at a time, those that stay ready in memory, and one after the other is exchanged for
-the next in an order that the seed shuffles, until every scene has had its turn and the round begins again.
+Reading and compiling a scene and computing its distance field take as long as hundreds of steps. Therefore episodes are
+drawn from a few scenes at a time, which stay in memory. They are replaced one by one in an order that the seed
+shuffles, until every scene had its turn and the next round begins.
 """
 
 from __future__ import annotations
@@ -12,17 +12,17 @@ from collections.abc import Sequence
 import numpy as np
 
 LARGEST_WHOLE = 300
-"""A split with no more scenes than this is drawn from as a whole."""
+"""Maximum number of scenes of a split without a window."""
 
 WINDOW = 24
-"""How many scenes of a larger split are drawn from at a time."""
+"""Number of scenes in the window."""
 
 DRAWS_PER_SCENE = 256
-"""After so many draws the next scene comes into the window; each is drawn about as often before it leaves."""
+"""Number of draws after which the next scene enters the window; each scene is drawn about as often."""
 
 
 class SceneWindow:
-    """Draws names of scenes from a window that moves on with the draws; the same seed and draws give the same names.
+    """Draws names of scenes from a window that advances with the draws; deterministic for a seed.
 
     Args:
         names: Names of all scenes.
@@ -35,22 +35,22 @@ class SceneWindow:
 
     @property
     def whole(self) -> bool:
-        """Whether all scenes are drawn from at all times."""
+        """Whether the split is small enough to be drawn from as a whole."""
         return len(self._names) <= LARGEST_WHOLE
 
     def restart(self, seed: int) -> None:
-        """Begin a new round in the order of a seed."""
+        """Begin a new round in the order given by a seed."""
         if not self.whole:
             self._order, self._draws = np.random.default_rng(seed).permutation(len(self._names)), 0
 
     def draw(self, rng: np.random.Generator) -> str:
-        """The name of a scene, each of those in the window as likely as the others."""
+        """Draw the name of a scene, uniformly within the window."""
         if self.whole:
             return self._names[int(rng.integers(len(self._names)))]
         if self._order is None:
             self.restart(int(rng.integers(2**32)))
         assert self._order is not None
-        gone = self._draws // DRAWS_PER_SCENE
-        place = int(rng.integers(gone, gone + WINDOW))
+        first = self._draws // DRAWS_PER_SCENE
+        position = int(rng.integers(first, first + WINDOW))
         self._draws += 1
-        return self._names[int(self._order[place % len(self._order)])]
+        return self._names[int(self._order[position % len(self._order)])]

@@ -1,4 +1,4 @@
-"""What an environment is made of, written once: the single and the vector environment take the same."""
+"""Settings of an environment, the same for the single and the vector environment."""
 
 from __future__ import annotations
 
@@ -14,25 +14,28 @@ from greenhouse_gym.envs.actions import ActionChoice
 from greenhouse_gym.envs.episodes import DifficultyChoice, parse_difficulty
 from greenhouse_gym.envs.observations import ObservationChoice
 from greenhouse_gym.envs.randomization import NO_RANDOMIZATION, Randomization
-from greenhouse_gym.envs.reach_task import RATE, STEP_LIMIT, SUCCESS_RADIUS, control_timing
 from greenhouse_gym.envs.rewards import Reward
+from greenhouse_gym.envs.state import RATE, STEP_LIMIT, control_timing
+from greenhouse_gym.envs.task import Task
 from greenhouse_gym.errors import InvalidValueError, UnknownKeywordError, require_choice
+from greenhouse_gym.motion.success import SUCCESS_RADIUS
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import SceneBank
 from greenhouse_gym.scene.manifest import SPLITS
 from greenhouse_gym.scene.mjcf import MAX_CAPACITY, TIMESTEP
 
 PHYSICS = ("reconstruction", "truth")
-"""What may be simulated."""
+"""Choices of the simulated world."""
 
 
 @dataclass(frozen=True)
 class EnvSettings:
-    """What an environment is made of; every field is also a keyword of ``gymnasium.make`` and ``make_vec``.
+    """Settings of an environment; every field is also a keyword of ``gymnasium.make`` and ``make_vec``.
 
     Attributes:
-        bank: Name of a shipped bank, folder of one, or a `SceneBank`. Of a split of more than 300 scenes few are drawn
-            from at a time (`greenhouse_gym.envs.scene_window`), in an order that the seed of a reset begins anew.
+        bank: Name of a shipped bank, folder of one, or a `SceneBank`. Episodes of a split with more than 300 scenes are
+            drawn from a few scenes at a time (`greenhouse_gym.envs.scene_window`); the seed of a reset restarts their
+            order.
         split: "train", "validation" or "test".
         robot: Name of a shipped arm ("ur5e", "iiwa14"), an MJCF file, or a `Robot` of `load_robot`.
         observation: "state", "state_occupancy", "clearance_rays", "waypoint", "goal", "goal_waypoint", "depth",
@@ -40,19 +43,21 @@ class EnvSettings:
         action: "joint", "joint_velocity", "tip_velocity", or your own `ActionRule`.
         reward: "dense", "sparse", "path", a `DenseReward`, `SparseReward` or `PathReward` with other values, or your
             own function from a `Transition` to terms.
-        difficulty: What targets to draw: one difficulty, several (as frequent as the scenes have them), or a weight for
-            each, such as ``{"easy": 1, "hard": 3}``. "unreachable" only if named. `set_difficulty` changes it. For an
-            arm that a scene was not rated for, the ratings for other arms are used, and told as "unrated".
-        physics: "reconstruction"; with "truth" the simulated row behind the scene is what is touched and reached (the
-            true tomato nearest to the target), while observations tell only of the reconstruction.
-        randomization: What to get wrong on purpose; nothing by default.
-        capacity: Obstacles a scene may have; 600, or as many as the largest of the bank has, when left out.
-        success_radius: How near the grasp point must come to the target's center, metres.
+        difficulty: Difficulty of the targets: one, several (at their natural frequency), or a weight for each, such as
+            ``{"easy": 1, "hard": 3}``. "unreachable" targets must be named. `set_difficulty` changes it. If a scene is
+            not rated for the arm, the ratings for other arms are used and reported as "unrated".
+        physics: "reconstruction" simulates the scene; "truth" simulates the true row behind it, with the tomato nearest
+            to the target as the goal, while observations still show the reconstruction.
+        randomization: Domain randomization; none by default.
+        capacity: Maximum number of obstacles of a scene; if None, 600 or as many as the largest scene of the bank has.
+        success_radius: Maximum distance of the grasp point from the target's center for a success, metres. It belongs
+            to the task "reach"; your own task has its own settings.
         step_limit: Steps after which an episode is truncated.
-        start: Where the arm starts: the name of one of the arm's starts, such as "folded", or a joint angle for each
-            joint, radians; upright, as the arm has it, when left out. A reset may choose another.
-        rate: Actions per second, such that 10 ms are a whole part of the time from one to the next: 100, 50, 25, 20,
-            10 and so on. Joint actions ask for the same speed at every rate.
+        start: Start configuration: the name of one of the arm's, such as "folded", or a joint angle for each joint,
+            radians; the arm's upright default if None. The options of a reset may choose another.
+        rate: Actions per second; the time between two actions must be a multiple of 10 ms: 100, 50, 25, 20, 10 and so
+            on. Joint actions have the same maximum speed at every rate.
+        task: Task: "reach", your own as ``"file.py:Name"`` or ``"module:Name"``, a `Task` or a subclass of it.
     """
 
     bank: str | Path | SceneBank = "default"
@@ -69,6 +74,7 @@ class EnvSettings:
     step_limit: int = STEP_LIMIT
     rate: float = RATE
     start: str | Sequence[float] | None = None
+    task: str | Task | type[Task] = "reach"
 
     def __post_init__(self) -> None:
         _check_kind("bank", self.bank, (str, Path, SceneBank), "a bank's name, folder or SceneBank")
@@ -80,28 +86,39 @@ class EnvSettings:
         if self.capacity is not None:
             check_whole("capacity", self.capacity, 1, MAX_CAPACITY)
         check_whole("step_limit", self.step_limit, 1)
+        if not isinstance(self.task, (str, Task)) and not (isinstance(self.task, type) and issubclass(self.task, Task)):
+            raise InvalidValueError(f"task must be a name, a Task or a subclass of Task, got {self.task!r}")
         if not _is_number(self.success_radius) or not 0 < self.success_radius <= 1:
             raise InvalidValueError(f"success_radius must be metres above 0 up to 1, got {self.success_radius!r}")
         if self.start is not None and not isinstance(self.start, str):
             object.__setattr__(self, "start", _numbers("start", self.start))
         if not _is_number(self.rate) or not 0.1 <= self.rate <= 1 / TIMESTEP or not _divides(self.rate):
             raise InvalidValueError(
-                f"rate must be {1 / TIMESTEP:g} actions per second over a whole number (100, 50, 25, 20, 10, ...), got "
-                f"{self.rate!r}"
+                f"rate must be {1 / TIMESTEP:g} actions per second divided by a whole number (100, 50, 25, 20, 10, "
+                f"...), got {self.rate!r}"
             )
+
+    def agent_options(self, robot: str) -> dict[str, Any]:
+        """Return the keywords of an environment with the same arm (its name or file), spaces and task."""
+        options: dict[str, Any] = {"robot": robot, "observation": self.observation, "action": self.action}
+        if self.rate != RATE:
+            options["rate"] = self.rate
+        if self.task != "reach":
+            options["task"] = self.task
+        return options
 
 
 def settings_with(callee: str, settings: EnvSettings | None, keywords: Mapping[str, Any]) -> EnvSettings:
-    """The settings (the usual ones where None are given) with the fields that keywords name put in their place.
+    """Return settings (default ones if None) with some fields replaced.
 
     Args:
-        callee: What was called, for messages.
-        settings: Settings to begin with.
-        keywords: Other values by the name of the field.
+        callee: Name of the caller, for messages.
+        settings: Settings.
+        keywords: New values by field.
 
     Raises:
-        UnknownKeywordError: A keyword is no field; the message lists them.
-        InvalidValueError: ``settings`` is something else, or a value is not allowed.
+        UnknownKeywordError: A keyword is not a field; the message lists the fields.
+        InvalidValueError: ``settings`` is not an `EnvSettings`, or a value is invalid.
     """
     names = [f.name for f in fields(EnvSettings)]
     for name in keywords:
@@ -117,7 +134,7 @@ def settings_with(callee: str, settings: EnvSettings | None, keywords: Mapping[s
 
 
 def check_whole(name: str, value: Any, lowest: int, highest: int | None = None) -> int:
-    """The value, if it is a whole number in the range.
+    """Return the value if it is a whole number in the range.
 
     Raises:
         InvalidValueError: It is not.

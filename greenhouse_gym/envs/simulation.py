@@ -1,9 +1,9 @@
-"""n simulations of the reaching task: what both environments are made of."""
+"""n simulations of a task: the core of both environments."""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import mujoco
@@ -11,37 +11,39 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.envs.actions import CommandLimits, check_actions, squared_norm
-from greenhouse_gym.envs.choices import make_action, make_observation, make_reward
+from greenhouse_gym.envs.choices import checked_outcome, make_action, make_observation, make_reward, make_task
+from greenhouse_gym.envs.contacts import CONTACT_GROUPS, NO_CONTACT, Contacts
 from greenhouse_gym.envs.episodes import Episode, EpisodeSampler
-from greenhouse_gym.envs.observations import Observed, check_goals_are_known, check_goals_stay
+from greenhouse_gym.envs.observations import Observed, check_goals
 from greenhouse_gym.envs.perception import Perception
-from greenhouse_gym.envs.physics import NOTHING, Contacts, Physics, prepare
-from greenhouse_gym.envs.randomization import Disturbance, draw_disturbance
-from greenhouse_gym.envs.reach_task import RATE, Bools, State, control_timing
-from greenhouse_gym.envs.rewards import Terms, Transition, total_reward
+from greenhouse_gym.envs.physics import Physics, prepare
+from greenhouse_gym.envs.rewards import Terms, Transition, total_reward, with_contact_cost
 from greenhouse_gym.envs.settings import EnvSettings
-from greenhouse_gym.envs.stepping import Ids
-from greenhouse_gym.envs.worlds import World, room_for, worlds_of
+from greenhouse_gym.envs.setups import Setup, draw_setup
+from greenhouse_gym.envs.state import Bools, Ids, State, control_timing
+from greenhouse_gym.envs.task import GoalTask, Outcome
+from greenhouse_gym.envs.worlds import capacity_of, shared_worlds
 from greenhouse_gym.errors import InvalidValueError, NoEpisodeError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import ROBOTS, get_robot
-from greenhouse_gym.scene import CompiledScene, Scene
-from greenhouse_gym.scene.occupancy import require_occupancy
+from greenhouse_gym.scene import CompiledScene
 
 STEP_INFOS = ("previous_goal", "effort")
-"""Keys of the info that a step has and a reset has not, beside the reward's terms."""
+"""Keys of the info of a step that the info of a reset lacks, besides the reward terms."""
+
+Infos = dict[str, Any]
+"""Arrays of length n by key; an entry may itself be a dict of arrays."""
 
 
 class StepResult(NamedTuple):
-    """What one step of n simulations gave.
+    """Result of one step of n simulations.
 
     Attributes:
         reward: (n,).
-        terms: The reward's terms by name, each (n,).
-        terminated: (n,) success or collision.
+        terms: Terms of the reward by name, each (n,).
+        terminated: (n,) success or failure.
         truncated: (n,) the step limit was reached without either.
-        transition: What the reward was computed from.
-        previous: (n, 3) grasp point before the step, metres.
+        transition: The step from which the reward was computed.
     """
 
     reward: Array
@@ -49,211 +51,223 @@ class StepResult(NamedTuple):
     terminated: Bools
     truncated: Bools
     transition: Transition
-    previous: Array
 
 
-class ReachSimulation:
-    """n simulations of the reaching task.
+class Simulation:
+    """n simulations of a task.
 
     Args:
         count: Number of simulations n.
-        settings: What they are made of.
-        threads: Threads of the batch; 0 uses all cores.
+        settings: The settings.
+        threads: Number of simulation threads; 0 uses all cores.
 
     Attributes:
-        settings: What they are made of.
+        settings: The settings.
+        task: The task.
         robot: The arm.
         sampler: Draws the episodes.
-        observe: Makes the observations.
-        state: What the simulations look like now; None before the first reset.
+        observe: The observation.
+        state: State of the simulations; None before the first reset.
     """
 
     def __init__(self, count: int, settings: EnvSettings, threads: int = 0):
         self.settings = settings
+        self.task = make_task(settings.task, settings.success_radius)
         self.robot = robot = get_robot(settings.robot)
         self.sampler = EpisodeSampler(settings.bank, settings.split, robot, settings.difficulty, settings.start)
-        self.observe = make_observation(settings.observation, robot)
+        self.observe = make_observation(settings.observation, robot, self.task)
         self._timing = control_timing(settings.rate)
         self.action_rule = make_action(settings.action, robot, self._timing.interval)
         self._limit = CommandLimits(robot, self.action_rule, self._timing)
-        self.reward_terms = make_reward(settings.reward)
+        self.reward_terms = make_reward(settings.reward, self.task)
         self.randomization = settings.randomization
         if self.randomization.plants is not None and settings.physics != "truth":
-            raise InvalidValueError('randomization plants needs physics="truth": it is the true plants that move')
+            raise InvalidValueError('randomization plants needs physics="truth", because the true plants move')
+        reward_requires_roadmap = bool(getattr(self.reward_terms, "requires_roadmap", False))
         hidden = 'physics="truth"' if settings.physics == "truth" else ""
-        check_goals_are_known(self.observe, hidden or ("target_position" if self.randomization.target_position else ""))
-        name = robot.name if robot.name in ROBOTS else str(robot.path)
-        self.env_options: dict[str, Any] = {
-            "robot": name,
-            "observation": settings.observation,
-            "action": settings.action,
-        }
-        if settings.rate != RATE:
-            self.env_options["rate"] = settings.rate
-        capacity = settings.capacity or room_for(self.sampler.bank, settings.physics)
-        self.worlds = worlds_of(robot, settings.physics, capacity, self._timing.substeps)
+        hidden = hidden or ("target_position" if self.randomization.target_position else "")
+        check_goals(self.observe, hidden, reward_requires_roadmap)
+        self.env_options = settings.agent_options(robot.name if robot.name in ROBOTS else str(robot.path))
+        capacity = settings.capacity or capacity_of(self.sampler.bank, settings.physics)
+        self.worlds = shared_worlds(robot, settings.physics, capacity, self._timing.substeps)
         self.count = count
         self.state: State | None = None
         self._threads = threads
         self._physics: Physics | None = None
-        self._episodes: list[Episode | None] = [None] * count
-        self._worlds: list[World | None] = [None] * count
-        self._disturbances: list[Disturbance | None] = [None] * count
+        self._setups: list[Setup | None] = [None] * count
         self._names = {key: np.full(count, "", dtype=object) for key in ("scene", "difficulty")}
         self._contact, self._self_collision = np.full(count, None, dtype=object), np.zeros(count, dtype=np.bool_)
-        # Counts of the episode so far; the target's index is kept with them.
-        self._counts = {
-            key: np.zeros(count, dtype=np.int64) for key in ("steps", "speed_limited", "position_limited", "target")
-        }
-        reward_requires_roadmap = bool(getattr(self.reward_terms, "requires_roadmap", False))
-        check_goals_stay(self.observe, reward_requires_roadmap)
-        self._perception = Perception(
-            count,
-            robot,
-            self.observe,
-            self.worlds,
-            settings.success_radius,
-            self.observe.requires_roadmap or reward_requires_roadmap,
-            threads,
-        )
+        # counts of the episode so far, and the current target as an index into the episode's targets and as a tomato
+        counted = ("steps", "speed_limited", "position_limited", "index", "target")
+        self._counts = {key: np.zeros(count, dtype=np.int64) for key in counted}
+        requires_roadmap = self.observe.requires_roadmap or reward_requires_roadmap
+        self._perception = Perception(count, robot, self.observe, self.worlds, requires_roadmap, threads)
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> ReachSimulation:
-        """The same state, to go on from independently; what is never changed is shared."""
-        shares = self.robot, self.settings, self.worlds, self.sampler.bank
-        for shared in (*shares, *self._worlds, *self._episodes):
-            memo[id(shared)] = shared
-        twin = memo[id(self)] = object.__new__(ReachSimulation)
+    def __deepcopy__(self, memo: dict[int, Any]) -> Simulation:
+        """Return an independent copy in the same state; immutable parts are shared."""
+        shared = [self.robot, self.settings, self.worlds, self.sampler.bank]
+        shared += [part for setup in self._setups if setup is not None for part in (setup.episode, setup.world)]
+        for part in shared:
+            memo[id(part)] = part
+        twin = memo[id(self)] = object.__new__(Simulation)
         twin.__dict__ = copy.deepcopy(self.__dict__, memo)
         return twin
 
     # -- reset --------------------------------------------------------------------------------------------------------
 
-    def reset(
-        self,
-        ids: Ids,
-        rng: Sequence[np.random.Generator],
-        options: Sequence[dict[str, Any] | None],
-    ) -> None:
-        """Begin new episodes in some simulations, each drawn with its own generator ``rng[i]``.
-
-        An error leaves all as it was.
+    def reset(self, ids: Ids, rng: Sequence[np.random.Generator], options: Sequence[dict[str, Any] | None]) -> None:
+        """Begin new episodes in some simulations. An error leaves everything unchanged.
 
         Args:
             ids: Indices of these simulations.
-            rng: A generator for each of the n simulations.
-            options: Options of the reset for each of the n simulations.
+            rng: Generator of each of the n simulations.
+            options: Reset options of each of the n simulations.
         """
-        episodes = [self.sampler.draw(rng[i], options[i]) for i in ids]
-        if self.observe.requires_occupancy:
-            for episode in episodes:
-                require_occupancy(
-                    episode.scene.occupancy, episode.scene.name, "the observation", 'observe the "state" alone'
-                )
-        disturbances = [draw_disturbance(self.randomization, len(self.robot.joints), rng[i]) for i in ids]
-        worlds = [
-            self._world(episode.scene, disturbance.plants)
-            for episode, disturbance in zip(episodes, disturbances, strict=True)
+        if self.state is None and len(ids) < self.count:
+            self._current_state()
+        required = self.observe.requires_occupancy
+        setups = [
+            draw_setup(self.task, self.sampler, self.worlds, self.randomization, required, rng[i], options[i])
+            for i in ids
         ]
         physics = self._physics
         if physics is None:
-            physics = self._physics = Physics(self.count, worlds[0], self._threads, self._timing)
-        for world in worlds:
-            world.check_fits(physics.models[0])
-        for i, episode, world, disturbance in zip(ids, episodes, worlds, disturbances, strict=True):
-            physics.load(int(i), world, episode.target, disturbance)
-            self._begin(int(i), episode, world, disturbance)
-        touches = physics.place(ids, np.array([episode.start for episode in episodes]))
-        self._contact[ids], self._self_collision[ids] = None, False
-        for i in ids:
-            self._contact[i] = NOTHING.names
-        self._note(touches)
-        fresh = self._perception.look(ids, physics, touches.any, self._counts["steps"])
-        self.state = fresh if len(ids) == self.count else self._seen().replaced(ids, fresh)
+            first = setups[0].world
+            physics = self._physics = Physics(self.count, first, self._threads, self._timing, self.task.ends_on)
+        for setup in setups:
+            setup.world.check_fits(physics.models[0])
+        for i, setup in zip(ids.tolist(), setups, strict=True):
+            physics.load(i, setup.world, setup.episode.targets, setup.disturbance)
+            self._begin(i, setup)
+        contacts = physics.place(ids, np.array([setup.episode.start for setup in setups]))
+        self._record_contacts(contacts)
+        memory = {name: np.full(len(ids), value) for name, value in self.task.memory.items()}
+        fresh, _ = self._look(ids, contacts, self._counts["steps"], memory)
+        self.state = fresh if len(ids) == self.count else self._current_state().replaced(ids, fresh)
 
-    def _world(self, scene: Scene, moved: int | None) -> World:
-        """The world of an episode; ``moved`` is the seed of how the plants moved, or None."""
-        world, motion = self.worlds.world(scene, self.sampler.at_a_time), self.randomization.plants
-        return world if motion is None or moved is None else self.worlds.moved(world, motion, moved)
-
-    def _begin(self, i: int, episode: Episode, world: World, disturbance: Disturbance) -> None:
-        self._episodes[i], self._worlds[i], self._disturbances[i] = episode, world, disturbance
-        self._names["scene"][i], self._names["difficulty"][i] = episode.scene.name, episode.difficulty
+    def _begin(self, i: int, setup: Setup) -> None:
+        self._setups[i] = setup
+        self._names["scene"][i], self._names["difficulty"][i] = setup.episode.scene.name, setup.episode.difficulty
         for counts in self._counts.values():
             counts[i] = 0
-        self._counts["target"][i] = episode.target
-        self._perception.begin(i, episode, world, disturbance)
+        self._counts["target"][i] = setup.episode.targets[0]
+        self._contact[i], self._self_collision[i] = NO_CONTACT
+        self._perception.begin(i, setup)
 
     def close(self) -> None:
-        """Free the simulations; the next reset makes new ones."""
+        """Free the simulations; the next reset creates new ones."""
         self._perception.close()
         self._physics = self.state = None
 
     # -- step ---------------------------------------------------------------------------------------------------------
 
     def step(self, actions: Any) -> StepResult:
-        """Advance all simulations by one action each, (n, size) in [-1, 1].
+        """Advance all simulations by one action each, (n, size).
 
         Raises:
             InvalidValueError: The actions have the wrong shape or are not finite.
         """
-        before, physics = self._seen(), self._physics
+        before, physics, counts = self._current_state(), self._physics, self._counts
         action = check_actions(actions, self.count, self.action_rule.space)
         assert physics is not None
         change = self.action_rule(action, before, physics.motion(self._perception.heading))
         command = self._limit(physics.command, change, physics.qpos)
-        touches = physics.advance(command.position)
-        self._note(touches)
-        counts = self._counts
+        contacts = physics.advance(command.position)
+        self._record_contacts(contacts)
         counts["steps"] += 1
         counts["speed_limited"] += command.speed_limited
         counts["position_limited"] += command.position_limited
-        after = self.state = self._perception.look(slice(None), physics, touches.any, counts["steps"])
+        after, outcome = self._look(slice(None), contacts, counts["steps"], before.memory)
+        self.state = after
         transition = Transition(
             before.distance, after.distance, after.collided, after.success, squared_norm(action), counts["steps"],
             (before, after),
         )  # fmt: skip
         terms = self.reward_terms(transition)
-        terminated = after.success | after.collided
+        if self.task.costs:
+            terms = with_contact_cost(terms, self.task.costs, contacts.counts)
+        terminated = after.success | after.failure
+        if outcome.next_target is not None:
+            self._advance_targets(np.flatnonzero(outcome.next_target & ~terminated & (after.remaining > 1)))
         truncated = (counts["steps"] >= self.settings.step_limit) & ~terminated
-        return StepResult(total_reward(terms), terms, terminated, truncated, transition, before.grasp)
+        return StepResult(total_reward(terms), terms, terminated, truncated, transition)
 
-    def _note(self, touches: Contacts) -> None:
-        for i, contact in touches.contacts.items():
-            self._contact[i], self._self_collision[i] = contact.names, contact.self_collision
+    def _look(
+        self, ids: Ids | slice, contacts: Contacts, steps: npt.NDArray[np.int64], memory: Mapping[str, Array]
+    ) -> tuple[State, Outcome]:
+        """Return the state of some simulations and the outcome of their task."""
+        assert self._physics is not None
+        state = self._perception.look(ids, self._physics, contacts, steps, memory)
+        outcome = checked_outcome(self.task, self.task.evaluate(state), len(state.joints))
+        return (
+            state._replace(
+                distance=outcome.distance,
+                success=outcome.success,
+                failure=outcome.failure,
+                memory={**memory, **outcome.memory} if memory else memory,
+            ),
+            outcome,
+        )
 
-    # -- what the environments tell -----------------------------------------------------------------------------------
+    def _advance_targets(self, ids: Ids) -> None:
+        """Make the next target of some simulations the current one, which affects the next observation."""
+        if not len(ids):
+            return
+        state, counts = self._current_state(), self._counts
+        counts["index"][ids] += 1
+        for i in ids.tolist():
+            counts["target"][i] = self.episode(i).targets[counts["index"][i]]
+            self._perception.set_target(i, counts["index"][i], self.command[i].copy())
+        contacts = Contacts(state.contacts[ids], state.collided[ids], {})
+        memory = {name: values[ids] for name, values in state.memory.items()}
+        fresh, _ = self._look(ids, contacts, np.zeros_like(counts["steps"]), memory)
+        done = np.zeros(len(ids), dtype=np.bool_)
+        self.state = state.replaced(ids, fresh._replace(success=done, failure=done, memory=memory))
+
+    def _record_contacts(self, contacts: Contacts) -> None:
+        for i, contact in contacts.first.items():
+            self._contact[i], self._self_collision[i] = contact
+
+    # -- results ------------------------------------------------------------------------------------------------------
 
     def observation(self, ids: Ids | None = None) -> Observed:
-        """Observations of all simulations, or of some."""
-        return self.observe(self._seen() if ids is None else self._seen().select(ids))
+        """Return observations of all or some simulations."""
+        state = self._current_state()
+        return self.observe(state if ids is None else state.select(ids))
 
-    def info(self, step: StepResult | None = None) -> dict[str, npt.NDArray[Any]]:
-        """What the environments' docstring promises, but for the reward's terms, as live arrays of length n."""
-        seen, counts = self._seen(), self._counts
-        result: dict[str, npt.NDArray[Any]] = {
-            "is_success": seen.success,
-            "collision": seen.collided,
+    def info(self, step: StepResult | None = None) -> Infos:
+        """Return the info that `GreenhouseEnv` documents, without reward terms, as live arrays of length n."""
+        state, counts = self._current_state(), self._counts
+        result: Infos = {
+            "is_success": state.success,
+            "collision": state.collided,
             "contact": self._contact,
             "self_collision": self._self_collision,
-            "distance": seen.distance,
-            "clearance": seen.clearance.min(axis=1).astype(np.float64),
+            "contacts": dict(zip(CONTACT_GROUPS, state.contacts.T, strict=True)),
+            "distance": state.distance,
+            "clearance": state.clearance.min(axis=1).astype(np.float64),
             "scene": self._names["scene"],
             "target": counts["target"],
             "difficulty": self._names["difficulty"],
             "steps": counts["steps"],
             "speed_limited": counts["speed_limited"],
             "position_limited": counts["position_limited"],
+            **state.memory,
         }
         if step is not None and self.observe.has_goals:
-            result["previous_goal"], result["effort"] = step.previous, step.transition.effort
+            assert isinstance(self.task, GoalTask)
+            result["previous_goal"], _ = self.task.goals(step.transition.start)
+            result["effort"] = step.transition.effort
         return result
 
     def episode(self, i: int) -> Episode:
-        """The current episode of a simulation."""
-        self._seen()
-        episode = self._episodes[i]
-        assert episode is not None
-        return episode
+        """Return the current episode of a simulation."""
+        return self._setup(i).episode
+
+    def target(self, i: int) -> int:
+        """Return the current target of a simulation, an index into the tomatoes of its scene."""
+        self._current_state()
+        return int(self._counts["target"][i])
 
     @property
     def command(self) -> Array:
@@ -263,46 +277,46 @@ class ReachSimulation:
 
     @property
     def interval(self) -> float:
-        """Seconds from one action to the next."""
+        """Time between two actions, seconds."""
         return self._timing.interval
 
     @property
     def joints(self) -> Array:
-        """(n, j) true joint positions, radians, live; observations may tell wrong ones."""
+        """(n, j) true joint positions, radians, live; observed ones may have errors."""
         assert self._physics is not None
         return self._physics.qpos
 
     def physical(self, i: int) -> tuple[CompiledScene, int]:
-        """What a simulation's physics run on, and the index of the target there: the scene's, or the truth's."""
-        world = self._worlds[i]
-        assert world is not None
-        return world.compiled, int(world.bodies[self.episode(i).target])
+        """Return the simulated scene, the true row or the scene itself, and the index of the current target in it."""
+        world = self._setup(i).world
+        return world.compiled, int(world.bodies[self.target(i)])
 
     def tip(self, i: int) -> Array:
-        """(3,) the tip in the scene, metres."""
+        """Return (3,) the tip in the scene, metres."""
         assert self._physics is not None
         return np.array(self._physics.sites(np.array([i]))[0][0, 0])
 
     def goal(self, i: int) -> Array:
-        """(3,) center in the scene of what has to be reached, metres."""
-        world = self._worlds[i]
-        assert world is not None
-        return world.goal_in_scene(self.episode(i).target)
+        """Return (3,) the center of the simulated current target in the scene, metres."""
+        return self._setup(i).world.goal_in_scene(self.target(i))
 
     def model_and_data(self, i: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
-        """A simulation's model (a copy of the episode's, the cup allowed on the target) and its state."""
-        self._seen()
-        world, disturbance, physics = self._worlds[i], self._disturbances[i], self._physics
-        assert world is not None
-        assert disturbance is not None
-        assert physics is not None
+        """Return a copy of a simulation's model, in which the cup may touch the targets, and its state."""
+        episode, world, disturbance = self._setup(i)
+        assert self._physics is not None
         model = copy.copy(world.compiled.model)
-        prepare(model, world, self.episode(i).target, disturbance)
+        prepare(model, world, episode.targets, disturbance)
         data = mujoco.MjData(model)
-        physics.copy_state(i, model, data)
+        self._physics.copy_state(i, model, data)
         return model, data
 
-    def _seen(self) -> State:
+    def _current_state(self) -> State:
         if self.state is None:
             raise NoEpisodeError("there is no episode yet: reset the whole environment first")
         return self.state
+
+    def _setup(self, i: int) -> Setup:
+        self._current_state()
+        setup = self._setups[i]
+        assert setup is not None
+        return setup

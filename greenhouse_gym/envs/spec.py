@@ -1,4 +1,4 @@
-"""Gymnasium's description of how an environment was made, with the step limit that the environment itself keeps."""
+"""Gymnasium's specification of an environment, with the step limit that the environment itself enforces."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from greenhouse_gym.envs.settings import EnvSettings
 
 
 class SpecMixin:
-    """Gives an environment, single or vector, the property ``spec``.
+    """Property ``spec`` of the single and the vector environment.
 
     Attributes:
-        settings: What the environment is made of.
+        settings: Settings of the environment.
     """
 
     settings: EnvSettings
@@ -19,7 +19,7 @@ class SpecMixin:
 
     @property
     def spec(self) -> EnvSpec | None:
-        """How Gymnasium made the environment, with its step limit."""
+        """Specification with which Gymnasium made the environment, with its step limit."""
         return self._spec
 
     @spec.setter

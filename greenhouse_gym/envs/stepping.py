@@ -1,9 +1,8 @@
-"""Time stepping of n models of one layout: one alone on an `MjData`, many on a `mujoco.batch.Batch`.
+"""Time stepping of n models of one layout: a single one on an `MjData`, many on a `mujoco.batch.Batch`.
 
-Both give the same numbers, bit for bit. After every call the poses, velocities and contacts of the configurations
-reached are known, and the next call goes on from them, so that each physics step costs one pass of collision detection.
-A whole action is one call: the models themselves lead the servos from one command to the next and keep a record of
-what was touched on the way (`drive_and_record`).
+Both compute the same numbers, bit for bit. Each call ends with the poses, velocities and contacts of the configuration
+reached and the next one continues from there, so each physics step runs collision detection once. A call runs a whole
+action: the models move the servos from one command to the next and record contacts themselves (`drive_and_record`).
 """
 
 from __future__ import annotations
@@ -15,15 +14,12 @@ from typing import Any, Protocol
 
 import mujoco
 import numpy as np
-import numpy.typing as npt
 from mujoco.batch import Batch
 
-from greenhouse_gym.envs.reach_task import Bools
+from greenhouse_gym.envs.state import Bools, Ids
 from greenhouse_gym.errors import GreenhouseError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.scene.geom_order import ShortGeomLists
-
-Ids = npt.NDArray[np.int64]
 
 _VELOCITIES = mujoco.mjtStage.mjSTAGE_VEL
 _STATE = ("time", "qpos", "qvel", "act", "ctrl", "qacc_warmstart", "history")
@@ -31,14 +27,14 @@ _CHUNK = 32
 
 
 class ForkedError(GreenhouseError, RuntimeError):
-    """Something that works with threads was used in a process that was forked off after it had been made."""
+    """Raised if an object with threads is used in a process that was forked after its creation."""
 
 
 def drive_and_record(spec: mujoco.MjSpec, substeps: int) -> None:
-    """Make an arm ready for the steppers.
+    """Prepare the servos and a contact sensor of an arm for the steppers.
 
-    Its position servos follow the integral of their controls: ``act`` is the commanded position, radians, ``ctrl`` the
-    speed with which it moves, rad/s. A sensor counts the contacts, and its history keeps the last ``substeps`` counts.
+    The position servos follow the integral of their controls: ``act`` is the commanded position (rad) and ``ctrl`` its
+    speed (rad/s). A sensor counts all contacts, and its history holds the last ``substeps`` counts.
     """
     for servo in spec.actuators:
         servo.dyntype, servo.actearly, servo.ctrllimited = mujoco.mjtDyn.mjDYN_INTEGRATOR, True, False
@@ -47,18 +43,18 @@ def drive_and_record(spec: mujoco.MjSpec, substeps: int) -> None:
 
 
 class Stepper(Protocol):
-    """n simulations.
+    """Stepper of n simulations; all arrays are live.
 
     Attributes:
-        qpos: (n, j) joint positions, radians; all arrays are live.
+        qpos: (n, j) joint positions, radians.
         qvel: (n, j) joint velocities, rad/s.
         command: (n, j) commanded positions, radians.
-        speed: (n, j) how fast the commands move, rad/s.
-        warmstart: (n, j) what the solver of contacts and limits begins with.
+        speed: (n, j) speeds of the commands, rad/s.
+        warmstart: (n, j) warm start of the constraint solver.
         site_xpos: (n, sites, 3) positions of the sites, metres.
-        site_xmat: (n, sites, 9) their frames.
-        xanchor: (n, j, 3) points on the joints' axes, metres.
-        xaxis: (n, j, 3) unit vectors along the joints' axes.
+        site_xmat: (n, sites, 9) rotations of the sites.
+        xanchor: (n, j, 3) points on the joint axes, metres.
+        xaxis: (n, j, 3) unit vectors along the joint axes.
     """
 
     qpos: Array
@@ -72,17 +68,17 @@ class Stepper(Protocol):
     xaxis: Array
 
     def place(self, ids: Ids, configurations: Array) -> Bools:
-        """Put some arms, whose models may have been edited, at rest at configurations; tell which touch anything."""
+        """Place some arms, whose models may have been edited, at rest and return which have contacts."""
 
     def run(self) -> Bools:
-        """Make the physics steps of an action; tell (n,) which touched anything in them, or where they stood before."""
+        """Run the physics steps of an action and return (n,) which had contacts before, between or after them."""
 
 
 class OneStepper:
-    """A single simulation, without the detour over a batch.
+    """Stepper of a single simulation, without the overhead of a batch.
 
     Args:
-        model: Its model.
+        model: The model.
         substeps: Physics steps per action.
     """
 
@@ -118,13 +114,13 @@ class OneStepper:
 
 
 class ManyStepper:
-    """Many simulations on a thread pool.
+    """Stepper of many simulations on a thread pool.
 
-    They are stepped in chunks that fit the processor's cache: a whole action of one chunk, then of the next.
+    It steps chunks that fit the processor's cache: a whole action of one chunk, then of the next.
 
     Args:
-        models: Each simulation's model.
-        threads: Threads of the batch; 0 uses all cores.
+        models: Model of each simulation.
+        threads: Number of threads; 0 uses all cores.
         substeps: Physics steps per action.
     """
 
@@ -146,7 +142,7 @@ class ManyStepper:
     def __deepcopy__(self, memo: dict[int, Any]) -> ManyStepper:
         self._check_process()
         twin = ManyStepper(copy.deepcopy(self._models, memo), self._threads, self._substeps)
-        twin._batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)  # where what never moves is placed
+        twin._batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)  # poses of static bodies
         for name in _STATE:
             twin._batch.bind(name)[:] = self._batch.bind(name)
         twin._batch.forward(stage=_VELOCITIES)
@@ -155,7 +151,7 @@ class ManyStepper:
     def place(self, ids: Ids, configurations: Array) -> Bools:
         """See `Stepper.place`."""
         self._check_process()
-        # Models that were edited need not be set again: their simulations start afresh here.
+        # edited models need not be set again, because their simulations are reset here
         self._batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
         self.qpos[ids], self.command[ids] = configurations, configurations
         self._batch.forward(ids, stage=_VELOCITIES)
@@ -172,6 +168,6 @@ class ManyStepper:
     def _check_process(self) -> None:
         if os.getpid() != self._process:
             raise ForkedError(
-                "a vector environment cannot go on in a forked process, where its threads are missing: make it in the "
-                'process that steps it, or start processes by "spawn"'
+                "a vector environment cannot be used in a forked process, which lacks its threads: create it in the "
+                'process that steps it, or start processes with "spawn"'
             )

@@ -1,4 +1,4 @@
-"""The vector environment: many simulations in one `mujoco.batch.Batch`, not many environments."""
+"""The vector environment: many simulations in one `mujoco.batch.Batch`."""
 
 from __future__ import annotations
 
@@ -13,39 +13,36 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from greenhouse_gym.envs.episodes import DifficultyChoice
-from greenhouse_gym.envs.hindsight import goal_functions
+from greenhouse_gym.envs.hindsight import add_goal_functions
 from greenhouse_gym.envs.observations import Observed, select
-from greenhouse_gym.envs.reach_task import Bools
 from greenhouse_gym.envs.settings import EnvSettings, check_whole, settings_with
-from greenhouse_gym.envs.simulation import STEP_INFOS, ReachSimulation, StepResult
+from greenhouse_gym.envs.simulation import STEP_INFOS, Infos, Simulation, StepResult
 from greenhouse_gym.envs.spec import SpecMixin
-from greenhouse_gym.envs.stepping import Ids
+from greenhouse_gym.envs.state import Bools, Ids
 from greenhouse_gym.errors import EpisodeOverError, InvalidValueError, UnknownNameError, require_choice
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.rendering.viewer import RENDER_MODES, Viewer
 
-Infos = dict[str, Any]
 
-
-class TomatoReachVectorEnv(  # type: ignore[misc]
+class GreenhouseVectorEnv(  # type: ignore[misc]
     SpecMixin, VectorEnv[Observed, npt.NDArray[np.float32], npt.NDArray[Any]]
 ):
-    """``num_envs`` reaching tasks, stepped together; spaces, rewards and infos are those of `TomatoReachEnv`.
+    """``num_envs`` simulations, stepped together; spaces, rewards and infos are those of `GreenhouseEnv`.
 
-    With seed s, simulation i gives the numbers of a single environment with seed s + i, bit for bit, over resets.
-    Infos are dicts of arrays with a mask ``_key`` each, as Gymnasium's vector environments give them.
+    With seed s, simulation i computes the numbers of a single environment with seed s + i, bit for bit, across resets.
+    Infos are dicts of arrays with a mask ``_key`` each, as in Gymnasium's vector environments.
 
     Args:
         num_envs: Number of simulations.
-        settings: What the simulations are made of; the usual `EnvSettings` when left out.
-        render_mode: As in `TomatoReachEnv`.
+        settings: The settings; default `EnvSettings` if None.
+        render_mode: As in `GreenhouseEnv`.
         autoreset_mode: An `AutoresetMode` or its value: "NextStep" (the step after an episode's end resets and ignores
             the action), "SameStep" (the ending step resets; the last observation and info are in ``final_obs`` and
             ``final_info``) or "Disabled" (reset with ``options={"reset_mask": (num_envs,) bools}``).
-        threads: Threads that simulate; 0 uses all cores. The numbers do not depend on it.
-        max_episode_steps: A step limit below that of the settings, as ``gymnasium.make`` has it for the single
+        threads: Number of simulation threads; 0 uses all cores. Results do not depend on it.
+        max_episode_steps: Step limit below that of the settings, as ``gymnasium.make`` has it for the single
             environment.
-        **fields: Fields of `EnvSettings`, as in `TomatoReachEnv`.
+        **fields: Fields of `EnvSettings`, which replace those of ``settings``.
     """
 
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": 20}  # noqa: RUF012
@@ -61,7 +58,7 @@ class TomatoReachVectorEnv(  # type: ignore[misc]
         max_episode_steps: int | None = None,
         **fields: Any,
     ):
-        self.settings = settings_with("TomatoReachVectorEnv", settings, fields)
+        self.settings = settings_with("GreenhouseVectorEnv", settings, fields)
         if max_episode_steps is not None:
             limit = check_whole("max_episode_steps", max_episode_steps, 1, self.settings.step_limit)
             self.settings = replace(self.settings, step_limit=limit)
@@ -75,14 +72,12 @@ class TomatoReachVectorEnv(  # type: ignore[misc]
         self.metadata = {
             **self.metadata, "render_fps": self.settings.rate, "autoreset_mode": self.autoreset_mode
         }  # fmt: skip
-        self.simulation = ReachSimulation(num_envs, self.settings, threads)
+        self.simulation = Simulation(num_envs, self.settings, threads)
         self.single_observation_space = self.simulation.observe.space
         self.single_action_space = self.simulation.action_rule.space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        if self.simulation.observe.has_goals:
-            functions = goal_functions(self.simulation.reward_terms, self.settings)
-            self.compute_reward, self.compute_terminated, self.compute_truncated = functions
+        add_goal_functions(self)
         self._rngs: list[np.random.Generator] = [seeding.np_random()[0] for _ in range(num_envs)]
         self._all = np.arange(num_envs)
         self._ended = np.zeros(num_envs, dtype=np.bool_)
@@ -97,9 +92,9 @@ class TomatoReachVectorEnv(  # type: ignore[misc]
         """Begin new episodes in all simulations, or in those of ``options["reset_mask"]``.
 
         Args:
-            seed: s gives simulation i the seed s + i; or one seed (or None) per simulation.
-            options: Options of `TomatoReachEnv`, the same for all, and ``reset_mask``, (num_envs,) bools; or a list of
-                options (or None), one for each simulation.
+            seed: A seed s gives simulation i the seed s + i; or a list with a seed (or None) for each simulation.
+            options: Options of `GreenhouseEnv` for all simulations, and ``reset_mask``, (num_envs,) bools; or a list
+                with options (or None) for each simulation.
         """
         chosen = self._all
         if isinstance(options, dict) and "reset_mask" in options:
@@ -120,11 +115,11 @@ class TomatoReachVectorEnv(  # type: ignore[misc]
     def step(  # type: ignore[override]
         self, actions: Any
     ) -> tuple[Observed, Array, Bools, Bools, Infos]:
-        """Act once in every simulation.
+        """Apply an action in every simulation.
 
         Raises:
             InvalidValueError: The actions have the wrong shape or are not finite.
-            EpisodeOverError: An ended episode was not reset although autoreset is disabled.
+            EpisodeOverError: Autoreset is disabled and an ended episode was not reset.
         """
         waiting = np.flatnonzero(self._ended)
         if len(waiting) and self.autoreset_mode == AutoresetMode.DISABLED:
@@ -133,7 +128,7 @@ class TomatoReachVectorEnv(  # type: ignore[misc]
         result = simulation.step(actions)
         reward, terminated, truncated = result.reward, result.terminated, result.truncated
         terms = dict(result.terms)
-        if len(waiting):  # only when autoreset happens in the next step
+        if len(waiting):  # with autoreset in the next step
             simulation.reset(waiting, self._rngs, self._no_options)
             reward[waiting], terminated[waiting], truncated[waiting] = 0.0, False, False
             for values in terms.values():
@@ -155,17 +150,17 @@ class TomatoReachVectorEnv(  # type: ignore[misc]
             self._ended[:] = False
         else:
             self._ended = ended.copy()
-        # What belongs to a step is not told where an episode has just begun.
+        # simulations whose episode has just begun have no info of a step
         stepped = ~(ended if final else _mask(self.num_envs, waiting))
         infos = _masked(info, everyone, stepped) | _nested("reward_terms", terms, stepped) | final
         return observations, reward, terminated, truncated, infos
 
     def set_difficulty(self, difficulty: DifficultyChoice) -> None:
-        """Draw other targets from each simulation's next reset on, as `TomatoReachEnv.set_difficulty`."""
+        """Set the difficulties of targets from each simulation's next reset on, see `EnvSettings.difficulty`."""
         self.simulation.sampler.set_difficulty(difficulty)
 
     def render(self) -> tuple[npt.NDArray[Any] | None, ...] | None:  # type: ignore[override]
-        """What `TomatoReachEnv.render` gives for each simulation, without the tip's trace."""
+        """Return the image of each simulation, as `GreenhouseEnv.render` does, without the tip's path."""
         if self._viewer is None:
             return None
         simulation, viewer = self.simulation, self._viewer
@@ -186,8 +181,8 @@ class TomatoReachVectorEnv(  # type: ignore[misc]
         if self._viewer:
             self._viewer.close()
 
-    def _info(self, result: StepResult | None) -> dict[str, npt.NDArray[Any]]:
-        return {key: values.copy() for key, values in self.simulation.info(result).items()}
+    def _info(self, result: StepResult | None) -> Infos:
+        return _copied(self.simulation.info(result))
 
     def _seed(self, chosen: Ids, seed: int | Sequence[int | None] | None) -> None:
         if seed is None:
@@ -218,21 +213,25 @@ def _mask(count: int, chosen: Ids) -> Bools:
     return mask
 
 
-def _masked(values: dict[str, npt.NDArray[Any]], mask: Bools, stepped: Bools) -> Infos:
-    masks = {f"_{key}": stepped if key in STEP_INFOS else mask for key in values}
-    return {**values, **masks}
+def _masked(values: Infos, mask: Bools, stepped: Bools) -> Infos:
+    """Return infos with the mask of each key, that of a step for those which only steps have."""
+    result: Infos = {}
+    for key, part in values.items():
+        result[key] = _masked(part, mask, mask) if isinstance(part, dict) else part
+        result[f"_{key}"] = stepped if key in STEP_INFOS else mask
+    return result
 
 
-def _nested(name: str, values: dict[str, npt.NDArray[Any]], mask: Bools) -> Infos:
-    return {name: _masked(values, mask, mask), f"_{name}": mask}
+def _nested(name: str, values: Infos, mask: Bools) -> Infos:
+    return _masked({name: values}, mask, mask)
 
 
-def _copied(observed: Observed) -> Observed:
-    return {key: values.copy() for key, values in observed.items()} if isinstance(observed, dict) else observed.copy()
+def _copied(values: Any) -> Any:
+    return {key: _copied(part) for key, part in values.items()} if isinstance(values, dict) else values.copy()
 
 
 def _replace(observed: Observed, ids: Ids, fresh: Observed) -> None:
-    """Put fresh observations of some simulations among those of all."""
+    """Replace the observations of some simulations by fresh ones."""
     if isinstance(observed, dict):
         assert isinstance(fresh, dict)
         for key, values in observed.items():

@@ -1,17 +1,20 @@
-"""Worlds: a scene made ready for simulation, once per process, and loaded into a private model at each reset."""
+"""Worlds: scenes compiled once per process and copied into the private model of a simulation at each reset."""
 
 from __future__ import annotations
 
 import weakref
 from collections import OrderedDict
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 
 import mujoco
 import numpy as np
 
-from greenhouse_gym.envs.reach_task import SUBSTEPS
+from greenhouse_gym.crops.crop import PlantMotion
+from greenhouse_gym.envs.contacts import Groups, geom_groups
 from greenhouse_gym.envs.scene_window import LARGEST_WHOLE
+from greenhouse_gym.envs.state import SUBSTEPS
 from greenhouse_gym.envs.stepping import drive_and_record
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, Ellipsoid, invert, pose, rotation_about, transform
@@ -22,58 +25,58 @@ from greenhouse_gym.scene import CompiledScene, Scene, SceneBank, Shapes, compil
 from greenhouse_gym.scene.geom_order import first_world_geom
 from greenhouse_gym.scene.mjcf import DEFAULT_CAPACITY, MAX_CAPACITY, base_position
 from greenhouse_gym.scene.moved_obstacles import move_obstacles
-from greenhouse_gym.scene.plant_motion import PlantMotion, move_plants
+from greenhouse_gym.scene.plant_motion import move_plants
 from greenhouse_gym.scene.truth import true_scene
 
 _ROUND = 100
 
-KEPT = LARGEST_WHOLE
-"""How many worlds of one kind are kept ready: each takes about 4 MB with its scene, one of a truth up to 26 MB."""
+CACHED = LARGEST_WHOLE
+"""Number of cached worlds of one kind: each takes about 4 MB with its scene, a true row up to 26 MB."""
 
-KINDS_KEPT = 8
-"""How many kinds of worlds (arm, physics, capacity, rate) are kept ready for the next environment."""
+CACHED_KINDS = 8
+"""Number of cached kinds of worlds (arm, physics, capacity, rate)."""
 
 _GEOM_FIELDS = (
     "geom_type", "geom_contype", "geom_conaffinity", "geom_size", "geom_pos", "geom_quat", "geom_aabb", "geom_rbound",
     "geom_sameframe", "geom_rgba",
 )  # fmt: skip
 _SCENE_FIELDS = (
-    # The bounding-volume tree goes with the geoms: with a stale tree MuJoCo misses contacts.
+    # the bounding-volume tree belongs to the geoms: with a stale tree MuJoCo misses contacts
     "body_pos", "body_quat", "body_sameframe", "bvh_depth", "bvh_child", "bvh_aabb",
 )  # fmt: skip
 
 
-def room_for(bank: SceneBank, physics: str) -> int:
-    """Obstacles that a model needs room for to be any scene of a bank: truth is finer than what was made of it.
+def capacity_of(bank: SceneBank, physics: str) -> int:
+    """Return the number of obstacle slots a model must reserve so that every scene of a bank fits.
 
-    Banks whose scenes are about as large get the same number, and so share their models. A bank that does not say how
-    large they are gets the usual number, as one without truth does; its scenes say what they lack when they are loaded.
+    True rows need more than reconstructed scenes. Numbers are rounded up so that banks of similar size share models. A
+    bank that does not list the sizes of its scenes gets the default; loading a larger scene then raises an error.
     """
     largest = bank.largest_truth() if physics == "truth" else bank.largest_scene()
-    return room_for_shapes(largest or 0)
+    return capacity_for(largest or 0)
 
 
-def room_for_shapes(count: int) -> int:
-    """Obstacles that a model needs room for to be a scene with so many shapes, as `room_for` has it for a bank.
+def capacity_for(count: int) -> int:
+    """Return the number of obstacle slots for a scene with ``count`` shapes, as in `capacity_of`.
 
-    No more than are allowed: scenes with more of them say so when they are loaded.
+    It never exceeds the maximum; loading a larger scene raises an error.
     """
     return min(max(DEFAULT_CAPACITY, -_ROUND * (-count // _ROUND)), MAX_CAPACITY)
 
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """A scene, ready to be simulated and observed.
+    """Scene that is ready to be simulated and observed.
 
     Attributes:
         scene: The scene as agents know it.
-        compiled: What the physics run on: the scene, or its truth.
+        compiled: The simulated scene: the same, or the true row behind it.
         frame: (5,) position of the arm's base in the scene, metres, and cosine and sine of its heading.
-        tomatoes: (t, 4) center in the base frame and radius of the scene's tomatoes, metres, float32.
+        tomatoes: (t, 4) centers in the base frame and radii of the scene's tomatoes, metres, float32.
         field: Slot of the scene's distance field in the store.
-        goals: (t, 4) center in the base frame and radius of what stands for each of them in the physics.
-        bodies: (t,) index, for every tomato of the scene, of the tomato that stands for it in the physics.
-        before: The world before its plants moved, whose field it shares; None for one that did not.
+        goals: (t, 4) centers in the base frame and radii of the simulated counterparts of these tomatoes.
+        bodies: (t,) indices of these counterparts in the simulated scene.
+        before: World before the plants moved, which shares its distance field; None if they did not move.
     """
 
     scene: Scene
@@ -86,7 +89,7 @@ class World:
     before: World | None = None
 
     def check_fits(self, model: mujoco.MjModel) -> None:
-        """Raise an error unless ``model`` has room for this world's geoms.
+        """Check that a model has the same layout.
 
         Raises:
             InvalidValueError: It was compiled with another kind of stand.
@@ -107,16 +110,21 @@ class World:
 
     @cached_property
     def used(self) -> int:
-        """How many geoms of the world come before those that are parked, which are alike in all worlds."""
+        """Number of world geoms before the parked ones, which are the same in all worlds."""
         return int(self.compiled.obstacle_geoms.start) + len(self.compiled.scene.obstacles)
 
-    def load(self, model: mujoco.MjModel, target: int, last: World | None = None) -> None:
-        """Make ``model`` this world with the cup allowed on the target.
+    @cached_property
+    def groups(self) -> Groups:
+        """(geoms,) contact groups of the compiled geoms, see `geom_groups`."""
+        return geom_groups(self.compiled)
+
+    def load(self, model: mujoco.MjModel, targets: Sequence[int], last: World | None = None) -> None:
+        """Copy this world into a model and let the cup touch the targets.
 
         Args:
             model: Compiled with the same robot and capacity; its geoms in either order (`put_arm_first`).
-            target: Index of the tomato.
-            last: The world that the model is, where that is known: what is parked in both is not copied.
+            targets: Indices of the tomatoes that the cup may touch.
+            last: World that the model holds, if known; geoms that are parked in both are not copied.
         """
         source = self.compiled.model
         first, count = first_world_geom(model), int(source.body_geomnum[0])
@@ -129,28 +137,28 @@ class World:
         nodes = slice(source.body_bvhadr[0], source.body_bvhadr[0] + source.body_bvhnum[0])
         ids = source.bvh_nodeid[nodes]
         model.bvh_nodeid[nodes] = np.where(ids >= 0, ids + first, ids)
-        self.compiled.allow_cup_on(model, int(self.bodies[target]))
+        for target in targets:
+            self.compiled.allow_cup_on(model, int(self.bodies[target]))
 
     def goal(self, target: int) -> tuple[Array, float]:
-        """Center (3,) in the base frame and radius of what has to be reached, metres."""
+        """Return the center (3,) in the base frame and the radius of the simulated target, metres."""
         return self.goals[target, :3], float(self.goals[target, 3])
 
     def goal_in_scene(self, target: int) -> Array:
-        """Center (3,) in the scene of what has to be reached, metres."""
+        """Return the center (3,) of the simulated target in the scene, metres."""
         return self.compiled.scene.tomatoes[int(self.bodies[target])].center
 
 
 class Worlds:
-    """The worlds of one robot and kind of physics in this process, each scene compiled once while it is in use.
+    """Cache of the worlds of one robot and kind of physics in this process.
 
-    The last `KEPT` worlds are kept, or as many as are asked for; older ones live on only as long as a simulation runs
-    in them.
+    The most recent worlds are kept; older ones are freed when no simulation uses them any longer.
 
     Args:
         robot: The arm.
         physics: "reconstruction" or "truth".
-        capacity: Obstacles a model has room for.
-        substeps: Physics steps per action, whose contacts the models keep.
+        capacity: Number of obstacle slots of the models.
+        substeps: Physics steps per action; the models record the contacts of as many.
     """
 
     def __init__(self, robot: Robot, physics: str, capacity: int, substeps: int = SUBSTEPS):
@@ -159,20 +167,20 @@ class Worlds:
         self.capacity = capacity
         self._record = partial(drive_and_record, substeps=substeps)
         self.fields = FieldStore()
-        # By the scene's identity: scenes are never changed, and a bank that is written anew is read as other scenes. A
-        # world keeps its scene alive, so an identity is not used again before its world is gone.
+        # keys are ids of scenes: scenes are immutable, and a rewritten bank is read as new scenes; a world keeps its
+        # scene alive, so an id is not reused before its world is freed
         self._alive: weakref.WeakValueDictionary[int, World] = weakref.WeakValueDictionary()
         self._kept: OrderedDict[int, World] = OrderedDict()
 
     def world(self, scene: Scene, keep: int | None = None) -> World:
-        """The world of a scene.
+        """Return the world of a scene.
 
         Args:
             scene: The scene.
-            keep: How many worlds are to be kept, those asked for last; `KEPT` by default.
+            keep: Number of recent worlds to keep; `CACHED` by default.
 
         Raises:
-            InvalidValueError: The scene has more obstacles than fit, or no truth where the physics are to run on it.
+            InvalidValueError: The scene has more obstacles than fit, or no truth although the physics need it.
         """
         key = id(scene)
         world = self._kept.get(key) or self._alive.get(key)
@@ -181,12 +189,12 @@ class Worlds:
             weakref.finalize(world, self.fields.remove, world.field)
         self._kept[key] = world
         self._kept.move_to_end(key)
-        while len(self._kept) > (KEPT if keep is None else keep):
+        while len(self._kept) > (CACHED if keep is None else keep):
             self._kept.popitem(last=False)
         return world
 
     def moved(self, world: World, motion: PlantMotion, seed: int) -> World:
-        """The world after its true plants moved: what is told stays, what is touched and reached is elsewhere."""
+        """Return the world after its true plants moved; the scene that agents know stays the same."""
         true = world.compiled.scene
         plants = move_plants(true, motion, np.random.default_rng(seed))
         parts = {name: getattr(plants, name) for name in ("tomatoes", "stems", "clutter")}
@@ -211,20 +219,20 @@ class Worlds:
             bodies = np.linalg.norm(tomatoes[:, None, :3] - bodies_there[None, :, :3], axis=-1).argmin(axis=1)
         ellipsoids = {k: t.shape for k, t in enumerate(scene.tomatoes) if isinstance(t.shape, Ellipsoid)}
         others = [*scene.stems, *scene.clutter]
-        told: np.ndarray[tuple[int, int], np.dtype[np.float32]] = tomatoes.astype(np.float32)
+        known: np.ndarray[tuple[int, int], np.dtype[np.float32]] = tomatoes.astype(np.float32)
         return World(
             scene=scene,
             compiled=compile_scene(physical, self.robot, self.capacity, self._record),
             frame=np.array([*scene_from_base[:3, 3], *scene_from_base[:2, 0]]),
-            tomatoes=told,
+            tomatoes=known,
             field=self.fields.add(obstacle_field(tomatoes, others, scene_from_base, ellipsoids)),
-            # what is told and what counts are one and the same number where the physics are those of the scene
-            goals=told.astype(np.float64) if physical is scene else bodies_there[bodies],
+            # the same numbers as observed if the scene itself is simulated
+            goals=known.astype(np.float64) if physical is scene else bodies_there[bodies],
             bodies=bodies,
         )
 
     def _check_size(self, scene: Scene) -> None:
-        """Refuse what would take more room than there is before any of it is taken."""
+        """Reject a scene that does not fit before any memory is allocated."""
         count = len(scene.obstacles)
         if count > self.capacity:
             problem = f"scene {scene.name!r} has {count} obstacles, more than the {self.capacity} allowed"
@@ -234,17 +242,17 @@ class Worlds:
 
 
 def _spheres(scene: Shapes, scene_from_base: Array) -> Array:
-    """(t, 4) centers in the base frame and radii of the tomatoes, metres."""
+    """Return (t, 4) centers in the base frame and radii of the tomatoes, metres."""
     centers = np.array([tomato.center for tomato in scene.tomatoes]).reshape(-1, 3)
     radii = np.array([[tomato.radius] for tomato in scene.tomatoes]).reshape(-1, 1)
     return np.hstack([transform(invert(scene_from_base), centers), radii])
 
 
-@lru_cache(maxsize=KINDS_KEPT)
-def worlds_of(robot: Robot, physics: str, capacity: int, substeps: int = SUBSTEPS) -> Worlds:
-    """The worlds that the environments of a kind share in this process.
+@lru_cache(maxsize=CACHED_KINDS)
+def shared_worlds(robot: Robot, physics: str, capacity: int, substeps: int = SUBSTEPS) -> Worlds:
+    """Return the cache that all environments of one kind share in this process.
 
-    By the robot's identity: arms that `get_robot` finds are read once, while every `load_robot` gives another arm with
-    worlds of its own. Kinds beyond the last `KINDS_KEPT` live on as long as an environment uses them.
+    Robots are compared by identity: `get_robot` reads a shipped arm once, whereas every `load_robot` returns a new arm
+    with its own worlds. A cache beyond the last `CACHED_KINDS` lives as long as an environment uses it.
     """
     return Worlds(robot, physics, capacity, substeps)

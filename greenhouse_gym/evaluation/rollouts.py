@@ -19,7 +19,7 @@ from rich.progress import track
 from greenhouse_gym.agents import Agent
 from greenhouse_gym.agents.agent import check_agent
 from greenhouse_gym.common.executors import completed, require_portable, workers_of
-from greenhouse_gym.envs import TomatoReachVectorEnv
+from greenhouse_gym.envs import make_vec_env
 from greenhouse_gym.errors import InvalidValueError, require_seed
 from greenhouse_gym.evaluation.journal import RecordJournal
 from greenhouse_gym.evaluation.records import Evaluation, Record
@@ -149,7 +149,7 @@ def retrace(
         timeout: See `evaluate`.
         **options: Keywords of the environment; see `evaluate`.
     """
-    env = TomatoReachVectorEnv(1, split=split, **{**options, **agent.env_options})
+    env = make_vec_env(1, split=split, **{**options, **agent.env_options})
     try:
         runner = EpisodeRunner(agent, env, deque((require_seed(seed), {}) for seed in seeds), 0, timeout, proven=True)
         return tuple(Trace(result.record, env.simulation.robot, result.joints) for result in runner.run())
@@ -184,7 +184,7 @@ class _Part:
     def records(self) -> Iterator[tuple[int, Record]]:
         """Yield indices and records of the episodes in the order in which they end."""
         count = min(self.num_envs, max(1, len(self.chosen)))
-        env = TomatoReachVectorEnv(count, split=self.split, **{**self.options, **self.agent.env_options})
+        env = make_vec_env(count, split=self.split, **{**self.options, **self.agent.env_options})
         try:
             runner = EpisodeRunner(self.agent, env, deque(self.chosen), self.seed, self.timeout, self.proven)
             yield from ((result.episode_index, result.record) for result in runner.run())

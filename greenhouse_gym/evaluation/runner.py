@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from greenhouse_gym.agents.agent import Agent, Problem
-from greenhouse_gym.envs import TomatoReachVectorEnv
+from greenhouse_gym.envs import GreenhouseVectorEnv
 from greenhouse_gym.envs.actions import check_actions
 from greenhouse_gym.envs.observations import Observed, select
-from greenhouse_gym.envs.simulation import ReachSimulation
+from greenhouse_gym.envs.simulation import Simulation
 from greenhouse_gym.errors import GreenhouseError, InvalidValueError
 from greenhouse_gym.evaluation.deadline import Deadline
 from greenhouse_gym.evaluation.records import Record
@@ -105,14 +105,14 @@ class EpisodeRunner:
     def __init__(
         self,
         agent: Agent,
-        env: TomatoReachVectorEnv,
+        env: GreenhouseVectorEnv,
         chosen: deque[tuple[int, dict[str, Any]]],
         seed: int,
         timeout: float | None,
         proven: bool = False,
     ):
         self._agent, self._env, self._chosen, self._seed = agent, env, chosen, seed
-        self._simulation: ReachSimulation = env.simulation
+        self._simulation: Simulation = env.simulation
         self._space = env.simulation.action_rule.space
         self._shared = hasattr(agent, "act_many")
         self._seconds, self._replaced = timeout, 0
@@ -165,7 +165,7 @@ class EpisodeRunner:
         episode = self._simulation.episode(i)
         simulation = self._simulation
         problem = Problem(
-            episode.scene, episode.target, simulation.robot, episode.start, seed, simulation.action_rule,
+            episode.scene, simulation.target(i), simulation.robot, episode.start, seed, simulation.action_rule,
             simulation.interval,
         )  # fmt: skip
         run = _Run(index, problem, self._player(i), joints=[self._simulation.joints[i].copy()])

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from greenhouse_gym.envs import TomatoReachVectorEnv
+from greenhouse_gym.envs import make_vec_env
 from greenhouse_gym.learning.imitation import ImitationSettings, follow_waypoint, imitate
 from greenhouse_gym.learning.ppo import PpoSettings, train_ppo
 from greenhouse_gym.learning.variation import varied_bank
@@ -67,7 +67,7 @@ def train_bc_then_ppo(
             follow_waypoint(model.policy)
         if not settings.imitation.steps:
             return
-        env = TomatoReachVectorEnv(settings.imitation.num_envs, autoreset_mode="SameStep", **options)
+        env = make_vec_env(settings.imitation.num_envs, autoreset_mode="SameStep", **options)
         with closing(env):
             imitate(model.policy, env, settings.imitation, ppo.seed, tell)
 

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.common.extras import needs
-from greenhouse_gym.envs.observations import Layout, places_in
+from greenhouse_gym.envs.features import Layout, feature_slices
 
 with needs("train"):
     import torch
@@ -29,7 +29,7 @@ class Demonstrator:
     """
 
     def __init__(self, layout: Layout, seed: int):
-        groups = places_in(layout)
+        groups = feature_slices(layout)
         self._direction, self._free = groups["waypoint_direction"], groups["way"].start + 1
         self._rng = np.random.default_rng(seed)
 

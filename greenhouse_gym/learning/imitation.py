@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from greenhouse_gym.agents.agent import action_towards
-from greenhouse_gym.envs import TomatoReachVectorEnv
+from greenhouse_gym.envs import GreenhouseVectorEnv
 from greenhouse_gym.envs.observations import Observed
-from greenhouse_gym.envs.simulation import ReachSimulation
+from greenhouse_gym.envs.simulation import Simulation
 from greenhouse_gym.errors import InvalidValueError, MissingDependencyError
 from greenhouse_gym.geometry import Array
 
@@ -48,7 +48,7 @@ class ImitationSettings:
     learning_rate: float = 1e-3
 
 
-def roadmap_labels(simulation: ReachSimulation) -> Array:
+def roadmap_labels(simulation: Simulation) -> Array:
     """Return the actions (n, joints) that follow each simulation's roadmap; NaN where no waypoint is visible."""
     command, state = simulation.command, simulation.state
     assert state is not None
@@ -99,7 +99,7 @@ def follow_waypoint(policy: Any) -> None:
 
 def imitate(
     policy: Any,
-    env: TomatoReachVectorEnv,
+    env: GreenhouseVectorEnv,
     settings: ImitationSettings,
     seed: int = 0,
     tell: Callable[[int, dict[str, float]], None] = lambda steps, figures: None,

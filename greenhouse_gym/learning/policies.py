@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from greenhouse_gym.agents.goal_features import GOAL_FEATURES, GOAL_FEATURES_SIZE
 from greenhouse_gym.agents.policy import Policy
-from greenhouse_gym.envs.observations import Layout
+from greenhouse_gym.envs.features import Layout
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.learning.sb3 import simulation_of
 

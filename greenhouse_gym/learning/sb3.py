@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.agents import Problem
-from greenhouse_gym.envs import EnvSettings, TomatoReachVectorEnv
+from greenhouse_gym.envs import EnvSettings, GreenhouseVectorEnv, make_vec_env
 from greenhouse_gym.envs.observations import Observed
-from greenhouse_gym.envs.simulation import ReachSimulation
+from greenhouse_gym.envs.simulation import Simulation
 from greenhouse_gym.errors import InvalidValueError, MissingDependencyError
 
 try:
@@ -75,7 +75,7 @@ class Sb3Agent:
         return Sb3Agent(self.model, self.name, self.env_options, self._deterministic)
 
 
-def simulation_of(model: Any) -> ReachSimulation | None:
+def simulation_of(model: Any) -> Simulation | None:
     """Return the simulation of a Stable-Baselines3 model's environment; None if that is not of this package."""
     env = model.get_env()
     try:
@@ -85,14 +85,14 @@ def simulation_of(model: Any) -> ReachSimulation | None:
 
 
 class Sb3VecEnv(VecEnv):  # type: ignore[misc]
-    """A `TomatoReachVectorEnv` with autoreset in the same step, as Stable-Baselines3 requires.
+    """A `GreenhouseVectorEnv` with autoreset in the same step, as Stable-Baselines3 requires.
 
     Infos are empty except at an episode's end, where they contain ``terminal_observation``, ``TimeLimit.truncated``,
     ``is_success``, the environment's other keys, and ``episode_terms``, the sums of the reward's terms by name. Goal
     environments return whole infos at every step, which ``HerReplayBuffer(copy_info_dict=True)`` needs.
     """
 
-    def __init__(self, env: TomatoReachVectorEnv):
+    def __init__(self, env: GreenhouseVectorEnv):
         self.env = env  # before the base class, which reads the render mode
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
         self._actions: Any = None
@@ -190,9 +190,9 @@ def make_sb3_vec_env(
         render_mode: Render mode of the environment.
         threads: Threads of the simulation; 0 uses all cores.
         seed: Seed of the first simulation's generator at the first reset; simulation i gets seed + i.
-        **fields: Fields of `EnvSettings`, as in `TomatoReachEnv`.
+        **fields: Fields of `EnvSettings`, as in `GreenhouseEnv`.
     """
-    env = TomatoReachVectorEnv(
+    env = make_vec_env(
         num_envs, settings, render_mode=render_mode, autoreset_mode="SameStep", threads=threads, **fields
     )
     wrapped = Sb3VecEnv(env)

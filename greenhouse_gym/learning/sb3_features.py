@@ -8,7 +8,7 @@ import numpy as np
 from gymnasium import spaces
 
 from greenhouse_gym.agents.goal_features import GOAL_FEATURES_SIZE, goal_features
-from greenhouse_gym.envs.observations import Layout, places_in
+from greenhouse_gym.envs.features import Layout, feature_slices
 from greenhouse_gym.errors import MissingDependencyError
 
 try:
@@ -45,7 +45,7 @@ class ScaledObservation(BaseFeaturesExtractor):  # type: ignore[misc]
 
     def __init__(self, observation_space: Any, layout: Layout):
         super().__init__(observation_space, features_dim=int(np.prod(observation_space.shape)))
-        self.starts = {name: part.start for name, part in places_in(layout).items()}
+        self.starts = {name: part.start for name, part in feature_slices(layout).items()}
         pairs = np.concatenate([np.tile(CENTERS_AND_SCALES[name], (size, 1)) for name, size in layout])
         self.register_buffer("center", torch.tensor(pairs[:, 0], dtype=torch.float32))
         self.register_buffer("scale", torch.tensor(pairs[:, 1], dtype=torch.float32))
@@ -66,7 +66,7 @@ class GoalFeatures(BaseFeaturesExtractor):  # type: ignore[misc]
     def __init__(self, space: spaces.Dict, layout: Layout):
         super().__init__(space, sum(size for _, size in layout) + GOAL_FEATURES_SIZE)
         self.scaled = ScaledObservation(space["observation"], layout)
-        self._groups = places_in(layout)
+        self._groups = feature_slices(layout)
 
     def forward(self, observations: dict[str, Any]) -> Any:
         """Return features (n, size + 18)."""

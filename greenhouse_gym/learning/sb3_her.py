@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.envs.reach_task import lengths
 from greenhouse_gym.errors import MissingDependencyError
 
 try:
@@ -58,9 +57,9 @@ class GoalReplayBuffer(HerReplayBuffer):  # type: ignore[misc]
     ) -> npt.NDArray[np.float64]:
         goals = super()._sample_goals(batch_indices, env_indices)
         here = self.observations["achieved_goal"][batch_indices, env_indices]
-        radius = self.env.get_attr("settings")[0].success_radius
+        task, nothing = self.env.get_attr("simulation")[0].task, np.zeros(len(here), dtype=np.bool_)
         for _ in range(_MAX_DRAWS - 1):
-            again = np.flatnonzero(lengths(goals - here) < radius)
+            again = np.flatnonzero(task.evaluate_goals(here, goals, nothing).success)
             if not len(again):
                 break
             goals[again] = super()._sample_goals(batch_indices[again], env_indices[again])

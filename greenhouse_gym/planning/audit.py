@@ -11,6 +11,7 @@ from greenhouse_gym.errors import FileFormatError, UnknownNameError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.collision import planning_model
 from greenhouse_gym.motion.proof import ProvingChecker
+from greenhouse_gym.motion.success import is_reached
 from greenhouse_gym.robots.kinematics import tool_chain, tool_state
 from greenhouse_gym.scene import Scene, SceneBank, Target
 from greenhouse_gym.scene.manifest import Entry, counted
@@ -19,7 +20,6 @@ from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
 STEP = 0.002
 """Largest motion of any point of the arm between two configurations of a replayed witness, metres."""
 
-_GOAL_RADIUS = 0.02  # metres, the radius of success
 _TOLERANCE = 1e-5  # radians
 
 
@@ -96,4 +96,4 @@ def _fault(compiled: CompiledScene, target: Target, path: Array) -> str:
     if not ProvingChecker(planning_model(compiled, target.tomato, margin=0.0)).path_is_free(path, STEP):
         return "the witness touches something"
     grasp = tool_state(tool_chain(compiled.model, compiled.tip_site), path[-1:], tomato.radius).point[0]
-    return "" if np.linalg.norm(grasp - tomato.center) <= _GOAL_RADIUS else "the witness does not end at the tomato"
+    return "" if is_reached(np.linalg.norm(grasp - tomato.center)) else "the witness does not end at the tomato"

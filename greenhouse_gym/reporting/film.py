@@ -12,7 +12,7 @@ from greenhouse_gym.agents import Agent, Problem
 from greenhouse_gym.agents.agent import check_agent
 from greenhouse_gym.common.extras import require_extras
 from greenhouse_gym.common.files import write_atomically
-from greenhouse_gym.envs import TomatoReachEnv
+from greenhouse_gym.envs import make_env
 
 
 def film(agent: Agent, out: str | Path, seed: int = 0, **options: Any) -> bool:
@@ -32,7 +32,7 @@ def film(agent: Agent, out: str | Path, seed: int = 0, **options: Any) -> bool:
     """
     require_extras("viz")
     check_agent(agent)
-    env = TomatoReachEnv(render_mode="rgb_array", **{**options, **agent.env_options})
+    env = make_env(render_mode="rgb_array", **{**options, **agent.env_options})
     with tempfile.TemporaryDirectory() as folder:
         recorder: Any = RecordVideo(env, str(Path(folder) / "films"), name_prefix="film", disable_logger=True)
         try:

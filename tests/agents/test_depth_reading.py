@@ -11,7 +11,7 @@ from greenhouse_gym.agents.local_map import LocalMap
 from greenhouse_gym.agents.occupancy_map import OccupancyMap, wrist_camera, wrist_reading
 from greenhouse_gym.agents.watchful import WatchfulAgent
 from greenhouse_gym.capture import sense_depth
-from greenhouse_gym.envs import Randomization, TomatoReachEnv
+from greenhouse_gym.envs import GreenhouseEnv, Randomization
 from greenhouse_gym.motion.arm_spheres import arm_spheres
 from greenhouse_gym.rendering.cameras import MAX_RANGE, DepthCamera, stereo_noise
 from greenhouse_gym.robots import get_robot
@@ -117,8 +117,8 @@ def test_nobody_looks_through_the_arm() -> None:
         assert known.observed(ahead).any() == seen
 
 
-def noisy_views(scene: Scene, agent: WatchfulAgent) -> tuple[TomatoReachEnv, dict[str, np.ndarray]]:
-    env = TomatoReachEnv(bank="mini", randomization=Randomization(depth_noise=True), **agent.env_options)
+def noisy_views(scene: Scene, agent: WatchfulAgent) -> tuple[GreenhouseEnv, dict[str, np.ndarray]]:
+    env = GreenhouseEnv(bank="mini", randomization=Randomization(depth_noise=True), **agent.env_options)
     observation, _ = env.reset(seed=3, options={"scene": scene, "target": TARGET})
     return env, observation
 

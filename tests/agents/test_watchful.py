@@ -16,7 +16,7 @@ from greenhouse_gym.agents.local_map import CLEARANCE, LocalMap
 from greenhouse_gym.agents.planner_agent import PathFollower
 from greenhouse_gym.agents.viewpoints import DEPTHS, MIN_GAIN, initial_view, viewpoints, visible
 from greenhouse_gym.agents.watchful import CAUTION_DEPTHS, WatchfulAgent, caution_levels
-from greenhouse_gym.envs import TomatoReachEnv
+from greenhouse_gym.envs import GreenhouseEnv
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Box, distance_to_shapes
 from greenhouse_gym.motion.arm_spheres import ArmSpheres, arm_spheres
@@ -67,7 +67,7 @@ def hung(scene: Scene) -> Scene:
 
 def played(agent: Agent, told: Scene, true: Scene) -> tuple[str, np.ndarray]:
     """Run an agent that knows one scene in another; return the outcome and the positions (steps, 3) of its tip."""
-    env = TomatoReachEnv(bank="mini", **agent.env_options)
+    env = GreenhouseEnv(bank="mini", **agent.env_options)
     observation, info = env.reset(options={"scene": true, "target": TARGET})
     agent.reset(Problem(told, TARGET, ARM, env.start))
     chain, base, tips = arm_spheres(ARM).chain, base_position(told, ARM), []
@@ -98,7 +98,7 @@ def test_it_looks_at_what_nobody_has_seen_before_it_goes_there(scene: Scene) -> 
 
 def test_its_images_may_be_of_another_size(scene: Scene, hung: Scene) -> None:
     agent = WatchfulAgent(image=(96, 72))
-    env = TomatoReachEnv(bank="mini", **agent.env_options)
+    env = GreenhouseEnv(bank="mini", **agent.env_options)
     assert env.observation_space["depth"].shape == (1, 72, 96)  # type: ignore[index]
     env.close()
     assert played(agent, scene, hung)[0] == "reached"
@@ -191,7 +191,7 @@ def test_where_nothing_else_leads_on_it_goes_back_as_it_came(scene: Scene, monke
     monkeypatch.setattr(Roadmap, "path", lambda roadmap, joints: [])
     monkeypatch.setattr(watchful, "plan", planned)
     monkeypatch.setattr(watchful, "MAX_LOOKS", 0)
-    env = TomatoReachEnv(bank="mini", **WatchfulAgent().env_options)
+    env = GreenhouseEnv(bank="mini", **WatchfulAgent().env_options)
     observation, _ = env.reset(options={"scene": scene, "target": TARGET})
     agent = WatchfulAgent()
     agent.reset(Problem(scene, TARGET, ARM, env.start))
@@ -262,7 +262,7 @@ def test_a_box_of_the_scan_in_which_it_sees_nothing_is_no_obstacle_in_the_end(sc
 
 
 def test_the_camera_stands_for_boxes_that_it_has_looked_at_and_for_no_others(scene: Scene) -> None:
-    env = TomatoReachEnv(bank="mini", observation="depth")
+    env = GreenhouseEnv(bank="mini", observation="depth")
     base = base_position(scene, ARM)
     target = scene.tomatoes[TARGET].center - base
     aims = first_viewpoint(target)
@@ -301,7 +301,7 @@ def test_it_must_be_reset_before_it_acts() -> None:
 
 
 def test_what_is_known_grows_with_the_images(scene: Scene, hung: Scene, arm: ArmSpheres) -> None:
-    env = TomatoReachEnv(bank="mini", observation="depth")
+    env = GreenhouseEnv(bank="mini", observation="depth")
     base = base_position(scene, ARM)
     target = scene.tomatoes[TARGET].center - base
     leaf = hung.clutter[-1].center - base
@@ -334,7 +334,7 @@ def test_what_is_known_grows_with_the_images(scene: Scene, hung: Scene, arm: Arm
 
 
 def test_a_surface_without_a_shape_is_dark_until_the_camera_has_looked(scene: Scene, arm: ArmSpheres) -> None:
-    env = TomatoReachEnv(bank="mini", observation="depth")
+    env = GreenhouseEnv(bank="mini", observation="depth")
     target = scene.tomatoes[TARGET].center - base_position(scene, ARM)
     space = known_where(scene, None).occupancy
     assert space is not None

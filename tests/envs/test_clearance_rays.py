@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.crops.parts import Tomato
-from greenhouse_gym.envs import TomatoReachEnv
+from greenhouse_gym.envs import GreenhouseEnv
 from greenhouse_gym.envs.clearance_rays import AZIMUTHS, ELEVATIONS, FAR, NEAR, NUM_CLEARANCES
-from greenhouse_gym.envs.reach_task import State
+from greenhouse_gym.envs.state import State
 from greenhouse_gym.geometry import Sphere
 from greenhouse_gym.motion.distance_field import MAX_DISTANCE
 from greenhouse_gym.scene import Provenance, Scene, SceneBank, Target
@@ -23,7 +23,7 @@ def seen(*clutter: Sphere) -> np.ndarray:
         name="one-tomato", tomatoes=(Tomato(Sphere(TARGET, 0.03), truss=0),), clutter=clutter,
         targets=(Target(tomato=0, difficulty="easy"),), provenance=Provenance(row="made-up"),
     )  # fmt: skip
-    env = TomatoReachEnv(bank="mini", observation="clearance_rays")
+    env = GreenhouseEnv(bank="mini", observation="clearance_rays")
     observation, _ = env.reset(options={"scene": scene, "target": 0})
     assert env.observation_space.contains(observation)
     assert base_position(scene, env.unwrapped.simulation.robot)[1] == 0  # type: ignore[attr-defined]
@@ -49,7 +49,7 @@ def test_what_stands_on_a_ray_is_seen_on_that_ray(
 
 def test_it_begins_as_the_state_does(bank: SceneBank) -> None:
     state, approach = (
-        TomatoReachEnv(bank=bank, observation=kind).reset(seed=4)[0] for kind in ("state", "clearance_rays")
+        GreenhouseEnv(bank=bank, observation=kind).reset(seed=4)[0] for kind in ("state", "clearance_rays")
     )
     np.testing.assert_array_equal(approach[: len(state)], state)
 
@@ -63,7 +63,7 @@ def test_the_room_is_looked_at_where_it_is_asked_for(asks: bool, numbers: int) -
         def __call__(self, state: State) -> np.ndarray:
             return np.full((len(state.joints), 1), state.clearance_rays.shape[1], dtype=np.float32)
 
-    env = TomatoReachEnv(bank="mini", observation=Wide())
+    env = GreenhouseEnv(bank="mini", observation=Wide())
     assert env.reset(seed=0)[0].tolist() == [numbers]
     assert env.step(env.action_space.sample())[0].tolist() == [numbers]
     env.close()

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from greenhouse_gym.crops.parts import Tomato
-from greenhouse_gym.envs import TomatoReachEnv
+from greenhouse_gym.envs import GreenhouseEnv
 from greenhouse_gym.geometry import Sphere
 from greenhouse_gym.scene import Scene, SceneBank
 
 
 def test_contacts_are_named_as_in_the_scene_of_the_episode(bank: SceneBank) -> None:
-    env = TomatoReachEnv(bank=bank)
+    env = GreenhouseEnv(bank=bank)
     whole = bank.scene("made-up-0")
     leaf = Sphere([0.0, 0.0, 1.6], 0.05)  # where the upright arm is
     fewer = Scene(

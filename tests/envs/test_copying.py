@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from test_vector import equal
 
-from greenhouse_gym.envs import Randomization, TomatoReachEnv, TomatoReachVectorEnv
+from greenhouse_gym.envs import GreenhouseEnv, GreenhouseVectorEnv, Randomization
 from greenhouse_gym.scene import SceneBank
 
 KINDS: list[dict[str, Any]] = [
@@ -43,7 +43,7 @@ def towards_the_plants(count: int, shape: tuple[int, ...]) -> np.ndarray:
 
 @pytest.mark.parametrize("keywords", KINDS, ids=str)
 def test_a_copy_goes_on_like_the_original_and_leaves_it_alone(keywords: dict[str, Any], bank: SceneBank) -> None:
-    env = TomatoReachEnv(bank=bank, **keywords)
+    env = GreenhouseEnv(bank=bank, **keywords)
     env.reset(seed=3)
     actions = towards_the_plants(70, env.action_space.shape)
     go_on(env, actions[:10])
@@ -66,7 +66,7 @@ def test_a_copy_of_a_copy_of_a_wrapped_environment(bank: SceneBank) -> None:
 
 
 def test_difficulties_of_a_copy_are_its_own(bank: SceneBank) -> None:
-    env = TomatoReachEnv(bank=bank)
+    env = GreenhouseEnv(bank=bank)
     twin = copy.deepcopy(env)
     twin.set_difficulty("hard")
     assert set(env.simulation.sampler.difficulty) == {"easy", "medium", "hard"}
@@ -74,7 +74,7 @@ def test_difficulties_of_a_copy_are_its_own(bank: SceneBank) -> None:
 
 @pytest.mark.parametrize("mode", ["SameStep", "NextStep"])
 def test_copies_of_vector_environments_go_on_too(mode: str, bank: SceneBank) -> None:
-    env = TomatoReachVectorEnv(3, bank=bank, autoreset_mode=mode)
+    env = GreenhouseVectorEnv(3, bank=bank, autoreset_mode=mode)
     env.reset(seed=3)
     actions = towards_the_plants(60, (3, 6))
     for action in actions[:10]:

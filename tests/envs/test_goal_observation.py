@@ -9,17 +9,17 @@ from gymnasium import spaces
 from reach_helpers import REACH, scene_of, tool_at
 
 from greenhouse_gym.crops.parts import Tomato
-from greenhouse_gym.envs import Randomization, TomatoReachEnv
+from greenhouse_gym.envs import GreenhouseEnv, Randomization
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Sphere
 from greenhouse_gym.scene import SceneBank
 
 
-def goal_env(bank: SceneBank, **keywords: Any) -> TomatoReachEnv:
-    return TomatoReachEnv(bank=bank, observation="goal", **keywords)
+def goal_env(bank: SceneBank, **keywords: Any) -> GreenhouseEnv:
+    return GreenhouseEnv(bank=bank, observation="goal", **keywords)
 
 
-def rollout(env: TomatoReachEnv, episodes: int = 6) -> list[tuple[Any, ...]]:
+def rollout(env: GreenhouseEnv, episodes: int = 6) -> list[tuple[Any, ...]]:
     random, steps = np.random.default_rng(0), []
     for seed in range(episodes):
         env.reset(seed=seed)
@@ -55,7 +55,7 @@ def test_the_contract_of_goal_environments_holds(bank: SceneBank, reward: str) -
 
 def test_a_goal_environment_may_tell_the_waypoint_too(bank: SceneBank) -> None:
     told, way, guided = (
-        TomatoReachEnv(bank=bank, observation=kind).reset(seed=3)[0] for kind in ("goal", "waypoint", "goal_waypoint")
+        GreenhouseEnv(bank=bank, observation=kind).reset(seed=3)[0] for kind in ("goal", "waypoint", "goal_waypoint")
     )
     assert set(told) == set(guided)
     size = len(told["observation"])

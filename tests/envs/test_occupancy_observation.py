@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from greenhouse_gym.envs import EnvSettings, TomatoReachEnv, TomatoReachVectorEnv
+from greenhouse_gym.envs import EnvSettings, GreenhouseEnv, GreenhouseVectorEnv
 from greenhouse_gym.errors import InvalidValueError, UnknownNameError
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import SceneBank
@@ -19,7 +19,7 @@ def test_the_places_of_the_probe_points_are_told() -> None:
     check_env(
         gymnasium.make("TomatoReach-v0", bank="mini", observation="state_occupancy").unwrapped, skip_render_check=True
     )
-    env, plain = TomatoReachEnv(bank="mini", observation="state_occupancy"), TomatoReachEnv(bank="mini")
+    env, plain = GreenhouseEnv(bank="mini", observation="state_occupancy"), GreenhouseEnv(bank="mini")
     told, known = set(), len(plain.reset(seed=4)[0])
     observed = env.reset(seed=4)[0]
     for _ in range(60):
@@ -36,33 +36,33 @@ def test_the_places_of_the_probe_points_are_told() -> None:
 
 
 def test_many_simulations_are_told_what_one_is() -> None:
-    many = TomatoReachVectorEnv(3, bank="mini", observation="state_occupancy")
-    singles = [TomatoReachEnv(bank="mini", observation="state_occupancy") for _ in range(3)]
+    many = GreenhouseVectorEnv(3, bank="mini", observation="state_occupancy")
+    singles = [GreenhouseEnv(bank="mini", observation="state_occupancy") for _ in range(3)]
     np.testing.assert_array_equal(many.reset(seed=7)[0], [env.reset(seed=7 + i)[0] for i, env in enumerate(singles)])
 
 
 def test_scenes_that_do_not_know_are_named(bank: SceneBank) -> None:
-    env = TomatoReachEnv(bank=bank, observation="state_occupancy")
+    env = GreenhouseEnv(bank=bank, observation="state_occupancy")
     with pytest.raises(InvalidValueError, match=r"made-up-\d.*seen of its space.*state"):
         env.reset(seed=0)
 
 
 def test_the_start_is_a_setting_that_a_reset_may_change(bank: SceneBank) -> None:
-    env = TomatoReachEnv(bank=bank, start="folded")
+    env = GreenhouseEnv(bank=bank, start="folded")
     env.reset(seed=0)
     np.testing.assert_array_equal(env.start, ARM.starts["folded"])
     env.reset(seed=0, options={"start": ARM.start})
     np.testing.assert_array_equal(env.start, ARM.start)
     angles = ARM.start + 0.1
     assert EnvSettings(start=angles) == EnvSettings(start=tuple(angles.tolist()))
-    vector = TomatoReachVectorEnv(2, bank=bank, start=angles)
+    vector = GreenhouseVectorEnv(2, bank=bank, start=angles)
     vector.reset(seed=0)
     np.testing.assert_array_equal(vector.simulation.joints, [angles, angles])
 
 
 def test_wrong_starts_are_refused_when_the_environment_is_made(bank: SceneBank) -> None:
     with pytest.raises(UnknownNameError, match=r"'lying'.*folded"):
-        TomatoReachEnv(bank=bank, start="lying")
+        GreenhouseEnv(bank=bank, start="lying")
     for wrong in ([0.0], [np.nan] * 6, [9.0] * 6, 3, ["a"] * 6):
         with pytest.raises(InvalidValueError, match="start"):
-            TomatoReachEnv(bank=bank, start=wrong)
+            GreenhouseEnv(bank=bank, start=wrong)

@@ -23,11 +23,11 @@ from greenhouse_gym.envs import (
     DenseReward,
     DepthCamera,
     EnvSettings,
+    GreenhouseEnv,
+    GreenhouseVectorEnv,
     PathReward,
     RgbObservation,
     SparseReward,
-    TomatoReachEnv,
-    TomatoReachVectorEnv,
 )
 from greenhouse_gym.errors import InvalidValueError, UnknownNameError
 from greenhouse_gym.scene import SceneBank
@@ -71,7 +71,7 @@ def test_own_objects_pass_the_checkers_and_twins_agree(name: str, bank: SceneBan
     actions = [env.action_space.sample() for _ in range(20)]
     seen = []
     for _ in range(2):
-        twin = TomatoReachEnv(bank=bank, **keyword(name))
+        twin = GreenhouseEnv(bank=bank, **keyword(name))
         seen.append([twin.reset(seed=3), *map(twin.step, actions)])
     assert all(_same(a, b) for a, b in zip(*seen, strict=True))
 
@@ -100,7 +100,7 @@ def test_rgb_and_rgbd_give_the_same_in_vector_and_single(bank: SceneBank) -> Non
 
 
 def test_color_images_show_the_plants_and_the_arm(bank: SceneBank) -> None:
-    env = TomatoReachEnv(bank=bank, observation=RgbObservation(DepthCamera("mast", 64, 48), depth=True))
+    env = GreenhouseEnv(bank=bank, observation=RgbObservation(DepthCamera("mast", 64, 48), depth=True))
     seen, _ = env.reset(seed=0)
     assert seen["rgb"].shape == (3, 48, 64)
     assert seen["rgb"].dtype == np.uint8
@@ -116,12 +116,12 @@ def test_color_images_show_the_plants_and_the_arm(bank: SceneBank) -> None:
 
 
 def test_rewards_with_other_figures(bank: SceneBank) -> None:
-    env = TomatoReachEnv(bank=bank, reward=DenseReward(success=5.0, time=-0.5, effort=0.0))
+    env = GreenhouseEnv(bank=bank, reward=DenseReward(success=5.0, time=-0.5, effort=0.0))
     env.reset(seed=0)
     terms = env.step(np.ones(6))[4]["reward_terms"]
     assert terms["time"] == -0.5
     assert terms["effort"] == 0.0
-    assert TomatoReachEnv(bank=bank, reward=SparseReward(collision=-3.0)).simulation.reward_terms.collision == -3.0
+    assert GreenhouseEnv(bank=bank, reward=SparseReward(collision=-3.0)).simulation.reward_terms.collision == -3.0
     with pytest.raises(InvalidValueError, match=r"DenseReward\.progress.*nan"):
         DenseReward(progress=float("nan"))
 
@@ -160,13 +160,13 @@ PAIR = spaces.Dict({"a": spaces.Box(0, 1, (2,), np.float32), "b": spaces.Box(0, 
         ({"reward": Constant({"pay": np.zeros(3)})}, r"reward Constant, term 'pay'.*\(1,\)"),
         ({"reward": Constant({"pay": 1.0})}, r"term 'pay'"),
         ({"reward": Constant({"pay": "much"})}, r"term 'pay'"),
-        ({"reward": Constant(np.zeros(1))}, r"reward Constant must give a dict"),
-        ({"reward": Constant({})}, r"reward Constant must give a dict"),
+        ({"reward": Constant(np.zeros(1))}, r"reward Constant must return a dict"),
+        ({"reward": Constant({})}, r"reward Constant must return a dict"),
         ({"observation": Constant(rows(2.0))}, r"observation Constant must lie within.*-1.0 to 1.0 at \[0\], got 2.0"),
         ({"observation": Constant(rows(np.nan))}, r"observation Constant must lie within.*nan"),
         ({"observation": Constant(rows(0.5, np.float64))}, r"observation Constant.*float32, got float64"),
         ({"observation": Constant(rows(0.5, size=3))}, r"observation Constant.*\(1, 2\)"),
-        ({"observation": Constant(rows(0.5), PAIR)}, r"observation Constant must give a dict with 'a', 'b'"),
+        ({"observation": Constant(rows(0.5), PAIR)}, r"observation Constant must return a dict with 'a', 'b'"),
         (
             {"observation": Constant(lambda s: {"a": rows(0.5)(s), "b": rows(7, size=3)(s)}, PAIR)},
             r"observation Constant\['b'\].*uint8, got float32",
@@ -176,7 +176,7 @@ PAIR = spaces.Dict({"a": spaces.Box(0, 1, (2,), np.float32), "b": spaces.Box(0, 
     ],
 )  # fmt: skip
 def test_what_own_objects_do_wrong_is_told_by_name(bank: SceneBank, keywords: dict[str, Any], message: str) -> None:
-    env = TomatoReachEnv(bank=bank, **keywords)
+    env = GreenhouseEnv(bank=bank, **keywords)
     with pytest.raises(InvalidValueError, match=message):  # noqa: PT012 - whichever of the two looks first
         env.reset(seed=0)
         env.step(np.zeros(env.action_space.shape))
@@ -192,9 +192,9 @@ def test_what_own_objects_do_wrong_is_told_by_name(bank: SceneBank, keywords: di
         ({"reward": PathReward(progress=1.0), "observation": "goal_waypoint"}, "goals in hindsight"),
         ({"observation": 3}, "observation must be a name"),
         ({"observation": lambda robot: 3}, "space"),
-        ({"observation": lambda: 3}, "what makes one from Robot"),
+        ({"observation": lambda: 3}, "function of Robot that makes one"),
         ({"observation": type("Fixed", (), {"space": PAIR, "__call__": len})}, "observation Fixed must be an object"),
-        ({"action": lambda robot: 3}, "what makes one from Robot and float"),
+        ({"action": lambda robot: 3}, "function of Robot and float that makes one"),
         ({"observation": Constant(0, spaces.Discrete(3))}, "observation Constant.*boxes"),
         ({"action": None}, "action must be a name"),
         ({"action": Constant(0, spaces.Discrete(3))}, "action Constant.*Box"),
@@ -203,20 +203,20 @@ def test_what_own_objects_do_wrong_is_told_by_name(bank: SceneBank, keywords: di
 def test_what_is_no_reward_observation_or_action_is_refused(
     bank: SceneBank, keywords: dict[str, Any], message: str
 ) -> None:
-    for make in (TomatoReachEnv, TomatoReachVectorEnv):
+    for make in (GreenhouseEnv, GreenhouseVectorEnv):
         with pytest.raises(InvalidValueError, match=message):
             make(bank=bank, **keywords)
     with pytest.raises(UnknownNameError, match="rgbd"):
-        TomatoReachEnv(bank=bank, observation="rgdb")
+        GreenhouseEnv(bank=bank, observation="rgdb")
 
 
 def test_a_reward_that_reads_situations_cannot_be_asked_in_hindsight(bank: SceneBank) -> None:
-    env = TomatoReachEnv(bank=bank, observation="goal", **keyword("own_reward"))
+    env = GreenhouseEnv(bank=bank, observation="goal", **keyword("own_reward"))
     seen, _ = env.reset(seed=0)
     *_, info = env.step(np.zeros(6))
     with pytest.raises(InvalidValueError, match="in hindsight"):
         env.compute_reward(seen["achieved_goal"], seen["desired_goal"], info)
-    paid = TomatoReachEnv(bank=bank, observation="goal", reward=lambda step: {"near": 1.0 / (0.1 + step.after)})
+    paid = GreenhouseEnv(bank=bank, observation="goal", reward=lambda step: {"near": 1.0 / (0.1 + step.after)})
     paid.reset(seed=0)
     seen, reward, *_, info = paid.step(np.zeros(6))
     assert paid.compute_reward(seen["achieved_goal"], seen["desired_goal"], info) == reward

@@ -6,20 +6,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from greenhouse_gym.envs import PlantMotion, Randomization, TomatoReachEnv
+from greenhouse_gym.envs import GreenhouseEnv, PlantMotion, Randomization
 from greenhouse_gym.envs.randomization import NO_RANDOMIZATION
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.scene import SceneBank, Shapes
 from greenhouse_gym.scene.bank import write_bank
 
 
-def first(bank: SceneBank, seed: int = 0, **settings: Any) -> tuple[TomatoReachEnv, np.ndarray]:
-    env = TomatoReachEnv(bank=bank, randomization=Randomization(**settings))
+def first(bank: SceneBank, seed: int = 0, **settings: Any) -> tuple[GreenhouseEnv, np.ndarray]:
+    env = GreenhouseEnv(bank=bank, randomization=Randomization(**settings))
     return env, env.reset(seed=seed, options={"scene": "made-up-0", "target": 0})[0]
 
 
 def test_off_is_the_same_as_none(bank: SceneBank) -> None:
-    env = TomatoReachEnv(bank=bank)
+    env = GreenhouseEnv(bank=bank)
     np.testing.assert_array_equal(first(bank)[1], env.reset(seed=0, options={"scene": "made-up-0", "target": 0})[0])
 
 
@@ -75,7 +75,7 @@ def test_plants_move_in_the_truth_and_nobody_is_told(bank: SceneBank, tmp_path: 
     true = write_bank(tmp_path, [(scene, bank.split_of(scene.name)) for scene in scenes], name="true")
     moving = Randomization(plants=PlantMotion(truss_turn=0.3))
     still, env, again = (
-        TomatoReachEnv(bank=true, physics="truth", randomization=randomization)
+        GreenhouseEnv(bank=true, physics="truth", randomization=randomization)
         for randomization in (NO_RANDOMIZATION, moving, moving)
     )
     (seen, told), (same, info), (_, twice) = (each.reset(seed=5) for each in (still, env, again))
@@ -92,6 +92,6 @@ def test_plants_move_in_the_truth_and_nobody_is_told(bank: SceneBank, tmp_path: 
         env.step(env.action_space.sample())
     assert len({tuple(goal) for goal in goals}) == 4
     with pytest.raises(InvalidValueError, match="truth"):
-        TomatoReachEnv(bank=true, randomization=moving)
+        GreenhouseEnv(bank=true, randomization=moving)
     with pytest.raises(InvalidValueError, match="PlantMotion"):
         Randomization(plants=0.1)  # type: ignore[arg-type]

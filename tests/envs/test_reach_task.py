@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.envs.actions import ACTIONS, CommandLimits, check_actions
-from greenhouse_gym.envs.reach_task import ACTION_STEP, MAX_COMMAND_ERROR, STEP_LIMIT, SUCCESS_RADIUS, control_timing
 from greenhouse_gym.envs.rewards import REWARDS, Transition, total_reward
+from greenhouse_gym.envs.state import ACTION_STEP, MAX_COMMAND_ERROR, STEP_LIMIT, SUCCESS_RADIUS, control_timing
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.robots import get_robot
 

@@ -11,16 +11,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from greenhouse_gym.envs import TomatoReachEnv, TomatoReachVectorEnv
+from greenhouse_gym.envs import GreenhouseEnv, GreenhouseVectorEnv
 from greenhouse_gym.errors import GreenhouseError
 from greenhouse_gym.rendering import opengl, viewer
 from greenhouse_gym.rendering.renderer import default_camera, render_depth
 from greenhouse_gym.scene import SceneBank
 
 
-def moved(bank: SceneBank, seed: int, **keywords: Any) -> TomatoReachEnv:
+def moved(bank: SceneBank, seed: int, **keywords: Any) -> GreenhouseEnv:
     """An environment after three steps that bend the arm towards the plants."""
-    env = TomatoReachEnv(bank=bank, render_mode="rgb_array", **keywords)
+    env = GreenhouseEnv(bank=bank, render_mode="rgb_array", **keywords)
     env.reset(seed=seed)
     for _ in range(3):
         env.step(np.array([0.2 * seed, 1.0, 0.5, 0.0, 0.0, 0.0]))
@@ -115,10 +115,10 @@ def in_a_forked_process(work: Callable[[], str]) -> str:
 
 
 def test_a_forked_process_steps_and_draws_or_says_why_not(bank: SceneBank) -> None:
-    env = TomatoReachEnv(bank=bank, render_mode="rgb_array")
+    env = GreenhouseEnv(bank=bank, render_mode="rgb_array")
     env.reset(seed=0)
     env.render()
-    many = TomatoReachVectorEnv(2, bank=bank)
+    many = GreenhouseVectorEnv(2, bank=bank)
     many.reset(seed=0)
 
     def single() -> str:
@@ -160,11 +160,11 @@ def test_environments_draw_side_by_side(bank: SceneBank) -> None:
 
 
 def test_a_vector_environment_draws_each_simulation(bank: SceneBank) -> None:
-    venv = TomatoReachVectorEnv(3, bank=bank, render_mode="rgb_array")
+    venv = GreenhouseVectorEnv(3, bank=bank, render_mode="rgb_array")
     venv.reset(seed=4)
     images = venv.render()
     assert images is not None
-    single = TomatoReachEnv(bank=bank, render_mode="rgb_array")
+    single = GreenhouseEnv(bank=bank, render_mode="rgb_array")
     for i, image in enumerate(images):
         single.reset(seed=4 + i)
         np.testing.assert_array_equal(image, single.render())
@@ -174,7 +174,7 @@ def test_a_vector_environment_draws_each_simulation(bank: SceneBank) -> None:
 
 def test_depth_needs_no_opengl(bank: SceneBank, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(opengl, "_context_class", lambda: pytest.fail("asked for OpenGL"))
-    env = TomatoReachEnv(bank=bank, render_mode="depth_array")
+    env = GreenhouseEnv(bank=bank, render_mode="depth_array")
     env.reset(seed=0)
     depth = env.render()
     assert depth.dtype == np.float32

@@ -10,7 +10,7 @@ from test_tomato_reach import make_for
 from test_vector import compare_with_singles
 
 from greenhouse_gym.crops.parts import Tomato
-from greenhouse_gym.envs import EnvSettings, TomatoReachEnv, TomatoReachVectorEnv
+from greenhouse_gym.envs import EnvSettings, GreenhouseEnv, GreenhouseVectorEnv
 from greenhouse_gym.errors import GreenhouseError, InvalidValueError, NoEpisodeError, UnknownKeywordError
 from greenhouse_gym.geometry import Sphere
 from greenhouse_gym.motion.distance_field import obstacle_field
@@ -28,7 +28,7 @@ WRONG = [
 
 @pytest.mark.parametrize("keywords", WRONG, ids=str)
 def test_wrong_settings_are_refused_by_name(keywords: dict[str, object], bank: SceneBank) -> None:
-    for make in (TomatoReachEnv, TomatoReachVectorEnv):
+    for make in (GreenhouseEnv, GreenhouseVectorEnv):
         with pytest.raises(GreenhouseError, match=next(iter(keywords)).replace("_", ".")):
             make(**{"bank": bank, **keywords})
 
@@ -36,23 +36,23 @@ def test_wrong_settings_are_refused_by_name(keywords: dict[str, object], bank: S
 @pytest.mark.parametrize("threads", [1.5, "all", -1, None])
 def test_wrong_numbers_of_threads_are_refused(threads: object, bank: SceneBank) -> None:
     with pytest.raises(InvalidValueError, match="threads"):
-        TomatoReachVectorEnv(2, bank=bank, threads=threads)
+        GreenhouseVectorEnv(2, bank=bank, threads=threads)
 
 
 @pytest.mark.parametrize("options", ["made-up-0", 3, {"scene": 3}, {"scene": b"made-up-0"}, {"difficulty": 3}])
 def test_wrong_reset_options_are_refused(options: object, bank: SceneBank) -> None:
-    for env in (TomatoReachEnv(bank=bank), TomatoReachVectorEnv(2, bank=bank)):
+    for env in (GreenhouseEnv(bank=bank), GreenhouseVectorEnv(2, bank=bank)):
         with pytest.raises(InvalidValueError):
             env.reset(options=options)
 
 
 def test_nothing_is_told_of_an_episode_before_the_first(bank: SceneBank) -> None:
-    env = TomatoReachEnv(bank=bank, render_mode="rgb_array")
+    env = GreenhouseEnv(bank=bank, render_mode="rgb_array")
     for ask in (lambda: env.step(np.zeros(6)), env.render, env.model_and_data, lambda: env.scene):
         with pytest.raises(NoEpisodeError, match="reset"):
             ask()
     with pytest.raises(NoEpisodeError, match="reset"):
-        TomatoReachVectorEnv(2, bank=bank).step(np.zeros((2, 6)))
+        GreenhouseVectorEnv(2, bank=bank).step(np.zeros((2, 6)))
 
 
 def test_unknown_keywords_are_told_as_python_tells_them(bank: SceneBank) -> None:
@@ -83,10 +83,10 @@ def test_the_success_radius_decides(bank: SceneBank) -> None:
     seed, info = next(
         (seed, info)
         for seed in range(100)
-        if (info := TomatoReachEnv(bank=bank).reset(seed=seed, options=start)[1])["distance"] < 0.5
+        if (info := GreenhouseEnv(bank=bank).reset(seed=seed, options=start)[1])["distance"] < 0.5
         and not info["collision"]
     )
-    wide = TomatoReachEnv(bank=bank, success_radius=info["distance"] + 0.05)
+    wide = GreenhouseEnv(bank=bank, success_radius=info["distance"] + 0.05)
     assert not info["is_success"]
     assert wide.reset(seed=seed, options=start)[1]["is_success"]
     assert wide.step(np.zeros(6))[2]

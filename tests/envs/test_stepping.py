@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from greenhouse_gym.envs import TomatoReachEnv, TomatoReachVectorEnv, physics
+from greenhouse_gym.envs import GreenhouseEnv, GreenhouseVectorEnv, physics
 from greenhouse_gym.robots import ROBOTS
 from greenhouse_gym.scene import SceneBank, compile_scene, geom_order
 
@@ -27,7 +27,7 @@ def with_other_servos(folder: Path) -> Path:
 def test_servos_move_as_if_told_where_to_be_in_every_physics_step(bank: SceneBank, tmp_path: Path, servos: str) -> None:
     """The same motion as plain MuJoCo's position servos that follow a ramp."""
     robot = "ur5e" if servos == "own" else with_other_servos(tmp_path)
-    env, random, steps = TomatoReachEnv(bank=bank, robot=robot), np.random.default_rng(0), 0
+    env, random, steps = GreenhouseEnv(bank=bank, robot=robot), np.random.default_rng(0), 0
     for seed in range(4):
         env.reset(seed=seed)
         compiled = compile_scene(env.scene, env.robot)
@@ -59,7 +59,7 @@ def test_how_the_broad_phase_lists_the_geoms_changes_nothing(
         if told_of_all:
             monkeypatch.setattr(geom_order, "_MIN_LISTED", 10**9)
             monkeypatch.setattr(physics, "put_arm_first", lambda model: None)
-        env = TomatoReachVectorEnv(count, bank=bank, autoreset_mode="SameStep", threads=1)
+        env = GreenhouseVectorEnv(count, bank=bank, autoreset_mode="SameStep", threads=1)
         env.reset(seed=0)
         seen = [env.step(action) for action in actions]
         played.append([np.concatenate([part.ravel() for part in step[:4]]) for step in seen])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 
-from greenhouse_gym.envs import Randomization, TomatoReachEnv, TomatoReachVectorEnv
+from greenhouse_gym.envs import GreenhouseEnv, GreenhouseVectorEnv, Randomization
 from greenhouse_gym.envs.observations import select
 from greenhouse_gym.errors import EpisodeOverError, InvalidValueError, UnknownNameError
 from greenhouse_gym.scene import SceneBank
@@ -49,7 +49,7 @@ def compare_with_singles(
 ) -> int:
     """Step a vector environment beside single ones, compare everything, and return the number of episodes ended."""
     venv = gymnasium.make_vec("TomatoReach-v0", num_envs=count, autoreset_mode=mode, **keywords)
-    singles = [TomatoReachEnv(**{k: v for k, v in keywords.items() if k != "threads"}) for _ in range(count)]
+    singles = [GreenhouseEnv(**{k: v for k, v in keywords.items() if k != "threads"}) for _ in range(count)]
     observations, infos = venv.reset(seed=7)
     for i, env in enumerate(singles):
         observation, info = env.reset(seed=7 + i)
@@ -142,7 +142,7 @@ def test_asynchronous_workers_and_pickled_constructors(bank: SceneBank) -> None:
 
 
 def test_difficulty_is_set_for_all_simulations_from_their_next_episode(bank: SceneBank) -> None:
-    venv = TomatoReachVectorEnv(2, bank="default")
+    venv = GreenhouseVectorEnv(2, bank="default")
     venv.set_difficulty({"hard": 1.0})
     for _ in range(5):
         assert set(venv.reset()[1]["difficulty"]) == {"hard"}
@@ -153,7 +153,7 @@ def test_difficulty_is_set_for_all_simulations_from_their_next_episode(bank: Sce
 
 
 def test_closing_twice_is_fine_and_a_reset_opens_again(bank: SceneBank) -> None:
-    venv = TomatoReachVectorEnv(2, bank=bank)
+    venv = GreenhouseVectorEnv(2, bank=bank)
     first, _ = venv.reset(seed=1)
     venv.close()
     venv.close()
@@ -166,7 +166,7 @@ def test_closing_twice_is_fine_and_a_reset_opens_again(bank: SceneBank) -> None:
 def test_threads_do_not_change_the_numbers(bank: SceneBank) -> None:
     results = []
     for threads in (1, 2):
-        venv = TomatoReachVectorEnv(COUNT, bank=bank, threads=threads)
+        venv = GreenhouseVectorEnv(COUNT, bank=bank, threads=threads)
         venv.reset(seed=1)
         results.append([venv.step(actions)[:4] for actions in actions_towards_trouble(1)[:60]])
     for one, two in zip(*results, strict=True):
@@ -175,7 +175,7 @@ def test_threads_do_not_change_the_numbers(bank: SceneBank) -> None:
 
 
 def test_returned_arrays_are_the_callers(bank: SceneBank) -> None:
-    venv = TomatoReachVectorEnv(COUNT, bank=bank)
+    venv = GreenhouseVectorEnv(COUNT, bank=bank)
     venv.reset(seed=1)
     kept = venv.step(actions_towards_trouble(0)[0])
     copies = [kept[0].copy(), kept[1].copy(), kept[4]["distance"].copy()]
@@ -187,18 +187,18 @@ def test_returned_arrays_are_the_callers(bank: SceneBank) -> None:
 
 def test_spaces_and_metadata_are_standard(bank: SceneBank) -> None:
     venv = gymnasium.make_vec("TomatoReach-v0", num_envs=3, bank=bank)
-    assert isinstance(venv, TomatoReachVectorEnv)
+    assert isinstance(venv, GreenhouseVectorEnv)
     assert venv.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
     observations, _ = venv.reset(seed=0)
     assert venv.observation_space.contains(observations)
     assert venv.action_space.sample().shape == (3, 6)
-    single = TomatoReachEnv(bank=bank)
+    single = GreenhouseEnv(bank=bank)
     assert venv.single_observation_space == single.observation_space
     assert venv.single_action_space == single.action_space
 
 
 def test_without_autoreset_the_caller_resets_by_mask(bank: SceneBank) -> None:
-    venv = TomatoReachVectorEnv(2, bank=bank, autoreset_mode=AutoresetMode.DISABLED)
+    venv = GreenhouseVectorEnv(2, bank=bank, autoreset_mode=AutoresetMode.DISABLED)
     venv.reset(seed=0)
     for _ in range(200):
         *_, terminated, truncated, _ = venv.step(np.zeros((2, 6)))
@@ -216,7 +216,7 @@ def test_without_autoreset_the_caller_resets_by_mask(bank: SceneBank) -> None:
 
 @pytest.mark.parametrize("mask", [np.array([1, 0]), np.zeros(2, dtype=bool), np.ones(3, dtype=bool)])
 def test_a_bad_reset_mask_is_refused(bank: SceneBank, mask: Any) -> None:
-    venv = TomatoReachVectorEnv(2, bank=bank)
+    venv = GreenhouseVectorEnv(2, bank=bank)
     with pytest.raises(RuntimeError, match="reset"):  # the others would have no episode
         venv.reset(options={"reset_mask": [True, False]})
     venv.reset(seed=0)
@@ -227,10 +227,10 @@ def test_a_bad_reset_mask_is_refused(bank: SceneBank, mask: Any) -> None:
 
 def test_hostile_arguments(bank: SceneBank) -> None:
     with pytest.raises(UnknownNameError, match="NextStep"):
-        TomatoReachVectorEnv(2, bank=bank, autoreset_mode="Never")
+        GreenhouseVectorEnv(2, bank=bank, autoreset_mode="Never")
     with pytest.raises(InvalidValueError, match="num_envs"):
-        TomatoReachVectorEnv(0, bank=bank)
-    venv = TomatoReachVectorEnv(2, bank=bank)
+        GreenhouseVectorEnv(0, bank=bank)
+    venv = GreenhouseVectorEnv(2, bank=bank)
     with pytest.raises(InvalidValueError, match="seeds"):
         venv.reset(seed=[1, 2, 3])
     venv.reset(seed=[1, None])
@@ -240,7 +240,7 @@ def test_hostile_arguments(bank: SceneBank) -> None:
 
 
 def test_a_refused_action_changes_nothing(bank: SceneBank) -> None:
-    one, two = (TomatoReachVectorEnv(2, bank=bank) for _ in range(2))
+    one, two = (GreenhouseVectorEnv(2, bank=bank) for _ in range(2))
     one.reset(seed=3), two.reset(seed=3)
     with pytest.raises(InvalidValueError):
         one.step(np.full((2, 6), np.inf))

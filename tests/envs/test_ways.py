@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.agents import WaypointAgent
-from greenhouse_gym.envs import PathReward, TomatoReachEnv, Transition
+from greenhouse_gym.envs import GreenhouseEnv, PathReward, Transition
 from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.geometry import Capsule
 from greenhouse_gym.motion import goals
@@ -80,7 +80,7 @@ def test_going_straight_to_the_waypoint_reaches_most_of_a_thin_row(bank: SceneBa
 def test_it_begins_as_the_state_does_and_says_the_same_of_the_truth(scene: Scene) -> None:
     episode = {"scene": scene.model_copy(update={"truth": Shapes(tomatoes=scene.tomatoes)}), "target": TARGET}
     state, told, of_truth = (
-        TomatoReachEnv(bank="mini", observation=kind, physics=physics).reset(options=episode)[0]
+        GreenhouseEnv(bank="mini", observation=kind, physics=physics).reset(options=episode)[0]
         for kind, physics in (("state", "reconstruction"), ("waypoint", "reconstruction"), ("waypoint", "truth"))
     )
     np.testing.assert_array_equal(told[: len(state)], state)
@@ -99,13 +99,13 @@ def test_goals_are_sampled_once_for_each_new_episode(bank: SceneBank, monkeypatc
     original = goals.inverse_kinematics
     monkeypatch.setattr(goals, "inverse_kinematics", counted)
     scene = bank.scene(bank.names("train")[0]).model_copy(update={"name": "of this test alone"})
-    env = TomatoReachEnv(bank=bank, observation="waypoint")
+    env = GreenhouseEnv(bank=bank, observation="waypoint")
     for target in (0, 1, 0, 1):
         env.reset(options={"scene": scene, "target": target})
     assert len(calls) == 2
 
 
-def left(env: TomatoReachEnv) -> float:
+def left(env: GreenhouseEnv) -> float:
     state = env.simulation.state
     assert state is not None
     return float(np.linalg.norm(state.waypoint[0]) + state.path_length[0])
@@ -113,7 +113,7 @@ def left(env: TomatoReachEnv) -> float:
 
 @pytest.mark.parametrize("observation", ["state", "waypoint"])
 def test_what_is_paid_for_the_way_depends_on_its_ends_alone(scene: Scene, observation: str) -> None:
-    env = TomatoReachEnv(bank="mini", observation=observation, reward="path", step_limit=60)
+    env = GreenhouseEnv(bank="mini", observation=observation, reward="path", step_limit=60)
     for seed in range(3):
         random = np.random.default_rng(seed)
         env.reset(seed=seed, options={"scene": scene, "target": TARGET})
@@ -127,7 +127,7 @@ def test_what_is_paid_for_the_way_depends_on_its_ends_alone(scene: Scene, observ
 
 
 def test_going_along_the_way_is_paid_and_staying_is_not(scene: Scene) -> None:
-    env = TomatoReachEnv(bank="mini", observation="waypoint", reward=PathReward(progress=1.0, time=0.0, effort=0.0))
+    env = GreenhouseEnv(bank="mini", observation="waypoint", reward=PathReward(progress=1.0, time=0.0, effort=0.0))
     seen, info = env.reset(options={"scene": scene, "target": TARGET})
     assert env.step(np.zeros(JOINTS))[1] == 0
     total, began = 0.0, left(env)
@@ -142,7 +142,7 @@ def test_going_along_the_way_is_paid_and_staying_is_not(scene: Scene) -> None:
 
 def test_only_who_asks_for_the_way_is_told(scene: Scene) -> None:
     episode = {"scene": scene, "target": TARGET}
-    paid, other = (TomatoReachEnv(bank="mini", observation="state", reward=kind) for kind in ("path", "dense"))
+    paid, other = (GreenhouseEnv(bank="mini", observation="state", reward=kind) for kind in ("path", "dense"))
     np.testing.assert_array_equal(paid.reset(options=episode)[0], other.reset(options=episode)[0])
     assert paid.simulation.state is not None
     assert other.simulation.state is not None
@@ -157,7 +157,7 @@ def test_a_reward_of_ones_own_may_ask_for_the_way(scene: Scene) -> None:
         def __call__(self, step: Transition) -> dict[str, np.ndarray]:
             return {"free": step.end.path_free.astype(float)}
 
-    env = TomatoReachEnv(bank="mini", reward=Straight())
+    env = GreenhouseEnv(bank="mini", reward=Straight())
     env.reset(options={"scene": scene, "target": TARGET})
     assert env.step(np.zeros(JOINTS))[1] in (0.0, 1.0)
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from greenhouse_gym.envs import TomatoReachEnv, TomatoReachVectorEnv, episodes
+from greenhouse_gym.envs import GreenhouseEnv, GreenhouseVectorEnv, episodes
 from greenhouse_gym.envs import scene_window as window
 from greenhouse_gym.envs.episodes import EpisodeSampler
 from greenhouse_gym.envs.scene_window import SceneWindow
@@ -81,7 +81,7 @@ def test_a_sampler_draws_the_same_after_the_same_seed_whatever_was_drawn_before(
     def episodes(seed: int) -> list[tuple[str, int]]:
         sampler.restart(seed)
         random = np.random.default_rng(seed)
-        return [(episode.scene.name, episode.target) for episode in (sampler.draw(random) for _ in range(60))]
+        return [(episode.scene.name, episode.targets) for episode in (sampler.draw(random) for _ in range(60))]
 
     first = episodes(0)
     assert {name for name, _ in first} == set(bank.names("train"))
@@ -96,7 +96,7 @@ def test_a_sampler_draws_the_same_after_the_same_seed_whatever_was_drawn_before(
 def test_seeded_resets_begin_the_window_anew(bank: SceneBank, monkeypatch: pytest.MonkeyPatch) -> None:
     seeds: list[int] = []
     monkeypatch.setattr(EpisodeSampler, "restart", lambda self, seed: seeds.append(seed))
-    single, vector = TomatoReachEnv(bank=bank), TomatoReachVectorEnv(2, bank=bank)
+    single, vector = GreenhouseEnv(bank=bank), GreenhouseVectorEnv(2, bank=bank)
     single.reset(seed=4)
     single.reset()
     vector.reset(seed=5)
@@ -140,7 +140,7 @@ def test_of_the_scenes_drawn_from_those_asked_for_last_are_kept(
     small: None, monkeypatch: pytest.MonkeyPatch, bank: SceneBank
 ) -> None:
     monkeypatch.setattr(episodes, "_KEPT", 2)
-    sampler = TomatoReachEnv(bank=bank).simulation.sampler
+    sampler = GreenhouseEnv(bank=bank).simulation.sampler
     first, second, third = [bank.scene(name) for name in bank.names()[:3]]
     for scene in (first, second, first, third):
         sampler._fitting(scene, ("easy",))

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from greenhouse_gym.envs import TomatoReachEnv, TomatoReachVectorEnv, worlds
+from greenhouse_gym.envs import GreenhouseEnv, GreenhouseVectorEnv, worlds
 from greenhouse_gym.envs.physics import name_of
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Box, pose
@@ -21,7 +21,7 @@ from greenhouse_gym.scene.geom_order import put_arm_first
 
 
 def test_old_worlds_make_room_unless_somebody_is_in_them(bank: SceneBank, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(worlds, "KEPT", 2)
+    monkeypatch.setattr(worlds, "CACHED", 2)
     kept = worlds.Worlds(get_robot("ur5e"), "reconstruction", 300)
     in_use = kept.world(bank[0])
     for scene in bank:
@@ -38,11 +38,11 @@ def test_old_worlds_make_room_unless_somebody_is_in_them(bank: SceneBank, monkey
 
 
 def test_a_scene_with_more_obstacles_than_fit_names_both_numbers(bank: SceneBank) -> None:
-    env = TomatoReachVectorEnv(2, bank=bank, capacity=5)
+    env = GreenhouseVectorEnv(2, bank=bank, capacity=5)
     with pytest.raises(InvalidValueError, match="more than the 5 allowed"):
         env.reset(seed=0)
-    roomy = TomatoReachVectorEnv(2, bank=bank, capacity=50)
-    usual = TomatoReachVectorEnv(2, bank=bank)
+    roomy = GreenhouseVectorEnv(2, bank=bank, capacity=50)
+    usual = GreenhouseVectorEnv(2, bank=bank)
     np.testing.assert_array_equal(roomy.reset(seed=0)[0], usual.reset(seed=0)[0])
 
 
@@ -51,12 +51,12 @@ def test_truth_chooses_its_capacity_from_the_bank(bank: SceneBank, tmp_path: Pat
     scenes = [scene.model_copy(update={"truth": Shapes(tomatoes=scene.tomatoes, clutter=crowd)}) for scene in bank]
     true = write_bank(tmp_path, [(scene, bank.split_of(scene.name)) for scene in scenes], name="true")
     assert true.largest_truth() == 633 + 12
-    env = TomatoReachVectorEnv(2, bank=true, physics="truth")
+    env = GreenhouseVectorEnv(2, bank=true, physics="truth")
     env.reset(seed=0)
     assert env.simulation.worlds.capacity == 700
-    assert worlds.room_for(true, "reconstruction") == worlds.room_for(bank, "truth") == 600
+    assert worlds.capacity_of(true, "reconstruction") == worlds.capacity_of(bank, "truth") == 600
     with pytest.raises(InvalidValueError, match=r"made-up-\d.*no truth.*simulated"):
-        TomatoReachVectorEnv(2, bank=bank, physics="truth").reset(seed=0)
+        GreenhouseVectorEnv(2, bank=bank, physics="truth").reset(seed=0)
 
 
 def test_truth_of_more_shapes_than_are_allowed_names_the_scene_and_the_remedy(
@@ -66,9 +66,9 @@ def test_truth_of_more_shapes_than_are_allowed_names_the_scene_and_the_remedy(
     crowd = tuple(Box([2.0, 0.01 * k, 1.0], [0.01, 0.001, 0.01], np.eye(3)) for k in range(633))
     scenes = [scene.model_copy(update={"truth": Shapes(tomatoes=scene.tomatoes, clutter=crowd)}) for scene in bank]
     crowded = write_bank(tmp_path, [(scene, bank.split_of(scene.name)) for scene in scenes], name="crowded")
-    assert worlds.room_for(crowded, "truth") == 640
+    assert worlds.capacity_of(crowded, "truth") == 640
     with pytest.raises(InvalidValueError, match=r"made-up-\d.* has 645 obstacles, more than the 640.*larger .*leaves"):
-        TomatoReachVectorEnv(2, bank=crowded, physics="truth").reset(seed=0)
+        GreenhouseVectorEnv(2, bank=crowded, physics="truth").reset(seed=0)
 
 
 def test_an_environment_has_room_for_the_largest_scene_of_its_bank(bank: SceneBank, tmp_path: Path) -> None:
@@ -77,7 +77,7 @@ def test_an_environment_has_room_for_the_largest_scene_of_its_bank(bank: SceneBa
     large = write_bank(tmp_path, [(scene, bank.split_of(scene.name)) for scene in scenes], name="large")
     largest = max(len(scene.obstacles) for scene in large)
     assert large.largest_scene() == SceneBank.open(tmp_path).largest_scene() == largest
-    env = TomatoReachVectorEnv(2, bank=large)
+    env = GreenhouseVectorEnv(2, bank=large)
     env.reset(seed=0)
     assert env.simulation.worlds.capacity == 700
 
@@ -92,7 +92,7 @@ def test_a_bank_whose_manifest_does_not_tell_how_large_its_scenes_are_gets_the_u
     (written.path / "manifest.json").write_text(json.dumps(manifest))
     earlier = SceneBank.open(tmp_path)
     assert earlier.largest_scene() is None
-    assert worlds.room_for(earlier, "reconstruction") == 600
+    assert worlds.capacity_of(earlier, "reconstruction") == 600
 
 
 def test_a_bank_that_is_written_anew_gives_its_new_scenes(scene: Scene, tmp_path: Path) -> None:
@@ -100,7 +100,7 @@ def test_a_bank_that_is_written_anew_gives_its_new_scenes(scene: Scene, tmp_path
         moved = [t.transformed(pose(translation=[x, 0.0, 0.0])) for t in scene.tomatoes]
         placed = scene.model_copy(update={"tomatoes": tuple(moved)})
         write_bank(tmp_path, [(placed, "train")], name="same")
-        env = TomatoReachEnv(bank=tmp_path)
+        env = GreenhouseEnv(bank=tmp_path)
         env.reset(seed=0, options={"scene": scene.name, "target": 0})
         body = env.model_and_data()[0].geom("tomato_0").pos
         np.testing.assert_allclose(body, moved[0].center)
@@ -112,10 +112,10 @@ def test_a_bank_that_is_written_anew_gives_its_new_scenes(scene: Scene, tmp_path
 
 def test_kinds_of_worlds_are_kept_only_so_long(bank: SceneBank) -> None:
     robot = get_robot("ur5e")
-    kept = worlds.worlds_of(robot, "reconstruction", 300)
-    assert worlds.worlds_of(robot, "reconstruction", 300) is kept
-    assert worlds.worlds_of(robot, "reconstruction", 300, substeps=2) is not kept
-    last = [weakref.ref(worlds.worlds_of(robot, "reconstruction", 301 + k)) for k in range(worlds.KINDS_KEPT + 1)]
+    kept = worlds.shared_worlds(robot, "reconstruction", 300)
+    assert worlds.shared_worlds(robot, "reconstruction", 300) is kept
+    assert worlds.shared_worlds(robot, "reconstruction", 300, substeps=2) is not kept
+    last = [weakref.ref(worlds.shared_worlds(robot, "reconstruction", 301 + k)) for k in range(worlds.CACHED_KINDS + 1)]
     gc.collect()
     assert last[0]() is None
     assert last[1]() is not None
@@ -131,7 +131,7 @@ def test_parts_without_a_name_are_told_by_their_body() -> None:
 
 def test_what_is_parked_twice_need_not_be_copied() -> None:
     bank = SceneBank.open("mini")
-    kept = worlds.worlds_of(get_robot("ur5e"), "reconstruction", 600)
+    kept = worlds.shared_worlds(get_robot("ur5e"), "reconstruction", 600)
     made = sorted((kept.world(bank.scene(name)) for name in bank.names()[:3]), key=lambda world: world.used)
     assert len({world.used for world in made}) == 3
     least, _, most = made

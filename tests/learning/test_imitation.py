@@ -9,7 +9,7 @@ pytest.importorskip("stable_baselines3")
 pytest.importorskip("ompl")
 
 from greenhouse_gym.agents import PolicyAgent
-from greenhouse_gym.envs import TomatoReachVectorEnv
+from greenhouse_gym.envs import GreenhouseVectorEnv
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.geometry import distance_to_shapes
@@ -52,7 +52,7 @@ def test_only_training_scenes_are_varied(bank: SceneBank, tmp_path: Path) -> Non
 def test_the_learner_comes_to_do_as_the_teacher_does(bank: SceneBank) -> None:
     settings = PpoSettings(bank=str(bank.path), num_envs=2, hidden=(64, 64), threads=1)
     model = make_ppo(settings, make_sb3_vec_env(2, bank=bank, observation="waypoint", threads=1))
-    env = TomatoReachVectorEnv(4, bank=bank, observation="waypoint", threads=1, autoreset_mode="SameStep")
+    env = GreenhouseVectorEnv(4, bank=bank, observation="waypoint", threads=1, autoreset_mode="SameStep")
     told: list[dict[str, float]] = []
     imitation = ImitationSettings(steps=240, num_envs=4, round_steps=20, batch_size=64, passes=100)
     imitate(model.policy, env, imitation, tell=lambda steps, figures: told.append(figures))

@@ -13,7 +13,7 @@ from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.vec_env import VecNormalize
 
 from greenhouse_gym.agents import Agent, Problem
-from greenhouse_gym.envs import TomatoReachEnv
+from greenhouse_gym.envs import GreenhouseEnv
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.learning.sb3 import Sb3Agent, make_sb3_vec_env
@@ -23,7 +23,7 @@ from greenhouse_gym.scene import SceneBank
 def test_episodes_end_with_everything_stable_baselines_reads(bank: SceneBank) -> None:
     env = make_sb3_vec_env(4, bank=bank, seed=3)
     observations = env.reset()
-    single = TomatoReachEnv(bank=bank)
+    single = GreenhouseEnv(bank=bank)
     expected, _ = single.reset(seed=3)
     np.testing.assert_array_equal(observations[0], expected)
     total, ended = 0.0, 0

@@ -10,8 +10,8 @@ pytest.importorskip("stable_baselines3")
 import torch
 
 from greenhouse_gym.crops.parts import Tomato
-from greenhouse_gym.envs import TomatoReachEnv
-from greenhouse_gym.envs.reach_task import STEP_LIMIT, SUCCESS_RADIUS
+from greenhouse_gym.envs import GreenhouseEnv
+from greenhouse_gym.envs.state import STEP_LIMIT, SUCCESS_RADIUS
 from greenhouse_gym.geometry import Sphere
 from greenhouse_gym.learning.sb3 import make_sb3_vec_env
 from greenhouse_gym.learning.sb3_features import GoalFeatures
@@ -97,7 +97,7 @@ def test_transitions_seldom_begin_at_their_goal(bank: SceneBank) -> None:
 
 
 def test_features_know_the_target_from_other_fruit(scene: Scene) -> None:
-    env = TomatoReachEnv(observation="goal", bank="mini")
+    env = GreenhouseEnv(observation="goal", bank="mini")
     features = GoalFeatures(env.observation_space, env.simulation.observe.layout)  # type: ignore[arg-type]
     reset = {"scene": scene, "target": 0, "start": [0.3, -1.2, 1.6, -1.9, -0.4, 0.2]}
     seen, _ = env.reset(options=reset)

@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from greenhouse_gym.cli import app
-from greenhouse_gym.envs import TomatoReachEnv
+from greenhouse_gym.envs import GreenhouseEnv
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.motion.collision import PROOF
 from greenhouse_gym.planning import CollisionChecker, certify, plan, planning_model
@@ -64,7 +64,7 @@ def test_arms_from_elsewhere_go_through_rate_plan_and_train(name: str, few: Scen
     assert witnesses >= 6
     reachable = next(t for t in rated[0].targets if t.robot == arm.name and t.witness)
     assert plan(rated[0], reachable.tomato, arm, max_checks=50_000, time_limit=None).status == "solved"
-    env = TomatoReachEnv(bank=rated, robot=arm, split="train")
+    env = GreenhouseEnv(bank=rated, robot=arm, split="train")
     env.reset(seed=0)
     assert env.simulation.info()["difficulty"][0] in ("easy", "medium", "hard")
     env.close()

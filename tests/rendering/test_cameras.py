@@ -5,7 +5,7 @@ import pytest
 from reach_helpers import REACH, scene_of, tool_at
 
 from greenhouse_gym.crops.parts import Stem, Tomato
-from greenhouse_gym.envs import DepthCamera, DepthObservation, PointsObservation, Randomization, TomatoReachEnv
+from greenhouse_gym.envs import DepthCamera, DepthObservation, GreenhouseEnv, PointsObservation, Randomization
 from greenhouse_gym.errors import GreenhouseError
 from greenhouse_gym.geometry import Sphere, distance_to_shapes
 from greenhouse_gym.rendering.cameras import MAX_RANGE
@@ -19,7 +19,7 @@ def looking_at_a_tomato() -> tuple[Scene, np.ndarray]:
 
 
 def observe(bank: SceneBank, placed: Scene, start: np.ndarray, **keywords: object) -> dict[str, np.ndarray]:
-    env = TomatoReachEnv(bank=bank, **keywords)
+    env = GreenhouseEnv(bank=bank, **keywords)
     observation, _ = env.reset(seed=0, options={"scene": placed, "target": 0, "start": start})
     assert env.observation_space.contains(observation)
     return observation

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from greenhouse_gym.envs.worlds import worlds_of
+from greenhouse_gym.envs.worlds import shared_worlds
 from greenhouse_gym.geometry import rotation_about
 from greenhouse_gym.rendering import raycaster
 from greenhouse_gym.rendering.raycaster import RayCaster
@@ -17,7 +17,7 @@ def test_what_is_left_out_is_not_seen(bank: SceneBank, robot: str, many: int, mo
     """The same hits as with all geoms, from cameras anywhere, one after the other with the same caster."""
     monkeypatch.setattr(raycaster, "_MANY", many)
     arm = get_robot(robot)
-    worlds = worlds_of(arm, "reconstruction", 300)
+    worlds = shared_worlds(arm, "reconstruction", 300)
     scenes = [bank.scene(name) for split in ("train", "test") for name in bank.names(split)]
     caster = RayCaster(worlds.world(scenes[0]).compiled)
     random = np.random.default_rng(0)

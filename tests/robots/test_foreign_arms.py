@@ -15,7 +15,7 @@ from conftest import make_scene
 from foreign_arms import ARMS, write_arm
 
 from greenhouse_gym.agents import PlannerAgent
-from greenhouse_gym.envs import TomatoReachEnv, TomatoReachVectorEnv
+from greenhouse_gym.envs import GreenhouseEnv, GreenhouseVectorEnv
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.planning import CollisionChecker, goal_configurations, path_clearance, planning_model
@@ -65,7 +65,7 @@ def test_a_mounted_arm_reaches_and_is_driven_there(mounted: Robot, bank: SceneBa
 
 @pytest.mark.parametrize("action", ["joint", "joint_velocity", "tip_velocity"])
 def test_all_actions_keep_the_limits_of_a_mounted_arm(mounted: Robot, action: str, bank: SceneBank) -> None:
-    env = TomatoReachVectorEnv(3, bank=bank, robot=mounted, action=action)
+    env = GreenhouseVectorEnv(3, bank=bank, robot=mounted, action=action)
     env.reset(seed=0)
     rng = np.random.default_rng(0)
     for _ in range(12):
@@ -241,11 +241,11 @@ def test_a_tool_is_mounted_once(tmp_path: Path) -> None:
 
 
 def test_many_loaded_robots_do_not_pile_up(tmp_path: Path, bank: SceneBank) -> None:
-    from greenhouse_gym.envs.worlds import worlds_of
+    from greenhouse_gym.envs.worlds import shared_worlds
 
     for _ in range(12):
-        TomatoReachEnv(bank=bank, robot=load_robot(ROBOTS["ur5e"])).close()
-    assert worlds_of.cache_info().currsize <= 8
+        GreenhouseEnv(bank=bank, robot=load_robot(ROBOTS["ur5e"])).close()
+    assert shared_worlds.cache_info().currsize <= 8
 
 
 # -- MuJoCo Menagerie's own arms, where they have been downloaded -----------------------------------------------------

@@ -17,7 +17,7 @@ from reach_helpers import REACH, scene_of, tool_at, touched_in_plain_mujoco
 
 import greenhouse_gym
 from greenhouse_gym.crops.parts import Stem, Tomato
-from greenhouse_gym.envs import TomatoReachEnv
+from greenhouse_gym.envs import GreenhouseEnv
 from greenhouse_gym.envs.actions import ACTIONS
 from greenhouse_gym.envs.choices import OBSERVATIONS
 from greenhouse_gym.envs.rewards import REWARDS
@@ -28,11 +28,11 @@ from greenhouse_gym.scene import Scene, SceneBank, Shapes
 from greenhouse_gym.scene.geom_order import first_world_geom, put_arm_first
 
 
-def make(bank: SceneBank, **keywords: Any) -> TomatoReachEnv:
+def make(bank: SceneBank, **keywords: Any) -> GreenhouseEnv:
     return gymnasium.make("TomatoReach-v0", bank=bank, disable_env_checker=True, **keywords).unwrapped
 
 
-def play(env: TomatoReachEnv, seed: int | None, actions: np.ndarray) -> list[tuple[Any, ...]]:
+def play(env: GreenhouseEnv, seed: int | None, actions: np.ndarray) -> list[tuple[Any, ...]]:
     observation, info = env.reset(seed=seed)
     seen: list[tuple[Any, ...]] = [(observation, info)]
     for action in actions:
@@ -194,7 +194,7 @@ def test_turned_and_moved_stand_gives_the_same_episode() -> None:
     np.testing.assert_allclose(seen[0], seen[1], atol=2e-3)
 
 
-def make_for(scene: Scene, **keywords: Any) -> TomatoReachEnv:
+def make_for(scene: Scene, **keywords: Any) -> GreenhouseEnv:
     import tempfile
 
     from greenhouse_gym.scene.bank import write_bank
@@ -203,7 +203,7 @@ def make_for(scene: Scene, **keywords: Any) -> TomatoReachEnv:
         return make(write_bank(folder, [(scene, "train")], name="one"), **keywords)
 
 
-def drive(env: TomatoReachEnv, goal: np.ndarray, steps: int = 60) -> tuple[Any, ...]:
+def drive(env: GreenhouseEnv, goal: np.ndarray, steps: int = 60) -> tuple[Any, ...]:
     for _ in range(steps):
         error = goal - env.simulation.command[0]
         result = env.step(np.clip(error / 0.08, -1, 1))
@@ -303,7 +303,7 @@ def test_bad_options_are_named(bank: SceneBank, options: dict[str, Any], error: 
 )  # fmt: skip
 def test_unknown_names_are_answered_with_the_choices(bank: SceneBank, keyword: dict[str, Any]) -> None:
     with pytest.raises(UnknownNameError, match="Choices: "):
-        TomatoReachEnv(**{"bank": bank, **keyword})
+        GreenhouseEnv(**{"bank": bank, **keyword})
 
 
 def test_difficulties_without_targets_are_refused_at_reset(bank: SceneBank) -> None:

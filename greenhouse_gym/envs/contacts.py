@@ -1,0 +1,82 @@
+"""Contacts of the arm by group: fruit, stem, leaf, fixture and self."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from greenhouse_gym.envs.state import Bools
+from greenhouse_gym.scene import CompiledScene
+from greenhouse_gym.scene.geom_order import first_world_geom
+
+CONTACT_GROUPS = ("fruit", "stem", "leaf", "fixture", "self")
+"""Groups of contacts by the arm's counterpart. Leaves are the clutter of a scene; fixtures are floor, cart, pipes and
+strings; "self" is a contact between two parts of the arm."""
+
+_FIXTURES = ("pipe", "string")
+_FIXTURE, _SELF = CONTACT_GROUPS.index("fixture"), CONTACT_GROUPS.index("self")
+
+Groups = npt.NDArray[np.int8]
+
+
+class Contact(NamedTuple):
+    """A contact between two geoms.
+
+    Attributes:
+        names: Names of the geoms, the arm's first; empty without a contact.
+        self_collision: Whether both belong to the arm.
+    """
+
+    names: tuple[str, ...] = ()
+    self_collision: bool = False
+
+
+NO_CONTACT = Contact()
+
+
+class Contacts(NamedTuple):
+    """Contacts of n simulations during an action.
+
+    Attributes:
+        counts: (n, groups) contacts summed over the physics steps.
+        collided: (n,) whether a contact ended the episode.
+        first: First contact of each simulation that collided, by its index.
+    """
+
+    counts: npt.NDArray[np.int64]
+    collided: Bools
+    first: dict[int, Contact]
+
+
+def geom_groups(compiled: CompiledScene) -> Groups:
+    """Return (geoms,) indices into `CONTACT_GROUPS` for the geoms of a compiled scene; the arm's geoms get "self"."""
+    scene, slots, world = compiled.scene, compiled.obstacle_geoms, int(compiled.model.body_geomnum[0])
+    groups = np.full(compiled.model.ngeom, _SELF, dtype=np.int8)
+    groups[:world] = _FIXTURE
+    kinds = ["fruit"] * len(scene.tomatoes)
+    kinds += ["fixture" if stem.kind in _FIXTURES else "stem" for stem in scene.stems]
+    kinds += ["leaf"] * len(scene.clutter)
+    groups[slots.start : slots.start + len(kinds)] = [CONTACT_GROUPS.index(kind) for kind in kinds]
+    return groups
+
+
+def contact_groups(model: mujoco.MjModel, data: mujoco.MjData, groups: Groups) -> Groups:
+    """Return the group of each present contact.
+
+    Args:
+        model: A copy of the compiled model, its geoms in either order.
+        data: Its state.
+        groups: `geom_groups` of the compiled scene.
+    """
+    geoms = (data.contact.geom - first_world_geom(model)) % model.ngeom
+    return np.asarray(groups[geoms].min(axis=1))  # the arm's own group is the largest
+
+
+def name_of(model: mujoco.MjModel, geom: int) -> str:
+    """Return the name of a geom, or of its body if it has none, as in MJCF files from elsewhere."""
+    # `MjModel.geom` would first build a table of thousands of names
+    own = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_GEOM, geom)
+    return str(own or model.body(model.geom_bodyid[geom]).name or f"geom {geom}")

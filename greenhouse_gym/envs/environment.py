@@ -1,0 +1,274 @@
+"""The single environment."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import mujoco
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+from greenhouse_gym.envs.episodes import DifficultyChoice
+from greenhouse_gym.envs.hindsight import add_goal_functions
+from greenhouse_gym.envs.observations import Observed, select
+from greenhouse_gym.envs.settings import EnvSettings, settings_with
+from greenhouse_gym.envs.simulation import Simulation, StepResult
+from greenhouse_gym.envs.spec import SpecMixin
+from greenhouse_gym.errors import EpisodeOverError, require_choice
+from greenhouse_gym.geometry import Array
+from greenhouse_gym.rendering.viewer import RENDER_MODES, Viewer
+from greenhouse_gym.robots import Robot
+from greenhouse_gym.scene import Scene
+
+_ONLY = np.array([0])
+
+
+class GreenhouseEnv(SpecMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]]):  # type: ignore[misc]
+    """Environment of an arm in front of tomato plants with a task, see ``task``; ``TomatoReach-v0`` has `TomatoReach`.
+
+    An episode takes place in one scene of a bank, with one or several of its tomatoes as targets. The arm carries a
+    slender suction gripper; its *tip* is the center of the cup, and the *grasp point* lies one target radius ahead of
+    the tip along the tool. Below, j is the number of the arm's joints and k the number of its probe points (``ur5e``: 6
+    and 9, ``iiwa14``: 7 and 9).
+
+    **Frame.** Positions are in the frame of the arm's stand at the height of its base: x forward to the plants, y left
+    along the row, z up. ``info`` and `render` use it as well.
+
+    **Time.** 20 actions per second (``rate``), each with 5 physics steps of 10 ms in which the servos follow a ramp to
+    the new commands. The environment itself truncates an episode after 200 steps (``step_limit``), without a
+    `TimeLimit` wrapper. ``max_episode_steps`` of ``gymnasium.make`` adds one, which can only shorten episodes.
+
+    **Action** ``Box(-1, 1, (size,), float32)``. Values outside [-1, 1] are clipped. An action that is not finite or has
+    another shape raises an error and changes nothing.
+
+    | ``action`` | size | an entry of 1 means |
+    |---|---|---|
+    | ``joint`` | j | the joint's command moves by 0.08 rad |
+    | ``joint_velocity`` | j | the joint's command moves at its speed limit |
+    | ``tip_velocity`` | 6 | the tip moves at 0.5 m/s along x, y, z, then rotates at 1.6 rad/s about them |
+
+    Damped least squares convert tip velocities to joint velocities. Whatever the action, commands obey the joints'
+    position limits (``info["position_limited"]`` counts stops) and speed limits (the whole motion is then scaled down,
+    ``info["speed_limited"]`` counts it), and stay within 0.2 rad of the measured joints.
+
+    **Observation** ``state``, ``Box((60,), float32)`` for ``ur5e``, 3 j + 6 + 4 k entries in general:
+
+    | ``ur5e`` | ``iiwa14`` | meaning | bounds | unit |
+    |---|---|---|---|---|
+    | 0 to 5 | 0 to 6 | joint positions | joint limits widened by 0.1 | rad |
+    | 6 to 11 | 7 to 13 | joint velocities | twice the speed limits | rad/s |
+    | 12 to 17 | 14 to 20 | command minus joint position | +-0.4 | rad |
+    | 18 to 20 | 21 to 23 | from the grasp point to the target's center | +-3 | m |
+    | 21 to 23 | 24 to 26 | the target's center | +-3 | m |
+    | 24 to 32 | 27 to 35 | clearance of the arm's surface at the probe points, arm to tip | -0.1 to 0.3 | m |
+    | 33 to 59 | 36 to 62 | unit vectors from there to the nearest obstacle, x y z each; 0 beyond 0.3 m | +-1 | |
+
+    Entries 18 to 23 are the features of the task; another task may have others. Obstacles are stems, clutter and all
+    tomatoes except the target, but not the floor, the cart or the arm itself. Distances come from a field with nodes
+    2 cm apart (error within 5 cm of an obstacle: mean 1 mm, 95 % within 4 mm, at most 12 mm). Values beyond a bound are
+    clipped to it. The other observations:
+
+    | ``observation`` | key | shape, type | meaning |
+    |---|---|---|---|
+    | ``state_occupancy`` | (a vector) | (3 j + 6 + 5 k,) float32 | ``state``, then 1 per probe point in unknown space |
+    | ``clearance_rays`` | (a vector) | (3 j + 6 + 4 k + 48,) float32 | ``state``, then clearances on rays, m |
+    | ``waypoint`` | (a vector) | (5 j + 8 + 4 k,) float32 | ``state``, then waypoint and path, rad |
+    | ``goal`` | ``achieved_goal`` | (3,) float64 | grasp point, m |
+    | | ``desired_goal`` | (3,) float64 | the target's center, m |
+    | | ``observation`` | (3 j + 6 + 4 k,) float32 | as ``state``, but see below |
+    | ``goal_waypoint`` | ``observation`` | (5 j + 8 + 4 k,) float32 | as in ``goal``, then as in ``waypoint`` |
+    | | ``achieved_goal``, ``desired_goal`` | | as in ``goal`` |
+    | ``depth`` | ``depth`` | (1, 48, 64) float32 | depth over 2 m, 0 to 1; 0 without a reading |
+    | | ``state`` | (3 j + 6,) float32 | the first entries of ``state``, up to the target's center |
+    | ``points`` | ``points`` | (768, 3) float32 | points in 24 rows of 32, m; 0 0 0 without a reading |
+    | | ``state`` | (3 j + 6,) float32 | as in ``depth`` |
+    | ``rgb`` | ``rgb`` | (3, 48, 64) uint8 | color image of the camera of ``depth``, without shadows |
+    | | ``state`` | (3 j + 6,) float32 | as in ``depth`` |
+    | ``rgbd`` | ``depth``, ``rgb``, ``state`` | | as above |
+
+    - ``goal``: tip position (m) and tool axis (unit vector) replace offset and target, and clearances include the
+      target, so that the vector does not depend on the target.
+    - ``clearance_rays``: distances to obstacles on 24 rays from the target's center toward the arm's side (azimuths by
+      `AZIMUTHS`, within each elevations by `ELEVATIONS`). For each ray, the smallest distance at 5 to 13 cm, where the
+      tool would be, and at 18 to 30 cm, where the wrist would be.
+    - ``waypoint``: the waypoint is a goal configuration that a collision-free straight motion in the known scene
+      reaches, or else the node with the shortest path in a tree that grows from the goal configurations. The vector
+      holds its offset from the commanded joints and the action that moves there at full speed, j numbers each, then the
+      length of the path from there to the goal (rad), and 1 if the straight motion is collision-free. Where no such
+      waypoint is known, that is 0 and an arbitrary goal takes its place. A waypoint is more than a sensor could
+      provide: it is a plan of a few straight motions in the known scene, and finding it takes time at the start of an
+      episode. It is updated every 8 steps and on arrival (`greenhouse_gym.envs.waypoints`).
+    - ``depth``, ``rgb`` and ``rgbd`` come from a camera next to the flange that looks along the tool; ``points`` is the
+      view of the plants from a mast next to the arm, one point per pixel. `DepthObservation`, `PointsObservation` and
+      `RgbObservation` in place of the name choose the camera ("wrist" or "mast"), its size and its field of view.
+
+    **Your own.** ``observation``, ``action``, ``reward`` and ``task`` also take your own objects: see `Observation`,
+    `ActionRule`, `Transition` and `Task`, and the folder ``examples``. They compute arrays of n simulations; the single
+    environment has one. Their results are checked at every step.
+
+    **Goals.** With ``observation="goal"`` or ``"goal_waypoint"``, the methods ``compute_reward``,
+    ``compute_terminated`` and ``compute_truncated`` (``achieved_goal``, ``desired_goal``, ``info``) evaluate one or n
+    steps with other goals; they read everything else from the info (hindsight replay of Stable-Baselines3 needs
+    ``copy_info_dict=True``).
+
+    **Contacts.** Contacts of the arm are counted after every physics step by group: fruit, stem, leaf, fixture (floor,
+    cart, pipes, strings) and self. The task decides which groups end the episode; by default all do. The cup may touch
+    the targets, which is not counted.
+
+    **Info**, on reset and step:
+
+    | key | meaning |
+    |---|---|
+    | ``is_success`` | bool |
+    | ``collision`` | whether a contact ended the episode |
+    | ``contact`` | names of the two geoms of the first such contact, the arm's first; empty without a collision |
+    | ``self_collision`` | whether both belong to the arm |
+    | ``contacts`` | number of contacts by group, summed over the physics steps of the action |
+    | ``distance`` | remaining distance; from the grasp point to the target's center, m |
+    | ``clearance`` | the smallest of the observed ones, before clipping, m |
+    | ``scene``, ``target``, ``difficulty`` | name, index of the tomato, rating ("unrated" if not rated for this arm) |
+    | ``steps`` | steps of this episode |
+    | ``speed_limited`` | steps of this episode that were scaled down to the speed limits |
+    | ``position_limited`` | number of times that a joint's command stopped at its limit in this episode |
+    | ``reward_terms`` | on step only: the terms by name |
+    | ``previous_goal``, ``effort`` | on step of ``goal``: achieved goal before it, sum of the action's squares |
+
+    Numbers that the task remembers (`Task.memory`) follow under their own names.
+
+    **Reset options**
+
+    | option | meaning |
+    |---|---|
+    | ``scene`` | name of a scene of any split, or a `Scene` |
+    | ``target`` | index of any of its tomatoes; needs ``scene`` |
+    | ``start`` | joint angles, rad, or a name such as ``folded``; one in contact collides at once |
+    | ``difficulty`` | for this episode, instead of the environment's |
+
+    **Versions.** A ``-v1`` is due for any change of what an agent observes or is rewarded for: spaces, order or meaning
+    of entries, scale or rate of actions, physics, success, collision, reward, or the episodes that a seed draws. New
+    choices, new info keys, speed and another bank (which has its own name) are no reason.
+
+    Args:
+        settings: The settings; default `EnvSettings` if None.
+        render_mode: "rgb_array" (by OpenGL, or by ray casting where it is missing), "depth_array" (m), "human" (a
+            window) or None. The straight line from tip to target is red, the tip's path pink.
+        **fields: Fields of `EnvSettings`, which documents them. They replace those of ``settings``.
+
+    Raises:
+        UnknownNameError: A name does not exist; the message lists the choices.
+        UnknownKeywordError: A keyword does not exist; the message lists the keywords.
+        InvalidValueError: A setting is invalid, or the goals of a goal environment would differ from the true ones.
+    """
+
+    metadata = {"render_modes": list(RENDER_MODES), "render_fps": 20}  # noqa: RUF012
+
+    def __init__(self, settings: EnvSettings | None = None, *, render_mode: str | None = None, **fields: Any):
+        self.settings = settings_with("GreenhouseEnv", settings, fields)
+        self.render_mode = None if render_mode is None else require_choice("render mode", render_mode, RENDER_MODES)
+        self._viewer = None if render_mode is None else Viewer(render_mode)
+        self.metadata = {**self.metadata, "render_fps": self.settings.rate}
+        self.simulation = Simulation(1, self.settings, threads=1)
+        self.observation_space = self.simulation.observe.space
+        self.action_space: spaces.Box = self.simulation.action_rule.space  # type: ignore[assignment]
+        add_goal_functions(self)
+        self._tip_trace: list[Array] = []
+        self._over = False
+
+    @property
+    def robot(self) -> Robot:
+        """The arm."""
+        return self.simulation.robot
+
+    @property
+    def scene(self) -> Scene:
+        """The scene of the current episode."""
+        return self.simulation.episode(0).scene
+
+    @property
+    def target(self) -> int:
+        """Index of the current target among the tomatoes of `scene`."""
+        return self.simulation.target(0)
+
+    @property
+    def start(self) -> Array:
+        """(joints,) start configuration of the current episode, radians."""
+        return self.simulation.episode(0).start
+
+    def set_difficulty(self, difficulty: DifficultyChoice) -> None:
+        """Set the difficulties of targets from the next reset on, see `EnvSettings.difficulty`."""
+        self.simulation.sampler.set_difficulty(difficulty)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observed, dict[str, Any]]:
+        """Begin an episode; see the class for the options."""
+        super().reset(seed=seed)
+        if seed is not None:
+            self.simulation.sampler.restart(seed)
+        self.simulation.reset(_ONLY, [self.np_random], [options])
+        self._over = False
+        self._tip_trace = [self._tip()] if self._viewer else []
+        self._show()
+        return self._observation(), self._info(None)
+
+    def step(self, action: Any) -> tuple[Observed, float, bool, bool, dict[str, Any]]:
+        """Apply an action.
+
+        Raises:
+            InvalidValueError: The action has the wrong shape or is not finite.
+            EpisodeOverError: The episode has ended.
+        """
+        if self._over:
+            raise EpisodeOverError("the episode has ended: call reset() before the next step")
+        result = self.simulation.step(np.asarray(action)[None])
+        terminated, truncated = result.terminated.item(), result.truncated.item()
+        self._over = terminated or truncated
+        if self._viewer:
+            self._tip_trace.append(self._tip())
+            self._show()
+        return self._observation(), result.reward.item(), terminated, truncated, self._info(result)
+
+    def render(self) -> npt.NDArray[Any] | None:  # type: ignore[override]
+        """Return an image of the arm and the plants: (h, w, 3) uint8 or (h, w) float32 metres; None in mode "human"."""
+        if self._viewer is None:
+            return None
+        model, data = self.model_and_data()
+        goal = self.simulation.goal(0)
+        return self._viewer.draw(model, data, self.scene.placement, self._tip(), goal, self._tip_trace)
+
+    def close(self) -> None:
+        """Free the simulation and the window; a later reset creates new ones."""
+        self.simulation.close()
+        if self._viewer:
+            self._viewer.close()
+
+    def model_and_data(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        """Return a copy of the episode's MuJoCo model and its current state.
+
+        The servos follow ``data.act``, the commanded positions (rad), which move with the speeds ``data.ctrl`` (rad/s).
+        """
+        return self.simulation.model_and_data(0)
+
+    def _show(self) -> None:
+        if self.render_mode == "human":
+            self.render()
+
+    def _observation(self) -> Observed:
+        return select(self.simulation.observation(), 0)
+
+    def _info(self, result: StepResult | None) -> dict[str, Any]:
+        info = {key: _item(values) for key, values in self.simulation.info(result).items()}
+        if result is not None:
+            info["reward_terms"] = {name: term.item() for name, term in result.terms.items()}
+        return info
+
+    def _tip(self) -> Array:
+        return self.simulation.tip(0)
+
+
+def _item(values: Any) -> Any:
+    if isinstance(values, dict):
+        return {key: _item(part) for key, part in values.items()}
+    return values[0].copy() if values.ndim > 1 else values.item()

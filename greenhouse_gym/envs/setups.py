@@ -1,0 +1,59 @@
+"""Setups of episodes: what is drawn at a reset, and the world that it takes place in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from greenhouse_gym.envs.episodes import Episode, EpisodeSampler
+from greenhouse_gym.envs.randomization import Disturbance, Randomization, draw_disturbance
+from greenhouse_gym.envs.task import Task
+from greenhouse_gym.envs.worlds import World, Worlds
+from greenhouse_gym.scene.occupancy import require_occupancy
+
+
+class Setup(NamedTuple):
+    """Setup of an episode.
+
+    Attributes:
+        episode: Scene, targets and start.
+        world: World of the scene, after its plants moved if they are randomized.
+        disturbance: Randomization of the episode.
+    """
+
+    episode: Episode
+    world: World
+    disturbance: Disturbance
+
+
+def draw_setup(
+    task: Task,
+    sampler: EpisodeSampler,
+    worlds: Worlds,
+    randomization: Randomization,
+    requires_occupancy: bool,
+    rng: np.random.Generator,
+    options: Mapping[str, Any] | None,
+) -> Setup:
+    """Draw the setup of an episode.
+
+    Args:
+        task: The task, which draws scene and targets.
+        sampler: Source of scenes and targets.
+        worlds: Cache of worlds.
+        randomization: Ranges of the randomization.
+        requires_occupancy: The scene must have an occupancy grid.
+        rng: Generator of the simulation.
+        options: Options of the reset.
+    """
+    episode = task.sample(sampler, rng, options)
+    scene = episode.scene
+    if requires_occupancy:
+        require_occupancy(scene.occupancy, scene.name, "the observation", 'observe the "state" alone')
+    disturbance = draw_disturbance(randomization, len(sampler.robot.joints), rng)
+    world = worlds.world(scene, sampler.at_a_time)
+    if randomization.plants is not None and disturbance.plants is not None:
+        world = worlds.moved(world, randomization.plants, disturbance.plants)
+    return Setup(episode, world, disturbance)

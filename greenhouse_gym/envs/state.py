@@ -1,0 +1,151 @@
+"""State and timing of n simulations.
+
+All arrays are computed elementwise, so the numbers of one simulation do not depend on how many are computed together.
+Points and directions are in the base frame: x forward to the plants, z up, origin at the arm's base on its stand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from greenhouse_gym.geometry import Array
+from greenhouse_gym.scene.mjcf import TIMESTEP
+
+Float32: TypeAlias = npt.NDArray[np.float32]
+Bools: TypeAlias = npt.NDArray[np.bool_]
+Bytes: TypeAlias = npt.NDArray[np.uint8]
+Ids: TypeAlias = npt.NDArray[np.int64]
+
+STEP_LIMIT = 200
+"""Default number of steps after which an episode is truncated."""
+
+RATE = 20
+"""Default number of actions per second."""
+
+SUBSTEPS = 5
+"""Physics steps of 10 ms per action at the default rate."""
+
+ACTION_STEP = 0.08
+"""Change of a joint's command by an action of 1 at the default rate, radians."""
+
+MAX_COMMAND_ERROR = 0.2
+"""Maximum distance of a command from the measured joint position at the default rate, radians.
+
+At full speed the arm lags 0.1 rad behind its commands.
+"""
+
+
+class ControlTiming(NamedTuple):
+    """Timing of actions and physics steps.
+
+    Attributes:
+        substeps: Physics steps per action.
+        interval: Time between two actions, seconds.
+        action_step: Change of a joint's command by an action of 1, radians.
+    """
+
+    substeps: int = SUBSTEPS
+    interval: float = SUBSTEPS * TIMESTEP
+    action_step: float = ACTION_STEP
+
+
+DEFAULT_TIMING = ControlTiming()
+
+
+def control_timing(rate: float) -> ControlTiming:
+    """Return the timing for a number of actions per second; the maximum joint speed is the same at every rate."""
+    substeps = round(1 / (rate * TIMESTEP))
+    return ControlTiming(substeps, substeps * TIMESTEP, ACTION_STEP * (substeps / SUBSTEPS))
+
+
+class State(NamedTuple):
+    """State of n simulations at one moment.
+
+    Attributes:
+        joints: (n, j) measured joint positions, radians.
+        velocities: (n, j) joint velocities, rad/s.
+        command_error: (n, j) last commanded minus measured joint positions, radians.
+        tip: (n, 3) center of the suction cup, metres.
+        axis: (n, 3) unit vector along the tool.
+        grasp: (n, 3) grasp point, one target radius ahead of the tip, metres.
+        target: (n, 3) center of the current target as the agent knows it, metres.
+        goal: (n, 3) true center of the current target, metres. It differs from ``target`` if the physics simulate the
+            true row or the target is observed with an error.
+        remaining: (n,) targets left in the episode, the current one included.
+        clearance: (n, k) distance from the arm's surface at its probe points to the nearest obstacle, metres.
+        obstacle: (n, k, 3) unit vectors from the probe points to that obstacle; zero beyond the maximum distance.
+        clearance_rays: (n, `NUM_CLEARANCES`) clearances on rays from the target, metres; (n, 0) unless requested.
+        waypoint: (n, j) offset from the commanded joints to the roadmap's waypoint, radians; (n, 0) unless requested.
+        path_length: (n,) length of the path from the waypoint to the goal, radians; NaN unless requested.
+        path_free: (n,) whether the straight motion to the waypoint is collision-free; False unless requested.
+        unknown: (n, k) whether the probe points lie in space that the scan did not observe; k is 0 unless requested.
+        depth: (n, c, h, w) depth images of c cameras, metres; 0 without a reading.
+        color: (n, c, h, w, 3) color images, 0 to 255; c is 0 unless requested.
+        views: (n, c, 4, 4) camera poses, base_from_camera.
+        contacts: (n, `len(CONTACT_GROUPS)`) contacts by group, summed over the physics steps of the last action.
+        collided: (n,) whether a contact ended the episode.
+        distance: (n,) remaining distance to the goal as the task measures it.
+        success: (n,) whether the task is solved.
+        failure: (n,) whether the task has failed.
+        memory: Numbers (n,) of the task by name, see `Task.memory`.
+    """
+
+    joints: Array
+    velocities: Array
+    command_error: Array
+    tip: Array
+    axis: Array
+    grasp: Array
+    target: Array
+    goal: Array
+    remaining: npt.NDArray[np.int64]
+    clearance: Float32
+    obstacle: Float32
+    clearance_rays: Float32
+    waypoint: Array
+    path_length: Array
+    path_free: Bools
+    unknown: Bools
+    depth: Float32
+    color: Bytes
+    views: Array
+    contacts: npt.NDArray[np.int64]
+    collided: Bools
+    distance: Array
+    success: Bools
+    failure: Bools
+    memory: Mapping[str, Array]
+
+    def select(self, ids: Ids) -> State:
+        """Return the state of some simulations."""
+        return State._make(_mapped(values, lambda array: array[ids]) for values in self)
+
+    def replaced(self, ids: Ids, fresh: State) -> State:
+        """Return a copy with the ``fresh`` state of some simulations."""
+        result = State._make(_mapped(values, np.copy) for values in self)
+        old: Any
+        new: Any
+        for old, new in zip(result, fresh, strict=True):
+            if isinstance(old, Mapping):
+                for name, values in old.items():
+                    values[ids] = new[name]
+            else:
+                old[ids] = new
+        return result
+
+
+def _mapped(values: Any, function: Any) -> Any:
+    """Apply a function to an array, or to each array of a mapping."""
+    if isinstance(values, Mapping):
+        return {name: function(array) for name, array in values.items()}
+    return function(values)
+
+
+def lengths(vectors: Array) -> Array:
+    """Return the lengths (n,) of vectors (n, 3)."""
+    squares = vectors * vectors
+    return np.asarray(np.sqrt(squares[:, 0] + squares[:, 1] + squares[:, 2]))

@@ -1,0 +1,101 @@
+"""Protocol of tasks: what an episode is about, independent of physics, sensors, agents and evaluation.
+
+A task is one class, usually in one file, see `greenhouse_gym.envs.tasks.reach`. Its methods are elementwise functions
+of arrays over n simulations, so the vector environment and single environments compute the same numbers.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Mapping
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from greenhouse_gym.envs.contacts import CONTACT_GROUPS
+from greenhouse_gym.envs.episodes import Episode, EpisodeSampler
+from greenhouse_gym.envs.features import FEATURES, Feature
+from greenhouse_gym.envs.rewards import REWARDS, Reward
+from greenhouse_gym.envs.state import Bools, State
+from greenhouse_gym.geometry import Array
+
+
+class Outcome(NamedTuple):
+    """Outcome of a task in n simulations.
+
+    Attributes:
+        distance: (n,) remaining distance to the goal, metres. Rewards for progress read it.
+        success: (n,) whether the task is solved, which ends the episode.
+        failure: (n,) whether the task has failed, which ends the episode.
+        next_target: (n,) whether the current target is done and the next one of the episode follows; None for tasks
+            with one target.
+        memory: New values (n,) of `Task.memory`.
+    """
+
+    distance: Array
+    success: Bools
+    failure: Bools
+    next_target: Bools | None = None
+    memory: Mapping[str, Array] = MappingProxyType({})
+
+
+class Task(ABC):
+    """Task of an environment. Subclass it, and pass the class, an object or ``"file.py:Name"`` as ``task=``.
+
+    Attributes:
+        ends_on: Contact groups that end an episode as a collision; by default all `CONTACT_GROUPS`. Contacts of the
+            other groups are counted in ``info["contacts"]`` and `State.contacts`.
+        costs: Reward per contact and physics step by group, such as ``{"leaf": -0.02}``; the sum is the reward term
+            ``contact``.
+        features: Groups of numbers that observations contain about the task, by name.
+        rewards: Rewards by name, for the setting ``reward``.
+        memory: Numbers that each simulation remembers from step to step, by name with their initial values. They are
+            in `State.memory`, in ``info`` and in the records of an evaluation.
+    """
+
+    ends_on: Collection[str] = CONTACT_GROUPS
+    costs: Mapping[str, float] = MappingProxyType({})
+    features: Mapping[str, Feature] = MappingProxyType(
+        {name: FEATURES[name] for name in ("grasp_offset", "target_position")}
+    )
+    rewards: Mapping[str, Reward] = REWARDS
+    memory: Mapping[str, float] = MappingProxyType({})
+
+    def sample(self, sampler: EpisodeSampler, rng: np.random.Generator, options: Mapping[str, Any] | None) -> Episode:
+        """Draw an episode: a scene, one or several targets in order, and a start configuration.
+
+        Args:
+            sampler: Draws scenes and targets from the bank by the environment's settings.
+            rng: Generator of the simulation.
+            options: Options of the reset.
+        """
+        return sampler.draw(rng, options)
+
+    @abstractmethod
+    def evaluate(self, state: State) -> Outcome:
+        """Return the outcome of n simulations.
+
+        Args:
+            state: State after a reset or an action. Its ``memory`` holds the values before, and its ``distance``,
+                ``success`` and ``failure`` are not known yet.
+        """
+
+
+class GoalTask(Task):
+    """Task whose outcome depends only on an achieved and a desired goal, points (n, 3), and on collisions.
+
+    Goal environments need one, because hindsight replay evaluates steps with other goals.
+    """
+
+    @abstractmethod
+    def goals(self, state: State) -> tuple[Array, Array]:
+        """Return the achieved and desired goals (n, 3) of n simulations, metres in the base frame."""
+
+    @abstractmethod
+    def evaluate_goals(self, achieved: Array, desired: Array, collided: Bools) -> Outcome:
+        """Return the outcome for achieved and desired goals (n, 3), and whether a contact ended the episode (n,)."""
+
+    def evaluate(self, state: State) -> Outcome:
+        """Return the outcome of n simulations."""
+        return self.evaluate_goals(*self.goals(state), state.collided)
