@@ -108,7 +108,8 @@ def main() -> None:
         rows=statistics.rows, length=shipped.ROW_LENGTH, spacing=settings.spacing,
         progress=progress, primitives=settings.max_shapes, width=settings.width, reach=settings.reach,
         leaves=f"{1000 * settings.leaf_tolerance:g}", targets=settings.max_targets,
-        goals=certify.GOALS, hard=certify.HARD, seeds=certify.SEEDS, most=certify.MAX_CHECKS, last=certify.LAST_CHECKS, samples=certify.SAMPLES,
+        goals=certify.GOALS, hard=certify.HARD, seeds=certify.SEEDS, most=certify.MAX_CHECKS,
+        last=certify.LAST_CHECKS, samples=certify.SAMPLES,
         default=described(default, statistics), mini=described(mini, bank_statistics(mini)),
     )  # fmt: skip
     draw(statistics.difficulties_of, folder / PICTURE)

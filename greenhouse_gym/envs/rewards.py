@@ -139,8 +139,8 @@ class PathReward(DenseReward):
 
     A grasp point that approaches its goal in a straight line may run into leaves. The remaining path leads to the
     waypoint and from there to the goal, in joint space (`greenhouse_gym.motion.waypoints`). It is a potential (Ng,
-    Harada and Russell: Policy invariance under reward transformations, 1999) without a discount, so the progress over an
-    episode depends only on its start and end. The policy need not observe the waypoint. Goal environments cannot use
+    Harada and Russell: Policy invariance under reward transformations, 1999) without a discount, so the progress over
+    an episode depends only on its start and end. The policy need not observe the waypoint. Goal environments cannot use
     it, because the path to a goal in hindsight is unknown.
 
     Attributes:
