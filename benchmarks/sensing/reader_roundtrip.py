@@ -134,7 +134,7 @@ RIGS: dict[str, Format] = {
     "RealSense bag": ("walk.bag", lambda camera: f"device-{camera}", write_realsense),
 }
 SINGLE: dict[str, Format] = {
-    name: ("walk", lambda camera: "camera", lambda path, source, write=write: write(path, walk_of(source, MIDDLE)))
+    name: ("walk", lambda camera: "camera", lambda path, source, write=write: write(path, track_of(source, MIDDLE)))
     for name, (_, write, *_) in LAYOUTS.items()
 }
 

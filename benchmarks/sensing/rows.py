@@ -112,7 +112,7 @@ class Row:
         """(stations, 4, 4) true poses of the rig."""
         return tripod_poses(len(self.simulate(NOISE_FREE)), self.seed, SEED_RIG, NOISE_FREE)
 
-    def simulate(self, settings: WalkSettings | None = None) -> Recording:
+    def simulate(self, settings: CaptureSettings | None = None) -> Recording:
         """Return its recording, rendered when it is read."""
         light = LIGHTS[self.light] if self.light else None
         return simulate_recording(self.grow(), self.seed, settings=settings, light=light)

@@ -103,7 +103,7 @@ def arm_among(shapes: Sequence[Shape], origin: Array, settings: BuildSettings) -
 
 def plain(shape: Shape) -> Sphere | Capsule | Box:
     """Return the geometric shape of a plant part, which any scene's clutter may hold."""
-    if isinstance(shape, Tomato):
+    if isinstance(shape, Ellipsoid):
         return Sphere(shape.center, shape.radius)
     return Capsule(shape.start, shape.end, shape.radius) if isinstance(shape, Capsule) else shape
 
