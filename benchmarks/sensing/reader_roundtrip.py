@@ -33,7 +33,7 @@ from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, reco
 
 sys.path.insert(0, str(TESTS))
 from bag_writer import MCAP, ROS1, SQLITE, Writer, write_rig
-from layouts import LAYOUTS, as_described_rig
+from layouts import LAYOUTS, as_described_rig, track_of
 from row_helpers import HALF
 
 SEED, LENGTH = 1, 0.6

@@ -28,7 +28,7 @@ from greenhouse_gym.capture import (
     write_recording,
 )
 from greenhouse_gym.capture.recordings import INDEX
-from greenhouse_gym.capture.simulated import tripod_poses
+from greenhouse_gym.capture.simulated import CaptureSettings, tripod_poses
 from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.crops import DEVELOPMENT_CULTIVARS, HELD_OUT_CULTIVARS, STYLES, PlantRow, grow_row
 from greenhouse_gym.geometry import Array, invert

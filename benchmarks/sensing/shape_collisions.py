@@ -18,7 +18,7 @@ from greenhouse_gym.accuracy import VisibleRow
 from greenhouse_gym.build.scenes import BuildSettings
 from greenhouse_gym.crops import PlantRow
 from greenhouse_gym.crops.plant_row import STEM_LINE
-from greenhouse_gym.geometry import Array, Box, Capsule, Shape, Sphere, distance_to_shapes, pose, transformed
+from greenhouse_gym.geometry import Array, Box, Capsule, Ellipsoid, Shape, Sphere, distance_to_shapes, pose, transformed
 from greenhouse_gym.motion.collision import CollisionChecker
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import ArmPlacement, Provenance, Scene
