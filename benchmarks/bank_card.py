@@ -43,7 +43,7 @@ edited by hand. `greenhouse-gym bank check` replays every witness.
 A row of plants is grown ($rows rows of $length m; our own generator, or organ meshes grown by Helios), photographed by
 a simulated three-camera rig with stereo noise, reconstructed to a cloud, turned into spheres, capsules and boxes, and
 cut into scenes, one for each arm placement along the row ($spacing m apart, so the scenes of a recording overlap).
-Nothing in it is real, and nothing was placed by hand. $progress
+Nothing in it is real, and nothing was placed by hand.$progress
 
 Every scene holds the reconstruction, which an agent knows (at most $primitives shapes within $width m along the row),
 the truth (everything within $reach m of the shoulder; the leaves of Helios' plants as boxes within $leaves mm of them),
@@ -101,7 +101,7 @@ def main() -> None:
     progress = ""
     if statistics.recordings < recordings:
         progress = (
-            f"The recipe names {recordings} recordings of {shipped.ROWS} rows; {statistics.recordings} of them exist "
+            f" The recipe names {recordings} recordings of {shipped.ROWS} rows; {statistics.recordings} of them exist "
             "so far, and the same command builds the others."
         )
     card = CARD.substitute(

@@ -118,7 +118,7 @@ def cross_validated(
         count: Counts on an example what classifiers find.
     """
     counts: list[list[Array]] = [[] for _ in rows]
-    for k in range(FOLDS):
+    for k in range(min(FOLDS, len(rows))):
         classifiers = fit([example for i, row in enumerate(rows) if i % FOLDS != k for example in row])
         for i in range(k, len(rows), FOLDS):
             counts[i] = [count(example, classifiers) for example in rows[i]]
