@@ -1,4 +1,4 @@
-"""Which points speak for which shape."""
+"""Assignment of cloud points to the shapes that explain them."""
 
 from __future__ import annotations
 
@@ -10,13 +10,16 @@ import numpy.typing as npt
 
 from greenhouse_gym.geometry import Array, Box, Capsule, Ellipsoid, Shape, distance_to_shapes
 
+SHELL = 0.004
+"""Distance in metres from a shape's surface within which points belong to it."""
+
 
 class Evidence(NamedTuple):
     """The shape nearest to each point of a cloud.
 
     Attributes:
         owner: (n,) index of the shape, or -1 where none is within reach.
-        residual: (n,) signed distance from its surface in metres, negative inside; NaN where there is none.
+        residual: (n,) signed distance from its surface in metres, negative inside; NaN where no shape is within reach.
     """
 
     owner: npt.NDArray[np.int32]
@@ -24,11 +27,11 @@ class Evidence(NamedTuple):
 
 
 def nearest_shapes(points: Array, shapes: Sequence[Shape], reach: float) -> Evidence:
-    """Assign each point (n, 3) to the nearest shape whose surface is within ``reach`` metres, or that holds it."""
+    """Assign each point (n, 3) to the nearest shape whose surface is within ``reach`` metres, or that contains it."""
     owner, residual = np.full(len(points), -1, dtype=np.int32), np.full(len(points), np.nan)
     order = np.argsort(points[:, 1], kind="stable")
     along = points[order, 1]
-    for index, shape in enumerate(shapes):  # most shapes are far from most points: look only at a box around each
+    for index, shape in enumerate(shapes):  # shapes are far from nearly all points: search a box around each
         low, high = _bounds(shape, reach)
         rows = order[np.searchsorted(along, low[1]) : np.searchsorted(along, high[1], "right")]
         rows = rows[((points[rows] >= low) & (points[rows] <= high)).all(axis=1)]
@@ -39,7 +42,7 @@ def nearest_shapes(points: Array, shapes: Sequence[Shape], reach: float) -> Evid
 
 
 def _bounds(shape: Shape, margin: float) -> tuple[Array, Array]:
-    """Corners (3,) and (3,) of a box along the axes that holds a shape and ``margin`` metres around it."""
+    """Return the corners (3,) and (3,) of an axis-aligned box around a shape and ``margin`` metres around it."""
     if isinstance(shape, Box):
         half = np.abs(shape.rotation) @ shape.half_extents + margin
         return shape.center - half, shape.center + half

@@ -1,4 +1,4 @@
-"""One way from a cloud to shapes: pipes first, then tomatoes, stems, and boxes for what is left."""
+"""Extraction of shapes from a cloud: pipes first, then tomatoes, stems, and boxes for the remaining points."""
 
 from __future__ import annotations
 
@@ -11,35 +11,41 @@ import numpy.typing as npt
 from greenhouse_gym.crops.parts import Stem, Tomato
 from greenhouse_gym.geometry import Box, Shape
 from greenhouse_gym.reconstruction.point_clouds import Cloud
-from greenhouse_gym.shapes.bare_peduncles import find_bare_peduncles
-from greenhouse_gym.shapes.checks import Notes, checked, thinned
-from greenhouse_gym.shapes.clutter import box_budget, cover
-from greenhouse_gym.shapes.colors import could_be_pipe, could_be_stem, is_colorful, redness
-from greenhouse_gym.shapes.evidence import Evidence, nearest_shapes
-from greenhouse_gym.shapes.grids import by_grids
-from greenhouse_gym.shapes.likely_places import likelihood
-from greenhouse_gym.shapes.peduncles import find_peduncles
-from greenhouse_gym.shapes.pipes import find_pipes
+from greenhouse_gym.shapes.clutter.boxes import box_budget, cover_with_boxes
+from greenhouse_gym.shapes.colors import colorful_mask, redness
+from greenhouse_gym.shapes.evidence import SHELL, Evidence, nearest_shapes
+from greenhouse_gym.shapes.fruit.detection import find_tomatoes
+from greenhouse_gym.shapes.fruit.skin import noisy_skin_mask, skin_mask
+from greenhouse_gym.shapes.input_checks import WarningLog, downsample, validated_cloud
 from greenhouse_gym.shapes.settings import ShapeSettings
-from greenhouse_gym.shapes.stems import find_main_stems, find_strings
-from greenhouse_gym.shapes.surfaces import SurfaceCloud, look_at_surfaces
-from greenhouse_gym.shapes.thin_stems import places_near_fruit
-from greenhouse_gym.shapes.tomatoes import find_tomatoes
+from greenhouse_gym.shapes.stems.bare_peduncles import find_bare_peduncles
+from greenhouse_gym.shapes.stems.main_stems import find_main_stems, find_strings
+from greenhouse_gym.shapes.stems.peduncle_classifier import peduncle_probability
+from greenhouse_gym.shapes.stems.peduncle_features import STEM_MARGIN, PeduncleCandidates, peduncle_candidates
+from greenhouse_gym.shapes.stems.peduncles import find_peduncles
+from greenhouse_gym.shapes.stems.pipes import find_pipes
+from greenhouse_gym.shapes.surface_cloud import SurfaceCloud, fine_surface, measure_surface, pipe_mask, stem_mask
 
-_LYING = 0.5  # metres of main stems that show that a cloud lies on its side
+EXPLAINED = 0.008
+"""Distance in metres from a shape within which a point is evidence for it."""
+
+MIN_PEDUNCLE, MIN_BARE_PEDUNCLE = 0.2, 0.5
+"""Probability of points through which peduncles with and without detected fruit are traced."""
+
+_MIN_LYING = 0.5  # metres of main stems that show that a cloud lies on its side
 
 
 @dataclass(frozen=True, eq=False)
 class RowShapes:
-    """What a cloud was found to hold, in the cloud's frame (metres).
+    """Shapes extracted from a cloud, in its frame (metres).
 
     Attributes:
         tomatoes: Fruits with truss and ripeness.
         stems: Main stems, peduncles, pedicels, strings and pipes.
         clutter: Boxes around everything else.
-        confidence: How credible each tomato is, 0 to 1.
-        evidence: The shape nearest to each point of the cloud, counted through tomatoes, stems and clutter.
-        warnings: What a user should look at; each is also raised as a `ShapeWarning`.
+        confidence: Confidence of each tomato, 0 to 1.
+        evidence: The shape nearest to each point of the cloud, indexed through tomatoes, stems and clutter.
+        warnings: Problems that a user should check; each is also raised as a `ShapeWarning`.
     """
 
     tomatoes: tuple[Tomato, ...] = ()
@@ -51,7 +57,7 @@ class RowShapes:
 
     @property
     def shapes(self) -> tuple[Shape, ...]:
-        """All shapes in the order in which ``evidence`` counts them."""
+        """All shapes in the order of the indices in ``evidence``."""
         return (*(tomato.shape for tomato in self.tomatoes), *self.stems, *self.clutter)
 
 
@@ -61,76 +67,69 @@ def extract_shapes(
     normals: npt.ArrayLike | None = None,
     settings: ShapeSettings | None = None,
 ) -> RowShapes:
-    """Find tomatoes, stems and clutter in a cloud.
+    """Extract tomatoes, stems and clutter from a cloud.
 
     Args:
         points: (n, 3) metres; z up.
         colors: (n, 3) RGB in [0, 1].
-        normals: (n, 3) unit vectors out of the surfaces. Left out or zero, they are estimated: out of what bulges or is
-            long and thin, and elsewhere to the side from which most of this was seen.
+        normals: (n, 3) unit vectors out of the surfaces. Where they are left out or zero they are estimated, oriented
+            outwards on bulging and rod-like surfaces and elsewhere to the side from which most of the cloud was seen.
         settings: All settings.
 
     Returns:
-        The shapes; empty where the cloud holds too little, which ``warnings`` says.
+        The shapes; empty where the cloud has too few points, with a warning.
 
     Raises:
-        InvalidValueError: The arrays do not fit together, hold NaN or colors beyond 1, or the cloud is too large to be
-            in metres.
+        InvalidValueError: The arrays differ in shape, hold NaN or colors above 1, or the cloud is too large to be in
+            metres.
     """
     settings = settings or ShapeSettings()
-    whole, notes = checked(points, colors, normals), Notes()
-    thin = thinned(whole, normals is not None, settings, notes)
+    whole, log = validated_cloud(points, colors, normals), WarningLog()
+    thin = downsample(whole, normals is not None, settings, log)
     if not len(thin):
-        return RowShapes(evidence=nearest_shapes(whole.points, (), 0.0), warnings=tuple(notes.messages))
-    cloud = look_at_surfaces(thin, settings)
-    pipes = find_pipes(cloud.select(could_be_pipe(cloud, settings)), settings)
-    cloud = _without(cloud, pipes, settings.shell)
-    tomatoes, confidence = find_tomatoes(list(by_grids(whole, cloud, settings)), settings)
-    surface = cloud
+        return RowShapes(evidence=nearest_shapes(whole.points, (), 0.0), warnings=tuple(log.messages))
+    cloud = measure_surface(thin)
+    pipes = find_pipes(cloud.select(pipe_mask(cloud)), settings.pipe_radii)
+    surface = _without(cloud, pipes, SHELL)
+    tomatoes, confidence = find_tomatoes(surface, fine_surface(whole, surface, settings), settings)
     fruits = [tomato.shape for tomato in tomatoes]
-    skin = cloud.points[nearest_shapes(cloud.points, fruits, settings.skin_noise).owner >= 0]
-    cloud = _without(cloud, fruits, settings.shell)
-    colorful = is_colorful(cloud.colors, settings)
-    woody, pale = cloud.select(colorful if normals is None else could_be_stem(cloud, settings)), cloud.select(~colorful)
-    upright = (
-        *find_main_stems(woody.points, woody.normals, settings),
-        *find_strings(pale.points, pale.normals, settings),
-    )
-    main = [stem for stem in upright if stem.kind == "main"]
+    cloud = _without(surface, fruits, SHELL)
+    colorful = colorful_mask(cloud.colors)
+    woody, pale = cloud.select(colorful if normals is None else stem_mask(cloud)), cloud.select(~colorful)
+    main = find_main_stems(woody.points, woody.normals, settings)
     if not main:
-        _say_if_not_upright(woody, settings, notes)
-    places = places_near_fruit(surface, tomatoes, main, settings)
-    likely = likelihood(places)
-    hanging = find_peduncles(places.nodes[likely > settings.min_peduncle], tomatoes, main, settings)
-    hanging += find_bare_peduncles(places.nodes[likely > settings.min_bare_peduncle], [*main, *hanging], settings)
-    stems = (*upright, *hanging, *pipes)
-    cloud = _without(_without(cloud, upright, settings.stem_margin), hanging, settings.shell)
-    cloud = _without_skin(cloud, tomatoes, settings)
-    clutter = tuple(cover(cloud.points, cloud.normals, box_budget(cloud.points, settings), settings, skin))
-    evidence = nearest_shapes(whole.points, (*fruits, *stems, *clutter), settings.explained)
-    return RowShapes(tomatoes, stems, clutter, confidence, evidence, tuple(notes.messages))
+        _warn_if_lying(woody, settings, log)
+    upright = [*main, *find_strings(pale.points, pale.normals, settings)]
+    peduncles = _peduncles(peduncle_candidates(surface, tomatoes, main), tomatoes, main, settings)
+    stems = (*upright, *peduncles, *pipes)
+    cloud = _without(_without(cloud, upright, STEM_MARGIN), peduncles, SHELL)
+    cloud = cloud.select(~noisy_skin_mask(cloud.points, cloud.normals, tomatoes))
+    skin = surface.points[skin_mask(surface.points, tomatoes)]
+    clutter = tuple(cover_with_boxes(cloud.points, cloud.normals, box_budget(cloud.points, settings), settings, skin))
+    evidence = nearest_shapes(whole.points, (*fruits, *stems, *clutter), EXPLAINED)
+    return RowShapes(tomatoes, stems, clutter, confidence, evidence, tuple(log.messages))
 
 
-def _say_if_not_upright(woody: Cloud, settings: ShapeSettings, notes: Notes) -> None:
-    """Look for main stems with another axis up, where there are none with z; edges of tables are not green."""
-    woody = woody.select(redness(woody.colors) <= 0.0)
+def _peduncles(
+    candidates: PeduncleCandidates, tomatoes: tuple[Tomato, ...], main: list[Stem], settings: ShapeSettings
+) -> list[Stem]:
+    """Trace the peduncles and pedicels of detected fruit, then peduncles without detected fruit."""
+    probability, nodes = peduncle_probability(candidates), candidates.nodes
+    found = find_peduncles(nodes[probability > MIN_PEDUNCLE], tomatoes, main, settings.axis_tolerance)
+    bare = nodes[probability > MIN_BARE_PEDUNCLE]
+    return found + find_bare_peduncles(bare, [*main, *found], settings.axis_tolerance)
+
+
+def _warn_if_lying(woody: Cloud, settings: ShapeSettings, log: WarningLog) -> None:
+    """Search main stems along the other axes of a cloud that has none along z, and warn if there are any."""
+    woody = woody.select(redness(woody.colors) <= 0.0)  # edges of tables are not green
     for up, order in (("y", [0, 2, 1]), ("x", [2, 1, 0])):
         lying = find_main_stems(woody.points[:, order], woody.normals[:, order], settings)
-        if sum(stem.length for stem in lying) > _LYING:
-            notes.say(f"no main stem stands upright, but some would if {up} were up; z must be up")
+        if sum(stem.length for stem in lying) > _MIN_LYING:
+            log.warn(f"no main stem is upright, but some would be if {up} were up; z must be up")
             return
 
 
 def _without(cloud: SurfaceCloud, shapes: Sequence[Shape], margin: float) -> SurfaceCloud:
-    """The points farther than ``margin`` metres outside all of the shapes."""
+    """Return the points farther than ``margin`` metres outside all shapes."""
     return cloud.select(nearest_shapes(cloud.points, shapes, margin).owner < 0)
-
-
-def _without_skin(cloud: SurfaceCloud, tomatoes: Sequence[Tomato], settings: ShapeSettings) -> SurfaceCloud:
-    """The points that are no skin of a tomato with a sensor's noise: farther off it, or facing elsewhere."""
-    near = nearest_shapes(cloud.points, [tomato.shape for tomato in tomatoes], settings.skin_margin).owner
-    on = np.flatnonzero(near >= 0)
-    outwards = cloud.points[on] - np.array([t.center for t in tomatoes]).reshape(-1, 3)[near[on]]
-    facing = (outwards * cloud.normals[on]).sum(axis=1) / np.maximum(np.linalg.norm(outwards, axis=1), 1e-9)
-    near[on[facing <= settings.skin_alignment]] = -1
-    return cloud.select(near < 0)

@@ -1,7 +1,4 @@
-"""Small networks that say how likely something is by its measures; read from JSON, and played without PyTorch.
-
-training/shape_networks.py, training/shape_networks.py and training/shape_networks.py fit them.
-"""
+"""Small classifier networks, stored as JSON and evaluated with numpy alone."""
 
 from __future__ import annotations
 
@@ -14,20 +11,20 @@ import numpy as np
 
 from greenhouse_gym.geometry import Array
 
-_MOST = 8.0  # deviations from the mean beyond which a measure counts no more
+_MAX_DEVIATION = 8.0  # standardized features are clipped to this
 
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """Says how likely things are what they are judged for, with one hidden layer.
+    """Binary classifier with one hidden layer.
 
     Attributes:
-        center: (m,) of the measures.
-        scale: (m,) of them.
+        center: (m,) mean of each feature.
+        scale: (m,) standard deviation of each feature.
         hidden: (m, h) weights of the hidden layer.
-        hidden_offset: (h,) offsets of it.
-        out: (h,) weights of what it says.
-        out_offset: (1,) offset of that.
+        hidden_offset: (h,) offsets of the hidden layer.
+        out: (h,) weights of the output.
+        out_offset: (1,) offset of the output.
     """
 
     center: Array
@@ -37,27 +34,20 @@ class Network:
     out: Array
     out_offset: Array
 
-    def __call__(self, measures: Array) -> Array:
-        """Probabilities (k,) by measures (k, m)."""
-        inputs = np.clip((measures - self.center) / self.scale, -_MOST, _MOST)
+    def __call__(self, features: Array) -> Array:
+        """Return probabilities (k,) for features (k, m)."""
+        inputs = np.clip((features - self.center) / self.scale, -_MAX_DEVIATION, _MAX_DEVIATION)
         hidden = np.tanh(inputs @ self.hidden + self.hidden_offset)
         return np.asarray(1 / (1 + np.exp(-(hidden @ self.out + self.out_offset))))
 
 
 def network_file(name: str) -> Path:
-    """Where the network of a name is kept."""
-    return Path(__file__).with_name(f"{name}.json")
+    """Return the file of a shipped network such as "fruit/small_fruit"."""
+    return Path(__file__).parent / f"{name}.json"
 
 
 @cache
 def network(name: str) -> Network:
-    """One of the networks that are shipped.
-
-    Args:
-        name: "large_fruit" and "large_fruit_beside", for spheres of the first look and of the second by
-            `candidates.MEASURES`, `candidates.COMPANY` and `surroundings.SURROUNDINGS`, "small_fruit", for others by
-            the same in another order, "peduncles", for places by `thin_stems.MEASURES`, or "peduncles_in_context", for
-            them by these and `likely_places.CONTEXT`.
-    """
+    """Load a shipped network by the name that `network_file` takes."""
     stored = json.loads(network_file(name).read_text())
     return Network(**{name: np.array(values) for name, values in stored.items()})

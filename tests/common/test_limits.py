@@ -14,7 +14,7 @@ from greenhouse_gym.shapes import FINE_SHAPES, ShapeSettings
 NAN, INFINITE = float("nan"), float("inf")
 CLASSES = (BuildSettings, CarvingSettings, ReconstructionSettings, ShapeSettings)
 LENGTHS = (
-    *((ShapeSettings, name) for name in ("voxel", "fine_voxel", "vote_cell", "clutter_cell", "string_radius")),
+    *((ShapeSettings, name) for name in ("voxel", "fine_voxel")),
     *((ReconstructionSettings, name) for name in ("voxel", "foreground", "fine_distance", "max_rmse")),
     *((BuildSettings, name) for name in ("spacing", "width", "reach", "leaf_tolerance")),
     (CarvingSettings, "voxel"),
@@ -102,4 +102,4 @@ def test_unknown_sources_of_station_poses_are_named() -> None:
 def test_whole_numbers_do_where_fractions_are_meant() -> None:
     assert BuildSettings(width=2).width == 2
     assert ReconstructionSettings(step_range=(0, 1)).step_range == (0, 1)
-    assert FINE_SHAPES.clutter_claim == 0
+    assert FINE_SHAPES.clutter_merge_area == 0

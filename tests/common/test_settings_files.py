@@ -57,7 +57,7 @@ def test_files(tmp_path: Path, name: str, content: str) -> None:
     (tmp_path / name).write_text(content)
     settings = resolve(BuildSettings(), tmp_path / name, ["shapes.voxel=0.005"])
     assert (settings.width, settings.shapes.voxel) == (2.0, 0.005)
-    assert settings.shapes.radius_step == ShapeSettings().radius_step
+    assert settings.shapes.truss_spread == ShapeSettings().truss_spread
 
 
 @pytest.mark.parametrize(
@@ -120,7 +120,10 @@ def test_every_field_is_shown_with_what_its_class_says_of_it() -> None:
     shown = as_toml(BuildSettings(), comments=True)
     assert "foreground = 0.6  # m, the paper's cut" in shown
     assert "spacing = 0.5  # between the stands of two scenes of a row" in shown
-    assert "[shapes]\n# How a cloud becomes shapes. Lengths are metres.\nvoxel = 0.003  # the cloud is thinned" in shown
+    assert (
+        "[shapes]\n# Settings for extracting shapes from a cloud. Lengths are in metres.\nvoxel = 0.003  # voxel"
+        in shown
+    )
 
 
 def test_null_stands_for_none_and_is_kept(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from greenhouse_gym.geometry import Array, pose
 from greenhouse_gym.reconstruction.point_clouds import Cloud, voxel_means
 from greenhouse_gym.shapes import RowShapes, ShapeSettings, extract_shapes
 from greenhouse_gym.shapes.colors import redness
-from greenhouse_gym.shapes.normals import estimate_normals
+from greenhouse_gym.shapes.normal_estimation import estimate_normals
 
 _VOXEL = 0.002  # m; as dense as a reconstructed row
 _FAR = 100.0  # m from the file's origin beyond which it is moved
@@ -141,7 +141,7 @@ def fruit_hangs(cloud: Cloud, shapes: RowShapes) -> float:
 def _oriented(cloud: Cloud, with_normals: bool, viewer: Array | None) -> tuple[Cloud, str]:
     """The cloud with unit normals toward who looked, and a sentence on where they come from."""
     missing = np.linalg.norm(cloud.normals, axis=1) < 0.5
-    own = estimate_normals(cloud.points, ShapeSettings())
+    own = estimate_normals(cloud.points)
     normals = np.where(missing[:, None], own, cloud.normals)
     said = "normals: " + ("the file's are zero; " if with_normals else "") + "estimated, toward where things bulge"
     if with_normals and not missing.all():

@@ -1,0 +1,1 @@
+"""Clutter: oriented boxes around everything that is neither fruit nor stem."""

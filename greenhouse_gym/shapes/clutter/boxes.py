@@ -1,0 +1,255 @@
+"""Oriented boxes that cover the points of no tomato and no stem.
+
+Leaves are flat, so flat patches of smooth surfaces get boxes first; the remaining cells get boxes by proximity. Boxes
+that enclose much empty surface are split. Then neighbors are merged, those whose common box adds the least empty
+surface first, until the budget is met.
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from greenhouse_gym.geometry import Array, Box
+from greenhouse_gym.reconstruction.point_clouds import means_by_voxel
+from greenhouse_gym.shapes.clutter.patches import CELL, clusters, flat_patches
+from greenhouse_gym.shapes.evidence import nearest_shapes
+from greenhouse_gym.shapes.settings import ShapeSettings
+
+COVERED = 0.007
+"""Distance in metres from a box within which points are covered by it."""
+
+_MIN_HALF_EXTENT = 0.0025  # metres: about the noise of the cloud
+_MAX_EMPTY = 0.15  # fraction of a box's surface that may be empty
+_EXCLUDED_WEIGHT = 2e-4  # square metres of empty surface that an excluded point in a box counts for
+_MIN_BUDGET = 10  # boxes that any cloud may have
+_MAX_SPLIT = 3  # multiple of the budget up to which boxes are split before they are merged
+_NEIGHBORS = 6  # boxes among which merges are tried, itself counted
+_DEPTH, _MIN_INSIDE = 0.001, 3  # metres inside a box, and number, of excluded points that make it be cut
+_MAX_REMAINING = 0.8  # fraction of these points that the parts of a cut box may contain
+_MAX_CUTS, _MIN_CUT_CELLS = 4, 5  # successive cuts of one box, and cells that a part of it must have
+_SPLITS = (0.3, 0.4, 0.5, 0.6, 0.7)  # positions along its axes at which a box may be split
+
+Rows = npt.NDArray[np.int64]
+
+
+class _Bounds(NamedTuple):
+    """Center (3,), half extents (3,) and rotation (3, 3) of a box; thousands are tried, so none is validated yet."""
+
+    center: Array
+    half_extents: Array
+    rotation: Array
+
+
+class _Cells(NamedTuple):
+    """Centers (n, 3) of cells to be covered, and the tree of points that no box should contain."""
+
+    centers: Array
+    excluded: cKDTree
+
+
+class _Piece(NamedTuple):
+    """Rows of cells, their box, and how much of its surface is empty: in square metres and as a fraction.
+
+    Excluded points in the box add to the square metres.
+    """
+
+    rows: Rows
+    bounds: _Bounds
+    empty_area: float
+    empty_fraction: float
+
+
+def cover_with_boxes(
+    points: Array, normals: Array, budget: int, settings: ShapeSettings, excluded: Array | None = None
+) -> list[Box]:
+    """Cover points with as many oriented boxes as they need, up to about ``budget``.
+
+    Small clusters of cells are noise and are left out.
+
+    Args:
+        points: (n, 3) metres.
+        normals: (n, 3) unit vectors.
+        budget: Number of boxes; see `box_budget`.
+        settings: All settings.
+        excluded: (k, 3) points of other things, fruit for instance, that boxes should not contain.
+    """
+    if not len(points) or budget < 1:
+        return []
+    (centers, facing), _ = means_by_voxel(points, CELL, points, normals)
+    facing = facing / np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-9)
+    cells = _Cells(centers, cKDTree(excluded if excluded is not None else np.zeros((0, 3))))
+    pieces = [_piece(cells, rows, settings) for rows in flat_patches(centers, facing, settings.clutter_flatness)]
+    covered = nearest_shapes(centers, [Box(*piece.bounds) for piece in pieces], COVERED).owner >= 0
+    missed = np.flatnonzero(~covered)
+    pieces += [_piece(cells, missed[rows], settings) for rows in clusters(centers[missed], settings.clutter_min_cells)]
+    pieces = _split_pieces(cells, pieces, _MAX_SPLIT * budget, settings)
+    merged = _merge_pieces(cells, pieces, budget, settings)
+    return [Box(*part.bounds) for piece in merged for part in _cut_excluded(cells, piece, settings)]
+
+
+def box_budget(points: Array, settings: ShapeSettings) -> int:
+    """Return the number of boxes for points (n, 3), in proportion to their area, so that dense foliage gets more."""
+    area = len(np.unique(np.floor(points / CELL), axis=0)) * CELL**2
+    return max(_MIN_BUDGET, round(settings.clutter_per_area * area))
+
+
+def _split_pieces(cells: _Cells, pieces: Sequence[_Piece], limit: int, settings: ShapeSettings) -> list[_Piece]:
+    """Split pieces, the emptiest first, until all are below `_MAX_EMPTY` or there are ``limit`` of them."""
+    number = itertools.count()  # breaks ties
+    heap = [(-piece.empty_area, next(number), piece) for piece in pieces]
+    heapq.heapify(heap)
+    done: list[_Piece] = []
+    while heap and len(heap) + len(done) < limit:
+        piece = heapq.heappop(heap)[-1]
+        parts = _split(cells, piece, settings) if piece.empty_fraction > _MAX_EMPTY else None
+        if parts is None:
+            done.append(piece)
+            continue
+        for part in parts:
+            heapq.heappush(heap, (-part.empty_area, next(number), part))
+    return done + [piece for _, _, piece in heap]
+
+
+def _merge_pieces(cells: _Cells, pieces: Sequence[_Piece], budget: int, settings: ShapeSettings) -> Iterable[_Piece]:
+    """Merge neighbors until the budget is met, and further while it adds hardly any empty surface.
+
+    The two whose common box adds the least empty surface are merged first.
+    """
+    alive = dict(enumerate(pieces))
+    if len(alive) < 2:
+        return pieces
+    centers = np.array([piece.bounds.center for piece in pieces])
+    nearest = cKDTree(centers).query(centers, k=min(_NEIGHBORS, len(pieces)))[1]
+    near: dict[int, set[int]] = {i: set() for i in alive}
+    for i, j in [(i, j) for i, row in enumerate(nearest.tolist()) for j in row if i != j]:
+        near[i].add(j)
+        near[j].add(i)
+
+    def merged(i: int, j: int) -> tuple[float, int, int, _Piece]:
+        union = _piece(cells, np.concatenate([alive[i].rows, alive[j].rows]), settings)
+        return union.empty_area - alive[i].empty_area - alive[j].empty_area, i, j, union
+
+    heap = [merged(i, j) for i in near for j in near[i] if i < j]
+    heapq.heapify(heap)
+    while heap and (len(alive) > budget or heap[0][0] < settings.clutter_merge_area):
+        _, i, j, union = heapq.heappop(heap)
+        if i not in alive or j not in alive:
+            continue
+        del alive[i], alive[j]
+        new = len(near)
+        alive[new], near[new] = union, (near[i] | near[j]) & alive.keys()
+        for other in near[new]:
+            near[other].add(new)
+            heapq.heappush(heap, merged(other, new))
+    return alive.values()
+
+
+def _cut_excluded(cells: _Cells, piece: _Piece, settings: ShapeSettings, cuts: int = _MAX_CUTS) -> list[_Piece]:
+    """Cut a piece into parts whose boxes contain fewer excluded points, or return it whole if that does not help.
+
+    It is cut across an axis at the first or last excluded point, where that leaves the most cells on the free side, or
+    among the excluded points where hardly any cells would be left.
+    """
+    inside = _excluded_inside(cells, piece.bounds)
+    if len(inside) < _MIN_INSIDE or not cuts:
+        return [piece]
+    local = (cells.centers[piece.rows] - piece.bounds.center) @ piece.bounds.rotation
+    free = max([*(local < inside.min(axis=0)).T, *(local > inside.max(axis=0)).T], key=np.count_nonzero)
+    if np.count_nonzero(free) < _MIN_CUT_CELLS:
+        longest = int(piece.bounds.half_extents.argmax())
+        free = local[:, longest] < np.median(inside[:, longest])
+        if min(np.count_nonzero(free), np.count_nonzero(~free)) < _MIN_CUT_CELLS:
+            return [piece]
+    parts = [
+        part
+        for rows in (piece.rows[free], piece.rows[~free])
+        if len(rows) >= _MIN_CUT_CELLS
+        for part in _cut_excluded(cells, _piece(cells, rows, settings), settings, cuts - 1)
+    ]
+    remaining = sum(len(_excluded_inside(cells, part.bounds)) for part in parts)
+    return parts if remaining < _MAX_REMAINING * len(inside) else [piece]
+
+
+def _near_excluded(cells: _Cells, box: _Bounds) -> Array:
+    """Return the excluded points (k, 3) within a box's bounding sphere, in the box's frame."""
+    if not cells.excluded.n:
+        return np.zeros((0, 3))
+    near = cells.excluded.query_ball_point(box.center, float(np.linalg.norm(box.half_extents)))
+    return np.asarray((cells.excluded.data[near] - box.center) @ box.rotation)
+
+
+def _excluded_inside(cells: _Cells, box: _Bounds) -> Array:
+    """Return the excluded points (k, 3) well inside a box, in its frame."""
+    local = _near_excluded(cells, box)
+    return np.asarray(local[(np.abs(local) < box.half_extents - _DEPTH).all(axis=1)])
+
+
+def _split(cells: _Cells, piece: _Piece, settings: ShapeSettings) -> tuple[_Piece, _Piece] | None:
+    """Return the two parts of a piece with the least empty surface, split across one of its box's axes."""
+    best: tuple[_Piece, _Piece] | None = None
+    box = piece.bounds
+    local = (cells.centers[piece.rows] - box.center) @ box.rotation / box.half_extents
+    for axis in range(3):
+        if box.half_extents[axis] < 2 * settings.clutter_margin:
+            continue
+        for split in _SPLITS:
+            above = local[:, axis] > 2 * split - 1
+            if min(np.count_nonzero(above), np.count_nonzero(~above)) < settings.clutter_min_cells:
+                continue
+            parts = _piece(cells, piece.rows[above], settings), _piece(cells, piece.rows[~above], settings)
+            if best is None or _empty_area(parts) < _empty_area(best):
+                best = parts
+    return best
+
+
+def _empty_area(parts: tuple[_Piece, _Piece]) -> float:
+    return parts[0].empty_area + parts[1].empty_area
+
+
+def _piece(cells: _Cells, rows: Rows, settings: ShapeSettings) -> _Piece:
+    points = cells.centers[rows]
+    box = _bounds(points)
+    surface, areas = _sample_surface(box, settings.clutter_margin)
+    empty = cKDTree(points).query(surface, distance_upper_bound=settings.clutter_margin)[0] == np.inf
+    empty_area, area = float(areas[empty].sum()), float(areas.sum())
+    inside = (np.abs(_near_excluded(cells, box)) < box.half_extents).all(axis=1)
+    empty_area += _EXCLUDED_WEIGHT * np.count_nonzero(inside)
+    return _Piece(rows, box, empty_area, empty_area / area)
+
+
+def _sample_surface(box: _Bounds, spacing: float) -> tuple[Array, Array]:
+    """Return points (n, 3) evenly over a box's faces, about ``spacing`` apart, and the area (n,) of each."""
+    points, areas = [], []
+    counts = np.clip(np.ceil(2 * box.half_extents / spacing), 1, 12).astype(int)
+    ticks = [(2 * (np.arange(n) + 0.5) / n - 1) * h for n, h in zip(counts, box.half_extents, strict=True)]
+    for axis in range(3):
+        u, v = (axis + 1) % 3, (axis + 2) % 3
+        grid = np.zeros((2, counts[u], counts[v], 3))
+        grid[..., axis] = box.half_extents[axis] * np.array([-1.0, 1.0])[:, None, None]
+        grid[..., u], grid[..., v] = ticks[u][:, None], ticks[v]
+        points.append(grid.reshape(-1, 3))
+        areas.append(np.full(grid.size // 3, 4 * box.half_extents[u] * box.half_extents[v] / (counts[u] * counts[v])))
+    return box.center + np.concatenate(points) @ box.rotation.T, np.concatenate(areas)
+
+
+def bounding_box(points: Array) -> Box:
+    """Return a box along the principal axes that contains all points (n, 3)."""
+    return Box(*_bounds(points))
+
+
+def _bounds(points: Array) -> _Bounds:
+    middle = points.mean(axis=0)
+    offset = points - middle
+    axes = np.linalg.eigh(offset.T @ offset)[1]
+    if axes[:, 0] @ np.cross(axes[:, 1], axes[:, 2]) < 0:
+        axes[:, 0] *= -1
+    local = offset @ axes
+    low, high = local.min(axis=0), local.max(axis=0)
+    return _Bounds(middle + axes @ ((low + high) / 2), np.maximum((high - low) / 2, _MIN_HALF_EXTENT), axes)

@@ -1,0 +1,1 @@
+"""Tomatoes: spheres and ellipsoids, grouped into trusses."""

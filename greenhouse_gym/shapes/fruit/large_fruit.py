@@ -1,0 +1,143 @@
+"""Large fruit: spheres fitted in two passes, scored by a classifier for each, and selected without overlap.
+
+The first pass fits spheres of any size. The second searches around the first pass's confident fruit for spheres of
+the same size and hue; see `hidden_fruit`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from greenhouse_gym.geometry import Array
+from greenhouse_gym.shapes.fruit.classifiers import SEED_WEIGHTS, SphereClassifiers, logistic, shipped_classifiers
+from greenhouse_gym.shapes.fruit.context_features import CONTEXT_FEATURES, context_features
+from greenhouse_gym.shapes.fruit.hidden_fruit import fit_hidden
+from greenhouse_gym.shapes.fruit.shell_features import shell_features
+from greenhouse_gym.shapes.fruit.sphere_features import MAX_CONTRAST, SPHERE_FEATURES, sphere_features
+from greenhouse_gym.shapes.fruit.spheres import SphereFit, fit_spheres, is_separate, vote
+from greenhouse_gym.shapes.fruit.trusses import group_neighbors
+from greenhouse_gym.shapes.settings import ShapeSettings
+from greenhouse_gym.shapes.surface_cloud import SurfaceCloud, fruit_mask
+
+_CONFIDENT = 0.8  # confidence above which a fruit is context for others
+_RMSE_UNIT = 0.001  # metres of root mean square distance that halve a sphere's rank
+_MIN_OWN_POINTS = 0.6  # fraction of a sphere's points that better ones may not own
+_LONE_CURVATURE = 0.2
+"""Minimum smaller curvature, as a multiple of the sphere's, of a fruit without confident neighbors; stems have less.
+
+The curvatures of a mostly hidden fruit are unreliable, so a confident fruit that is redder than leaves needs
+neither this curvature nor `_LONE_PATCH_CURVATURE`.
+"""
+_LONE_PATCH_CURVATURE = 0.35  # the same for the curvature of the patch as a whole
+
+_CONTRAST = SPHERE_FEATURES.index("contrast")
+_SMALLER_CURVATURE = SPHERE_FEATURES.index("smaller curvature")
+_PATCH_CURVATURE = SPHERE_FEATURES.index("patch's smaller curvature")
+_NEIGHBORS = len(SPHERE_FEATURES) + CONTEXT_FEATURES.index("neighbors")
+
+
+class ScoredFruit(NamedTuple):
+    """Spheres (k,) found as tomatoes, with the confidence, 0 to 1, and the median hue of each."""
+
+    fits: list[SphereFit]
+    confidence: Array
+    hues: Array
+
+
+class Candidates(NamedTuple):
+    """Spheres of both passes and their features.
+
+    Attributes:
+        skin: The points that may be fruit.
+        first: Spheres of the first pass, among ``skin``.
+        first_features: (k, m) features of these: of the spheres, their context and their shells.
+        second: Spheres of the second pass, among ``skin``.
+        second_features: (j, m) features of these.
+    """
+
+    skin: SurfaceCloud
+    first: list[SphereFit]
+    first_features: Array
+    second: list[SphereFit]
+    second_features: Array
+
+
+def fit_candidates(cloud: SurfaceCloud, settings: ShapeSettings) -> Candidates:
+    """Fit the spheres of both passes to a cloud and compute their features."""
+    skin = cloud.select(fruit_mask(cloud))
+    first = fit_spheres(skin.points, skin.normals, vote(skin.points, skin.normals, settings), settings.radii)
+    own = sphere_features(first, cloud)
+    confident = select_spheres(first, logistic(own, SEED_WEIGHTS), len(skin), _CONFIDENT)
+    second = fit_hidden(skin, confident, group_neighbors(confident), settings.radii)
+
+    def full_features(fits: list[SphereFit], own: Array) -> Array:
+        context = context_features(fits, hues_of(fits, skin), confident, hues_of(confident, skin))
+        return np.column_stack([own, context, shell_features(fits, cloud, settings.voxel)])
+
+    second_features = full_features(second, sphere_features(second, cloud))
+    return Candidates(skin, first, full_features(first, own), second, second_features)
+
+
+def large_fruit(
+    candidates: Candidates, settings: ShapeSettings, classifiers: SphereClassifiers | None = None
+) -> ScoredFruit:
+    """Score the candidates of both passes and select the tomatoes among them.
+
+    Args:
+        candidates: Spheres and their features.
+        settings: All settings.
+        classifiers: One for each pass; the shipped ones by default.
+    """
+    classifiers = classifiers or shipped_classifiers()
+    features = candidates.first_features
+    first, second = classifiers.first(features), classifiers.second(candidates.second_features)
+    alone = features[:, _NEIGHBORS] == 0
+    flat = features[:, _PATCH_CURVATURE] < _LONE_PATCH_CURVATURE
+    flat |= features[:, _SMALLER_CURVATURE] < _LONE_CURVATURE
+    red = (features[:, _CONTRAST] >= MAX_CONTRAST) & (first >= _CONFIDENT)
+    scores = np.concatenate([np.where(alone & flat & ~red, 0.0, first), second])
+    fits = [*candidates.first, *candidates.second]
+    found = select_spheres(fits, scores, len(candidates.skin), settings.min_confidence)
+    score_of = dict(zip(fits, scores.tolist(), strict=True))
+    return ScoredFruit(found, np.array([score_of[fit] for fit in found]), hues_of(found, candidates.skin))
+
+
+def select_spheres(fits: list[SphereFit], scores: Array, count: int, min_score: float) -> list[SphereFit]:
+    """Select spheres greedily, each separate from better ones and with most of its points to itself.
+
+    Scores say whether a sphere is fruit, and are nearly 1 for all spheres around one fruit, so these are ranked by how
+    well they fit as well.
+
+    Args:
+        fits: Spheres among the same points.
+        scores: (k,) of the spheres.
+        count: Number of points.
+        min_score: Minimum score.
+
+    Returns:
+        The selected spheres, ordered along the row.
+    """
+    owned = np.zeros(count, dtype=bool)
+    chosen: list[SphereFit] = []
+    rank = scores / (1.0 + np.array([fit.rmse for fit in fits]) / _RMSE_UNIT)
+    for k in np.argsort(-rank, kind="stable").tolist():
+        fit = fits[k]
+        if scores[k] < min_score:
+            continue
+        if is_separate(fit, chosen) and np.count_nonzero(~owned[fit.points]) > _MIN_OWN_POINTS * len(fit.points):
+            owned[fit.points] = True
+            chosen.append(fit)
+    return [chosen[k] for k in row_order(chosen)]
+
+
+def row_order(fits: Sequence[SphereFit]) -> list[int]:
+    """Return the indices of spheres from one end of the row to the other."""
+    return sorted(range(len(fits)), key=lambda k: tuple(np.round(fits[k].center[[1, 2, 0]], 3)))
+
+
+def hues_of(fits: Sequence[SphereFit], cloud: SurfaceCloud) -> Array:
+    """Return the median hue (k,) of spheres among the points of a cloud."""
+    return np.array([np.median(cloud.hues[fit.points]) for fit in fits])

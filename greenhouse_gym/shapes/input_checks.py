@@ -1,0 +1,106 @@
+"""Checks and cleaning of a cloud before shapes are extracted, and the warnings that come of it."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.geometry import Array
+from greenhouse_gym.reconstruction.point_clouds import Cloud, exposure_failure, voxel_means
+from greenhouse_gym.shapes.normal_estimation import estimate_normals
+from greenhouse_gym.shapes.settings import ShapeSettings
+
+_MAX_LENGTH, _MAX_HEIGHT = 200.0, 20.0  # metres of a row
+_OUTLIER_CELL = 0.25  # metres that outliers are away from everything else
+_MAX_CELLS = 4000  # cells in each direction that are distinguished; what is farther off falls into the last one
+_MAX_OUTLIERS = 0.01  # fraction of all points; more are no outliers
+_MIN_POINTS = 50  # points needed to extract a shape
+_MAX_ZERO_NORMALS = 0.01  # fraction; fewer occur where surfaces back to back fall into one voxel
+
+
+class ShapeWarning(UserWarning):
+    """A problem with a cloud, or with the shapes extracted from it, that a user should check."""
+
+
+@dataclass(frozen=True)
+class WarningLog:
+    """Warnings about a cloud; each is also raised as a `ShapeWarning`."""
+
+    messages: list[str] = field(default_factory=list)
+
+    def warn(self, message: str) -> None:
+        """Record a message and raise it as a warning."""
+        self.messages.append(message)
+        warnings.warn(message, ShapeWarning, stacklevel=3)
+
+
+def validated_cloud(points: npt.ArrayLike, colors: npt.ArrayLike, normals: npt.ArrayLike | None) -> Cloud:
+    """Return the arrays as a cloud; normals that are left out become zero.
+
+    Raises:
+        InvalidValueError: The arrays differ in shape, hold NaN or colors above 1, or nearly all colors are black or
+            white.
+    """
+    p, c = np.asarray(points, dtype=np.float64), np.asarray(colors, dtype=np.float64)
+    n = np.zeros_like(p) if normals is None else np.asarray(normals, dtype=np.float64)
+    for name, array in (("points", p), ("colors", c), ("normals", n)):
+        if array.ndim != 2 or array.shape != (len(p), 3):
+            raise InvalidValueError(f"{name} must be of shape ({len(p)}, 3), got {array.shape}")
+        if not np.isfinite(array).all():
+            raise InvalidValueError(f"{name} must be finite, {(~np.isfinite(array)).any(axis=1).sum()} rows are not")
+    if c.min(initial=0.0) < 0.0 or c.max(initial=0.0) > 1.0:
+        raise InvalidValueError(f"colors must be between 0 and 1, got {c.min():g} to {c.max():g}")
+    if len(p) >= _MIN_POINTS and (failure := exposure_failure(c)):
+        raise InvalidValueError(f"colors: {failure}, but fruit, leaves and stems are distinguished by color")
+    return Cloud(p, c, n)
+
+
+def downsample(whole: Cloud, with_normals: bool, settings: ShapeSettings, log: WarningLog) -> Cloud:
+    """Reduce a cloud to one point and normal per voxel, without outliers; empty if it has too few points.
+
+    Normals that are missing or zero are estimated.
+
+    Raises:
+        InvalidValueError: The cloud is too large to be in metres.
+    """
+    if len(whole) < _MIN_POINTS:
+        log.warn(f"the cloud has {len(whole)} points, too few to hold a shape; expected at least {_MIN_POINTS}")
+        return whole.select(np.zeros(0, dtype=np.int64))
+    outlier = _outlier_mask(whole.points)
+    if outlier.any():
+        log.warn(f"{np.count_nonzero(outlier)} outliers, far from all other points, were ignored")
+    cloud = whole.select(~outlier)
+    depth, height, length = np.sort(np.ptp(cloud.points, axis=0))
+    if length > _MAX_LENGTH or height > _MAX_HEIGHT:
+        raise InvalidValueError(
+            f"the cloud measures {length:.0f} by {height:.0f} by {depth:.0f} m, too large for a row of plants; "
+            "expected metres, not millimetres, and no outliers"
+        )
+    cloud, _ = voxel_means(cloud, settings.voxel)
+    missing = np.linalg.norm(cloud.normals, axis=1) < 0.5
+    if not missing.any():
+        return cloud
+    if with_normals and missing.mean() >= _MAX_ZERO_NORMALS:
+        log.warn(f"the normals of {missing.mean():.0%} of the points are zero; they were estimated instead")
+    return replace(cloud, normals=np.where(missing[:, None], estimate_normals(cloud.points), cloud.normals))
+
+
+def _outlier_mask(points: Array) -> npt.NDArray[np.bool_]:
+    """Return which points (n,) form small groups far from all others."""
+    cubes = np.clip(np.floor((points - np.median(points, axis=0)) / _OUTLIER_CELL), -_MAX_CELLS, _MAX_CELLS)
+    base = [1, 4 * _MAX_CELLS, 16 * _MAX_CELLS**2]
+    cells, cell = np.unique((cubes.astype(np.int64) + _MAX_CELLS) @ base, return_inverse=True)
+    cells = np.stack([cells % base[1], cells // base[1] % base[1], cells // base[2]], axis=1)
+    pairs = cKDTree(cells).query_pairs(1.8, output_type="ndarray")
+    links = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(len(cells),) * 2)
+    part = connected_components(links, directed=False)[1][cell.ravel()]
+    count = np.bincount(part)
+    outlier = np.asarray((count < _MIN_POINTS)[part])
+    return outlier if outlier.mean() < _MAX_OUTLIERS else np.zeros(len(points), dtype=bool)

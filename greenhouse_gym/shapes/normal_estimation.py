@@ -1,0 +1,67 @@
+"""Normals for a cloud that comes without them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from greenhouse_gym.common.open3d_loader import open3d
+from greenhouse_gym.geometry import Array
+from greenhouse_gym.reconstruction.point_clouds import Cloud, to_open3d, voxel_means
+from greenhouse_gym.shapes.neighborhoods import Neighborhoods
+
+_REACH = 0.009  # metres: a plane is fitted to the points this near
+_MAX_NEIGHBORS = 60  # points that a plane is fitted to
+_PIECE = 0.005  # metres: size of the pieces that are oriented
+_AROUND = 0.014  # metres: radius of the neighborhood that orients a piece
+_BULGE = 4e-3  # metres of bulge that orient a piece as strongly as a frontal view
+_ROUNDS = 8  # smoothing rounds over neighboring pieces
+_CLEAR_BULGE = 4e-4  # metres of bulge that are not noise
+_ONE_SIDED = 0.03  # mean of the bulging pieces' unit normals; below it the cloud was seen from all sides
+_DEFAULT_VIEW = np.array([-0.3, 0.0, 0.0])  # weak prior for the side of the aisle
+_ROD_CELL = 0.010  # metres: size of the pieces in which rods are detected
+_ROD_REACH = 0.030  # metres
+_ROD_ELONGATION = 4.0  # ratio of variances along and across a rod
+
+
+def estimate_normals(points: Array) -> Array:
+    """Estimate unit normals (n, 3) of points (n, 3), one per voxel, without knowing the viewpoint.
+
+    Fruit and stems bulge towards the viewer, so the bulging pieces together show from which side a cloud was seen, and
+    each piece weakly shows its own outer side; neighboring pieces are then smoothed. On rods such as stems, normals
+    are made perpendicular to the axis and point away from the local centroid, which is right for both one-sided and
+    all-round views.
+    """
+    if len(points) < 3:
+        return np.tile([-1.0, 0.0, 0.0], (len(points), 1))
+    bare = Cloud(points, np.zeros_like(points), np.zeros_like(points))
+    cloud = to_open3d(bare)
+    cloud.estimate_normals(open3d().geometry.KDTreeSearchParamHybrid(_REACH, _MAX_NEIGHBORS))
+    normals = np.array(cloud.normals)
+    inwards = (_outward(bare) * normals).sum(axis=1) < 0
+    normals[inwards] *= -1.0
+    cells, cell = voxel_means(bare, _ROD_CELL)
+    near = Neighborhoods(cells.points, _ROD_REACH)
+    variances, axes = np.linalg.eigh(near.covariances(cells.points, cells.points))
+    on_rod = (variances[:, 2] > _ROD_ELONGATION * variances[:, 1])[cell]
+    axis, out = axes[cell[on_rod], :, 2], points[on_rod] - near.mean(cells.points)[cell[on_rod]]
+    rods = normals[on_rod]
+    rods -= (rods * axis).sum(axis=1, keepdims=True) * axis
+    rods *= np.where((rods * out).sum(axis=1, keepdims=True) < 0, -1.0, 1.0)
+    normals[on_rod] = rods / np.maximum(np.linalg.norm(rods, axis=1, keepdims=True), 1e-9)
+    return normals
+
+
+def _outward(bare: Cloud) -> Array:
+    """Return vectors (n, 3) that point roughly out of the surfaces."""
+    cells, cell = voxel_means(bare, _PIECE)
+    near = Neighborhoods(cells.points, _AROUND)
+    axes = np.linalg.eigh(near.covariances(cells.points, cells.points))[1][:, :, 0]
+    bulge = ((cells.points - near.mean(cells.points)) * axes).sum(axis=1)
+    clear = np.abs(bulge) > _CLEAR_BULGE
+    side = (np.sign(bulge[clear])[:, None] * axes[clear]).sum(axis=0) / max(np.count_nonzero(clear), 1)
+    length = float(np.linalg.norm(side))
+    view = side / length if length > _ONE_SIDED else _DEFAULT_VIEW
+    out = (axes @ view + np.clip(bulge, -_BULGE / 2, _BULGE / 2) / _BULGE)[:, None] * axes
+    for _ in range(_ROUNDS):
+        out = near.mean(out)
+    return np.asarray(out[cell])

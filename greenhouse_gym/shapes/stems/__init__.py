@@ -1,0 +1,1 @@
+"""Stems: main stems, strings, peduncles, pedicels and pipes, as chains of capsules."""
