@@ -21,8 +21,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import matplotlib.pyplot as plt
-from greenhouse_gym.learning.checkpoints import NAME as CHECKPOINT
-from greenhouse_gym.learning.curves import CURVE, VALIDATION, read_curve
 
 from benchmarks.agents.policies import rates
 from benchmarks.common import RESULTS, parser, read_entry, write_entry
@@ -39,6 +37,7 @@ from greenhouse_gym.learning import (
     train_ppo,
     train_sac,
 )
+from greenhouse_gym.learning.training_files import CHECKPOINT, CURVE, VALIDATION, read_curve
 from greenhouse_gym.scene import SceneBank
 
 EPISODES = {"validation": (500, 20_000), "test": (1000, 0)}

@@ -33,7 +33,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from greenhouse_gym.motion.reach import arm_reaches
 
 from benchmarks.agents.policies import kinds_of_rows, rates
 from benchmarks.agents.scanned_rows import ScannedRow, row_seeds
@@ -49,6 +48,7 @@ from greenhouse_gym.evaluation.journal import RecordJournal
 from greenhouse_gym.evaluation.leaderboard import read_entry
 from greenhouse_gym.evaluation.records import Record
 from greenhouse_gym.motion.collision import CollisionChecker, planning_model
+from greenhouse_gym.motion.joint_reaches import arm_reaches
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene, SceneBank, compile_scene
 

@@ -20,13 +20,13 @@ import math
 from pathlib import Path
 
 import numpy as np
-from greenhouse_gym.planning.sweep import SweepSettings, reachable_targets, sweep_planners
 
 from benchmarks.common import RESULTS, command_line, parser, write_results
 from benchmarks.planning.planner_figures import markdown, planner_arena_database, plots, summary
 from greenhouse_gym.common.executors import BACKENDS, executor_for
 from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.planning import PAPER_PLANNERS, PLANNERS
+from greenhouse_gym.planning.planner_sweep import SweepSettings, reachable_targets, sweep_planners
 from greenhouse_gym.scene import SceneBank
 
 DEFAULT_PLANNERS = ("RRTConnect", "LazyPRM", "LBKPIECE1", "SBL", "BKPIECE1", "PRM", "RRT", "EST", "STRIDE")

@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 from benchmarks.common import REAL_DATA, RESULTS, table, write_results
 from benchmarks.sensing.real_clouds import CYLINDERS, read_table
 from greenhouse_gym.build.scans import RawCloud, extract_from_scan, open_scan
-from greenhouse_gym.capture import PROTOCOLS, Protocol, Recording, Rig, open_recording, simulate_protocol
+from greenhouse_gym.capture import PROTOCOLS, CaptureProtocol, Recording, Rig, open_recording, simulate_protocol
 from greenhouse_gym.crops import grow_row
 from greenhouse_gym.errors import GreenhouseError
 from greenhouse_gym.geometry import Array, invert
@@ -96,7 +96,7 @@ def foregrounds() -> Iterator[Figures]:
             yield {"recording": name, "stems": None, **found, "right": None}
 
 
-def reference_cameras(protocol: Protocol) -> Protocol:
+def reference_cameras(protocol: CaptureProtocol) -> CaptureProtocol:
     """Return the protocol with its reference cameras only; they decide about the cut."""
     passes = (Rig({rig.reference: rig.cameras[rig.reference]}, rig.reference) for rig in protocol.passes)
     return replace(protocol, passes=tuple(passes))
@@ -118,7 +118,7 @@ def foreground(recording: Recording) -> Figures:
 # -- direction --------------------------------------------------------------------------------------------------------
 
 
-def first_walk(protocol: Protocol) -> Recording:
+def first_walk(protocol: CaptureProtocol) -> Recording:
     """Return the first pass of a protocol, without the protocol's name."""
     first_pass = replace(protocol, passes=protocol.passes[:1])
     walk = simulate_protocol(grow_row(SEEDS[0], LENGTH), SEEDS[0], first_pass, stations=STATIONS)

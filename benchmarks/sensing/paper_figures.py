@@ -18,7 +18,6 @@ from typing import Any
 import cv2
 import mujoco
 import numpy as np
-from greenhouse_gym.reconstruction.views import Calibration
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -34,6 +33,7 @@ from greenhouse_gym.planning import PlanResult, goal_configurations, plan, resam
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, simplify_points, triangulate
 from greenhouse_gym.reconstruction.row_cloud import merge_segment, remove_outliers
 from greenhouse_gym.reconstruction.station_registration import register_stations
+from greenhouse_gym.reconstruction.station_views import Calibration
 from greenhouse_gym.rendering.renderer import Viewpoint, default_camera, render_scene
 from greenhouse_gym.rendering.task_pictures import picture_of_path
 from greenhouse_gym.reporting.pictures import Image, registration_pictures, row_pictures, upright

@@ -36,7 +36,7 @@ from benchmarks.common import (
 from benchmarks.sensing import broken_stations, registration_baselines
 from benchmarks.sensing.broken_stations import break_stations
 from benchmarks.sensing.registration_baselines import multiway, paper_chain
-from greenhouse_gym import accuracy, capture, geometry, plants, reconstruction
+from greenhouse_gym import accuracy, capture, crops, geometry, reconstruction
 from greenhouse_gym.accuracy import ReconstructedRow
 from greenhouse_gym.capture import Recording, Rig, open_recording, simulate_recording
 from greenhouse_gym.capture.recordings import INDEX, write_recording
@@ -161,7 +161,7 @@ def _is_misplaced(i: int, row: ReconstructedRow, poses: Array, good: npt.NDArray
 
 def code() -> str:
     """Return the fingerprint of the code on which the figures depend."""
-    return fingerprint(geometry, plants, capture, reconstruction, accuracy, registration_baselines, broken_stations)
+    return fingerprint(geometry, crops, capture, reconstruction, accuracy, registration_baselines, broken_stations)
 
 
 def main() -> None:

@@ -17,7 +17,7 @@ from benchmarks.common import fingerprint
 from benchmarks.sensing import perfect_clouds
 from benchmarks.sensing.drawn_cultivars import drawn_cultivar
 from benchmarks.sensing.perfect_clouds import NOISE_FREE, perfect_cloud
-from greenhouse_gym import accuracy, capture, geometry, plants, reconstruction
+from greenhouse_gym import accuracy, capture, crops, geometry, reconstruction
 from greenhouse_gym.accuracy import Visibility, VisibleRow, align, visible_row
 from greenhouse_gym.capture import (
     SEED_RIG,
@@ -61,7 +61,7 @@ LIGHTS = {
 """Light in which a row of organs may be photographed, by name."""
 
 
-_CAPTURED = (geometry, plants, capture)
+_CAPTURED = (geometry, crops, capture)
 
 
 @dataclass(frozen=True)

@@ -62,7 +62,7 @@ from benchmarks.sensing.rows import (
 from benchmarks.sensing.shape_boxes import box_figures
 from benchmarks.sensing.shape_collisions import compare_collisions
 from benchmarks.sensing.shape_figures import is_true, pooled, small_tomatoes, tables
-from greenhouse_gym import accuracy, capture, cutting, plants, reconstruction, robots, scene
+from greenhouse_gym import accuracy, build, capture, crops, reconstruction, robots, scene
 from greenhouse_gym import shapes as shapes_package
 from greenhouse_gym.accuracy import StemComparison, TomatoComparison
 from greenhouse_gym.build.scenes import BuildSettings, cut_scenes, placement_positions
@@ -167,9 +167,7 @@ def plain(comparison: Comparison) -> dict[str, Any]:
 
 def measured(row: Row, cause: str, workdir: Path) -> dict[str, Any]:
     """Return the measurement of a row, kept under the fingerprint of the code; measure it if it is missing."""
-    made = fingerprint(
-        plants, capture, reconstruction, shapes_package, accuracy, scene, robots, cutting, perfect_clouds
-    )
+    made = fingerprint(crops, capture, reconstruction, shapes_package, accuracy, scene, robots, build, perfect_clouds)
     here = fingerprint(sys.modules[__name__], shape_collisions)
     file = workdir / f"measured-{made}-{here}" / f"{row.name}-{cause}.json"
     if not file.exists():

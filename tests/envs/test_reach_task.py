@@ -7,8 +7,9 @@ import pytest
 
 from greenhouse_gym.envs.actions import ACTIONS, CommandLimits, check_actions
 from greenhouse_gym.envs.rewards import REWARDS, Transition, total_reward
-from greenhouse_gym.envs.state import ACTION_STEP, MAX_COMMAND_ERROR, STEP_LIMIT, SUCCESS_RADIUS, control_timing
+from greenhouse_gym.envs.state import ACTION_STEP, MAX_COMMAND_ERROR, STEP_LIMIT, control_timing
 from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.motion.success import SUCCESS_RADIUS
 from greenhouse_gym.robots import get_robot
 
 INTERVAL = control_timing(20).interval

@@ -17,7 +17,7 @@ needs_data = pytest.mark.skipif(not FOLDER.is_dir(), reason="GREENHOUSE_GYM_REAL
 @pytest.fixture
 def real(monkeypatch: pytest.MonkeyPatch) -> Any:
     """The benchmark's module."""
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[1]))
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2]))
     from benchmarks.sensing import shapes_real
 
     return shapes_real

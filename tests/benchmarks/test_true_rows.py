@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.geometry import Box
-from greenhouse_gym.motion.arm_spheres import arm_balls
+from greenhouse_gym.motion.arm_spheres import arm_spheres
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.robots.kinematics import tool_state
 from greenhouse_gym.scene import Scene, Shapes
@@ -22,7 +22,7 @@ ARM = get_robot("ur5e")
 
 @pytest.fixture(autouse=True)
 def repository(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[1]))
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2]))
 
 
 @pytest.fixture
@@ -41,7 +41,7 @@ def figures() -> Any:
 
 def leaf_at_the_start(scene: Scene) -> Box:
     """A leaf inside the arm's wrist at its start."""
-    tip = tool_state(arm_balls(ARM).chain, ARM.start[None]).point[0]
+    tip = tool_state(arm_spheres(ARM).chain, ARM.start[None]).point[0]
     return Box(tip + base_position(scene, ARM), np.array([0.05, 0.05, 0.05]), np.eye(3))
 
 

@@ -22,7 +22,7 @@ POINTS = np.array([[0.4, y, z] for y in np.linspace(-0.5, 0.5, 11) for z in np.l
 @pytest.fixture
 def compare(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
     """Count disagreements over some configurations, one stand."""
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[1]))
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2]))
     from benchmarks.sensing.shape_collisions import compare_collisions
 
     def run(shapes: list[Shape], hidden: tuple[int, ...] = ()) -> Any:
