@@ -41,7 +41,7 @@ MOST_BYTES = MappingProxyType(
         "policy": 2**30,
         "checkpoint": 4 * 2**30,
         "leaderboard entry": 2**28,
-        "kept records": 2**28,
+        "record journal": 2**28,
     }
 )
 """The most bytes a file of each kind may have; what is larger is refused before it is read."""

@@ -94,7 +94,7 @@ class EnvSettings:
             object.__setattr__(self, "start", _numbers("start", self.start))
         if not _is_number(self.rate) or not 0.1 <= self.rate <= 1 / TIMESTEP or not _divides(self.rate):
             raise InvalidValueError(
-                f"rate must be {1 / TIMESTEP:g} actions per second divided by a whole number (100, 50, 25, 20, 10, ...), "
+                f"rate must be {1 / TIMESTEP:g} actions per second divided by a whole number (100, 50, 25, 20, ...), "
                 f"got {self.rate!r}"
             )
 
