@@ -37,6 +37,7 @@ def compare(
     seed: Annotated[int, typer.Option(help="Seed of the first episode; the next ones count on from it.")] = 0,
     robot: Annotated[str, typer.Option(help="Name or file of the arm; by default what each agent needs.")] = "",
     difficulty: Annotated[str, typer.Option(help="Difficulties of the targets, separated by commas.")] = "",
+    task: Annotated[str, typer.Option(help="Your own task as file.py:Class or module:Class; by default reach.")] = "",
     track: Annotated[
         str, typer.Option(help="What is touched, separated by commas: reconstruction, truth, moved.")
     ] = "reconstruction",
@@ -70,7 +71,9 @@ def compare(
     tracks = [require_choice("track", name, TRACKS) for name in _parts(track)]
     chosen = _by_name(asked, [make_agent(name) for name in asked])
     shared: dict[str, Any] = {"timeout": timeout}
-    shared |= {key: value for key, value in (("robot", robot), ("difficulty", _parts(difficulty))) if value}
+    shared |= {
+        key: value for key, value in (("robot", robot), ("task", task), ("difficulty", _parts(difficulty))) if value
+    }
     if report is not None:
         require_writable(report)
     played: dict[str, list[Evaluation]] = {}
