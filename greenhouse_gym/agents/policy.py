@@ -42,6 +42,7 @@ class _EnvOptions(_Part):
     observation: str | None = None
     action: str | None = None
     rate: float | None = None
+    task: str | None = None
 
 
 class _Description(_Part):

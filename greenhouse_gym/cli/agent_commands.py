@@ -47,6 +47,7 @@ def compare(
     episodes: Annotated[int, typer.Option(help="Episodes of each agent.")] = 100,
     seed: Annotated[int, typer.Option(help="Seed of the first episode; each further episode adds one.")] = 0,
     robot: AgentRobot = "",
+    task: Annotated[str, typer.Option(help="Your own task as file.py:Class or module:Class; reach by default.")] = "",
     difficulty: Annotated[str, typer.Option(help="Difficulties of the targets, separated by commas.")] = "",
     track: Annotated[
         str, typer.Option(help="Worlds of the contacts, separated by commas: reconstruction, truth, moved.")
@@ -77,7 +78,8 @@ def compare(
     tracks = [require_choice("track", name, TRACKS) for name in comma_separated(track)]
     chosen = _by_name(requested, [make_agent(name) for name in requested])
     shared: dict[str, Any] = {"timeout": timeout}
-    shared |= {key: value for key, value in (("robot", robot), ("difficulty", comma_separated(difficulty))) if value}
+    own = {"robot": robot, "task": task, "difficulty": comma_separated(difficulty)}
+    shared |= {key: value for key, value in own.items() if value}
     if report is not None:
         _require_report(report)
     finished: dict[str, list[Evaluation]] = {}

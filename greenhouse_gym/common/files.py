@@ -40,7 +40,7 @@ MAX_BYTES = MappingProxyType(
         "policy": 2**30,
         "checkpoint": 4 * 2**30,
         "leaderboard entry": 2**28,
-        "kept records": 2**28,
+        "record journal": 2**28,
     }
 )
 """Largest size of a file of each kind, bytes; larger files are refused before they are read."""

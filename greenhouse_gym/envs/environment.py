@@ -13,9 +13,9 @@ from gymnasium import spaces
 from greenhouse_gym.envs.episodes import DifficultyChoice
 from greenhouse_gym.envs.hindsight import add_goal_functions
 from greenhouse_gym.envs.observations import Observed, select
-from greenhouse_gym.envs.settings import EnvSettings, settings_with
-from greenhouse_gym.envs.simulation import Simulation, StepResult
-from greenhouse_gym.envs.spec import SpecMixin
+from greenhouse_gym.envs.rewards import StepResult
+from greenhouse_gym.envs.settings import EnvSettings, SpecMixin, settings_with
+from greenhouse_gym.envs.simulation import Simulation
 from greenhouse_gym.errors import EpisodeOverError, require_choice
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.rendering.viewer import RENDER_MODES, Viewer

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from functools import reduce
-from typing import Any, ClassVar, TypeAlias
+from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -73,6 +73,24 @@ Reward: TypeAlias = Callable[[Transition], Terms]
 If it has a true attribute ``requires_roadmap``, states contain `State.waypoint`, `State.path_length` and
 `State.path_free`, whatever is observed.
 """
+
+
+class StepResult(NamedTuple):
+    """Result of one step of n simulations.
+
+    Attributes:
+        reward: (n,).
+        terms: Terms of the reward by name, each (n,).
+        terminated: (n,) success or failure.
+        truncated: (n,) the step limit was reached without either.
+        transition: The step from which the reward was computed.
+    """
+
+    reward: Array
+    terms: Terms
+    terminated: Bools
+    truncated: Bools
+    transition: Transition
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 
 from greenhouse_gym.envs.actions import ActionChoice
 from greenhouse_gym.envs.episodes import DifficultyChoice, parse_difficulty
@@ -94,8 +95,8 @@ class EnvSettings:
             object.__setattr__(self, "start", _numbers("start", self.start))
         if not _is_number(self.rate) or not 0.1 <= self.rate <= 1 / TIMESTEP or not _divides(self.rate):
             raise InvalidValueError(
-                f"rate must be {1 / TIMESTEP:g} actions per second divided by a whole number (100, 50, 25, 20, 10, "
-                f"...), got {self.rate!r}"
+                f"rate must be {1 / TIMESTEP:g} actions per second divided by a whole number (100, 50, 25, 20, ...), "
+                f"got {self.rate!r}"
             )
 
     def agent_options(self, robot: str) -> dict[str, Any]:
@@ -106,6 +107,28 @@ class EnvSettings:
         if self.task != "reach":
             options["task"] = self.task
         return options
+
+
+class SpecMixin:
+    """Property ``spec`` of the single and the vector environment.
+
+    Attributes:
+        settings: Settings of the environment.
+    """
+
+    settings: EnvSettings
+    _spec: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """Specification with which Gymnasium made the environment, with its step limit."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        if spec is not None:
+            spec.max_episode_steps = self.settings.step_limit
+        self._spec = spec
 
 
 def settings_with(callee: str, settings: EnvSettings | None, keywords: Mapping[str, Any]) -> EnvSettings:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -17,10 +17,10 @@ from greenhouse_gym.envs.episodes import Episode, EpisodeSampler
 from greenhouse_gym.envs.observations import Observed, check_goals
 from greenhouse_gym.envs.perception import Perception
 from greenhouse_gym.envs.physics import Physics, prepare
-from greenhouse_gym.envs.rewards import Terms, Transition, total_reward, with_contact_cost
+from greenhouse_gym.envs.rewards import StepResult, Transition, total_reward, with_contact_cost
 from greenhouse_gym.envs.settings import EnvSettings
 from greenhouse_gym.envs.setups import Setup, draw_setup
-from greenhouse_gym.envs.state import Bools, Ids, State, control_timing
+from greenhouse_gym.envs.state import Ids, State, control_timing
 from greenhouse_gym.envs.task import GoalTask, Outcome
 from greenhouse_gym.envs.worlds import capacity_of, shared_worlds
 from greenhouse_gym.errors import InvalidValueError, NoEpisodeError
@@ -33,24 +33,6 @@ STEP_INFOS = ("previous_goal", "effort")
 
 Infos = dict[str, Any]
 """Arrays of length n by key; an entry may itself be a dict of arrays."""
-
-
-class StepResult(NamedTuple):
-    """Result of one step of n simulations.
-
-    Attributes:
-        reward: (n,).
-        terms: Terms of the reward by name, each (n,).
-        terminated: (n,) success or failure.
-        truncated: (n,) the step limit was reached without either.
-        transition: The step from which the reward was computed.
-    """
-
-    reward: Array
-    terms: Terms
-    terminated: Bools
-    truncated: Bools
-    transition: Transition
 
 
 class Simulation:
@@ -113,8 +95,6 @@ class Simulation:
         twin.__dict__ = copy.deepcopy(self.__dict__, memo)
         return twin
 
-    # -- reset --------------------------------------------------------------------------------------------------------
-
     def reset(self, ids: Ids, rng: Sequence[np.random.Generator], options: Sequence[dict[str, Any] | None]) -> None:
         """Begin new episodes in some simulations. An error leaves everything unchanged.
 
@@ -158,8 +138,6 @@ class Simulation:
         """Free the simulations; the next reset creates new ones."""
         self._perception.close()
         self._physics = self.state = None
-
-    # -- step ---------------------------------------------------------------------------------------------------------
 
     def step(self, actions: Any) -> StepResult:
         """Advance all simulations by one action each, (n, size).
@@ -227,8 +205,6 @@ class Simulation:
     def _record_contacts(self, contacts: Contacts) -> None:
         for i, contact in contacts.first.items():
             self._contact[i], self._self_collision[i] = contact
-
-    # -- results ------------------------------------------------------------------------------------------------------
 
     def observation(self, ids: Ids | None = None) -> Observed:
         """Return observations of all or some simulations."""

@@ -6,7 +6,7 @@ Points and directions are in the base frame: x forward to the plants, z up, orig
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -130,15 +130,20 @@ class State(NamedTuple):
         old: Any
         new: Any
         for old, new in zip(result, fresh, strict=True):
-            if isinstance(old, Mapping):
-                for name, values in old.items():
-                    values[ids] = new[name]
-            else:
-                old[ids] = new
+            _replace(old, ids, new)
         return result
 
 
-def _mapped(values: Any, function: Any) -> Any:
+def _replace(old: Any, ids: Ids, new: Any) -> None:
+    """Replace the rows of some simulations in an array, or in each array of a mapping."""
+    if isinstance(old, Mapping):
+        for name, values in old.items():
+            values[ids] = new[name]
+    else:
+        old[ids] = new
+
+
+def _mapped(values: Any, function: Callable[[npt.NDArray[Any]], npt.NDArray[Any]]) -> Any:
     """Apply a function to an array, or to each array of a mapping."""
     if isinstance(values, Mapping):
         return {name: function(array) for name, array in values.items()}

@@ -15,9 +15,9 @@ from gymnasium.vector.utils import batch_space
 from greenhouse_gym.envs.episodes import DifficultyChoice
 from greenhouse_gym.envs.hindsight import add_goal_functions
 from greenhouse_gym.envs.observations import Observed, select
-from greenhouse_gym.envs.settings import EnvSettings, check_whole, settings_with
-from greenhouse_gym.envs.simulation import STEP_INFOS, Infos, Simulation, StepResult
-from greenhouse_gym.envs.spec import SpecMixin
+from greenhouse_gym.envs.rewards import StepResult
+from greenhouse_gym.envs.settings import EnvSettings, SpecMixin, check_whole, settings_with
+from greenhouse_gym.envs.simulation import STEP_INFOS, Infos, Simulation
 from greenhouse_gym.envs.state import Bools, Ids
 from greenhouse_gym.errors import EpisodeOverError, InvalidValueError, UnknownNameError, require_choice
 from greenhouse_gym.geometry import Array

@@ -100,7 +100,7 @@ class Entry(BaseModel):
 
     def evaluation(self, track: str) -> Evaluation:
         """Return the records of a track as an evaluation."""
-        columns = self.tracks[track]
+        columns = {"measures": [{}] * len(self.tracks[track]["seed"]), **self.tracks[track]}
         rows = zip(*(columns[field.name] for field in fields(Record)), strict=True)
         records = (Record(*row) for row in rows)
         return Evaluation(self.agent, tuple(replace(record, contact=tuple(record.contact)) for record in records))
@@ -294,7 +294,8 @@ def _run(
 
 
 def _columns(records: Sequence[Record]) -> dict[str, list[Any]]:
-    return {field.name: [_plain(getattr(record, field.name)) for record in records] for field in fields(Record)}
+    columns = {field.name: [_plain(getattr(record, field.name)) for record in records] for field in fields(Record)}
+    return columns if any(columns["measures"]) else {name: columns[name] for name in columns if name != "measures"}
 
 
 def _plain(value: Any) -> Any:

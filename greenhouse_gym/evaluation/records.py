@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from statistics import mean, median
 
 from greenhouse_gym.common.tables import Table
@@ -36,6 +36,7 @@ class Record:
         distance: Remaining distance at the end, metres; for reaching, from the grasp point to the target's center.
         status: The agent's status of its plan; empty for agents that do not plan.
         failure: Reason why the agent gave no valid action, which ended the episode; empty otherwise.
+        measures: Numbers that the task remembers, at the end of the episode, by name; see `greenhouse_gym.envs.Task`.
     """
 
     seed: int
@@ -56,6 +57,7 @@ class Record:
     distance: float
     status: str = ""
     failure: str = ""
+    measures: dict[str, float] = field(default_factory=dict, hash=False)
 
 
 @dataclass(frozen=True)

@@ -239,7 +239,7 @@ class EpisodeRunner:
 
     def _result(self, i: int, run: _Run) -> EpisodeResult:
         simulation = self._simulation
-        info = {key: values[i] for key, values in simulation.info().items()}
+        info = {key: values[i] for key, values in simulation.info().items() if not isinstance(values, dict)}
         steps = len(run.joints) - 1
         path = np.array(run.joints)
         model, _ = simulation.model_and_data(i)
@@ -264,6 +264,7 @@ class EpisodeRunner:
             distance=float(info["distance"]),
             status=str(getattr(run.player.agent, "status", "")),
             failure=run.failure,
+            measures={name: float(info[name]) for name in simulation.task.memory},
         )
         return EpisodeResult(run.index, record, path)
 

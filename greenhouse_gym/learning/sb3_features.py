@@ -33,7 +33,7 @@ CENTERS_AND_SCALES: dict[str, tuple[float, float]] = {
     "path": (0.5, 0.5),
     "clearance_rays": (0.1, 0.1),
 }
-"""Typical center and size of each group of the observation. They are fixed, so the scaling never drifts."""
+"""Typical center and scale of each feature, which normalize it to about one. Features of other tasks are not scaled."""
 
 
 class ScaledObservation(BaseFeaturesExtractor):  # type: ignore[misc]
@@ -46,7 +46,7 @@ class ScaledObservation(BaseFeaturesExtractor):  # type: ignore[misc]
     def __init__(self, observation_space: Any, layout: Layout):
         super().__init__(observation_space, features_dim=int(np.prod(observation_space.shape)))
         self.starts = {name: part.start for name, part in feature_slices(layout).items()}
-        pairs = np.concatenate([np.tile(CENTERS_AND_SCALES[name], (size, 1)) for name, size in layout])
+        pairs = np.concatenate([np.tile(CENTERS_AND_SCALES.get(name, (0.0, 1.0)), (size, 1)) for name, size in layout])
         self.register_buffer("center", torch.tensor(pairs[:, 0], dtype=torch.float32))
         self.register_buffer("scale", torch.tensor(pairs[:, 1], dtype=torch.float32))
 

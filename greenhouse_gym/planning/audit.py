@@ -96,4 +96,4 @@ def _fault(compiled: CompiledScene, target: Target, path: Array) -> str:
     if not ProvingChecker(planning_model(compiled, target.tomato, margin=0.0)).path_is_free(path, STEP):
         return "the witness touches something"
     grasp = tool_state(tool_chain(compiled.model, compiled.tip_site), path[-1:], tomato.radius).point[0]
-    return "" if is_reached(np.linalg.norm(grasp - tomato.center)) else "the witness does not end at the tomato"
+    return "" if is_reached(float(np.linalg.norm(grasp - tomato.center))) else "the witness does not end at the tomato"
