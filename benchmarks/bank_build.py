@@ -44,24 +44,24 @@ class Clock:
         self._last = now
 
 
-def build(shot: shipped.Shot) -> dict[str, object]:
+def build(row_recording: shipped.RowRecording) -> dict[str, object]:
     """Build the scenes of a recording, stage by stage."""
     clock = Clock()
-    recording = shot.recording()
+    recording = row_recording.simulate()
     settings = replace(shipped.SETTINGS, reconstruction=settings_for(recording))
     clock.lap("grow")
-    known = Provenance(row=shot.row, style=shot.style, source=shot.source)
-    origin = provenance_of(recording, shot.week, settings, known)
+    known = Provenance(row=row_recording.row, style=row_recording.style, source=row_recording.source)
+    origin = provenance_of(recording, row_recording.week, settings, known)
     row = reconstruct_row(recording, settings.reconstruction)
     clock.lap("simulate and reconstruct")
     shapes = extract_shapes(row.points, row.colors, row.normals, settings.shapes)
     clock.lap("shapes")
-    scenes = cut_scenes(row, shapes, recording, shot.week, settings, origin)
+    scenes = cut_scenes(row, shapes, recording, row_recording.week, settings, origin)
     clock.lap("cut, truth, seen space")
-    targets = [certify_targets(scene, settings.robot, most=settings.targets) for scene in scenes]
+    targets = [certify_targets(scene, settings.robot, most=settings.max_targets) for scene in scenes]
     clock.lap("certify")
     made = [scene.model_copy(update={"targets": of}) for scene, of in zip(scenes, targets, strict=True)]
-    shipped_ones = [scene for scene in SceneBank.open("default") if scene.name.startswith(f"{shot.name}-")]
+    shipped_ones = [scene for scene in SceneBank.open("default") if scene.name.startswith(f"{row_recording.name}-")]
     per_scene = sum(stage["processor"] for stage in clock.seconds.values()) / len(scenes)
     return {
         "stages": clock.seconds,
@@ -80,10 +80,10 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=RESULTS / "bank_build.json")
     arguments = parser.parse_args()
     results: dict[str, object] = {"command": f"benchmarks/bank_build.py {' '.join(arguments.recordings)}"}
-    for shot in shipped.shots():
-        if shot.name in arguments.recordings:
-            results[shot.name] = build(shot)
-            print(shot.name, results[shot.name], flush=True)
+    for row_recording in shipped.row_recordings():
+        if row_recording.name in arguments.recordings:
+            results[row_recording.name] = build(row_recording)
+            print(row_recording.name, results[row_recording.name], flush=True)
             results["load at the end"] = round(os.getloadavg()[0], 1)
             write_results(arguments.out, results, ["mujoco", "ompl", "open3d"])
 

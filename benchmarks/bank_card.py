@@ -100,7 +100,7 @@ def main() -> None:
     default, mini = (SceneBank.open(folder / name) for name in ("default", "mini"))
     entries = default.manifest.scenes
     rows, made = len({entry.row for entry in entries}), len({entry.name.rsplit("-", 1)[0] for entry in entries})
-    recordings = len(list(shipped.shots()))
+    recordings = len(list(shipped.row_recordings()))
     settings = SimpleNamespace(**default[0].provenance.settings)  # what they were built with, whatever is usual now
     built = ""
     if made < recordings:

@@ -24,7 +24,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from greenhouse_gym.build.scenes import truth_in_scene
-from greenhouse_gym.build.shipped import ROW_LENGTH, SETTINGS, Shot, shots
+from greenhouse_gym.build.shipped import ROW_LENGTH, SETTINGS, RowRecording, row_recordings
 from greenhouse_gym.common.executors import completed, processes
 from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.crops import PlantRow, grow_row
@@ -57,7 +57,7 @@ def main() -> None:
     renewed_scenes = None if arguments.keep_truth else arguments.out / "scenes"
     if renewed_scenes is not None:
         with processes(os.cpu_count()) as executor:
-            order = sorted(shots(), key=lambda shot: shot.split == "train")
+            order = sorted(row_recordings(), key=lambda recording: recording.split == "train")
             for name in completed(partial(renew, bank=default, out=renewed_scenes), order, executor):
                 print(name, flush=True)
     for bank in (default, mini):
@@ -68,13 +68,13 @@ def main() -> None:
             take_over(path, bank, after)
 
 
-def renew(shot: Shot, bank: SceneBank, out: Path) -> str:
+def renew(recording: RowRecording, bank: SceneBank, out: Path) -> str:
     """Write the scenes of a recording with their truth as it is now; give the recording's name."""
     out.mkdir(parents=True, exist_ok=True)
-    names = [name for name in bank.names() if name.rpartition("-")[0] == shot.name]
+    names = [name for name in bank.names() if name.rpartition("-")[0] == recording.name]
     if all((out / f"{name}.json").exists() for name in names):
-        return shot.name
-    row = grow_row(shot.seed, ROW_LENGTH, shot.week, shot.cultivar, source=shot.source)
+        return recording.name
+    row = grow_row(recording.seed, ROW_LENGTH, recording.week, recording.cultivar, source=recording.source)
     for name in names:
         scene = bank.scene(name)
         settings = {**(scene.provenance.settings or {}), "leaf_tolerance": SETTINGS.leaf_tolerance}
@@ -85,7 +85,7 @@ def renew(shot: Shot, bank: SceneBank, out: Path) -> str:
         if not start_is_collision_free(after, SETTINGS.robot):
             raise SystemExit(f"{name}: the arm would begin in the finer leaves")
         after.save(out / f"{name}.json")
-    return shot.name
+    return recording.name
 
 
 def renewed(row: PlantRow, scene: Scene) -> Shapes:

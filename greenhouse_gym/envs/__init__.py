@@ -1,5 +1,6 @@
 """The Gymnasium environments: one simulation, or many in one batch."""
 
+from greenhouse_gym.crops.crop import PlantMotion
 from greenhouse_gym.envs.actions import ActionRule, ToolMotion
 from greenhouse_gym.envs.image_observations import DepthObservation, PointsObservation, RgbObservation
 from greenhouse_gym.envs.observations import Observation
@@ -10,7 +11,6 @@ from greenhouse_gym.envs.settings import EnvSettings
 from greenhouse_gym.envs.tomato_reach import TomatoReachEnv
 from greenhouse_gym.envs.vector import TomatoReachVectorEnv
 from greenhouse_gym.rendering.cameras import DepthCamera
-from greenhouse_gym.scene.plant_motion import PlantMotion
 
 __all__ = [
     "ActionRule",

@@ -8,9 +8,9 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from greenhouse_gym.crops.crop import PlantMotion
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.scene.plant_motion import PlantMotion
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from functools import cached_property, lru_cache, partial
 import mujoco
 import numpy as np
 
+from greenhouse_gym.crops.crop import PlantMotion
 from greenhouse_gym.envs.reach_task import SUBSTEPS
 from greenhouse_gym.envs.scene_window import LARGEST_WHOLE
 from greenhouse_gym.envs.stepping import drive_and_record
@@ -21,7 +22,7 @@ from greenhouse_gym.scene import CompiledScene, Scene, SceneBank, Shapes, compil
 from greenhouse_gym.scene.geom_order import first_world_geom
 from greenhouse_gym.scene.mjcf import DEFAULT_CAPACITY, MAX_CAPACITY, base_position
 from greenhouse_gym.scene.moved_obstacles import move_obstacles
-from greenhouse_gym.scene.plant_motion import PlantMotion, move_plants
+from greenhouse_gym.scene.plant_motion import move_plants
 from greenhouse_gym.scene.truth import true_scene
 
 _ROUND = 100

@@ -21,13 +21,13 @@ from pydantic import BaseModel, ConfigDict
 from greenhouse_gym.agents import Agent
 from greenhouse_gym.common.executors import workers_of
 from greenhouse_gym.common.files import parsing, read_bytes, write_atomically
+from greenhouse_gym.crops.crop import PlantMotion
 from greenhouse_gym.envs.randomization import Randomization
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.evaluation.journal import KeptRecords
 from greenhouse_gym.evaluation.records import Evaluation, Record
 from greenhouse_gym.evaluation.rollouts import evaluate
 from greenhouse_gym.scene import SceneBank
-from greenhouse_gym.scene.plant_motion import PlantMotion
 
 TRACKS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     {

@@ -13,11 +13,12 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from greenhouse_gym.crops.crop import PlantMotion
 from greenhouse_gym.geometry import Array, Capsule, Sphere
 from greenhouse_gym.geometry.shapes import AnyShape
 from greenhouse_gym.scene import Scene, SceneBank, Target
 from greenhouse_gym.scene.bank import write_bank
-from greenhouse_gym.scene.plant_motion import PlantMotion, move_plants
+from greenhouse_gym.scene.plant_motion import move_plants
 
 LIVELY = PlantMotion(truss_turn=0.4, truss_swing=0.15, stem_shift=0.02, leaf_shift=0.03)
 """Plants that moved several times as far as real ones do."""
