@@ -123,8 +123,8 @@ def build_shipped_banks(out: Path, parts: Path, executor: Executor | None = None
     Args:
         out: The folder.
         parts: Folder of the parts; existing parts are not built again.
-        executor: Executor that builds the parts, such as `greenhouse_gym.common.executors.processes`; None builds them in this
-            process, one after the other.
+        executor: Executor that builds the parts (`greenhouse_gym.common.executors`); None builds them in this process,
+            one after the other.
     """
     with exclusive(parts):
         for _ in completed(partial(build_part, parts=parts), row_recordings(), executor):
