@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from greenhouse_gym.build import bank_builder as build
 from greenhouse_gym.build.scans import RawCloud, Scan, extract_from_scan, open_scan, read_cloud, scanned_row
-from greenhouse_gym.build.scans import row as row_module
+from greenhouse_gym.build.scans import scan_row as row_module
 from greenhouse_gym.build.scans.frame import guess_unit, guess_up
 from greenhouse_gym.build.scans.scan import fruit_hangs
 from greenhouse_gym.capture.fingerprint import fingerprint
@@ -335,7 +335,7 @@ def test_a_file_cut_short_is_refused(tmp_path: Path, suffix: str, text: bool) ->
 
 
 def test_a_file_too_large_to_be_read_at_once_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("greenhouse_gym.build.scans.cloud_files._AT_ONCE", 1000)
+    monkeypatch.setattr("greenhouse_gym.build.scans.cloud_files._MAX_WHOLE", 1000)
     for suffix in (".npy", ".xyz"):
         with_numpy(tmp_path / f"c{suffix}", *plant())
     assert len(read_cloud(tmp_path / "c.xyz").points) == len(plant()[0])  # is read piece by piece

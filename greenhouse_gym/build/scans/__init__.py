@@ -2,7 +2,7 @@
 
 from greenhouse_gym.build.scans.cloud_files import CLOUD_SUFFIXES, RawCloud, read_cloud
 from greenhouse_gym.build.scans.scan import Scan, extract_from_scan, open_scan
-from greenhouse_gym.build.scans.scanned_row import ScannedRow, scanned_row
+from greenhouse_gym.build.scans.scan_row import ScannedRow, scanned_row
 
 __all__ = [
     "CLOUD_SUFFIXES",
