@@ -96,7 +96,7 @@ def main() -> None:
     command.add_argument("--scenes", type=Path, default=data_path("scenes"))
     folder = command.parse_args().scenes
     default, mini = (SceneBank.open(folder / name) for name in ("default", "mini"))
-    statistics, recordings = bank_statistics(default), len(list(shipped.shots()))
+    statistics, recordings = bank_statistics(default), len(list(shipped.row_recordings()))
     settings = SimpleNamespace(**default[0].provenance.settings)  # of the build, not today's defaults
     progress = ""
     if statistics.recordings < recordings:

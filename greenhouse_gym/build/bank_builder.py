@@ -1,4 +1,4 @@
-"""Recordings to a bank: reconstruct each row, extract its shapes, cut scenes out of it, certify their targets."""
+"""Build a bank from recordings: reconstruct each row, extract its shapes, cut scenes and certify their targets."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from greenhouse_gym.scene.truth import start_is_collision_free
 from greenhouse_gym.shapes import extract_shapes
 
 UNFINISHED, CUT = "unfinished", "scenes.json"
-"""Folder, below the bank's, of what an interrupted build knows; and, in it, per row, the scenes without targets."""
+"""Subfolder with the state of an interrupted build, and the file with the scenes of a row before certification."""
 
 _SCENES = TypeAdapter(list[Scene])
 
@@ -46,31 +46,31 @@ def build_bank(
 ) -> SceneBank:
     """Build a bank of scenes from recordings.
 
-    An interrupted build goes on with the station, or the scene, at which it stopped: what is not finished lies in the
-    folder ``unfinished`` until the manifest is written, last. What was made of other images, with other settings or by
-    another version is made anew.
+    Resumes an interrupted build at the station or scene where it stopped: intermediate results stay in the folder
+    ``unfinished`` until the manifest, the last file, is written. Results of other images, settings or versions are
+    computed again.
 
     Args:
-        recordings: Of one row each, recordings or a `greenhouse_gym.scans.ScannedRow`; their names become the rows'.
+        recordings: Recordings of one row each, or a `greenhouse_gym.build.scans.ScannedRow`; rows take their names.
         out: The bank's folder.
         name: The bank's name.
         splits: Split of each row; by default two thirds train, the rest validation and test in turn.
-        weeks: Growth week of each row, where known.
+        weeks: Growth week of each row, if known.
         settings: All settings.
         description: A sentence on where the bank comes from.
-        on_stage: Told what is being done, row by row.
-        known: For each recording the row, its style and its source, where they are known. Recordings of one row, in
-            other weeks, name the same row, and go into the same split.
-        executor: Where rows are reconstructed and scenes certified; None does it here. Only this process writes files,
-            the same ones, but with an executor a row that is interrupted begins anew, not at its last station.
+        on_stage: Called with a line on the progress of each row.
+        known: For each recording the row, its style and its source, if known. Recordings of one row in several weeks
+            name the same row and belong to the same split.
+        executor: Executor that reconstructs rows and certifies scenes; None runs in this process. Only this process
+            writes files, with equal content. With an executor, an interrupted row starts again at its first station.
 
     Raises:
-        InvalidValueError: No recordings, two of one name, one that cannot be a file's, lists of different lengths, a
-            row in two splits, or one in whose true plants the arm would begin at all stands.
-        FileWriteError: The folder cannot be written, or another process is building in it; told before any work.
+        InvalidValueError: There are no recordings, two share a name, a name is no safe file name, lists differ in
+            length, a row is in two splits, or the arm would start inside true plants at all placements of a row.
+        FileWriteError: The folder cannot be written, or another process is building in it; raised before any work.
         MissingDependencyError: OMPL, which certifies the targets, is not installed.
         ReconstructionError: A recording could not be turned into a row.
-        WorkerLostError: A process of the executor died; what was built stays, and the same call goes on with it.
+        WorkerLostError: A process of the executor died; finished results stay, and the same call resumes the build.
     """
     settings = settings or BuildSettings()
     names = [checked_name("a recording to build of", recording.name) for recording in recordings]
@@ -108,16 +108,16 @@ def build_bank(
 
 @dataclass(frozen=True)
 class _Row:
-    """A recording on its way to scenes; it can travel to another process, unless it has notes and a voice.
+    """A recording from which scenes are built; it can be sent to another process if it has no folder and no report.
 
     Attributes:
         recording: The recording.
         week: Its growth week, if known.
-        known: Its row, the row's style and source, where they are known.
+        known: Its row, the row's style and source, if known.
         settings: All settings.
-        origin: Where its scenes come from.
-        notes: Folder for what is known of an unfinished walk.
-        report: Told what is being done.
+        origin: Provenance of its scenes.
+        folder: Folder for intermediate results of the station registration.
+        report: Called with a line on the progress.
     """
 
     recording: Recording
@@ -125,7 +125,7 @@ class _Row:
     known: Provenance | None
     settings: BuildSettings
     origin: Provenance | None = None
-    notes: Path | None = None
+    folder: Path | None = None
     report: Callable[[str], None] | None = None
 
     @property
@@ -136,9 +136,9 @@ class _Row:
 def _certified_scenes(
     folder: Path, rows: Sequence[_Row], report: Callable[[str], None], executor: Executor | None
 ) -> dict[str, list[Path]]:
-    """The files of the certified scenes of each recording, by its name and in their order."""
+    """Certify all scenes and return their files by the name of the recording, in order."""
     origins = dict(completed(_origin, rows, executor))
-    notes = {row.name: folder / UNFINISHED / row.name for row in rows}
+    folders = {row.name: folder / UNFINISHED / row.name for row in rows}
     scenes: dict[str, list[Path]] = {}
     built = _finished_bank(folder)
     for row in rows:
@@ -146,19 +146,19 @@ def _certified_scenes(
             report(f"{row.name}: {len(finished)} scenes already built")
             scenes[row.name] = [_file(folder, scene) for scene in finished]
     unfinished = [replace(row, origin=origins[row.name]) for row in rows if row.name not in scenes]
-    uncut = [row for row in unfinished if _cut_before(notes[row.name] / CUT, origins[row.name]) is None]
+    uncut = [row for row in unfinished if _cut_before(folders[row.name] / CUT, origins[row.name]) is None]
     if executor is None:
-        uncut = [replace(row, notes=notes[row.name], report=report) for row in uncut]
+        uncut = [replace(row, folder=folders[row.name], report=report) for row in uncut]
     settings = {row.name: row.settings for row in rows}
     for name, cut in completed(_cut, uncut, executor):
-        standing = _standing(name, cut, settings[name], report)
-        write_atomically(notes[name] / CUT, _SCENES.dump_json(standing))
-        for scene in standing:
+        placed = _collision_free(name, cut, settings[name], report)
+        write_atomically(folders[name] / CUT, _SCENES.dump_json(placed))
+        for scene in placed:
             report(occupancy_summary(scene, settings[name]))
 
     def uncertified() -> Iterator[tuple[Scene, BuildSettings]]:
         for row in unfinished:
-            cut = _cut_before(notes[row.name] / CUT, origins[row.name])
+            cut = _cut_before(folders[row.name] / CUT, origins[row.name])
             assert cut is not None  # it was written above, or found
             report(f"{row.name}: certifying the targets of {len(cut)} scenes")
             scenes[row.name] = [_file(folder, scene) for scene in cut]
@@ -174,7 +174,7 @@ def _origin(row: _Row) -> tuple[str, Provenance]:
 
 
 def _cut(row: _Row) -> tuple[str, list[Scene]]:
-    """The scenes of a row, without targets."""
+    """Cut the scenes of a row, without targets."""
     report = row.report or (lambda text: None)
     if isinstance(row.recording, ScannedRow):
         for note in row.recording.scan.notes:
@@ -182,31 +182,35 @@ def _cut(row: _Row) -> tuple[str, list[Scene]]:
         found = row.recording.shapes
         return row.name, cut_scenes(row.recording.row, found, row.recording, row.week, row.settings, row.origin)
     report(f"{row.name}: reconstructing {len(row.recording)} stations")
-    cloud = reconstruct_row(row.recording, row.settings.reconstruction, folder=row.notes)
+    cloud = reconstruct_row(row.recording, row.settings.reconstruction, folder=row.folder)
     report(f"{row.name}: extracting shapes from {len(cloud)} points")
     shapes = extract_shapes(cloud.points, cloud.colors, cloud.normals, row.settings.shapes)
     return row.name, cut_scenes(cloud, shapes, row.recording, row.week, row.settings, row.origin)
 
 
-def _standing(name: str, cut: Sequence[Scene], settings: BuildSettings, report: Callable[[str], None]) -> list[Scene]:
-    """The scenes of a recording at whose stands an arm can be put up: it does not begin in the true plants.
+def _collision_free(
+    name: str, cut: Sequence[Scene], settings: BuildSettings, report: Callable[[str], None]
+) -> list[Scene]:
+    """Return the scenes of a recording in which the arm does not start inside the true plants.
 
     Raises:
-        InvalidValueError: There is none.
+        InvalidValueError: There are none.
     """
     free = [scene for scene in cut if start_is_collision_free(scene, settings.robot)]
     if not free:
         raise InvalidValueError(
-            f"recording {name!r}: at all {len(cut)} stands the arm would begin in the plants of its truth; move them "
+            f"recording {name!r}: at all {len(cut)} placements the arm would start inside the true plants; move them "
             f"with BuildSettings.spacing or stem_distance, now {settings.stem_distance:g} m"
         )
     if len(free) < len(cut):
-        report(f"{name}: {len(cut) - len(free)} of {len(cut)} stands left out, where the arm would begin in plants")
+        report(
+            f"{name}: {len(cut) - len(free)} of {len(cut)} placements left out, where the arm would start inside plants"
+        )
     return free
 
 
 def _certified(piece: tuple[Scene, BuildSettings]) -> Scene:
-    """A scene with its targets."""
+    """Return a scene with its targets."""
     scene, settings = piece
     targets = certify_targets(
         scene, settings.robot, max_targets=settings.max_targets, min_radius=settings.min_target_radius
@@ -215,7 +219,7 @@ def _certified(piece: tuple[Scene, BuildSettings]) -> Scene:
 
 
 def _is_certified(folder: Path, scene: Scene) -> bool:
-    """Whether an interrupted build left the scene with its targets in the folder."""
+    """Return whether an interrupted build has already written the scene with its targets."""
     try:
         found = Scene.load(_file(folder, scene))
     except FileFormatError:
@@ -229,7 +233,7 @@ def _file(folder: Path, scene: Scene) -> Path:
 
 
 def _cut_before(path: Path, origin: Provenance) -> list[Scene] | None:
-    """Scenes that an interrupted build cut out of the same row in the same way; None where there are none."""
+    """Return the scenes that an interrupted build cut from the same row with the same settings, or None."""
     try:
         with parsing(path, "list of scenes"):
             found = _SCENES.validate_json(read_bytes(path, "scene"))
@@ -239,7 +243,7 @@ def _cut_before(path: Path, origin: Provenance) -> list[Scene] | None:
 
 
 def _finished_bank(folder: Path) -> dict[str, list[Callable[[], Scene]]]:
-    """What gives the scenes of each row of the bank in the folder; empty where there is none."""
+    """Return loaders of the scenes of each row of the bank in the folder; empty without a bank."""
     try:
         bank = SceneBank.open(folder)
     except GreenhouseError:
@@ -251,7 +255,7 @@ def _finished_bank(folder: Path) -> dict[str, list[Callable[[], Scene]]]:
 
 
 def _of_finished_bank(bank: dict[str, list[Callable[[], Scene]]], origin: Provenance) -> list[Scene]:
-    """The recording's scenes in a bank, if they were made in the same way."""
+    """Return the recording's scenes in a bank if they have the same provenance, else none."""
     try:
         of_row = [scene() for scene in bank.get(origin.row, ())]
     except GreenhouseError:
@@ -261,11 +265,11 @@ def _of_finished_bank(bank: dict[str, list[Callable[[], Scene]]], origin: Proven
 
 
 def _same(scene: Scene, origin: Provenance) -> bool:
-    """Whether a scene comes from there, wherever along the row it stands."""
+    """Return whether a scene has this provenance, at any station."""
     return scene.provenance.model_copy(update={"station": None}) == origin
 
 
 def default_splits(rows: int) -> list[str]:
-    """Two thirds of the rows for training, the others for validation and test in turn."""
+    """Assign two thirds of the rows to training and the others alternately to validation and test."""
     train = max(1, round(2 * rows / 3))
     return ["train"] * train + ["validation" if k % 2 == 0 else "test" for k in range(rows - train)]

@@ -1,7 +1,7 @@
-"""The banks that ship with the package: which rows they are made of, and the one function that builds them.
+"""The shipped banks: their rows, and the function that builds them.
 
-Every recording becomes a bank of its own, a part. All parts joined are ``default``, and some scenes of it are ``mini``.
-What an interrupted build has finished is not made again.
+Each recording becomes a bank of its own, a part. All parts joined are ``default``, and some of its scenes are ``mini``.
+An interrupted build keeps its finished parts.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ ROW_LENGTH = 1.0  # m
 ROWS, FIRST_SEED, WEEKS = 48, 2000, 12
 
 SETTINGS = BuildSettings(spacing=0.2, max_targets=72)
-"""Four stands on a row of this length; a cherry row would have more targets than all others together."""
+"""Four placements per row. Without a limit, a cherry row would have more targets than all others together."""
 
 KINDS = (
     ("own", "cluster", "cluster"),
@@ -39,10 +39,10 @@ KINDS = (
     ("helios", "cherry", "cherry"),
     ("helios", "bushy", "cluster"),
 )
-"""Source, cultivar and style of fruit of the rows, in turn: more than half of them hard to reach into."""
+"""Source, cultivar and fruit style of the rows in turn; more than half of them are hard to reach into."""
 
 PROTOCOLS = ("paper", "upright-back")
-"""How rows are photographed: in turn, so that each kind is seen both ways, and a row of two weeks as well."""
+"""Capture protocols in turn, so that each kind of row, and each row with two weeks, is photographed by both."""
 
 DESCRIPTION = (
     "Simulated recordings of grown rows, reconstructed: three styles of fruit, plants of two sources, two capture "
@@ -51,16 +51,16 @@ DESCRIPTION = (
 
 
 @dataclass(frozen=True)
-class Shot:
-    """One recording of a row.
+class RowRecording:
+    """One recording of a row of the shipped banks.
 
     Attributes:
         seed: Seed of the row.
         week: Growth week.
-        source: Where the plants come from.
-        cultivar: As `grow_row` takes it for a style.
-        style: Style of the fruit.
-        protocol: How the row is photographed.
+        source: Source of the plants.
+        cultivar: Style as `greenhouse_gym.crops.grow_row` takes it.
+        style: Fruit style.
+        protocol: Capture protocol.
         split: Split of the row.
     """
 
@@ -74,7 +74,7 @@ class Shot:
 
     @property
     def row(self) -> str:
-        """Name of the row, the same in all weeks."""
+        """Name of the row, equal in all weeks."""
         return f"{self.source}-{self.cultivar}-{self.seed}"
 
     @property
@@ -82,29 +82,38 @@ class Shot:
         """Name of the recording."""
         return f"{self.row}-w{self.week:02d}"
 
-    def recording(self) -> Recording:
-        """The recording, simulated."""
+    def simulate(self) -> Recording:
+        """Simulate the recording."""
         row = grow_row(self.seed, ROW_LENGTH, self.week, self.cultivar, source=self.source)
-        # another walk and other noise in every week
+        # another walk and other noise each week
         return replace(simulate_protocol(row, 100 * self.seed + self.week, self.protocol), name=self.name)
 
 
-def shots() -> Iterator[Shot]:
-    """The recordings of the shipped bank, in an order in which any first part of them holds something of everything."""
+def row_recordings() -> Iterator[RowRecording]:
+    """Yield the recordings of the shipped bank, ordered so that any first part of them covers all kinds."""
     for k in range(ROWS):
-        block, place = divmod(k, len(KINDS))
+        block, index = divmod(k, len(KINDS))
         split = "test" if k % 5 == 4 else "validation" if k % 10 == 7 else "train"
-        again = place % 4 == block % 4  # rows recorded a second time, three weeks later
+        again = index % 4 == block % 4  # rows recorded a second time, three weeks later
         for visit in range(1 + again):
-            week, protocol = (5 * k + 3 * visit) % WEEKS, PROTOCOLS[(block + place + visit) % len(PROTOCOLS)]
-            yield Shot(FIRST_SEED + k, week, *KINDS[place], protocol, split)
+            week, protocol = (5 * k + 3 * visit) % WEEKS, PROTOCOLS[(block + index + visit) % len(PROTOCOLS)]
+            yield RowRecording(FIRST_SEED + k, week, *KINDS[index], protocol, split)
 
 
-def build_part(shot: Shot, parts: Path) -> Path:
-    """Build the bank of one recording in a folder of its own below ``parts``, unless it is there; give that folder."""
-    known = Provenance(row=shot.row, style=shot.style, source=shot.source)
-    folder = parts / shot.name
-    build_bank([shot.recording()], folder, shot.name, [shot.split], [shot.week], SETTINGS, DESCRIPTION, known=[known])
+def build_part(recording: RowRecording, parts: Path) -> Path:
+    """Build the bank of one recording in its own folder below ``parts``, unless it exists; return that folder."""
+    known = Provenance(row=recording.row, style=recording.style, source=recording.source)
+    folder = parts / recording.name
+    build_bank(
+        [recording.simulate()],
+        folder,
+        recording.name,
+        [recording.split],
+        [recording.week],
+        SETTINGS,
+        DESCRIPTION,
+        known=[known],
+    )
     return folder
 
 
@@ -113,30 +122,30 @@ def build_shipped_banks(out: Path, parts: Path, executor: Executor | None = None
 
     Args:
         out: The folder.
-        parts: Folder of the parts; those that are in it already are not built again.
-        executor: Where the recordings are worked on, such as `greenhouse_gym.parallel.processes` gives; here, one after
-            the other, when left out.
+        parts: Folder of the parts; existing parts are not built again.
+        executor: Executor that builds the parts (`greenhouse_gym.common.executors`); None builds them in this process,
+            one after the other.
     """
     with exclusive(parts):
-        for _ in completed(partial(build_part, parts=parts), shots(), executor):
+        for _ in completed(partial(build_part, parts=parts), row_recordings(), executor):
             pass
         return join_parts(parts, out)
 
 
 def join_parts(parts: Path, out: Path) -> tuple[SceneBank, SceneBank]:
-    """Join the parts that are finished, in their usual order, to ``default`` and ``mini`` below a folder.
+    """Join the finished parts in their usual order to ``default`` and ``mini`` below a folder.
 
     Raises:
         FileFormatError: No part is finished; the banks in the folder stay as they are.
     """
-    folders = {shot: parts / shot.name for shot in shots()}
-    banks = {shot: SceneBank.open(folder) for shot, folder in folders.items() if (folder / MANIFEST).exists()}
+    folders = {recording: parts / recording.name for recording in row_recordings()}
+    banks = {recording: SceneBank.open(folder) for recording, folder in folders.items() if (folder / MANIFEST).exists()}
     if not banks:
         raise FileFormatError(parts, "holds no finished part of the shipped banks")
-    scenes = [(scene, shot.split) for shot, bank in banks.items() for scene in bank]
+    scenes = [(scene, recording.split) for recording, bank in banks.items() for scene in bank]
     default = write_bank(out / "default", scenes, "default", DESCRIPTION)
-    # of a row's weeks the first, and of its scenes the one with most to reach for
-    first = {shot.row: (max(bank, key=_reachable), shot.split) for shot, bank in reversed(banks.items())}
+    # the first week of each row, and its scene with most reachable targets
+    first = {recording.row: (max(bank, key=_reachable), recording.split) for recording, bank in reversed(banks.items())}
     small = list(reversed(first.values()))[: len(KINDS)]
     mini = write_bank(out / "mini", small, "mini", "A scene of each kind of row of the default bank, for tests.")
     return default, mini

@@ -34,7 +34,7 @@ class Cultivar:
         leaf_curl: Helios' longitudinal curvature of a leaflet, negative downwards; sampled per leaflet.
         leaf_width: Width of a leaflet over its length.
         bare_below: Height below which leaves are taken off, metres.
-        flowering: Height at which the youngest truss opens, metres; sampled per plant. Lower than on a real vine
+        flowering: Height at which the youngest truss opens, metres; sampled per plant. Lower than on real vines
             (prior), so that the cameras see fruit of every age.
         side_shoots: Probability of a side shoot in the axil of a leaf.
         shoot_length: Length of a side shoot, metres.

@@ -1,4 +1,4 @@
-"""Arrays of fixed shapes, as dataclasses and JSON files hold them."""
+"""Arrays of fixed shapes as fields of dataclasses and JSON files."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ Array: TypeAlias = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class JsonArray:
-    """Lets pydantic read a fixed-shape float array from nested lists and write it back as such."""
+    """Annotation by which pydantic reads a fixed-shape float array from nested lists and writes it as such."""
 
     shape: tuple[int, ...]
 
     def parse(self, value: Any) -> Array:
-        """Turn nested sequences into a read-only float64 array of this shape with finite entries."""
+        """Convert nested sequences to a read-only float64 array of this shape with finite entries."""
         try:
             array = np.array(value, dtype=np.float64)
         except (TypeError, ValueError) as error:

@@ -11,6 +11,6 @@ SUCCESS_RADIUS = 0.02
 """Default maximum distance of the grasp point from the target's center, metres."""
 
 
-def is_reached(distance: Array | np.floating, radius: float = SUCCESS_RADIUS) -> npt.NDArray[np.bool_]:
+def is_reached(distance: Array | float, radius: float = SUCCESS_RADIUS) -> npt.NDArray[np.bool_]:
     """Return whether targets are reached, given distances (...) from the grasp point to their centers, metres."""
     return np.asarray(distance < radius)

@@ -14,7 +14,7 @@ from greenhouse_gym.motion.proof import ProvingChecker
 from greenhouse_gym.motion.success import is_reached
 from greenhouse_gym.robots.kinematics import tool_chain, tool_state
 from greenhouse_gym.scene import Scene, SceneBank, Target
-from greenhouse_gym.scene.manifest import Entry, counted
+from greenhouse_gym.scene.manifest import SceneEntry, target_counts
 from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
 
 STEP = 0.002
@@ -51,7 +51,7 @@ def bank_faults(
             on_scene(done)
 
 
-def _differences(entry: Entry, scene: Scene) -> Iterator[str]:
+def _differences(entry: SceneEntry, scene: Scene) -> Iterator[str]:
     """Yield the differences between a manifest entry and its scene."""
     found = {
         "name": scene.name,
@@ -61,7 +61,7 @@ def _differences(entry: Entry, scene: Scene) -> Iterator[str]:
         "source": scene.provenance.source,
         "protocol": scene.provenance.protocol,
         "truth": None if scene.truth is None else len(scene.truth.obstacles),
-        "targets": counted(scene),
+        "targets": target_counts(scene),
     }
     for field, value in found.items():
         listed = getattr(entry, field)

@@ -1,4 +1,4 @@
-"""Scenes (files), the MuJoCo models made from them, and banks of scenes."""
+"""Scene files, their MuJoCo models, and banks of scenes."""
 
 from greenhouse_gym.scene.bank import SceneBank
 from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene, scene_spec

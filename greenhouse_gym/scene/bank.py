@@ -12,38 +12,46 @@ from typing import Any, overload
 
 from greenhouse_gym.common.files import checked_name, data_path, inside, parsing, read_bytes, write_atomically
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError, require_choice
-from greenhouse_gym.scene.manifest import MANIFEST, SPLITS, Entry, Manifest, as_file, counted, manifest_of
+from greenhouse_gym.scene.manifest import (
+    MANIFEST,
+    SPLITS,
+    Manifest,
+    SceneEntry,
+    make_manifest,
+    manifest_text,
+    target_counts,
+)
 from greenhouse_gym.scene.scene import Difficulty, Scene
 
 Choice = str | int | Iterable[str | int] | None
-"""One value, several, or any."""
+"""One value, several values, or None for all."""
 
 SCENES_KEPT = 32
-"""How many scenes of a bank are kept in memory: those asked for last, beside those that are in use elsewhere."""
+"""Number of recently used scenes of a bank kept in memory, in addition to those in use elsewhere."""
 
 
 class SceneBank(Sequence[Scene]):
-    """A sequence of scenes that are read when they are asked for; those asked for last are kept.
+    """A sequence of scenes that are read on demand; recently used scenes are cached.
 
     Attributes:
-        path: The bank's folder; of joined banks, that of the first.
-        manifest: What its manifest says.
+        path: The bank's folder; for joined banks, that of the first.
+        manifest: Content of its manifest.
     """
 
     def __init__(self, path: Path, manifest: Manifest, homes: Mapping[str, SceneBank] | None = None):
         self.path = path
         self.manifest = manifest
-        self._homes = homes or {}  # of a part or a union of banks: where each scene is read
+        self._homes = homes or {}  # for a selection or a union of banks: the bank that reads each scene
         self._entries = {entry.name: entry for entry in manifest.scenes}
         self._alive: weakref.WeakValueDictionary[str, Scene] = weakref.WeakValueDictionary()
         self._scenes: OrderedDict[str, Scene] = OrderedDict()
 
     @classmethod
     def open(cls, bank: str | Path | SceneBank = "default") -> SceneBank:
-        """Open a shipped bank by name or any bank by its folder; a `SceneBank` is given back as it is.
+        """Open a shipped bank by name or any bank by its folder; a `SceneBank` is returned unchanged.
 
         Raises:
-            UnknownNameError: Neither a shipped name nor a folder.
+            UnknownNameError: The argument is neither a shipped name nor a folder.
             FileFormatError: The manifest is missing or damaged.
         """
         if isinstance(bank, SceneBank):
@@ -57,14 +65,14 @@ class SceneBank(Sequence[Scene]):
 
     @classmethod
     def join(cls, banks: Iterable[str | Path | SceneBank], name: str = "") -> SceneBank:
-        """Several banks as one; nothing is read or written but their manifests.
+        """Join banks; only their manifests are read, and nothing is written.
 
         Args:
             banks: Names, folders or banks.
             name: Name of the joined bank; by default the names of all banks.
 
         Raises:
-            InvalidValueError: No banks; two scenes of one name; or a row that is in two splits.
+            InvalidValueError: There are no banks, two scenes share a name, or a row is in two splits.
         """
         opened = [cls.open(bank) for bank in banks]
         if not opened:
@@ -72,8 +80,8 @@ class SceneBank(Sequence[Scene]):
         named = name or "+".join(bank.manifest.name for bank in opened)
         entries = tuple(entry for bank in opened for entry in bank.manifest.scenes)
         homes = {entry.name: bank for bank in opened for entry in bank.manifest.scenes}
-        places = ", ".join(str(bank.path) for bank in opened)
-        return cls(opened[0].path, manifest_of(named, f"Joined of {places}", entries, places), homes)
+        folders = ", ".join(str(bank.path) for bank in opened)
+        return cls(opened[0].path, make_manifest(named, f"Joined of {folders}", entries, folders), homes)
 
     def select(
         self,
@@ -85,24 +93,26 @@ class SceneBank(Sequence[Scene]):
         protocol: Choice = None,
         difficulty: Choice = None,
     ) -> SceneBank:
-        """The scenes that are of all the given kinds, as a bank; splits stay what they are.
+        """Select the scenes that meet all given conditions, as a bank; splits stay unchanged.
 
         Args:
-            split: A split, or several.
+            split: Splits.
             row: Names of rows.
             week: Growth weeks.
             style: Fruit styles.
-            source: Where the plants come from.
-            protocol: Capture protocols; scenes that tell of none count as the paper's.
-            difficulty: Only scenes with at least one target of one of these.
+            source: Sources of the plants.
+            protocol: Capture protocols; scenes without one count as the paper's.
+            difficulty: Difficulties; scenes with at least one such target are selected.
 
         Raises:
-            UnknownNameError: A value that no scene of the bank has; the choices are named.
-            InvalidValueError: No scene is of all these kinds.
+            UnknownNameError: No scene of the bank has a value; the message lists the choices.
+            InvalidValueError: No scene meets all conditions.
         """
-        asked = {"split": split, "row": row, "week": week, "style": style, "source": source, "protocol": protocol}
+        conditions = {"split": split, "row": row, "week": week, "style": style, "source": source, "protocol": protocol}
         wanted = {
-            kind: _several(value) for kind, value in (*asked.items(), ("difficulty", difficulty)) if value is not None
+            kind: _several(value)
+            for kind, value in (*conditions.items(), ("difficulty", difficulty))
+            if value is not None
         }
         kept = [(entry, self._kinds(entry)) for entry in self.manifest.scenes]
         for kind, values in wanted.items():
@@ -113,17 +123,17 @@ class SceneBank(Sequence[Scene]):
         if not chosen:
             raise InvalidValueError(f"bank {self.path} has no scene with {_described(wanted)}")
         description = f"{self.manifest.description} Selected: {_described(wanted)}."
-        manifest = manifest_of(self.manifest.name, description, chosen, self.path)
+        manifest = make_manifest(self.manifest.name, description, chosen, self.path)
         return SceneBank(self.path, manifest, {entry.name: self for entry in chosen})
 
     def difficulties(self, name: str) -> dict[Difficulty, int]:
-        """How many targets of each difficulty a scene has; only in old banks is the scene read for it."""
+        """Return the number of targets of each difficulty in a scene, which is read only if the manifest omits them."""
         entry = self._entry(name)
-        return counted(self.scene(name)) if entry.targets is None else entry.targets
+        return target_counts(self.scene(name)) if entry.targets is None else entry.targets
 
-    def _kinds(self, entry: Entry) -> dict[str, set[str]]:
-        """What a scene is, in the words of `select`."""
-        told = {
+    def _kinds(self, entry: SceneEntry) -> dict[str, set[str]]:
+        """Return the values of a scene for the conditions of `select`."""
+        values = {
             "split": entry.split,
             "row": entry.row,
             "week": entry.week,
@@ -131,42 +141,42 @@ class SceneBank(Sequence[Scene]):
             "source": entry.source,
             "protocol": entry.protocol or "paper",
         }
-        kinds = {kind: set() if value is None else {str(value)} for kind, value in told.items()}
+        kinds = {kind: set() if value is None else {str(value)} for kind, value in values.items()}
         return kinds | {"difficulty": {str(name) for name, count in self.difficulties(entry.name).items() if count}}
 
     def __reduce__(self) -> tuple[Callable[..., SceneBank], tuple[Any, ...]]:
-        # a bank travels as its folder, a part or a union of banks as its entries and the folders of those
+        # a bank is pickled as its folder, a selection or union as its entries and the banks that read them
         return (SceneBank, (self.path, self.manifest, self._homes)) if self._homes else (SceneBank.open, (self.path,))
 
     @property
     def sha256(self) -> str:
-        """The manifest's checksum, and so, through the checksums in it, that of all scenes."""
-        return hashlib.sha256(as_file(self.manifest).encode()).hexdigest()
+        """Checksum of the manifest, which covers all scenes through the checksums in it."""
+        return hashlib.sha256(manifest_text(self.manifest).encode()).hexdigest()
 
     def names(self, split: str | None = None) -> list[str]:
-        """Names of the scenes, all of them or those of one split, in the manifest's order."""
+        """Return the names of all scenes or those of one split, in the manifest's order."""
         if split is not None:
             require_choice("split", split, SPLITS)
         return [entry.name for entry in self.manifest.scenes if split in (None, entry.split)]
 
     def split_of(self, name: str) -> str:
-        """The split a scene belongs to."""
+        """Return the split of a scene."""
         return self._entry(name).split
 
     def largest_scene(self) -> int | None:
-        """Most shapes of a scene, its truth not counted; None where the manifest tells it of no scene."""
+        """Return the maximum number of shapes of a scene without its truth, or None if the manifest omits it."""
         return max((entry.shapes for entry in self.manifest.scenes if entry.shapes is not None), default=None)
 
     def largest_truth(self) -> int | None:
-        """Most shapes in the truth of a scene; None where no scene carries its truth."""
+        """Return the maximum number of shapes in the truth of a scene, or None if no scene has truth."""
         return max((entry.truth for entry in self.manifest.scenes if entry.truth is not None), default=None)
 
     def scene(self, name: str) -> Scene:
-        """A scene by its name.
+        """Read a scene by its name.
 
         Raises:
             UnknownNameError: The bank has no such scene.
-            FileFormatError: Its file is missing, damaged, or not the one the manifest was written for.
+            FileFormatError: Its file is missing or damaged, or its checksum differs from the manifest's.
         """
         entry = self._entry(name)
         if name in self._homes:
@@ -185,7 +195,7 @@ class SceneBank(Sequence[Scene]):
             self._scenes.popitem(last=False)
         return scene
 
-    def _entry(self, name: str) -> Entry:
+    def _entry(self, name: str) -> SceneEntry:
         if name not in self._entries:
             raise UnknownNameError("scene", name, self._entries)
         return self._entries[name]
@@ -199,12 +209,14 @@ class SceneBank(Sequence[Scene]):
     def __getitem__(self, index: slice) -> list[Scene]: ...
     def __getitem__(self, index: int | slice) -> Scene | list[Scene]:
         chosen = self.manifest.scenes[index]
-        return self.scene(chosen.name) if isinstance(chosen, Entry) else [self.scene(entry.name) for entry in chosen]
+        return (
+            self.scene(chosen.name) if isinstance(chosen, SceneEntry) else [self.scene(entry.name) for entry in chosen]
+        )
 
 
 @lru_cache(maxsize=16)
 def _opened(folder: Path, content: bytes) -> SceneBank:
-    """The bank of a folder whose manifest holds ``content``: kept, so that its scenes are read once."""
+    """Return the bank of a folder whose manifest holds ``content``; cached, so that its scenes are read once."""
     with parsing(folder / MANIFEST, "bank manifest"):
         return SceneBank(folder, Manifest.model_validate_json(content))
 
@@ -213,24 +225,24 @@ def write_bank(folder: str | Path, scenes: Iterable[tuple[Scene, str]], name: st
     """Write scenes, each with its split, as a bank: scene files first, the manifest last.
 
     Args:
-        folder: Where the bank goes; made if missing. Scene files that the new manifest does not name stay.
+        folder: Folder of the bank, created if missing. Scene files that the new manifest does not name stay.
         scenes: Pairs of a scene and its split.
         name: Name of the bank.
-        description: A sentence on where it comes from.
+        description: A sentence on its origin.
 
     Raises:
-        InvalidValueError: A row lies in two splits, two scenes share a name, or a name is no safe file name; nothing is
+        InvalidValueError: A row is in two splits, two scenes share a name, or a name is no safe file name; nothing is
             written then.
     """
     folder = Path(folder).resolve()
     contents: list[tuple[Path, str]] = []
-    entries: list[Entry] = []
+    entries: list[SceneEntry] = []
     for scene, split in scenes:
         require_choice("split", split, SPLITS)
-        checked_name("a scene", scene.name)  # copies of a scene with another name are not validated
+        checked_name("a scene", scene.name)  # renamed copies of a scene are not validated
         content = scene.model_dump_json() + "\n"
         entries.append(
-            Entry(
+            SceneEntry(
                 name=scene.name,
                 file=f"{scene.name}.json",
                 sha256=hashlib.sha256(content.encode()).hexdigest(),
@@ -242,16 +254,16 @@ def write_bank(folder: str | Path, scenes: Iterable[tuple[Scene, str]], name: st
                 style=scene.provenance.style,
                 source=scene.provenance.source,
                 protocol=scene.provenance.protocol,
-                targets=counted(scene),
+                targets=target_counts(scene),
             )
         )
         path = folder / entries[-1].file
-        if not _holds(path, content):  # a build has written its scenes already, maybe more than fit in memory
+        if not _holds(path, content):  # a build has already written its scenes, which may exceed memory
             contents.append((path, content))
-    manifest = manifest_of(name, description, tuple(entries), folder)
+    manifest = make_manifest(name, description, tuple(entries), folder)
     for path, content in contents:
         write_atomically(path, content)
-    write_atomically(folder / MANIFEST, as_file(manifest))
+    write_atomically(folder / MANIFEST, manifest_text(manifest))
     return SceneBank(folder, manifest)
 
 

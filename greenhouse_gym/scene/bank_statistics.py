@@ -1,4 +1,4 @@
-"""What is in a bank, in numbers: by split, style, source and difficulty."""
+"""Statistics of a bank by split, style, source and difficulty."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from greenhouse_gym.scene.scene import DIFFICULTIES, Scene
 
 @dataclass(frozen=True)
 class BankStatistics:
-    """A bank in numbers.
+    """Statistics of a bank.
 
     Attributes:
         name: Name of the bank.
-        sha256: Checksum of its manifest, and so of everything in it.
+        sha256: Checksum of its manifest, which covers all scenes.
         scenes: Number of scenes.
         rows: Number of rows.
         recordings: Number of recordings.
-        megabytes: Size of the scene files together.
-        splits: Scenes and rows of each split.
-        kinds: Scenes of each style, source, protocol and week; what is not told is "unknown".
-        difficulties: Targets of each difficulty.
-        difficulties_of: Targets of each difficulty, for each style and source.
-        per_scene: Mean numbers of tomatoes, shapes and targets of a scene.
-        truth: Scenes with truth, and the mean number of shapes in it.
-        seen: Scenes that know what was seen, and the mean share of the space within reach that was.
+        megabytes: Total size of the scene files.
+        splits: Number of scenes and rows in each split.
+        kinds: Number of scenes by style, source, protocol and week; missing values are "unknown".
+        difficulties: Number of targets by difficulty.
+        difficulties_of: Number of targets by difficulty, for each style and source.
+        per_scene: Mean numbers of tomatoes, shapes and targets in a scene.
+        truth: Number of scenes with truth, and the mean number of shapes in it.
+        known: Number of scenes with an occupancy grid, and the mean fraction of the space within reach that is known.
         checks: Median collision checks of RRTConnect for medium and hard targets.
         clearance: Median clearance of the witnesses, metres.
-        unknown: Median share of the witnesses' ways through unknown space.
+        unknown: Median fraction of the witnesses' paths through unknown space.
     """
 
     name: str
@@ -49,17 +49,17 @@ class BankStatistics:
     difficulties_of: dict[str, dict[str, int]]
     per_scene: dict[str, float]
     truth: tuple[int, float]
-    seen: tuple[int, float]
+    known: tuple[int, float]
     checks: dict[str, float]
     clearance: float
     unknown: float
 
 
 def bank_statistics(bank: SceneBank) -> BankStatistics:
-    """Count what is in a bank; every scene is read.
+    """Compute the statistics of a bank; all scenes are read.
 
     Raises:
-        FileFormatError: A scene is missing, damaged or not the one that the manifest means.
+        FileFormatError: A scene is missing or damaged, or its checksum differs from the manifest's.
     """
     entries, scenes = bank.manifest.scenes, list(bank)
     targets = [target for scene in scenes for target in scene.targets]
@@ -69,7 +69,7 @@ def bank_statistics(bank: SceneBank) -> BankStatistics:
         for kind in ("style", "source"):
             name = getattr(scene.provenance, kind) or "unknown"
             by_kind.setdefault(name, Counter()).update(target.difficulty for target in scene.targets)
-    shares = [_known_fraction(scene) for scene in scenes if scene.occupancy is not None]
+    known = [_known_fraction(scene) for scene in scenes if scene.occupancy is not None]
     true = [len(scene.truth.obstacles) for scene in scenes if scene.truth is not None]
     return BankStatistics(
         name=bank.manifest.name,
@@ -82,7 +82,9 @@ def bank_statistics(bank: SceneBank) -> BankStatistics:
             split: (len(bank.names(split)), len({entry.row for entry in entries if entry.split == split}))
             for split in SPLITS
         },
-        kinds={kind: dict(sorted(Counter(_told(getattr(entry, kind)) for entry in entries).items())) for kind in kinds},
+        kinds={
+            kind: dict(sorted(Counter(_label(getattr(entry, kind)) for entry in entries).items())) for kind in kinds
+        },
         difficulties={name: sum(target.difficulty == name for target in targets) for name in DIFFICULTIES},
         difficulties_of={
             name: {difficulty: found[difficulty] for difficulty in DIFFICULTIES} for name, found in by_kind.items()
@@ -93,7 +95,7 @@ def bank_statistics(bank: SceneBank) -> BankStatistics:
             "targets": _mean([len(scene.targets) for scene in scenes]),
         },
         truth=(len(true), _mean(true)),
-        seen=(len(shares), _mean(shares)),
+        known=(len(known), _mean(known)),
         checks={
             name: _median([t.checks for t in targets if t.difficulty == name and t.checks is not None])
             for name in ("medium", "hard")
@@ -103,7 +105,7 @@ def bank_statistics(bank: SceneBank) -> BankStatistics:
     )
 
 
-def _told(value: object) -> str:
+def _label(value: object) -> str:
     return "unknown" if value is None else f"{value:02d}" if isinstance(value, int) else str(value)
 
 
@@ -124,8 +126,8 @@ def as_markdown(found: BankStatistics) -> str:
         *((f"{name} in a scene, mean", f"{mean:.1f}") for name, mean in found.per_scene.items()),
         ("scenes with truth; shapes in it, mean", f"{found.truth[0]}; {found.truth[1]:.0f}"),
         (
-            "scenes with an occupancy grid; observed part within reach, mean",
-            f"{found.seen[0]}; {found.seen[1]:.0%}",
+            "scenes with an occupancy grid; known fraction within reach, mean",
+            f"{found.known[0]}; {found.known[1]:.0%}",
         ),
         *((f"checks of RRTConnect, {name}, median", f"{value:.0f}") for name, value in found.checks.items()),
         ("clearance of the witnesses, median", f"{1000 * found.clearance:.1f} mm"),
@@ -135,19 +137,19 @@ def as_markdown(found: BankStatistics) -> str:
     tables = (
         Table(("split", "scenes", "rows"), [(split, *map(str, counts)) for split, counts in found.splits.items()]),
         Table(("kind", "scenes of each"), kinds, words=(0, 1)),
-        Table(("targets", *DIFFICULTIES), [_shares(name, counts) for name, counts in groups.items()]),
+        Table(("targets", *DIFFICULTIES), [_with_fractions(name, counts) for name, counts in groups.items()]),
         Table(("figure", "value"), figures),
     )
     head = f"{size}, {found.megabytes:.1f} MB\n\nChecksum of the manifest (SHA-256): `{found.sha256}`\n"
     return "\n".join((head, *(table.as_markdown() for table in tables)))
 
 
-def _shares(name: str, counts: dict[str, int]) -> list[str]:
+def _with_fractions(name: str, counts: dict[str, int]) -> list[str]:
     total = max(sum(counts.values()), 1)
     return [name, *(f"{counts[difficulty]} ({counts[difficulty] / total:.1%})" for difficulty in DIFFICULTIES)]
 
 
 def _known_fraction(scene: Scene) -> float:
-    """Share of the space within `REACH` of the shoulder that was seen."""
+    """Return the known fraction of the space within `REACH` of the shoulder."""
     assert scene.occupancy is not None
     return scene.occupancy.known_fraction(scene.placement.position + [0.0, 0.0, scene.placement.shoulder_height], REACH)

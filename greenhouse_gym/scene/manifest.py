@@ -1,4 +1,4 @@
-"""What a bank's ``manifest.json`` holds: an entry for each scene, and what must hold among them."""
+"""Content of a bank's ``manifest.json``: an entry per scene, and its consistency."""
 
 from __future__ import annotations
 
@@ -20,27 +20,27 @@ MANIFEST = "manifest.json"
 
 
 Value = TypeVar("Value")
-Told = Annotated[Value | None, Field(exclude_if=is_none)]
-"""What an entry may leave out."""
+Optional = Annotated[Value | None, Field(exclude_if=is_none)]
+"""A field that an entry may omit."""
 
 
 @dataclass(frozen=True, slots=True, config=ConfigDict(extra="forbid"))
-class Entry:
-    """One scene of a bank; a dataclass, which is read twice as fast as a model.
+class SceneEntry:
+    """One scene of a bank. A dataclass is read twice as fast as a model.
 
     Attributes:
         name: Name of the scene.
         file: Its file, relative to the manifest.
         sha256: Checksum of the file.
-        row: Identity of the row; the same in all weeks.
+        row: Name of the row, equal in all weeks.
         week: Growth week.
         split: Split of the row.
-        shapes: Number of shapes in the scene; what was written before this was told does not say.
-        truth: Number of shapes in the scene's truth.
+        shapes: Number of shapes in the scene.
+        truth: Number of shapes in its truth.
         style: Fruit style.
-        source: Where the plants come from.
-        protocol: How the row was photographed.
-        targets: How many targets the scene has of each difficulty.
+        source: Source of the plants.
+        protocol: Capture protocol.
+        targets: Number of targets of each difficulty.
     """
 
     name: SceneName
@@ -49,51 +49,49 @@ class Entry:
     row: str
     week: int | None
     split: Split
-    shapes: Told[Annotated[int, Field(ge=0)]] = None
-    truth: Told[Annotated[int, Field(ge=0)]] = None
-    style: Told[str] = None
-    source: Told[str] = None
-    protocol: Told[str] = None
-    targets: Told[dict[Difficulty, int]] = None
+    shapes: Optional[Annotated[int, Field(ge=0)]] = None
+    truth: Optional[Annotated[int, Field(ge=0)]] = None
+    style: Optional[str] = None
+    source: Optional[str] = None
+    protocol: Optional[str] = None
+    targets: Optional[dict[Difficulty, int]] = None
 
 
 class Manifest(Part):
-    """What ``manifest.json`` holds. Scenes of one row never fall into two splits."""
+    """Content of ``manifest.json``. Scenes of one row are never in two splits."""
 
     schema_version: SchemaVersion = 1
     name: str
     description: str = ""
-    scenes: tuple[Entry, ...]
+    scenes: tuple[SceneEntry, ...]
 
     @model_validator(mode="after")
     def _consistent(self) -> Manifest:
         split_of_row: dict[str, str] = {}
         for entry in self.scenes:
             if split_of_row.setdefault(entry.row, entry.split) != entry.split:
-                raise InvalidValueError(
-                    f"row {entry.row!r} lies in two splits: {split_of_row[entry.row]}, {entry.split}"
-                )
+                raise InvalidValueError(f"row {entry.row!r} is in two splits: {split_of_row[entry.row]}, {entry.split}")
         names = Counter(entry.name for entry in self.scenes)
         if len(names) != len(self.scenes):
             raise InvalidValueError(f"two scenes have the same name: {names.most_common(1)[0][0]!r}")
         return self
 
 
-def counted(scene: Scene) -> dict[Difficulty, int]:
-    """How many targets of each difficulty a scene has, all of them named."""
+def target_counts(scene: Scene) -> dict[Difficulty, int]:
+    """Return the number of targets of each difficulty in a scene."""
     return {name: sum(target.difficulty == name for target in scene.targets) for name in get_args(Difficulty)}
 
 
-def as_file(manifest: Manifest) -> str:
-    """What a manifest's file holds."""
+def manifest_text(manifest: Manifest) -> str:
+    """Return the text of a manifest's file."""
     return manifest.model_dump_json(indent=1) + "\n"
 
 
-def manifest_of(name: str, description: str, entries: tuple[Entry, ...], where: object) -> Manifest:
-    """A manifest.
+def make_manifest(name: str, description: str, entries: tuple[SceneEntry, ...], where: object) -> Manifest:
+    """Create a manifest.
 
     Raises:
-        InvalidValueError: A row lies in two splits, or two scenes have one name; ``where`` is named in the message.
+        InvalidValueError: A row is in two splits, or two scenes share a name; the message names ``where``.
     """
     try:
         return Manifest(name=name, description=description, scenes=entries)

@@ -309,7 +309,7 @@ def test_recordings_of_one_row_in_several_weeks(calls: Calls, tmp_path: Path) ->
     assert all(len(scene.targets) == 2 for scene in bank)
     built(tmp_path, splits=["train", "train", "test"], **options)
     assert calls.reconstructed == ["a", "b", "a-1"]
-    with pytest.raises(InvalidValueError, match="row 'x' lies in two splits"):
+    with pytest.raises(InvalidValueError, match="row 'x' is in two splits"):
         built(tmp_path / "leak", splits=["train", "test", "test"], **options)
 
 

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from greenhouse_gym.build import bank_builder as build
 from greenhouse_gym.build.scans import RawCloud, Scan, extract_from_scan, open_scan, read_cloud, scanned_row
-from greenhouse_gym.build.scans import row as row_module
+from greenhouse_gym.build.scans import scan_row as row_module
 from greenhouse_gym.build.scans.frame import guess_unit, guess_up
 from greenhouse_gym.build.scans.scan import fruit_hangs
 from greenhouse_gym.capture.fingerprint import fingerprint
@@ -150,8 +150,8 @@ def test_a_table_tells_which_way_is_up() -> None:
     points = transform(camera_from_table, np.concatenate([flat, box]))
     guess = guess_up(points)
     assert guess.value @ camera_from_table[:3, 2] > 0.999
-    assert "across the plane" in guess.said
-    assert guess_up(points - [0.0, 0.0, 2.0]).said.endswith("taken as the file's z")
+    assert "normal to the plane" in guess.note
+    assert guess_up(points - [0.0, 0.0, 2.0]).note.endswith("taken as the file's z")
 
 
 @pytest.mark.parametrize(("scale", "unit"), [(1000.0, 0.001), (100.0, 0.01), (1.0, 1.0)])
@@ -204,8 +204,8 @@ def test_what_is_given_wrongly_is_refused(bad: dict[str, object]) -> None:
 
 def test_an_unsure_unit_is_said() -> None:
     points, _, _ = plant()
-    assert "might be" not in guess_unit(points).said
-    assert "might be" in guess_unit(points * 30).said
+    assert "might be" not in guess_unit(points).note
+    assert "might be" in guess_unit(points * 30).note
 
 
 def test_a_cloud_far_from_its_origin_is_brought_near() -> None:
@@ -308,8 +308,8 @@ def test_organized_clouds_and_rows_that_are_not_finite(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("suffix", WRITERS)
 def test_of_too_many_points_some_are_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str) -> None:
-    monkeypatch.setattr("greenhouse_gym.build.scans.files.MAX_POINTS", 100)
-    monkeypatch.setattr("greenhouse_gym.build.scans.files._PIECE", 70)
+    monkeypatch.setattr("greenhouse_gym.build.scans.cloud_files.MAX_POINTS", 100)
+    monkeypatch.setattr("greenhouse_gym.build.scans.cloud_files._PIECE", 70)
     random = np.random.default_rng(0)
     points, colors, normals = random.random((250, 3)), random.random((250, 3)), random.random((250, 3))
     WRITERS[suffix](tmp_path / f"c{suffix}", points, colors, normals)
@@ -335,7 +335,7 @@ def test_a_file_cut_short_is_refused(tmp_path: Path, suffix: str, text: bool) ->
 
 
 def test_a_file_too_large_to_be_read_at_once_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("greenhouse_gym.build.scans.files._AT_ONCE", 1000)
+    monkeypatch.setattr("greenhouse_gym.build.scans.cloud_files._MAX_WHOLE", 1000)
     for suffix in (".npy", ".xyz"):
         with_numpy(tmp_path / f"c{suffix}", *plant())
     assert len(read_cloud(tmp_path / "c.xyz").points) == len(plant()[0])  # is read piece by piece

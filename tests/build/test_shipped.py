@@ -20,48 +20,53 @@ from greenhouse_gym.scene.truth import start_is_collision_free
 
 
 def test_the_recipe_is_as_large_and_varied_as_it_says() -> None:
-    shots = list(shipped.shots())
-    rows = {shot.row: shot for shot in shots}
-    assert len({shot.name for shot in shots}) == len(shots) == 60
+    recordings = list(shipped.row_recordings())
+    rows = {recording.row: recording for recording in recordings}
+    assert len({recording.name for recording in recordings}) == len(recordings) == 60
     assert len(rows) == 48
-    assert Counter(shot.split for shot in rows.values()) == {"train": 34, "validation": 5, "test": 9}
-    assert all(rows[shot.row].split == shot.split for shot in shots)
-    assert {shot.week for shot in shots} == set(range(12))
-    assert {(shot.source, shot.style) for shot in shots} == {(a, b) for a in ("own", "helios") for b in STYLES}
-    assert {shot.protocol for shot in shots} == {"paper", "upright-back"} <= set(PROTOCOLS)
-    for shot in shots:
-        assert shot.cultivar in (STYLES if shot.source == "own" else CULTIVARS)
-        assert shot.seed >= 2000
+    assert Counter(recording.split for recording in rows.values()) == {"train": 34, "validation": 5, "test": 9}
+    assert all(rows[recording.row].split == recording.split for recording in recordings)
+    assert {recording.week for recording in recordings} == set(range(12))
+    assert {(recording.source, recording.style) for recording in recordings} == {
+        (a, b) for a in ("own", "helios") for b in STYLES
+    }
+    assert {recording.protocol for recording in recordings} == {"paper", "upright-back"} <= set(PROTOCOLS)
+    for recording in recordings:
+        assert recording.cultivar in (STYLES if recording.source == "own" else CULTIVARS)
+        assert recording.seed >= 2000
 
 
 @pytest.mark.parametrize("split", ["train", "test"])
 def test_every_split_has_both_sources_and_all_styles(split: str) -> None:
-    mine = [shot for shot in shipped.shots() if shot.split == split]
-    assert {shot.source for shot in mine} == {"own", "helios"}
-    assert {shot.style for shot in mine} == set(STYLES)
+    mine = [recording for recording in shipped.row_recordings() if recording.split == split]
+    assert {recording.source for recording in mine} == {"own", "helios"}
+    assert {recording.style for recording in mine} == set(STYLES)
 
 
-def made_up_part(shot: shipped.Shot, parts: Path) -> Path:
-    provenance = Provenance(row=shot.row, week=shot.week, style=shot.style, source=shot.source, recording=shot.name)
+def made_up_part(recording: shipped.RowRecording, parts: Path) -> Path:
+    provenance = Provenance(
+        row=recording.row, week=recording.week, style=recording.style, source=recording.source, recording=recording.name
+    )
     scenes = [
-        make_scene(k).model_copy(update={"name": f"{shot.name}-{k:02d}", "provenance": provenance}) for k in range(2)
+        make_scene(k).model_copy(update={"name": f"{recording.name}-{k:02d}", "provenance": provenance})
+        for k in range(2)
     ]
     scenes[0] = scenes[0].model_copy(update={"targets": ()})
-    return write_bank(parts / shot.name, [(scene, shot.split) for scene in scenes], shot.name).path
+    return write_bank(parts / recording.name, [(scene, recording.split) for scene in scenes], recording.name).path
 
 
 def test_parts_are_joined_in_order_and_a_part_of_them_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    shots = list(shipped.shots())
-    for shot in (shots[9], shots[0], shots[1], shots[4]):
-        made_up_part(shot, tmp_path)
+    recordings = list(shipped.row_recordings())
+    for recording in (recordings[9], recordings[0], recordings[1], recordings[4]):
+        made_up_part(recording, tmp_path)
     default, mini = shipped.join_parts(tmp_path, tmp_path / "out")
-    assert default.names() == [f"{shots[k].name}-{i:02d}" for k in (0, 1, 4, 9) for i in range(2)]
-    assert mini.names() == [f"{shots[k].name}-01" for k in (0, 4, 9)]  # of the first week, with targets
+    assert default.names() == [f"{recordings[k].name}-{i:02d}" for k in (0, 1, 4, 9) for i in range(2)]
+    assert mini.names() == [f"{recordings[k].name}-01" for k in (0, 4, 9)]  # of the first week, with targets
     assert set(mini.names()) <= set(SceneBank.open(tmp_path / "out" / "default").names())
     monkeypatch.setattr(shipped, "build_part", made_up_part)
     with ThreadPoolExecutor(2) as executor:
         default, mini = shipped.build_shipped_banks(tmp_path / "out", tmp_path, executor)
-    assert len(default) == 2 * len(shots)
+    assert len(default) == 2 * len(recordings)
     assert len(mini) == len(shipped.KINDS)
     assert {entry.style for entry in mini.manifest.scenes} == set(STYLES)
     assert {entry.source for entry in mini.manifest.scenes} == {"own", "helios"}
@@ -88,8 +93,8 @@ def test_no_shipped_arm_begins_in_the_true_plants() -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 def test_a_shipped_recording_is_built_again_byte_for_byte(tmp_path: Path) -> None:
-    shot = next(shipped.shots())
-    made = SceneBank.open(shipped.build_part(shot, tmp_path))
+    recording = next(shipped.row_recordings())
+    made = SceneBank.open(shipped.build_part(recording, tmp_path))
     bank = SceneBank.open("default")
-    shipped_ones = [entry for entry in bank.manifest.scenes if entry.name.startswith(f"{shot.name}-")]
+    shipped_ones = [entry for entry in bank.manifest.scenes if entry.name.startswith(f"{recording.name}-")]
     assert made.manifest.scenes == tuple(shipped_ones), "each entry tells the checksum of its scene"

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from greenhouse_gym.crops import STYLES, PlantRow, grow_row
+from greenhouse_gym.crops import STYLES, TOMATO, Crop, Palette, PlantRow, grow_row
 from greenhouse_gym.crops.parts import Stem, Tomato
 from greenhouse_gym.crops.plant_row import HIGHEST_TRUSS, LOWEST_TRUSS, PLANT_SPACING, STEM_LINE, TRUSS_SPACING
 from greenhouse_gym.errors import GreenhouseError, InvalidValueError, UnknownNameError
@@ -205,3 +205,20 @@ def test_bad_weeks_styles_and_seeds_are_refused() -> None:
         grow_row(0, 1.0, style="chery")
     with pytest.raises(GreenhouseError, match="seed"):
         grow_row(-1, 1.0)
+
+
+def test_the_tomato_crop_grows_what_grow_row_does() -> None:
+    assert everything(TOMATO.grow(5, 1.0)) == everything(grow_row(5, 1.0))
+    with pytest.raises(UnknownNameError, match=r"source of plants.*own.*helios"):
+        TOMATO.grow(5, 1.0, source="paper")
+
+
+def test_another_crop_has_its_own_colors() -> None:
+    def grow(seed: int, length: float, week: int, style: Any, stem_line: float) -> PlantRow:
+        return PlantRow((), (Stem([stem_line, 0, 0], [stem_line, 0, 1], 0.01, "main"),), (), length, week)
+
+    blue = Palette(leaf=(0.0, 0.0, 1.0))
+    row = Crop("post", {"own": grow}, palette=blue).grow(0, 1.0, stem_line=0.4)
+    assert (row.palette, row.stems[0].start[0]) == (blue, 0.4)
+    with pytest.raises(InvalidValueError, match="length"):
+        Crop("post", {"own": grow}).grow(0, -1.0)

@@ -9,6 +9,7 @@ pytest.importorskip("stable_baselines3")
 pytest.importorskip("ompl")
 
 from greenhouse_gym.agents import PolicyAgent
+from greenhouse_gym.crops.crop import PlantMotion
 from greenhouse_gym.envs import GreenhouseVectorEnv
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.evaluation import evaluate
@@ -19,7 +20,6 @@ from greenhouse_gym.learning.ppo import PpoSettings, make_ppo, train_ppo
 from greenhouse_gym.learning.sb3 import make_sb3_vec_env
 from greenhouse_gym.learning.variation import Variation, varied_bank, varied_scene
 from greenhouse_gym.scene import Scene, SceneBank
-from greenhouse_gym.scene.plant_motion import PlantMotion
 
 STILL = Variation(PlantMotion(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0)
 

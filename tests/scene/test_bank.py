@@ -68,7 +68,7 @@ def test_scenes_are_read_when_they_are_asked_for(folder: Path) -> None:
 
 def test_a_row_in_two_splits_is_refused_and_nothing_written(tmp_path: Path) -> None:
     scenes = [(small("a-0"), "train"), (small("a-1"), "test")]
-    with pytest.raises(InvalidValueError, match="row 'a' lies in two splits: train, test"):
+    with pytest.raises(InvalidValueError, match="row 'a' is in two splits: train, test"):
         write_bank(tmp_path / "bank", scenes, name="leaky")
     assert list(tmp_path.rglob("*")) == []
 
@@ -161,7 +161,7 @@ def test_a_bank_written_again_is_the_new_one_at_once(folder: Path) -> None:
         (lambda d: d.update(author="x"), "author"),
         (lambda d: d.pop("scenes"), "scenes"),
         (lambda d: d["scenes"][0].update(split="val"), r"scenes\.0\.split"),
-        (lambda d: d["scenes"][0].update(split="test"), "row 'a' lies in two splits"),
+        (lambda d: d["scenes"][0].update(split="test"), "row 'a' is in two splits"),
         (lambda d: d["scenes"][1].update(name="a-0"), "same name: 'a-0'"),
         (lambda d: d["scenes"][2].pop("sha256"), r"scenes\.2\.sha256"),
         (lambda d: d["scenes"][2].update(colour=1), r"scenes\.2\.colour"),
@@ -256,7 +256,7 @@ def test_banks_join(varied: SceneBank, folder: Path, tmp_path: Path) -> None:
 
 def test_rows_stay_in_their_split_across_joined_banks(varied: SceneBank, tmp_path: Path) -> None:
     leak = write_bank(tmp_path / "leak", [(told("a-9", "a", 9), "test")], name="leak")
-    with pytest.raises(InvalidValueError, match="row 'a' lies in two splits: train, test"):
+    with pytest.raises(InvalidValueError, match="row 'a' is in two splits: train, test"):
         SceneBank.join([varied, leak])
     twice = write_bank(tmp_path / "twice", [(told("a-0", "z", 9), "test")], name="twice")
     with pytest.raises(InvalidValueError, match="two scenes have the same name"):

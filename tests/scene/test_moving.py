@@ -6,12 +6,13 @@ import mujoco
 import numpy as np
 import pytest
 
+from greenhouse_gym.crops.crop import PlantMotion
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene, SceneBank
 from greenhouse_gym.scene.mjcf import compile_scene
 from greenhouse_gym.scene.moved_obstacles import move_obstacles
-from greenhouse_gym.scene.plant_motion import PlantMotion, move_plants
+from greenhouse_gym.scene.plant_motion import move_plants
 from greenhouse_gym.scene.truth import true_scene
 
 ARM = get_robot("ur5e")

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.crops import grow_row
+from greenhouse_gym.crops.crop import PlantMotion
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Box
 from greenhouse_gym.scene import Shapes
-from greenhouse_gym.scene.plant_motion import PlantMotion, move_plants
+from greenhouse_gym.scene.plant_motion import move_plants
 
 
 @pytest.fixture(scope="module")

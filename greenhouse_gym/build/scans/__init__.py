@@ -1,8 +1,8 @@
-"""Clouds that were not recorded with this package's rig: read, brought to metres with z up, made a row of scenes."""
+"""Clouds from other sources: read them, convert them to metres with z up, and turn them into rows of scenes."""
 
-from greenhouse_gym.build.scans.files import CLOUD_SUFFIXES, RawCloud, read_cloud
-from greenhouse_gym.build.scans.row import ScannedRow, scanned_row
+from greenhouse_gym.build.scans.cloud_files import CLOUD_SUFFIXES, RawCloud, read_cloud
 from greenhouse_gym.build.scans.scan import Scan, extract_from_scan, open_scan
+from greenhouse_gym.build.scans.scan_row import ScannedRow, scanned_row
 
 __all__ = [
     "CLOUD_SUFFIXES",

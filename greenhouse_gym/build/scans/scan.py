@@ -1,4 +1,4 @@
-"""A cloud from elsewhere as shapes need it: in metres, z up, normals toward who looked; all assumptions said."""
+"""Convert a cloud from another source to metres, z up and normals toward the scanner, with notes on all assumptions."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from greenhouse_gym.build.scans.files import RawCloud, read_cloud
+from greenhouse_gym.build.scans.cloud_files import RawCloud, read_cloud
 from greenhouse_gym.build.scans.frame import UNITS, guess_unit, guess_up, row_from_file
 from greenhouse_gym.errors import InvalidValueError, require_choice
 from greenhouse_gym.geometry import Array, pose
@@ -23,12 +23,12 @@ from greenhouse_gym.shapes.normal_estimation import estimate_normals
 _VOXEL = 0.002  # m; as dense as a reconstructed row
 _FAR = 100.0  # m from the file's origin beyond which it is moved
 _GRAY = 0.5
-_GREEN = 0.05  # redness, (R - G) / (R + G), below which something is not red
-_AGREE = 0.3  # mean cosine, with normals of its own, at which normals point to one side all in all
+_GREEN = 0.05  # redness (R - G) / (R + G) below which a point is not red
+_AGREE = 0.3  # mean cosine with estimated normals from which the file's normals are consistent
 _DIRECTIONS = {sign + axis: factor * np.eye(3)[k] for sign, factor in (("", 1.0), ("-", -1.0))
                for k, axis in enumerate("xyz")}  # fmt: skip
-_FRUITS, _SURE = 6, 2.0  # fewest fruits that tell which end is up, and standard errors by which they must
-_HOLD = (0.004, 0.025)  # m outside of a fruit's skin, where what holds it is
+_MIN_FRUITS, _MIN_ERRORS = 6, 2.0  # fruits, and standard errors, that decide which end is up
+_HOLD = (0.004, 0.025)  # range of distances from a fruit's skin in which its stalk is, m
 
 Direction: TypeAlias = str | Sequence[float] | npt.NDArray[np.floating]
 
@@ -39,12 +39,12 @@ class Scan:
 
     Attributes:
         name: Name of its file.
-        cloud: One point per 2 mm voxel, metres, z up, y along the row, x away from who looked.
-        row_from_file: (4, 4) what brings points of the file, times ``unit``, into that frame.
+        cloud: One point per 2 mm voxel, metres, z up, y along the row, x away from the scanner.
+        row_from_file: (4, 4) pose that brings points of the file, times ``unit``, into that frame.
         unit: Metres of one unit of the file.
-        notes: What was assumed and left out, a sentence each.
-        up_given: Whether somebody said which way is up.
-        path: The file that it was read from.
+        notes: Sentences on what was assumed and left out.
+        up_given: Whether the user stated the upward direction.
+        path: Its file, or None.
     """
 
     name: str
@@ -62,43 +62,43 @@ def open_scan(
     up: Direction | None = None,
     seen_from: Sequence[float] | None = None,
 ) -> Scan:
-    """Read a cloud and find out what its file does not say; whatever is given is not guessed.
+    """Read a cloud and guess what its file does not state and the caller does not give.
 
     Args:
-        source: A file of one of `greenhouse_gym.scans.CLOUD_SUFFIXES`, or what was read from one.
+        source: A file of one of `greenhouse_gym.build.scans.CLOUD_SUFFIXES`, or its content.
         units: "m", "cm" or "mm", or metres per unit.
         up: "x", "y", "z", "-x", "-y" or "-z", or a vector (3,) in the file's frame.
-        seen_from: (3,) where the camera or scanner stood, in the file's frame and unit.
+        seen_from: (3,) position of the camera or scanner in the file's frame and unit.
 
     Raises:
         FileFormatError: The file is missing, damaged, or holds too few points.
-        InvalidValueError: A value that was given is none.
-        UnknownNameError: There is no such unit or direction.
+        InvalidValueError: A given value is invalid.
+        UnknownNameError: The unit or direction is unknown.
     """
     raw = source if isinstance(source, RawCloud) else read_cloud(source)
     path = None if isinstance(source, RawCloud) else Path(source)
     notes = list(raw.notes)
-    unit, said = (_metres(units), "") if units is not None else guess_unit(raw.points)
-    notes += [said] if said else []
+    unit, note = (_metres(units), "") if units is not None else guess_unit(raw.points)
+    notes += [note] if note else []
     points = raw.points * unit
     middle = np.median(points, axis=0)
     origin = middle if np.linalg.norm(middle) > _FAR else np.zeros(3)
     if origin.any():
         notes.append(f"the file's origin is {np.linalg.norm(middle):.0f} m away; it was moved to the cloud's middle")
     if raw.colors is None:
-        notes.append("no colors: all is taken as gray, and fruit is told by its form alone")
+        notes.append("no colors: everything is taken as gray, and fruit is recognized by its form alone")
     colors = np.full_like(points, _GRAY) if raw.colors is None else raw.colors
     normals = np.zeros_like(points) if raw.normals is None else raw.normals
     normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
     cloud, _ = voxel_means(Cloud(points - origin, colors, normals), _VOXEL)
-    direction, said = (_direction(up), "") if up is not None else guess_up(cloud.points)
-    notes += [said] if said else []
+    direction, note = (_direction(up), "") if up is not None else guess_up(cloud.points)
+    notes += [note] if note else []
     viewer = None if seen_from is None else _checked(seen_from, "seen_from") * unit - origin
-    cloud, said = _oriented(cloud, raw.normals is not None, viewer)
-    cloud = cloud.select(np.flatnonzero(cloud.normals.any(axis=1)))  # of a point that stands alone nothing can be told
-    notes.append(said)
-    turn, said = row_from_file(cloud.points, cloud.normals, direction)
-    notes.append(said)
+    cloud, note = _oriented(cloud, raw.normals is not None, viewer)
+    cloud = cloud.select(np.flatnonzero(cloud.normals.any(axis=1)))  # isolated points have none
+    notes.append(note)
+    turn, note = row_from_file(cloud.points, cloud.normals, direction)
+    notes.append(note)
     return Scan(
         path.stem if path else "cloud", cloud.transformed(turn), turn @ pose(translation=-origin), unit, tuple(notes),
         up is not None, path,
@@ -106,15 +106,15 @@ def open_scan(
 
 
 def extract_from_scan(scan: Scan, settings: ShapeSettings | None = None) -> tuple[Scan, RowShapes]:
-    """The shapes of a scan; if its fruit stands upon what should hold it, and nobody said what is up, turned over."""
+    """Extract the shapes of a scan; turn it over if its fruit stands on its stalks and ``up`` was guessed."""
     settings = settings or ShapeSettings()
     shapes = extract_shapes(scan.cloud.points, scan.cloud.colors, scan.cloud.normals, settings)
     hangs = 0.0 if scan.up_given else fruit_hangs(scan.cloud, shapes)
-    if hangs > -_SURE:
-        unsure = "up: the fruit does not tell which end is up; give it to be sure"
-        return (scan if scan.up_given or hangs > _SURE else replace(scan, notes=(*scan.notes, unsure))), shapes
+    if hangs > -_MIN_ERRORS:
+        unsure = "up: the fruit does not show which end is up; give it to be sure"
+        return (scan if scan.up_given or hangs > _MIN_ERRORS else replace(scan, notes=(*scan.notes, unsure))), shapes
     over = pose(np.diag([1.0, -1.0, -1.0]))
-    note = "up: turned over, since the fruit stood upon what should hold it"
+    note = "up: turned over, since the fruit stood on its stalks"
     turned = replace(
         scan, cloud=scan.cloud.transformed(over), row_from_file=over @ scan.row_from_file, notes=(*scan.notes, note)
     )
@@ -123,7 +123,7 @@ def extract_from_scan(scan: Scan, settings: ShapeSettings | None = None) -> tupl
 
 
 def fruit_hangs(cloud: Cloud, shapes: RowShapes) -> float:
-    """Standard errors by which what is around the fruits, and less red than they are, lies above them; 0 of few."""
+    """Return by how many standard errors the less red points around fruits lie above them; 0 with few fruits."""
     less_red = redness(cloud.colors) < _GREEN
     near = cKDTree(cloud.points[less_red])
     above = []
@@ -133,32 +133,32 @@ def fruit_hangs(cloud: Cloud, shapes: RowShapes) -> float:
         holds = distance > tomato.radius + _HOLD[0]
         if np.count_nonzero(holds) >= 5:
             above.append(float((around[holds, 2] / distance[holds]).mean()))
-    if len(above) < _FRUITS:
+    if len(above) < _MIN_FRUITS:
         return 0.0
     return float(np.mean(above) / max(float(np.std(above)) / np.sqrt(len(above)), 1e-9))
 
 
 def _oriented(cloud: Cloud, with_normals: bool, viewer: Array | None) -> tuple[Cloud, str]:
-    """The cloud with unit normals toward who looked, and a sentence on where they come from."""
+    """Return the cloud with unit normals toward the scanner, and a sentence on their origin."""
     missing = np.linalg.norm(cloud.normals, axis=1) < 0.5
     own = estimate_normals(cloud.points)
     normals = np.where(missing[:, None], own, cloud.normals)
-    said = "normals: " + ("the file's are zero; " if with_normals else "") + "estimated, toward where things bulge"
+    note = "normals: " + ("the file's are zero; " if with_normals else "") + "estimated, toward where things bulge"
     if with_normals and not missing.all():
         agree = float((own * normals)[~missing].sum(axis=1).mean())
         if abs(agree) < _AGREE:
-            normals, said = own, "normals: the file's point to all sides; estimated instead"
+            normals, note = own, "normals: the file's point to all sides; estimated instead"
         elif agree < 0:
             normals = np.where(missing[:, None], own, -normals)
-            said = "normals: the file's point into the surfaces; turned around"
+            note = "normals: the file's point into the surfaces; turned around"
         else:
-            said = "normals: the file's"
+            note = "normals: the file's"
         if missing.any():
-            said += f"; those of {missing.mean():.0%} of the points are zero, and estimated"
+            note += f"; those of {missing.mean():.0%} of the points are zero, and estimated"
     if viewer is not None:
         away = (normals * (viewer - cloud.points)).sum(axis=1) < 0
-        normals, said = np.where(away[:, None], -normals, normals), "normals: toward where it was seen from"
-    return replace(cloud, normals=normals), said
+        normals, note = np.where(away[:, None], -normals, normals), "normals: toward where it was seen from"
+    return replace(cloud, normals=normals), note
 
 
 def _metres(units: str | float) -> float:

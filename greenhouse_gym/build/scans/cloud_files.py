@@ -1,4 +1,4 @@
-"""Files of clouds as they are: points in the file's own unit and frame, colors and normals where it has them."""
+"""Read point cloud files: points in the unit and frame of the file, with colors and normals if it has them."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import Array
 
 MAX_POINTS = 20_000_000
-"""The most points of a file that are used; of a larger one it is only every second, third, ... point."""
+"""Maximum number of points that are used; of a larger file, every second, third, ... point is."""
 
-_FEWEST = 50  # points that can hold a shape
+_MIN_POINTS = 50  # a smaller cloud cannot hold a shape
 _KIND = "cloud of points"
 _BY_PIECES = (".xyz", ".txt", ".las", ".laz")
-_AT_ONCE = 4 * 2**30  # bytes of a file of another kind, which is read whole
+_MAX_WHOLE = 4 * 2**30  # bytes of a file of another kind, which is read at once
 _PIECE = 10**6  # points
 _MAX_HEAD = 1000  # lines before the points
 _BYTES = {
@@ -39,13 +39,13 @@ _BYTES = {
 
 @dataclass(frozen=True, eq=False)
 class RawCloud:
-    """What a file holds.
+    """Content of a point cloud file.
 
     Attributes:
         points: (n, 3) in the file's unit and frame, finite.
-        colors: (n, 3) RGB in [0, 1], or None where the file has none.
-        normals: (n, 3), of any length, or None where the file has none.
-        notes: What was left out, a sentence each.
+        colors: (n, 3) RGB in [0, 1], or None if the file has none.
+        normals: (n, 3) of any length, or None if the file has none.
+        notes: Sentences on what was left out.
     """
 
     points: Array
@@ -57,10 +57,10 @@ class RawCloud:
 def read_cloud(path: str | Path) -> RawCloud:
     """Read a cloud from a file of one of `CLOUD_SUFFIXES`.
 
-    Organized clouds are read as well; rows without a finite position are left out, which ``notes`` says.
+    Organized clouds are read as well. Points without a finite position are left out, with a note.
 
     Raises:
-        FileFormatError: The file is missing, damaged, of no known kind, or holds too few points.
+        FileFormatError: The file is missing, damaged, of an unknown kind, or holds too few points.
         MissingDependencyError: A package that reads this kind of file is not installed.
     """
     path = Path(path)
@@ -70,18 +70,18 @@ def read_cloud(path: str | Path) -> RawCloud:
     if not path.is_file():
         raise FileFormatError(path, "cannot be read (no such file)")
     by_pieces = path.suffix.lower() in _BY_PIECES
-    most = MAX_BYTES[_KIND] if by_pieces else _AT_ONCE
-    if path.stat().st_size > most:
+    limit = MAX_BYTES[_KIND] if by_pieces else _MAX_WHOLE
+    if path.stat().st_size > limit:
         advice = "" if by_pieces else "; LAS, LAZ and text are read piece by piece, or leave out points"
         raise FileFormatError(
-            path, f"too large for a {_KIND}: {path.stat().st_size} bytes, {most} bytes at most{advice}"
+            path, f"too large for a {_KIND}: {path.stat().st_size} bytes, at most {limit} bytes{advice}"
         )
     with parsing(path, _KIND):
         return _cleaned(path, read(path))
 
 
 class _Parts(NamedTuple):
-    """What a reader found, and of how many points it left some out already."""
+    """Arrays that a reader found; ``of`` is the number of points in the file if the reader already left some out."""
 
     points: npt.NDArray[Any]
     colors: npt.NDArray[Any] | None
@@ -90,7 +90,7 @@ class _Parts(NamedTuple):
 
 
 def _every(total: int) -> int:
-    """Of how many points one is used."""
+    """Return k if every k-th point is used."""
     return total // (MAX_POINTS + 1) + 1
 
 
@@ -110,9 +110,9 @@ def _cleaned(path: Path, parts: _Parts) -> RawCloud:
     kept = np.isfinite(rows[0]).all(axis=1)
     if not kept.all():
         notes.append(f"{np.count_nonzero(~kept)} of {len(kept)} points have no finite position and were left out")
-    if np.count_nonzero(kept) < _FEWEST:
+    if np.count_nonzero(kept) < _MIN_POINTS:
         count = np.count_nonzero(kept)
-        raise FileFormatError(path, f"holds {count} points, too few for a plant; expected at least {_FEWEST}")
+        raise FileFormatError(path, f"holds {count} points, too few for a plant; expected at least {_MIN_POINTS}")
     found = rows[0][kept].astype(np.float64)
     return RawCloud(
         found,
@@ -123,7 +123,7 @@ def _cleaned(path: Path, parts: _Parts) -> RawCloud:
 
 
 def _fractions(path: Path, colors: npt.NDArray[Any]) -> Array:
-    """Colors of any type as fractions of white."""
+    """Convert colors of any type to fractions of white."""
     whole = np.issubdtype(colors.dtype, np.integer)
     white = float(np.iinfo(colors.dtype).max) if whole else 255.0 if colors.max(initial=0.0) > 1.0 else 1.0
     result = np.nan_to_num(colors.astype(np.float64)) / white
@@ -142,9 +142,9 @@ def _with_open3d(path: Path) -> _Parts:
 
 
 def _require_all_points(path: Path) -> None:
-    """Refuse a file that holds fewer points than it says; Open3D makes up those that are missing.
+    """Refuse a file that holds fewer points than its header states; Open3D would invent the missing ones.
 
-    It finds out by itself in PCD files that are not text.
+    Open3D itself detects this in PCD files that are not text.
     """
     with path.open("rb") as file:
         head: list[bytes] = []
@@ -153,20 +153,20 @@ def _require_all_points(path: Path) -> None:
             if head[-1] == b"end_header" or head[-1].startswith(b"DATA"):
                 break
         words = [line.split() for line in head]
-        at = file.tell()
+        start = file.tell()
         if [b"DATA", b"ascii"] in words or [b"format", b"ascii", b"1.0"] in words:
-            there = sum(1 for line in file if line.strip())
+            found = sum(1 for line in file if line.strip())
         elif words[0] == [b"ply"]:
-            there = (path.stat().st_size - at) // max(1, _bytes_of_vertex(words))
+            found = (path.stat().st_size - start) // max(1, _bytes_of_vertex(words))
         else:
             return
     counts = [int(line[-1]) for line in words if line[:1] == [b"POINTS"] or line[:2] == [b"element", b"vertex"]]
-    if counts and there < counts[0]:
-        raise FileFormatError(path, f"cut short: {there} of {counts[0]} points are there")
+    if counts and found < counts[0]:
+        raise FileFormatError(path, f"cut short: {found} of {counts[0]} points are there")
 
 
 def _bytes_of_vertex(head: list[list[bytes]]) -> int:
-    """Bytes of the first element of a binary PLY file, which are the points; the least where a type is unknown."""
+    """Return the bytes of a point, the first element of a binary PLY file, or a lower bound if a type is unknown."""
     total = elements = 0
     for words in head:
         elements += words[:1] == [b"element"]
@@ -176,7 +176,7 @@ def _bytes_of_vertex(head: list[list[bytes]]) -> int:
 
 
 def _from_array(path: Path) -> _Parts:
-    """An array whose last axis holds x y z, then perhaps r g b, then perhaps the normal."""
+    """Read an array whose last axis holds x y z, optionally r g b, and optionally the normal."""
     return _columns(path, read_array(read_bytes(path, _KIND)))
 
 
@@ -213,17 +213,17 @@ def _from_laser(path: Path) -> _Parts:
         import laspy
     points, channels = [], []
     with laspy.open(path) as file:
-        total, at = file.header.point_count, 0
+        total, done = file.header.point_count, 0
         every = _every(total)
         colored = "red" in file.header.point_format.dimension_names
         for piece in file.chunk_iterator(_PIECE):
-            kept = piece[np.arange(-at % every, len(piece), every)]
-            at += len(piece)
+            kept = piece[np.arange(-done % every, len(piece), every)]
+            done += len(piece)
             points.append(np.column_stack([kept.x, kept.y, kept.z]))
             if colored:
                 channels.append(np.column_stack([kept.red, kept.green, kept.blue]))
-    if at < total:
-        raise FileFormatError(path, f"cut short: {at} of {total} points are there")
+    if done < total:
+        raise FileFormatError(path, f"cut short: {done} of {total} points are there")
     colors = np.concatenate(channels) if channels else np.zeros((0, 3), np.uint16)
     if colors.max(initial=0) <= 255:  # 16 bits by the standard, 8 in many files
         colors = colors.astype(np.uint8)
@@ -231,7 +231,7 @@ def _from_laser(path: Path) -> _Parts:
 
 
 def _from_e57(path: Path) -> _Parts:
-    """All scans of the file in its common frame."""
+    """Read all scans of the file in its common frame."""
     with needs("scans"):
         import pye57
     with closing(pye57.E57(str(path))) as file:
@@ -260,4 +260,4 @@ CLOUD_SUFFIXES: Mapping[str, Callable[[Path], _Parts]] = MappingProxyType(
         ".e57": _from_e57,
     }
 )
-"""The kinds of files that hold clouds, by their suffix, each with what reads it."""
+"""Readers of point cloud files by suffix."""
