@@ -1,8 +1,6 @@
-"""Draws the house of CONTRIBUTING.md, docs/house.svg, from the import contracts in pyproject.toml.
+"""Draw the layout of the package, docs/house.svg, from the import contracts in pyproject.toml.
 
-    python docs/house.py
-
-Each floor may import what is below it, never what is above. Rooms of one floor do not know each other.
+python docs/house.py
 """
 
 from __future__ import annotations
@@ -13,28 +11,28 @@ from html import escape
 from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
-WIDTH, FLOOR, ROOM, GAP, TOP = 400, 40, 30, 40, 56
+WIDTH, LAYER, BOX, GAP, TOP = 400, 40, 30, 40, 56
 SHARED = "both sides"
 COLORS = {"sensing": "#cfe6cf", "acting": "#cfdcf2", SHARED: "#efe3c8"}
 
 
-def floors(name: str) -> list[list[str]]:
-    """Rooms of each floor of a side, the highest first."""
+def layers(side: str) -> list[list[str]]:
+    """Return the packages of each layer of a side, the highest layer first."""
     contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
-    (layers,) = (contract["layers"] for contract in contracts if contract["name"].startswith(f"The {name} side, in"))
-    return [[room.strip().removeprefix("greenhouse_gym.") for room in layer.split("|")] for layer in layers]
+    (found,) = (contract["layers"] for contract in contracts if contract["name"].startswith(f"The {side} side, in"))
+    return [[package.strip().removeprefix("greenhouse_gym.") for package in layer.split("|")] for layer in found]
 
 
-def side(name: str, left: int, shared: Sequence[str]) -> list[str]:
-    """A side of the house, as SVG elements."""
-    parts = [_text(left + WIDTH / 2, TOP - 18, f"the {name} side", bold=True)]
-    for k, rooms in enumerate(floors(name)):
-        width = (WIDTH - 8 * (len(rooms) - 1)) / len(rooms)
-        for i, room in enumerate(rooms):
-            x, y = left + i * (width + 8), TOP + k * FLOOR
-            color = COLORS[SHARED if room in shared else name]
-            parts.append(f'<rect x="{x:.0f}" y="{y}" width="{width:.0f}" height="{ROOM}" rx="5" fill="{color}"/>')
-            parts.append(_text(x + width / 2, y + 20, room))
+def drawn(side: str, left: int, bottom: int, shared: Sequence[str]) -> list[str]:
+    """Return a side as SVG elements; the lowest layers of both sides are at the same height."""
+    parts = [_text(left + WIDTH / 2, TOP - 18, f"the {side} side", bold=True)]
+    for k, packages in enumerate(reversed(layers(side))):
+        width = (WIDTH - 8 * (len(packages) - 1)) / len(packages)
+        for i, package in enumerate(packages):
+            x, y = left + i * (width + 8), bottom - (k + 1) * LAYER
+            color = COLORS[SHARED if package in shared else side]
+            parts.append(f'<rect x="{x:.0f}" y="{y}" width="{width:.0f}" height="{BOX}" rx="5" fill="{color}"/>')
+            parts.append(_text(x + width / 2, y + 20, package))
     return parts
 
 
@@ -43,16 +41,16 @@ def _text(x: float, y: float, text: str, bold: bool = False) -> str:
     return f'<text x="{x:.0f}" y="{y:.0f}" text-anchor="middle"{weight}>{escape(text)}</text>'
 
 
-def house() -> str:
-    """The whole house, as an SVG file."""
+def picture() -> str:
+    """Return the picture as an SVG file."""
     sides = ("sensing", "acting")
-    rooms = [{room for floor in floors(name) for room in floor} for name in sides]
-    shared = sorted(rooms[0] & rooms[1])
-    height = TOP + max(len(floors(name)) for name in sides) * FLOOR + 40
-    width = 2 * WIDTH + GAP + 40
-    parts = [line for i, name in enumerate(sides) for line in side(name, 20 + i * (WIDTH + GAP), shared)]
+    packages = [{package for layer in layers(side) for package in layer} for side in sides]
+    shared = sorted(packages[0] & packages[1])
+    bottom = TOP + max(len(layers(side)) for side in sides) * LAYER
+    height, width = bottom + 40, 2 * WIDTH + GAP + 40
+    parts = [line for i, side in enumerate(sides) for line in drawn(side, 20 + i * (WIDTH + GAP), bottom, shared)]
     note = (
-        "Each floor imports only what is below it. The sides never import each other; what is on both is sand-colored."
+        "A package imports only those below it. The sides do not import each other; sand-colored packages are shared."
     )
     return "\n".join(
         [
@@ -68,4 +66,4 @@ def house() -> str:
 
 
 if __name__ == "__main__":
-    (ROOT / "docs" / "house.svg").write_text(house())
+    (ROOT / "docs" / "house.svg").write_text(picture())

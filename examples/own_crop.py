@@ -1,4 +1,4 @@
-"""A crop of your own: red balls on sticks, grown, photographed, reconstructed and reached for. Takes some minutes.
+"""Your own crop: red balls on sticks, grown, photographed, reconstructed and reached for, in a few minutes.
 
 python examples/own_crop.py
 """
@@ -20,7 +20,7 @@ from greenhouse_gym.shapes import ShapeSettings
 
 
 def grow_sticks(seed: int, length: float, week: int, style: object, stem_line: float) -> PlantRow:
-    """Put up a stick every 30 cm, with three balls on twigs towards the aisle."""
+    """Grow a row with a stick every 30 cm and three balls per stick, on twigs towards the aisle."""
     rng = np.random.default_rng(seed)
     balls, sticks = [], []
     for plant, y in enumerate(np.arange(0.15, length, 0.3)):
@@ -36,7 +36,7 @@ BALLS = Crop("balls", {"sticks": grow_sticks}, shape_settings={"radii": (0.02, 0
 
 
 def main(length: float) -> None:
-    """Build a bank of a row and reach for its balls, which have moved since."""
+    """Build a bank of one row and reach for its balls, which have moved since the scan."""
     row = BALLS.grow(seed=1, length=length)
     settings = BuildSettings(shapes=ShapeSettings(**BALLS.shape_settings), max_targets=2)
     with tempfile.TemporaryDirectory() as folder:

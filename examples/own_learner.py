@@ -1,4 +1,4 @@
-"""A policy of any library as an agent; here a bare function, and where TorchRL's or CleanRL's network goes."""
+"""A policy of any library as an agent: a plain function here, and the place for a network of TorchRL or CleanRL."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from greenhouse_gym.evaluation import evaluate
 
 
 class Learned:
-    """What maps observations (n, size) to actions (n, joints), as an agent that many simulations can ask at once."""
+    """A function from observations (n, size) to actions (n, joints) as an agent of many simulations."""
 
     name = "learned"
     env_options = {"robot": "ur5e", "observation": "state", "action": "joint"}

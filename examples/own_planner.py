@@ -1,4 +1,4 @@
-"""A planner of your own: back out of a goal step by step until the motion to the start is free.
+"""Your own planner: back out of a goal step by step until the motion to the start is free.
 
 python examples/own_planner.py
 """
@@ -10,7 +10,7 @@ from greenhouse_gym.scene import SceneBank
 
 
 def retreat(problem: PlanningProblem, settings: None) -> np.ndarray | None:
-    """Return a path over a configuration near a goal, with its first joints turned back towards the start."""
+    """Return a path via a configuration near a goal with the first joints turned back towards the start."""
     for goal in problem.goals:
         for back in (0.0, 0.25, 0.5, 0.75):
             via = np.where(np.arange(len(goal)) < len(goal) // 2, back * problem.start + (1 - back) * goal, goal)

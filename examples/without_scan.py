@@ -1,4 +1,4 @@
-"""Reach without a scan: all but the target is unknown until the camera at the wrist has observed it.
+"""Reach without a scan: everything except the target is unknown until the wrist camera has observed it.
 
 greenhouse-gym compare examples/without_scan.py:ExploringAgent watchful --track truth --episodes 20
 """
@@ -27,5 +27,5 @@ class ExploringAgent(WatchfulAgent):
         unknown = OccupancyGrid.from_states(np.full(shape, UNKNOWN, np.uint8), shoulder - REACH, VOXEL)
         target = (scene.tomatoes[problem.target],)
         nothing = {"stems": (), "clutter": (), "targets": (), "truth": None}
-        bare = scene.model_copy(update={**nothing, "tomatoes": target, "seen": unknown})
+        bare = scene.model_copy(update={**nothing, "tomatoes": target, "occupancy": unknown})
         super().reset(replace(problem, scene=bare, target=0))

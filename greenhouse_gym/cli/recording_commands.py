@@ -24,7 +24,7 @@ def simulate(
     style: Annotated[str, typer.Option(help="Fruit style: cluster, beefsteak or cherry; Helios has more.")] = "cluster",
     source: Annotated[str, typer.Option(help="Generator of the plants: own or helios (extra plants).")] = "own",
     protocol: Annotated[
-        str, typer.Option(help="Capture protocol: paper, upright, back, upright-back, two-passes or wrist.")
+        str, typer.Option(help="Capture protocol: paper, upright, back, upright-back or two-passes.")
     ] = "paper",
 ) -> None:
     """Grow a row and record it with a simulated rig."""

@@ -12,18 +12,18 @@ _UNITY = np.eye(3)
 
 
 def is_rotation(matrix: npt.ArrayLike, tolerance: float = 1e-5) -> bool:
-    """Whether a (3, 3) matrix is orthonormal with determinant +1."""
+    """Return whether a (3, 3) matrix is orthonormal with determinant +1."""
     r = np.asarray(matrix, dtype=np.float64)
-    # allclose, which takes a fifth of a millisecond, says the same
+    # np.allclose gives the same but takes 0.2 ms
     return bool(
         r.shape == (3, 3)
-        and (np.abs(r @ r.T - _UNITY) <= tolerance + 1e-5 * _UNITY).all()  # of no entry that is not finite
+        and (np.abs(r @ r.T - _UNITY) <= tolerance + 1e-5 * _UNITY).all()  # False for entries that are not finite
         and np.linalg.det(r) > 0
     )
 
 
 def pose(rotation: npt.ArrayLike | None = None, translation: npt.ArrayLike | None = None) -> Array:
-    """A (4, 4) pose from a (3, 3) rotation and a (3,) translation, each the identity when left out."""
+    """Return a (4, 4) pose from a (3, 3) rotation and a (3,) translation; the identity for each that is None."""
     result = np.eye(4)
     if rotation is not None:
         result[:3, :3] = rotation
@@ -33,7 +33,7 @@ def pose(rotation: npt.ArrayLike | None = None, translation: npt.ArrayLike | Non
 
 
 def invert(target_from_source: npt.ArrayLike) -> Array:
-    """Inverse of rigid poses, (..., 4, 4) to (..., 4, 4)."""
+    """Return the inverse of rigid poses, (..., 4, 4)."""
     t = np.asarray(target_from_source, dtype=np.float64)
     result = np.zeros_like(t)
     rotation = np.swapaxes(t[..., :3, :3], -1, -2)
@@ -44,14 +44,14 @@ def invert(target_from_source: npt.ArrayLike) -> Array:
 
 
 def transform(target_from_source: npt.ArrayLike, points: npt.ArrayLike) -> Array:
-    """Points (n, 3) of the source frame expressed in the target frame, (n, 3)."""
+    """Return points (n, 3) of the source frame in the target frame, (n, 3)."""
     t = np.asarray(target_from_source, dtype=np.float64)
     moved: Array = np.asarray(points, dtype=np.float64) @ t[:3, :3].T + t[:3, 3]
     return moved
 
 
 def rotation_about(axis: npt.ArrayLike, angle: float) -> Array:
-    """The (3, 3) rotation by ``angle`` radians about ``axis`` (3,) of any length (Rodrigues' formula).
+    """Return the (3, 3) rotation by ``angle`` radians about ``axis`` (3,) of any length (Rodrigues' formula).
 
     Raises:
         InvalidValueError: The axis has no direction.
@@ -66,16 +66,16 @@ def rotation_about(axis: npt.ArrayLike, angle: float) -> Array:
 
 
 def rotation_angle(rotation: npt.ArrayLike) -> float:
-    """The angle in radians, 0 to pi, by which a (3, 3) rotation turns (stable near 0 and pi)."""
+    """Return the angle of a (3, 3) rotation, 0 to pi radians; stable near 0 and pi."""
     r = np.asarray(rotation, dtype=np.float64)
     sine = 0.5 * np.linalg.norm([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]])
     return float(np.arctan2(sine, 0.5 * (np.trace(r) - 1.0)))
 
 
 def quaternions_from(rotations: npt.ArrayLike) -> Array:
-    """Unit quaternions (k, 4), w x y z with the largest entry positive, of rotations (k, 3, 3).
+    """Return unit quaternions (k, 4), w x y z with the largest entry positive, of rotations (k, 3, 3).
 
-    The eigenvector to the largest eigenvalue of a symmetric matrix (Bar-Itzhack, New Method for Extracting the
+    Each is the eigenvector to the largest eigenvalue of a symmetric matrix (Bar-Itzhack, New Method for Extracting the
     Quaternion from a Rotation Matrix, 2000), which is stable for every rotation.
     """
     r = np.asarray(rotations, dtype=np.float64).reshape(-1, 3, 3)
@@ -91,15 +91,15 @@ def quaternions_from(rotations: npt.ArrayLike) -> Array:
 
 
 def rotations_from(quaternions: npt.ArrayLike) -> Array:
-    """Rotations (k, 3, 3) of quaternions (k, 4), w x y z, of any length but 0.
+    """Return the rotations (k, 3, 3) of quaternions (k, 4), w x y z, of any length but 0.
 
     Raises:
-        InvalidValueError: One has no length.
+        InvalidValueError: The length of one is 0.
     """
     q = np.asarray(quaternions, dtype=np.float64).reshape(-1, 4)
     length = np.linalg.norm(q, axis=1)
     if (length < 1e-6).any():
-        raise InvalidValueError("a quaternion of zeros is no rotation")
+        raise InvalidValueError("a quaternion of zeros is not a rotation")
     w, x, y, z = (q / length[:, None]).T
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -110,7 +110,7 @@ def rotations_from(quaternions: npt.ArrayLike) -> Array:
 
 
 def frame_along(direction: npt.ArrayLike) -> Array:
-    """A (3, 3) rotation whose third column is the unit vector along ``direction`` (3,)."""
+    """Return a (3, 3) rotation whose third column is the unit vector along ``direction`` (3,)."""
     z = np.asarray(direction, dtype=np.float64)
     z = z / np.linalg.norm(z)
     helper = np.eye(3)[np.argmin(np.abs(z))]

@@ -163,12 +163,12 @@ def _join(ray: Any, address: str, workers: int | None) -> None:
 
 def _check_fits(nodes: list[dict[str, Any]], cpus: float, memory: int | None) -> None:
     """Raise `InvalidValueError` where no node can run a task; Ray would wait forever."""
-    most = max((node["Resources"].get("CPU", 0.0) for node in nodes), default=0.0)
-    room = max((node["Resources"].get("memory", 0.0) for node in nodes), default=0.0)
-    if not 0 < cpus <= most:
-        raise InvalidValueError(f"the nodes of the cluster have up to {most:g} cores, got cpus={cpus!r}")
-    if memory is not None and not 0 < memory <= room:
-        raise InvalidValueError(f"the nodes of the cluster have up to {room / 1e9:.1f} GB, got memory={memory!r}")
+    cores = max((node["Resources"].get("CPU", 0.0) for node in nodes), default=0.0)
+    largest = max((node["Resources"].get("memory", 0.0) for node in nodes), default=0.0)
+    if not 0 < cpus <= cores:
+        raise InvalidValueError(f"the nodes of the cluster have up to {cores:g} cores, got cpus={cpus!r}")
+    if memory is not None and not 0 < memory <= largest:
+        raise InvalidValueError(f"the nodes of the cluster have up to {largest / 1e9:.1f} GB, got memory={memory!r}")
 
 
 def _check_listens(address: str) -> None:

@@ -62,11 +62,11 @@ def completed(
     if executor is None:
         yield from map(function, items)
         return
-    rest, most = iter(items), _TASKS_PER_WORKER * workers_of(executor)
+    rest, limit = iter(items), _TASKS_PER_WORKER * workers_of(executor)
     running: set[Future[Result]] = set()
     try:
         while True:
-            for item in islice(rest, most - len(running)):
+            for item in islice(rest, limit - len(running)):
                 running.add(_submitted(executor, function, item))
             if not running:
                 return
