@@ -9,15 +9,14 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.agents import Problem
+from greenhouse_gym.common.extras import needs
 from greenhouse_gym.envs import EnvSettings, GreenhouseVectorEnv, make_vec_env
 from greenhouse_gym.envs.observations import Observed
 from greenhouse_gym.envs.simulation import Simulation
-from greenhouse_gym.errors import InvalidValueError, MissingDependencyError
+from greenhouse_gym.errors import InvalidValueError
 
-try:
+with needs("train"):
     from stable_baselines3.common.vec_env import VecEnv, VecMonitor
-except ImportError as error:  # pragma: no cover - depends on the installation
-    raise MissingDependencyError("stable-baselines3", "train") from error
 
 TERMS = "episode_terms"
 """Key of the info at an episode's end that holds the sums of the reward's terms over the episode, by name."""

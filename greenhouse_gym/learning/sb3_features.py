@@ -8,14 +8,12 @@ import numpy as np
 from gymnasium import spaces
 
 from greenhouse_gym.agents.goal_features import GOAL_FEATURES_SIZE, goal_features
+from greenhouse_gym.common.extras import needs
 from greenhouse_gym.envs.features import Layout, feature_slices
-from greenhouse_gym.errors import MissingDependencyError
 
-try:
+with needs("train"):
     import torch
     from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
-except ImportError as error:  # pragma: no cover - depends on the installation
-    raise MissingDependencyError("stable-baselines3", "train") from error
 
 CENTERS_AND_SCALES: dict[str, tuple[float, float]] = {
     "joint_position": (0.0, 1.5),

@@ -7,12 +7,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.errors import MissingDependencyError
+from greenhouse_gym.common.extras import needs
 
-try:
+with needs("train"):
     from stable_baselines3 import HerReplayBuffer
-except ImportError as error:  # pragma: no cover - depends on the installation
-    raise MissingDependencyError("stable-baselines3", "train") from error
 
 _USED_KEYS = ("collision", "steps", "previous_goal", "effort", "TimeLimit.truncated")
 _MAX_DRAWS = 4  # of a goal at which the transition would already start

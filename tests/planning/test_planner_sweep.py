@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from parallel_helpers import Elsewhere
 
-from greenhouse_gym.planning import planner_sweep as sweep
+from greenhouse_gym.planning import planner_sweep
 from greenhouse_gym.planning.planner_sweep import Run, SweepSettings, sweep_planners
 from greenhouse_gym.scene import Scene
 
@@ -26,8 +26,8 @@ def test_budgets_are_checks_and_runs_are_not_repeated(
         slow = 100.0 * len(measured)  # a machine that gets slower and slower changes nothing
         return {"status": "solved", "checks": 1000, "planning_time": slow, "simplification_time": slow}
 
-    monkeypatch.setattr(sweep, "measure", measure)
-    monkeypatch.setattr(sweep, "goal_configurations", lambda *_: None)
+    monkeypatch.setattr(planner_sweep, "measure", measure)
+    monkeypatch.setattr(planner_sweep, "goal_configurations", lambda *_: None)
     targets = [(scene, scene.targets[0]), (scene, scene.targets[1])]
 
     def run(**changed: Any) -> int:

@@ -105,7 +105,7 @@ def test_rating_goes_on_where_it_was_interrupted(
 
 
 def test_a_bank_is_not_rated_onto_itself(few: SceneBank) -> None:
-    with pytest.raises(InvalidValueError, match="a folder of its own"):
+    with pytest.raises(InvalidValueError, match="needs another folder"):
         rate_bank(few, "ur5e", few.path)
 
 
