@@ -40,7 +40,7 @@ def visible_surface(
         seen = []
         for camera in rig.cameras.values():
             intrinsics = _every(camera.intrinsics, skip)
-            view = caster.look(pose @ camera.rig_from_camera, intrinsics)
+            view = caster.render(pose @ camera.rig_from_camera, intrinsics)
             frame = RgbdFrame(view.color, np.where(np.isfinite(view.depth), view.depth, 0), intrinsics)
             in_rig = transform(camera.rig_from_camera, frame.points())
             seen.append(transform(pose, in_rig[in_rig[:, 0] < front]))

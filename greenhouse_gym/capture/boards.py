@@ -61,21 +61,13 @@ class BoardDetection:
 
 @dataclass(frozen=True, eq=False)
 class BoardCalibration:
-    """Result of a calibration from boards.
+    """Result of a calibration from boards."""
 
-    Attributes:
-        mounting: The camera poses; the reference camera keeps its own.
-        residual: Root mean square reprojection error of the corners, by camera, pixels.
-        moments: Number of moments at which each camera saw the board together with another.
-        turned: Rotation of each camera against the rig, radians.
-        shifted: Translation of each camera against the rig, metres.
-    """
-
-    mounting: Mounting
-    residual: Mapping[str, float]
-    moments: Mapping[str, int]
-    turned: Mapping[str, float]
-    shifted: Mapping[str, float]
+    mounting: Mounting  # the camera poses; the reference camera keeps its own
+    residual: Mapping[str, float]  # root mean square reprojection error of the corners, by camera, pixels
+    moments: Mapping[str, int]  # number of moments at which each camera saw the board together with another
+    turned: Mapping[str, float]  # rotation of each camera against the rig, radians
+    shifted: Mapping[str, float]  # translation of each camera against the rig, metres
 
 
 def find_board(frame: RgbdFrame, board: Board) -> BoardDetection | None:

@@ -36,54 +36,31 @@ _SMALL_FRUIT = 0.0018  # m across a pixel; a cherry tomato of 25 mm then is 14 p
 
 @dataclass(frozen=True)
 class CameraFigures:
-    """Figures of one camera's images, each the median over stations.
+    """Figures of one camera's images, each the median over stations."""
 
-    Attributes:
-        missing: Fraction of pixels without depth.
-        gray: Median gray of the plants' pixels, 0 to 255.
-        clipped: Fraction of the plants' pixels that are burnt out.
-        distance: Distance of the plants, metres; 0 without any near surface.
-        near: Fraction of the image that is near enough to be plants.
-        sharpness: Variance of the Laplacian.
-        pixel: Metres across a pixel at the plants.
-    """
-
-    missing: float
-    gray: float
-    clipped: float
-    distance: float
-    near: float
-    sharpness: float
-    pixel: float
+    missing: float  # fraction of pixels without depth
+    gray: float  # median gray of the plants' pixels, 0 to 255
+    clipped: float  # fraction of the plants' pixels that are burnt out
+    distance: float  # distance of the plants, metres; 0 without any near surface
+    near: float  # fraction of the image that is near enough to be plants
+    sharpness: float  # variance of the Laplacian
+    pixel: float  # metres across a pixel at the plants
 
 
 @dataclass(frozen=True)
 class Inspection:
-    """Result of the inspection of a recording.
-
-    Attributes:
-        stations: Number of stations.
-        inspected: Number of stations inspected.
-        unreadable: Numbers of those that could not be read.
-        cameras: The figures of each camera, by its name.
-        steps: Metres between neighboring stations that were inspected, where the motion could be measured.
-        overlap: Fraction of an image that the next station shows as well, the median; None if not known.
-        histogram: Fraction of all readings in each 10 cm of distance, from 0 to 3 m.
-        good_for_registration: Whether the stations can be expected to register.
-        good_for_small_fruit: Whether cherry tomatoes can be expected to be found.
-        verdict: Sentences: the verdicts, and advice.
-    """
+    """Result of the inspection of a recording."""
 
     stations: int
     inspected: int
-    unreadable: tuple[int, ...]
+    unreadable: tuple[int, ...]  # numbers of those that could not be read
     cameras: Mapping[str, CameraFigures]
-    steps: tuple[float, ...]
-    overlap: float | None
-    histogram: tuple[float, ...]
-    good_for_registration: bool
-    good_for_small_fruit: bool
-    verdict: tuple[str, ...]
+    steps: tuple[float, ...]  # metres between neighboring stations, where the motion could be measured
+    overlap: float | None  # fraction of an image that the next station shows as well, the median; None if not known
+    histogram: tuple[float, ...]  # fraction of all readings in each 10 cm of distance, from 0 to 3 m
+    good_for_registration: bool  # whether the stations can be expected to register
+    good_for_small_fruit: bool  # whether cherry tomatoes can be expected to be found
+    verdict: tuple[str, ...]  # sentences: the verdicts, and advice
 
 
 def inspect_recording(recording: Recording) -> Inspection:

@@ -74,21 +74,13 @@ def draw_light(rng: np.random.Generator) -> Light:
 
 @dataclass(frozen=True, eq=False)
 class Skin:
-    """Appearance of the triangles of a mesh.
+    """Appearance of the triangles of a mesh."""
 
-    Attributes:
-        colors: (2, t, 3) linear color of the outer and of the inner side under white light.
-        normals: (v, 3) unit normals at the vertices, outwards.
-        corners: (t, 3) vertex indices of the triangles.
-        thin: (t,) 1 where light is transmitted, as by leaves, else 0.
-        shine: (t,) strength of highlights.
-    """
-
-    colors: npt.NDArray[np.float32]
-    normals: npt.NDArray[np.float32]
-    corners: npt.NDArray[np.int64]
-    thin: npt.NDArray[np.float32]
-    shine: npt.NDArray[np.float32]
+    colors: npt.NDArray[np.float32]  # (2, t, 3) linear color of the outer and of the inner side under white light
+    normals: npt.NDArray[np.float32]  # (v, 3) unit normals at the vertices, outwards
+    corners: npt.NDArray[np.int64]  # (t, 3) vertex indices of the triangles
+    thin: npt.NDArray[np.float32]  # (t,) 1 where light is transmitted, as by leaves, else 0
+    shine: npt.NDArray[np.float32]  # (t,) strength of highlights
 
     @classmethod
     def of(

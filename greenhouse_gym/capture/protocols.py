@@ -115,8 +115,8 @@ def simulate_protocol(
 def join_passes(passes: Sequence[Recording]) -> Recording:
     """Join passes of one rig at several heights into one recording, the first pass's stations first.
 
-    Each pass begins at about the same place. The joined recording has the first pass's rig; the frame of a station of a
-    later pass is raised with the rig, and the recording gives the lift (`Recording.passes`).
+    Each pass begins at about the same position. The joined recording has the first pass's rig; the frame of a station
+    of a later pass is raised with the rig, and the recording gives the lift (`Recording.passes`).
 
     Args:
         passes: Recordings by rigs that differ only in their height above the floor.

@@ -34,25 +34,15 @@ class View(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RowRaycaster:
-    """A row prepared for ray casting.
+    """A row prepared for ray casting."""
 
-    Attributes:
-        scene: Open3D's RaycastingScene with one mesh of all shapes.
-        owner: (triangles,) index of the shape that each triangle belongs to.
-        axes: (shapes, 2, 3) ends of the shapes' axes; both the center for spheres and boxes.
-        round: (shapes,) whether a shape's normal points away from its axis.
-        colors: (shapes, 3) base color, 0-1.
-        skin: Appearance of the triangles of a row of organs; None for a row of primitives.
-        light: Light on a row of organs.
-    """
-
-    scene: Any
-    owner: npt.NDArray[np.int32]
-    axes: Array
-    round: npt.NDArray[np.bool_]
-    colors: Array
-    skin: Skin | None = None
-    light: Light = field(default_factory=Light)
+    scene: Any  # Open3D's RaycastingScene with one mesh of all shapes
+    owner: npt.NDArray[np.int32]  # (triangles,) index of the shape that each triangle belongs to
+    axes: Array  # (shapes, 2, 3) ends of the shapes' axes; both the center for spheres and boxes
+    round: npt.NDArray[np.bool_]  # (shapes,) whether a shape's normal points away from its axis
+    colors: Array  # (shapes, 3) base color, 0-1
+    skin: Skin | None = None  # appearance of the triangles of a row of organs; None for a row of primitives
+    light: Light = field(default_factory=Light)  # light on a row of organs
 
     @classmethod
     def of(cls, row: PlantRow, light: Light | None = None) -> RowRaycaster:
@@ -87,7 +77,7 @@ class RowRaycaster:
         rounds = np.array([not isinstance(s, Box | Ellipsoid) for s in shapes])
         return cls(scene, owner, axes, rounds, np.clip(np.array(colors) * jitter, 0, 1))
 
-    def look(self, world_from_camera: Array, intrinsics: Intrinsics) -> View:
+    def render(self, world_from_camera: Array, intrinsics: Intrinsics) -> View:
         """Render the view of a camera at ``world_from_camera`` (4, 4), one ray per pixel."""
         rays, hits = self._cast(world_from_camera, intrinsics)
         depth, shape = self._found(hits)
@@ -110,7 +100,7 @@ class RowRaycaster:
     def measure(
         self, world_from_camera: Array, intrinsics: Intrinsics
     ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int32]]:
-        """Return depth and shape of `look`, without the color, which takes most of its time."""
+        """Return depth and shape of `render`, without the color, which takes most of its time."""
         return self._found(self._cast(world_from_camera, intrinsics)[1])
 
     def _cast(self, world_from_camera: Array, intrinsics: Intrinsics) -> tuple[Any, Any]:

@@ -29,15 +29,10 @@ _MAX_SKIPPED = 300  # images in a row without a partner, after which clocks must
 
 @dataclass(frozen=True, eq=False)
 class LiveRig:
-    """Running cameras.
+    """Running cameras."""
 
-    Attributes:
-        rig: The cameras, all with the same pose: a rig file gives the real ones.
-        moments: Their images, moment by moment; ends with the files that are played back.
-    """
-
-    rig: Rig
-    moments: Iterator[Station]
+    rig: Rig  # the cameras, all with the same pose: a rig file gives the real ones
+    moments: Iterator[Station]  # their images, moment by moment; ends with the files that are played back
 
 
 @contextmanager

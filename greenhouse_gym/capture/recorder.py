@@ -33,17 +33,11 @@ _EARLY, _LATE = 0.95, 1.3  # steps after which a sharp moment is taken, and afte
 
 @dataclass(frozen=True)
 class RecordedStation:
-    """A station that was written.
+    """A station that was written."""
 
-    Attributes:
-        number: Its number, from 0.
-        moved: Metres from the station before; None for the first, and where the motion was lost.
-        faults: Its faults, a phrase each.
-    """
-
-    number: int
-    moved: float | None
-    faults: tuple[str, ...]
+    number: int  # its number, from 0
+    moved: float | None  # metres from the station before; None for the first, and where the motion was lost
+    faults: tuple[str, ...]  # its faults, a phrase each
 
 
 def record(

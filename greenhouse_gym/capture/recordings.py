@@ -140,9 +140,6 @@ class RecordingIndex(_Model):
 def open_folder(path: str | Path) -> Recording:
     """Open a folder in the package's own format; each station is read when it is accessed.
 
-    Args:
-        path: The folder that holds ``recording.json``.
-
     Raises:
         FileFormatError: The index is missing or damaged, or describes an impossible camera. Image files are checked
             when their station is read: missing, truncated, or of another size than the camera's.
@@ -211,11 +208,7 @@ def write_recording(recording: Recording, path: str | Path, on_station: Callable
 
     Each file is written atomically, and the index comes last, so an interrupted write leaves no half recording.
     Depth is stored as uint16 in units of the camera's depth scale, or of a millimetre where that is finer.
-
-    Args:
-        recording: Any recording, also a simulated one.
-        path: The folder; created if missing.
-        on_station: Called with the index of each station written.
+    ``on_station`` is called with the index of each station written.
 
     Raises:
         FileFormatError: The folder already holds a finished recording.
@@ -233,13 +226,6 @@ def write_recording(recording: Recording, path: str | Path, on_station: Callable
 
 class RecordingWriter:
     """Writer of a recording, station by station; readable from the first `save_index` on.
-
-    Args:
-        path: The folder; created if missing.
-        name: Name of the recording.
-        rig: The cameras.
-        protocol: See `Recording`.
-        passes: See `Recording`.
 
     Raises:
         FileFormatError: The folder already holds a finished recording.
@@ -291,7 +277,7 @@ class RecordingWriter:
         write_atomically(self.folder / INDEX, self._index.model_dump_json(indent=1) + "\n")
 
 
-def checked_pose(file: Path, what: str, matrix: npt.ArrayLike) -> Array:
+def checked_pose(file: Path, label: str, matrix: npt.ArrayLike) -> Array:
     """Return a matrix of a file as a pose (4, 4), checked.
 
     Raises:
@@ -304,5 +290,5 @@ def checked_pose(file: Path, what: str, matrix: npt.ArrayLike) -> Array:
         if not is_rotation(result[:3, :3], tolerance=1e-4):
             raise GreenhouseError
     except (ValueError, GreenhouseError) as error:
-        raise FileFormatError(file, f"{what} is not a 4x4 pose: {matrix!r}") from error
+        raise FileFormatError(file, f"{label} is not a 4x4 pose: {matrix!r}") from error
     return result

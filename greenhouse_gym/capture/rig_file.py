@@ -29,17 +29,11 @@ with needs("reconstruct"):
 
 @dataclass(frozen=True, eq=False)
 class Mounting:
-    """Camera poses of a rig, without the lenses.
+    """Camera poses of a rig, without the lenses; a camera reports ``(1 + depth_error)`` times the depth."""
 
-    Attributes:
-        rig_from_camera: (4, 4) pose of each camera in the rig frame, metres.
-        reference: The camera whose silhouettes align the stations.
-        depth_error: Relative depth error by camera, where known: it reports ``(1 + error)`` times the depth.
-    """
-
-    rig_from_camera: Mapping[str, Array]
-    reference: str
-    depth_error: Mapping[str, float] = field(default_factory=dict)
+    rig_from_camera: Mapping[str, Array]  # (4, 4) pose of each camera in the rig frame, metres
+    reference: str  # the camera whose silhouettes align the stations
+    depth_error: Mapping[str, float] = field(default_factory=dict)  # relative, where known
 
     @classmethod
     def of(cls, rig: Rig) -> Mounting:

@@ -59,13 +59,8 @@ def dropout_probability(
 ) -> Array:
     """Return the probability (h, w) that stereo gives no reading: thin foreground, glare, failed exposure.
 
-    Args:
-        depth: (h, w) true depth, metres; 0 or inf = no surface.
-        color: (h, w, 3) the photograph.
-        glare: (h, w) brightness that highlights add, as a fraction of full white.
-        fx: Focal length, pixels.
-        dropout: The figures.
-        baseline: Distance between the two imagers, metres.
+    ``depth`` (h, w) is the true one, metres, 0 or inf without a surface; ``color`` (h, w, 3) the photograph; ``glare``
+    (h, w) the brightness that highlights add, as a fraction of full white; ``fx`` in pixels, ``baseline`` in metres.
     """
     true = np.where(np.isfinite(depth) & (depth > 0), depth, np.inf)
     lost = np.where(_thin(fx * baseline / true, dropout.thin_width), dropout.thin_dropout, 0.0)

@@ -111,7 +111,7 @@ class _SimulatedStations:
             rng = np.random.default_rng([seed, 2, i, k, *number])
             light_rng = np.random.default_rng([seed, 5, i, k, *number])
             caster = replace(self._caster, light=self.light.at_station(light_rng))
-            view = caster.look(self.poses[i] @ camera.rig_from_camera, camera.intrinsics)
+            view = caster.render(self.poses[i] @ camera.rig_from_camera, camera.intrinsics)
             depth = _sense(view, camera.intrinsics.fx, rng, light_rng, self.settings, float(biases[k]))
             noise = self.settings.color_noise * rng.standard_normal(view.color.shape, dtype=np.float32)
             color = np.clip(view.color + noise, 0, 255).astype(np.uint8)

@@ -30,30 +30,19 @@ _WIDE = 480  # pixels; larger images are halved
 
 
 class StationSelection(NamedTuple):
-    """Stations of a video.
+    """Stations of a video."""
 
-    Attributes:
-        frames: Numbers of the frames taken.
-        path: (frames,) metres of motion from the first to each frame.
-        lost: Frames at which the motion from the one before is unknown; taken as that before.
-        unreadable: Frames that could not be read.
-    """
-
-    frames: tuple[int, ...]
-    path: npt.NDArray[np.float64]
-    lost: tuple[int, ...]
-    unreadable: tuple[int, ...]
+    frames: tuple[int, ...]  # numbers of the frames taken
+    path: npt.NDArray[np.float64]  # (frames,) metres of motion from the first to each frame
+    lost: tuple[int, ...]  # frames at which the motion from the one before is unknown; taken as that before
+    unreadable: tuple[int, ...]  # frames that could not be read
 
 
 class Odometer:
     """Motion of a camera since its first frame, measured on its frames.
 
-    Args:
-        step: Metres between stations; frames a good part of that apart are compared.
-
-    Attributes:
-        moved: Metres of motion.
-        lost: Whether the motion was lost at some frame; it is then more than ``moved`` says.
+    Frames a good part of ``step`` apart, the metres between stations, are compared. ``moved`` is the motion in metres;
+    it is more if it was ``lost`` at some frame.
     """
 
     def __init__(self, step: float):
@@ -77,12 +66,10 @@ class Odometer:
 def choose_stations(
     recording: Recording, step: float = 0.10, on_frame: Callable[[int], None] | None = None
 ) -> StationSelection:
-    """Choose frames of a video as stations, by motion between frames and by sharpness near each station.
+    """Choose frames of a video as stations, ``step`` metres apart, by motion between frames and by sharpness nearby.
 
-    Args:
-        recording: The video, a station each frame; images of its reference camera are read, one at a time.
-        step: Metres of motion from one station to the next.
-        on_frame: Called with the number of each frame that was read for its motion.
+    Images of its reference camera are read, one at a time; ``on_frame`` is called with the number of each frame that is
+    read for its motion.
     """
     path, lost, unreadable, known = _measured_path(recording, step, on_frame)
     frames: list[int] = []

@@ -34,15 +34,10 @@ _Image: TypeAlias = tuple[npt.NDArray[np.float32], npt.NDArray[np.int16]]
 
 
 class EdgeFattening(NamedTuple):
-    """Pixels by which foreground covers background.
+    """Pixels by which foreground covers background."""
 
-    Attributes:
-        along_rows: To the left and to the right.
-        along_columns: Upwards and downwards.
-    """
-
-    along_rows: int = 0
-    along_columns: int = 0
+    along_rows: int = 0  # to the left and to the right
+    along_columns: int = 0  # upwards and downwards
 
 
 def estimate_edge_fattening(frames: Iterable[RgbdFrame], farthest: float) -> EdgeFattening:

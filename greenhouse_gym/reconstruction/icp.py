@@ -28,41 +28,24 @@ _RELAXATION = 1.3  # times a step, which falls short while partners beyond reach
 
 @dataclass(frozen=True, eq=False)
 class IcpResult:
-    """Result of fine registration.
+    """Result of fine registration."""
 
-    Attributes:
-        first_from_second: (4, 4).
-        overlap: Fraction of the second station's sample that the first could see.
-        fitness: Fraction of those with a partner.
-        contradicted: Fraction of those without a partner that the first station sees through.
-        rmse: Root mean square distance of partners along their normals, metres.
-        constraint: (6,) ascending, see `motion_constraint`. Near 0 the stations can slide or turn along each other.
-        information: (6, 6) rotation then translation, in the first station's frame, for the pose graph.
-    """
-
-    first_from_second: Array
-    overlap: float
-    fitness: float
-    contradicted: float
-    rmse: float
-    constraint: Array
-    information: Array
+    first_from_second: Array  # (4, 4)
+    overlap: float  # fraction of the second station's sample that the first could see
+    fitness: float  # fraction of those with a partner
+    contradicted: float  # fraction of those without a partner that the first station sees through
+    rmse: float  # root mean square distance of partners along their normals, metres
+    constraint: Array  # (6,) ascending, see `motion_constraint`. Near 0 the stations can slide or turn along each other
+    information: Array  # (6, 6) rotation then translation, in the first station's frame, for the pose graph
 
 
 class Partners(NamedTuple):
-    """Pairs of points.
+    """Pairs of points."""
 
-    Attributes:
-        row: (k,) of the moved cloud.
-        residual: (k,) metres along ``axes``.
-        axes: (k, 3) means of both normals.
-        facing: (k, 3) normals at the partners.
-    """
-
-    row: npt.NDArray[np.int64]
-    residual: Array
-    axes: Array
-    facing: Array
+    row: npt.NDArray[np.int64]  # (k,) of the moved cloud
+    residual: Array  # (k,) metres along ``axes``
+    axes: Array  # (k, 3) means of both normals
+    facing: Array  # (k, 3) normals at the partners
 
 
 def fine_icp(first: StationView, second: Cloud, start: Array, settings: ReconstructionSettings) -> IcpResult:

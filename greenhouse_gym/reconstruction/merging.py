@@ -33,19 +33,12 @@ _MIN_CONTRADICTING = 2  # stations that must see through a point to remove it
 
 @dataclass(frozen=True, eq=False)
 class MergedStations:
-    """Merged stations.
+    """Merged stations."""
 
-    Attributes:
-        cloud: One point per voxel.
-        station: (n,) number of the station that observed each point first.
-        observers: (n,) number of stations with a point within about the outlier radius.
-        isolated: (n,) bool, too few neighbors within the outlier radius.
-    """
-
-    cloud: Cloud
-    station: npt.NDArray[np.int32]
-    observers: npt.NDArray[np.int32]
-    isolated: npt.NDArray[np.bool_]
+    cloud: Cloud  # one point per voxel
+    station: npt.NDArray[np.int32]  # (n,) number of the station that observed each point first
+    observers: npt.NDArray[np.int32]  # (n,) number of stations with a point within about the outlier radius
+    isolated: npt.NDArray[np.bool_]  # (n,) bool, too few neighbors within the outlier radius
 
 
 def merge_stations(

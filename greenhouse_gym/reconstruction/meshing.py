@@ -181,9 +181,7 @@ def _with_area(vertices: Array, triangles: npt.NDArray[np.int64]) -> npt.NDArray
 def _clean(vertices: Any, triangles: Any) -> TriangleMesh:
     """Remove the faults that `check_mesh` names; of faces with the same vertices the first stays.
 
-    Args:
-        vertices: (v, 3) metres, an array or Open3D's vector.
-        triangles: (t, 3) vertex indices, all in range, an array or Open3D's vector.
+    Vertices (v, 3), metres, and triangles (t, 3), indices in range, are arrays or Open3D's vectors.
     """
     vertices, triangles = np.asarray(vertices), np.asarray(triangles, dtype=np.int64).reshape(-1, 3)
     triangles = triangles[_with_area(vertices, triangles)]

@@ -41,17 +41,11 @@ class CarvingSettings:
 
 @dataclass(frozen=True, eq=False)
 class CarvedSpace:
-    """Occupancy of the space in front of a row.
+    """Occupancy of the space in front of a row."""
 
-    Attributes:
-        states: (x, y, z) state of each voxel, see `greenhouse_gym.scene.occupancy`.
-        origin: (3,) lower corner of the first voxel in the requested frame, metres.
-        voxel: Side of a voxel, metres.
-    """
-
-    states: States
-    origin: Array
-    voxel: float
+    states: States  # (x, y, z) state of each voxel, see `greenhouse_gym.scene.occupancy`
+    origin: Array  # (3,) lower corner of the first voxel in the requested frame, metres
+    voxel: float  # side of a voxel, metres
 
     def cut(self, low: npt.ArrayLike, high: npt.ArrayLike) -> tuple[States, Array]:
         """Return the voxels of a part from a corner (3,) to the opposite one, metres, and the part's origin (3,)."""

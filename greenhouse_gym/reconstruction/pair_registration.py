@@ -26,25 +26,15 @@ _MIN_CONSTRAINT = (0.003, 0.05)  # of the two loosest motions; walls and tables 
 
 
 class Registration(NamedTuple):
-    """Registration of a station to an earlier one, accepted or refused.
+    """Registration of a station to an earlier one, accepted or refused."""
 
-    Attributes:
-        first_from_second: (4, 4) pose of the second station's rig frame in the first's.
-        reason: Reason of a refusal, or "".
-        shift: The best shift of the silhouettes, if any.
-        offset: (3,) mean offset of the shared pixels in the rig frame, metres, from which ICP started.
-        fitness: Fraction of the points in view of both with a partner within the fine distance.
-        rmse: Root mean square distance of those partners along their normals, metres; None without partners.
-        information: (6, 6) information matrix for the pose graph.
-    """
-
-    first_from_second: Array
-    reason: str
-    shift: Shift | None = None
-    offset: Array | None = None
-    fitness: float = 0.0
-    rmse: float | None = None
-    information: Array | None = None
+    first_from_second: Array  # (4, 4) pose of the second station's rig frame in the first's
+    reason: str  # reason of a refusal, or ""
+    shift: Shift | None = None  # the best shift of the silhouettes, if any
+    offset: Array | None = None  # (3,) mean offset of shared pixels in the rig frame, metres; start of ICP
+    fitness: float = 0.0  # fraction of the points in view of both with a partner within the fine distance
+    rmse: float | None = None  # root mean square distance of those partners along their normals, metres
+    information: Array | None = None  # (6, 6) information matrix for the pose graph
 
     @property
     def accepted(self) -> bool:

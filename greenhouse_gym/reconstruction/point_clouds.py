@@ -18,17 +18,11 @@ _MAX_FAILED = 0.9  # fraction of the points beyond these bounds
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """Points with colors and normals.
+    """Points with colors and normals."""
 
-    Attributes:
-        points: (n, 3) metres.
-        colors: (n, 3) RGB in [0, 1].
-        normals: (n, 3) unit vectors, toward the cameras.
-    """
-
-    points: Array
-    colors: Array
-    normals: Array
+    points: Array  # (n, 3) metres
+    colors: Array  # (n, 3) RGB in [0, 1]
+    normals: Array  # (n, 3) unit vectors, toward the cameras
 
     def __len__(self) -> int:
         return len(self.points)

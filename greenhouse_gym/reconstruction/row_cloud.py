@@ -25,15 +25,10 @@ from greenhouse_gym.reconstruction.station_views import MinDepth
 
 @dataclass(frozen=True, eq=False)
 class ObservedSpace:
-    """Depth images of the registered stations, reduced to what occupancy is carved from.
+    """Depth images of the registered stations, reduced to what occupancy is carved from."""
 
-    Attributes:
-        rig: The calibrated cameras.
-        min_depths: The nearest reading of each block of pixels, for each station and camera.
-    """
-
-    rig: Rig
-    min_depths: Mapping[int, Mapping[str, MinDepth]]
+    rig: Rig  # the calibrated cameras
+    min_depths: Mapping[int, Mapping[str, MinDepth]]  # by station and camera
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,14 +92,9 @@ def reconstruct_segments(
     folder: str | Path | None = None,
     max_segments: int | None = None,
 ) -> tuple[RowCloud, ...]:
-    """Reconstruct all segments as `reconstruct_row` does, the one with the most stations first, each in its own frame.
+    """Reconstruct all segments, or up to ``max_segments``, the one with the most stations first.
 
-    Args:
-        recording: The recording.
-        settings: All settings.
-        on_station: Called with the number of each station when it is done.
-        folder: Folder of the journal.
-        max_segments: Maximum number of segments; None for all.
+    Each segment has its own frame. The other arguments are those of `reconstruct_row`.
     """
     settings = settings or settings_for(recording)
     stations = register_stations(recording, settings, on_station, None if folder is None else Path(folder))

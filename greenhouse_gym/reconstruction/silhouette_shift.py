@@ -9,17 +9,11 @@ import numpy.typing as npt
 
 
 class Shift(NamedTuple):
-    """A shift of silhouettes along an image axis.
+    """A shift of silhouettes along an image axis."""
 
-    Attributes:
-        pixels: Row (or column) r + pixels of the first image shows what row r of the second shows.
-        axis: Image axis: 0 = along the rows' index (vertical), 1 = horizontal.
-        difference: Pixels that differ, as a fraction of the foreground in the overlap; 0 = the same, 1 = disjoint.
-    """
-
-    pixels: int
-    axis: int
-    difference: float
+    pixels: int  # row (or column) r + pixels of the first image shows what row r of the second shows
+    axis: int  # image axis: 0 = along the rows' index (vertical), 1 = horizontal
+    difference: float  # pixels that differ, as a fraction of the foreground in the overlap; 0 = the same, 1 = disjoint
 
 
 def overlapping_parts(image: npt.NDArray[np.generic], shift: int, axis: int) -> tuple[slice, slice]:

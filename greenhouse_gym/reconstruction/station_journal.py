@@ -31,19 +31,12 @@ _VERSION = 4  # of the registration; raise it when results change, so that older
 
 @dataclass(frozen=True, eq=False)
 class JournalEntry:
-    """Result of one station.
+    """Result of one station."""
 
-    Attributes:
-        report: Its report; ``segment`` is the number of its segment's first station.
-        edges: Its accepted registrations, by the number of the earlier station.
-        cloud: Its foreground in its rig frame; None without any.
-        min_depths: Nearest readings of each of its cameras.
-    """
-
-    report: StationReport
-    edges: dict[int, PoseEdge] = field(default_factory=dict)
-    cloud: PackedCloud | None = None
-    min_depths: Mapping[str, MinDepth] = field(default_factory=dict)
+    report: StationReport  # its report; ``segment`` is the number of its segment's first station
+    edges: dict[int, PoseEdge] = field(default_factory=dict)  # by the number of the earlier station
+    cloud: PackedCloud | None = None  # its foreground in its rig frame; None without any
+    min_depths: Mapping[str, MinDepth] = field(default_factory=dict)  # nearest readings of each of its cameras
 
 
 @dataclass(eq=False)

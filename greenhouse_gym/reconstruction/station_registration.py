@@ -44,27 +44,16 @@ Segments = dict[int, list[int]]
 
 @dataclass(frozen=True, eq=False)
 class RegisteredStations:
-    """Result of station registration.
+    """Result of station registration."""
 
-    Attributes:
-        calibration: The calibrated cameras.
-        calibration_report: Figures of the calibration.
-        reports: Report of each station.
-        segments: Numbers of the stations of each segment, the longest first.
-        edges: Accepted registrations by the numbers of the earlier and the later station.
-        clouds: Each station's foreground in its rig frame, by its number.
-        min_depths: Nearest readings of each station's cameras.
-        seconds: Time of each stage.
-    """
-
-    calibration: Calibration
-    calibration_report: CalibrationReport
-    reports: tuple[StationReport, ...]
-    segments: tuple[tuple[int, ...], ...]
-    edges: PoseEdges
-    clouds: Mapping[int, PackedCloud]
-    min_depths: Mapping[int, Mapping[str, MinDepth]]
-    seconds: dict[str, float]
+    calibration: Calibration  # the calibrated cameras
+    calibration_report: CalibrationReport  # figures of the calibration
+    reports: tuple[StationReport, ...]  # report of each station
+    segments: tuple[tuple[int, ...], ...]  # numbers of the stations of each segment, the longest first
+    edges: PoseEdges  # accepted registrations by the numbers of the earlier and the later station
+    clouds: Mapping[int, PackedCloud]  # each station's foreground in its rig frame, by its number
+    min_depths: Mapping[int, Mapping[str, MinDepth]]  # nearest readings of each station's cameras
+    seconds: dict[str, float]  # time of each stage
 
 
 def register_stations(

@@ -29,36 +29,22 @@ MinDepth: TypeAlias = npt.NDArray[np.uint16]
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """Calibrated cameras, as far as their errors are known.
+    """Calibrated cameras, as far as their errors are known; a camera reports ``(1 + bias)`` times the depth."""
 
-    Attributes:
-        rig: The rig with corrected camera poses.
-        bias: Relative depth error by camera: it reports ``(1 + bias)`` times the depth; 0 where not named.
-        edge_fattening: Edge fattening in the depth images of all cameras.
-    """
-
-    rig: Rig
-    bias: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
-    edge_fattening: EdgeFattening = field(default_factory=EdgeFattening)
+    rig: Rig  # with corrected camera poses
+    bias: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))  # relative depth error by camera
+    edge_fattening: EdgeFattening = field(default_factory=EdgeFattening)  # of the depth images of all cameras
 
 
 @dataclass(frozen=True, eq=False)
 class CameraView:
-    """One camera's image of a station, corrected.
-
-    Attributes:
-        camera: The camera.
-        color: (height, width, 3) uint8 RGB.
-        depth: (height, width) float32 metres, without depth error and edge fattening; 0 = no reading.
-        foreground: (height, width) mask of the row's pixels.
-        normals: (height, width, 3) float32 unit normals of the foreground in the rig frame, toward the camera.
-    """
+    """One camera's image of a station, corrected."""
 
     camera: Camera
-    color: npt.NDArray[np.uint8]
-    depth: npt.NDArray[np.float32]
-    foreground: npt.NDArray[np.bool_]
-    normals: npt.NDArray[np.float32]
+    color: npt.NDArray[np.uint8]  # (height, width, 3) RGB
+    depth: npt.NDArray[np.float32]  # (height, width) metres, corrected; 0 = no reading
+    foreground: npt.NDArray[np.bool_]  # (height, width) mask of the row's pixels
+    normals: npt.NDArray[np.float32]  # (height, width, 3) unit, in the rig frame, toward the camera
 
     def points(self, rows: npt.NDArray[np.int64], columns: npt.NDArray[np.int64]) -> Array:
         """Return the points (n, 3) of pixels (n,) in the rig frame."""
@@ -87,19 +73,12 @@ class CameraView:
 
 @dataclass(frozen=True, eq=False)
 class StationView:
-    """All cameras' images of a station, corrected.
+    """All cameras' images of a station, corrected."""
 
-    Attributes:
-        cameras: By name.
-        reference: The camera whose silhouettes align the stations.
-        sample: Subset of the foreground in the rig frame, for ICP to move.
-        world_from_station: (4, 4) pose of the rig frame as the recording gives it; None where it does not.
-    """
-
-    cameras: Mapping[str, CameraView]
-    reference: CameraView
-    sample: Cloud
-    world_from_station: Array | None = None
+    cameras: Mapping[str, CameraView]  # by name
+    reference: CameraView  # the camera whose silhouettes align the stations
+    sample: Cloud  # subset of the foreground in the rig frame, for ICP to move
+    world_from_station: Array | None = None  # (4, 4) as the recording gives it
 
     @property
     def blind(self) -> tuple[str, ...]:

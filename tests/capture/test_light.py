@@ -78,7 +78,7 @@ def test_a_leaf_throws_its_shadow_and_triangles_know_their_shape() -> None:
     light = Light(azimuth=np.pi, elevation=1.0, sun=1.0, diffuse=0.5, gloss=0.0)
     caster = RowRaycaster.of(bare_stem(), light)
     level = np.column_stack([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
-    view = caster.look(pose(level, np.array([0.0, 0.0, 1.0])), Intrinsics(320, 240, 200.0, 200.0, 159.5, 119.5))
+    view = caster.render(pose(level, np.array([0.0, 0.0, 1.0])), Intrinsics(320, 240, 200.0, 200.0, 159.5, 119.5))
     column = view.color[:, 160].astype(int).sum(axis=1)
     on_stem = view.shape[:, 160] == 0
     # the sun comes down on the aisle's side: the leaf at 1.2 m shades what lies below it, not the foot of the pole

@@ -72,7 +72,7 @@ def test_depth_is_along_the_optical_axis() -> None:
     beside = Tomato(Sphere([0.5, 0.15, 1.2], 0.04), truss=0, ripeness=0.0)
     caster = RowRaycaster.of(PlantRow((ball, beside), (), (), 1.0, 0))
     camera = HALF.cameras["middle"]
-    view = caster.look(camera.rig_from_camera, camera.intrinsics)
+    view = caster.render(camera.rig_from_camera, camera.intrinsics)
     assert view.depth[view.shape == 0].min() == pytest.approx(0.46, abs=5e-4)
     assert view.depth[view.shape == 1].min() == pytest.approx(0.46, abs=2e-3)  # not the length of the ray
     rows, columns = np.nonzero(view.shape == 0)  # pixels are counted from their centers
@@ -90,7 +90,7 @@ def test_shapes_are_numbered_tomatoes_stems_clutter_row_behind() -> None:
     shapes += row.behind.shapes
     camera = HALF.cameras["middle"]
     world_from_camera = pose(translation=[0.0, 0.25, 0.0]) @ camera.rig_from_camera
-    view = RowRaycaster.of(row).look(world_from_camera, camera.intrinsics)
+    view = RowRaycaster.of(row).render(world_from_camera, camera.intrinsics)
     rows, columns = np.nonzero(view.shape >= 0)
     chosen = np.random.default_rng(0).choice(len(rows), 2000, replace=False)
     rows, columns = rows[chosen], columns[chosen]

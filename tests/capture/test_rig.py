@@ -44,7 +44,8 @@ def test_silhouettes_move_up_in_the_image_as_the_tripod_goes_along_the_row() -> 
 def test_silhouettes_of_a_rendered_row_move_up() -> None:
     camera = HALF.cameras["middle"]
     caster = RowRaycaster.of(grown())
-    views = [caster.look(pose(translation=[0, y, 0]) @ camera.rig_from_camera, camera.intrinsics) for y in (0.2, 0.25)]
+    poses = [pose(translation=[0, y, 0]) @ camera.rig_from_camera for y in (0.2, 0.25)]
+    views = [caster.render(each, camera.intrinsics) for each in poses]
     both = np.intersect1d(*(view.shape[view.depth < 0.6] for view in views))
     both = both[(both >= 0) & (both < len(grown().tomatoes))]
     moved = []
@@ -72,7 +73,7 @@ def test_all_cameras_of_a_rig_see_one_world(beam: Literal["level", "upright"], p
     caster = RowRaycaster.of(grown())
     shapes = grown().shapes
     for camera in rig.cameras.values():
-        view = caster.look(station @ camera.rig_from_camera, camera.intrinsics)
+        view = caster.render(station @ camera.rig_from_camera, camera.intrinsics)
         depth = np.where(view.depth < 0.6, view.depth, 0).astype(np.float32)
         points = RgbdFrame(view.color, depth, camera.intrinsics).points()
         assert len(points) > 500

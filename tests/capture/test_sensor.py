@@ -134,7 +134,7 @@ def test_share_of_holes_in_the_foreground_of_a_row() -> None:
         for along in (0.1, 0.4):
             pose = np.eye(4)
             pose[1, 3] = along
-            true = caster.look(pose @ camera.rig_from_camera, D435_DEPTH).depth
+            true = caster.render(pose @ camera.rig_from_camera, D435_DEPTH).depth
             measured = sense_depth(true, D435_DEPTH.fx, np.random.default_rng(0))
             foreground = true < 0.6
             foreground[:, :band] = False

@@ -21,32 +21,20 @@ with needs("reconstruct"):
 
 @dataclass(frozen=True, eq=False)
 class Lens:
-    """A pinhole camera and the distortion of its images.
+    """A pinhole camera and the distortion of its images."""
 
-    Attributes:
-        intrinsics: The pinhole.
-        distortion: OpenCV's coefficients (k1, k2, p1, p2, k3, ...); empty for rectified images.
-    """
-
-    intrinsics: Intrinsics
-    distortion: tuple[float, ...] = ()
+    intrinsics: Intrinsics  # the pinhole
+    distortion: tuple[float, ...] = ()  # OpenCV's coefficients (k1, k2, p1, p2, k3, ...); empty for rectified images
 
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """Lenses, relative pose and units of a camera's color and depth images.
+    """Lenses, relative pose and units of a camera's color and depth images."""
 
-    Attributes:
-        color: The color camera's lens.
-        depth: The depth camera's lens; None where depth is aligned to color already.
-        color_from_depth: (4, 4) pose of the depth camera in the color camera, metres.
-        depth_scale: Metres per unit of whole numbers; fractional numbers are metres.
-    """
-
-    color: Lens
-    depth: Lens | None = None
-    color_from_depth: Array = field(default_factory=lambda: np.eye(4))
-    depth_scale: float = 0.001
+    color: Lens  # the color camera's lens
+    depth: Lens | None = None  # the depth camera's lens; None where depth is aligned to color already
+    color_from_depth: Array = field(default_factory=lambda: np.eye(4))  # (4, 4) metres
+    depth_scale: float = 0.001  # metres per unit of whole numbers; fractional numbers are metres
 
     @classmethod
     def of(cls, color: Lens, depth: Lens, color_from_depth: Array, depth_scale: float = 0.001) -> Pair:
