@@ -15,7 +15,7 @@ from greenhouse_gym.accuracy.clouds import (
 )
 from greenhouse_gym.accuracy.completeness import completeness, visible_surface
 from greenhouse_gym.accuracy.cover import coverage, excess
-from greenhouse_gym.accuracy.skin import skin_points
+from greenhouse_gym.accuracy.skin_points import skin_points
 from greenhouse_gym.accuracy.stems import StemComparison, compare_stems, pool_stems
 from greenhouse_gym.accuracy.tomatoes import (
     OCCLUSION_BANDS,
