@@ -50,7 +50,7 @@ class Palette:
         (0.86, 0.42, 0.12),
         (0.76, 0.10, 0.07),
     )
-    stems: Mapping[str, Color] = field(default_factory=lambda: _STEM_COLORS)
+    stems: Mapping[str, Color] = field(default_factory=lambda: dict(_STEM_COLORS))
     leaf: Color = (0.20, 0.42, 0.16)
 
 

@@ -40,8 +40,8 @@ The first misses a collision in one search out of thirty and needs half the chec
 COARSE = 0.05
 """Resolution of first checks, before a motion is proven free, metres."""
 
-COLLISION_PAIRS = ("tomatoes", "stems", "clutter", "stand", "self")
-"""Groups of geoms that an arm can be checked against; the stand is the floor and the cart."""
+COLLISION_PAIRS = ("tomatoes", "stems", "clutter", "fixture", "self")
+"""Groups of geoms that an arm can be checked against; the fixture is the floor and the cart."""
 
 CLEARANCE_RANGE = 0.1
 """Largest clearance that is measured, metres."""
@@ -102,7 +102,7 @@ def _leave_out(compiled: CompiledScene, model: mujoco.MjModel, pairs: Collection
         "tomatoes": np.arange(first, first + tomatoes),
         "stems": np.arange(first + tomatoes, first + tomatoes + stems),
         "clutter": np.arange(first + tomatoes + stems, first + tomatoes + stems + clutter),
-        "placement": world[(world < first) | (world >= compiled.obstacle_geoms.stop)],
+        "fixture": world[(world < first) | (world >= compiled.obstacle_geoms.stop)],
         "self": np.empty(0, dtype=np.int64),
     }
     for pair in pairs:
@@ -138,7 +138,7 @@ def smallest_clearance(compiled: CompiledScene, model: mujoco.MjModel, target: i
     """
     model = _with_world_at_rest(model)
     set_margin(model, np.arange(compiled.obstacle_geoms.start, compiled.obstacle_geoms.stop), CLEARANCE_RANGE)
-    _leave_out(compiled, model, ("stand", "self"))
+    _leave_out(compiled, model, ("fixture", "self"))
     model.geom_contype[compiled.tomato_geom(target)] = model.geom_conaffinity[compiled.tomato_geom(target)] = 0
     checker = CollisionChecker(model)
     return min(CLEARANCE_RANGE, *(checker.clearance(configuration) for configuration in configurations))
