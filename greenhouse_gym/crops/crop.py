@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
 from typing import Any, Protocol
 
 import numpy as np
@@ -66,7 +65,7 @@ class Crop:
     name: str
     sources: Mapping[str, Growth]
     palette: Palette = field(default_factory=Palette)
-    shape_settings: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    shape_settings: Mapping[str, Any] = field(default_factory=dict)
     motion: PlantMotion = field(default_factory=PlantMotion)
 
     def grow(
