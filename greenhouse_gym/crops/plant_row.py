@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 
 from greenhouse_gym.crops.organs import Organ
 from greenhouse_gym.crops.parts import Stem, Tomato
@@ -23,15 +22,13 @@ LOWEST_TRUSS, HIGHEST_TRUSS = 0.6, 2.2
 
 Color = tuple[float, float, float]
 
-_STEM_COLORS: Mapping[str, Color] = MappingProxyType(
-    {
-        "main": (0.36, 0.50, 0.22),
-        "peduncle": (0.42, 0.58, 0.26),
-        "pedicel": (0.45, 0.60, 0.28),
-        "string": (0.85, 0.84, 0.78),
-        "pipe": (0.80, 0.80, 0.80),
-    }
-)
+_STEM_COLORS: dict[str, Color] = {
+    "main": (0.36, 0.50, 0.22),
+    "peduncle": (0.42, 0.58, 0.26),
+    "pedicel": (0.45, 0.60, 0.28),
+    "string": (0.85, 0.84, 0.78),
+    "pipe": (0.80, 0.80, 0.80),
+}
 
 
 @dataclass(frozen=True)
@@ -50,7 +47,7 @@ class Palette:
         (0.86, 0.42, 0.12),
         (0.76, 0.10, 0.07),
     )
-    stems: Mapping[str, Color] = field(default_factory=lambda: dict(_STEM_COLORS))
+    stems: Mapping[str, Color] = field(default_factory=_STEM_COLORS.copy)
     leaf: Color = (0.20, 0.42, 0.16)
 
 

@@ -293,8 +293,8 @@ def test_nobody_puts_an_arm_up_in_the_plants(calls: Calls, tmp_path: Path) -> No
     bank = build_bank([one], tmp_path / "one", "made-up", on_stage=said.append)
     assert bank.names() == ["row-00", "row-02"]
     assert calls.certified == bank.names()
-    assert any("1 of 3 stands left out" in line for line in said)
-    with pytest.raises(InvalidValueError, match=r"'row': at all 3 stands.*stem_distance, now 0\.6 m"):
+    assert any("1 of 3 placements left out" in line for line in said)
+    with pytest.raises(InvalidValueError, match=r"'row': at all 3 placements.*stem_distance, now 0\.6 m"):
         built(tmp_path / "all", [all_stands])
 
 
