@@ -72,7 +72,7 @@ class PackedCloud:
 
 
 def voxels(points: Array, size: float, offset: float = 0.0) -> npt.NDArray[np.int64]:
-    """Return (n,) the index of the voxel of ``size`` metres in which each point (n, 3) lies; ``offset`` shifts the grid."""
+    """Return the index of each point's voxel (n,) for points (n, 3); ``offset`` shifts the grid, in voxels."""
     cubes = np.floor(points / size + offset).astype(np.int64)
     cubes -= cubes.min(axis=0, initial=0)
     extent = cubes.max(axis=0, initial=0) + 1
