@@ -1,4 +1,4 @@
-"""Hooks of the documentation site: pictures of the benchmarks, the page of commands, and what a page must not do."""
+"""Hooks of the documentation site: pictures of the benchmarks, the page of commands, and a check of foreign links."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ STYLES = re.compile(
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add what the benchmarks drew and wrote: pages refer to it where it lies in the repository."""
+    """Add the files of benchmark results, to which pages refer by their paths in the repository."""
     for path in sorted((ROOT / RESULTS).rglob("*")):
         if path.suffix in (".png", ".jpg", ".gif", ".json"):
             name = path.relative_to(ROOT).as_posix()
@@ -32,18 +32,18 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Point to the site's copies of what the benchmarks wrote, and fill in the commands."""
+    """Redirect links to the site's copies of benchmark results, and insert the commands."""
     markdown = re.sub(rf"\]\(\.\./((?:\.\./)*{RESULTS}/)", r"](\1", markdown)
     return markdown.replace("<!-- commands -->", commands()) if page.file.src_uri == "commands.md" else markdown
 
 
 def commands() -> str:
-    """All commands with their arguments and options, as ``--help`` tells them."""
+    """Return all commands with their arguments and options, as ``--help`` prints them."""
     return "\n".join(_command(get_command(app), "greenhouse-gym"))
 
 
 def _command(command: Any, name: str) -> list[str]:
-    """A command, or what is in a group of them."""
+    """Return the lines of a command, or of the commands in a group."""
     if subcommands := getattr(command, "commands", None):
         return [line for key, child in subcommands.items() for line in _command(child, f"{name} {key}")]
     context = command.make_context(name, [], resilient_parsing=True)
@@ -62,7 +62,7 @@ def _row(parameter: Any) -> str:
 
 
 def on_post_build(config: MkDocsConfig) -> None:
-    """Fail where a page would load anything from the network."""
+    """Raise an error if a page would load anything from the network."""
     for page in Path(config.site_dir).rglob("*.html"):
         text = page.read_text(encoding="utf-8")
         foreign = FOREIGN.search(text) or STYLES.search(text)

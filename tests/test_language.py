@@ -13,7 +13,7 @@ from typing import NamedTuple
 import pytest
 
 ROOT = Path(__file__).parent.parent
-CODE = sorted(path for folder in ("greenhouse_gym", "training", "benchmarks", "examples") for path in
+CODE = sorted(path for folder in ("greenhouse_gym", "training", "benchmarks", "examples", "docs") for path in
               (ROOT / folder).rglob("*.py"))  # fmt: skip
 PAGES = [path for path in sorted(ROOT.glob("*.md")) if path.name != "CHANGELOG.md"]
 PAGES += [*sorted((ROOT / "docs").rglob("*.md")), ROOT / "scenes" / "README.md", ROOT / "benchmarks" / "README.md"]
@@ -104,8 +104,7 @@ def docstrings(path: Path, code: str) -> Iterator[Line]:
     """Yield the docstrings of a module, its classes and its functions."""
     for node in ast.walk(ast.parse(code)):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-            if text := ast.get_docstring(node):
-                yield Line(path, getattr(node, "lineno", 1), text)
+            yield Line(path, getattr(node, "lineno", 1), ast.get_docstring(node) or "")
 
 
 def prose(path: Path, code: str) -> Iterator[Line]:
@@ -141,7 +140,7 @@ def words(name: str) -> set[str]:
 
 
 def indirect_questions(path: Path, code: str) -> list[Line]:
-    first = (line._replace(text=line.text.splitlines()[0]) for line in docstrings(path, code))
+    first = (line._replace(text=line.text.partition("\n")[0]) for line in docstrings(path, code))
     return [line for line in first if INDIRECT_QUESTION.match(line.text)]
 
 

@@ -66,7 +66,7 @@ class PackedCloud:
 
 
 def voxels(points: Array, size: float, offset: float = 0.0) -> npt.NDArray[np.int64]:
-    """Number the cubes of ``size`` metres that points (n, 3) lie in, the grid shifted by ``offset`` cubes: (n,)."""
+    """Return the index of each point's voxel (n,) for points (n, 3); ``offset`` shifts the grid, in voxels."""
     cubes = np.floor(points / size + offset).astype(np.int64)
     cubes -= cubes.min(axis=0, initial=0)
     extent = cubes.max(axis=0, initial=0) + 1
