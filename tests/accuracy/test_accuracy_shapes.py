@@ -230,11 +230,11 @@ def test_one_false_tomato_costs_precision_in_the_band_it_claims() -> None:
 
 def test_a_moved_tomato_is_off_within_a_radius_and_lost_beyond() -> None:
     first, *others = fruits()
-    near = compared([replace(first, center=first.center + [0, 0, 0.02], radius=0.033), *others])
+    near = compared([replace(first, shape=Sphere(first.center + [0, 0, 0.02], 0.033)), *others])
     assert near.f1 == 1.0
     assert sorted(near.center_error)[-2:] == pytest.approx([0.0, 0.02])
     assert max(near.diameter_error) == pytest.approx(0.1)
-    far = compared([replace(first, center=first.center - [0, 0, 0.031]), *others])
+    far = compared([replace(first, shape=Sphere(first.center - [0, 0, 0.031], first.radius)), *others])
     assert (far.precision, far.recall) == (7 / 8, 7 / 8)
     assert far.truss_right.tolist() == [False, True, True]
 
