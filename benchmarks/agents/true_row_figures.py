@@ -109,6 +109,6 @@ def knowledge_at(scene: Scene, point: Array) -> str:
     """Return what the scan knew of a point (3,), as `scan_knowledge` does."""
     away = float(distance_to_shapes(point[None], scene.obstacles).min(initial=np.inf))
     edge = next((edge for edge in EDGES if away < edge), None)
-    state = "no occupancy grid" if scene.occupancy is None else STATES[int(scene.occupancy.at(point[None])[0])]
+    state = "no occupancy grid" if scene.occupancy is None else STATES[int(scene.occupancy.states_at(point[None])[0])]
     near = f"no shape within {100 * EDGES[-1]:g} cm" if edge is None else f"shape within {100 * edge:g} cm"
     return f"{state}, {near}"

@@ -50,7 +50,7 @@ def test_observations_in_parts_are_kept_part_by_part(
 
 
 def test_nothing_to_keep_and_the_test_split_are_told(bank: SceneBank, tmp_path: Path) -> None:
-    with pytest.raises(InvalidValueError, match="nothing to keep"):
+    with pytest.raises(InvalidValueError, match="nothing to record"):
         record_demonstrations(RandomAgent(), tmp_path, 1, bank=bank, step_limit=1)
     with pytest.raises(InvalidValueError, match="test"):
         record_demonstrations(RandomAgent(), tmp_path, 1, split="test", bank=bank)

@@ -71,7 +71,7 @@ def test_some_of_the_tomatoes_within_reach_are_drawn(rows: Any, scene: Scene) ->
 def test_options_make_planners_and_watchful_agents(rows: Any) -> None:
     options = rows.options_from(["margin=0.02", "image=[64, 48]", "unknown=avoid", "surfaces=true"])
     assert options == {"margin": 0.02, "image": [64, 48], "unknown": "avoid", "surfaces": True}
-    assert rows.agent_from("watchful", {"margin": 0.02})._cares[0].margin == 0.02
+    assert rows.agent_from("watchful", {"margin": 0.02})._levels[0].margin == 0.02
     planner = rows.agent_from("RRTConnect", {"margin": 0.01, "unknown": 0.1})
     assert (planner.margin, planner.unknown) == (0.01, 0.1)
     assert rows.agent_from("straight-line", {}).name == "straight-line"

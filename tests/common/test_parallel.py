@@ -129,7 +129,7 @@ def test_a_lost_process_is_told() -> None:
 def test_an_executor_that_was_shut_down_is_told() -> None:
     executor = ThreadPoolExecutor(1)
     executor.shutdown()
-    with pytest.raises(InvalidValueError, match="an executor that is at work"):
+    with pytest.raises(InvalidValueError, match="an open executor"):
         list(completed(squared, range(3), executor))
 
 

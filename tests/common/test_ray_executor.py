@@ -123,7 +123,7 @@ def test_a_path_that_a_node_does_not_see_is_told(cluster: RayExecutor, tmp_path:
 def test_a_cluster_that_was_left_is_told(cluster: RayExecutor) -> None:
     other = RayExecutor()
     other.shutdown()
-    with pytest.raises(InvalidValueError, match="an executor that is at work"):
+    with pytest.raises(InvalidValueError, match="an open executor"):
         list(completed(squared, range(3), other))
     assert list(completed(squared, [3], cluster)) == [(3, 9)]
 

@@ -119,7 +119,7 @@ def test_every_field_is_shown_with_what_its_class_says_of_it() -> None:
     ]
     shown = as_toml(BuildSettings(), comments=True)
     assert "foreground = 0.6  # m, the paper's cut" in shown
-    assert "spacing = 0.5  # between the stands of two scenes of a row" in shown
+    assert "spacing = 0.5  # between the placements of two scenes of a row" in shown
     assert (
         "[shapes]\n# Settings for extracting shapes from a cloud. Lengths are in metres.\nvoxel = 0.003  # voxel"
         in shown
@@ -129,7 +129,7 @@ def test_every_field_is_shown_with_what_its_class_says_of_it() -> None:
 def test_null_stands_for_none_and_is_kept(tmp_path: Path) -> None:
     chosen = resolve(BuildSettings(), None, ["shapes.small_radii=null", "max_targets=null"])
     assert chosen.shapes.small_radii is None
-    assert chosen.targets is None
+    assert chosen.max_targets is None
     file = tmp_path / "settings.toml"
     file.write_text(as_toml(chosen))
     assert resolve(BuildSettings(), file) == chosen

@@ -43,7 +43,7 @@ def test_many_simulations_are_told_what_one_is() -> None:
 
 def test_scenes_that_do_not_know_are_named(bank: SceneBank) -> None:
     env = GreenhouseEnv(bank=bank, observation="state_occupancy")
-    with pytest.raises(InvalidValueError, match=r"made-up-\d.*seen of its space.*state"):
+    with pytest.raises(InvalidValueError, match=r"made-up-\d.*no occupancy grid.*state"):
         env.reset(seed=0)
 
 

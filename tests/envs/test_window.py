@@ -139,9 +139,9 @@ def test_parts_and_unions_of_banks_travel(bank: SceneBank) -> None:
 def test_of_the_scenes_drawn_from_those_asked_for_last_are_kept(
     small: None, monkeypatch: pytest.MonkeyPatch, bank: SceneBank
 ) -> None:
-    monkeypatch.setattr(episodes, "_KEPT", 2)
+    monkeypatch.setattr(episodes, "_CACHED", 2)
     sampler = GreenhouseEnv(bank=bank).simulation.sampler
     first, second, third = [bank.scene(name) for name in bank.names()[:3]]
     for scene in (first, second, first, third):
         sampler._fitting(scene, ("easy",))
-    assert [key[0] for key in sampler._kept] == [id(first), id(third)]
+    assert [key[0] for key in sampler._cache] == [id(first), id(third)]
