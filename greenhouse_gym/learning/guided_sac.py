@@ -30,7 +30,7 @@ class Demonstrator:
 
     def __init__(self, layout: Layout, seed: int):
         groups = feature_slices(layout)
-        self._direction, self._free = groups["waypoint_direction"], groups["way"].start + 1
+        self._direction, self._free = groups["waypoint_direction"], groups["path"].start + 1
         self._rng = np.random.default_rng(seed)
 
     def actions(self, observed: dict[str, Any]) -> Any:
