@@ -39,9 +39,9 @@ class ThreeTomatoes(Task):
     def evaluate(self, state: State) -> Outcome:
         """Go on to the next tomato when one is touched; the last one is the success."""
         distance = np.linalg.norm(state.goal - state.grasp, axis=1)
-        touched = (distance < 0.03) & ~state.collided
-        count = state.memory["touched"] + touched
-        return Outcome(distance, touched & (state.remaining == 1), state.collided, touched, {"touched": count})
+        reached = (distance < 0.03) & ~state.collided
+        count = state.memory["touched"] + reached
+        return Outcome(distance, reached & (state.remaining == 1), state.collided, reached, {"touched": count})
 
 
 if __name__ == "__main__":

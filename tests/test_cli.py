@@ -500,7 +500,7 @@ def test_demonstrations_print_how_to_load_them(tmp_path: Path, monkeypatch: pyte
     shown = run("demonstrations", "--agent", STILL, "--episodes", "3", "--bank", "mini", "--out", tmp_path)
     assert f"MINARI_DATASETS_PATH={tmp_path} and minari.load_dataset('tomato-reach/still-v0')" in shown
     (asked_for,) = asked
-    del asked_for["tell"]
+    del asked_for["on_progress"]
     assert asked_for == {"agent": STILL, "episodes": 3, "split": "train", "bank": "mini", "observation": "state"}
 
 

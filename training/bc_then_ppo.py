@@ -17,7 +17,10 @@ def main() -> None:
     """Train, then evaluate the policy on validation episodes."""
     arguments, settings = parsed(__doc__, BcThenPpoSettings(), "runs/bc-then-ppo", 512)
     path = train_bc_then_ppo(
-        settings, arguments.out, resume=arguments.resume, tell=lambda steps, figures: print(steps, figures, flush=True)
+        settings,
+        arguments.out,
+        resume=arguments.resume,
+        on_progress=lambda steps, figures: print(steps, figures, flush=True),
     )
     options = {"bank": settings.ppo.bank, "num_envs": 64}
     print(comparison_table(compare([PolicyAgent.load(path)], "validation", arguments.episodes, 10_000, **options)))

@@ -11,6 +11,9 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 import torch
+from greenhouse_gym.shapes.checks import Notes, thinned
+from greenhouse_gym.shapes.grids import by_grids
+from greenhouse_gym.shapes.surfaces import SurfaceCloud, look_at_surfaces
 
 from benchmarks.sensing.rows import CAUSES, Row, cloud_of, truth_of
 from greenhouse_gym.accuracy import Visibility, compare_tomatoes
@@ -19,10 +22,7 @@ from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.geometry import Array, Sphere, pose
 from greenhouse_gym.reconstruction.point_clouds import Cloud
 from greenhouse_gym.shapes import ShapeSettings
-from greenhouse_gym.shapes.checks import Notes, thinned
-from greenhouse_gym.shapes.grids import by_grids
 from greenhouse_gym.shapes.networks import Network, network_file
-from greenhouse_gym.shapes.surfaces import SurfaceCloud, look_at_surfaces
 
 HIDDEN, STEPS, BATCH, RATE, DECAY = 64, 3000, 4096, 5e-3, 0.3
 FOLDS = 5

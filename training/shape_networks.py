@@ -19,23 +19,23 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-
-from benchmarks.sensing.rows import CAUSES, DRAWN_MESHES, Row, cloud_of, truth_of, visible_of
-from greenhouse_gym.accuracy import Visibility, compare_stems
-from greenhouse_gym.crops.parts import Stem, Tomato
-from greenhouse_gym.geometry import Array, Capsule, distance_to_shapes
-from greenhouse_gym.shapes import ShapeSettings, extract_shapes
 from greenhouse_gym.shapes.bare_peduncles import find_bare_peduncles
 from greenhouse_gym.shapes.candidates import COMPANY, MEASURES
 from greenhouse_gym.shapes.credibility import Judges, credibility
 from greenhouse_gym.shapes.likely_places import in_context
-from greenhouse_gym.shapes.networks import Network
 from greenhouse_gym.shapes.peduncles import find_peduncles
 from greenhouse_gym.shapes.small_fruit import Credited, Small, chosen_small, small_spheres, sure_small
 from greenhouse_gym.shapes.surroundings import OF_COLOR as SHELL_COLORS
 from greenhouse_gym.shapes.thin_stems import OF_COLOR as PEDUNCLE_COLORS
 from greenhouse_gym.shapes.thin_stems import Places, places_near_fruit
 from greenhouse_gym.shapes.tomatoes import Looks, large_tomatoes, look
+
+from benchmarks.sensing.rows import CAUSES, DRAWN_MESHES, Row, cloud_of, truth_of, visible_of
+from greenhouse_gym.accuracy import Visibility, compare_stems
+from greenhouse_gym.crops.parts import Stem, Tomato
+from greenhouse_gym.geometry import Array, Capsule, distance_to_shapes
+from greenhouse_gym.shapes import ShapeSettings, extract_shapes
+from greenhouse_gym.shapes.networks import Network
 from training.fitting import (
     FOLDS,
     Labeled,

@@ -6,7 +6,7 @@ python -m benchmarks.agents.policies --paired before.json benchmarks/leaderboard
 
 All agents play the same episodes: seeds 0, 1, 2, ... of the test split, policies without exploration noise. The arm
 touches the reconstruction, or the simulated row behind it ("truth"). With ``--entries`` the episodes are those of the
-leaderboard's entries on all their tracks, and nothing is played. ``--paired`` compares two entries of one agent by
+leaderboard's entries on all their tracks, and nothing is evaluated. ``--paired`` compares two entries of one agent by
 McNemar's exact test and writes nothing. Takes 1 to 120 minutes per agent.
 """
 
@@ -51,7 +51,7 @@ def main() -> None:
     if arguments.entries:
         evaluations = of_entries(arguments.entries)
     else:
-        evaluations = played(
+        evaluations = evaluated(
             arguments.agents, arguments.bank, arguments.split, arguments.physics, arguments.episodes, arguments.seed,
             arguments.num_envs,
         )  # fmt: skip
@@ -61,10 +61,10 @@ def main() -> None:
         write_entry(arguments.out, name, settings | figures)
 
 
-_Named = tuple[str, dict[str, Any], Evaluation]  # entry, the episodes that were played, and their records
+_Named = tuple[str, dict[str, Any], Evaluation]  # entry, the episodes that were evaluated, and their records
 
 
-def played(
+def evaluated(
     agents: Sequence[str], bank: str, split: str, worlds: Sequence[str], episodes: int, seed: int, num_envs: int
 ) -> Iterator[_Named]:
     """Yield the evaluations of agents in one or both worlds."""
@@ -90,11 +90,11 @@ def compare_entries(first: Path, second: Path) -> None:
     """Print McNemar's exact test of two entries for every track that both have.
 
     Raises:
-        InvalidValueError: The entries were played on different banks.
+        InvalidValueError: The entries were evaluated on different banks.
     """
     before, after = read_entry(first), read_entry(second)
     if before.bank_sha256 != after.bank_sha256:
-        raise InvalidValueError(f"{first} and {second} were played on different banks")
+        raise InvalidValueError(f"{first} and {second} were evaluated on different banks")
     for track in (track for track in before.tracks if track in after.tracks):
         files = ((after, second), (before, first))
         print(f"{track}: {pairing(*(replace(e.evaluation(track), agent=str(file)) for e, file in files))}")

@@ -53,10 +53,10 @@ def _with_plans(records: Sequence[Record]) -> dict[str, Any]:
 
 
 def _plant_part(record: Record) -> str:
-    touched = next((name for name in record.contact if name.startswith(("tomato_", "stem_", "clutter_"))), None)
-    if touched is None:
+    part = next((name for name in record.contact if name.startswith(("tomato_", "stem_", "clutter_"))), None)
+    if part is None:
         return "-".join(sorted(record.contact))
-    return {"tomato": "fruit", "clutter": "leaf"}.get(touched.split("_")[0]) or touched.split("_")[2]
+    return {"tomato": "fruit", "clutter": "leaf"}.get(part.split("_")[0]) or part.split("_")[2]
 
 
 def by_search(records: Sequence[Record], statuses: Sequence[str]) -> dict[str, Any]:
@@ -99,14 +99,14 @@ def contact_point(scene: Scene, trace: Trace) -> Array | None:
     return np.asarray(ends.reshape(2, 3).mean(axis=0))
 
 
-def scan_knowledge(scene: Scene, trace: Trace) -> str:
+def scan_state(scene: Scene, trace: Trace) -> str:
     """Return what the scan knew of an episode's contact point: the occupancy grid's state and the nearest shape."""
     point = contact_point(scene, trace)
-    return "no plant" if point is None else knowledge_at(scene, point)
+    return "no plant" if point is None else state_at(scene, point)
 
 
-def knowledge_at(scene: Scene, point: Array) -> str:
-    """Return what the scan knew of a point (3,), as `scan_knowledge` does."""
+def state_at(scene: Scene, point: Array) -> str:
+    """Return what the scan knew of a point (3,), as `scan_state` does."""
     away = float(distance_to_shapes(point[None], scene.obstacles).min(initial=np.inf))
     edge = next((edge for edge in EDGES if away < edge), None)
     state = "no occupancy grid" if scene.occupancy is None else STATES[int(scene.occupancy.states_at(point[None])[0])]

@@ -93,7 +93,8 @@ def draw_line(line: Sequence[Axes], title: str, followed: Followed) -> None:
     compiled, center = compile_scene(scene, ROBOT), scene.tomatoes[target].center
     tips = tool_state(tool_chain(compiled.model, compiled.tip_site), path).point
     x, z = np.meshgrid(np.arange(-0.6, 1.2, 0.01), np.arange(0.2, 2.3, 0.01))
-    states = scene.occupancy.states_at(np.column_stack([x.ravel(), np.full(x.size, center[1]), z.ravel()])).reshape(x.shape)
+    points = np.column_stack([x.ravel(), np.full(x.size, center[1]), z.ravel()])
+    states = scene.occupancy.states_at(points).reshape(x.shape)
     line[1].imshow(states, origin="lower", extent=(-0.6, 1.2, 0.2, 2.3), cmap=COLORS, vmin=0, vmax=2)
     line[1].plot(tips[:, 0], tips[:, 2], color="deeppink")
     line[1].plot(center[0], center[2], "o", color="red")

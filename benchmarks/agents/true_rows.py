@@ -36,7 +36,7 @@ import numpy as np
 
 from benchmarks.agents.policies import kinds_of_rows, rates
 from benchmarks.agents.scanned_rows import ScannedRow, row_seeds
-from benchmarks.agents.true_row_figures import by_search, path_in_truth, scan_knowledge, summary
+from benchmarks.agents.true_row_figures import by_search, path_in_truth, scan_state, summary
 from benchmarks.common import RESULTS, parser, write_entry
 from greenhouse_gym.agents import PlannerAgent, WatchfulAgent
 from greenhouse_gym.agents.agent import Agent
@@ -106,7 +106,7 @@ def main() -> None:
             if a.contacts:
                 seeds = [record.seed for record in own if record.collision]
                 traces = retrace(agent_from(a.agent, options), seeds, a.split, bank=bank.path, **world) if seeds else ()
-                counts = Counter(scan_knowledge(bank.scene(t.record.scene), t) for t in traces)
+                counts = Counter(scan_state(bank.scene(t.record.scene), t) for t in traces)
                 figures["contacts"] = dict(counts.most_common())
             name = a.name or entry_name(a)
             print(name, json.dumps(figures, indent=1), flush=True)

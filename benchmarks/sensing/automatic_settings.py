@@ -3,9 +3,9 @@
 python -m benchmarks.sensing.automatic_settings
 
 Foreground: for every protocol's rig, the cut is right if it lies at least 5 cm behind the stems and before the next
-row. Direction: a step of the walk is reconstructed both ways along the row, with only the rig's calibration known;
+row. Direction: a step of a pass is reconstructed both ways along the row, with only the rig's calibration known;
 direction and length are right if the second station is within 10 mm of its true position. Clouds: the cloud of that
-walk is read like a file of unknown origin, in millimetres, centimetres or metres, with y up, upside down, or in any
+pass is read like a file of unknown origin, in millimetres, centimetres or metres, with y up, upside down, or in any
 orientation; checked are units, upright axis, up end of that axis, and the side from which it was scanned. If only the
 fruit shows which end is up, shapes are extracted first. Real recordings and clouds in the folder
 GREENHOUSE_GYM_REAL_DATA are read as they are. Takes 5 minutes.
@@ -51,9 +51,9 @@ def main() -> None:
     cuts = list(foregrounds())
     walks, clouds = [], []
     for protocol in PROTOCOLS.values():
-        walk = first_walk(protocol)
-        walks += [walked(walk, direction, protocol.name) for direction in ("forward", "backward")]
-        row = reconstruct_row(walk, ReconstructionSettings(foreground=protocol.foreground, poses="given"))
+        row_pass = first_pass(protocol)
+        walks += [walked(row_pass, direction, protocol.name) for direction in ("forward", "backward")]
+        row = reconstruct_row(row_pass, ReconstructionSettings(foreground=protocol.foreground, poses="given"))
         clouds += [{"cloud": protocol.name, **read_as_file(row, form)} for form in FORMS]
     clouds += list(real_clouds())
     write_results(RESULTS / "automatic_settings.json", {"cuts": cuts, "walks": walks, "clouds": clouds})
@@ -69,7 +69,7 @@ def main() -> None:
             ],
         )
     )  # fmt: skip
-    columns = ("walk", "order", "direction", "went", "true", "wrong_mm", "right", "refused")
+    columns = ("row_pass", "order", "direction", "went", "true", "wrong_mm", "right", "refused")
     print("\n" + table(columns, [[_cell(one.get(name, "")) for name in columns] for one in walks]))
     columns = ("cloud", "form", "units", "axis", "end", "side")
     print("\n" + table((*columns, "notes"), [[*(one[n] for n in columns), "; ".join(one["notes"])] for one in clouds]))
@@ -118,23 +118,23 @@ def foreground(recording: Recording) -> Figures:
 # -- direction --------------------------------------------------------------------------------------------------------
 
 
-def first_walk(protocol: CaptureProtocol) -> Recording:
+def first_pass(protocol: CaptureProtocol) -> Recording:
     """Return the first pass of a protocol, without the protocol's name."""
     first_pass = replace(protocol, passes=protocol.passes[:1])
-    walk = simulate_protocol(grow_row(SEEDS[0], LENGTH), SEEDS[0], first_pass, stations=STATIONS)
-    stations = list(walk)
-    return replace(walk, protocol=None, load=stations.__getitem__)
+    row_pass = simulate_protocol(grow_row(SEEDS[0], LENGTH), SEEDS[0], first_pass, stations=STATIONS)
+    stations = list(row_pass)
+    return replace(row_pass, protocol=None, load=stations.__getitem__)
 
 
-def walked(walk: Recording, order: str, name: str) -> Figures:
-    """Reconstruct a walk, or the same from its end, with the settings found in its images."""
+def walked(row_pass: Recording, order: str, name: str) -> Figures:
+    """Reconstruct a row_pass, or the same from its end, with the settings found in its images."""
     if order == "backward":
-        walk = replace(walk, load=lambda i, there=walk.load: there(STATIONS - 1 - i), truth=None)
-    first, last = (np.asarray(walk[i].world_from_station) for i in (0, STATIONS - 1))
+        row_pass = replace(row_pass, load=lambda i, there=row_pass.load: there(STATIONS - 1 - i), truth=None)
+    first, last = (np.asarray(row_pass[i].world_from_station) for i in (0, STATIONS - 1))
     true = invert(first) @ last
-    figures: Figures = {"walk": name, "order": order, "true": float(true[1, 3])}
+    figures: Figures = {"row_pass": name, "order": order, "true": float(true[1, 3])}
     try:
-        row = reconstruct_row(walk, settings_for(walk))
+        row = reconstruct_row(row_pass, settings_for(row_pass))
         refused = None if row.registered[-1] else str(row.report.stations[-1].reason)
     except GreenhouseError as error:
         refused = str(error)[:120]

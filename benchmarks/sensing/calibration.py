@@ -43,18 +43,18 @@ def main() -> None:
             depth = max(abs(found.mounting.depth_error.get(name, 0.0) - bias) for name, bias in BIAS.items())
             rows.append({"from": "boards", "seed": seed, "knock": knock, **errors(true_rig(), found), "depth": depth})
         for seed in SEEDS["plants"]:
-            walk = in_memory(simulate_recording(grow_row(seed, 0.8), seed, SEED_RIG, STATIONS))
-            found = calibrate_from_overlap(replace(walk, rig=knocked(SEED_RIG, *knock)))
+            recording = in_memory(simulate_recording(grow_row(seed, 0.8), seed, SEED_RIG, STATIONS))
+            found = calibrate_from_overlap(replace(recording, rig=knocked(SEED_RIG, *knock)))
             rows.append({"from": "plants", "seed": seed, "knock": knock, **errors(SEED_RIG, found), "depth": None})
     write_results(RESULTS / "calibration.json", {"rows": rows})
     lines = []
     for source, seeds in SEEDS.items():
         for knock in KNOCKS:
-            some = [row for row in rows if row["from"] == source and row["knock"] == knock]
-            degrees, mm = (max(row[name] for row in some) for name in ("degrees", "mm"))
-            depth = "-" if source == "plants" else f"{max(row['depth'] for row in some):.2%}"
-            found_degrees = [row["found_degrees"] for row in some]
-            knocks = f"{sum(row['knock_reported'] for row in some)} of {len(some)}"
+            selected = [row for row in rows if row["from"] == source and row["knock"] == knock]
+            degrees, mm = (max(row[name] for row in selected) for name in ("degrees", "mm"))
+            depth = "-" if source == "plants" else f"{max(row['depth'] for row in selected):.2%}"
+            found_degrees = [row["found_degrees"] for row in selected]
+            knocks = f"{sum(row['knock_reported'] for row in selected)} of {len(selected)}"
             moved = f"{min(found_degrees):.2f} to {max(found_degrees):.2f} deg"
             cells = f"{knock[0]:g} deg, {1e3 * knock[1]:g} mm", f"{degrees:.2f} deg, {mm:.2f} mm", depth, moved, knocks
             lines.append((source, len(seeds), *cells))
@@ -72,10 +72,10 @@ def knocked(rig: Rig, degrees: float, metres: float) -> Rig:
     return Rig({**rig.cameras, "last": Camera(last.intrinsics, moved, last.depth_scale)}, rig.reference)
 
 
-def in_memory(walk: Recording) -> Recording:
+def in_memory(recording: Recording) -> Recording:
     """Return the recording with all of its stations rendered."""
-    stations = list(walk)
-    return replace(walk, load=stations.__getitem__)
+    stations = list(recording)
+    return replace(recording, load=stations.__getitem__)
 
 
 def errors(rig: Rig, found: Any) -> dict[str, Any]:

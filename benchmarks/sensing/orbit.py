@@ -62,17 +62,17 @@ def measure(recording: Recording, settings: ReconstructionSettings) -> dict[str,
             }
         )
     starts = ("registered", "from_the_true_motion")
-    walked = walk(recording, poses, settings)
+    walked = path(recording, poses, settings)
     tried = [pair[start] for pair in pairs for start in starts] + walked["edges"]
     result: dict[str, Any] = {
         "foreground_fraction": float(np.mean([view.reference.foreground.mean() for view in views])),
         "accepted": sum(pair["registered"]["accepted"] for pair in pairs),
         "accepted_wrong": sum(found["accepted"] and found["wrong"] for found in tried),
-        "walk": walked,
+        "path": walked,
         "pairs": pairs,
     }
     fraction = f"{result['foreground_fraction']:.0%} of the image"
-    print(f"\nforeground up to {settings.foreground:g} m, {fraction}; the walk: {walked['ends']}")
+    print(f"\nforeground up to {settings.foreground:g} m, {fraction}; the path: {walked['ends']}")
     error = "error mm / deg"
     print(
         table(
@@ -109,7 +109,7 @@ def cells(found: dict[str, Any]) -> tuple[str, str]:
     return verdict, f"{found['mm']:.1f} / {found['degrees']:.2f}"
 
 
-def walk(recording: Recording, poses: Array, settings: ReconstructionSettings) -> dict[str, Any]:
+def path(recording: Recording, poses: Array, settings: ReconstructionSettings) -> dict[str, Any]:
     """Reconstruct the whole recording; return its end and every motion that was accepted."""
     try:
         walked = register_stations(recording, settings)

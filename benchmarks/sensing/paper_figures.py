@@ -1,4 +1,4 @@
-"""Reproduce every figure and number of the paper from one simulated walk of 50 stations along a 5 m row.
+"""Reproduce every figure and number of the paper from one simulated stations of 50 stations along a 5 m row.
 
 python -m benchmarks.sensing.paper_figures --seed 204
 
@@ -65,7 +65,7 @@ Numbers = dict[str, Any]
 def main() -> None:
     """Make all figures and all numbers."""
     command = parser(__doc__)
-    command.add_argument("--seed", type=int, default=204, help="of the row and of the walk")
+    command.add_argument("--seed", type=int, default=204, help="of the row and of the stations")
     command.add_argument("--recording", type=Path, help="folder of a recording to take instead of rendering one")
     command.add_argument("--out", type=Path, default=RESULTS / "paper_figures", help="folder for the pictures")
     arguments = command.parse_args()
@@ -144,8 +144,8 @@ def reconstruction(recording: Recording, out: Path) -> tuple[RowCloud, Numbers]:
     """Figure 7: the row in one color per station, before and after outlier removal."""
     started = time.perf_counter()
     with progress("stations registered", len(recording)) as done:
-        walk = register_stations(recording, SETTINGS, lambda i: done(i + 1))
-    merged, outlier = merge_segment(walk, 0, SETTINGS)
+        stations = register_stations(recording, SETTINGS, lambda i: done(i + 1))
+    merged, outlier = merge_segment(stations, 0, SETTINGS)
     row = remove_outliers(merged, outlier)
     seconds = time.perf_counter() - started
     mesh = triangulate(simplify_points(row, 10_000))

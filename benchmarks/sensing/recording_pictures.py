@@ -55,11 +55,11 @@ def main() -> None:
     rig = three_camera_rig()
     alone = Rig({rig.reference: rig.cameras[rig.reference]}, rig.reference)
     stations = list(simulate_recording(grow_row(SEED, 0.6), SEED, alone, STATIONS))
-    walk = Recording("walk", alone, STATIONS, stations.__getitem__)
+    recording = Recording("walk", alone, STATIONS, stations.__getitem__)
     figure, axes = plt.subplots(2, len(DEGRADED), figsize=(15, 10), layout="constrained")
     for (name, degrade), (above, below) in zip(DEGRADED.items(), axes.T, strict=True):
         degraded = [Station({alone.reference: degrade(one.frames[alone.reference])}) for one in stations]
-        print(f"{name}: {'; '.join(inspect_recording(replace(walk, load=degraded.__getitem__)).verdict)}")
+        print(f"{name}: {'; '.join(inspect_recording(replace(recording, load=degraded.__getitem__)).verdict)}")
         frame = degraded[0].frames[alone.reference]  # of a camera in portrait orientation
         above.imshow(np.rot90(frame.color, -1))
         above.set_title(name, color="darkgreen" if name == "good" else "firebrick")

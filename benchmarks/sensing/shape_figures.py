@@ -24,8 +24,8 @@ from greenhouse_gym.geometry import Array
 
 SMALL = 0.012
 """Radius below which fruit counts as small, m."""
-SURE = 0.8
-"""Confidence from which a tomato counts as sure."""
+CONFIDENT = 0.8
+"""Confidence from which a tomato counts as confident."""
 VISIBILITIES = ("all", "whole", "measured", "colored")
 """Definitions of a visible tomato; `shapes.py` describes them."""
 
@@ -138,7 +138,7 @@ def _small(records: Sequence[Mapping[str, int]]) -> Figures:
 
 
 def calibration(records: Sequence[Sequence[Sequence[Any]]], bins: int = 5) -> Figures:
-    """Return the fraction of true tomatoes among the sure ones and by bins of confidence.
+    """Return the fraction of true tomatoes among the confident ones and by bins of confidence.
 
     Args:
         records: For every row the confidences, and which of the tomatoes are true.
@@ -148,10 +148,10 @@ def calibration(records: Sequence[Sequence[Sequence[Any]]], bins: int = 5) -> Fi
     right = np.array([r for _, true in records for r in true], dtype=bool)
     edges = np.linspace(0.0, 1.0, bins + 1)
     which = np.clip(np.digitize(confidence, edges) - 1, 0, bins - 1)
-    sure = confidence >= SURE
+    confident = confidence >= CONFIDENT
     return {
-        "sure": int(sure.sum()),
-        "sure_and_true": _mean(right[sure]),
+        "sure": int(confident.sum()),
+        "sure_and_true": _mean(right[confident]),
         "edges": edges.tolist(),
         "counts": np.bincount(which, minlength=bins).tolist(),
         "true": [_mean(right[which == k]) for k in range(bins)],

@@ -38,7 +38,7 @@ EXECUTORS: dict[str, Callable[[], AbstractContextManager[Executor | None]]] = {
     "ray": lambda: RayExecutor("local", workers=2),
 }
 LOST = "lost"
-"""Ray on two nodes, one of which is killed."""
+"""Ray on two nodes; one is killed."""
 
 
 def main() -> None:

@@ -45,13 +45,13 @@ def main() -> None:
     command.add_argument("--out", type=Path, default=RESULTS / "large_banks.json")
     arguments = command.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
-        few = copies_of_mini(Path(temporary) / "few", arguments.few)
+        small = copies_of_mini(Path(temporary) / "few", arguments.few)
         many = copies_of_mini(Path(temporary) / "many", arguments.scenes)
         results = {
             "window": {"scenes": WINDOW, "draws_per_scene": DRAWS_PER_SCENE},
             "open_s": round(seconds_of(partial(SceneBank.open, many)), 3),
             "make_s": round(seconds_of(lambda: gym.make(ENV_IDS[0], bank=many).close()), 3),
-            **compared(few, many, arguments.rounds),
+            **compared(small, many, arguments.rounds),
             "memory_after_resets_mb": round(in_own_process(memory_after, many, arguments.resets) / 2**20),
         }
     write_results(arguments.out, results)
@@ -78,12 +78,12 @@ def copies_of_mini(folder: Path, count: int) -> Path:
     return folder
 
 
-def compared(few: Path, many: Path, rounds: int) -> dict[str, Any]:
+def compared(small: Path, many: Path, rounds: int) -> dict[str, Any]:
     """Step environments on both banks in turns."""
     envs = {
         # with different capacities, so that neither takes the prepared worlds of the other
         name: GreenhouseVectorEnv(SIMULATIONS, bank=bank, autoreset_mode="SameStep", threads=1, capacity=300 + k)
-        for k, (name, bank) in enumerate({"few": few, "many": many}.items())
+        for k, (name, bank) in enumerate({"few": small, "many": many}.items())
     }
     policy = PolicyAgent.load("ppo-ur5e")
     first: dict[str, float] = {}

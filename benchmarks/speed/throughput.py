@@ -108,10 +108,10 @@ def measure(a: argparse.Namespace) -> dict[str, list[float]]:
         single.reset(options={"scene": name, "target": 0})
     step_bare = bare_physics(vector, actions)
 
-    def step_all(env: GreenhouseVectorEnv, some: Array, seed: int | None = 0) -> float:
+    def step_all(env: GreenhouseVectorEnv, action: Array, seed: int | None = 0) -> float:
         if seed is not None:
             env.reset(seed=seed)
-        return some.shape[0] * some.shape[1] / seconds_of(lambda: [env.step(action) for action in some])
+        return action.shape[0] * action.shape[1] / seconds_of(lambda: [env.step(action) for action in action])
 
     def step_single() -> None:
         for action in np.resize(actions[:, 0], (SINGLE_STEPS, 6)):

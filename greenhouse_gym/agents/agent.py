@@ -19,7 +19,7 @@ from greenhouse_gym.scene import Scene
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What an agent knows at the start of an episode.
+    """Knowledge of an agent at the start of an episode.
 
     Attributes:
         scene: The reconstructed scene.

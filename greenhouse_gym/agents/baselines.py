@@ -72,14 +72,14 @@ class WaypointAgent:
     env_options: Mapping[str, Any] = MappingProxyType({"observation": "waypoint"})
 
     def __init__(self) -> None:
-        self._direction = self._way = slice(0)
+        self._direction = self._path = slice(0)
 
     def reset(self, problem: Problem) -> None:
         """Look up where the direction, and whether it is free, are in the observation."""
         groups = feature_slices(StateObservation(problem.robot, extra=PATH_FEATURES).layout)
-        self._direction, self._way = groups["waypoint_direction"], groups["path"]
+        self._direction, self._path = groups["waypoint_direction"], groups["path"]
 
     def act(self, observation: Any) -> npt.NDArray[np.float32]:
         """Return the action towards the waypoint at full speed."""
-        free = observation[self._way][1]
+        free = observation[self._path][1]
         return np.asarray(observation[self._direction] * free, dtype=np.float32)

@@ -28,7 +28,7 @@ def record_demonstrations(
     seed: int = 0,
     split: str = "train",
     successes_only: bool = True,
-    tell: Callable[[int], None] = lambda done: None,
+    on_progress: Callable[[int], None] = lambda done: None,
     **options: Any,
 ) -> str:
     """Record episodes of an agent, with rewards and infos, as a Minari data set.
@@ -40,7 +40,7 @@ def record_demonstrations(
         seed: Seed of the first episode.
         split: Split of the bank; the test split is refused.
         successes_only: Whether only successful episodes are kept.
-        tell: Called with the number of episodes so far.
+        on_progress: Called with the number of episodes so far.
         **options: Further keywords of the environment.
 
     Returns:
@@ -65,7 +65,7 @@ def record_demonstrations(
             buffer = EpisodeBuffer(id=len(buffers), seed=seed + i, **_run(agent, env, seed + i))
             if buffer.infos["is_success"][-1] or not successes_only:  # type: ignore[index]
                 buffers.append(buffer)
-            tell(i + 1)
+            on_progress(i + 1)
     finally:
         env.close()
     if not buffers:

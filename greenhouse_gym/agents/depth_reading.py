@@ -27,7 +27,7 @@ class DepthReading:
     """Interpretation of an image of h by w pixels.
 
     Attributes:
-        depth: (h, w) depth of a surface along the view, metres; 0 where there is none.
+        depth: (h, w) depth of a surface along the view, metres; 0 without a reading.
         uncertainty: (h, w) its error bound, metres.
         free: (h, w) depth up to which space is free, metres.
     """

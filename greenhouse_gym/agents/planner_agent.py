@@ -74,7 +74,7 @@ class PathFollower:
 
 
 class PlannerAgent:
-    """Plan with any planner and follow the path; hold still if there is none.
+    """Plan with any planner and follow the path; hold still without a path.
 
     It needs an environment whose actions move the joints: increments or velocities.
 

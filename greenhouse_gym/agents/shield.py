@@ -65,7 +65,7 @@ class ShieldedAgent:
         self.changed = 0
 
     def act(self, observation: Any) -> npt.NDArray[np.float32]:
-        """Return the agent's action, or the nearest alternative that is free; zero if there is none."""
+        """Return the agent's action, or the nearest collision-free alternative; zero without one."""
         wished = np.clip(np.asarray(self._agent.act(observation), dtype=np.float64), -1.0, 1.0)
         action = wished if self._is_free(wished) else self._alternative(wished)
         self._command = self._next(action)

@@ -40,7 +40,7 @@ def build_bank(
     weeks: Sequence[int | None] | None = None,
     settings: BuildSettings | None = None,
     description: str = "",
-    on_stage: Callable[[str], None] | None = None,
+    on_progress: Callable[[str], None] | None = None,
     known: Sequence[Provenance | None] | None = None,
     executor: Executor | None = None,
 ) -> SceneBank:
@@ -58,7 +58,7 @@ def build_bank(
         weeks: Growth week of each row, if known.
         settings: All settings.
         description: A sentence on where the bank comes from.
-        on_stage: Called with a line on the progress of each row.
+        on_progress: Called with a line on the progress of each row.
         known: For each recording the row, its style and its source, if known. Recordings of one row in several weeks
             name the same row and belong to the same split.
         executor: Executor that reconstructs rows and certifies scenes; None runs in this process. Only this process
@@ -83,7 +83,7 @@ def build_bank(
             f"expected recordings with different names, each with a split and a week; got {names}, {splits}, {weeks}"
         )
     require_extras("reconstruct", "plan")
-    report = on_stage or say
+    report = on_progress or say
     folder = Path(out)
     rows = [
         _Row(

@@ -208,7 +208,7 @@ def demonstrations(
     player = make_agent(agent)
     options = {"bank": bank, "observation": observation, **robot_for(player, robot), **player.env_options}
     with progress("episodes", episodes) as on_progress:
-        name = record_demonstrations(player, out, episodes, seed, split, tell=on_progress, **options)
+        name = record_demonstrations(player, out, episodes, seed, split, on_progress=on_progress, **options)
     say(f"data set {name} in {out}: MINARI_DATASETS_PATH={out} and minari.load_dataset({name!r})")
 
 

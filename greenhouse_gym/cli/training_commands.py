@@ -69,7 +69,7 @@ def _algorithm(name: str, bank: str, steps: int, seed: int) -> tuple[Any, Callab
         return learning.PpoSettings(**common), learning.train_ppo
     settings = learning.BcThenPpoSettings()
     settings = replace(settings, ppo=replace(settings.ppo, **common))
-    return settings, partial(learning.train_bc_then_ppo, tell=_print_imitation)
+    return settings, partial(learning.train_bc_then_ppo, on_progress=_print_imitation)
 
 
 def _print_imitation(steps: int, metrics: dict[str, float]) -> None:
@@ -109,19 +109,19 @@ def sweep(
         for name, value in assigned(text).items():
             choices.setdefault(name, []).append(value)
 
-    def on_training(row: dict[str, Any], done: int, total: int) -> None:
+    def on_result(row: dict[str, Any], done: int, total: int) -> None:
         say(f"{done} of {total}: {row['folder']}: {row.get('error') or _summary(row)}")
 
     last = monotonic()
 
-    def on_line(row: dict[str, Any]) -> None:
+    def on_progress(row: dict[str, Any]) -> None:
         nonlocal last
         if monotonic() - last > _SECONDS_BETWEEN_LINES:
             last = monotonic()
             say(f"{row['folder']}: {_summary(row)}")
 
     with executor_of(backend, workers, address, prod(map(len, choices.values()))) as executor:
-        rows = sweep_ppo(shared, choices, out, executor, on_training, stop_early=stop_early, on_line=on_line)
+        rows = sweep_ppo(shared, choices, out, executor, on_result, stop_early=stop_early, on_progress=on_progress)
     say(f"table in {out / 'sweep.json'}; the best: {rows[0]['folder']}")
 
 

@@ -66,8 +66,8 @@ def _grow_line(seed: int, line: int, length: float, week: int, style: FruitStyle
     middle, half = (low + high) / 2, (high - low) / 2
     gutter = np.array([x, middle, GUTTER_HEIGHT - 0.05])
     clutter.append(Box(gutter, np.array([0.11, half, 0.05]), np.eye(3)))
-    for beside in (0.32, 0.82):
-        ends = np.array([[x - beside, low, 0.06], [x - beside, high, 0.06]])
+    for side in (0.32, 0.82):
+        ends = np.array([[x - side, low, 0.06], [x - side, high, 0.06]])
         stems.append(Stem(ends[0], ends[1], 0.0255, kind="pipe"))
     return PlantRow(tuple(tomatoes), tuple(stems), tuple(clutter), length, week)
 
@@ -84,8 +84,8 @@ def _grow_plant(
     sway -= np.outer(np.linspace(0, 1, len(heights)), sway[-1])  # the string holds the top above the gutter
     axis = np.column_stack([base[0] + sway[:, 0], base[1] + sway[:, 1], heights])
     stems = [Stem(a, b, radius, kind="main") for a, b in pairwise(axis)]
-    beside = np.array([0.0, radius + 0.004, 0.0]) * rng.choice([-1.0, 1.0])
-    stems += [Stem(a + beside, b + beside, 0.001, kind="string") for a, b in pairwise(axis)]
+    side = np.array([0.0, radius + 0.004, 0.0]) * rng.choice([-1.0, 1.0])
+    stems += [Stem(a + side, b + side, 0.001, kind="string") for a, b in pairwise(axis)]
 
     clutter: list[Shape] = []
     offset = rng.uniform(0, spacing)

@@ -27,7 +27,7 @@ class Deadline:
 
     @property
     def expired(self) -> bool:
-        """Whether a call has timed out."""
+        """True once a call has timed out."""
         return bool(self._timeout_message)
 
     def call(self, function: Callable[P, T], *arguments: P.args, **keywords: P.kwargs) -> T:

@@ -40,7 +40,7 @@ def train_bc_then_ppo(
     out: str | Path,
     *,
     resume: bool = False,
-    tell: Callable[[int, dict[str, float]], None] = lambda steps, figures: None,
+    on_progress: Callable[[int, dict[str, float]], None] = lambda steps, figures: None,
 ) -> Path:
     """Train a policy; ``out`` gets the files of `greenhouse_gym.learning.train_ppo` and the varied scenes.
 
@@ -48,7 +48,7 @@ def train_bc_then_ppo(
         settings: The settings.
         out: Folder for the results.
         resume: Continue from the checkpoint in ``out``, with PPO.
-        tell: Called with the steps and figures of the imitation after each round.
+        on_progress: Called with the steps and figures of the imitation after each round.
 
     Returns:
         The path of the policy's JSON file.
@@ -69,6 +69,6 @@ def train_bc_then_ppo(
             return
         env = make_vec_env(settings.imitation.num_envs, autoreset_mode="SameStep", **options)
         with closing(env):
-            imitate(model.policy, env, settings.imitation, ppo.seed, tell)
+            imitate(model.policy, env, settings.imitation, ppo.seed, on_progress)
 
     return train_ppo(ppo, out, resume=resume, prepare=teach)

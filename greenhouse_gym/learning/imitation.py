@@ -74,7 +74,7 @@ def follow_waypoint(policy: Any) -> None:
     """
     extractor, actions = policy.pi_features_extractor, policy.action_net
     joints = actions.out_features
-    direction, way = (extractor.starts.get(name, -1) for name in ("waypoint_direction", "path"))
+    direction, path = (extractor.starts.get(name, -1) for name in ("waypoint_direction", "path"))
     layers = [layer for layer in policy.mlp_extractor.policy_net if hasattr(layer, "in_features")]
     if direction < 0 or policy.activation_fn is not torch.nn.ReLU or min(p.out_features for p in layers) < 2 * joints:
         raise InvalidValueError(
@@ -82,7 +82,7 @@ def follow_waypoint(policy: Any) -> None:
             f"least {2 * joints} units"
         )
     units = torch.arange(2 * joints)
-    carried, free = direction + units % joints, way + 1
+    carried, free = direction + units % joints, path + 1
     with torch.no_grad():
         for layer in layers:
             layer.weight[units], layer.bias[units] = 0.0, 0.0
@@ -102,7 +102,7 @@ def imitate(
     env: GreenhouseVectorEnv,
     settings: ImitationSettings,
     seed: int = 0,
-    tell: Callable[[int, dict[str, float]], None] = lambda steps, figures: None,
+    on_progress: Callable[[int, dict[str, float]], None] = lambda steps, figures: None,
 ) -> None:
     """Train the actor of a Stable-Baselines3 policy to act like the teacher.
 
@@ -112,7 +112,7 @@ def imitate(
             includes waypoints.
         settings: The settings.
         seed: Seed of episodes and noise.
-        tell: Called with the steps so far and figures after each round.
+        on_progress: Called with the steps so far and figures after each round.
     """
     rng = np.random.default_rng(seed)
     torch.manual_seed(seed)
@@ -160,7 +160,7 @@ def imitate(
             "loss": loss, "success": successes / max(1, ended), "episodes": float(ended), "labels": float(len(x)),
             "collecting": collected, "training": seconds,
         }  # fmt: skip
-        tell((k + 1) * settings.num_envs * settings.round_steps, figures)
+        on_progress((k + 1) * settings.num_envs * settings.round_steps, figures)
 
 
 def _forward(policy: Any, inputs: torch.Tensor) -> torch.Tensor:

@@ -98,7 +98,7 @@ def train_ppo(
     time_limit: float | None = None,
     checkpoint_seconds: float = 60.0,
     prepare: Callable[[Any], None] | None = None,
-    on_line: Callable[[Mapping[str, float]], None] = lambda line: None,
+    on_progress: Callable[[Mapping[str, float]], None] = lambda line: None,
 ) -> Path:
     """Train a policy.
 
@@ -114,7 +114,7 @@ def train_ppo(
         time_limit: Seconds after which the training stops.
         checkpoint_seconds: Seconds between checkpoints.
         prepare: Called with the untrained model of a new training, for example to load weights.
-        on_line: Called with each new line of ``curve.csv``; a `KeyboardInterrupt` that it raises interrupts the
+        on_progress: Called with each new line of ``curve.csv``; a `KeyboardInterrupt` that it raises interrupts the
             training.
 
     Returns:
@@ -146,7 +146,7 @@ def train_ppo(
     }
     report = TrainingReport(
         out, described, model, settings.num_envs * settings.rollout_steps, (VALIDATION_SPLIT,), options, time_limit,
-        checkpoint_seconds, on_line,
+        checkpoint_seconds, on_progress,
     )  # fmt: skip
     return learn(model, report, resume, [CriticFirst(0 if model.num_timesteps else settings.critic_rollouts)])
 

@@ -43,10 +43,10 @@ def sweep_ppo(
     choices: Mapping[str, Sequence[Any]],
     out: str | Path,
     executor: Executor | None = None,
-    on_training: Callable[[Row, int, int], None] = lambda row, done, of: None,
+    on_result: Callable[[Row, int, int], None] = lambda row, done, of: None,
     *,
     stop_early: bool = False,
-    on_line: Callable[[Row], None] = lambda row: None,
+    on_progress: Callable[[Row], None] = lambda row: None,
 ) -> list[Row]:
     """Train with each combination of values of some settings.
 
@@ -61,11 +61,11 @@ def sweep_ppo(
         choices: Values to try, by name of the setting.
         out: Folder of the sweep.
         executor: Where trainings run; None runs them one after the other in this process.
-        on_training: Called with the row of each finished training, the number of finished ones, and the total.
+        on_result: Called with the row of each finished training, the number of finished ones, and the total.
         stop_early: True to let Ray Tune stop trainings that fall behind: at an eighth, a quarter and a half of the
             steps, those with a success rate below the median of the trainings that got there before. Their rows
             contain ``stopped_early``.
-        on_line: With a `RayExecutor`, called with a training's row at each line of its learning curve; otherwise each
+        on_progress: With a `RayExecutor`, called with a training's row at each line of its curve; otherwise each
             training shows its own progress.
 
     Returns:
@@ -91,11 +91,11 @@ def sweep_ppo(
         rows.append(row)
         rows.sort(key=lambda row: (-(row.get("success_rate") or 0.0), row["folder"]))
         write_atomically(Path(out) / TABLE, json.dumps(rows, indent=1) + "\n")
-        on_training(row, len(rows), len(trainings))
+        on_result(row, len(rows), len(trainings))
 
     with exclusive(out):
         if isinstance(executor, RayExecutor):
-            _tune(trainings, executor, Path(out), add, on_line, stop_early)
+            _tune(trainings, executor, Path(out), add, on_progress, stop_early)
         else:
             for row in completed(_train, trainings.values(), executor):
                 add(row)
@@ -107,7 +107,7 @@ def _tune(
     cluster: RayExecutor,
     out: Path,
     add: Callable[[Row], None],
-    on_line: Callable[[Row], None],
+    on_progress: Callable[[Row], None],
     stop_early: bool,
 ) -> None:
     from greenhouse_gym.common.executors.ray_tune import Halving, run_trials
@@ -121,7 +121,7 @@ def _tune(
         unfinished = early and row["steps"] < trainings[name].settings.total_steps
         add({**row, "stopped_early": True} if unfinished else row)
 
-    run_trials(_train, trainings, cluster, out, ended, on_line, halving)
+    run_trials(_train, trainings, cluster, out, ended, on_progress, halving)
 
 
 def _trainings(settings: PpoSettings, choices: Mapping[str, Sequence[Any]], out: Path) -> dict[str, _Training]:
@@ -138,18 +138,24 @@ def _trainings(settings: PpoSettings, choices: Mapping[str, Sequence[Any]], out:
     return trainings
 
 
-def _train(training: _Training, tell: Callable[[Mapping[str, float], Row], None] = lambda line, row: None) -> Row:
-    """Start or resume a training and return its row; ``tell`` gets each line of its curve with the row so far."""
+def _train(
+    training: _Training, on_progress: Callable[[Mapping[str, float], Row], None] = lambda line, row: None
+) -> Row:
+    """Start or resume a training and return its row; ``on_progress`` gets each line of its curve and the row so far."""
     folder = training.folder
     try:
         if not folder.parent.is_dir():  # made by the head
             raise InvalidValueError(f"node {platform.node()} sees no folder {folder.parent}: all nodes must see it")
         before = read_curve(folder / CURVE)
         for line in before:  # Ray Tune may not know them
-            tell(line, _row(training, before[-1]))
+            on_progress(line, _row(training, before[-1]))
         try:
             resume = (folder / CHECKPOINT).is_file()
-            train_ppo(training.settings, folder, resume=resume, on_line=lambda line: tell(line, _row(training, line)))
+
+            def report(line: Mapping[str, float]) -> None:
+                on_progress(line, _row(training, line))
+
+            train_ppo(training.settings, folder, resume=resume, on_progress=report)
         except GreenhouseError:
             raise
         except Exception as error:  # for example of a distribution whose mean is nan

@@ -137,7 +137,7 @@ def train_sac(
     resume: bool = False,
     time_limit: float | None = None,
     checkpoint_seconds: float = 60.0,
-    tell: Callable[[Validation], None] = lambda validation: None,
+    on_progress: Callable[[Validation], None] = lambda validation: None,
 ) -> Path:
     """Train a policy and validate it at intervals.
 
@@ -151,7 +151,7 @@ def train_sac(
         resume: Continue from the checkpoint in ``out``; otherwise ``out`` must not hold one.
         time_limit: Seconds after which the training stops.
         checkpoint_seconds: Seconds between checkpoints.
-        tell: Called with each validation.
+        on_progress: Called with each validation.
 
     Returns:
         The path of the policy's JSON file; `load_sac` makes a model from its folder.
@@ -173,7 +173,7 @@ def train_sac(
     options = {"num_envs": settings.validation_episodes, **env_options(settings)}
     report = TrainingReport(
         out, described, model, settings.num_envs * EnvSettings().step_limit, ("train", "validation"), options,
-        time_limit, checkpoint_seconds, on_validation=tell,
+        time_limit, checkpoint_seconds, on_validation=on_progress,
     )  # fmt: skip
     return learn(model, report, resume, algorithm="SAC")
 

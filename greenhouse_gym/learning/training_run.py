@@ -88,7 +88,7 @@ class TrainingReport(BaseCallback):  # type: ignore[misc]
         options: Keywords of `evaluate` for the validation.
         time_limit: Seconds after which the training stops, or None.
         checkpoint_seconds: Seconds between checkpoints.
-        on_line: Called with each new line of the learning curve.
+        on_progress: Called with each new line of the learning curve.
         on_validation: Called with each validation.
     """
 
@@ -102,13 +102,13 @@ class TrainingReport(BaseCallback):  # type: ignore[misc]
         options: Mapping[str, Any],
         time_limit: float | None,
         checkpoint_seconds: float,
-        on_line: Callable[[Mapping[str, float]], None] = lambda line: None,
+        on_progress: Callable[[Mapping[str, float]], None] = lambda line: None,
         on_validation: Callable[[Validation], None] = lambda validation: None,
     ):
         super().__init__()
         self.out, self.settings, self.model, self.splits, self.options = out, settings, model, splits, options
         self.time_limit, self.checkpoint_seconds = time_limit, checkpoint_seconds
-        self.on_line, self.on_validation = on_line, on_validation
+        self.on_progress, self.on_validation = on_progress, on_validation
         self.curve_steps, self.validation_steps = curve_steps, settings["validation_steps"]
         done = model.num_timesteps
         self.rows, self.validations = (
@@ -176,7 +176,7 @@ class TrainingReport(BaseCallback):  # type: ignore[misc]
         elif time.monotonic() - self.printed > _PRINT_SECONDS:
             self.printed = time.monotonic()
             self.say(f"{self.num_timesteps:,} steps, {row['seconds']:.0f} s: {note}, return {row['return']:.2f}")
-        self.on_line(row)
+        self.on_progress(row)
 
     def _validate(self) -> None:
         """Run the validation episodes with the policy without its noise."""

@@ -24,14 +24,14 @@ _TOLERANCE = 1e-5  # radians
 
 
 def bank_faults(
-    bank: str | Path | SceneBank, witnesses: bool = True, on_scene: Callable[[int], None] | None = None
+    bank: str | Path | SceneBank, witnesses: bool = True, on_progress: Callable[[int], None] | None = None
 ) -> Iterator[str]:
     """Yield the faults of a bank, a sentence each.
 
     Args:
         bank: The bank.
         witnesses: True to replay the witnesses, which takes about two seconds per scene.
-        on_scene: Called with the number of checked scenes.
+        on_progress: Called with the number of checked scenes.
 
     Raises:
         FileFormatError: The manifest is missing or damaged, is of a newer schema, or gives a row two splits.
@@ -47,8 +47,8 @@ def bank_faults(
             yield from _differences(entry, scene)
             if witnesses:
                 yield from witness_faults(scene)
-        if on_scene is not None:
-            on_scene(done)
+        if on_progress is not None:
+            on_progress(done)
 
 
 def _differences(entry: SceneEntry, scene: Scene) -> Iterator[str]:

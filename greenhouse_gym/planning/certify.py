@@ -120,7 +120,7 @@ def rate_bank(
     out: str | Path,
     seed: int = 0,
     per_scene: int | None = None,
-    on_target: Callable[[int], None] | None = None,
+    on_progress: Callable[[int], None] | None = None,
 ) -> SceneBank:
     """Rate the tomatoes of a bank for an arm and write a new bank with these targets.
 
@@ -133,7 +133,7 @@ def rate_bank(
         out: Folder of the new bank; not that of the old one.
         seed: Same seed, same ratings.
         per_scene: Number of tomatoes to rate in each scene, those nearest to the arm's shoulder; None for all.
-        on_target: Called with the number of rated tomatoes, including those of scenes finished earlier.
+        on_progress: Called with the number of rated tomatoes, including those of scenes finished earlier.
 
     Raises:
         InvalidValueError: ``out`` is the bank's own folder, or the arm's start is in collision in every scene.
@@ -160,8 +160,8 @@ def rate_bank(
             targets: list[Target] = []
             for tomato in _nearest(scene, per_scene):
                 targets.append(certify_target(compiled, tomato, seed))
-                if on_target is not None:
-                    on_target(done + len(targets))
+                if on_progress is not None:
+                    on_progress(done + len(targets))
             result = _with_targets(scene, targets, source)
             result.save(folder / f"{name}.json")
         done += len(_nearest(scene, per_scene))

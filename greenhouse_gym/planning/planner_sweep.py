@@ -96,7 +96,7 @@ def sweep_planners(
     settings: SweepSettings,
     file: Path,
     executor: Executor | None = None,
-    on_piece: Callable[[str, int, int], None] | None = None,
+    on_progress: Callable[[str, int, int], None] | None = None,
 ) -> list[Run]:
     """Run planners at targets; runs that are in the file are not repeated.
 
@@ -106,7 +106,7 @@ def sweep_planners(
         settings: Settings of the runs.
         file: JSON Lines file with one line per run. This process appends the runs at a target when they are finished.
         executor: Where to run them, those at one target with one seed together; None for this process.
-        on_piece: Called with the seed's name, the number of targets finished with it, and their number.
+        on_progress: Called with the seed's name, the number of targets finished with it, and their number.
 
     Returns:
         All runs, seed by seed and target by target; the same with any executor, except seconds.
@@ -137,8 +137,8 @@ def sweep_planners(
                     done[_key(run)] = run
                     out.write(json.dumps(run) + "\n")
                 out.flush()
-                if on_piece:
-                    on_piece(f"planning, seed {seed}", count, len(batches))
+                if on_progress:
+                    on_progress(f"planning, seed {seed}", count, len(batches))
             runs += [done[_key(run)] for wanted in asked for run in wanted]
     return runs
 

@@ -36,7 +36,7 @@ class PlannerInfo:
         settings: Parameters that are set by default. For OMPL's planners all others keep OMPL's values; only the range
             of some is changed: in dense rows RRTConnect then needs 40 % of the checks.
         optimizing: True if the planner improves its path until the time or the checks are used up.
-        single_goal: True if the planner gets one goal instead of all: it has several threads, only one of which may ask
+        single_goal: True if the planner gets one goal instead of all: it has several threads, and only one may ask
             Python for a goal. It gets the goal from which the straight motion to the start is free for longest.
         reproducible: True if the same seed and number of checks give the same path. Not so for planners with threads;
             for LazyPRMstar, whose search is ended by the time because it checks so little; and for LBTRRT, which in

@@ -19,7 +19,7 @@ def image_normals(
     """Return unit normals toward the camera at the masked pixels of a depth image, in the camera frame.
 
     With x' = (u - cx) / fx and y' = (v - cy) / fy, the points of a plane n . X = d have 1/z = (n . (x', y', 1)) / d, so
-    a linear fit of inverse depth in a window gives the normal's direction. Only masked pixels count, all of which must
+    a linear fit of inverse depth in a window gives the normal's direction. Only masked pixels count, and all must
     have a reading, so the background of a surface does not bend its normals.
 
     Returns:

@@ -38,7 +38,7 @@ class Registration(NamedTuple):
 
     @property
     def accepted(self) -> bool:
-        """Whether it passed every check."""
+        """True if it passed every check."""
         return not self.reason
 
 

@@ -54,7 +54,7 @@ class CompiledScene:
         tip_site: Id of the site ``tip``.
         probe_sites: (k,) ids of the sites at which clearance is observed.
         obstacle_geoms: Slice of the geom ids of all obstacle slots: tomatoes, stems, clutter, then parked ones.
-        cup_geom: Id of the geom that may touch the target, or -1 if there is none.
+        cup_geom: Id of the geom that may touch the target, or -1 without one.
     """
 
     scene: Surroundings

@@ -10,7 +10,7 @@ import pytest
 from greenhouse_gym.accuracy import Visibility, VisibleRow
 from greenhouse_gym.crops import PlantRow
 from greenhouse_gym.crops.parts import Stem, Tomato
-from greenhouse_gym.geometry import Box, Shape, Sphere
+from greenhouse_gym.geometry import Box, Sphere
 
 TOMATOES = tuple(Tomato(Sphere([0.3, y, 1.2], 0.08), truss=0) for y in (-0.3, 0.0, 0.3))
 STEM = Stem([0.5, 0.0, 0.5], [0.5, 0.0, 1.6], 0.03, "main")

@@ -108,11 +108,11 @@ def test_a_contact_point_is_named_by_the_grid_and_the_nearest_shape(
     figures: Any, scene: Scene, states: int, name: str
 ) -> None:
     known = bare(scene, (Box([0.5, 0.0, 1.0], [0.1, 0.1, 0.1], np.eye(3)),), states)
-    assert figures.knowledge_at(known, np.array([0.5, 0.0, 1.115])) == f"{name}, shape within 2 cm"
-    assert figures.knowledge_at(known, np.array([0.5, 0.0, 1.16])) == f"{name}, no shape within 5 cm"
-    assert figures.knowledge_at(bare(scene, (), states), np.zeros(3)).endswith("no shape within 5 cm")
+    assert figures.state_at(known, np.array([0.5, 0.0, 1.115])) == f"{name}, shape within 2 cm"
+    assert figures.state_at(known, np.array([0.5, 0.0, 1.16])) == f"{name}, no shape within 5 cm"
+    assert figures.state_at(bare(scene, (), states), np.zeros(3)).endswith("no shape within 5 cm")
     without = known.model_copy(update={"occupancy": None})
-    assert figures.knowledge_at(without, np.array([0.5, 0.0, 1.105])).startswith("no occupancy grid")
+    assert figures.state_at(without, np.array([0.5, 0.0, 1.105])).startswith("no occupancy grid")
 
 
 def test_a_contact_point_lies_between_the_parts_that_touched(figures: Any, scene: Scene) -> None:
@@ -128,4 +128,4 @@ def test_a_contact_point_lies_between_the_parts_that_touched(figures: Any, scene
     assert np.abs(point[:2] - shoulder[:2]).max() < 0.3
     trace.record.contact = ("upper_arm", "wrist_1")
     assert figures.contact_point(true, trace) is None, "the arm touched itself"
-    assert figures.scan_knowledge(true, trace) == "no plant"
+    assert figures.scan_state(true, trace) == "no plant"

@@ -268,7 +268,7 @@ ROWS = [recording("a"), recording("b"), recording("a-1")]
 
 
 def built(out: Path, rows: list[Recording] = ROWS, **options: Any) -> SceneBank:
-    return build_bank(rows, out, "made-up", on_stage=lambda text: None, **options)
+    return build_bank(rows, out, "made-up", on_progress=lambda text: None, **options)
 
 
 def test_a_bank_of_three_rows(calls: Calls, tmp_path: Path) -> None:
@@ -290,7 +290,7 @@ def test_nobody_puts_an_arm_up_in_the_plants(calls: Calls, tmp_path: Path) -> No
         replace(row, truth=replace(row.truth, clutter=leaves))
         for leaves in ((leaf,), tuple(replace(leaf, center=[-0.09, y, 1.5]) for y in (0.45, 0.95, 1.45)))
     )
-    bank = build_bank([one], tmp_path / "one", "made-up", on_stage=said.append)
+    bank = build_bank([one], tmp_path / "one", "made-up", on_progress=said.append)
     assert bank.names() == ["row-00", "row-02"]
     assert calls.certified == bank.names()
     assert any("1 of 3 placements left out" in line for line in said)
@@ -510,8 +510,8 @@ def test_recordings_whose_names_lead_elsewhere_are_refused(calls: Calls, tmp_pat
 
 def test_stages_are_told(calls: Calls, tmp_path: Path) -> None:
     told: list[str] = []
-    build_bank([recording("a")], tmp_path, "b", on_stage=told.append)
-    build_bank([recording("a")], tmp_path, "b", on_stage=told.append)
+    build_bank([recording("a")], tmp_path, "b", on_progress=told.append)
+    build_bank([recording("a")], tmp_path, "b", on_progress=told.append)
     assert told[0] == "a: reconstructing 20 stations"
     assert told[-1] == "a: 3 scenes already built"
 
@@ -538,7 +538,7 @@ def test_a_bank_from_a_recording_on_disk(tmp_path: Path, monkeypatch: pytest.Mon
 
     monkeypatch.setattr(build, "certify_targets", lambda scene, robot, most, smallest: ())
     opened = open_recording(write_recording(half_recording(), tmp_path / "recording"))
-    bank = build_bank([opened], tmp_path / "bank", "real", on_stage=lambda text: None)
+    bank = build_bank([opened], tmp_path / "bank", "real", on_progress=lambda text: None)
     (scene,) = bank
     assert scene.provenance.recording == "simulated-1"
     assert scene.provenance.recording_sha256 is not None

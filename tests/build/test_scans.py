@@ -399,7 +399,7 @@ def test_a_bank_is_built_of_a_scan(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(build, "certify_targets", lambda scene, robot, most, smallest: ())
     points, colors, normals = plant()
     rows = [scanned_row(open_scan(RawCloud(points, colors, normals), units="m", up=up)) for up in ("z", "-z")]
-    bank = build.build_bank(rows[:1], tmp_path / "bank", "scanned", on_stage=lambda text: None)
+    bank = build.build_bank(rows[:1], tmp_path / "bank", "scanned", on_progress=lambda text: None)
     scene = bank[0]
     assert scene.tomatoes[0].center[0] == pytest.approx(0.56)
     assert scene.occupancy is None

@@ -62,7 +62,8 @@ def test_what_a_lost_process_was_at_is_begun_anew_as_often_as_said(cluster: RayE
     ((name, lost, early),) = ended
     assert (name, early) == ("one", False)
     assert isinstance(lost, WorkerLostError)
-    assert str(lost).startswith("its process or node died, or could not start or return the task, 2 times (details in tune/one/")
+    message = "its process or node died, or could not start or return the task, 2 times (details in tune/one/"
+    assert str(lost).startswith(message)
     assert "worker process has died" in (tmp_path / FOLDER / name / "error.txt").read_text()
     assert len([path for path in tmp_path.iterdir() if path.name.isdecimal()]) == 2
 

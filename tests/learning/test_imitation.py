@@ -55,7 +55,7 @@ def test_the_learner_comes_to_do_as_the_teacher_does(bank: SceneBank) -> None:
     env = GreenhouseVectorEnv(4, bank=bank, observation="waypoint", threads=1, autoreset_mode="SameStep")
     told: list[dict[str, float]] = []
     imitation = ImitationSettings(steps=240, num_envs=4, round_steps=20, batch_size=64, passes=100)
-    imitate(model.policy, env, imitation, tell=lambda steps, figures: told.append(figures))
+    imitate(model.policy, env, imitation, on_progress=lambda steps, figures: told.append(figures))
     assert [figures["labels"] > 60 * (k + 1) for k, figures in enumerate(told)] == [True] * 3
     assert told[0]["loss"] < 0.2, "labels are numbers from -1 to 1, and mostly far from 0"
 

@@ -55,7 +55,7 @@ def test_trials_of_ray_tune_give_the_table_of_one_process(
     told: list[ppo_sweep.Row] = []
     choices = {"observation": ["state", "depths"]}
     here = sweep_ppo(settings, choices, tmp_path / "here")
-    there = sweep_ppo(settings, choices, tmp_path / "there", RayExecutor(cpus=2), on_line=told.append)
+    there = sweep_ppo(settings, choices, tmp_path / "there", RayExecutor(cpus=2), on_progress=told.append)
     assert json.loads((tmp_path / "there" / ppo_sweep.TABLE).read_text()) == there
     for row in [*here, *there]:
         row.pop("seconds", None)

@@ -35,7 +35,7 @@ def settings(bank: SceneBank) -> SacSettings:
 
 def test_training_validates_at_intervals(settings: SacSettings, tmp_path: Path) -> None:
     curve: list[Validation] = []
-    path = train_sac(settings, tmp_path, tell=curve.append)
+    path = train_sac(settings, tmp_path, on_progress=curve.append)
     assert [row.steps for row in curve] == [500, 1000]
     assert [row.updates for row in curve] == [0, 24]
     assert 0 < curve[0].seconds < curve[1].seconds
@@ -72,7 +72,7 @@ def test_the_same_seed_learns_the_same(settings: SacSettings, tmp_path: Path) ->
 
 def test_it_stops_in_time(settings: SacSettings, tmp_path: Path) -> None:
     curve: list[Validation] = []
-    train_sac(settings, tmp_path, time_limit=0.0, tell=curve.append)
+    train_sac(settings, tmp_path, time_limit=0.0, on_progress=curve.append)
     assert load_sac(tmp_path).num_timesteps <= 4
     assert curve == []
 
@@ -86,7 +86,7 @@ def test_a_training_goes_on_where_it_was(settings: SacSettings, tmp_path: Path) 
     with pytest.raises(InvalidValueError, match="made with other settings: batch_size"):
         train_sac(replace(settings, batch_size=32), tmp_path, resume=True)
     told: list[Validation] = []
-    train_sac(replace(settings, total_steps=2000, random_steps=900), tmp_path, resume=True, tell=told.append)
+    train_sac(replace(settings, total_steps=2000, random_steps=900), tmp_path, resume=True, on_progress=told.append)
     after = load_sac(tmp_path)
     assert after.num_timesteps == 2000
     assert [row["steps"] for row in read_curve(tmp_path / "validation.csv")] == [500, 1000, 1500, 2000]
@@ -102,7 +102,7 @@ def test_an_interrupted_training_loses_nothing(settings: SacSettings, tmp_path: 
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        train_sac(settings, tmp_path, tell=interrupt)
+        train_sac(settings, tmp_path, on_progress=interrupt)
     assert load_sac(tmp_path).num_timesteps == 500
     train_sac(settings, tmp_path, resume=True)
     assert load_sac(tmp_path).num_timesteps == 1000
@@ -190,7 +190,7 @@ def distance(model: Any, memory: Any) -> float:
 def test_it_learns_to_reach_without_touching(tmp_path: Path) -> None:
     """Some five minutes of one core: random actions reach 0 % (and collide seldom, for they hardly get anywhere)."""
     curve: list[Validation] = []
-    train_sac(SacSettings(threads=1, total_steps=40_000, validation_episodes=128), tmp_path, tell=curve.append)
+    train_sac(SacSettings(threads=1, total_steps=40_000, validation_episodes=128), tmp_path, on_progress=curve.append)
     first, last = curve
     for split, before in first.results.items():
         after = last.results[split]

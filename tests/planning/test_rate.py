@@ -86,11 +86,11 @@ def test_rating_goes_on_where_it_was_interrupted(
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        rate_bank(few, "iiwa14", tmp_path / "out", on_target=stop_in_the_second)
+        rate_bank(few, "iiwa14", tmp_path / "out", on_progress=stop_in_the_second)
     assert not (tmp_path / "out" / "manifest.json").exists()
     assert asked == [1, 2, 3, 4, 5, 6, 7, 8]
     asked.clear()
-    rated = rate_bank(few, "iiwa14", tmp_path / "out", on_target=asked.append)
+    rated = rate_bank(few, "iiwa14", tmp_path / "out", on_progress=asked.append)
     assert asked == [7, 8, 9, 10, 11, 12]
     again = rate_bank(few, "iiwa14", tmp_path / "again")
     for name in few.names():
@@ -100,7 +100,7 @@ def test_rating_goes_on_where_it_was_interrupted(
     # another seed, and another arm of the same name, are rated anew
     monkeypatch.setattr(certify, "certify_target", lambda compiled, tomato, seed: again[0].targets[0])
     counted: list[int] = []
-    rate_bank(few, "iiwa14", tmp_path / "out", seed=1, on_target=counted.append)
+    rate_bank(few, "iiwa14", tmp_path / "out", seed=1, on_progress=counted.append)
     assert counted
 
 

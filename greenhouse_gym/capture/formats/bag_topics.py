@@ -32,7 +32,7 @@ class CameraTopics:
 
     @property
     def constant(self) -> tuple[str, ...]:
-        """Topics of which one message is enough."""
+        """Topics that need only one message."""
         return (self.color_info, self.depth_info, self.color_extrinsics, self.depth_extrinsics, self.units)
 
 

@@ -17,7 +17,7 @@ CONTEXT_FEATURES = ("larger", "smaller", "unlike neighbors", "neighbors", "gap /
 def context_features(
     fits: Sequence[SphereFit], hues: Array, confident: Sequence[SphereFit], confident_hues: Array
 ) -> Array:
-    """Return the features (k, len(CONTEXT_FEATURES)) of spheres among confident fruit; zeros if there is none.
+    """Return the features (k, len(CONTEXT_FEATURES)) of spheres among confident fruit; zeros without any.
 
     Args:
         fits: The spheres.

@@ -107,7 +107,7 @@ def _common_stretch(fits: Sequence[Spheroid], skins: Sequence[Array], clear: Seq
 
 
 def _skins(fits: Sequence[Spheroid], cloud: SurfaceCloud, tree: cKDTree) -> list[Array]:
-    """Return for each spheroid the points (k, 3) near its surface that are nearest to it, at most `_MAX_POINTS`."""
+    """Return for each spheroid the points (k, 3) near its surface that are nearest to it, at longest `_MAX_POINTS`."""
     longest = [1.3 * float(fit.semi_axes.max()) for fit in fits]
     near = [
         np.array(tree.query_ball_point(fit.center, r), dtype=np.int64) for fit, r in zip(fits, longest, strict=True)
@@ -169,8 +169,8 @@ class _Problem(NamedTuple):
 
 def _fit(fits: Sequence[Spheroid], skins: Sequence[Array], stretches: Array) -> tuple[list[Spheroid], Array]:
     """Fit spheroids of given stretches (k,) to their skins by Levenberg-Marquardt, and return them with costs (k,)."""
-    most = max((len(skin) for skin in skins), default=0)
-    points, real = np.zeros((len(fits), max(most, 1), 3)), np.zeros((len(fits), max(most, 1)))
+    longest = max((len(skin) for skin in skins), default=0)
+    points, real = np.zeros((len(fits), max(longest, 1), 3)), np.zeros((len(fits), max(longest, 1)))
     for k, skin in enumerate(skins):
         if len(skin) >= _MIN_POINTS:
             points[k, : len(skin)], real[k, : len(skin)] = skin, 1.0

@@ -229,12 +229,12 @@ def _visible_piece(cylinder: Cylinder, near: Cloud) -> _Piece | None:
     within = (along >= low) & (along <= high)
     on &= within
     outside = within & (residual > SHELL) & (residual < 3.5 * SHELL)
-    touched = int(np.count_nonzero(shows[run].mean(axis=0) > 0.3))
+    sectors = int(np.count_nonzero(shows[run].mean(axis=0) > 0.3))
     return _Piece(
         cylinder,
         float(max(low, along[on].min())),
         float(min(high, along[on].max())),
-        arc=max(touched - 1, 0) * 2 * np.pi / columns,  # an arc as wide as k columns touches k + 1 of them
+        arc=max(sectors - 1, 0) * 2 * np.pi / columns,  # an arc as wide as k columns touches k + 1 of them
         filled=len(run) / (run[-1] - run[0] + 1),
         alignment=float(alignment[on].mean()),
         tilt=float(np.sqrt(np.mean((near.normals[on] @ cylinder.axis) ** 2))),
