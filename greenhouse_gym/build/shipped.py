@@ -46,7 +46,8 @@ PROTOCOLS = ("paper", "upright-back")
 
 DESCRIPTION = (
     "Simulated recordings of grown rows, reconstructed: three styles of fruit, plants of two sources, two capture "
-    "protocols, weeks 0 to 11. Names contain a row's source, cultivar and seed, and the week; some rows come in two weeks."
+    "protocols, weeks 0 to 11. Names contain a row's source, cultivar and seed, and the week; some rows come in two "
+    "weeks."
 )
 
 
