@@ -1,4 +1,4 @@
-"""A kind of action of your own: two numbers turn the shoulder and the elbow, and the wrist keeps the tool level.
+"""Your own kind of action: two numbers move the shoulder and the elbow, and the wrist keeps the tool level.
 
 python examples/own_action.py
 """
@@ -12,12 +12,12 @@ from greenhouse_gym.envs import State, ToolMotion
 
 
 class TwoJoints:
-    """Shoulder and elbow of the UR5e move, 0.08 rad per step at most; the first wrist joint moves against them."""
+    """Moves shoulder and elbow of the UR5e by up to 0.08 rad per step; the first wrist joint compensates."""
 
     space = spaces.Box(-1.0, 1.0, (2,), np.float32)
 
     def __call__(self, action: np.ndarray, state: State, motion: ToolMotion) -> np.ndarray:
-        """Changes (n, 6) of the commands, radians."""
+        """Return changes (n, 6) of the commands, radians."""
         change = np.zeros_like(state.joints)
         change[:, 1:3] = 0.08 * action
         change[:, 3] = -change[:, 1] - change[:, 2]

@@ -1,4 +1,4 @@
-"""An agent of your own: `greenhouse-gym compare --agents examples/own_agent.py:ReachForIt,random`."""
+"""Your own agent: `greenhouse-gym compare --agents examples/own_agent.py:ReachForIt,random`."""
 
 import numpy as np
 
@@ -6,15 +6,15 @@ from greenhouse_gym.agents import Problem
 
 
 class ReachForIt:
-    """Turns the base towards the tomato and leans forward; it knows nothing of what is in between."""
+    """Turns the base toward the tomato and leans forward, whatever is in between."""
 
     name = "reach for it"
     env_options = {"robot": "ur5e", "observation": "state", "action": "joint"}
 
     def reset(self, problem: Problem) -> None:
-        """Prepare for an episode; the problem tells scene, target, arm, start and seed."""
+        """Prepare for an episode; the problem contains scene, target, arm, start and seed."""
 
     def act(self, observation: np.ndarray) -> np.ndarray:
-        """The next action in [-1, 1], from what is observed (`help(GreenhouseEnv)` lists every entry)."""
+        """Return the next action in [-1, 1] (`help(GreenhouseEnv)` lists every entry of the observation)."""
         turn = np.arctan2(observation[22], observation[21]) - observation[0]
         return np.clip([5 * turn, 0.5, 0.5, 0, 0, 0], -1, 1)

@@ -1,4 +1,4 @@
-"""A policy of any library as an agent; here a bare function, and where TorchRL's or CleanRL's network goes."""
+"""Your own learner: a policy of any library as an agent, here a plain function in place of a network."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from greenhouse_gym.evaluation import evaluate
 
 
 class Learned:
-    """What maps observations (n, size) to actions (n, joints), as an agent that many simulations can ask at once."""
+    """Agent around a function from observations (n, size) to actions (n, joints), which serves n simulations at once."""
 
     name = "learned"
     env_options = {"robot": "ur5e", "observation": "state", "action": "joint"}

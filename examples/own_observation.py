@@ -1,4 +1,4 @@
-"""An observation of your own: where the target is, how far every point of the arm is from the plants, and no more.
+"""Your own observation: the offset to the target and the clearances of the arm, and nothing else.
 
 python examples/own_observation.py
 """
@@ -13,15 +13,15 @@ from greenhouse_gym.robots import Robot
 
 
 class Feelers:
-    """The way to the target, and the clearances (metres)."""
+    """Offset to the target and clearances (metres)."""
 
     def __init__(self, robot: Robot):
         self.space = spaces.Box(-5.0, 5.0, (3 + len(robot.probes),), np.float32)
 
     def __call__(self, state: State) -> np.ndarray:
-        """One row for each of n simulations."""
-        way = state.target - state.grasp
-        return np.clip(np.hstack([way, state.clearance]), -5.0, 5.0).astype(np.float32)
+        """Return one row for each of n simulations."""
+        offset = state.target - state.grasp
+        return np.clip(np.hstack([offset, state.clearance]), -5.0, 5.0).astype(np.float32)
 
 
 if __name__ == "__main__":

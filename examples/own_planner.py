@@ -1,4 +1,4 @@
-"""A planner of your own: back out of a goal a little at a time until the way to the start is free.
+"""Your own planner: back out of a goal step by step until the path to the start is free.
 
 python examples/own_planner.py
 """
@@ -10,10 +10,12 @@ from greenhouse_gym.scene import SceneBank
 
 
 def retreat(problem: PlanningProblem, settings: PlannerSettings) -> np.ndarray | None:
-    """Start, a place on the way back from a goal turned to the start's first joints, goal."""
+    """Return start, goal, and between them a configuration that blends the first joints of both."""
     for goal in problem.goals:
-        for share in (0.0, 0.25, 0.5, 0.75):
-            via = np.where(np.arange(len(goal)) < len(goal) // 2, share * problem.start + (1 - share) * goal, goal)
+        for fraction in (0.0, 0.25, 0.5, 0.75):
+            via = np.where(
+                np.arange(len(goal)) < len(goal) // 2, fraction * problem.start + (1 - fraction) * goal, goal
+            )
             if problem.is_free(via) and problem.path_is_free([problem.start, via, goal]):
                 return np.stack([problem.start, via, goal])
     return None

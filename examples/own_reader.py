@@ -1,8 +1,8 @@
-"""A recording format of your own: the folders image/ and range/ beside a text of intrinsics.
+"""Your own recording format: the folders image/ and range/, and a text file of intrinsics.
 
 python examples/own_reader.py FOLDER
 
-A package makes it known to `open_recording` and the command line by an entry point in its pyproject.toml:
+A package registers it for `open_recording` and the command line by an entry point in its pyproject.toml:
 
     [project.entry-points."greenhouse_gym.formats"]
     pairs = "my_package.own_reader"
@@ -18,12 +18,12 @@ description = "the folders image/ and range/ (tenths of a millimetre) and camera
 
 
 def recognises(path: Path) -> bool:
-    """Whether the folder has ranges and intrinsics."""
+    """Return whether the folder has ranges and intrinsics."""
     return (path / "range").is_dir() and (path / "camera.txt").is_file()
 
 
 def open(path: Path) -> Recording:
-    """The recording; its images are read when a station is asked for."""
+    """Return the recording, whose images are read on access."""
     width, height, *pinhole = map(float, (path / "camera.txt").read_text().split())
     color, depth = (sorted((path / kind).glob("*.png")) for kind in ("image", "range"))
     return single_camera(path, Intrinsics(int(width), int(height), *pinhole), color, depth, depth_scale=1e-4)

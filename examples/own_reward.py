@@ -1,4 +1,4 @@
-"""A reward of your own: reach the tomato, and keep the leaves at arm's length on the way.
+"""Your own reward: reach the tomato and keep a distance from the leaves.
 
 python examples/own_reward.py
 """
@@ -9,13 +9,13 @@ import numpy as np
 import greenhouse_gym  # noqa: F401 - registers the environments
 from greenhouse_gym.envs import DenseReward, Transition
 
-USUAL = DenseReward(progress=2.0)
+DENSE = DenseReward(progress=2.0)
 
 
 def careful(step: Transition) -> dict[str, np.ndarray]:
-    """The usual terms, and a cost of every centimetre below 5 cm of clearance."""
+    """Return the terms of a dense reward, and a cost for clearances below 5 cm."""
     nearest = step.end.clearance.min(axis=1)
-    return {**USUAL(step), "nearness": -2.0 * np.maximum(0.05 - nearest, 0.0)}
+    return {**DENSE(step), "nearness": -2.0 * np.maximum(0.05 - nearest, 0.0)}
 
 
 if __name__ == "__main__":

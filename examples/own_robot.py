@@ -1,6 +1,6 @@
-"""An arm of your own: mount the package's gripper on it, rate a bank for it, train on that bank.
+"""Your own arm: mount the package's gripper on it, rate a bank for it, and train on that bank.
 
-python examples/own_robot.py [ARM.xml]     an arm of MuJoCo Menagerie, say; without one, the shipped iiwa 14
+python examples/own_robot.py [ARM.xml]     for example an arm of MuJoCo Menagerie; by default the shipped iiwa 14
 """
 
 import sys
