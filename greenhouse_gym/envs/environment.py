@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
+from greenhouse_gym.envs.contacts import CONTACT_GROUPS
 from greenhouse_gym.envs.episodes import DifficultyChoice
 from greenhouse_gym.envs.hindsight import add_goal_functions
 from greenhouse_gym.envs.observations import Observed, select
@@ -259,7 +260,9 @@ class GreenhouseEnv(SpecMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]])
         return select(self.simulation.observation(), 0)
 
     def _info(self, result: StepResult | None) -> dict[str, Any]:
-        info = {key: _item(values) for key, values in self.simulation.info(result).items()}
+        values = self.simulation.info(result)
+        contacts = dict(zip(CONTACT_GROUPS, values.pop("contacts")[0].tolist(), strict=True))
+        info = {key: _item(array) for key, array in values.items()} | {"contacts": contacts}
         if result is not None:
             info["reward_terms"] = {name: term.item() for name, term in result.terms.items()}
         return info
@@ -268,7 +271,5 @@ class GreenhouseEnv(SpecMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]])
         return self.simulation.tip(0)
 
 
-def _item(values: Any) -> Any:
-    if isinstance(values, dict):
-        return {key: _item(part) for key, part in values.items()}
+def _item(values: npt.NDArray[Any]) -> Any:
     return values[0].copy() if values.ndim > 1 else values.item()

@@ -53,6 +53,8 @@ class Perception:
         self._target = np.zeros((count, 3))  # as observed, in the base frame
         self._goal = np.zeros((count, 3))  # true center, in the base frame
         self._radius = np.zeros((count, 1))
+        # read-only values of what is not required
+        self._nothing, self._unset, self._false = np.empty((count, 0)), np.full(count, np.nan), np.zeros(count, bool)
         rays = NUM_CLEARANCES if observe.requires_clearance_rays else 0
         self._clearance_rays = np.empty((count, rays), dtype=np.float32)
         self._waypoints = WaypointTracker(count, len(robot.joints)) if requires_roadmap else None
@@ -129,14 +131,13 @@ class Perception:
         points, axis = vectors[:, :-1], vectors[:, -1]
         distance, direction = self._worlds.fields.lookup(self._field[ids], self._ignored[ids], points[:, 1:])
         joints = physics.qpos[ids]
-        command = physics.command[ids] + self._joint_offset[ids]
-        waypoint, path_length, path_free = self._paths(ids, command, steps[ids])
+        command_error = physics.command[ids] - joints
+        waypoint, path_length, path_free = self._paths(ids, physics.command, steps)
         images = self._render_images(ids, physics, frame, sites[:, 0], tool)
-        unset = np.zeros(len(points), dtype=np.bool_)
         return State(
             joints=joints + self._joint_offset[ids],
             velocities=physics.qvel[ids].copy(),
-            command_error=physics.command[ids] - joints,
+            command_error=command_error,
             tip=points[:, 0],
             axis=axis,
             grasp=points[:, 0] + self._radius[ids] * axis,
@@ -155,25 +156,31 @@ class Perception:
             views=images.views,
             contacts=contacts.counts,
             collided=contacts.collided,
-            distance=np.full(len(points), np.nan),
-            success=unset,
-            failure=unset,
+            distance=self._unset[: len(points)],
+            success=self._false[: len(points)],
+            failure=self._false[: len(points)],
             memory=memory,
         )
 
     def _paths(self, ids: Ids | slice, command: Array, steps: npt.NDArray[np.int64]) -> tuple[Array, Array, Bools]:
-        """Return waypoint offsets (k, j) from the commands, path lengths (k,), and whether the motion is free (k,)."""
-        if self._waypoints is None:
-            n = len(command)
-            return np.empty((n, 0)), np.full(n, np.nan), np.zeros(n, dtype=np.bool_)
+        """Return waypoint offsets (k, j) from the commands, path lengths (k,), and whether the motion is free (k,).
+
+        Args:
+            ids: Indices of k of the n simulations.
+            command: (n, j) commanded joint positions, radians.
+            steps: (n,) steps of the episodes so far.
+        """
         tracker = self._waypoints
-        tracker.update(np.arange(self._count)[ids], command, steps)
-        return tracker.configuration[ids] - command, tracker.cost_to_go[ids].copy(), tracker.free[ids].copy()
+        if tracker is None:
+            return self._nothing[ids], self._unset[ids], self._false[ids]
+        observed = command[ids] + self._joint_offset[ids]
+        tracker.update(np.arange(self._count)[ids], observed, steps[ids])
+        return tracker.configuration[ids] - observed, tracker.cost_to_go[ids].copy(), tracker.free[ids].copy()
 
     def _unknown_at(self, ids: Ids | slice, probes: Array) -> Bools:
         """Return (n, k) whether probe points (n, k, 3) lie in unobserved space; k is 0 unless required."""
         if not self._observe.requires_occupancy:
-            return np.empty((len(probes), 0), dtype=np.bool_)
+            return self._false[ids, None][:, :0]
         unknown = np.empty(probes.shape[:2], dtype=np.bool_)
         for k, i in enumerate(np.arange(self._count)[ids]):
             occupancy = self._setups[i].episode.scene.occupancy

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import mujoco
@@ -23,7 +23,7 @@ _SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 
 
 class _Start(NamedTuple):
-    """Initial values of an action: positions, velocities, solver warm start and commands, each (j,)."""
+    """Initial values of an action: positions, velocities, solver warm start and commands, each (j,) or (n, j)."""
 
     joints: Array
     velocities: Array
@@ -61,6 +61,7 @@ class Physics:
             else ManyStepper(self.models, threads, timing.substeps)
         )
         self._data = mujoco.MjData(compiled.model)
+        self._ids, self._no_counts = np.arange(count), np.zeros((count, len(CONTACT_GROUPS)), dtype=np.int64)
         self._tip = compiled.tip_site
         self._points = np.array([compiled.tip_site, *compiled.probe_sites])
 
@@ -87,8 +88,8 @@ class Physics:
     def place(self, ids: Ids, configurations: Array) -> Contacts:
         """Place some arms at rest at configurations (len(ids), j) and return their contacts there."""
         touching = self._stepper.place(ids, configurations)
-        rest = np.zeros(configurations.shape[1])
-        return self._contacts(ids, touching, lambda k: _Start(configurations[k], rest, rest, configurations[k]), 0)
+        rest = np.zeros(configurations.shape)
+        return self._contacts(ids, touching, _Start(configurations, rest, rest, configurations), 0)
 
     def advance(self, command: Array) -> Contacts:
         """Run one action, during which the servos' commands move at constant speed to the new ones (n, j)."""
@@ -96,8 +97,7 @@ class Physics:
         before = [array.copy() for array in (stepper.qpos, stepper.qvel, stepper.warmstart, stepper.command)]
         stepper.speed[:] = (command - stepper.command) / self._timing.interval
         touching = stepper.run()
-        ids = np.arange(len(touching))
-        return self._contacts(ids, touching, lambda i: _Start(*(array[i] for array in before)), self._timing.substeps)
+        return self._contacts(self._ids, touching, _Start._make(before), self._timing.substeps)
 
     def sites(self, ids: Ids | slice) -> tuple[Array, Array]:
         """Return tip and probe points (m, 1 + k, 3) and tool frames (m, 3, 3) of some simulations in their scenes."""
@@ -115,14 +115,16 @@ class Physics:
         data.qpos[:], data.qvel[:], data.act[:] = stepper.qpos[i], stepper.qvel[i], stepper.command[i]
         mujoco.mj_forward(model, data)
 
-    def _contacts(self, ids: Ids, touching: Bools, start: Callable[[int], _Start], substeps: int) -> Contacts:
+    def _contacts(self, ids: Ids, touching: Bools, start: _Start, substeps: int) -> Contacts:
         """Classify the contacts of the few simulations that have any by repeating their action."""
+        if not touching.any():
+            return Contacts(self._no_counts[: len(ids)], touching, {})
         counts = np.zeros((len(ids), len(CONTACT_GROUPS)), dtype=np.int64)
         collided = np.zeros(len(ids), dtype=np.bool_)
         first: dict[int, Contact] = {}
         for k in np.flatnonzero(touching).tolist():
             i = int(ids[k])
-            counts[k], contact = self._repeat(i, start(k), substeps)
+            counts[k], contact = self._repeat(i, _Start._make(values[k] for values in start), substeps)
             if contact is not None:
                 collided[k], first[i] = True, contact
         return Contacts(counts, collided, first)

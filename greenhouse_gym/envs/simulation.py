@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.envs.actions import CommandLimits, check_actions, squared_norm
-from greenhouse_gym.envs.choices import checked_outcome, make_action, make_observation, make_reward, make_task
-from greenhouse_gym.envs.contacts import CONTACT_GROUPS, NO_CONTACT, Contacts
+from greenhouse_gym.envs.choices import make_action, make_observation, make_reward, make_task, outcome_check
+from greenhouse_gym.envs.contacts import NO_CONTACT, Contacts
 from greenhouse_gym.envs.episodes import Episode, EpisodeSampler
 from greenhouse_gym.envs.observations import Observed, check_goals
 from greenhouse_gym.envs.perception import Perception
@@ -30,9 +30,6 @@ from greenhouse_gym.scene import CompiledScene
 
 STEP_INFOS = ("previous_goal", "effort")
 """Keys of the info of a step that the info of a reset lacks, besides the reward terms."""
-
-Infos = dict[str, Any]
-"""Arrays of length n by key; an entry may itself be a dict of arrays."""
 
 
 class Simulation:
@@ -55,6 +52,7 @@ class Simulation:
     def __init__(self, count: int, settings: EnvSettings, threads: int = 0):
         self.settings = settings
         self.task = make_task(settings.task, settings.success_radius)
+        self._checked = outcome_check(self.task)
         self.robot = robot = get_robot(settings.robot)
         self.sampler = EpisodeSampler(settings.bank, settings.split, robot, settings.difficulty, settings.start)
         self.observe = make_observation(settings.observation, robot, self.task)
@@ -176,16 +174,8 @@ class Simulation:
         """Return the state of some simulations and the outcome of their task."""
         assert self._physics is not None
         state = self._perception.look(ids, self._physics, contacts, steps, memory)
-        outcome = checked_outcome(self.task, self.task.evaluate(state), len(state.joints))
-        return (
-            state._replace(
-                distance=outcome.distance,
-                success=outcome.success,
-                failure=outcome.failure,
-                memory={**memory, **outcome.memory} if memory else memory,
-            ),
-            outcome,
-        )
+        outcome = self._checked(self.task.evaluate(state), len(state.joints))
+        return state.with_outcome(*outcome[:3], {**memory, **outcome.memory} if memory else memory), outcome
 
     def _advance_targets(self, ids: Ids) -> None:
         """Make the next target of some simulations the current one, which affects the next observation."""
@@ -211,15 +201,18 @@ class Simulation:
         state = self._current_state()
         return self.observe(state if ids is None else state.select(ids))
 
-    def info(self, step: StepResult | None = None) -> Infos:
-        """Return the info that `GreenhouseEnv` documents, without reward terms, as live arrays of length n."""
+    def info(self, step: StepResult | None = None) -> dict[str, npt.NDArray[Any]]:
+        """Return the info that `GreenhouseEnv` documents, without reward terms, as live arrays of length n.
+
+        Contacts are an array (n, groups).
+        """
         state, counts = self._current_state(), self._counts
-        result: Infos = {
+        result: dict[str, npt.NDArray[Any]] = {
             "is_success": state.success,
             "collision": state.collided,
             "contact": self._contact,
             "self_collision": self._self_collision,
-            "contacts": dict(zip(CONTACT_GROUPS, state.contacts.T, strict=True)),
+            "contacts": state.contacts,
             "distance": state.distance,
             "clearance": state.clearance.min(axis=1).astype(np.float64),
             "scene": self._names["scene"],

@@ -12,16 +12,20 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from greenhouse_gym.envs.contacts import CONTACT_GROUPS
 from greenhouse_gym.envs.episodes import DifficultyChoice
 from greenhouse_gym.envs.hindsight import add_goal_functions
 from greenhouse_gym.envs.observations import Observed, select
 from greenhouse_gym.envs.rewards import StepResult
 from greenhouse_gym.envs.settings import EnvSettings, SpecMixin, check_whole, settings_with
-from greenhouse_gym.envs.simulation import STEP_INFOS, Infos, Simulation
+from greenhouse_gym.envs.simulation import STEP_INFOS, Simulation
 from greenhouse_gym.envs.state import Bools, Ids
 from greenhouse_gym.errors import EpisodeOverError, InvalidValueError, UnknownNameError, require_choice
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.rendering.viewer import RENDER_MODES, Viewer
+
+Infos = dict[str, Any]
+"""Arrays (n,) by key, or dicts of such arrays, each with a mask."""
 
 
 class GreenhouseVectorEnv(  # type: ignore[misc]
@@ -182,7 +186,8 @@ class GreenhouseVectorEnv(  # type: ignore[misc]
             self._viewer.close()
 
     def _info(self, result: StepResult | None) -> Infos:
-        return _copied(self.simulation.info(result))
+        info: Infos = {key: values.copy() for key, values in self.simulation.info(result).items()}
+        return info | {"contacts": dict(zip(CONTACT_GROUPS, info["contacts"].T, strict=True))}
 
     def _seed(self, chosen: Ids, seed: int | Sequence[int | None] | None) -> None:
         if seed is None:
@@ -226,8 +231,8 @@ def _nested(name: str, values: Infos, mask: Bools) -> Infos:
     return _masked({name: values}, mask, mask)
 
 
-def _copied(values: Any) -> Any:
-    return {key: _copied(part) for key, part in values.items()} if isinstance(values, dict) else values.copy()
+def _copied(observed: Observed) -> Observed:
+    return {key: values.copy() for key, values in observed.items()} if isinstance(observed, dict) else observed.copy()
 
 
 def _replace(observed: Observed, ids: Ids, fresh: Observed) -> None:

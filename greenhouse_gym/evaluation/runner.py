@@ -239,7 +239,7 @@ class EpisodeRunner:
 
     def _result(self, i: int, run: _Run) -> EpisodeResult:
         simulation = self._simulation
-        info = {key: values[i] for key, values in simulation.info().items() if not isinstance(values, dict)}
+        info = {key: values[i] for key, values in simulation.info().items()}
         steps = len(run.joints) - 1
         path = np.array(run.joints)
         model, _ = simulation.model_and_data(i)

@@ -13,4 +13,4 @@ SUCCESS_RADIUS = 0.02
 
 def is_reached(distance: Array | float, radius: float = SUCCESS_RADIUS) -> npt.NDArray[np.bool_]:
     """Return whether targets are reached, given distances (...) from the grasp point to their centers, metres."""
-    return np.asarray(distance < radius)
+    return distance < radius  # type: ignore[return-value]

@@ -1,4 +1,4 @@
-"""What was touched is told by its name in the scene of the episode."""
+"""Contacts have the names of the scene of the episode."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ def rollout(env: GreenhouseEnv, episodes: int = 6) -> list[tuple[Any, ...]]:
 
 @pytest.mark.parametrize("reward", ["sparse", "dense"])
 def test_the_contract_of_goal_environments_holds(bank: SceneBank, reward: str) -> None:
-    """What Gymnasium-Robotics asks of a GoalEnv."""
+    """The interface of a GoalEnv of Gymnasium-Robotics."""
     env = goal_env(bank, reward=reward)
     assert isinstance(env.observation_space, spaces.Dict)
     assert set(env.observation_space.spaces) == {"observation", "achieved_goal", "desired_goal"}

@@ -1,4 +1,4 @@
-"""What policies may know of what the scan saw, and the configuration that the arm starts from."""
+"""The observation of unknown space, and the start configurations of the arm."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `render` gives: the same picture whoever else draws, and one by ray casting where there is no OpenGL."""
+"""Images of `render`: independent of other renderers, and by ray casting where OpenGL is missing."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def test_every_thread_draws_the_same(bank: SceneBank) -> None:
 
 
 def in_a_forked_process(work: Callable[[], str]) -> str:
-    """What ``work`` tells in a fork of this process, or that it hung."""
+    """Return the result of ``work`` in a fork of this process, or that it hung."""
     read, write = os.pipe()
     child = os.fork()
     if child == 0:

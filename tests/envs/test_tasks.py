@@ -232,7 +232,7 @@ def test_what_is_not_a_task_is_rejected(bank: SceneBank, tmp_path: Path) -> None
 
 
 def test_success_has_one_formula(bank: SceneBank) -> None:
-    """What the task evaluates is what the environment, hindsight and evaluation report."""
+    """The environment, hindsight and evaluation report the outcome of the task."""
     env = GreenhouseEnv(bank=bank, observation="goal", success_radius=0.5)
     assert env.simulation.task == TomatoReach(0.5)
     agent, reached = StraightLineAgent(), 0
