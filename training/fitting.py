@@ -20,7 +20,7 @@ from greenhouse_gym.accuracy import Visibility, compare_tomatoes
 from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.geometry import Array, Sphere, pose
-from greenhouse_gym.reconstruction.point_clouds import Cloud
+from greenhouse_gym.geometry.point_clouds import Cloud
 from greenhouse_gym.shapes import ShapeSettings
 from greenhouse_gym.shapes.networks import Network, network_file
 

@@ -70,8 +70,8 @@ from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.crops.parts import STEM_KINDS
 from greenhouse_gym.geometry import Array, Capsule, Shape, transform
+from greenhouse_gym.geometry.point_clouds import Cloud
 from greenhouse_gym.reconstruction import RowCloud
-from greenhouse_gym.reconstruction.point_clouds import Cloud
 from greenhouse_gym.shapes import RowShapes, extract_shapes
 
 HELD_OUT = range(401, 411)

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.geometry import bounding_balls, distance_to_shapes
-from greenhouse_gym.reconstruction.point_clouds import Cloud
+from greenhouse_gym.geometry.point_clouds import Cloud
 
 _ON_SKIN = 0.003
 """Largest distance of a skin point from a tomato's surface, metres, given the noise of a depth camera."""

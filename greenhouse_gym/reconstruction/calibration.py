@@ -24,9 +24,9 @@ from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.capture.rig import Camera, Rig
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import Array, invert, pose, transform
+from greenhouse_gym.geometry.point_clouds import Cloud
 from greenhouse_gym.reconstruction.edge_fattening import EdgeFattening, estimate_edge_fattening
 from greenhouse_gym.reconstruction.icp import MIN_FACING, tukey_weights
-from greenhouse_gym.reconstruction.point_clouds import Cloud
 from greenhouse_gym.reconstruction.report import CalibrationReport
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings
 from greenhouse_gym.reconstruction.station_views import Calibration, CameraView, camera_view

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from greenhouse_gym.geometry import Array, invert, pose, transform
-from greenhouse_gym.reconstruction.point_clouds import Cloud
+from greenhouse_gym.geometry.point_clouds import Cloud
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings
 from greenhouse_gym.reconstruction.station_views import StationView
 

@@ -16,8 +16,8 @@ from scipy.spatial import cKDTree
 from greenhouse_gym.capture.rig import Rig
 from greenhouse_gym.common.extras import needs
 from greenhouse_gym.geometry import Array, invert, transform
+from greenhouse_gym.geometry.point_clouds import Cloud, PackedCloud, merge, voxel_means, voxels
 from greenhouse_gym.reconstruction.icp import SEE_THROUGH
-from greenhouse_gym.reconstruction.point_clouds import Cloud, PackedCloud, merge, voxel_means, voxels
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings
 from greenhouse_gym.reconstruction.station_views import BLOCK, MinDepth
 

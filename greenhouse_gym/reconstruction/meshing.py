@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.errors import InvalidValueError, require_choice
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.reconstruction.point_clouds import Cloud, to_open3d
+from greenhouse_gym.geometry.point_clouds import Cloud, to_open3d
 
 METHODS = ("ball_pivoting", "poisson", "alpha_shape")
 AnyCloud = TypeVar("AnyCloud", bound=Cloud)

@@ -13,9 +13,9 @@ import numpy.typing as npt
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.capture.rig import Rig
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.geometry.point_clouds import Cloud, exposure_failure
 from greenhouse_gym.reconstruction.fitting import settings_for
 from greenhouse_gym.reconstruction.merging import find_outliers, merge_stations
-from greenhouse_gym.reconstruction.point_clouds import Cloud, exposure_failure
 from greenhouse_gym.reconstruction.pose_graph import optimize_poses
 from greenhouse_gym.reconstruction.report import RowReport
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings

@@ -21,8 +21,8 @@ from greenhouse_gym.common.files import MAX_BYTES, parsing, read_bytes, write_at
 from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.errors import FileFormatError, FileWriteError
 from greenhouse_gym.geometry import is_rotation
+from greenhouse_gym.geometry.point_clouds import Cloud, to_open3d
 from greenhouse_gym.reconstruction.meshing import TriangleMesh, mesh_to_open3d
-from greenhouse_gym.reconstruction.point_clouds import Cloud, to_open3d
 from greenhouse_gym.reconstruction.report import RowReport
 from greenhouse_gym.reconstruction.row_cloud import RowCloud
 

@@ -19,7 +19,7 @@ from pydantic import TypeAdapter
 from greenhouse_gym.capture.fingerprint import fingerprint
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.common.files import write_atomically
-from greenhouse_gym.reconstruction.point_clouds import PackedCloud
+from greenhouse_gym.geometry.point_clouds import PackedCloud
 from greenhouse_gym.reconstruction.pose_graph import PoseEdge
 from greenhouse_gym.reconstruction.report import StationReport
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings

@@ -19,12 +19,12 @@ from greenhouse_gym.capture.recordings import Pass, Recording
 from greenhouse_gym.common.extras import needs
 from greenhouse_gym.errors import FileFormatError, ReconstructionError
 from greenhouse_gym.geometry import Array, transform
+from greenhouse_gym.geometry.point_clouds import PackedCloud
 from greenhouse_gym.reconstruction.calibration import calibrate
 from greenhouse_gym.reconstruction.foreground import foreground_problem
 from greenhouse_gym.reconstruction.given_poses import register_given_pose
 from greenhouse_gym.reconstruction.pair_registration import LONGEST_GAP, Registration, refine_pair, register_pair
 from greenhouse_gym.reconstruction.pass_registration import pass_index, register_passes
-from greenhouse_gym.reconstruction.point_clouds import PackedCloud
 from greenhouse_gym.reconstruction.pose_graph import PoseEdge, PoseEdges
 from greenhouse_gym.reconstruction.report import CalibrationReport, StationReport
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings

@@ -13,10 +13,10 @@ import numpy.typing as npt
 from greenhouse_gym.capture.frames import RgbdFrame, Station
 from greenhouse_gym.capture.rig import D435_DEPTH, Camera, Rig
 from greenhouse_gym.geometry import Array, transform
+from greenhouse_gym.geometry.point_clouds import Cloud, PackedCloud, merge
 from greenhouse_gym.reconstruction.depth_normals import image_normals
 from greenhouse_gym.reconstruction.edge_fattening import EdgeFattening, undo_edge_fattening
 from greenhouse_gym.reconstruction.foreground import foreground_mask
-from greenhouse_gym.reconstruction.point_clouds import Cloud, PackedCloud, merge
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings
 
 SAMPLES = 5000  # points of a station that ICP moves

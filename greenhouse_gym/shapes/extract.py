@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from greenhouse_gym.crops.parts import Stem, Tomato
 from greenhouse_gym.geometry import Box, Shape
-from greenhouse_gym.reconstruction.point_clouds import Cloud
+from greenhouse_gym.geometry.point_clouds import Cloud
 from greenhouse_gym.shapes.clutter.boxes import box_budget, cover_with_boxes
 from greenhouse_gym.shapes.colors import colorful_mask, redness
 from greenhouse_gym.shapes.evidence import SHELL, Evidence, nearest_shapes

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.reconstruction.point_clouds import Cloud, exposure_failure, voxel_means
+from greenhouse_gym.geometry.point_clouds import Cloud, exposure_failure, voxel_means
 from greenhouse_gym.shapes.normal_estimation import estimate_normals
 from greenhouse_gym.shapes.settings import ShapeSettings
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.reconstruction.point_clouds import Cloud, to_open3d, voxel_means
+from greenhouse_gym.geometry.point_clouds import Cloud, to_open3d, voxel_means
 from greenhouse_gym.shapes.neighborhoods import Neighborhoods
 
 _REACH = 0.009  # metres: a plane is fitted to the points this near

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.reconstruction.point_clouds import Cloud, voxel_means
+from greenhouse_gym.geometry.point_clouds import Cloud, voxel_means
 from greenhouse_gym.shapes.colors import colorful_mask, redness
 from greenhouse_gym.shapes.neighborhoods import Neighborhoods
 from greenhouse_gym.shapes.settings import ShapeSettings

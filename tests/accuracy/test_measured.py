@@ -7,7 +7,7 @@ import numpy as np
 from greenhouse_gym.accuracy import skin_points
 from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.geometry import Ellipsoid, Sphere, rotation_about
-from greenhouse_gym.reconstruction.point_clouds import Cloud
+from greenhouse_gym.geometry.point_clouds import Cloud
 
 AXES = np.array([0.02, 0.02, 0.03])
 

@@ -14,7 +14,7 @@ from greenhouse_gym.crops import Organ, PlantRow
 from greenhouse_gym.crops.organs import tube_organ
 from greenhouse_gym.crops.parts import Stem
 from greenhouse_gym.geometry import pose
-from greenhouse_gym.reconstruction.point_clouds import exposure_failure
+from greenhouse_gym.geometry.point_clouds import exposure_failure
 
 LEAF = np.array([[0.25, 0.42, 0.10]])
 NOON = Light(elevation=np.pi / 2, sun=1.0, diffuse=0.5, gloss=0.0)

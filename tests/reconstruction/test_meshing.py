@@ -13,9 +13,9 @@ from scipy.spatial import cKDTree
 
 from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError
+from greenhouse_gym.geometry.point_clouds import Cloud, merge, voxel_means
 from greenhouse_gym.reconstruction import METHODS, TriangleMesh, simplify_points, triangulate
 from greenhouse_gym.reconstruction.meshing import check_mesh
-from greenhouse_gym.reconstruction.point_clouds import Cloud, merge, voxel_means
 from greenhouse_gym.reconstruction.row_files import save_mesh, save_points
 
 pytestmark = pytest.mark.xdist_group("row")

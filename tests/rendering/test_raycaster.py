@@ -15,7 +15,7 @@ from greenhouse_gym.scene import SceneBank
 @pytest.mark.parametrize(("robot", "many"), [("ur5e", 64), ("ur5e", 2), ("iiwa14", 64)])
 def test_what_is_left_out_is_not_seen(bank: SceneBank, robot: str, many: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """The same hits as with all geoms, from cameras anywhere, one after the other with the same caster."""
-    monkeypatch.setattr(raycaster, "_MANY", many)
+    monkeypatch.setattr(raycaster, "_MAX_OBSTACLES", many)
     arm = get_robot(robot)
     worlds = shared_worlds(arm, "reconstruction", 300)
     scenes = [bank.scene(name) for split in ("train", "test") for name in bank.names(split)]

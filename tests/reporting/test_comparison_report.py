@@ -283,4 +283,4 @@ def test_the_leaderboard_has_a_page_too(tmp_path: Path) -> None:
     assert "<h1>Leaderboard, protocol v1</h1>" in html
     assert "random: dice" in html
     assert "gone.py:Agent is not shown in 3-D: gone.py: there is no such file" in html
-    assert [[m["name"] for m in data_of(f)["motions"]] for f in frames(html)] == [["random", "still"]] * 2  # type: ignore[attr-defined]
+    assert [[m["name"] for m in data_of(f)["motions"]] for f in frames(html)] == [["random", STILL]] * 2  # type: ignore[attr-defined]

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from shape_clouds import cylinder, half_sphere, plane, together
 
 from greenhouse_gym.crops import Palette
-from greenhouse_gym.reconstruction.point_clouds import Cloud, voxel_means
+from greenhouse_gym.geometry.point_clouds import Cloud, voxel_means
 from greenhouse_gym.shapes import ShapeSettings, extract_shapes
 from greenhouse_gym.shapes.colors import redness
 from greenhouse_gym.shapes.surface_cloud import (

@@ -15,7 +15,7 @@ from greenhouse_gym.build.scans.cloud_files import RawCloud, read_cloud
 from greenhouse_gym.build.scans.frame import UNITS, guess_unit, guess_up, row_from_file
 from greenhouse_gym.errors import InvalidValueError, require_choice
 from greenhouse_gym.geometry import Array, pose
-from greenhouse_gym.reconstruction.point_clouds import Cloud, voxel_means
+from greenhouse_gym.geometry.point_clouds import Cloud, voxel_means
 from greenhouse_gym.shapes import RowShapes, ShapeSettings, extract_shapes
 from greenhouse_gym.shapes.colors import redness
 from greenhouse_gym.shapes.normal_estimation import estimate_normals

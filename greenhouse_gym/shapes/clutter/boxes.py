@@ -17,7 +17,7 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from greenhouse_gym.geometry import Array, Box
-from greenhouse_gym.reconstruction.point_clouds import means_by_voxel
+from greenhouse_gym.geometry.point_clouds import means_by_voxel
 from greenhouse_gym.shapes.clutter.patches import CELL, clusters, flat_patches
 from greenhouse_gym.shapes.evidence import nearest_shapes
 from greenhouse_gym.shapes.settings import ShapeSettings

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from greenhouse_gym.crops.parts import Stem, Tomato
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.reconstruction.point_clouds import means_by_voxel
+from greenhouse_gym.geometry.point_clouds import means_by_voxel
 from greenhouse_gym.shapes.colors import redness
 from greenhouse_gym.shapes.evidence import SHELL, nearest_shapes
 from greenhouse_gym.shapes.fruit.skin import off_skin_mask

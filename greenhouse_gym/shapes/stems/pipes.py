@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from greenhouse_gym.crops.parts import Stem
 from greenhouse_gym.geometry import Array, frame_along
-from greenhouse_gym.reconstruction.point_clouds import Cloud, voxel_means
+from greenhouse_gym.geometry.point_clouds import Cloud, voxel_means
 from greenhouse_gym.shapes.evidence import SHELL
 from greenhouse_gym.shapes.neighborhoods import Neighborhoods
 from greenhouse_gym.shapes.robust_fit import SCALES, gauss_newton_step, tukey_weights

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from greenhouse_gym.reconstruction.point_clouds import Cloud
+from greenhouse_gym.geometry.point_clouds import Cloud
 from greenhouse_gym.shapes import ShapeSettings, extract_shapes
 from greenhouse_gym.shapes.fruit.large_fruit import ScoredFruit
 from greenhouse_gym.shapes.fruit.small_fruit import find_small, small_spheres

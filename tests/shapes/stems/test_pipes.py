@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.geometry import Array, frame_along
-from greenhouse_gym.reconstruction.point_clouds import Cloud, voxel_means
+from greenhouse_gym.geometry.point_clouds import Cloud, voxel_means
 from greenhouse_gym.shapes import ShapeSettings, extract_shapes
 from greenhouse_gym.shapes.stems.pipes import find_pipes
 
