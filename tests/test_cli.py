@@ -274,7 +274,7 @@ def test_plan_with_all_planners_prints_a_table(bank: SceneBank) -> None:
 
 def test_plan_names_settings_that_are_none(bank: SceneBank) -> None:
     assert "Did you mean 'range'" in str(fails(*plan_to(bank), "--set", "rang=0.5"))
-    assert "such as range=0.5" in str(fails(*plan_to(bank), "--set", "range=far"))
+    assert "range must be a finite number" in str(fails(*plan_to(bank), "--set", "range=far"))
     assert "--all" in str(fails(*plan_to(bank), "--set", "range=0.5", "--all"))
 
 
@@ -330,7 +330,7 @@ def test_a_missing_recording_is_named(tmp_path: Path, command: str, options: tup
         (("compare", "{}/policy.json"), "policy.json: there is no such file; expected a policy's description"),
         (("compare", "{}/mine.py:Mine"), "mine.py: there is no such file; expected Python code"),
         (("mount", "{}/arm.xml", "--out", "{}/out.xml"), "arm.xml: no such file; expected an arm's MJCF file"),
-        (("compare", STILL, "--robot", "{}/arm.xml", "--bank", "mini"), "arm.xml: there is no such file"),
+        (("compare", STILL, "--robot", "{}/arm.xml", "--bank", "mini"), "arm.xml: no such file"),
         (("leaderboard", "{}"), "holds no entry; `greenhouse-gym submit` writes one"),
         (("compare", STILL, "--bank", "mini", "--timeout", "-1"), "timeout must be a positive number of seconds"),
     ],
@@ -455,14 +455,15 @@ def test_resolved_settings_lie_beside_the_results(recording: Path, reconstructed
 
 
 def test_a_build_writes_its_settings(recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from greenhouse_gym.build import bank_builder as build
+    from greenhouse_gym import build
+    from greenhouse_gym.build import bank_builder
     from greenhouse_gym.build.scenes import BuildSettings
     from greenhouse_gym.common.settings_files import resolve
 
     def stop(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(build, "reconstruct_row", stop)
+    monkeypatch.setattr(bank_builder, "reconstruct_row", stop)
     result = CliRunner().invoke(app, ["build", str(recording), "--out", str(tmp_path / "bank")])
     assert result.exit_code == 130
     assert "repeat the command to resume" in result.output
@@ -501,7 +502,7 @@ def test_demonstrations_print_how_to_load_them(tmp_path: Path, monkeypatch: pyte
     assert f"MINARI_DATASETS_PATH={tmp_path} and minari.load_dataset('tomato-reach/still-v0')" in shown
     (asked_for,) = asked
     del asked_for["on_progress"]
-    assert asked_for == {"agent": STILL, "episodes": 3, "split": "train", "bank": "mini", "observation": "state"}
+    assert asked_for == {"agent": "still", "episodes": 3, "split": "train", "bank": "mini", "observation": "state"}
 
 
 @pytest.mark.parametrize(("success", "printed"), [(True, "success, in"), (False, "no success, in")])
