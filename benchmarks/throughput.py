@@ -33,6 +33,7 @@ from rich.table import Table
 
 from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.envs import GreenhouseEnv, GreenhouseVectorEnv
+from greenhouse_gym.envs.contacts import CONTACT_GROUPS, Contacts
 from greenhouse_gym.envs.settings import PHYSICS
 from greenhouse_gym.envs.state import ACTION_STEP, SUBSTEPS
 from greenhouse_gym.geometry import Box
@@ -137,9 +138,10 @@ def measure(arguments: argparse.Namespace) -> dict[str, list[float]]:
             single.reset()
 
     def look() -> None:
-        nothing = np.zeros(64, dtype=int)
+        steps = np.zeros(64, dtype=int)
+        contacts = Contacts(np.zeros((64, len(CONTACT_GROUPS)), dtype=int), np.zeros(64, dtype=bool), {})
         for _ in range(3):
-            simulation._perception.look(slice(None), simulation._physics, nothing.astype(bool), nothing)
+            simulation._perception.look(slice(None), simulation._physics, contacts, steps, {})
 
     def step_depth() -> None:
         for action in actions[:5, :64]:

@@ -12,7 +12,7 @@ from greenhouse_gym.scene import SceneBank
 def retreat(problem: PlanningProblem, settings: PlannerSettings) -> np.ndarray | None:
     """Return start, goal, and between them a configuration that blends the first joints of both."""
     for goal in problem.goals:
-        for fraction in (0.0, 0.25, 0.5, 0.75):
+        for part in (0.0, 0.25, 0.5, 0.75):
             via = np.where(
                 np.arange(len(goal)) < len(goal) // 2, fraction * problem.start + (1 - fraction) * goal, goal
             )
