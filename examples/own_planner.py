@@ -13,9 +13,7 @@ def retreat(problem: PlanningProblem, settings: PlannerSettings) -> np.ndarray |
     """Return start, goal, and between them a configuration that blends the first joints of both."""
     for goal in problem.goals:
         for part in (0.0, 0.25, 0.5, 0.75):
-            via = np.where(
-                np.arange(len(goal)) < len(goal) // 2, fraction * problem.start + (1 - fraction) * goal, goal
-            )
+            via = np.where(np.arange(len(goal)) < len(goal) // 2, part * problem.start + (1 - part) * goal, goal)
             if problem.is_free(via) and problem.path_is_free([problem.start, via, goal]):
                 return np.stack([problem.start, via, goal])
     return None
