@@ -6,7 +6,7 @@ from greenhouse_gym.evaluation import evaluate
 
 
 class Learned:
-    """A function from observations (n, size) to actions (n, joints) as an agent of many simulations."""
+    """Agent around a function from observations (n, size) to actions (n, joints)."""
 
     name = "learned"
     env_options = {"robot": "ur5e", "observation": "state", "action": "joint"}
