@@ -4,31 +4,40 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 import torch
-from greenhouse_gym.shapes.checks import Notes, thinned
-from greenhouse_gym.shapes.grids import by_grids
-from greenhouse_gym.shapes.surfaces import SurfaceCloud, look_at_surfaces
 
 from benchmarks.sensing.rows import CAUSES, Row, cloud_of, truth_of
 from greenhouse_gym.accuracy import Visibility, compare_tomatoes
 from greenhouse_gym.common.files import write_atomically
+from greenhouse_gym.crops import PlantRow
 from greenhouse_gym.crops.parts import Tomato
-from greenhouse_gym.geometry import Array, Sphere, pose
+from greenhouse_gym.geometry import Array, Sphere
 from greenhouse_gym.geometry.point_clouds import Cloud
 from greenhouse_gym.shapes import ShapeSettings
+from greenhouse_gym.shapes.input_checks import WarningLog, downsample
 from greenhouse_gym.shapes.networks import Network, network_file
+from greenhouse_gym.shapes.surface_cloud import SurfaceCloud, fine_surface, measure_surface
 
 HIDDEN, STEPS, BATCH, RATE, DECAY = 64, 3000, 4096, 5e-3, 0.3
 FOLDS = 5
 """Parts of the rows; each is checked with classifiers that were fitted to the others."""
 
 Fitted = TypeVar("Fitted")
+
+
+class Surfaces(NamedTuple):
+    """A row's cloud in the world, its surface with a point per voxel and per fine voxel, and the true row."""
+
+    cloud: Cloud
+    surface: SurfaceCloud
+    fine: SurfaceCloud
+    true: PlantRow
 
 
 class Labeled(NamedTuple):
@@ -57,15 +66,13 @@ def causes_of(row: Row) -> tuple[str, ...]:
     return CAUSES[:1] if row.style == "drawn" else CAUSES
 
 
-def surfaces_of(
-    row: Row, workdir: Path, cause: str, settings: ShapeSettings, shift: Sequence[float] = (0.0, 0.0, 0.0)
-) -> tuple[SurfaceCloud, SurfaceCloud, list[Tomato]]:
-    """Return a row's surfaces, thinned and fine, and its true tomatoes, in the world moved by a shift (3,), m."""
-    cloud = cloud_of(row, cause, workdir)
-    known = truth_of(row, cloud, workdir)
-    whole = Cloud(cloud.points, cloud.colors, cloud.normals).moved(pose(translation=shift) @ known.world_from_row)
-    grid = next(by_grids(whole, look_at_surfaces(thinned(whole, True, settings, Notes()), settings), settings))
-    return grid.surface, grid.fine, [replace(t, center=t.center + np.array(shift)) for t in known.row.tomatoes]
+def surfaces_of(row: Row, workdir: Path, cause: str, settings: ShapeSettings) -> Surfaces:
+    """Return the surfaces of one of a row's clouds."""
+    in_row = cloud_of(row, cause, workdir)
+    known = truth_of(row, in_row, workdir)
+    cloud = in_row.transformed(known.world_from_row)
+    surface = measure_surface(downsample(cloud, True, settings, WarningLog()))
+    return Surfaces(cloud, surface, fine_surface(cloud, surface, settings), known.row)
 
 
 def fit_network(features: Sequence[Array], labels: Sequence[Array]) -> Network:
@@ -103,7 +110,7 @@ def write_network(network: Network, name: str) -> None:
 
 def count_tomatoes(true: Sequence[Tomato], visible: Visibility, found: Sequence[Sphere]) -> npt.NDArray[np.int64]:
     """Count the visible tomatoes of a row, those of them that were found, and false ones."""
-    result = compare_tomatoes(true, visible, [Tomato(f.center, f.radius, 0, 0.0) for f in found])
+    result = compare_tomatoes(true, visible, [Tomato(sphere, 0) for sphere in found])
     return np.array([len(result.found), np.count_nonzero(result.found), len(result.false)])
 
 

@@ -2,12 +2,13 @@
 
 python -m training.shape_networks large --workdir rows
 
-``seeds`` prints the logistic weights that select the first confident spheres; ``large`` fits the networks that score
-spheres of the first two passes, ``small`` the one for small spheres, ``peduncles`` the two for points on peduncles and
-pedicels. Rows are development rows of both sources and rows of random cultivars; none is held out. Development rows are
-also seen in perfect images, since other cameras have less noise. By fifths of the rows the networks are fitted to the
-others and what they find is compared with the truth; then they are fitted to all rows and written into the package.
-Takes one to three hours, most of it for rows that are not yet in --workdir.
+``seeds`` prints the logistic weights that select confident fruit of the first pass, for ``fruit/classifiers.py``;
+``large`` fits the networks that score spheres of the first and second pass, ``small`` the one for small spheres,
+``peduncles`` the two for points on peduncles and pedicels. Rows are development rows of both sources and rows of random
+cultivars; none is held out. Development rows are also seen in perfect images, since other cameras have less noise. By
+fifths of the rows the networks are fitted to the others and what they find is compared with the truth; then they are
+fitted to all rows and written into the package. Takes one to three hours, most of it for rows that are not yet in
+--workdir.
 """
 
 from __future__ import annotations
@@ -19,23 +20,25 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from greenhouse_gym.shapes.bare_peduncles import find_bare_peduncles
-from greenhouse_gym.shapes.candidates import COMPANY, MEASURES
-from greenhouse_gym.shapes.credibility import Judges, credibility
-from greenhouse_gym.shapes.likely_places import in_context
-from greenhouse_gym.shapes.peduncles import find_peduncles
-from greenhouse_gym.shapes.small_fruit import Credited, Small, chosen_small, small_spheres, sure_small
-from greenhouse_gym.shapes.surroundings import OF_COLOR as SHELL_COLORS
-from greenhouse_gym.shapes.thin_stems import OF_COLOR as PEDUNCLE_COLORS
-from greenhouse_gym.shapes.thin_stems import Places, places_near_fruit
-from greenhouse_gym.shapes.tomatoes import Looks, large_tomatoes, look
 
-from benchmarks.sensing.rows import CAUSES, DRAWN_MESHES, Row, cloud_of, truth_of, visible_of
+from benchmarks.sensing.rows import CAUSES, DRAWN_MESHES, Row, visible_of
 from greenhouse_gym.accuracy import Visibility, compare_stems
 from greenhouse_gym.crops.parts import Stem, Tomato
 from greenhouse_gym.geometry import Array, Capsule, distance_to_shapes
 from greenhouse_gym.shapes import ShapeSettings, extract_shapes
+from greenhouse_gym.shapes.extract import MIN_BARE_PEDUNCLE, MIN_PEDUNCLE
+from greenhouse_gym.shapes.fruit import shell_features
+from greenhouse_gym.shapes.fruit.classifiers import SphereClassifiers, logistic
+from greenhouse_gym.shapes.fruit.context_features import CONTEXT_FEATURES
+from greenhouse_gym.shapes.fruit.large_fruit import Candidates, ScoredFruit, fit_candidates, large_fruit
+from greenhouse_gym.shapes.fruit.small_fruit import SmallSpheres, confident_small, select_small, small_spheres
+from greenhouse_gym.shapes.fruit.sphere_features import SPHERE_FEATURES
 from greenhouse_gym.shapes.networks import Network
+from greenhouse_gym.shapes.stems import peduncle_features
+from greenhouse_gym.shapes.stems.bare_peduncles import find_bare_peduncles
+from greenhouse_gym.shapes.stems.peduncle_classifier import with_context
+from greenhouse_gym.shapes.stems.peduncle_features import PeduncleCandidates, peduncle_candidates
+from greenhouse_gym.shapes.stems.peduncles import find_peduncles
 from training.fitting import (
     FOLDS,
     Labeled,
@@ -50,91 +53,88 @@ from training.fitting import (
 )
 
 SETTINGS = ShapeSettings()
-SHIFTS = ((0.0, 0.0, 0.0), (0.0137, 0.0211, 0.0173))
-"""Shifts of the cloud, m, so that it falls into other voxels."""
 RIDGE = 2.0
 HANGING = ("peduncle", "pedicel")
-NEAR = 0.002  # m
+NEAR = 0.002  # metres
 
 
-class Spheres(NamedTuple):
-    """Spheres of the first two passes with labels, and the truth."""
+class LargeExample(NamedTuple):
+    """Spheres of the first two passes on a row with labels, and the truth."""
 
-    looks: Looks
+    candidates: Candidates
     first: Labeled
     second: Labeled
-    true: list[Tomato]
+    true: Sequence[Tomato]
     visible: Visibility
 
     @classmethod
-    def of(cls, row: Row, workdir: Path, cause: str, shift: Sequence[float] = SHIFTS[0]) -> Spheres:
-        """Fit the spheres of a row's cloud."""
-        surface, _, true = surfaces_of(row, workdir, cause, SETTINGS, shift)
-        looks = look(surface, SETTINGS)
-        first = label_spheres(looks.fits, looks.first, true)
-        second = label_spheres(looks.beside, looks.second, true)
-        return cls(looks, first, second, true, visible_of(row, workdir).tomatoes)
+    def of(cls, row: Row, workdir: Path, cause: str) -> LargeExample:
+        """Fit the spheres of both passes to one of a row's clouds."""
+        surfaces = surfaces_of(row, workdir, cause, SETTINGS)
+        candidates, true = fit_candidates(surfaces.surface, SETTINGS), surfaces.true.tomatoes
+        first = label_spheres(candidates.first, candidates.first_features, true)
+        second = label_spheres(candidates.second, candidates.second_features, true)
+        return cls(candidates, first, second, true, visible_of(row, workdir).tomatoes)
 
 
-class SmallSpheres(NamedTuple):
+class SmallExample(NamedTuple):
     """Small spheres of a row, the large tomatoes found in it, and the truth."""
 
-    found: Credited
-    small: Small
-    true: list[Tomato]
+    found: ScoredFruit
+    small: SmallSpheres
+    true: Sequence[Tomato]
     visible: Visibility
 
     @classmethod
-    def of(cls, row: Row, workdir: Path, cause: str) -> SmallSpheres:
-        """Fit the small spheres of a row's cloud."""
-        surface, fine, true = surfaces_of(row, workdir, cause, SETTINGS)
-        found = large_tomatoes(look(surface, SETTINGS), SETTINGS)
-        return cls(found, small_spheres(fine, SETTINGS), true, visible_of(row, workdir).tomatoes)
+    def of(cls, row: Row, workdir: Path, cause: str) -> SmallExample:
+        """Fit small spheres to one of a row's clouds."""
+        surfaces = surfaces_of(row, workdir, cause, SETTINGS)
+        found = large_fruit(fit_candidates(surfaces.surface, SETTINGS), SETTINGS)
+        small, visible = small_spheres(surfaces.fine, SETTINGS), visible_of(row, workdir).tomatoes
+        return cls(found, small, surfaces.true.tomatoes, visible)
 
     def labeled(self, chosen: Sequence[int]) -> Labeled:
         """Return the small spheres in the context of the chosen ones, with labels."""
-        return label_spheres(self.small.fits, self.small.beside(self.found, chosen, SETTINGS), self.true)
+        return label_spheres(self.small.fits, self.small.with_context(self.found, chosen), self.true)
 
     def colorless(self) -> Labeled:
         """Return the small spheres as in a cloud of one color without other fruit, with labels."""
-        alone = self.small.alone.copy()
-        alone[:, [MEASURES.index(name) for name in ("contrast", "tone spread")]] = 0.0
-        alone[:, len(MEASURES) + np.array(SHELL_COLORS)] = 0.0
-        features = np.column_stack([alone, np.zeros((len(alone), len(COMPANY)))])
+        own = self.small.features.copy()
+        own[:, [SPHERE_FEATURES.index(name) for name in ("contrast", "hue spread")]] = 0.0
+        own[:, len(SPHERE_FEATURES) + np.array(shell_features.COLOR_FEATURES)] = 0.0
+        features = np.column_stack([own, np.zeros((len(own), len(CONTEXT_FEATURES)))])
         return label_spheres(self.small.fits, features, self.true)
 
 
-class Peduncles(NamedTuple):
-    """Points on possible peduncles with labels (n,), the tomatoes and main stems of the row, and the truth."""
+class PeduncleExample(NamedTuple):
+    """Candidate points of peduncles with labels (n,), the tomatoes and main stems found in the row, and the truth."""
 
     tomatoes: tuple[Tomato, ...]
     main: list[Stem]
-    points: Places
+    candidates: PeduncleCandidates
     labels: Array
     true: Sequence[Stem]
     visible: Sequence[Stem]
     petioles: Sequence[Capsule]
 
     @classmethod
-    def of(cls, row: Row, workdir: Path, cause: str) -> Peduncles:
-        """Find the points of a row's cloud."""
-        surface, _, _ = surfaces_of(row, workdir, cause, SETTINGS)
-        cloud = cloud_of(row, cause, workdir)
-        known = truth_of(row, cloud, workdir)
-        cloud = cloud.moved(known.world_from_row)
+    def of(cls, row: Row, workdir: Path, cause: str) -> PeduncleExample:
+        """Find the candidate points in one of a row's clouds."""
+        cloud, surface, _, true = surfaces_of(row, workdir, cause, SETTINGS)
         shapes = extract_shapes(cloud.points, cloud.colors, cloud.normals, SETTINGS)
         main = [stem for stem in shapes.stems if stem.kind == "main"]
-        points = places_near_fruit(surface, shapes.tomatoes, main, SETTINGS)
-        hanging = [stem for stem in known.row.stems if stem.kind in HANGING]
-        labels = distance_to_shapes(points.nodes, hanging).min(axis=1) < NEAR
-        petioles = [shape for shape in known.row.clutter if isinstance(shape, Capsule)]
-        return cls(shapes.tomatoes, main, points, labels, known.row.stems, visible_of(row, workdir).stems, petioles)
+        candidates = peduncle_candidates(surface, shapes.tomatoes, main)
+        hanging = [stem for stem in true.stems if stem.kind in HANGING]
+        labels = distance_to_shapes(candidates.nodes, hanging).min(axis=1) < NEAR
+        petioles = [shape for shape in true.clutter if isinstance(shape, Capsule)]
+        visible = visible_of(row, workdir).stems
+        return cls(shapes.tomatoes, main, candidates, labels, true.stems, visible, petioles)
 
-    def colorless(self) -> Places:
-        """Return the points as in a cloud of one color."""
-        measures = self.points.measures.copy()
-        measures[:, PEDUNCLE_COLORS] = 0.0
-        return self.points._replace(measures=measures)
+    def colorless(self) -> PeduncleCandidates:
+        """Return the candidates as in a cloud of one color."""
+        features = self.candidates.features.copy()
+        features[:, peduncle_features.COLOR_FEATURES] = 0.0
+        return self.candidates._replace(features=features)
 
 
 # -- fits -------------------------------------------------------------------------------------------------------------
@@ -142,7 +142,7 @@ class Peduncles(NamedTuple):
 
 def fit_seeds(parts: Sequence[Labeled]) -> Array:
     """Return logistic weights and offset by ridge regression (Newton's method) on standardized features."""
-    features = np.concatenate([part.features for part in parts])[:, : len(MEASURES)]
+    features = np.concatenate([part.features for part in parts])[:, : len(SPHERE_FEATURES)]
     labels = np.concatenate([part.labels for part in parts])
     mean, deviation = features.mean(axis=0), features.std(axis=0) + 1e-9
     design = np.column_stack([(features - mean) / deviation, np.ones(len(features))])
@@ -150,7 +150,7 @@ def fit_seeds(parts: Sequence[Labeled]) -> Array:
     ridge[-1, -1] = 1e-6
     weights = np.zeros(design.shape[1])
     for _ in range(50):
-        likely = credibility(design[:, :-1], weights)
+        likely = logistic(design[:, :-1], weights)
         curvature = np.maximum(likely * (1 - likely), 1e-6)
         gradient = design.T @ (labels - likely) - ridge @ weights
         step = np.linalg.solve(design.T @ (curvature[:, None] * design) + ridge, gradient)
@@ -161,97 +161,106 @@ def fit_seeds(parts: Sequence[Labeled]) -> Array:
     return np.append(scaled, weights[-1] - scaled @ mean)
 
 
-def fit_large(examples: Sequence[Spheres]) -> Judges:
+def fit_large(examples: Sequence[LargeExample]) -> SphereClassifiers:
     """Fit the networks of the first and of the second pass."""
-    return Judges(fit_labeled([e.first for e in examples]), fit_labeled([e.second for e in examples]))
+    return SphereClassifiers(fit_labeled([e.first for e in examples]), fit_labeled([e.second for e in examples]))
 
 
-def fit_small(examples: Sequence[SmallSpheres]) -> Network:
+def fit_small(examples: Sequence[SmallExample]) -> tuple[Network]:
     """Fit the network to small spheres without context, without color, and in the context of confident ones."""
     first = [part for e in examples for part in (e.labeled([]), e.colorless())]
     network = fit_labeled(first)
-    confident = [e.labeled(sure_small(e.small, e.found, SETTINGS, network)) for e in examples]
-    return fit_labeled([*first, *confident])
+    confident = [e.labeled(confident_small(e.small, e.found, network)) for e in examples]
+    return (fit_labeled([*first, *confident]),)
 
 
-def fit_peduncles(examples: Sequence[Peduncles]) -> tuple[Network, Network]:
-    """Fit a network to the points' own features, and one that also knows its scores around them.
+def fit_peduncles(examples: Sequence[PeduncleExample]) -> tuple[Network, Network]:
+    """Fit a network to the points' own features, and one that also gets its scores around them.
 
-    The second learns from scores of rows to which the first was not fitted.
+    The second is fitted to scores of examples to which the first was not fitted.
     """
-    parts = [part for e in examples for part in (e.points, e.colorless())]
+    parts = [part for e in examples for part in (e.candidates, e.colorless())]
     labels = [e.labels for e in examples for _ in range(2)]
     context = [np.zeros(0)] * len(parts)
-    for k in range(FOLDS):
+    for k in range(min(FOLDS, len(examples))):
         held = [i for i in range(len(parts)) if i // 2 % FOLDS == k]
         others = [i for i in range(len(parts)) if i not in held]
-        first = fit_network([parts[i].measures for i in others], [labels[i] for i in others])
+        first = fit_network([parts[i].features for i in others], [labels[i] for i in others])
         for i in held:
-            context[i] = in_context(parts[i], first(parts[i].measures))
-    return fit_network([part.measures for part in parts], labels), fit_network(context, labels)
+            context[i] = with_context(parts[i], first(parts[i].features))
+    return fit_network([part.features for part in parts], labels), fit_network(context, labels)
 
 
 # -- counts -----------------------------------------------------------------------------------------------------------
 
 
-def count_large(example: Spheres, networks: Judges) -> Array:
+def count_large(example: LargeExample, networks: SphereClassifiers) -> Array:
     """Count the tomatoes that networks find among the spheres."""
-    return count_tomatoes(example.true, example.visible, large_tomatoes(example.looks, SETTINGS, networks).fits)
+    return count_tomatoes(example.true, example.visible, large_fruit(example.candidates, SETTINGS, networks).fits)
 
 
-def count_small(example: SmallSpheres, network: Network) -> Array:
+def count_small(example: SmallExample, networks: tuple[Network]) -> Array:
     """Count the large tomatoes and those that a network adds."""
-    found = [*example.found.fits, *chosen_small(example.small, example.found, SETTINGS, network).fits]
+    found = [*example.found.fits, *select_small(example.small, example.found, SETTINGS, networks[0]).fits]
     return count_tomatoes(example.true, example.visible, found)
 
 
-def measure_peduncles(example: Peduncles, networks: tuple[Network, Network]) -> Array:
-    """Measure peduncles and pedicels, m: visible, found of these, false."""
+def measure_peduncles(example: PeduncleExample, networks: tuple[Network, Network]) -> Array:
+    """Measure peduncles and pedicels, metres: visible, found of these, false."""
     first, second = networks
-    points = example.points
-    scores, nodes = second(in_context(points, first(points.measures))), points.nodes
-    stems = find_peduncles(nodes[scores > SETTINGS.min_peduncle], example.tomatoes, example.main, SETTINGS)
-    stems += find_bare_peduncles(nodes[scores > SETTINGS.min_bare_peduncle], [*example.main, *stems], SETTINGS)
+    candidates, tolerance = example.candidates, SETTINGS.axis_tolerance
+    scores, nodes = second(with_context(candidates, first(candidates.features))), candidates.nodes
+    stems = find_peduncles(nodes[scores > MIN_PEDUNCLE], example.tomatoes, example.main, tolerance)
+    stems += find_bare_peduncles(nodes[scores > MIN_BARE_PEDUNCLE], [*example.main, *stems], tolerance)
     sums = [compare_stems(example.true, example.visible, example.petioles, stems, kind) for kind in HANGING]
     return np.sum([[s.visible, s.found, s.false] for s in sums], axis=0)
+
+
+class Stage(NamedTuple):
+    """Examples of a stage of shape extraction, the fit and check of its networks, and their names."""
+
+    example: Any
+    fit: Any
+    count: Any
+    names: tuple[str, ...]
+
+
+STAGES = {
+    "large": Stage(LargeExample, fit_large, count_large, ("fruit/first_pass", "fruit/second_pass")),
+    "small": Stage(SmallExample, fit_small, count_small, ("fruit/small_fruit",)),
+    "peduncles": Stage(
+        PeduncleExample, fit_peduncles, measure_peduncles, ("stems/peduncles", "stems/peduncles_in_context")
+    ),
+}
 
 
 def main() -> None:
     """Check by fifths, fit to all rows, write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("classifier", choices=("seeds", "large", "small", "peduncles"))
+    parser.add_argument("stage", choices=("seeds", *STAGES))
     parser.add_argument("--workdir", type=Path, required=True, help="folder of recordings and clouds")
     parser.add_argument("--own", type=int, nargs="*", default=[302, 303], help="seeds of own rows")
     parser.add_argument("--helios", type=int, nargs="*", default=[*range(501, 507), *DRAWN_MESHES])
-    parser.add_argument("--length", type=float, default=1.0, help="of each row, m")
+    parser.add_argument("--length", type=float, default=1.0, help="of each row, metres")
     a = parser.parse_args()
     torch.set_num_threads(1)
     rows = [Row(seed, a.length, source) for source in ("own", "helios") for seed in getattr(a, source)]
-    if a.classifier == "seeds":
+    if a.stage == "seeds":
         np.set_printoptions(precision=4, suppress=True, linewidth=110)
-        print(fit_seeds([Spheres.of(row, a.workdir, CAUSES[0]).first for row in rows]))
+        print(fit_seeds([LargeExample.of(row, a.workdir, CAUSES[0]).first for row in rows]))
         return
+    stage = STAGES[a.stage]
     examples: list[list[Any]] = []
     for row in rows:
-        if a.classifier == "large":
-            examples.append([Spheres.of(row, a.workdir, c, shift) for c in causes_of(row) for shift in SHIFTS])
-        else:
-            kind: Any = SmallSpheres if a.classifier == "small" else Peduncles
-            examples.append([kind.of(row, a.workdir, cause) for cause in causes_of(row)])
+        examples.append([stage.example.of(row, a.workdir, cause) for cause in causes_of(row)])
         print(f"{row.name}: {len(examples[-1])} examples", flush=True)
-    every = [example for own in examples for example in own]
-    fit, count, names = {
-        "large": (fit_large, count_large, ("large_fruit", "large_fruit_beside")),
-        "small": (fit_small, count_small, ("small_fruit",)),
-        "peduncles": (fit_peduncles, measure_peduncles, ("peduncles", "peduncles_in_context")),
-    }[a.classifier]
-    counts = cross_validated(examples, fit, count)
+    counts = cross_validated(examples, stage.fit, stage.count)
     for source in ("own", "helios"):
         sums = [np.sum(own, axis=0) for own, row in zip(counts, rows, strict=True) if row.source == source]
         visible, found, false = np.sum(sums, axis=0) if sums else np.zeros(3)
         print(f"{source}: {found:.4g} of {visible:.4g} found, {false:.4g} false, F1 {f1(visible, found, false):.3f}")
-    networks = fit(every)
-    for network, name in zip((networks,) if isinstance(networks, Network) else networks, names, strict=True):
+    networks = stage.fit([example for own in examples for example in own])
+    for network, name in zip(networks, stage.names, strict=True):
         write_network(network, name)
 
 

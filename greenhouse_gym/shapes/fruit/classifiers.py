@@ -1,6 +1,6 @@
 """Classifiers that score spheres as fruit: a logistic regression for seeds, then a network per pass.
 
-benchmarks/fit_credibility.py fits the regression and benchmarks/fit_large_fruit.py the networks to rows of plants.
+training/shape_networks.py fits both to rows of plants.
 """
 
 from __future__ import annotations
