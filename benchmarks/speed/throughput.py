@@ -28,6 +28,7 @@ from mujoco.batch import Batch
 
 from benchmarks.common import RESULTS, in_own_process, parser, seconds_of, table, write_results
 from greenhouse_gym.envs import GreenhouseEnv, GreenhouseVectorEnv
+from greenhouse_gym.envs.contacts import CONTACT_GROUPS, Contacts
 from greenhouse_gym.envs.settings import PHYSICS
 from greenhouse_gym.envs.state import ACTION_STEP, SUBSTEPS
 from greenhouse_gym.geometry import Array
@@ -124,9 +125,10 @@ def measure(a: argparse.Namespace) -> dict[str, list[float]]:
         return SINGLE_STEPS / seconds_of(act)
 
     def take_images() -> None:
-        nothing = np.zeros(SMALL, dtype=int)
+        steps = np.zeros(SMALL, dtype=int)
+        contacts = Contacts(np.zeros((SMALL, len(CONTACT_GROUPS)), dtype=int), np.zeros(SMALL, dtype=bool), {})
         for _ in range(3):
-            depth.simulation._perception.look(slice(None), depth.simulation._physics, nothing.astype(bool), nothing)
+            depth.simulation._perception.look(slice(None), depth.simulation._physics, contacts, steps, {})
 
     rates: dict[str, list[float]] = {}
     with fetch_reach(a.fetch_python) as fetch:
