@@ -6,7 +6,7 @@ import gymnasium
 import numpy as np
 import pytest
 from reach_helpers import scene_of
-from test_tomato_reach import make_for
+from test_environment import make_for
 from test_vector import compare_with_singles
 
 from greenhouse_gym.crops.parts import Tomato
