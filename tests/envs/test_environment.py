@@ -111,7 +111,7 @@ def test_private_model_equals_the_compiled_scene(bank: SceneBank) -> None:
     for seed in range(5):
         env.reset(seed=seed)
         simulation = env.simulation
-        private, compiled = simulation._physics.models[0], simulation._worlds[0].compiled
+        private, compiled = simulation._physics.models[0], simulation.physical(0)[0]
         reordered = copy.copy(compiled.model)
         put_arm_first(reordered)
         geom = world_begins(private) + compiled.tomato_geom(env.target)
