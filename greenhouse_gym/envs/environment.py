@@ -115,8 +115,8 @@ class GreenhouseEnv(SpecMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]])
     ``copy_info_dict=True``).
 
     **Contacts.** Contacts of the arm are counted by group after every physics step, until one ends the episode: fruit,
-    stem, leaf, fixture (floor, cart, pipes, strings) and self. The task decides which groups end the episode; by default
-    all do. The cup may touch the targets, which is not counted.
+    stem, leaf, fixture (floor, cart, pipes, strings) and self. The task decides which groups end the episode; by
+    default all do. The cup may touch the targets, which is not counted.
 
     **Info**, on reset and step:
 
