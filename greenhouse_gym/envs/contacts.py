@@ -41,7 +41,7 @@ class Contacts(NamedTuple):
     """Contacts of n simulations during an action.
 
     Attributes:
-        counts: (n, groups) contacts summed over the physics steps.
+        counts: (n, groups) contacts summed over the physics steps, until one ends the episode.
         collided: (n,) whether a contact ended the episode.
         first: First contact of each simulation that collided, by its index.
     """
@@ -63,16 +63,16 @@ def geom_groups(compiled: CompiledScene) -> Groups:
     return groups
 
 
-def contact_groups(model: mujoco.MjModel, data: mujoco.MjData, groups: Groups) -> Groups:
-    """Return the group of each present contact.
+def contact_groups(model: mujoco.MjModel, geoms: npt.NDArray[np.integer], groups: Groups) -> Groups:
+    """Return the group of each contact.
 
     Args:
         model: A copy of the compiled model, its geoms in either order.
-        data: Its state.
+        geoms: (contacts, 2) ids of the geoms in contact.
         groups: `geom_groups` of the compiled scene.
     """
-    geoms = (data.contact.geom - first_world_geom(model)) % model.ngeom
-    return np.asarray(groups[geoms].min(axis=1))  # the arm's own group is the largest
+    compiled = (geoms - first_world_geom(model)) % model.ngeom
+    return np.asarray(groups[compiled].min(axis=1))  # the arm's own group is the largest
 
 
 def name_of(model: mujoco.MjModel, geom: int) -> str:

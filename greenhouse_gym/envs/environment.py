@@ -114,9 +114,9 @@ class GreenhouseEnv(SpecMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]])
     steps with other goals; they read everything else from the info (hindsight replay of Stable-Baselines3 needs
     ``copy_info_dict=True``).
 
-    **Contacts.** Contacts of the arm are counted after every physics step by group: fruit, stem, leaf, fixture (floor,
-    cart, pipes, strings) and self. The task decides which groups end the episode; by default all do. The cup may touch
-    the targets, which is not counted.
+    **Contacts.** Contacts of the arm are counted by group after every physics step, until one ends the episode: fruit,
+    stem, leaf, fixture (floor, cart, pipes, strings) and self. The task decides which groups end the episode; by
+    default all do. The cup may touch the targets, which is not counted.
 
     **Info**, on reset and step:
 

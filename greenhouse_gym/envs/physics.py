@@ -132,39 +132,45 @@ class Physics:
     def _repeat(self, i: int, start: _Start, substeps: int) -> tuple[npt.NDArray[np.int64], Contact | None]:
         """Repeat the last action of a simulation; return its contacts by group and the first that ends the episode.
 
-        Counts include the state after each physics step; without any step, they are those of the start.
+        Contacts are counted after each physics step until one ends the episode. Those at the start belong to the action
+        before, so they count only if one of them ends the episode or there is no physics step.
         """
         model, data = self.models[i], self._data
         mujoco.mj_resetData(model, data)
         data.qpos[:], data.qvel[:], data.qacc_warmstart[:], data.act[:] = start
         data.ctrl[:] = self._stepper.speed[i]
         mujoco.mj_step1(model, data)
-        counts, first = self._present(i)
-        if substeps:
-            counts[:] = 0  # those of the start belong to the action before
+        counts, ending = self._present(i)
+        if ending is None and substeps:
+            counts = np.zeros_like(counts)
         for _ in range(substeps):
+            if ending is not None:
+                break
             mujoco.mj_step2(model, data)
             mujoco.mj_step1(model, data)
-            present, contact = self._present(i)
-            counts += present
-            first = first or contact
-        return counts, first
+            if data.ncon:
+                present, ending = self._present(i)
+                counts += present
+        return counts, None if ending is None else self._named(i, ending)
 
-    def _present(self, i: int) -> tuple[npt.NDArray[np.int64], Contact | None]:
-        """Return the present contacts by group and the deepest that ends the episode."""
-        model, data, world = self.models[i], self._data, self._worlds[i]
+    def _present(self, i: int) -> tuple[npt.NDArray[np.int64], int | None]:
+        """Return the present contacts by group and the index of the deepest that ends the episode."""
+        data = self._data
         if not data.ncon:
             return np.zeros(len(CONTACT_GROUPS), dtype=np.int64), None
-        groups = contact_groups(model, data, world.groups)
-        counts = np.bincount(groups, minlength=len(CONTACT_GROUPS))
+        contacts = data.contact
+        groups = contact_groups(self.models[i], contacts.geom, self._worlds[i].groups)
         ending = np.flatnonzero(self._ends[groups])
-        if not len(ending):
-            return counts, None
-        contact = data.contact[int(ending[np.argmin(data.contact.dist[ending])])]
+        deepest = int(ending[np.argmin(contacts.dist[ending])]) if len(ending) else None
+        return np.bincount(groups, minlength=len(CONTACT_GROUPS)), deepest
+
+    def _named(self, i: int, index: int) -> Contact:
+        """Return a present contact by names."""
+        model, contact = self.models[i], self._data.contact[index]
         geoms = sorted((int(contact.geom1), int(contact.geom2)), key=lambda g: model.geom_bodyid[g], reverse=True)
         # the simulation's own model has the names of the first scene that was loaded
-        names = tuple(name_of(world.compiled.model, compiled_geom_id(model, g)) for g in geoms)
-        return counts, Contact(names, self_collision=bool(model.geom_bodyid[geoms[1]] > 0))
+        names = tuple(name_of(self._worlds[i].compiled.model, compiled_geom_id(model, g)) for g in geoms)
+        return Contact(names, self_collision=bool(model.geom_bodyid[geoms[1]] > 0))
 
 
 def prepare(

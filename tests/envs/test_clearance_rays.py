@@ -1,4 +1,4 @@
-"""The room around the target in ``observation="clearance_rays"``."""
+"""The clearances around the target in ``observation="clearance_rays"``."""
 
 from __future__ import annotations
 
@@ -42,16 +42,14 @@ def test_what_stands_on_a_ray_is_seen_on_that_ray(
 ) -> None:
     a, e = AZIMUTHS[azimuth], ELEVATIONS[elevation]
     ray = np.array([-np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
-    room = seen(Sphere(TARGET + distances[1] * ray, 0.02))
-    assert np.unravel_index(room[..., part].argmin(), room.shape[:2]) == (azimuth, elevation)
-    assert room[azimuth, elevation, part] < 0.0, "within the obstacle, as far as a grid of 2 cm tells"
+    clearances = seen(Sphere(TARGET + distances[1] * ray, 0.02))
+    assert np.unravel_index(clearances[..., part].argmin(), clearances.shape[:2]) == (azimuth, elevation)
+    assert clearances[azimuth, elevation, part] < 0.0, "within the obstacle, as far as a grid of 2 cm resolves"
 
 
 def test_it_begins_as_the_state_does(bank: SceneBank) -> None:
-    state, approach = (
-        GreenhouseEnv(bank=bank, observation=kind).reset(seed=4)[0] for kind in ("state", "clearance_rays")
-    )
-    np.testing.assert_array_equal(approach[: len(state)], state)
+    state, rays = (GreenhouseEnv(bank=bank, observation=kind).reset(seed=4)[0] for kind in ("state", "clearance_rays"))
+    np.testing.assert_array_equal(rays[: len(state)], state)
 
 
 @pytest.mark.parametrize(("asks", "numbers"), [(True, NUM_CLEARANCES), (False, 0)])

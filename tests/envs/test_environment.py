@@ -112,7 +112,7 @@ def test_private_model_equals_the_compiled_scene(bank: SceneBank) -> None:
     for seed in range(5):
         env.reset(seed=seed)
         simulation = env.simulation
-        private, compiled = simulation._physics.models[0], simulation._setups[0].world.compiled
+        private, compiled = simulation._physics.models[0], simulation.physical(0)[0]
         reordered = copy.copy(compiled.model)
         put_arm_first(reordered)
         geom = first_world_geom(private) + compiled.tomato_geom(env.target)

@@ -54,15 +54,15 @@ def test_the_contract_of_goal_environments_holds(bank: SceneBank, reward: str) -
 
 
 def test_a_goal_environment_may_tell_the_waypoint_too(bank: SceneBank) -> None:
-    told, way, guided = (
+    plain, waypoint, guided = (
         GreenhouseEnv(bank=bank, observation=kind).reset(seed=3)[0] for kind in ("goal", "waypoint", "goal_waypoint")
     )
-    assert set(told) == set(guided)
-    size = len(told["observation"])
-    np.testing.assert_array_equal(guided["observation"][:size], told["observation"])
-    np.testing.assert_array_equal(guided["observation"][size:], way[-(2 * 6 + 2) :])
+    assert set(plain) == set(guided)
+    size = len(plain["observation"])
+    np.testing.assert_array_equal(guided["observation"][:size], plain["observation"])
+    np.testing.assert_array_equal(guided["observation"][size:], waypoint[-(2 * 6 + 2) :])
     for goal in ("achieved_goal", "desired_goal"):
-        np.testing.assert_array_equal(guided[goal], told[goal])
+        np.testing.assert_array_equal(guided[goal], plain[goal])
 
 
 def test_another_goal_changes_success_but_no_collision(bank: SceneBank) -> None:

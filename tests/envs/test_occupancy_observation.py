@@ -20,18 +20,18 @@ def test_the_places_of_the_probe_points_are_told() -> None:
         gymnasium.make("TomatoReach-v0", bank="mini", observation="state_occupancy").unwrapped, skip_render_check=True
     )
     env, plain = GreenhouseEnv(bank="mini", observation="state_occupancy"), GreenhouseEnv(bank="mini")
-    told, known = set(), len(plain.reset(seed=4)[0])
+    values, known = set(), len(plain.reset(seed=4)[0])
     observed = env.reset(seed=4)[0]
     for _ in range(60):
         model, data = env.model_and_data()
         places = np.array([data.site(model.site(name).id).xpos for name in ARM.probes])
         assert env.scene.occupancy is not None
         np.testing.assert_array_equal(observed[known:], ~env.scene.occupancy.is_known(places))
-        told.update(observed[known:].tolist())
+        values.update(observed[known:].tolist())
         observed, _, terminated, *_ = env.step(np.array([0.6, 0.3, 0.0, 0.0, 0.0, 0.0]))
         if terminated:
             break
-    assert told == {0.0, 1.0}  # the arm turned into what was not seen
+    assert values == {0.0, 1.0}  # the arm turned into what was not seen
     np.testing.assert_array_equal(env.reset(seed=4)[0][:known], plain.reset(seed=4)[0])
 
 

@@ -1,4 +1,4 @@
-"""Rewards, observations and actions from outside: the examples, and what is told when they are wrong."""
+"""Rewards, observations and actions from outside: the examples, and the errors of wrong ones."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def test_settings_and_keywords_say_the_same(bank: SceneBank) -> None:
 
 
 class Constant:
-    """Something that gives what it is told to, whatever happens."""
+    """Returns a fixed value."""
 
     def __init__(self, given: Any, space: spaces.Space[Any] | None = None):
         self.given, self.space = given, space or spaces.Box(-1.0, 1.0, (2,), np.float32)
@@ -175,7 +175,7 @@ PAIR = spaces.Dict({"a": spaces.Box(0, 1, (2,), np.float32), "b": spaces.Box(0, 
         ({"action": Constant(np.full((1, 6), np.inf))}, r"action Constant.*finite"),
     ],
 )  # fmt: skip
-def test_what_own_objects_do_wrong_is_told_by_name(bank: SceneBank, keywords: dict[str, Any], message: str) -> None:
+def test_what_own_objects_do_wrong_is_reported_by_name(bank: SceneBank, keywords: dict[str, Any], message: str) -> None:
     env = GreenhouseEnv(bank=bank, **keywords)
     with pytest.raises(InvalidValueError, match=message):  # noqa: PT012 - whichever of the two looks first
         env.reset(seed=0)
@@ -210,7 +210,7 @@ def test_what_is_no_reward_observation_or_action_is_refused(
         GreenhouseEnv(bank=bank, observation="rgdb")
 
 
-def test_a_reward_that_reads_situations_cannot_be_asked_in_hindsight(bank: SceneBank) -> None:
+def test_a_reward_that_reads_states_has_no_value_in_hindsight(bank: SceneBank) -> None:
     env = GreenhouseEnv(bank=bank, observation="goal", **keyword("own_reward"))
     seen, _ = env.reset(seed=0)
     *_, info = env.step(np.zeros(6))

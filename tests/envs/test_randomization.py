@@ -24,26 +24,26 @@ def test_off_is_the_same_as_none(bank: SceneBank) -> None:
 
 
 def test_encoders_are_off_while_the_arm_stands_where_it_is_told(bank: SceneBank) -> None:
-    env, told = first(bank, joint_offset=0.05)
-    offset = told[:6] - env.start
+    env, observed = first(bank, joint_offset=0.05)
+    offset = observed[:6] - env.start
     assert 0.001 < np.abs(offset).max() <= 0.05
     np.testing.assert_allclose(env.model_and_data()[1].qpos, env.start)
-    np.testing.assert_allclose(told[6:], first(bank)[1][6:], atol=1e-6)
-    np.testing.assert_array_equal(told, first(bank, joint_offset=0.05)[1])
-    assert not np.array_equal(told, first(bank, seed=1, joint_offset=0.05)[1])
+    np.testing.assert_allclose(observed[6:], first(bank)[1][6:], atol=1e-6)
+    np.testing.assert_array_equal(observed, first(bank, joint_offset=0.05)[1])
+    assert not np.array_equal(observed, first(bank, seed=1, joint_offset=0.05)[1])
 
 
 def test_the_told_target_is_off_and_the_true_one_counts(bank: SceneBank) -> None:
-    env, told = first(bank, target_position=0.03)
+    env, observed = first(bank, target_position=0.03)
     _, true = first(bank)
-    error = told[21:24] - true[21:24]
+    error = observed[21:24] - true[21:24]
     assert 0.001 < np.abs(error).max() <= 0.03
-    np.testing.assert_allclose(told[18:21] - true[18:21], error, atol=1e-6)
+    np.testing.assert_allclose(observed[18:21] - true[18:21], error, atol=1e-6)
     assert env.step(np.zeros(6))[4]["distance"] == first(bank)[0].step(np.zeros(6))[4]["distance"]
 
 
 def test_the_base_stands_elsewhere_and_physics_and_positions_follow(bank: SceneBank) -> None:
-    env, told = first(bank, base_position=0.05, base_yaw=0.2)
+    env, observed = first(bank, base_position=0.05, base_yaw=0.2)
     model, data = env.model_and_data()
     still = first(bank)[0].model_and_data()[0]
     shift = model.body_pos[1] - still.body_pos[1]
@@ -53,8 +53,8 @@ def test_the_base_stands_elsewhere_and_physics_and_positions_follow(bank: SceneB
     tip = data.site_xpos[model.site("tip").id]
     tool = data.site_xmat[model.site("tip").id].reshape(3, 3)[:, 2]
     tomato = env.scene.tomatoes[0]
-    np.testing.assert_allclose(told[18:21], tomato.center - tip - tomato.radius * tool, atol=1e-6)
-    # every episode is displaced anew, from where the stand is
+    np.testing.assert_allclose(observed[18:21], tomato.center - tip - tomato.radius * tool, atol=1e-6)
+    # every episode is displaced from where the stand is
     env.reset(seed=1, options={"scene": "made-up-0", "target": 0})
     moved = env.model_and_data()[0].body_pos[1] - still.body_pos[1]
     assert np.abs(moved[:2]).max() <= 0.05
@@ -78,10 +78,10 @@ def test_plants_move_in_the_truth_and_nobody_is_told(bank: SceneBank, tmp_path: 
         GreenhouseEnv(bank=true, physics="truth", randomization=randomization)
         for randomization in (NO_RANDOMIZATION, moving, moving)
     )
-    (seen, told), (same, info), (_, twice) = (each.reset(seed=5) for each in (still, env, again))
+    (seen, observed), (same, info), (_, twice) = (each.reset(seed=5) for each in (still, env, again))
     np.testing.assert_array_equal(seen, same)
-    assert told["scene"] == info["scene"]
-    assert info["distance"] != pytest.approx(told["distance"], abs=1e-4)
+    assert observed["scene"] == info["scene"]
+    assert info["distance"] != pytest.approx(observed["distance"], abs=1e-4)
     assert info["distance"] == twice["distance"]
     goals = []
     for _ in range(4):

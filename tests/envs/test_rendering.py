@@ -109,9 +109,9 @@ def in_a_forked_process(work: Callable[[], str]) -> str:
             os._exit(0)
     os.close(write)
     with os.fdopen(read) as pipe:
-        told = pipe.read()
+        result = pipe.read()
     os.waitpid(child, 0)
-    return told or "it hung"
+    return result or "it hung"
 
 
 def test_a_forked_process_steps_and_draws_or_says_why_not(bank: SceneBank) -> None:

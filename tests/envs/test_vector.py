@@ -47,7 +47,7 @@ def info_of(infos: dict[str, Any], i: int) -> dict[str, Any]:
 def compare_with_singles(
     count: int, steps: int, actions: Callable[[int], np.ndarray], mode: str, **keywords: Any
 ) -> int:
-    """Step a vector environment beside single ones, compare everything, and return the number of episodes ended."""
+    """Step a vector environment and single ones, compare everything, and return the number of episodes ended."""
     venv = gymnasium.make_vec("TomatoReach-v0", num_envs=count, autoreset_mode=mode, **keywords)
     singles = [GreenhouseEnv(**{k: v for k, v in keywords.items() if k != "threads"}) for _ in range(count)]
     observations, infos = venv.reset(seed=7)

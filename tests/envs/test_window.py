@@ -123,7 +123,7 @@ def test_a_bank_keeps_the_scenes_that_were_asked_for_last(
     forgotten = weakref.ref(opened.scene(bank.names()[1]))
     for name in bank.names()[2:6]:
         opened.scene(name)
-    assert opened.scene(first.name) is first  # somebody keeps it
+    assert opened.scene(first.name) is first  # still referenced
     assert forgotten() is None
     assert len(opened._scenes) == 3
 

@@ -123,7 +123,7 @@ def test_processes_play_the_same_episodes(bank: SceneBank, evaluations: tuple[Ev
 
 
 def test_wrong_encoders_change_observations_and_not_what_is_measured(bank: SceneBank) -> None:
-    """A planner does not look at observations, so it goes the same way; only what the agent is told is wrong."""
+    """A planner ignores observations, so it takes the same path; only the observations of the agent are wrong."""
     problems = [("made-up-0", k) for k in range(3)]
     right, wrong = (
         evaluate(PlannerAgent(), bank=bank, problems=problems, randomization=Randomization(joint_offset=offset))
@@ -177,7 +177,7 @@ def test_wilson() -> None:
 
 
 def test_empty_and_partial() -> None:
-    empty = Evaluation("nobody", ())
+    empty = Evaluation("empty", ())
     assert math.isnan(empty.success_rate)
     assert math.isnan(empty.median("steps"))
     record = Record(0, "s", 1, "hard", True, False, (), 10, 0.1, 0.0, 1.0, 1.0, 0.05, 0.0, 10.0, 0.01)
@@ -253,7 +253,7 @@ class FlawedTogether(Flawed):
 
 @pytest.mark.parametrize("num_envs", [1, 2])
 @pytest.mark.parametrize(
-    ("flaw", "told"),
+    ("flaw", "message"),
     [
         (no_number, "InvalidValueError: an action must be finite"),
         (too_few, "InvalidValueError: an action must have shape"),
@@ -261,12 +261,14 @@ class FlawedTogether(Flawed):
         (raises, "ZeroDivisionError: of my own"),
     ],
 )
-def test_an_agent_that_fails_on_the_way_loses_the_episode(bank: SceneBank, flaw: Any, told: str, num_envs: int) -> None:
+def test_an_agent_that_fails_on_the_way_loses_the_episode(
+    bank: SceneBank, flaw: Any, message: str, num_envs: int
+) -> None:
     evaluation = evaluate(Flawed(flaw), episodes=5, bank=bank, num_envs=num_envs)
     assert len(evaluation.records) == 5
     failed = [r for r in evaluation.records if r.failure]
     assert evaluation.failures == len(failed) == 5 - num_envs, "each player's first episode is played to its end"
-    assert all(told in r.failure and not r.success and not r.collision for r in failed)
+    assert all(message in r.failure and not r.success and not r.collision for r in failed)
     assert failed[0].steps == 2
     assert f"flawed: {len(failed)} episodes ended without a valid action" in comparison_table([evaluation])
 

@@ -22,7 +22,7 @@ SHORT = replace(V1, bank="mini", split="validation", episodes=3)
 
 
 class Interrupted(RandomAgent):
-    """Plays at random; somebody presses Ctrl-C when it is to begin another episode than it may."""
+    """Random agent that is interrupted after a number of episodes."""
 
     def __init__(self, episodes: int):
         super().__init__()
@@ -49,9 +49,9 @@ def test_an_interrupted_evaluation_goes_on(bank: SceneBank, tmp_path: Path, exec
     again = evaluate(agent, episodes=4, bank=bank, journal=RecordJournal(file, ABOUT), executor=executor).records
     assert untimed(again) == untimed(whole)
     assert executor is not None or agent.left == 0, "two episodes were left"
-    nobody = Interrupted(0)
-    assert evaluate(nobody, episodes=4, bank=bank, journal=RecordJournal(file, ABOUT)).records == again
-    assert evaluate(nobody, episodes=2, bank=bank, journal=RecordJournal(file, ABOUT)).records == again[:2]
+    none_left = Interrupted(0)
+    assert evaluate(none_left, episodes=4, bank=bank, journal=RecordJournal(file, ABOUT)).records == again
+    assert evaluate(none_left, episodes=2, bank=bank, journal=RecordJournal(file, ABOUT)).records == again[:2]
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +74,7 @@ def test_records_of_something_else_are_not_taken(content: str, tmp_path: Path) -
     file = tmp_path / "records.jsonl"
     file.write_text(content)
     assert RecordJournal(file, {**ABOUT, "agent": "another"}).records == {}
-    assert RecordJournal(file, ABOUT).records == {}, "the file was begun anew"
+    assert RecordJournal(file, ABOUT).records == {}, "the file was overwritten"
 
 
 @pytest.mark.parametrize(
@@ -113,7 +113,7 @@ def test_records_of_an_agent_that_never_acted_do_not_outlive_the_error(bank: Sce
     file = tmp_path / "records.jsonl"
     with pytest.raises(AgentError):
         evaluate(Broken(), episodes=2, bank=bank, journal=RecordJournal(file, ABOUT), executor=Elsewhere())
-    assert not file.exists(), "the next try begins anew"
+    assert not file.exists(), "the next attempt starts from the beginning"
 
 
 def test_an_agent_whose_file_has_changed_begins_anew(tmp_path: Path) -> None:

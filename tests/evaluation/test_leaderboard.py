@@ -47,8 +47,8 @@ def test_an_entry_holds_what_was_played(entry: Entry) -> None:
     for track in TRACKS:
         records = entry.evaluation(track).records
         assert [record.seed for record in records] == [0, 1]
-    told, true = ([(r.scene, r.target) for r in entry.evaluation(t).records] for t in ("reconstruction", "truth"))
-    assert told == true, "all tracks have the same episodes"
+    known, true = ([(r.scene, r.target) for r in entry.evaluation(t).records] for t in ("reconstruction", "truth"))
+    assert known == true, "all tracks have the same episodes"
 
 
 def test_an_entry_can_be_played_again(entry: Entry) -> None:
@@ -56,7 +56,7 @@ def test_an_entry_can_be_played_again(entry: Entry) -> None:
         assert (before.success, before.collision, before.steps) == (now.success, now.collision, now.steps)
         assert before.joint_length == pytest.approx(now.joint_length, abs=1e-5)
     still = replay(entry, StillAgent(), "truth", 1)
-    assert still[0][0].joint_length != still[0][1].joint_length, "a replay by somebody else is found out"
+    assert still[0][0].joint_length != still[0][1].joint_length, "a replay by another agent is detected"
 
 
 def ranked(table: str) -> list[tuple[str, str]]:

@@ -29,7 +29,7 @@ def test_the_wrist_sees_the_tomato_ahead_at_its_distance(bank: SceneBank) -> Non
     placed, start = looking_at_a_tomato()
     camera = DepthCamera("wrist", 161, 121)
     image = observe(bank, placed, start, observation=DepthObservation(camera))["depth"][0] * MAX_RANGE
-    # The camera stands 0.13 m behind the tip and 0.07 m beside the tool, the tomato's center 0.25 m ahead of the tip.
+    # The camera stands 0.13 m behind the tip and 0.07 m off the tool, the tomato's center 0.25 m ahead of the tip.
     column = round(camera.width / 2 - camera.focal * 0.07 / 0.38 - 0.5)
     row = camera.height // 2
     assert 0.33 <= image[row, column] <= 0.335  # nearest point of a ball of 0.05 m, seen slightly from the side
@@ -43,8 +43,8 @@ def test_cameras_agree_with_the_shapes(bank: SceneBank) -> None:
     points = cloud[np.any(cloud != 0, axis=1)].astype(np.float64) + [0, 0, 1.1 - 0.1625]
     gaps = np.abs(distance_to_shapes(points, placed.obstacles)).min(axis=1)
     on_floor = np.abs(points[:, 2]) < 1e-3
-    beside = (np.abs(points[:, :2]) < 0.121).all(axis=1)  # the cart
-    assert (gaps[~on_floor & ~beside] < 1e-3).all()
+    at_cart = (np.abs(points[:, :2]) < 0.121).all(axis=1)  # the cart
+    assert (gaps[~on_floor & ~at_cart] < 1e-3).all()
     assert (gaps < 1e-3).sum() > 20
 
 
