@@ -49,5 +49,5 @@ def test_meshes_that_are_none_are_refused() -> None:
     assert leaf_boxes(np.zeros((0, 3)), np.zeros((0, 3), int)) == []
     with pytest.raises(InvalidValueError, match="vertices"):
         leaf_boxes(np.zeros((3, 2)), np.zeros((1, 3), int))
-    with pytest.raises(InvalidValueError, match="there are 3"):
+    with pytest.raises(InvalidValueError, match="vertices 0 to 3 of 3"):
         leaf_boxes(np.zeros((3, 3)), np.array([[0, 1, 3]]))
