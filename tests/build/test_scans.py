@@ -339,7 +339,7 @@ def test_a_file_too_large_to_be_read_at_once_is_refused(tmp_path: Path, monkeypa
     for suffix in (".npy", ".xyz"):
         with_numpy(tmp_path / f"c{suffix}", *plant())
     assert len(read_cloud(tmp_path / "c.xyz").points) == len(plant()[0])  # is read piece by piece
-    with pytest.raises(FileFormatError, match="1000 bytes at most; LAS, LAZ and text are read piece by piece"):
+    with pytest.raises(FileFormatError, match="at most 1000 bytes; LAS, LAZ and text are read piece by piece"):
         read_cloud(tmp_path / "c.npy")
 
 
