@@ -32,7 +32,7 @@ class ReconstructedRow(Protocol):
 
     @property
     def world_from_station(self) -> Array:
-        """(stations, 4, 4), in the points' frame; NaN where not registered, identity for the first that is."""
+        """(stations, 4, 4), in the points' frame; NaN where not registered, identity for the first registered one."""
 
 
 class Drift(NamedTuple):

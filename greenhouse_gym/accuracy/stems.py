@@ -50,17 +50,17 @@ class StemComparison:
 
     @property
     def recall(self) -> float:
-        """Fraction of the visible length that lies by a found stem of any kind."""
+        """Fraction of the visible length that matches a found stem of any kind."""
         return fraction(self.found, self.visible)
 
     @property
     def recall_as_such(self) -> float:
-        """Fraction of the visible length that lies by a found stem of the same kind."""
+        """Fraction of the visible length that matches a found stem of the same kind."""
         return fraction(self.found_as_such, self.visible)
 
     @property
     def false_fraction(self) -> float:
-        """Fraction of the extracted length that lies by no true stem."""
+        """Fraction of the extracted length that matches no true stem."""
         return fraction(self.false, self.extracted)
 
 
@@ -139,7 +139,7 @@ def _samples(stems: Sequence[Capsule]) -> _Samples:
 
 
 def _nearest(samples: _Samples, stems: Sequence[Capsule], chunk: int = 2000) -> tuple[Array, npt.NDArray[np.int64]]:
-    """Return the distance (n,) of each sample to the nearest axis that it lies by (inf without one), and its index."""
+    """Return the distance (n,) of each sample to the nearest matching axis (inf without one), and its index."""
     distance, index = np.full(len(samples.points), np.inf), np.zeros(len(samples.points), dtype=np.int64)
     if not stems:
         return distance, index

@@ -17,7 +17,7 @@ app = typer.Typer(help="Inspect, check, filter and export banks of scenes.", no_
 
 @app.command()
 def info(bank: BankArgument = "default") -> None:
-    """Print a bank's statistics: rows, splits, styles, difficulties, observed space."""
+    """Print a bank's statistics: rows, splits, styles, difficulties, known space."""
     from greenhouse_gym.scene import SceneBank
     from greenhouse_gym.scene.bank_statistics import as_markdown, bank_statistics
 

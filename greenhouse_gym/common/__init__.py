@@ -1,1 +1,1 @@
-"""Files, settings files, checks, progress, optional imports and executors: what every other package stands on."""
+"""Files, settings files, checks, progress, optional imports and executors, used by all other packages."""

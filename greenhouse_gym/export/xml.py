@@ -30,7 +30,7 @@ def arm_pose(scene: Scene, robot: Robot) -> Array:
 
 
 def urdf(scene: Scene, robot: Robot) -> bytes:
-    """Return the scene as the link ``world``, with the arm on it.
+    """Return a URDF with the scene as the link ``world`` and the arm on it.
 
     URDF has no capsules and no ellipsoids: a capsule becomes a cylinder and two spheres, which is exact, an ellipsoid
     its enclosing sphere.

@@ -176,7 +176,7 @@ class _Trial(tune.Trainable):  # type: ignore[misc]
 
 
 class _Watch(tune.Callback):  # type: ignore[misc]
-    """Forwards Tune's events between its steps, where an error ends the run."""
+    """Callback that forwards Tune's events between its steps, where an error can end the run."""
 
     def __init__(self, on_end: Callable[[str, Any, bool], None], on_progress: Callable[[Any], None]):
         self.ended = 0
