@@ -30,7 +30,7 @@ import greenhouse_gym
 from greenhouse_gym.agents import PolicyAgent
 from greenhouse_gym.common.executors import processes
 from greenhouse_gym.envs import GreenhouseVectorEnv
-from greenhouse_gym.envs.scene_window import DRAWS_PER_SCENE, WINDOW
+from greenhouse_gym.envs.episodes import DRAWS_PER_SCENE, WINDOW
 from greenhouse_gym.scene import SceneBank
 from greenhouse_gym.scene.manifest import MANIFEST
 

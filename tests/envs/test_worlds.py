@@ -140,9 +140,9 @@ def test_what_is_parked_twice_need_not_be_copied() -> None:
         model = copy.copy(before.compiled.model)
         put_arm_first(model)
         whole = copy.copy(model)
-        before.load(model, 0)
-        after.load(model, 1, last=before)
-        after.load(whole, 1)
+        before.load(model, [0])
+        after.load(model, [1], last=before)
+        after.load(whole, [1])
         for name in dir(model):
             if name.startswith(("geom_", "bvh_", "body_")):
                 np.testing.assert_array_equal(getattr(model, name), getattr(whole, name), err_msg=name)
