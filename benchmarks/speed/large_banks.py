@@ -28,7 +28,7 @@ from benchmarks.common import RESULTS, in_own_process, parser, seconds_of, write
 from greenhouse_gym import ENV_IDS
 from greenhouse_gym.agents import PolicyAgent
 from greenhouse_gym.envs import GreenhouseVectorEnv
-from greenhouse_gym.envs.scene_window import DRAWS_PER_SCENE, WINDOW
+from greenhouse_gym.envs.episodes import DRAWS_PER_SCENE, WINDOW
 from greenhouse_gym.scene import SceneBank
 from greenhouse_gym.scene.manifest import MANIFEST
 

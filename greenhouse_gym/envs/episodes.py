@@ -11,7 +11,6 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from greenhouse_gym.envs.scene_window import WINDOW, SceneWindow
 from greenhouse_gym.errors import InvalidValueError, require_choice
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
@@ -25,6 +24,15 @@ OPTIONS = ("scene", "target", "start", "difficulty")
 
 DifficultyChoice: TypeAlias = str | Iterable[str] | Mapping[str, float]
 """One difficulty, several, or a weight for each."""
+
+LARGEST_WHOLE = 300
+"""Maximum number of scenes of a split without a window."""
+
+WINDOW = 24
+"""Number of scenes in the window."""
+
+DRAWS_PER_SCENE = 256
+"""Number of draws after which the next scene enters the window; each scene is drawn about as often."""
 
 _DRAWS = 64
 _CACHED = 300
@@ -47,10 +55,49 @@ class Episode:
     start: Array
 
 
+class SceneWindow:
+    """Sliding window over the scenes of a split, from which names of scenes are drawn; deterministic for a seed.
+
+    Reading and compiling a scene and computing its distance field take as long as hundreds of steps. Therefore episodes
+    of a large bank are drawn from a few scenes at a time, which stay in memory. They are replaced one by one in an
+    order that the seed shuffles, until every scene had its turn and the next round begins.
+
+    Args:
+        names: Names of all scenes.
+    """
+
+    def __init__(self, names: Sequence[str]):
+        self._names = names
+        self._order: np.ndarray[tuple[int], np.dtype[np.int64]] | None = None
+        self._draws = 0
+
+    @property
+    def whole(self) -> bool:
+        """Whether the split is small enough to be drawn from as a whole."""
+        return len(self._names) <= LARGEST_WHOLE
+
+    def restart(self, seed: int) -> None:
+        """Begin a new round in the order given by a seed."""
+        if not self.whole:
+            self._order, self._draws = np.random.default_rng(seed).permutation(len(self._names)), 0
+
+    def draw(self, rng: np.random.Generator) -> str:
+        """Draw the name of a scene, uniformly within the window."""
+        if self.whole:
+            return self._names[int(rng.integers(len(self._names)))]
+        if self._order is None:
+            self.restart(int(rng.integers(2**32)))
+        assert self._order is not None
+        first = self._draws // DRAWS_PER_SCENE
+        position = int(rng.integers(first, first + WINDOW))
+        self._draws += 1
+        return self._names[int(self._order[position % len(self._order)])]
+
+
 class EpisodeSampler:
     """Draws episodes from one split of a bank: a scene, then one of its targets with a matching difficulty.
 
-    Episodes of a large bank are drawn from a few scenes at a time, see `greenhouse_gym.envs.scene_window`. If a scene
+    Episodes of a large bank are drawn from a few scenes at a time, see `SceneWindow`. If a scene
     is not rated for the arm, the targets rated for other arms are used, as `UNRATED` ones.
 
     Args:

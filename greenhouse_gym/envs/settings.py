@@ -35,8 +35,7 @@ class EnvSettings:
 
     Attributes:
         bank: Name of a shipped bank, folder of one, or a `SceneBank`. Episodes of a split with more than 300 scenes are
-            drawn from a few scenes at a time (`greenhouse_gym.envs.scene_window`); the seed of a reset restarts their
-            order.
+            drawn from a few scenes at a time (`SceneWindow`); the seed of a reset restarts their order.
         split: "train", "validation" or "test".
         robot: Name of a shipped arm ("ur5e", "iiwa14"), an MJCF file, or a `Robot` of `load_robot`.
         observation: "state", "state_occupancy", "clearance_rays", "waypoint", "goal", "goal_waypoint", "depth",

@@ -13,7 +13,7 @@ import numpy as np
 
 from greenhouse_gym.crops.crop import PlantMotion
 from greenhouse_gym.envs.contacts import Groups, geom_groups
-from greenhouse_gym.envs.scene_window import LARGEST_WHOLE
+from greenhouse_gym.envs.episodes import LARGEST_WHOLE
 from greenhouse_gym.envs.state import SUBSTEPS
 from greenhouse_gym.envs.stepping import drive_and_record
 from greenhouse_gym.errors import InvalidValueError

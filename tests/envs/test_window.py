@@ -13,9 +13,7 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.envs import GreenhouseEnv, GreenhouseVectorEnv, episodes
-from greenhouse_gym.envs import scene_window as window
-from greenhouse_gym.envs.episodes import EpisodeSampler
-from greenhouse_gym.envs.scene_window import SceneWindow
+from greenhouse_gym.envs.episodes import EpisodeSampler, SceneWindow
 from greenhouse_gym.envs.worlds import Worlds
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import SceneBank
@@ -26,7 +24,7 @@ from greenhouse_gym.scene import bank as bank_module
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Windows of four scenes that move on after eight draws."""
     for name, value in (("LARGEST_WHOLE", 5), ("WINDOW", 4), ("DRAWS_PER_SCENE", 8)):
-        monkeypatch.setattr(window, name, value)
+        monkeypatch.setattr(episodes, name, value)
 
 
 def names(count: int) -> list[str]:
@@ -74,20 +72,20 @@ def test_the_seed_decides_on_the_order(small: None) -> None:
 def test_a_sampler_draws_the_same_after_the_same_seed_whatever_was_drawn_before(
     small: None, bank: SceneBank, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(window, "LARGEST_WHOLE", 2)
-    monkeypatch.setattr(window, "WINDOW", 2)
+    monkeypatch.setattr(episodes, "LARGEST_WHOLE", 2)
+    monkeypatch.setattr(episodes, "WINDOW", 2)
     sampler = EpisodeSampler(bank, "train", get_robot("ur5e"), "easy")
 
-    def episodes(seed: int) -> list[tuple[str, int]]:
+    def sampled(seed: int) -> list[tuple[str, tuple[int, ...]]]:
         sampler.restart(seed)
         random = np.random.default_rng(seed)
         return [(episode.scene.name, episode.targets) for episode in (sampler.draw(random) for _ in range(60))]
 
-    first = episodes(0)
+    first = sampled(0)
     assert {name for name, _ in first} == set(bank.names("train"))
     assert len({name for name, _ in first[:8]}) <= 2
-    assert episodes(1) != first
-    assert episodes(0) == first
+    assert sampled(1) != first
+    assert sampled(0) == first
     twins = sampler, copy.deepcopy(sampler)
     draws = [[twin.draw(np.random.default_rng(k)).scene.name for k in range(40)] for twin in twins]
     assert draws[0] == draws[1]
