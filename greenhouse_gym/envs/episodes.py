@@ -73,7 +73,7 @@ class SceneWindow:
 
     @property
     def whole(self) -> bool:
-        """Whether the split is small enough to be drawn from as a whole."""
+        """True if the split is small enough to be drawn from as a whole."""
         return len(self._names) <= LARGEST_WHOLE
 
     def restart(self, seed: int) -> None:
