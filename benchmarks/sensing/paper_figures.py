@@ -178,7 +178,7 @@ def meshes(row: RowCloud) -> Numbers:
 def simulation(recording: Recording, row: RowCloud, shapes: RowShapes, out: Path) -> Numbers:
     """Figures 8 to 10: the arm before the whole row, at its start, and at a tomato with the path of its tip."""
     length = float(np.ptp(row.world_from_station[row.registered][:, 1, 3]))  # one arm placement
-    whole = BuildSettings(spacing=length, width=8.0, reach=5.0, primitives=10_000, robot=ARM)
+    whole = BuildSettings(spacing=length, width=8.0, reach=5.0, max_shapes=10_000, robot=ARM)
     compiled = compile_scene(cut_scenes(row, shapes, recording, None, whole)[0], ARM)
     data = mujoco.MjData(compiled.model)
     data.qpos[:] = get_robot(ARM).start

@@ -154,7 +154,7 @@ def in_frame(shapes: RowShapes, target_from_source: Array) -> RowShapes:
 
 def primitives(row: Row, cloud: RowCloud, shapes: RowShapes, workdir: Path) -> list[int]:
     """Return the number of shapes in each scene of a row without the maximum per scene."""
-    settings = replace(BuildSettings(), primitives=10**9)
+    settings = replace(BuildSettings(), max_shapes=10**9)
     recording = recording_of(row, workdir)
     return [len(scene.obstacles) for scene in cut_scenes(cloud, shapes, recording, row.week, settings)]
 

@@ -54,7 +54,7 @@ def main() -> None:
     command.add_argument("--out", type=Path, default=RESULTS / "cluster.json")
     command.add_argument("--build", nargs=3, metavar=("RECORDINGS", "BANK", "BACKEND"), help="only build, as a child")
     a = command.parse_args()
-    settings = BuildSettings(spacing=0.2, targets=a.targets)
+    settings = BuildSettings(spacing=0.2, max_targets=a.targets)
     if a.build:
         with executor_for(a.build[2], 2) as executor:
             build(Path(a.build[0]), Path(a.build[1]), settings, executor)

@@ -82,7 +82,7 @@ def compared(small: Path, many: Path, rounds: int) -> dict[str, Any]:
     """Step environments on both banks in turns."""
     envs = {
         # with different capacities, so that neither takes the prepared worlds of the other
-        name: GreenhouseVectorEnv(SIMULATIONS, bank=bank, autoreset_mode="SameStep", threads=1, capacity=300 + k)
+        name: GreenhouseVectorEnv(SIMULATIONS, bank=bank, autoreset_mode="SameStep", threads=1, capacity=600 + k)
         for k, (name, bank) in enumerate({"few": small, "many": many}.items())
     }
     policy = PolicyAgent.load("ppo-ur5e")
