@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import threading
+import warnings
 from typing import Any
 
 import mujoco
@@ -19,6 +20,10 @@ from greenhouse_gym.scene.obstacles import ArmPlacement
 
 RENDER_MODES = ("rgb_array", "human", "depth_array")
 WIDTH, HEIGHT = 640, 480
+
+
+class RenderingWarning(UserWarning):
+    """Images are drawn by ray casting instead of OpenGL: more slowly, and a little different."""
 
 
 class NoDisplayError(GreenhouseError, RuntimeError):
@@ -78,8 +83,9 @@ class Viewer:
                     self._of_thread.gl = OpenGLRenderer(model, WIDTH, HEIGHT)
                 assert self._gl is not None
                 return self._gl.picture(model, data, camera, lines)
-            except OpenGLMissingError:
+            except OpenGLMissingError as error:
                 self._gl_works = False
+                warnings.warn(f"images are drawn by ray casting from here on: {error}", RenderingWarning, stacklevel=3)
         return render_scene(model, data, camera, WIDTH, HEIGHT, lines, samples=1)
 
     def close(self) -> None:

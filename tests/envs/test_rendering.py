@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -49,7 +51,8 @@ def test_without_opengl_rays_draw_the_picture(bank: SceneBank) -> None:
     model, _ = env.model_and_data()
     with pytest.raises(opengl.OpenGLMissingError, match=r"libEGL.*apt install"):
         opengl.OpenGLRenderer(model)
-    image = env.render()
+    with pytest.warns(viewer.RenderingWarning, match="libEGL"):
+        image = env.render()
     assert image.shape == (120, 160, 3)
     assert image.dtype == np.uint8
     assert image.std() > 20
@@ -59,7 +62,17 @@ def test_without_opengl_rays_draw_the_picture(bank: SceneBank) -> None:
     env.close()
 
 
+@pytest.mark.parametrize("choice", ["osmesa", "nonsense", " EGL ", "off", ""])
+def test_mujoco_can_be_imported_whatever_opengl_is_asked_for(choice: str) -> None:
+    code = "import greenhouse_gym, mujoco, greenhouse_gym.rendering.opengl"
+    environment = {**os.environ, "MUJOCO_GL": choice}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert choice != "nonsense" or "MUJOCO_GL=nonsense does not work here" in done.stderr
+
+
 @pytest.mark.usefixtures("without_opengl")
+@pytest.mark.filterwarnings("ignore:images are drawn by ray casting")
 def test_rays_and_opengl_see_the_same_scene(bank: SceneBank, monkeypatch: pytest.MonkeyPatch) -> None:
     cast = moved(bank, 1).render()
     monkeypatch.undo()
@@ -126,7 +139,8 @@ def test_a_forked_process_steps_and_draws_or_says_why_not(bank: SceneBank) -> No
         env.reset()
         env.close()
         env.reset()
-        return str(env.render().shape)
+        with pytest.warns(viewer.RenderingWarning, match="forked"):
+            return str(env.render().shape)
 
     def vector() -> str:
         try:
