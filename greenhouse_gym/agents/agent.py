@@ -109,6 +109,18 @@ def check_agent(agent: object) -> None:
             )
 
 
+def options_for(agent: Agent, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the keywords of an agent's environment: its own, and further ones that do not contradict them.
+
+    Raises:
+        InvalidValueError: They contradict each other.
+    """
+    for key, value in agent.env_options.items():
+        if key in options and options[key] != value:
+            raise InvalidValueError(f"agent {agent.name!r} needs {key}={value!r}, got {options[key]!r}")
+    return {**options, **agent.env_options}
+
+
 def action_towards(waypoint: Array, command: Array, steps: Array) -> Array:
     """Return the action (joints,) in [-1, 1] that moves straight towards a waypoint at full speed.
 

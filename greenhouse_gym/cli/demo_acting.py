@@ -85,8 +85,9 @@ def follow_in_the_true_row(bank: SceneBank, settings: DemoSettings, report: Demo
 def draw_the_arm(out: Path, recording: Recording, cloud: RowCloud, bank: SceneBank, report: DemoReport) -> None:
     """Draw the arm at the start and at the end of a witness, and the whole pipeline in one picture."""
     from greenhouse_gym.planning import resample
+    from greenhouse_gym.rendering.picture_files import write_picture
     from greenhouse_gym.rendering.task_pictures import picture_of_path
-    from greenhouse_gym.reporting.pictures import save, save_pipeline, splat, upright
+    from greenhouse_gym.reporting.pictures import save_pipeline, splat, upright
     from greenhouse_gym.robots import get_robot
 
     with report.stage("pictures of the arm") as results:
@@ -95,7 +96,7 @@ def draw_the_arm(out: Path, recording: Recording, cloud: RowCloud, bank: SceneBa
         pictures = {"9-arm-at-start": path[:1], "10-arm-at-target": resample(path, 0.03)}
         for name, joints in pictures.items():
             image = picture_of_path(scene, "ur5e", target, joints, width=960, height=720)
-            save(image, out / f"{name}.png")
+            write_picture(image, out / f"{name}.png")
         station = recording[scene.provenance.station or 0]
         photograph = upright(station.frames[recording.rig.reference].color)
         save_pipeline(photograph, splat(cloud.points, cloud.colors), image, out / "0-overview.png")

@@ -60,12 +60,12 @@ def import_(
     import.json (figures and verdict) and import.png (stations side by side).
     """
     from greenhouse_gym.capture import open_recording, write_recording
-    from greenhouse_gym.capture.image_files import encode_png
     from greenhouse_gym.capture.inspection import inspect_recording
     from greenhouse_gym.capture.recordings import INDEX
     from greenhouse_gym.capture.station_selection import choose_stations, select_stations
     from greenhouse_gym.common.files import write_atomically
     from greenhouse_gym.errors import FileFormatError
+    from greenhouse_gym.rendering.picture_files import write_picture
     from greenhouse_gym.reporting.pictures import contact_sheet
 
     if (out / INDEX).exists():
@@ -86,7 +86,7 @@ def import_(
     found = inspect_recording(open_recording(out))
     report = {"source": str(source), "notes": notes, **asdict(found)}
     write_atomically(out / "import.json", json.dumps(report, indent=1) + "\n")
-    write_atomically(out / "import.png", encode_png(contact_sheet(open_recording(out))))
+    write_picture(contact_sheet(open_recording(out)), out / "import.png")
     for line in (*notes, *found.verdict):
         say(line)
     say(f"{len(opened)} stations in {out}")

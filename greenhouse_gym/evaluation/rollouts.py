@@ -6,19 +6,19 @@ The same seed gives every agent the same episodes, whatever the number of parall
 from __future__ import annotations
 
 import math
-import sys
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Executor
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from rich.progress import track
 
 from greenhouse_gym.agents import Agent
-from greenhouse_gym.agents.agent import check_agent
+from greenhouse_gym.agents.agent import check_agent, options_for
 from greenhouse_gym.common.executors import completed, require_portable, workers_of
+from greenhouse_gym.common.progress import progress as progress_of
 from greenhouse_gym.envs import make_vec_env
 from greenhouse_gym.errors import InvalidValueError, require_seed
 from greenhouse_gym.evaluation.journal import RecordJournal
@@ -35,7 +35,7 @@ def evaluate(
     split: str = "test",
     episodes: int = 200,
     seed: int = 0,
-    progress: bool | None = None,
+    progress: bool = True,
     problems: Sequence[tuple[str, int]] | None = None,
     num_envs: int = 1,
     timeout: float | None = None,
@@ -54,7 +54,7 @@ def evaluate(
         episodes: Number of episodes.
         seed: Episode i has the seed ``seed + i``. With the same bank, split and difficulties, every agent gets the same
             scene and target.
-        progress: Show a progress bar; None shows it on a terminal only.
+        progress: Show the progress on standard error if the episodes take more than a few seconds.
         problems: Scene names and targets to run instead, one episode each, of any split and difficulty; ``episodes`` is
             then ignored.
         num_envs: Number of episodes run in parallel. Each runs a copy of the agent, unless the agent has ``act_many``.
@@ -80,21 +80,21 @@ def evaluate(
         raise InvalidValueError(f"timeout must be a positive number of seconds, or None, got {timeout!r}")
     check_agent(agent)
     require_seed(seed)
-    for key, value in agent.env_options.items():
-        if key in options and options[key] != value:
-            raise InvalidValueError(f"agent {agent.name!r} needs {key}={value!r}, got {options[key]!r}")
+    options_for(agent, options)  # raises before anything is prepared
     chosen: list[dict[str, Any]] = [{}] * episodes
     if problems is not None:
         chosen = [{"scene": name, "target": k} for name, k in problems]
-    show = sys.stderr.isatty() if progress is None else progress
     ended = {} if journal is None else {k: record for k, record in journal.records.items() if k < len(chosen)}
     left = tuple((k, where) for k, where in enumerate(chosen) if k not in ended)
     whole = _Part(agent, split, left, seed, num_envs, timeout, options, proven=bool(ended))
     results = whole.records() if executor is None else _run_by(executor, whole)
-    for k, record in track(results if left else (), description=agent.name, disable=not show, total=len(left)):
-        ended[k] = record
-        if journal is not None:
-            journal.add(k, record)
+    shown = progress_of(f"episodes of {agent.name}", len(chosen)) if progress else nullcontext(lambda _: None)
+    with shown as on_progress:
+        for k, record in results if left else ():
+            ended[k] = record
+            if journal is not None:
+                journal.add(k, record)
+            on_progress(len(ended))
     records = tuple(ended[k] for k in sorted(ended))
     if executor is not None and records and records[0].failure and not records[0].steps:
         if journal is not None:

@@ -35,10 +35,12 @@ class Viewer:
 
     Args:
         mode: One of `RENDER_MODES`.
+        size: Width and height of the images, pixels; `WIDTH` and `HEIGHT` by default.
     """
 
-    def __init__(self, mode: str):
+    def __init__(self, mode: str, size: tuple[int, int] | None = None):
         self.mode = mode
+        self.size = size or (WIDTH, HEIGHT)
         # an OpenGL context works only in the thread that created it
         self._of_thread = threading.local()
         self._gl_works = mode == "rgb_array"
@@ -47,7 +49,7 @@ class Viewer:
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Viewer:
         """Return a viewer with its own window and context."""
-        return Viewer(self.mode)
+        return Viewer(self.mode, self.size)
 
     def draw(
         self,
@@ -73,20 +75,20 @@ class Viewer:
         """
         camera, lines = default_camera(placement), task_lines(tip, target, trace)
         if self.mode == "depth_array":
-            return render_depth(model, data, camera, WIDTH, HEIGHT)
+            return render_depth(model, data, camera, *self.size)
         if self.mode == "human":
             self._show(model, data, placement, tip, target, trace)
             return None
         if self._gl_works:
             try:
                 if self._gl is None:
-                    self._of_thread.gl = OpenGLRenderer(model, WIDTH, HEIGHT)
+                    self._of_thread.gl = OpenGLRenderer(model, *self.size)
                 assert self._gl is not None
                 return self._gl.picture(model, data, camera, lines)
             except OpenGLMissingError as error:
                 self._gl_works = False
                 warnings.warn(f"images are drawn by ray casting from here on: {error}", RenderingWarning, stacklevel=3)
-        return render_scene(model, data, camera, WIDTH, HEIGHT, lines, samples=1)
+        return render_scene(model, data, camera, *self.size, lines, samples=1)
 
     def close(self) -> None:
         """Close the window and free this thread's context; the next drawing creates new ones."""

@@ -14,6 +14,7 @@ from greenhouse_gym.evaluation.leaderboard import TRACKS, V1, Entry, Protocol, f
 from greenhouse_gym.evaluation.records import Evaluation, Record
 from greenhouse_gym.reporting.comparison_figures import colors_of
 from greenhouse_gym.reporting.comparison_page import comparison_page
+from greenhouse_gym.reporting.outcomes import outcome
 from greenhouse_gym.reporting.scene_page import Motion, Replay, scene_page
 from greenhouse_gym.scene import SceneBank
 
@@ -133,14 +134,7 @@ def _episode_pages(
 
 def _outcome(now: Record, before: Record) -> str:
     """Describe how an episode ended, and whether it ended differently before."""
-    if now.failure:
-        text = f"gave up after {now.steps} actions: {now.failure}"
-    elif now.success:
-        text = f"reached it after {now.steps} actions"
-    elif now.collision:
-        text = f"hit {now.contact[-1]} with its {now.contact[0]} after {now.steps} actions"
-    else:
-        text = f"ended {100 * now.distance:.0f} cm from it after {now.steps} actions"
+    text = outcome(now.success, now.collision, now.contact, now.steps, now.distance, now.failure)
     return text if now.success == before.success else f"{text}, unlike before"
 
 
