@@ -22,9 +22,9 @@ def info(bank: BankArgument = "default") -> None:
     from greenhouse_gym.scene.bank_statistics import as_markdown, bank_statistics
 
     opened = SceneBank.open(bank)
-    typer.echo(
-        f"# {opened.manifest.name}\n\n{opened.manifest.description}\n\n{as_markdown(bank_statistics(opened))}", nl=False
-    )
+    with progress("scenes read", len(opened)) as on_progress:
+        found = bank_statistics(opened, on_progress)
+    typer.echo(f"# {opened.manifest.name}\n\n{opened.manifest.description}\n\n{as_markdown(found)}", nl=False)
 
 
 @app.command()

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from greenhouse_gym.cli.options import Address, Assignments, Backend, Bank, SettingsFile, Workers, executor_of
+from greenhouse_gym.cli.options import SETTINGS, Address, Backend, Bank, SettingsFile, Workers, executor_of, set_option
 from greenhouse_gym.common.progress import say
 
 ALGORITHMS = ("ppo", "bc-then-ppo", "sac-her")
@@ -32,11 +32,16 @@ def train(
     bank: Bank = "default",
     steps: Annotated[int, typer.Option(help="Environment steps.")] = 2_000_000,
     seed: Annotated[int, typer.Option(help="Seed of scenes, weights and noise.")] = 0,
-    resume: Annotated[bool, typer.Option(help="Resume from the checkpoint in the folder of results.")] = False,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Resume from the checkpoint in the folder of results.")
+    ] = False,
     settings: SettingsFile = None,
-    assignments: Assignments = None,
+    assignments: Annotated[list[str] | None, set_option("learning_rate=1e-4")] = None,
     print_settings: Annotated[
-        bool, typer.Option("--print-settings", help="Print all settings of the algorithm, and exit.")
+        bool,
+        typer.Option(
+            "--print-settings", help="Print all settings of the algorithm, and exit.", rich_help_panel=SETTINGS
+        ),
     ] = False,
 ) -> None:
     """Train a policy. Settings from a file and from --set override --bank, --steps and --seed."""
@@ -90,7 +95,7 @@ def sweep(
         bool, typer.Option("--stop-early", help="With ray: stop trainings that fall behind the median of the others.")
     ] = False,
     settings: SettingsFile = None,
-    assignments: Assignments = None,
+    assignments: Annotated[list[str] | None, set_option("num_envs=64")] = None,
     backend: Backend = None,
     workers: Workers = None,
     address: Address = "local",

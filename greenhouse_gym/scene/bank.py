@@ -30,6 +30,11 @@ SCENES_KEPT = 32
 """Number of recently used scenes of a bank kept in memory, in addition to those in use elsewhere."""
 
 
+def shipped_banks() -> dict[str, Path]:
+    """Return the folders of the shipped banks by name."""
+    return {path.parent.name: path.parent for path in sorted(data_path("scenes").glob(f"*/{MANIFEST}"))}
+
+
 class SceneBank(Sequence[Scene]):
     """A sequence of scenes that are read on demand; recently used scenes are cached.
 
@@ -56,7 +61,7 @@ class SceneBank(Sequence[Scene]):
         """
         if isinstance(bank, SceneBank):
             return bank
-        shipped = {path.parent.name: path.parent for path in sorted(data_path("scenes").glob(f"*/{MANIFEST}"))}
+        shipped = shipped_banks()
         folder = shipped.get(str(bank)) or Path(bank)
         if not folder.is_dir():
             raise UnknownNameError("scene bank", str(bank), [*shipped, "(or the path of a bank's folder)"])

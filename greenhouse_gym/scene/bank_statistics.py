@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,19 +56,26 @@ class BankStatistics:
     unknown: float
 
 
-def bank_statistics(bank: SceneBank) -> BankStatistics:
+def bank_statistics(bank: SceneBank, on_progress: Callable[[int], None] = lambda done: None) -> BankStatistics:
     """Compute the statistics of a bank; all scenes are read.
+
+    Args:
+        bank: The bank.
+        on_progress: Called with the number of scenes read so far.
 
     Raises:
         FileFormatError: A scene is missing or damaged, or its checksum differs from the manifest's.
     """
-    entries, scenes = bank.manifest.scenes, list(bank)
+    entries, scenes = bank.manifest.scenes, list[Scene]()
+    for scene in bank:
+        scenes.append(scene)
+        on_progress(len(scenes))
     targets = [target for scene in scenes for target in scene.targets]
     kinds = ("style", "source", "protocol", "week")
     by_kind: dict[str, Counter[str]] = {}
     for scene in scenes:
         for kind in ("style", "source"):
-            name = getattr(scene.provenance, kind) or "unknown"
+            name = getattr(scene.provenance, kind) or f"unknown {kind}"
             by_kind.setdefault(name, Counter()).update(target.difficulty for target in scene.targets)
     known = [_known_fraction(scene) for scene in scenes if scene.occupancy is not None]
     true = [len(scene.truth.obstacles) for scene in scenes if scene.truth is not None]
