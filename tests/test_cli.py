@@ -49,7 +49,7 @@ ROOT = Path(__file__).parent.parent
 def run(*arguments: str | Path) -> str:
     result = CliRunner().invoke(app, [str(argument) for argument in arguments], catch_exceptions=False)
     assert result.exit_code == 0, result.output
-    return result.output
+    return result.stdout
 
 
 def fails(*arguments: str | Path) -> GreenhouseError:
@@ -367,12 +367,15 @@ def test_compare_prints_a_table(bank: SceneBank) -> None:
 
 
 def test_compare_takes_agents_of_every_kind(bank: SceneBank) -> None:
-    own = f"{ROOT}/examples/own_agent.py:ReachForIt,{STILL}"
+    own = (f"{ROOT}/examples/own_agent.py:ReachForIt", STILL)
     arguments = ("--bank", bank.path, "--episodes", "2", "--robot", "ur5e", "--difficulty", "easy,medium")
-    rows = run("compare", "random", "--agents", own, "--num-envs", "2", *arguments).splitlines()
-    assert [row.split("|")[1].strip() for row in rows[2:5]] == ["random", "reach for it", "still"]
-    assert [row.split()[0] for row in rows[5:]] == ["random", "random", "reach"], "a paired test for every two agents"
-    assert all("McNemar p = " in row for row in rows[5:])
+    printed = run("compare", "random", *own, "--num-envs", "2", *arguments)
+    tables = [part.splitlines() for part in printed.split("\n\n")[1:3]]
+    assert all(len(line) <= 80 for table in tables for line in table)
+    names = [[line.split("|")[1].strip() for line in table[2:]] for table in tables]
+    assert names == [["random", "reach for it", "still"]] * 2
+    assert printed.count("McNemar") == 1, "one line on all pairs"
+    assert "nan" not in printed
     message = str(fails("compare", "RRTConect", *arguments))
     assert "unknown agent 'RRTConect'. Did you mean 'RRTConnect'?" in message
     assert all(name in message for name in ("straight-line", "ppo-ur5e", "file.py:Class"))
@@ -383,8 +386,9 @@ def test_compare_takes_agents_of_every_kind(bank: SceneBank) -> None:
 def test_compare_on_tracks() -> None:
     arguments = ("--bank", "mini", "--split", "validation", "--episodes", "1")
     printed = run("compare", STILL, *arguments, "--track", "truth,moved")
-    assert [line for line in printed.splitlines() if line.startswith("track")] == ["track truth", "track moved"]
-    assert len([line for line in printed.splitlines() if line.startswith("| still ")]) == 2
+    tracks = [line for line in printed.splitlines() if line.startswith("track")]
+    assert [line.split(":")[0] for line in tracks] == ["track truth", "track moved"]
+    assert len([line for line in printed.splitlines() if line.startswith("| still ")]) == 4
     assert "reconstruction, truth, moved" in str(fails("compare", STILL, "--track", "rumor"))
 
 
@@ -498,21 +502,40 @@ def test_demonstrations_print_how_to_load_them(tmp_path: Path, monkeypatch: pyte
         return "tomato-reach/still-v0"
 
     monkeypatch.setattr(demonstrations, "record_demonstrations", record)
-    shown = run("demonstrations", "--agent", STILL, "--episodes", "3", "--bank", "mini", "--out", tmp_path)
+    shown = run("demonstrations", STILL, "--episodes", "3", "--bank", "mini", "--out", tmp_path)
     assert f"MINARI_DATASETS_PATH={tmp_path} and minari.load_dataset('tomato-reach/still-v0')" in shown
     (asked_for,) = asked
     del asked_for["on_progress"]
     assert asked_for == {"agent": "still", "episodes": 3, "split": "train", "bank": "mini", "observation": "state"}
 
 
-@pytest.mark.parametrize(("success", "printed"), [(True, "success, in"), (False, "no success, in")])
-def test_watch_prints_how_the_episode_ended(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, success: bool, printed: str
-) -> None:
-    from greenhouse_gym.reporting import film
+def test_watch_films_what_it_is_asked_for(bank: SceneBank, tmp_path: Path) -> None:
+    out, scene = tmp_path / "a.gif", bank.names("train")[0]
+    where = ["--bank", bank.path, "--split", "train", "--scene", scene, "--target", "2", "--difficulty", "easy,hard"]
+    printed = run("watch", STILL, *where, "--out", out, "--episodes", "2", "--fps", "1", "--size", "64x48")
+    lines = printed.splitlines()
+    assert len(lines) == 3
+    assert all(line.startswith(f"still: {scene}, tomato 2 (") and ": ended " in line for line in lines[:2])
+    assert lines[2] == f"2 episodes in {out}"
+    assert out.read_bytes()[:3] == b"GIF"
 
-    monkeypatch.setattr(film, "film", lambda agent, out, seed, **options: success and options["split"] == "validation")
-    assert f"{printed} {tmp_path / 'a.mp4'}" in run("watch", "--agent", STILL, "--out", tmp_path / "a.mp4")
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--out", "a.avi"), "a.avi: expected a file that ends in .mp4 or .gif"),
+        (("--target", "1"), "--target needs --scene"),
+        (("--track", "rumor"), "moved"),
+        (("--size", "640"), "--size: expected two whole numbers such as 640x480, got '640'"),
+        (("--fps", "21"), "at most 20"),
+    ],
+)
+def test_watch_names_what_is_wrong(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], message: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert message in str(fails("watch", "random", "--bank", "mini", "--out", "b.gif", *arguments))
+    assert not list(tmp_path.iterdir())
 
 
 def test_no_finished_part_leaves_the_shipped_banks_as_they_are(tmp_path: Path) -> None:

@@ -36,10 +36,16 @@ class Table(NamedTuple):
 
     def as_markdown(self) -> str:
         """Return the table as Markdown, its columns padded to one width."""
-        from tabulate import tabulate
+        sizes = [max(3, *map(len, column)) for column in zip(self.heads, *self.rows, strict=True)]
+        rule = [f":{'-' * (n - 1)}" if k in self.words else f"{'-' * (n - 1)}:" for k, n in enumerate(sizes)]
 
-        sides = ["left" if k in self.words else "right" for k in range(len(self.heads))]
-        return tabulate(self.rows, self.heads, tablefmt="pipe", colalign=sides, disable_numparse=True) + "\n"
+        def line(cells: Sequence[str]) -> str:
+            padded = (
+                c.ljust(n) if k in self.words else c.rjust(n) for k, (c, n) in enumerate(zip(cells, sizes, strict=True))
+            )
+            return f"| {' | '.join(padded)} |\n"
+
+        return "".join(map(line, (self.heads, rule, *self.rows)))
 
     def show(self, title: str | None = None) -> None:
         """Print the table: on a terminal with a frame, in parts if it is too wide, and as Markdown elsewhere."""

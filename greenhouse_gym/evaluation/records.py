@@ -163,17 +163,16 @@ def differences(evaluations: Sequence[Evaluation]) -> str:
     beaten: dict[str, list[str]] = {}
     for pair in pairs:
         if pair.p_value < SIGNIFICANT:
-            better, worse = (
-                (pair.first, pair.second) if pair.only_first > pair.only_second else (pair.second, pair.first)
-            )
+            better, worse = pair.first, pair.second
+            if pair.only_second > pair.only_first:
+                better, worse = worse, better
             beaten.setdefault(better, []).append(worse)
     if not beaten:
         return f"No two agents differ by more than chance (McNemar, smallest p = {min(p.p_value for p in pairs):.2g})"
     found = "; ".join(f"{better} beats {', '.join(worse)}" for better, worse in beaten.items())
     rest = len(pairs) - sum(map(len, beaten.values()))
-    return f"By more than chance (McNemar, p < {SIGNIFICANT}): {found}" + (
-        "; other pairs may be equally good" if rest else ""
-    )
+    others = "; other pairs may be equally good" if rest else ""
+    return f"By more than chance (McNemar, p < {SIGNIFICANT}): {found}{others}"
 
 
 def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
