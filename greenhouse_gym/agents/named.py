@@ -10,7 +10,7 @@ from greenhouse_gym.agents.policy import description_path
 from greenhouse_gym.agents.policy_agent import PolicyAgent, shipped_policies
 from greenhouse_gym.agents.shield import ShieldedAgent
 from greenhouse_gym.agents.watchful import WatchfulAgent
-from greenhouse_gym.common.own_code import load_object
+from greenhouse_gym.common.own_code import load_own, make
 from greenhouse_gym.errors import FileFormatError, MissingDependencyError, UnknownNameError
 from greenhouse_gym.planning import PAPER_PLANNERS, PLANNERS
 
@@ -38,9 +38,10 @@ def make_agent(name: str) -> Agent:
         return SIMPLE[name]()
     _, colon, attribute = name.rpartition(":")
     if colon and attribute.isidentifier():
-        agent: Agent = load_object(name, "agent", lambda value: isinstance(value, type) and hasattr(value, "act"))
+        agent: Any = load_own(name, "agent", lambda value: isinstance(value, type) and hasattr(value, "act"))
+        agent = make(agent, name, {}) if isinstance(agent, type) else agent
         check_agent(agent)
-        return agent
+        return agent  # type: ignore[no-any-return]
     if name in shipped_policies() or description_path(name).is_file():
         return PolicyAgent.load(name)
     if name.endswith(".json"):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from difflib import get_close_matches
@@ -11,6 +13,7 @@ from typing import Any
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
+from greenhouse_gym.common.own_code import with_absolute_path
 from greenhouse_gym.envs.actions import ActionChoice
 from greenhouse_gym.envs.episodes import DifficultyChoice, parse_difficulty
 from greenhouse_gym.envs.observations import ObservationChoice
@@ -21,7 +24,7 @@ from greenhouse_gym.envs.task import Task
 from greenhouse_gym.errors import InvalidValueError, UnknownKeywordError, require_choice
 from greenhouse_gym.motion.success import SUCCESS_RADIUS
 from greenhouse_gym.robots import Robot
-from greenhouse_gym.scene import SceneBank
+from greenhouse_gym.scene import Scene, SceneBank
 from greenhouse_gym.scene.manifest import SPLITS
 from greenhouse_gym.scene.mjcf import MAX_CAPACITY, TIMESTEP
 
@@ -39,7 +42,8 @@ class EnvSettings:
         split: "train", "validation" or "test".
         robot: Name of a shipped arm ("ur5e", "iiwa14"), an MJCF file, or a `Robot` of `load_robot`.
         observation: "state", "state_occupancy", "clearance_rays", "waypoint", "goal", "goal_waypoint", "depth",
-            "points", "rgb", "rgbd", settings of the last four, or your own `Observation`.
+            "points", "rgb", "rgbd", settings of the last four, or your own `Observation`. Everything of your own is an
+            object, ``"file.py:Name"``, ``"module:Name"``, or a mapping with such a name as ``class`` and its fields.
         action: "joint", "joint_velocity", "tip_velocity", or your own `ActionRule`.
         reward: "dense", "sparse", "path", a `DenseReward`, `SparseReward` or `PathReward` with other values, or your
             own function from a `Transition` to terms.
@@ -58,14 +62,16 @@ class EnvSettings:
         rate: Actions per second; the time between two actions must be a multiple of 10 ms: 100, 50, 25, 20, 10 and so
             on. Joint actions have the same maximum speed at every rate.
         task: Task: "reach", your own as ``"file.py:Name"`` or ``"module:Name"``, a `Task` or a subclass of it.
+        scene: The only scene of all episodes: its name, of any split, or a `Scene`; if None, each episode draws one.
+        target: Index of its only target tomato; if None, each episode draws one of the scene's.
     """
 
     bank: str | Path | SceneBank = "default"
     split: str = "train"
     robot: str | Path | Robot = "ur5e"
-    observation: ObservationChoice = "state"
-    action: ActionChoice = "joint"
-    reward: str | Reward = "dense"
+    observation: ObservationChoice | Mapping[str, Any] = "state"
+    action: ActionChoice | Mapping[str, Any] = "joint"
+    reward: str | Reward | Mapping[str, Any] = "dense"
     difficulty: DifficultyChoice = ("easy", "medium", "hard")
     physics: str = "reconstruction"
     randomization: Randomization = field(default=NO_RANDOMIZATION)
@@ -74,7 +80,9 @@ class EnvSettings:
     step_limit: int = STEP_LIMIT
     rate: float = RATE
     start: str | Sequence[float] | None = None
-    task: str | Task | type[Task] = "reach"
+    task: str | Task | type[Task] | Mapping[str, Any] = "reach"
+    scene: str | Scene | None = None
+    target: int | None = None
 
     def __post_init__(self) -> None:
         _check_kind("bank", self.bank, (str, Path, SceneBank), "a bank's name, folder or SceneBank")
@@ -86,8 +94,13 @@ class EnvSettings:
         if self.capacity is not None:
             check_whole("capacity", self.capacity, 1, MAX_CAPACITY)
         check_whole("step_limit", self.step_limit, 1)
-        if not isinstance(self.task, (str, Task)) and not (isinstance(self.task, type) and issubclass(self.task, Task)):
+        kinds = (str, Task, Mapping)
+        if not isinstance(self.task, kinds) and not (isinstance(self.task, type) and issubclass(self.task, Task)):
             raise InvalidValueError(f"task must be a name, a Task or a subclass of Task, got {self.task!r}")
+        for name in ("observation", "action", "reward", "task"):
+            object.__setattr__(self, name, with_absolute_path(getattr(self, name)))
+        if self.scene is None and self.target is not None:
+            raise InvalidValueError(f"target needs scene, the scene of the tomato, got target={self.target!r} alone")
         if not _is_number(self.success_radius) or not 0 < self.success_radius <= 1:
             raise InvalidValueError(f"success_radius must be metres above 0 up to 1, got {self.success_radius!r}")
         if self.start is not None and not isinstance(self.start, str):
@@ -174,14 +187,14 @@ def _check_kind(name: str, value: Any, kinds: type | tuple[type, ...], expected:
 
 
 def _numbers(name: str, value: Any) -> tuple[float, ...]:
-    try:
-        return tuple(float(number) for number in value)
-    except (TypeError, ValueError) as error:
-        raise InvalidValueError(f"{name} must be a name or numbers, got {value!r}") from error
+    if not isinstance(value, Sequence | np.ndarray) or not all(map(_is_number, value)):
+        raise InvalidValueError(f"{name} must be a name or numbers, got {value!r}")
+    return tuple(map(float, value))
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float, np.number)) and not isinstance(value, bool) and bool(np.isfinite(value))
+    real = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+    return real and math.isfinite(min(abs(value), sys.float_info.max))  # whole numbers may exceed any float
 
 
 def _divides(rate: float) -> bool:

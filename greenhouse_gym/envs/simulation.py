@@ -54,7 +54,9 @@ class Simulation:
         self.task = make_task(settings.task, settings.success_radius)
         self._checked = outcome_check(self.task)
         self.robot = robot = get_robot(settings.robot)
-        self.sampler = EpisodeSampler(settings.bank, settings.split, robot, settings.difficulty, settings.start)
+        self.sampler = EpisodeSampler(
+            settings.bank, settings.split, robot, settings.difficulty, settings.start, settings.scene, settings.target
+        )
         self.observe = make_observation(settings.observation, robot, self.task)
         self._timing = control_timing(settings.rate)
         self.action_rule = make_action(settings.action, robot, self._timing.interval)
