@@ -122,9 +122,9 @@ class GreenhouseEnv(SpecMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]])
 
     | key | meaning |
     |---|---|
-    | ``is_success`` | bool |
+    | ``is_success`` | bool (flags and numbers are NumPy's scalars) |
     | ``collision`` | whether a contact ended the episode |
-    | ``contact`` | names of the two geoms of the first such contact, the arm's first; empty without a collision |
+    | ``contact`` | names of the two geoms of the first such contact, as "rod, stem_3"; empty without a collision |
     | ``self_collision`` | whether both belong to the arm |
     | ``contacts`` | number of contacts by group, summed over the physics steps of the action |
     | ``distance`` | remaining distance; from the grasp point to the target's center, m |
@@ -143,7 +143,7 @@ class GreenhouseEnv(SpecMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]])
     | option | meaning |
     |---|---|
     | ``scene`` | name of a scene of any split, or a `Scene` |
-    | ``target`` | index of any of its tomatoes; needs ``scene`` |
+    | ``target`` | index of any of its tomatoes; needs ``scene``, here or among the settings |
     | ``start`` | joint angles, rad, or a name such as ``folded``; one in contact collides at once |
     | ``difficulty`` | for this episode, instead of the environment's |
 
@@ -261,10 +261,10 @@ class GreenhouseEnv(SpecMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]])
 
     def _info(self, result: StepResult | None) -> dict[str, Any]:
         values = self.simulation.info(result)
-        contacts = dict(zip(CONTACT_GROUPS, values.pop("contacts")[0].tolist(), strict=True))
+        contacts = dict(zip(CONTACT_GROUPS, values.pop("contacts")[0], strict=True))
         info = {key: _item(array) for key, array in values.items()} | {"contacts": contacts}
         if result is not None:
-            info["reward_terms"] = {name: term.item() for name, term in result.terms.items()}
+            info["reward_terms"] = {name: term[0] for name, term in result.terms.items()}
         return info
 
     def _tip(self) -> Array:
@@ -272,4 +272,5 @@ class GreenhouseEnv(SpecMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]])
 
 
 def _item(values: npt.NDArray[Any]) -> Any:
-    return values[0].copy() if values.ndim > 1 else values.item()
+    """Return the first value, a NumPy scalar if it is a number: libraries read its ``dtype``."""
+    return values[0].copy() if values.ndim > 1 else values[0]

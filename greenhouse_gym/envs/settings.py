@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import sys
 from collections.abc import Mapping, Sequence
@@ -10,10 +11,12 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
-from greenhouse_gym.common.own_code import with_absolute_path
+from greenhouse_gym import ENV_IDS
+from greenhouse_gym.common.own_code import described, load_own, with_absolute_path
 from greenhouse_gym.envs.actions import ActionChoice
 from greenhouse_gym.envs.episodes import DifficultyChoice, parse_difficulty
 from greenhouse_gym.envs.observations import ObservationChoice
@@ -23,7 +26,7 @@ from greenhouse_gym.envs.state import RATE, STEP_LIMIT, control_timing
 from greenhouse_gym.envs.task import Task
 from greenhouse_gym.errors import InvalidValueError, UnknownKeywordError, require_choice
 from greenhouse_gym.motion.success import SUCCESS_RADIUS
-from greenhouse_gym.robots import Robot
+from greenhouse_gym.robots import ROBOTS, Robot, get_robot
 from greenhouse_gym.scene import Scene, SceneBank
 from greenhouse_gym.scene.manifest import SPLITS
 from greenhouse_gym.scene.mjcf import MAX_CAPACITY, TIMESTEP
@@ -87,6 +90,7 @@ class EnvSettings:
     def __post_init__(self) -> None:
         _check_kind("bank", self.bank, (str, Path, SceneBank), "a bank's name, folder or SceneBank")
         _check_kind("robot", self.robot, (str, Path, Robot), "an arm's name, MJCF file or Robot")
+        object.__setattr__(self, "randomization", load_own(self.randomization, "randomization"))
         _check_kind("randomization", self.randomization, Randomization, "a Randomization")
         require_choice("split", self.split, SPLITS)
         require_choice("physics", self.physics, PHYSICS)
@@ -111,14 +115,38 @@ class EnvSettings:
                 f"got {self.rate!r}"
             )
 
-    def agent_options(self, robot: str) -> dict[str, Any]:
+    def agent_options(self) -> dict[str, Any]:
         """Return the keywords of an environment with the same arm (its name or file), spaces and task."""
-        options: dict[str, Any] = {"robot": robot, "observation": self.observation, "action": self.action}
+        options: dict[str, Any] = {"robot": _as_json(get_robot(self.robot)), "observation": self.observation, "action": self.action}
         if self.rate != RATE:
             options["rate"] = self.rate
         if self.task != "reach":
             options["task"] = self.task
         return options
+
+
+    def keywords(self) -> dict[str, Any]:
+        """Return the keywords of ``gymnasium.make`` that differ from the defaults, as JSON holds them where it can."""
+        plain = EnvSettings()
+        given = {f.name: getattr(self, f.name) for f in fields(self)}
+        return {name: _as_json(value) for name, value in given.items() if value != getattr(plain, name)}
+
+    def spec(self) -> EnvSpec:
+        """Return the specification with which ``gymnasium.make`` makes an environment with these settings."""
+        found = copy.copy(gymnasium.spec(ENV_IDS[0]))
+        found.kwargs = self.keywords()
+        return found
+
+
+def _as_json(value: Any) -> Any:
+    """Return a setting as JSON holds it, or unchanged."""
+    if isinstance(value, SceneBank):
+        return str(value.path)
+    if isinstance(value, Robot):
+        return value.name if value.name in ROBOTS else str(value.path)
+    if isinstance(value, Path | np.generic):
+        return str(value) if isinstance(value, Path) else value.item()
+    return described(value) if not isinstance(value, Sequence | Scene) else value
 
 
 class SpecMixin:

@@ -219,12 +219,25 @@ def _mask(count: int, chosen: Ids) -> Bools:
 
 
 def _masked(values: Infos, mask: Bools, stepped: Bools) -> Infos:
-    """Return infos with the mask of each key, that of a step for those which only steps have."""
+    """Return infos with the mask of each key, that of a step for those which only steps have.
+
+    As in Gymnasium's vector environments, entries of other simulations are 0 or None, and keys of no simulation missing.
+    """
     result: Infos = {}
     for key, part in values.items():
-        result[key] = _masked(part, mask, mask) if isinstance(part, dict) else part
-        result[f"_{key}"] = stepped if key in STEP_INFOS else mask
+        own = stepped if key in STEP_INFOS else mask
+        if own.any():
+            result[key] = _masked(part, own, own) if isinstance(part, dict) else _blanked(part, own)
+            result[f"_{key}"] = own
     return result
+
+
+def _blanked(values: npt.NDArray[Any], mask: Bools) -> npt.NDArray[Any]:
+    if mask.all():
+        return values
+    blank = np.full_like(values, None if values.dtype == object else 0)
+    blank[mask] = values[mask]
+    return blank
 
 
 def _nested(name: str, values: Infos, mask: Bools) -> Infos:
