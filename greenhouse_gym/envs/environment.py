@@ -13,6 +13,7 @@ from gymnasium import spaces
 from greenhouse_gym.envs.contacts import CONTACT_GROUPS
 from greenhouse_gym.envs.episodes import DifficultyChoice
 from greenhouse_gym.envs.hindsight import add_goal_functions
+from greenhouse_gym.envs.infos import numbers_only
 from greenhouse_gym.envs.observations import Observed, select
 from greenhouse_gym.envs.rewards import StepResult
 from greenhouse_gym.envs.settings import EnvSettings, SpecMixin, settings_with
@@ -265,7 +266,7 @@ class GreenhouseEnv(SpecMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]])
         info = {key: _item(array) for key, array in values.items()} | {"contacts": contacts}
         if result is not None:
             info["reward_terms"] = {name: term[0] for name, term in result.terms.items()}
-        return info
+        return numbers_only(info) if self.settings.infos == "numbers" else info
 
     def _tip(self) -> Array:
         return self.simulation.tip(0)

@@ -31,6 +31,9 @@ from greenhouse_gym.scene import Scene, SceneBank
 from greenhouse_gym.scene.manifest import SPLITS
 from greenhouse_gym.scene.mjcf import MAX_CAPACITY, TIMESTEP
 
+INFOS = ("all", "numbers")
+"""Choices of infos."""
+
 PHYSICS = ("reconstruction", "truth")
 """Choices of the simulated world."""
 
@@ -67,6 +70,8 @@ class EnvSettings:
         task: Task: "reach", your own as ``"file.py:Name"`` or ``"module:Name"``, a `Task` or a subclass of it.
         scene: The only scene of all episodes: its name, of any split, or a `Scene`; if None, each episode draws one.
         target: Index of its only target tomato; if None, each episode draws one of the scene's.
+        infos: "all", or "numbers" for libraries that read no texts and no nested infos, such as TorchRL: texts are left
+            out, and keys are those of one level, such as "reward_terms.progress".
     """
 
     bank: str | Path | SceneBank = "default"
@@ -86,6 +91,7 @@ class EnvSettings:
     task: str | Task | type[Task] | Mapping[str, Any] = "reach"
     scene: str | Scene | None = None
     target: int | None = None
+    infos: str = "all"
 
     def __post_init__(self) -> None:
         _check_kind("bank", self.bank, (str, Path, SceneBank), "a bank's name, folder or SceneBank")
@@ -94,6 +100,7 @@ class EnvSettings:
         _check_kind("randomization", self.randomization, Randomization, "a Randomization")
         require_choice("split", self.split, SPLITS)
         require_choice("physics", self.physics, PHYSICS)
+        require_choice("infos", self.infos, INFOS)
         parse_difficulty(self.difficulty)
         if self.capacity is not None:
             check_whole("capacity", self.capacity, 1, MAX_CAPACITY)
