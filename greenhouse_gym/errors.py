@@ -74,7 +74,7 @@ class FileWriteError(GreenhouseError, OSError):
 
 
 class DivergedError(GreenhouseError, ArithmeticError):
-    """A training diverged: its weights are no longer finite or explode; the message names the checkpoint that is kept."""
+    """A training diverged: its weights are not finite or explode; the message names the checkpoint that is kept."""
 
 
 class MissingDependencyError(GreenhouseError, ImportError):

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
+from pkgutil import resolve_name
+from typing import Any
+
 from greenhouse_gym.agents.agent import Agent, check_agent
 from greenhouse_gym.agents.baselines import RandomAgent, StraightLineAgent, WaypointAgent
 from greenhouse_gym.agents.hybrid import HybridAgent
@@ -20,13 +25,21 @@ _NAMED: tuple[type[Agent], ...] = (
 SIMPLE = {agent.name: agent for agent in _NAMED}
 """Agents by name that are made without arguments."""
 
+_CHECKPOINT = "checkpoint.safetensors"
+
+
+def _training(path: Path) -> Path | None:
+    """Return the folder of a training, given itself or its checkpoint; None if it is none."""
+    folder = path.parent if path.name == _CHECKPOINT else path
+    return folder if (folder / _CHECKPOINT).is_file() else None
+
 
 def make_agent(name: str) -> Agent:
     """Make an agent by name: a baseline, a planner, a shipped policy, a policy's file, or your own.
 
     Args:
-        name: Such as "random", "RRTConnect", "ppo-ur5e", "runs/ppo/policy.json", "my_agent.py:MyAgent" or
-            "my_package.agents:MyAgent": a class that is called without arguments, or an agent.
+        name: Such as "random", "RRTConnect", "ppo-ur5e", "runs/ppo/policy.json", "runs/ppo" (the folder of a training),
+            "my_agent.py:MyAgent" or "my_package.agents:MyAgent": a class that is called without arguments, or an agent.
 
     Raises:
         UnknownNameError: No such agent; the message lists those of every kind.
@@ -44,6 +57,11 @@ def make_agent(name: str) -> Agent:
         return agent  # type: ignore[no-any-return]
     if name in shipped_policies() or description_path(name).is_file():
         return PolicyAgent.load(name)
+    if training := _training(Path(name)):
+        if description_path(training / "policy").is_file():
+            return PolicyAgent.load(training / "policy")
+        load: Callable[[Path], Agent] = resolve_name("greenhouse_gym.learning:load_agent")  # which imports this package
+        return load(training)
     if name.endswith(".json"):
         raise FileFormatError(name, "there is no such file; expected a policy's description")
     try:
@@ -54,5 +72,5 @@ def make_agent(name: str) -> Agent:
         planners = ()
     if name in planners or name in PAPER_PLANNERS:
         return PlannerAgent(name)  # raises if OMPL is missing
-    own = "(a policy's file, file.py:Class or module:Class)"
+    own = "(a policy's file, a training's folder, file.py:Class or module:Class)"
     raise UnknownNameError("agent", name, [*SIMPLE, *shipped_policies(), own, *planners])

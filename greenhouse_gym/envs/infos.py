@@ -28,7 +28,8 @@ def numbers_only(infos: Infos) -> Infos:
 def masked(values: Infos, mask: Bools, stepped: Bools) -> Infos:
     """Return infos with the mask of each key, that of a step for those which only steps have.
 
-    As in Gymnasium's vector environments, entries of other simulations are 0 or None, and keys of no simulation missing.
+    As in Gymnasium's vector environments, entries of other simulations are 0 or None, and keys that no simulation has
+    are missing.
     """
     result: Infos = {}
     for key, part in values.items():

@@ -124,25 +124,43 @@ class EnvSettings:
 
     def agent_options(self) -> dict[str, Any]:
         """Return the keywords of an environment with the same arm (its name or file), spaces and task."""
-        options: dict[str, Any] = {"robot": _as_json(get_robot(self.robot)), "observation": self.observation, "action": self.action}
+        options: dict[str, Any] = {
+            "robot": _as_json(get_robot(self.robot)),
+            "observation": self.observation,
+            "action": self.action,
+        }
         if self.rate != RATE:
             options["rate"] = self.rate
         if self.task != "reach":
             options["task"] = self.task
         return options
 
-
     def keywords(self) -> dict[str, Any]:
         """Return the keywords of ``gymnasium.make`` that differ from the defaults, as JSON holds them where it can."""
         plain = EnvSettings()
         given = {f.name: getattr(self, f.name) for f in fields(self)}
-        return {name: _as_json(value) for name, value in given.items() if value != getattr(plain, name)}
+        changed = {name: _as_json(value) for name, value in given.items() if value != getattr(plain, name)}
+        return {**changed, "scene": self._scene_by_name()} if self.scene is not None else changed
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        given = {f.name: getattr(self, f.name) for f in fields(self)}
+        return _restored, ({**given, "scene": self._scene_by_name()},)
+
+    def _scene_by_name(self) -> str | Scene | None:
+        """Return the name of the scene if it is the bank's."""
+        scene, bank = self.scene, SceneBank.open(self.bank)
+        known = isinstance(scene, Scene) and scene.name in bank.names() and bank.scene(scene.name) is scene
+        return scene.name if known else scene  # type: ignore[union-attr]
 
     def spec(self) -> EnvSpec:
         """Return the specification with which ``gymnasium.make`` makes an environment with these settings."""
         found = copy.copy(gymnasium.spec(ENV_IDS[0]))
         found.kwargs = self.keywords()
         return found
+
+
+def _restored(given: dict[str, Any]) -> EnvSettings:
+    return EnvSettings(**given)
 
 
 def _as_json(value: Any) -> Any:
@@ -156,14 +174,19 @@ def _as_json(value: Any) -> Any:
     return described(value) if not isinstance(value, Sequence | Scene) else value
 
 
-class SpecMixin:
-    """Property ``spec`` of the single and the vector environment.
+class EnvMixin:
+    """Specification, pickles, copies and text of the single and the vector environment.
+
+    A pickled environment becomes a new one with the same settings and random numbers, before its first reset. A copy is
+    in the same state.
 
     Attributes:
         settings: Settings of the environment.
+        options: Further keywords of its constructor.
     """
 
     settings: EnvSettings
+    options: Mapping[str, Any]
     _spec: EnvSpec | None = None
 
     @property
@@ -175,7 +198,30 @@ class SpecMixin:
     def spec(self, spec: EnvSpec | None) -> None:
         if spec is not None:
             spec.max_episode_steps = self.settings.step_limit
+            spec.kwargs = {**spec.kwargs, **self.settings.keywords()}  # own objects by reference, so that JSON holds it
         self._spec = spec
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        kept = ("_spec", "_np_random", "_np_random_seed", "_rngs")
+        return (
+            _made_again,
+            (type(self), self.settings, self.options),
+            {k: v for k, v in vars(self).items() if k in kept},
+        )
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Any:
+        twin = memo[id(self)] = object.__new__(type(self))
+        twin.__dict__ = copy.deepcopy(self.__dict__, memo)
+        return twin
+
+    def __repr__(self) -> str:
+        options = {name: value for name, value in self.options.items() if value is not None}
+        given = ", ".join(f"{name}={value!r}" for name, value in (self.settings.keywords() | options).items())
+        return f"{type(self).__name__}({given})"
+
+
+def _made_again(kind: Any, settings: EnvSettings, options: Mapping[str, Any]) -> Any:
+    return kind(settings=settings, **options)
 
 
 def settings_with(callee: str, settings: EnvSettings | None, keywords: Mapping[str, Any]) -> EnvSettings:

@@ -18,15 +18,20 @@ from greenhouse_gym.envs.hindsight import add_goal_functions
 from greenhouse_gym.envs.infos import Infos, masked, numbers_only
 from greenhouse_gym.envs.observations import Observed, select
 from greenhouse_gym.envs.rewards import StepResult
-from greenhouse_gym.envs.settings import EnvSettings, SpecMixin, check_whole, settings_with
+from greenhouse_gym.envs.settings import EnvMixin, EnvSettings, check_whole, settings_with
 from greenhouse_gym.envs.simulation import Simulation
 from greenhouse_gym.envs.state import Bools, Ids
 from greenhouse_gym.errors import EpisodeOverError, InvalidValueError, UnknownNameError, require_choice
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.rendering.viewer import RENDER_MODES, Viewer
+from greenhouse_gym.rendering.renderer import Viewpoint
+from greenhouse_gym.rendering.viewer import RENDER_MODES, Picture, Viewer
+
+MAX_THREADS = 1024
+"""Largest number of threads of a simulation."""
+
 
 class GreenhouseVectorEnv(  # type: ignore[misc]
-    SpecMixin, VectorEnv[Observed, npt.NDArray[np.float32], npt.NDArray[Any]]
+    EnvMixin, VectorEnv[Observed, npt.NDArray[np.float32], npt.NDArray[Any]]
 ):
     """``num_envs`` simulations, stepped together; spaces, rewards and infos are those of `GreenhouseEnv`.
 
@@ -43,6 +48,9 @@ class GreenhouseVectorEnv(  # type: ignore[misc]
         threads: Number of simulation threads; 0 uses all cores. Results do not depend on it.
         max_episode_steps: Step limit below that of the settings, as ``gymnasium.make`` has it for the single
             environment.
+        width: As in `GreenhouseEnv`.
+        height: As in `GreenhouseEnv`.
+        camera: As in `GreenhouseEnv`.
         **fields: Fields of `EnvSettings`, which replace those of ``settings``.
     """
 
@@ -57,6 +65,9 @@ class GreenhouseVectorEnv(  # type: ignore[misc]
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         threads: int = 0,
         max_episode_steps: int | None = None,
+        width: int = 640,
+        height: int = 480,
+        camera: str | Viewpoint = "aisle",
         **fields: Any,
     ):
         self.settings = settings_with("GreenhouseVectorEnv", settings, fields)
@@ -64,11 +75,18 @@ class GreenhouseVectorEnv(  # type: ignore[misc]
             limit = check_whole("max_episode_steps", max_episode_steps, 1, self.settings.step_limit)
             self.settings = replace(self.settings, step_limit=limit)
         self.num_envs = num_envs = check_whole("num_envs", num_envs, 1)
-        threads = check_whole("threads", threads, 0)
+        threads = check_whole("threads", threads, 0, MAX_THREADS)
         self.render_mode = None if render_mode is None else require_choice("render mode", render_mode, RENDER_MODES)
+        picture = Picture(width, height, camera)
         if render_mode == "human" and num_envs > 1:
             raise InvalidValueError('render_mode="human" shows one simulation; choose "rgb_array" or num_envs=1')
-        self._viewer = None if render_mode is None else Viewer(render_mode)
+        self.options = {
+            "num_envs": num_envs, "render_mode": render_mode, "autoreset_mode": _mode(autoreset_mode).value,
+            "threads": threads,
+        }  # fmt: skip
+        if render_mode is not None:
+            self.options |= {"width": width, "height": height, "camera": camera}
+        self._viewer = None if render_mode is None else Viewer(render_mode, picture)
         self.autoreset_mode = _mode(autoreset_mode)
         self.metadata = {
             **self.metadata, "render_fps": self.settings.rate, "autoreset_mode": self.autoreset_mode

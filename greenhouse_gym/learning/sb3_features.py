@@ -47,10 +47,13 @@ def policy_for(observe: ObservationSpec) -> tuple[str, dict[str, Any]]:
     if isinstance(space, spaces.Dict):
         fits = not flaw_of((*observe.layout, (GOAL_FEATURES, GOAL_FEATURES_SIZE)))
         goals = observe.has_goals and fits and space["observation"].shape == (size,)
-        extractor = GoalFeatures if goals else None
+        name, extractor = "MultiInputPolicy", GoalFeatures if goals else None
     else:
+        name = "CnnPolicy" if is_image_space(space) else "MlpPolicy"
         extractor = ScaledObservation if size and space.shape == (size,) else None
-    name = "MultiInputPolicy" if isinstance(space, spaces.Dict) else "CnnPolicy" if is_image_space(space) else "MlpPolicy"
+    name = (
+        "MultiInputPolicy" if isinstance(space, spaces.Dict) else "CnnPolicy" if is_image_space(space) else "MlpPolicy"
+    )
     if extractor is None:
         return name, {}
     return name, {"features_extractor_class": extractor, "features_extractor_kwargs": {"layout": observe.layout}}

@@ -103,10 +103,12 @@ def save_checkpoint(model: Any, folder: Path, notes: dict[str, Any]) -> Path:
         FileWriteError: The file could not be written; an earlier checkpoint is kept.
     """
     if has_diverged(model):
-        kept = f"{folder / CHECKPOINT} of {read_notes(folder)['steps']:,} steps is kept, to resume from"
+        kept = "there is no checkpoint before that"
+        if (folder / CHECKPOINT).is_file():
+            kept = f"{folder / CHECKPOINT} of {read_notes(folder)['steps']:,} steps is kept, to resume from"
         raise DivergedError(
-            f"the training diverged within {model.num_timesteps:,} steps: weights are not finite or explode; "
-            f"{kept if (folder / CHECKPOINT).is_file() else 'there is no checkpoint before that'}. A lower learning_rate may help"
+            f"the training diverged within {model.num_timesteps:,} steps: weights are not finite or explode; {kept}. A "
+            "lower learning_rate may help"
         )
     tensors = {f"policy.{name}": tensor for name, tensor in model.policy.state_dict().items()}
     tensors |= {f"alone.{name}": tensor for name, tensor in _tensors_outside_policy(model).items()}
@@ -114,7 +116,10 @@ def save_checkpoint(model: Any, folder: Path, notes: dict[str, Any]) -> Path:
         for index, state in optimizer.state_dict()["state"].items():
             tensors |= {f"{kind}.{index}.{name}": torch.as_tensor(value) for name, value in state.items()}
     contiguous = {name: tensor.detach().cpu().contiguous().clone() for name, tensor in tensors.items()}
-    content = save(contiguous, {"notes": json.dumps({"steps": int(model.num_timesteps), "algorithm": algorithm_of(model), **notes})})
+    content = save(
+        contiguous,
+        {"notes": json.dumps({"steps": int(model.num_timesteps), "algorithm": algorithm_of(model), **notes})},
+    )
     return write_atomically(folder / CHECKPOINT, content)
 
 

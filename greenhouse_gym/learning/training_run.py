@@ -212,7 +212,7 @@ class TrainingReport(BaseCallback):  # type: ignore[misc]
         write_curve(self.out / CURVE, COLUMNS, self.rows)
 
     def save_policy(self) -> Path:
-        """Write the policy file and return its path, or that of the checkpoint if such a file cannot hold the network."""
+        """Write the policy file and return its path, or the checkpoint's if such a file cannot hold the network."""
         notes = {
             "algorithm": algorithm_of(self.model),
             "settings": dict(self.settings),
