@@ -524,7 +524,7 @@ def test_watch_films_what_it_is_asked_for(bank: SceneBank, tmp_path: Path) -> No
     ("arguments", "message"),
     [
         (("--out", "a.avi"), "a.avi: expected a file that ends in .mp4 or .gif"),
-        (("--target", "1"), "--target needs --scene"),
+        (("--target", "1"), "scene"),
         (("--track", "rumor"), "moved"),
         (("--size", "640"), "--size: expected two whole numbers such as 640x480, got '640'"),
         (("--fps", "21"), "at most 20"),

@@ -17,11 +17,14 @@ from greenhouse_gym.cli.options import (
     Bank,
     Difficulty,
     NumEnvs,
+    OneScene,
+    OneTarget,
     Seed,
     Split,
     Workers,
     comma_separated,
     executor_of,
+    given,
     whole_pair,
 )
 from greenhouse_gym.common.progress import progress, say
@@ -57,6 +60,8 @@ def compare(
     seed: Seed = 0,
     robot: AgentRobot = "",
     task: Annotated[str, typer.Option(help="Your own task as file.py:Class or module:Class; reach by default.")] = "",
+    scene: OneScene = None,
+    target: OneTarget = None,
     difficulty: Difficulty = "",
     track: Annotated[
         str, typer.Option(help="Worlds of the contacts, separated by commas: reconstruction, truth, moved.")
@@ -90,8 +95,7 @@ def compare(
     tracks = [require_choice("track", name, TRACKS) for name in comma_separated(track)]
     chosen = _by_name(requested, [make_agent(name) for name in requested])
     shared: dict[str, Any] = {"timeout": timeout}
-    own = {"robot": robot, "task": task, "difficulty": comma_separated(difficulty)}
-    shared |= {key: value for key, value in own.items() if value}
+    shared |= given(robot=robot, task=task, difficulty=comma_separated(difficulty), scene=scene, target=target)
     if report is not None:
         _require_report(report)
     finished: dict[str, list[Evaluation]] = {}
@@ -250,7 +254,7 @@ def demonstrations(
 
     player = make_agent(agent)
     observed = {} if "observation" in player.env_options else {"observation": observation}
-    options = options_for(player, {"bank": bank, **observed, **({"robot": robot} if robot else {})})
+    options = options_for(player, {"bank": bank, **observed, **given(robot=robot)})
     with progress("episodes", episodes) as on_progress:
         name = record_demonstrations(player, out, episodes, seed, split, on_progress=on_progress, **options)
     say(f"data set {name} in {out}: MINARI_DATASETS_PATH={out} and minari.load_dataset({name!r})")
@@ -266,10 +270,8 @@ def watch(
         ),
     ] = None,
     episodes: Annotated[int, typer.Option(min=1, help="Number of episodes, one after the other.")] = 1,
-    scene: Annotated[str | None, typer.Option(help="Name of a scene of any split; drawn by default.")] = None,
-    target: Annotated[
-        int | None, typer.Option(min=0, help="Index of a tomato in the scene, which --scene names; drawn by default.")
-    ] = None,
+    scene: OneScene = None,
+    target: OneTarget = None,
     bank: Bank = "default",
     split: Split = "validation",
     seed: Seed = 0,
@@ -282,28 +284,28 @@ def watch(
         float | None, typer.Option(help="Images per second; one for each action by default.", show_default=False)
     ] = None,
     size: Annotated[str, typer.Option(help="Width and height of the film, pixels.")] = "640x480",
+    camera: Annotated[str, typer.Option(help="Camera: aisle, behind, side or top.")] = "aisle",
 ) -> None:
     """Film episodes of an agent in real time, with a caption of the outcome at the end of each."""
     from importlib.util import find_spec
 
     from greenhouse_gym.agents.named import make_agent
-    from greenhouse_gym.errors import InvalidValueError, require_choice
+    from greenhouse_gym.errors import require_choice
     from greenhouse_gym.evaluation.leaderboard import TRACKS
     from greenhouse_gym.rendering.picture_files import FILMS, require_picture
+    from greenhouse_gym.rendering.viewer import Picture
     from greenhouse_gym.reporting.film import film
 
     if out is None:
         out = Path("episode.mp4" if find_spec("imageio_ffmpeg") else "episode.gif")
     require_picture(out, FILMS)
-    if target is not None and scene is None:
-        raise InvalidValueError("--target needs --scene: the index of a tomato means nothing without its scene")
-    options: dict[str, Any] = {"bank": bank, "split": split, **TRACKS[require_choice("track", track, TRACKS)]}
-    options |= {key: value for key, value in (("robot", robot), ("difficulty", comma_separated(difficulty))) if value}
-    pixels = whole_pair("--size", size, "640x480")
+    options = {"bank": bank, "split": split, **TRACKS[require_choice("track", track, TRACKS)]}
+    options |= given(robot=robot, difficulty=comma_separated(difficulty), scene=scene, target=target)
+    picture = Picture(*whole_pair("--size", size, "640x480"), camera)
     with progress("actions") as on_progress:
         filmed = film(
-            make_agent(agent), out, seed, episodes=episodes, scene=scene, target=target, fps=fps, size=pixels,
-            on_progress=on_progress, **options,
+            make_agent(agent), out, seed, episodes=episodes, fps=fps, picture=picture, on_progress=on_progress,
+            **options,
         )  # fmt: skip
     for episode in filmed:
         say(f"{episode.title}: {episode.outcome}")

@@ -72,6 +72,15 @@ RigFile = Annotated[
 Robot = Annotated[str, typer.Option(help="Name or file of the arm.")]
 SceneName = Annotated[str, typer.Option("--scene", help="Name of the scene in the bank; the first one by default.")]
 Seed = Annotated[int, typer.Option(help="Seed of the first episode; each further episode adds one.")]
+OneScene = Annotated[
+    str | None, typer.Option("--scene", help="Name of the only scene, of any split; drawn from the split by default.")
+]
+OneTarget = Annotated[
+    int | None,
+    typer.Option(
+        "--target", min=0, help="Index of the only tomato, of the scene that --scene names; drawn by default."
+    ),
+]
 SettingsFile = Annotated[
     Path | None, typer.Option("--settings", help="TOML or JSON file of settings.", rich_help_panel=SETTINGS)
 ]
@@ -136,6 +145,11 @@ def executor_of(
 def scene_in(bank: SceneBank, name: str) -> Scene:
     """Return the scene of a name, or the first scene if the name is empty."""
     return bank.scene(name) if name else bank[0]
+
+
+def given(**values: Any) -> dict[str, Any]:
+    """Return the options that the user gave: those that are neither None nor empty."""
+    return {name: value for name, value in values.items() if value is not None and value not in ("", ())}
 
 
 def comma_separated(text: str) -> tuple[str, ...]:

@@ -115,9 +115,10 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
         """Step all simulations; those whose episode ends start a new one."""
         observations, rewards, terminated, truncated, infos = self.env.step(self._actions)
         dones = terminated | truncated
-        for name, values in infos["reward_terms"].items():
-            if not name.startswith("_"):
-                self._term_sums[name] = self._term_sums.get(name, 0.0) + values
+        for part in (infos, infos.get("final_info", {})):  # which are 0 where the other has the terms
+            for name, values in part.get("reward_terms", {}).items():
+                if not name.startswith("_"):
+                    self._term_sums[name] = self._term_sums.get(name, 0.0) + values
         has_goals = self.env.simulation.observe.has_goals
         single = [_info(infos, i) if has_goals else {} for i in range(self.num_envs)]
         for i in np.flatnonzero(dones).tolist():

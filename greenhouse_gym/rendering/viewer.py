@@ -6,20 +6,33 @@ import os
 import sys
 import threading
 import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import mujoco
+import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.errors import GreenhouseError
-from greenhouse_gym.geometry import Array
+from greenhouse_gym.errors import GreenhouseError, InvalidValueError, require_choice
+from greenhouse_gym.geometry import Array, rotation_about
 from greenhouse_gym.rendering.opengl import OpenGLMissingError, OpenGLRenderer, add_line, free_camera
-from greenhouse_gym.rendering.renderer import default_camera, render_depth, render_scene
+from greenhouse_gym.rendering.renderer import Viewpoint, render_depth, render_scene
 from greenhouse_gym.rendering.task_pictures import task_lines
 from greenhouse_gym.scene.obstacles import ArmPlacement
 
 RENDER_MODES = ("rgb_array", "human", "depth_array")
-WIDTH, HEIGHT = 640, 480
+
+CAMERAS: Mapping[str, tuple[Sequence[float], Sequence[float]]] = {
+    "aisle": ([-1.15, -1.9, 1.7], [0.3, 0.05, 1.3]),
+    "behind": ([-1.6, 0.0, 1.9], [0.6, 0.0, 1.2]),
+    "side": ([0.2, -2.2, 1.4], [0.4, 0.0, 1.2]),
+    "top": ([0.2, 0.0, 3.4], [0.45, 0.0, 1.0]),
+}
+"""Cameras by name: position and point to look at, relative to the arm's placement, metres."""
+
+MAX_SIZE = 4096
+"""Largest width and height of an image, pixels."""
 
 
 class RenderingWarning(UserWarning):
@@ -30,17 +43,50 @@ class NoDisplayError(GreenhouseError, RuntimeError):
     """Raised if a window is requested without a display."""
 
 
+@dataclass(frozen=True)
+class Picture:
+    """Size and camera of the images of an environment.
+
+    Attributes:
+        width: Pixels.
+        height: Pixels.
+        camera: A name of `CAMERAS`, or a `Viewpoint` in the scene.
+    """
+
+    width: int = 640
+    height: int = 480
+    camera: str | Viewpoint = "aisle"
+
+    def __post_init__(self) -> None:
+        for name in ("width", "height"):
+            value = getattr(self, name)
+            whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+            if not whole or not 1 <= value <= MAX_SIZE:
+                raise InvalidValueError(f"{name} must be pixels from 1 to {MAX_SIZE}, got {value!r}")
+        if not isinstance(self.camera, Viewpoint):
+            require_choice("camera", self.camera, CAMERAS)
+        elif not np.hypot(*np.subtract(self.camera.look_at, self.camera.position)[:2]) > 0:
+            raise InvalidValueError(f"a camera must not look straight up or down, got {self.camera}")
+
+    def viewpoint(self, placement: ArmPlacement) -> Viewpoint:
+        """Return the viewpoint in a scene with this placement of the arm."""
+        if isinstance(self.camera, Viewpoint):
+            return self.camera
+        position, look_at = CAMERAS[self.camera]
+        turn = rotation_about([0.0, 0.0, 1.0], placement.yaw)
+        return Viewpoint(*(tuple((turn @ point + placement.position).tolist()) for point in (position, look_at)))
+
+
 class Viewer:
     """Renders simulations whose models share a layout.
 
     Args:
         mode: One of `RENDER_MODES`.
-        size: Width and height of the images, pixels; `WIDTH` and `HEIGHT` by default.
+        picture: Size and camera.
     """
 
-    def __init__(self, mode: str, size: tuple[int, int] | None = None):
-        self.mode = mode
-        self.size = size or (WIDTH, HEIGHT)
+    def __init__(self, mode: str, picture: Picture | None = None):
+        self.mode, self.picture = mode, picture or Picture()
         # an OpenGL context works only in the thread that created it
         self._of_thread = threading.local()
         self._gl_works = mode == "rgb_array"
@@ -49,7 +95,7 @@ class Viewer:
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Viewer:
         """Return a viewer with its own window and context."""
-        return Viewer(self.mode, self.size)
+        return Viewer(self.mode, self.picture)
 
     def draw(
         self,
@@ -73,22 +119,23 @@ class Viewer:
         Raises:
             NoDisplayError: Mode "human" without a display.
         """
-        camera, lines = default_camera(placement), task_lines(tip, target, trace)
+        camera, lines = self.picture.viewpoint(placement), task_lines(tip, target, trace)
+        size = self.picture.width, self.picture.height
         if self.mode == "depth_array":
-            return render_depth(model, data, camera, *self.size)
+            return render_depth(model, data, camera, *size)
         if self.mode == "human":
             self._show(model, data, placement, tip, target, trace)
             return None
         if self._gl_works:
             try:
                 if self._gl is None:
-                    self._of_thread.gl = OpenGLRenderer(model, *self.size)
+                    self._of_thread.gl = OpenGLRenderer(model, *size)
                 assert self._gl is not None
                 return self._gl.picture(model, data, camera, lines)
             except OpenGLMissingError as error:
                 self._gl_works = False
                 warnings.warn(f"images are drawn by ray casting from here on: {error}", RenderingWarning, stacklevel=3)
-        return render_scene(model, data, camera, *self.size, lines, samples=1)
+        return render_scene(model, data, camera, *size, lines, samples=1)
 
     def close(self) -> None:
         """Close the window and free this thread's context; the next drawing creates new ones."""
@@ -119,7 +166,7 @@ class Viewer:
         if self._window is None:
             self._shown = (model, data)
             self._window = mujoco.viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False)
-            view = free_camera(default_camera(placement))
+            view = free_camera(self.picture.viewpoint(placement))
             for name in ("lookat", "distance", "azimuth", "elevation"):
                 setattr(self._window.cam, name, getattr(view, name))
         assert self._shown is not None

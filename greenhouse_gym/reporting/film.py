@@ -12,6 +12,7 @@ from greenhouse_gym.agents import Agent, Problem
 from greenhouse_gym.agents.agent import check_agent, options_for
 from greenhouse_gym.envs import make_env
 from greenhouse_gym.envs.actions import check_actions
+from greenhouse_gym.envs.contacts import NAME_SEPARATOR
 from greenhouse_gym.envs.environment import GreenhouseEnv
 from greenhouse_gym.envs.settings import check_whole
 from greenhouse_gym.errors import InvalidValueError, require_seed
@@ -19,7 +20,7 @@ from greenhouse_gym.evaluation.runner import never_acted
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.rendering.picture_files import FILMS, require_picture, with_caption, write_film
 from greenhouse_gym.rendering.renderer import Image
-from greenhouse_gym.rendering.viewer import HEIGHT, WIDTH, Viewer
+from greenhouse_gym.rendering.viewer import Picture, Viewer
 from greenhouse_gym.reporting.outcomes import outcome
 
 _HOLD = 1.0  # seconds for which the last image of an episode stays
@@ -45,10 +46,8 @@ def film(
     seed: int = 0,
     *,
     episodes: int = 1,
-    scene: str | None = None,
-    target: int | None = None,
     fps: float | None = None,
-    size: tuple[int, int] = (WIDTH, HEIGHT),
+    picture: Picture | None = None,
     on_progress: Callable[[int], None] = lambda steps: None,
     **options: Any,
 ) -> list[FilmedEpisode]:
@@ -59,12 +58,11 @@ def film(
         out: The file; its suffix, .mp4 or .gif, chooses the format.
         seed: Seed of the first episode, as in `greenhouse_gym.evaluation.evaluate`; each further episode adds one.
         episodes: Number of episodes.
-        scene: Name of the scene; drawn by the seed if None.
-        target: Index of the tomato in the scene; drawn by the seed if None.
         fps: Images per second, at most one for each action, which is the default.
-        size: Width and height of the images, pixels.
+        picture: Size and camera of the images.
         on_progress: Called with the number of actions so far.
-        **options: Further keywords of the environment. They must agree with the agent's ``env_options``.
+        **options: Further keywords of the environment, such as ``scene`` and ``target``. They must agree with the
+            agent's ``env_options``.
 
     Raises:
         InvalidValueError: An argument is invalid, or an option contradicts the agent's ``env_options``.
@@ -75,15 +73,12 @@ def film(
     check_agent(agent)
     require_seed(seed)
     check_whole("episodes", episodes, 1)
-    for name, pixels in zip(("width", "height"), size, strict=True):
-        check_whole(name, pixels, 16, 4096)
     env = make_env(**options_for(agent, options))
     rate = 1.0 / env.simulation.interval
     fps = rate if fps is None else fps
     if not 0 < fps <= rate:
         raise InvalidValueError(f"fps must be above 0 and at most {rate:g}, the number of actions a second, got {fps}")
-    where = {key: value for key, value in (("scene", scene), ("target", target)) if value is not None}
-    viewer, filmed = Viewer("rgb_array", size), list[FilmedEpisode]()
+    viewer, filmed = Viewer("rgb_array", picture), list[FilmedEpisode]()
     steps = 0
 
     def count() -> None:
@@ -93,7 +88,7 @@ def film(
 
     def images() -> Iterator[Image]:
         for k in range(episodes):
-            yield from _Take(agent, env, viewer, fps, count).images(seed + k, where, filmed)
+            yield from _Take(agent, env, viewer, fps, count).images(seed + k, filmed)
 
     try:
         write_film(images(), out, fps)
@@ -110,10 +105,10 @@ class _Take(NamedTuple):
     fps: float
     count: Callable[[], None]
 
-    def images(self, seed: int, where: dict[str, Any], filmed: list[FilmedEpisode]) -> Iterator[Image]:
+    def images(self, seed: int, filmed: list[FilmedEpisode]) -> Iterator[Image]:
         """Run an episode; yield its images, and append it to the filmed ones."""
         env, simulation = self.env, self.env.simulation
-        observation, info = env.reset(seed=seed, options=where)
+        observation, info = env.reset(seed=seed)
         title = f"{self.agent.name}: {info['scene']}, tomato {info['target']} ({info['difficulty']})"
         problem = Problem(
             env.scene, env.target, env.robot, env.start, seed, simulation.action_rule, simulation.interval
@@ -139,11 +134,12 @@ class _Take(NamedTuple):
             over = terminated or truncated
             if not over and self._is_due(info["steps"]):
                 yield self._image(trace, title)
-        ended = outcome(*(info[key] for key in ("is_success", "collision", "contact", "steps", "distance")), failure)
+        contact = info["contact"].split(NAME_SEPARATOR)
+        ended = outcome(info["is_success"], info["collision"], contact, info["steps"], info["distance"], failure)
         last = self._image(trace, f"{title}\n{ended}")
         for _ in range(max(1, round(self.fps * _HOLD))):
             yield last
-        filmed.append(FilmedEpisode(title, info["is_success"] and not failure, ended))
+        filmed.append(FilmedEpisode(title, bool(info["is_success"]) and not failure, ended))
 
     def _is_due(self, steps: int) -> bool:
         """Return whether an image is due after an action."""

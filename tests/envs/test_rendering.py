@@ -19,6 +19,8 @@ from greenhouse_gym.rendering import opengl, viewer
 from greenhouse_gym.rendering.renderer import default_camera, render_depth
 from greenhouse_gym.scene import SceneBank
 
+SMALL = {"width": 160, "height": 120}  # rays take their time
+
 
 def moved(bank: SceneBank, seed: int, **keywords: Any) -> GreenhouseEnv:
     """An environment after three steps that bend the arm towards the plants."""
@@ -41,13 +43,11 @@ def without_opengl(monkeypatch: pytest.MonkeyPatch) -> None:
         raise ImportError("libEGL.so.1: cannot open shared object file")
 
     monkeypatch.setattr(opengl, "_context_class", missing)
-    monkeypatch.setattr(viewer, "WIDTH", 160)  # rays take their time
-    monkeypatch.setattr(viewer, "HEIGHT", 120)
 
 
 @pytest.mark.usefixtures("without_opengl")
 def test_without_opengl_rays_draw_the_picture(bank: SceneBank) -> None:
-    env = moved(bank, 0)
+    env = moved(bank, 0, **SMALL)
     model, _ = env.model_and_data()
     with pytest.raises(opengl.OpenGLMissingError, match=r"libEGL.*apt install"):
         opengl.OpenGLRenderer(model)
@@ -74,11 +74,9 @@ def test_mujoco_can_be_imported_whatever_opengl_is_asked_for(choice: str) -> Non
 @pytest.mark.usefixtures("without_opengl")
 @pytest.mark.filterwarnings("ignore:images are drawn by ray casting")
 def test_rays_and_opengl_see_the_same_scene(bank: SceneBank, monkeypatch: pytest.MonkeyPatch) -> None:
-    cast = moved(bank, 1).render()
+    cast = moved(bank, 1, **SMALL).render()
     monkeypatch.undo()
-    monkeypatch.setattr(viewer, "WIDTH", 160)
-    monkeypatch.setattr(viewer, "HEIGHT", 120)
-    env = moved(bank, 1)
+    env = moved(bank, 1, **SMALL)
     drawn = env.render()
     if env._viewer._gl is None:
         pytest.skip("no OpenGL here")
@@ -97,7 +95,7 @@ def test_rays_and_opengl_see_the_same_scene(bank: SceneBank, monkeypatch: pytest
 def moved_depth(bank: SceneBank, seed: int) -> np.ndarray:
     env = moved(bank, seed)
     model, data = env.model_and_data()
-    return render_depth(model, data, default_camera(env.scene.placement), viewer.WIDTH, viewer.HEIGHT)
+    return render_depth(model, data, default_camera(env.scene.placement), **SMALL)
 
 
 def test_every_thread_draws_the_same(bank: SceneBank) -> None:

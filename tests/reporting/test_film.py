@@ -11,10 +11,11 @@ from still_agent import StillAgent
 
 from greenhouse_gym.errors import InvalidValueError, MissingDependencyError, UnknownNameError
 from greenhouse_gym.evaluation import AgentError
+from greenhouse_gym.rendering.viewer import Picture
 from greenhouse_gym.reporting.film import film
 from greenhouse_gym.scene import SceneBank
 
-SMALL: dict[str, Any] = {"size": (96, 72), "split": "train", "step_limit": 4}
+SMALL: dict[str, Any] = {"picture": Picture(96, 72), "split": "train", "step_limit": 4}
 
 
 def frames(path: Path) -> list[tuple[np.ndarray, float]]:
@@ -67,8 +68,6 @@ def test_one_scene_and_one_target(bank: SceneBank, tmp_path: Path) -> None:
         ({"fps": 25}, "at most 20"),
         ({"fps": 0}, "above 0"),
         ({"fps": float("nan")}, "above 0"),
-        ({"size": (8, 8)}, "width"),
-        ({"size": (640, 100_000)}, "height"),
         ({"episodes": 0}, "episodes"),
         ({"target": 1}, "scene"),
     ],
