@@ -3,15 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import prod
+from math import inf, prod
 from pathlib import Path
 from time import monotonic
 from typing import Annotated, Any
 
 import typer
 
-from greenhouse_gym.cli.options import SETTINGS, Address, Backend, Bank, SettingsFile, Workers, executor_of, set_option
-from greenhouse_gym.common.progress import say
+from greenhouse_gym.cli.options import (
+    SETTINGS,
+    Address,
+    Backend,
+    Bank,
+    OneScene,
+    OneTarget,
+    SettingsFile,
+    Workers,
+    executor_of,
+    given,
+    set_option,
+)
+from greenhouse_gym.common.progress import progress, report, say
 
 ALGORITHMS = ("ppo", "bc-then-ppo", "sac-her")
 """Algorithms of the command ``train``."""
@@ -32,6 +44,8 @@ def train(
     bank: Bank = "default",
     steps: Annotated[int, typer.Option(help="Environment steps.")] = 2_000_000,
     seed: Annotated[int, typer.Option(help="Seed of scenes, weights and noise.")] = 0,
+    scene: OneScene = None,
+    target: OneTarget = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Resume from the checkpoint in the folder of results.")
     ] = False,
@@ -44,41 +58,51 @@ def train(
         ),
     ] = False,
 ) -> None:
-    """Train a policy. Settings from a file and from --set override --bank, --steps and --seed."""
+    """Train a policy. Settings from a file and from --set override --bank, --steps, --seed, --scene and --target."""
+    from greenhouse_gym.common.extras import require_extras
     from greenhouse_gym.common.files import write_atomically
     from greenhouse_gym.common.settings_files import as_toml, resolve
     from greenhouse_gym.errors import require_choice
 
-    defaults, run = _algorithm(require_choice("algorithm", algorithm, ALGORITHMS), bank, steps, seed)
+    require_extras("train")
+    common = {"bank": bank, "total_steps": steps, "seed": seed, **given(scene=scene, target=target)}
+    defaults = _defaults(require_choice("algorithm", algorithm, ALGORITHMS), common)
     resolved = resolve(defaults, settings, assignments or ())
     if print_settings:
         typer.echo(as_toml(resolved, comments=True), nl=False)
         return
     folder = Path("runs") / algorithm if out is None else out
+    with progress("loading PyTorch"):
+        run = _training(algorithm)
     result = run(resolved, folder, resume=resume)
     write_atomically(folder / "settings.toml", as_toml(resolved))
     say(f"policy in {result}")
 
 
-def _algorithm(name: str, bank: str, steps: int, seed: int) -> tuple[Any, Callable[..., Path]]:
-    """Return the default settings of an algorithm, and its training."""
+def _defaults(algorithm: str, common: dict[str, Any]) -> Any:
+    """Return the default settings of an algorithm, with some settings that all have."""
     from dataclasses import replace
+
+    from greenhouse_gym.learning.settings import BcThenPpoSettings, PpoSettings, SacSettings
+
+    if algorithm == "bc-then-ppo":
+        settings = BcThenPpoSettings()
+        return replace(settings, ppo=replace(settings.ppo, **common))
+    return SacSettings(**common) if algorithm == "sac-her" else PpoSettings(**common)
+
+
+def _training(algorithm: str) -> Callable[..., Path]:
     from functools import partial
 
     from greenhouse_gym import learning
 
-    common: dict[str, Any] = {"bank": bank, "total_steps": steps, "seed": seed}
-    if name == "sac-her":
-        return learning.SacSettings(**common), learning.train_sac
-    if name == "ppo":
-        return learning.PpoSettings(**common), learning.train_ppo
-    settings = learning.BcThenPpoSettings()
-    settings = replace(settings, ppo=replace(settings.ppo, **common))
-    return settings, partial(learning.train_bc_then_ppo, on_progress=_print_imitation)
+    if algorithm == "bc-then-ppo":
+        return partial(learning.train_bc_then_ppo, on_progress=_print_imitation)
+    return learning.train_sac if algorithm == "sac-her" else learning.train_ppo
 
 
 def _print_imitation(steps: int, metrics: dict[str, float]) -> None:
-    say(f"{steps:,} steps of imitation: {', '.join(f'{name} {value:.3g}' for name, value in metrics.items())}")
+    report(f"{steps:,} steps of imitation: {', '.join(f'{name} {value:.3g}' for name, value in metrics.items())}")
 
 
 def sweep(
@@ -105,25 +129,29 @@ def sweep(
     Each training has its own folder, as `train` leaves it; sweep.json lists all finished trainings, the best first.
     With ray the trainings are trials of Ray Tune, whose own files are in the folder tune.
     """
+    from greenhouse_gym.common.extras import require_extras
     from greenhouse_gym.common.settings_files import assigned, resolve
-    from greenhouse_gym.learning import PpoSettings, sweep_ppo
+    from greenhouse_gym.learning.settings import PpoSettings
 
+    require_extras("train")
     shared = resolve(PpoSettings(bank=bank, total_steps=steps), settings, assignments or ())
     choices: dict[str, list[Any]] = {}
     for text in tries:
         for name, value in assigned(text).items():
             choices.setdefault(name, []).append(value)
 
+    from greenhouse_gym.learning import sweep_ppo
+
     def on_result(row: dict[str, Any], done: int, total: int) -> None:
         say(f"{done} of {total}: {row['folder']}: {row.get('error') or _summary(row)}")
 
-    last = monotonic()
+    last = -inf
 
     def on_progress(row: dict[str, Any]) -> None:
         nonlocal last
         if monotonic() - last > _SECONDS_BETWEEN_LINES:
             last = monotonic()
-            say(f"{row['folder']}: {_summary(row)}")
+            report(f"{row['folder']}: {_summary(row)}")
 
     with executor_of(backend, workers, address, prod(map(len, choices.values()))) as executor:
         rows = sweep_ppo(shared, choices, out, executor, on_result, stop_early=stop_early, on_progress=on_progress)

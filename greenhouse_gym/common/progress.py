@@ -31,7 +31,7 @@ def report(text: str) -> None:
     ERRORS.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
-@dataclass
+@dataclass(eq=False)
 class _Work:
     name: str
     total: int | None
@@ -49,6 +49,10 @@ class _Work:
         return f"{self.name}{count}{of}, {perf_counter() - self.started:.0f} s{note}"
 
 
+_running: list[_Work] = []
+"""Work in progress; where there are no bars, only the latest is reported."""
+
+
 @contextmanager
 def progress(name: str, total: int | None = None) -> Iterator[Callable[..., None]]:
     """Show the progress of work that takes more than `FIRST` seconds, even while no part of it ends.
@@ -63,6 +67,7 @@ def progress(name: str, total: int | None = None) -> Iterator[Callable[..., None
         A callback that takes the number of finished parts and, optionally, a note on the latest.
     """
     work, ended = _Work(name, total, perf_counter()), Event()
+    _running.append(work)
     reporter = Thread(target=_report_until, args=(work, ended), name=f"progress of {name}", daemon=True)
     reporter.start()
     try:
@@ -70,6 +75,7 @@ def progress(name: str, total: int | None = None) -> Iterator[Callable[..., None
     finally:
         ended.set()
         reporter.join()
+        _running.remove(work)
 
 
 def _report_until(work: _Work, ended: Event) -> None:
@@ -82,7 +88,8 @@ def _report_until(work: _Work, ended: Event) -> None:
         return
     reported = FIRST
     while True:
-        report(str(work))
+        if work is _running[-1]:
+            report(str(work))
         if ended.wait(min(reported, _MAX_WAIT)):
             break
         reported = perf_counter() - work.started

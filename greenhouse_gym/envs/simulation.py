@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from typing import Any
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from greenhouse_gym.common.progress import progress
 from greenhouse_gym.envs.actions import CommandLimits, check_actions, squared_norm
 from greenhouse_gym.envs.choices import make_action, make_observation, make_reward, make_task, outcome_check
 from greenhouse_gym.envs.contacts import NAME_SEPARATOR, NO_CONTACT, Contact, Contacts
@@ -106,19 +108,25 @@ class Simulation:
         if self.state is None and len(ids) < self.count:
             self._current_state()
         required = self.observe.requires_occupancy
-        setups = [
-            draw_setup(self.task, self.sampler, self.worlds, self.randomization, required, rng[i], options[i])
-            for i in ids
-        ]
+        first = self.state is None and self.count > 1
+        setups = []
+        with progress("scenes prepared", len(ids)) if first else nullcontext(lambda _: None) as on_progress:
+            for i in ids:
+                setups.append(
+                    draw_setup(self.task, self.sampler, self.worlds, self.randomization, required, rng[i], options[i])
+                )
+                on_progress(len(setups))
         physics = self._physics
         if physics is None:
-            first = setups[0].world
-            physics = self._physics = Physics(self.count, first, self._threads, self._timing, self.task.ends_on)
+            world = setups[0].world
+            physics = self._physics = Physics(self.count, world, self._threads, self._timing, self.task.ends_on)
         for setup in setups:
             setup.world.check_fits(physics.models[0])
-        for i, setup in zip(ids.tolist(), setups, strict=True):
-            physics.load(i, setup.world, setup.episode.targets, setup.disturbance)
-            self._begin(i, setup)
+        with progress("simulations begun", len(ids)) if first else nullcontext(lambda _: None) as on_progress:
+            for done, (i, setup) in enumerate(zip(ids.tolist(), setups, strict=True), start=1):
+                physics.load(i, setup.world, setup.episode.targets, setup.disturbance)
+                self._begin(i, setup)
+                on_progress(done)
         contacts = physics.place(ids, np.array([setup.episode.start for setup in setups]))
         self._record_contacts(contacts)
         memory = {name: np.full(len(ids), value) for name, value in self.task.memory.items()}

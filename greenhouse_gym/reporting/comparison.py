@@ -8,6 +8,7 @@ from typing import Any
 
 from greenhouse_gym.agents import Agent
 from greenhouse_gym.agents.named import make_agent
+from greenhouse_gym.common.progress import progress
 from greenhouse_gym.errors import GreenhouseError, InvalidValueError
 from greenhouse_gym.evaluation import retrace
 from greenhouse_gym.evaluation.leaderboard import TRACKS, V1, Entry, Protocol, follows, is_current
@@ -115,7 +116,11 @@ def _episode_pages(
     chosen = dividing_episodes(evaluations)
     seeds = [record.seed for record in chosen]
     options |= {"bank": bank, **TRACKS[track]}
-    traces = {e.agent: retrace(agents[e.agent], seeds, split, **options) for e in evaluations}
+    traces = {}
+    with progress("agents whose episodes are run again for the report", len(evaluations)) as on_progress:
+        for e in evaluations:
+            traces[e.agent] = retrace(agents[e.agent], seeds, split, **options)
+            on_progress(len(traces))
     robot = next(iter(traces.values()))[0].robot
     before = {e.agent: {r.seed: r for r in e.records} for e in evaluations}
     pages = []

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from greenhouse_gym.common.tables import Table
+from greenhouse_gym.common.tables import Table, number
 from greenhouse_gym.scene.bank import SceneBank
 from greenhouse_gym.scene.manifest import SPLITS
 from greenhouse_gym.scene.occupancy import REACH
@@ -131,15 +131,14 @@ def as_markdown(found: BankStatistics) -> str:
     size = f"{found.scenes} scenes of {found.recordings} recordings of {found.rows} rows, {total} targets"
     kinds = [(kind, ", ".join(f"{name} {count}" for name, count in of.items())) for kind, of in found.kinds.items()]
     figures = [
-        *((f"{name} in a scene, mean", f"{mean:.1f}") for name, mean in found.per_scene.items()),
-        ("scenes with truth; shapes in it, mean", f"{found.truth[0]}; {found.truth[1]:.0f}"),
-        (
-            "scenes with an occupancy grid; known fraction within reach, mean",
-            f"{found.known[0]}; {found.known[1]:.0%}",
-        ),
-        *((f"checks of RRTConnect, {name}, median", f"{value:.0f}") for name, value in found.checks.items()),
-        ("clearance of the witnesses, median", f"{1000 * found.clearance:.1f} mm"),
-        ("fraction of the witnesses' paths through unknown space, median", f"{found.unknown:.0%}"),
+        *((f"{name} in a scene, mean", number(mean, ".1f")) for name, mean in found.per_scene.items()),
+        ("scenes with truth", str(found.truth[0])),
+        ("shapes in it, mean", number(found.truth[1], ".0f")),
+        ("scenes with an occupancy grid", str(found.known[0])),
+        ("known fraction within reach, mean", number(found.known[1], ".0%")),
+        *((f"checks of RRTConnect, {name}, median", number(value, ".0f")) for name, value in found.checks.items()),
+        ("clearance of the witnesses, mm, median", number(1000 * found.clearance, ".1f")),
+        ("fraction of the witnesses' paths through unknown space, median", number(found.unknown, ".0%")),
     ]
     groups = {"all": found.difficulties, **found.difficulties_of}
     tables = (
