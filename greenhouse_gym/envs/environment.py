@@ -72,9 +72,9 @@ class GreenhouseEnv(SpecMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]])
 
     Features from ``grasp_offset`` to ``turn_to_target`` are those of the task; another task may have others. Vectors
     are x y z; those to obstacles are 0 beyond 0.3 m. Obstacles are stems, clutter and all tomatoes except the target,
-    but not the floor, the cart or the arm itself. The turn is the axis that turns the tool to the target, as long as the
-    sine of the angle. Distances come from a field with nodes 2 cm apart (error within 5 cm of an obstacle: mean 1 mm,
-    95 % within 4 mm, at most 12 mm). Values beyond a bound are clipped to it. The other observations:
+    but not the floor, the cart or the arm itself. The turn is the axis that turns the tool to the target, as long as
+    the sine of the angle. Distances come from a field with nodes 2 cm apart (error within 5 cm of an obstacle: mean 1
+    mm, 95 % within 4 mm, at most 12 mm). Values beyond a bound are clipped to it. The other observations:
 
     | ``observation`` | key | shape, type | meaning |
     |---|---|---|---|

@@ -262,15 +262,14 @@ def test_episodes_are_truncated_by_the_task(bank: SceneBank) -> None:
 
 def test_the_state_holds_the_tool_and_its_turn_to_the_target(bank: SceneBank) -> None:
     env = make(bank, robot="iiwa14", action="tip_velocity")
-    for observation, *_ in play(env, 1, np.random.default_rng(1).uniform(-1, 1, (5, 6))):
-        parts = {name: observation[part] for name, part in feature_slices(env.simulation.observe.layout).items()}
-        state = env.simulation.state
-        np.testing.assert_allclose(parts["tip_position"], state.tip[0], atol=1e-6)
-        np.testing.assert_allclose(parts["tool_axis"], state.axis[0], atol=1e-6)
-        offset = parts["target_position"] - parts["tip_position"]
-        np.testing.assert_allclose(parts["target_direction"], offset / np.linalg.norm(offset), atol=1e-5)
-        turn = np.cross(parts["tool_axis"], parts["target_direction"])
-        np.testing.assert_allclose(parts["turn_to_target"], turn, atol=1e-5)
+    observation = play(env, 1, np.random.default_rng(1).uniform(-1, 1, (5, 6)))[-1][0]
+    parts = {name: observation[part] for name, part in feature_slices(env.simulation.observe.layout).items()}
+    tip, axis = env.simulation.state.tip[0], env.simulation.state.axis[0]
+    np.testing.assert_allclose(parts["tip_position"], tip, atol=1e-6)
+    np.testing.assert_allclose(parts["tool_axis"], axis, atol=1e-6)
+    offset = parts["target_position"] - tip
+    np.testing.assert_allclose(parts["target_direction"], offset / np.linalg.norm(offset), atol=1e-5)
+    np.testing.assert_allclose(parts["turn_to_target"], np.cross(axis, parts["target_direction"]), atol=1e-5)
 
 
 def test_options_fix_scene_target_and_start(bank: SceneBank) -> None:
