@@ -12,7 +12,7 @@ import numpy.typing as npt
 from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.agents.planner_agent import PathFollower
 from greenhouse_gym.envs.features import feature_slices
-from greenhouse_gym.envs.observations import PATH_FEATURES, StateObservation
+from greenhouse_gym.envs.observations import PATH_FEATURES, TOOL_FEATURES, StateObservation
 from greenhouse_gym.planning import goal_configurations
 
 
@@ -76,7 +76,7 @@ class WaypointAgent:
 
     def reset(self, problem: Problem) -> None:
         """Find the indices of the waypoint's direction and of its flag in the observation."""
-        groups = feature_slices(StateObservation(problem.robot, extra=PATH_FEATURES).layout)
+        groups = feature_slices(StateObservation(problem.robot, extra=PATH_FEATURES, without=TOOL_FEATURES).layout)
         self._direction, self._path = groups["waypoint_direction"], groups["path"]
 
     def act(self, observation: Any) -> npt.NDArray[np.float32]:

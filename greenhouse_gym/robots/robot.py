@@ -35,7 +35,7 @@ class Robot:
         joints: Names of the n joints, in order.
         start: (n,) start configuration of an episode, radians.
         starts: Start configurations by name, (n,) radians each: all key frames of the file. The shipped arms have
-            ``start`` (upright) and ``folded`` (over the aisle).
+            ``ready`` (the default: bent, the tool forward), ``upright`` and ``folded`` (over the aisle).
         lower: (n,) lower joint limits, radians.
         upper: (n,) upper joint limits, radians.
         velocity_limits: (n,) rad/s.
@@ -77,6 +77,11 @@ class Robot:
         if start is None:
             return self.start
         return self.starts[require_choice("start", start, self.starts)] if isinstance(start, str) else start
+
+    @property
+    def rating_start(self) -> Array:
+        """(n,) start from which targets are rated and witnesses lead: ``upright`` if the arm has it, else its own."""
+        return self.starts.get("upright", self.start)
 
     @cached_property
     def rolls_tool(self) -> bool:

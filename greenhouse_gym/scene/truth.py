@@ -32,7 +32,7 @@ def true_scene(scene: Scene) -> Scene:
 
 
 def start_is_collision_free(scene: Scene, robot: str | Robot) -> bool:
-    """Return whether an arm in its start configuration touches no plant of the true row.
+    """Return whether an arm touches no plant of the true row at its own start and at `Robot.rating_start`.
 
     People who put up an arm see the plants and do not place it inside them, whatever the scan shows. Contacts with the
     floor, the cart and the arm itself do not count.
@@ -45,8 +45,11 @@ def start_is_collision_free(scene: Scene, robot: str | Robot) -> bool:
         return True
     compiled = compile_scene(true_scene(scene), robot)
     data = mujoco.MjData(compiled.model)
-    data.qpos[:] = compiled.robot.start
-    mujoco.mj_kinematics(compiled.model, data)
-    mujoco.mj_collision(compiled.model, data)
     plants = compiled.obstacle_geoms
-    return not ((data.contact.geom >= plants.start) & (data.contact.geom < plants.stop)).any()
+    for start in (compiled.robot.start, compiled.robot.rating_start):
+        data.qpos[:] = start
+        mujoco.mj_kinematics(compiled.model, data)
+        mujoco.mj_collision(compiled.model, data)
+        if ((data.contact.geom >= plants.start) & (data.contact.geom < plants.stop)).any():
+            return False
+    return True
