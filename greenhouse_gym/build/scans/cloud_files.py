@@ -24,7 +24,9 @@ from greenhouse_gym.geometry import Array
 GRAY = 0.5
 """Channels of points without a color."""
 
-_MIN_POINTS = 50  # a smaller cloud cannot hold a shape
+MIN_POINTS = 50
+"""Minimum number of points; a smaller cloud cannot hold a shape."""
+
 _KIND = "cloud of points"
 _WHOLE = (".npy", ".npz")  # read at once
 _MAX_WHOLE = 4 * 2**30  # bytes of such a file
@@ -90,9 +92,9 @@ def _cleaned(path: Path, parts: Parts) -> RawCloud:
     kept = np.isfinite(points).all(axis=1)
     if not kept.all():
         notes.append(f"{np.count_nonzero(~kept)} of {len(kept)} points have no finite position and were left out")
-    if np.count_nonzero(kept) < _MIN_POINTS:
+    if np.count_nonzero(kept) < MIN_POINTS:
         count = np.count_nonzero(kept)
-        raise FileFormatError(path, f"holds {count} points, too few for a plant; expected at least {_MIN_POINTS}")
+        raise FileFormatError(path, f"holds {count} points, too few for a plant; expected at least {MIN_POINTS}")
     shades = None if colors is None else fractions(path, colors[kept])
     if shades is not None and (missing := np.isnan(shades).any(axis=1)).any():
         notes.append(f"{np.count_nonzero(missing)} of {len(shades)} points have no color and are taken as gray")

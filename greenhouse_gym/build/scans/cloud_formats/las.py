@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from greenhouse_gym.build.scans.cloud_formats.las_units import stated_units
 from greenhouse_gym.build.scans.cloud_formats.native import native_output
-from greenhouse_gym.build.scans.cloud_formats.parts import Parts, every, read_records
+from greenhouse_gym.build.scans.cloud_formats.parts import Parts, every, read_records, require_all
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import Array
 
@@ -117,8 +117,5 @@ def _decompressed(path: Path, header: _Header) -> npt.NDArray[Any]:
     arguments = [header.points_at, *header.records[_LASZIP], header.dtype.itemsize, header.total, every(header.total)]
     with native_output(path, "write_laz", arguments, "lazrs") as file:
         points = np.fromfile(file, header.dtype)
-    if len(points) != kept_of(header.total):
-        raise FileFormatError(
-            path, f"cut short: {len(points) * every(header.total)} of {header.total} points are there"
-        )
+    require_all(path, len(points) * every(header.total), header.total)
     return points
