@@ -80,6 +80,6 @@ def isolated_output(script: Path, arguments: list[str], seconds: int, memory: in
             if code > 0:
                 raise IsolatedError(reason or last, kind)
             limits = f"it may take {seconds} s and {memory >> 20} MiB"
-            raise IsolatedError(f"its reader ended with signal {-code}; {limits} ({last})")
+            raise IsolatedError(f"the script ended with signal {-code}; {limits}")
         output.seek(0)
         yield output

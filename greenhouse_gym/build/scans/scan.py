@@ -23,7 +23,7 @@ from greenhouse_gym.shapes.normal_estimation import estimate_normals
 
 _VOXEL = 0.002  # m; as dense as a reconstructed row
 _FAR = 100.0  # m from the file's origin beyond which it is moved
-_MAX_EXTENT = 2000.0  # m; voxels of a larger cloud cannot be numbered
+_MIN_EXTENT, _MAX_EXTENT = 0.05, 2000.0  # m, of a cloud; voxels of a larger one cannot be numbered
 _GREEN = 0.05  # redness (R - G) / (R + G) below which a point is not red
 _AGREE = 0.3  # mean cosine with estimated normals from which the file's normals are consistent
 _DIRECTIONS = {sign + axis: factor * np.eye(3)[k] for sign, factor in (("", 1.0), ("-", -1.0))
@@ -89,8 +89,8 @@ def open_scan(
     notes += [note] if note else []
     with np.errstate(over="ignore"):
         extent = float(np.ptp(raw.points, axis=0).max()) * unit
-    if not 0 < extent < _MAX_EXTENT:
-        problem = f"measures {extent:.3g} m, with {unit:g} m per unit; expected up to {_MAX_EXTENT:g} m"
+    if not _MIN_EXTENT < extent < _MAX_EXTENT:
+        problem = f"measures {extent:.3g} m, with {unit:g} m per unit; expected {_MIN_EXTENT:g} to {_MAX_EXTENT:g} m"
         raise FileFormatError(path or "the cloud", f"{problem}: give the units")
     points = raw.points * unit
     middle = np.median(points, axis=0)

@@ -29,11 +29,14 @@ _COLORS = [
     | {f"{prefix}{k}" for prefix in ("rgb", "rgba", "color", "colors", "colour")}
     for k, name in enumerate(("red", "green", "blue"))
 ]
+POSITIONAL = (3, 6, 9)
+"""Numbers of columns that need no names."""
+
 _PACKED = ("rgb", "rgba")  # three channels in the bytes of one number
 _WHITE = (255.0, 65535.0)  # of channels that are no fractions
 _MAX_FRACTION = 1.05  # of channels that are fractions; rounding and interpolation may exceed 1
 _UNIT = 0.02  # deviation from length 1 of normals that were rounded
-_SHOWN = 12  # names of columns in a message
+_SHOWN, _WIDTH = 12, 40  # names of columns in a message, and their characters
 
 
 def holds_positions(names: Iterable[str]) -> bool:
@@ -61,7 +64,7 @@ def named_parts(path: Path, names: Sequence[str], column: Callable[[int], npt.ND
     found = [np.column_stack([column(k) for k in each]) if len(each) == 3 else None for each in indices]
     assert found[0] is not None
     colors = _unpacked(column(packed[0])) if packed else found[1]
-    used = {k for each in (*indices, packed) if len(each) in (1, 3) for k in each}
+    used = {k for each in indices if len(each) == 3 for k in each} | set(packed)
     unused = [name for k, name in enumerate(names) if k not in used and name != "_"]
     notes = (f"columns that were not used: {_listed(unused)}",) if unused else ()
     return Parts(found[0], colors, found[2], total, notes)
@@ -78,7 +81,7 @@ def positional_parts(path: Path, table: npt.NDArray[Any], total: int = 0) -> Par
     Raises:
         FileFormatError: The array has another shape.
     """
-    if table.ndim < 2 or table.shape[-1] not in (3, 6, 9):
+    if table.ndim < 2 or table.shape[-1] not in POSITIONAL:
         raise FileFormatError(
             path, f"an array of shape {table.shape}; expected 3, 6 or 9 columns: x y z, r g b, normal"
         )
@@ -120,7 +123,7 @@ def _plain(name: str) -> str:
 
 
 def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names[:_SHOWN]) + (", ..." if len(names) > _SHOWN else "") if names else "(none)"
+    return ", ".join(name[:_WIDTH] for name in names[:_SHOWN]) + (", ..." if len(names) > _SHOWN else "") or "(none)"
 
 
 def _indices(plain: Sequence[str], wanted: Iterable[set[str]]) -> list[int]:

@@ -21,6 +21,8 @@ _UNIT = re.compile(r'\b(?:LENGTH)?UNIT\s*[\[(]\s*"([^"]*)"\s*,\s*([-+.\w]+)')
 _INNER = re.compile(r"\b(?:GEOGCS|BASEGEO\w*|CONVERSION|DATUM|ENSEMBLE)\s*[\[(]")  # have units of their own
 _VERTICAL_PART = re.compile(r"\bVERT(?:_CS|CRS|ICALCRS)\s*[\[(]")
 
+_NOT_DEGREES = "the file states longitude and latitude, which its coordinates are not"
+
 
 @dataclass(frozen=True)
 class StatedUnits:
@@ -29,8 +31,8 @@ class StatedUnits:
     Attributes:
         metres: Metres per unit of x and y, or None.
         vertical: Units of x and y per unit of z.
-        degrees: Whether x and y are longitude and latitude.
-        note: A sentence on them, or "".
+        degrees: Whether x and y are said to be longitude and latitude.
+        note: A sentence on them, or ""; with ``degrees`` it holds if the coordinates are something else.
     """
 
     metres: float | None = None
@@ -54,9 +56,11 @@ def _of_keys(content: bytes, doubles: bytes) -> StatedUnits:
         at = next((8 * index for key, where, _, index in rows if key == _SIZE and where == _DOUBLES[1]), len(doubles))
         horizontal = ("a unit of its own", *struct.unpack_from("<d", doubles, at)) if at + 8 <= len(doubles) else None
     if keys.get(_MODEL) == _GEOGRAPHIC:
-        return StatedUnits(degrees=True)
+        return StatedUnits(degrees=True, note=_NOT_DEGREES)
     if horizontal is None and keys.get(_SYSTEM, _OWN) != _OWN:
-        note = f"the file states the coordinate system EPSG:{keys[_SYSTEM]}, whose unit is not looked up"
+        note = (
+            f"the file states the coordinate system EPSG:{keys[_SYSTEM]}, whose unit is not looked up: give the units"
+        )
         return StatedUnits(note=note)
     return _stated(horizontal, vertical)
 
@@ -65,7 +69,7 @@ def _of_text(text: str) -> StatedUnits:
     vertical_part = _VERTICAL_PART.search(text)
     end = vertical_part.start() if vertical_part else len(text)
     if not re.search(r"\bPROJ\w*\s*[\[(]", text[:end]) and re.search(r"\bGEO(?:GCS|GCRS|DCRS|GRAPHIC)", text[:end]):
-        return StatedUnits(degrees=True)
+        return StatedUnits(degrees=True, note=_NOT_DEGREES)
     return _stated(*(_first_unit(part) for part in (_outer(text[:end]), text[end:])))
 
 

@@ -93,6 +93,8 @@ def _pieces(file: Any, scan: Any) -> Iterator[np.ndarray[Any, np.dtype[Any]]]:
     for name, column in columns.items():
         buffers.append(libe57.SourceDestBuffer(file.image_file, name, column, size, True, True))
     reader = scan.points.reader(buffers)
+    if not np.linalg.norm(scan.rotation) > 0:
+        raise ValueError("the rotation of a scan is zero")
     rotation, translation = scan.rotation_matrix, scan.translation
     while count := reader.read():
         here = {name: column[:count] for name, column in columns.items()}

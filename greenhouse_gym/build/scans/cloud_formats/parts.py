@@ -46,7 +46,7 @@ def every(total: int) -> int:
 def require_all(path: Path, there: int, total: int) -> None:
     """Raise `FileFormatError` if fewer points are there than the file states."""
     if there < total:
-        raise FileFormatError(path, f"cut short: {there} of {total} points are there")
+        raise FileFormatError(path, f"cut short: at most {there} of {total} points are there")
 
 
 def read_records(path: Path, file: IO[bytes], dtype: np.dtype[Any], total: int) -> npt.NDArray[Any]:

@@ -67,7 +67,7 @@ def _header(path: Path, file: IO[bytes]) -> _Header:
         raise FileFormatError(path, f"{len(names)} fields with {len(sizes)} sizes and {len(types)} types")
     fields = []
     for name, count, size, kind in zip(names, counts, sizes, types, strict=True):
-        if size not in _SIZES.get(kind, ()) or count < 0:
+        if size not in _SIZES.get(kind, ()) or count < 1:
             raise FileFormatError(path, f"field {name} has the type {kind!r}, size {size} and count {count}")
         fields.append(_Field(name, np.dtype(f"<{kind.lower()}{size}"), count))
     points = int(said["POINTS"][0]) if "POINTS" in said else int(said["WIDTH"][0]) * int(said["HEIGHT"][0])
@@ -77,13 +77,16 @@ def _header(path: Path, file: IO[bytes]) -> _Header:
 
 
 def _text(path: Path, file: IO[bytes], header: _Header) -> Callable[[int], npt.NDArray[Any]]:
-    step, fields = every(header.points), header.fields
+    step, fields, length = every(header.points), header.fields, file.tell()
+    file.seek(0)
+    first = 1 + len(re.findall(rb"\r\n|\r|\n", file.read(length)))
 
     def rows() -> Iterator[tuple[int, str]]:
         lines = dropwhile(lambda row: row[1].split()[0] != "DATA", lines_of(path))
         return islice(lines, 1, 1 + header.points, step)
 
-    table = numbers(path, rows, sum(field.count for field in fields))
+    width = sum(field.count for field in fields)
+    table = numbers(path, rows, width, first if step == 1 else None)[: header.points]
     require_all(path, len(table) * step, header.points)
     starts = np.cumsum([0, *(field.count for field in fields)])
     return lambda k: as_declared(path, fields[k].name, table[:, starts[k]], fields[k].dtype)
@@ -123,25 +126,28 @@ def _unpacked(packed: bytes, size: int) -> bytearray:
 
     The block is a sequence of literal bytes, and of repetitions of bytes at a distance of up to 8 KiB.
     """
-    result, at, end = bytearray(), 0, len(packed)
-    while at < end and len(result) <= size:
-        control = packed[at]
-        if control < 32:
-            result += packed[at + 1 : at + control + 2]
-            at += control + 2
-            continue
-        length = control >> 5
-        if length == 7 and at + 1 < end:
+    result, at = bytearray(), 0
+    try:
+        while at < len(packed):
+            control = packed[at]
             at += 1
-            length += packed[at]
-        length += 2
-        distance = ((control & 31) << 8) + (packed[at + 1] if at + 1 < end else 0) + 1
-        at += 2
-        start = len(result) - distance
-        if start < 0:
-            break
-        if distance >= length:
-            result += result[start : start + length]
-        else:
-            result += (result[start:] * (length // distance + 1))[:length]
+            if control < 32:
+                stop = at + control + 1
+                result += packed[at:stop]
+                at = stop
+                continue
+            length = (control >> 5) + 2
+            if length == 9:
+                if len(result) > size:
+                    break
+                length += packed[at]
+                at += 1
+            start = len(result) - ((control & 31) << 8) - packed[at] - 1
+            at += 1
+            if start < 0:
+                break
+            again = result[start : start + length]
+            result += again if len(again) == length else (again * length)[:length]
+    except IndexError:  # the block ends within a repetition
+        pass
     return result

@@ -55,7 +55,13 @@ def read_ply(path: Path) -> Parts:
             raise FileFormatError(path, f"has the elements {', '.join(e.name for e in elements)}; expected vertex")
         points = elements[index]
         if not order:
-            return _from_text(path, sum(element.count for element in elements[:index]), points)
+            length = file.tell()
+            file.seek(0)
+            first = 1 + len(re.findall(rb"\r\n|\r|\n", file.read(length)))
+            alone = sum(element.count for element in elements) == points.count
+            return _from_text(
+                path, sum(element.count for element in elements[:index]), points, first if alone else None
+            )
         for element in elements[:index]:
             _skip(path, file, element, order)
         records = _records(path, file, points, order)
@@ -102,7 +108,8 @@ def _dtype(properties: list[_Property], order: str) -> np.dtype[Any]:
     return np.dtype([(each.name, order + each.type) for each in properties])
 
 
-def _from_text(path: Path, before: int, points: _Element) -> Parts:
+def _from_text(path: Path, before: int, points: _Element, first: int | None) -> Parts:
+    """Read the points after ``before`` lines of other elements; ``first`` is their first line if there are none."""
     scalars = _scalars(points)
     whole = len(scalars) == len(points.properties)
 
@@ -111,7 +118,8 @@ def _from_text(path: Path, before: int, points: _Element) -> Parts:
         for number, line in islice(lines, 1 + before, 1 + before + points.count, every(points.count)):
             yield number, line if whole else " ".join(line.split()[: len(scalars)])
 
-    table = numbers(path, rows, len(scalars))
+    fast = whole and every(points.count) == 1
+    table = numbers(path, rows, len(scalars), first if fast else None)[: points.count]
     require_all(path, len(table) * every(points.count), points.count)
     names = [each.name for each in scalars]
     return named_parts(

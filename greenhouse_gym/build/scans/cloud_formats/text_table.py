@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.build.scans.cloud_formats.columns import holds_positions, named_parts, positional_parts
+from greenhouse_gym.build.scans.cloud_formats.columns import POSITIONAL, holds_positions, named_parts, positional_parts
 from greenhouse_gym.build.scans.cloud_formats.parts import Parts, every, require_all
 from greenhouse_gym.common.files import text_encoding
 from greenhouse_gym.errors import FileFormatError
@@ -25,6 +25,7 @@ _MAX_HEADER = 1000  # lines
 _COMMENT = ("#", "/", "%")
 _MIN_ROW = 6  # characters of the shortest row: three digits, each with a separator
 _SHOWN = 60  # characters of a line in a message
+_NUMBER = re.compile(r"[-+]?\.?\d|[-+]?nan|[-+]?inf", re.IGNORECASE)  # its start
 _NO_NUMBER = re.compile(r"[-+]?(nan(\(\w*\))?|1\.#(qnan|snan|ind|inf)0*)", re.IGNORECASE)
 """Other spellings of values that are not finite."""
 
@@ -54,7 +55,8 @@ def read_text(path: Path) -> Parts:
             yield number, text.replace(layout.separator, " ") if layout.separator else text
 
     total = sum(1 for _ in rows()) if every(path.stat().st_size // _MIN_ROW) > 1 else 0
-    table = numbers(path, lambda: rows(every(total)), layout.width)
+    first = layout.first if every(total) == 1 else None
+    table = numbers(path, lambda: rows(every(total)), layout.width, first, layout.separator)
     total = max(total, len(table))
     require_all(path, total, layout.stated)
     if layout.names:
@@ -76,24 +78,32 @@ def lines_of(path: Path) -> Iterator[tuple[int, str]]:
                 yield number, line
 
 
-def numbers(path: Path, rows: Callable[[], Rows], width: int) -> Array:
+def numbers(
+    path: Path, rows: Callable[[], Rows], width: int, first: int | None = None, separator: str | None = None
+) -> Array:
     """Return rows of numbers as a table (n, width).
 
     Args:
-        path: The file, for messages.
-        rows: Returns the rows; called twice if there is an error to locate.
+        path: The file.
+        rows: Returns the rows with white space between their numbers, once per call.
         width: Numbers in a row.
+        first: Number of the first row's line if the rows are all further lines of the file; this is read faster.
+        separator: Separator of the numbers in the file.
 
     Raises:
         FileFormatError: A row has another number of columns, or something that is no number.
     """
     try:
-        table = np.loadtxt((line for _, line in rows()), comments=None, ndmin=2)
+        if first is None:
+            table = np.loadtxt((line for _, line in rows()), comments=None, ndmin=2)
+        else:
+            encoding = text_encoding(path)
+            table = np.loadtxt(str(path), delimiter=separator, skiprows=first - 1, ndmin=2, encoding=encoding)
     except ValueError:
         table = np.array([_row(path, number, line, width) for number, line in rows()])
     if table.shape[1] != width and len(table):
         number, line = next(iter(rows()))
-        raise FileFormatError(path, f"line {number}: {table.shape[1]} numbers, expected {width}: {line[:_SHOWN]!r}")
+        _row(path, number, line, width)
     return table.reshape(-1, width)
 
 
@@ -115,14 +125,11 @@ def _row(path: Path, number: int, line: str, width: int) -> list[float]:
     words = line.split()
     if len(words) != width:
         raise FileFormatError(path, f"line {number}: {len(words)} numbers, expected {width}: {line.strip()[:_SHOWN]!r}")
-    return [_value(path, number, word) for word in words]
-
-
-def _value(path: Path, number: int, word: str) -> float:
-    value = _number(word)
-    if value is None:
+    values = [_number(word) for word in words]
+    if None in values:
+        word = words[values.index(None)]
         raise FileFormatError(path, f"line {number}: {word[:_SHOWN]!r} is no number (such as 0.25)")
-    return value
+    return values  # type: ignore[return-value]
 
 
 def _number(word: str) -> float | None:
@@ -141,13 +148,17 @@ def _layout(path: Path) -> _Layout:
         text = line.strip()
         separator = _separator(text)
         words = (text.replace(separator, " ") if separator else text).split()
-        if text.startswith(_COMMENT) or not any(_number(word) is not None for word in words):
+        if text.startswith(_COMMENT) or not any(_NUMBER.match(word) for word in words):
             header.append(text.lstrip("".join(_COMMENT)))
         elif not stated and len(words) == 1 and text.isdecimal() and len(text) < 12:
             stated = int(text)
         else:
-            row = _row(path, number, " ".join(words), len(words))
-            return _Layout(_names(path, header, separator, len(row)), separator, number, stated, len(row))
+            names = _names(path, header, separator, len(words))
+            if not names and len(words) not in POSITIONAL:
+                raise FileFormatError(
+                    path, f"line {number}: {len(words)} numbers, expected 3, 6 or 9, or a header that names the columns"
+                )
+            return _Layout(names, separator, number, stated, len(words))
     raise FileFormatError(path, "holds no rows of numbers")
 
 
@@ -168,7 +179,7 @@ def _names(path: Path, header: list[str], separator: str | None, width: int) -> 
         text = re.sub(r"[\[(][^\])]*[\])]", "", line)
         for names in (text.split(separator), re.split(r"[\s,;]+", text.strip())):
             if holds_positions(names) and len(names) == width:
-                return names
+                return [name.strip() for name in names]
         if holds_positions(names) and width > 3:
             raise FileFormatError(path, f"its header names {len(names)} columns, its rows have {width}")
     return []
