@@ -10,7 +10,7 @@ from greenhouse_gym.capture.formats.single_camera import single_camera
 from greenhouse_gym.capture.formats.trajectories import read_poses
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.capture.rig import Intrinsics
-from greenhouse_gym.common.files import parsing, read_bytes
+from greenhouse_gym.common.files import natural_order, parsing, read_bytes
 from greenhouse_gym.errors import FileFormatError
 
 name = "calibrated"
@@ -32,7 +32,7 @@ def open(path: Path) -> Recording:
     """
     calibration, *_ = _calibrations(path) or [path / "camera_*.yaml"]
     intrinsics = _intrinsics(calibration)
-    color = sorted((path / "rgb").glob("*.png"))
+    color = sorted((path / "rgb").glob("*.png"), key=natural_order)
     depth = [path / "depth" / file.name for file in color]
     truth = path / _POSES
     if not truth.exists():
