@@ -166,7 +166,7 @@ def test_a_group_that_does_not_end_the_episode_is_no_collision() -> None:
         np.testing.assert_array_equal(one[0][running & ~one[2]], two[0][running & ~one[2]])
         for i in np.flatnonzero(running & one[2]):
             final = one[4]["final_info"]
-            only_leaf = final["contact"][i][1].startswith("clutter_")
+            only_leaf = final["contact"][i].split(", ")[1].startswith("clutter_")
             leaves += only_leaf
             if not two[2][i]:
                 assert only_leaf
