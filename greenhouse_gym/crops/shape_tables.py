@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -27,9 +27,9 @@ from greenhouse_gym.geometry import (
     quaternions_from,
     rotations_from,
     transform,
+    unchecked,
 )
 
-Made = TypeVar("Made", Stem, Sphere, Capsule, Box)
 Integers = npt.NDArray[np.int64]
 
 MAX_ROWS = 300_000
@@ -126,19 +126,21 @@ def from_tables(tables: ShapeTables) -> ShapeParts:
     rotations = rotations_from(tables.boxes[:, 6:])
     for table in (*tables, rotations):
         table.setflags(write=False)  # shapes are immutable, and these are views
-    stems = tuple(
-        _unchecked(Stem, start=row[:3], end=row[3:6], radius=float(row[6]), kind=STEM_KINDS[int(row[7])])
-        for row in tables.stems
-    )
+    _, stems, balls, capsules, boxes = tables
+    names = [STEM_KINDS[int(kind)] for kind in kinds]
+    segments = ("start", "end", "radius")
     clutter: list[Sphere | Capsule | Box] = [
-        *(_unchecked(Sphere, center=row[:3], radius=float(row[3])) for row in tables.spheres),
-        *(_unchecked(Capsule, start=row[:3], end=row[3:6], radius=float(row[6])) for row in tables.capsules),
-        *(
-            _unchecked(Box, center=row[:3], half_extents=row[3:6], rotation=rotation)
-            for row, rotation in zip(tables.boxes, rotations, strict=True)
-        ),
+        *unchecked(Sphere, ("center", "radius"), zip(balls[:, :3], balls[:, 3].tolist(), strict=True)),
+        *unchecked(Capsule, segments, _segments(capsules)),
+        *unchecked(Box, ("center", "half_extents", "rotation"), zip(boxes[:, :3], boxes[:, 3:6], rotations, strict=True)),
     ]
-    return ShapeParts(tuple(map(_tomato, tables.tomatoes)), stems, tuple(clutter))
+    kept = unchecked(Stem, (*segments, "kind"), ((*row, name) for row, name in zip(_segments(stems), names, strict=True)))
+    return ShapeParts(tuple(map(_tomato, tables.tomatoes)), tuple(kept), tuple(clutter))
+
+
+def _segments(table: Array) -> Iterable[tuple[Array, Array, float]]:
+    """Return the start, the end and the radius of each row."""
+    return zip(table[:, :3], table[:, 3:6], table[:, 6].tolist(), strict=True)
 
 
 def transform_tables(tables: ShapeTables, target_from_source: Array) -> ShapeTables:
@@ -266,13 +268,6 @@ def _fourth_entry(others: Integers) -> Integers:
     """Return the size (n,) of the fourth entry of unit quaternions from the others (n, 3), alike on every processor."""
     square = _UNITS["q"] ** -2 - (others.astype(float) ** 2).sum(axis=1)
     return np.rint(np.sqrt(np.maximum(square, 0.0))).astype(np.int64)
-
-
-def _unchecked(shape_type: type[Made], **values: Any) -> Made:
-    """Return a shape of values that were already checked, which takes a tenth of the time."""
-    shape = object.__new__(shape_type)
-    shape.__dict__.update(values)
-    return shape
 
 
 def _tomato_row(tomato: Tomato) -> list[float]:
