@@ -22,7 +22,7 @@ from pydantic import (
 
 from greenhouse_gym.common.files import checked_name, parsing
 from greenhouse_gym.crops.parts import Stem, Tomato
-from greenhouse_gym.crops.shape_tables import pack, unpack
+from greenhouse_gym.crops.shape_tables import arrays_of_tables, from_tables, pack, unpack
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Box, Capsule, Shape, ShapeArrays, Sphere, Vector, arrays_of
 from greenhouse_gym.scene.shape_lists import in_bulk, read_clutter, read_stems, read_tomatoes
@@ -148,23 +148,33 @@ class DeferredShapes(Shapes):
             vars(self).update(vars(_unpacked(vars(self)["_packed"])))
         return vars(self)[name]
 
+    @cached_property
+    def arrays(self) -> ShapeArrays:
+        """See `Shapes.arrays`."""
+        _ = self.tomatoes  # unpacks everything
+        arrays: ShapeArrays = vars(self)["arrays"]
+        return arrays
+
 
 def _packed(shapes: Shapes) -> dict[str, Any]:
     known: dict[str, Any] | None = vars(shapes).get("_packed")
     return pack(shapes.tomatoes, shapes.stems, shapes.clutter) if known is None else known
 
 
-def _unpacked(value: Any) -> Any:
-    if isinstance(value, dict) and "rows" in value:
-        parts = unpack(value)
-        return Shapes(tomatoes=parts.tomatoes, stems=parts.stems, clutter=parts.clutter)
-    return value
+def _unpacked(packed: dict[str, Any]) -> Shapes:
+    tables = unpack(packed)
+    parts = from_tables(tables)
+    if len(parts.tomatoes) > MAX_TOMATOES or max(len(parts.stems), len(parts.clutter)) > MAX_SHAPES:
+        raise InvalidValueError(f"more than {MAX_TOMATOES} tomatoes, or {MAX_SHAPES} stems or pieces of clutter")
+    shapes = Shapes.model_construct(**parts._asdict())
+    vars(shapes)["arrays"] = arrays_of_tables(tables)
+    return shapes._within_bounds()
 
 
 def _validated(value: Any, validate: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:
-    if info.context and isinstance(value, dict) and "rows" in value:
-        return DeferredShapes.of(value, info.context["path"])
-    return validate(_unpacked(value))
+    if not (isinstance(value, dict) and "rows" in value):
+        return validate(value)
+    return DeferredShapes.of(value, info.context["path"]) if info.context else _unpacked(value)
 
 
 PackedShapes = Annotated[
