@@ -307,7 +307,7 @@ def _tomatoes(table: Array) -> list[Tomato]:
     Raises:
         InvalidValueError: A size is not positive, or a ripeness is above 1.
     """
-    stretched = table[:, 6:].any(axis=1)
+    stretched = np.asarray(table[:, 6:].any(axis=1))
     balls, others = table[~stretched], table[stretched]
     axes, rotations = others[:, 6:9], rotations_from(others[:, 9:])
     if not ((balls[:, 3] > 0).all() and (axes > 0).all() and (table[:, 5] <= 1).all()):

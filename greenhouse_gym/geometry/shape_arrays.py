@@ -35,12 +35,12 @@ class ShapeArrays(NamedTuple):
     @classmethod
     def empty(cls, count: int) -> ShapeArrays:
         """Return arrays of shapes that are to be filled in: points without rotation."""
-        points = (np.zeros((count, 3)) for _ in range(3))
-        return cls(np.zeros(count, np.int8), *points, np.tile(np.eye(3), (count, 1, 1)))
+        starts, ends, sizes = np.zeros((3, count, 3))
+        return cls(np.zeros(count, np.int8), starts, ends, sizes, np.tile(np.eye(3), (count, 1, 1)))
 
     def select(self, chosen: slice) -> ShapeArrays:
         """Return some of the shapes."""
-        return ShapeArrays(*(array[chosen] for array in self))
+        return ShapeArrays._make(array[chosen] for array in self)
 
 
 def arrays_of(shapes: Sequence[Shape]) -> ShapeArrays:

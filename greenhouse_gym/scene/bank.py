@@ -250,8 +250,8 @@ def write_bank(folder: str | Path, scenes: Iterable[tuple[Scene, str]], name: st
                 row=scene.provenance.row,
                 week=scene.provenance.week,
                 split=split,  # type: ignore[arg-type]
-                shapes=len(scene.obstacles),
-                truth=None if scene.truth is None else len(scene.truth.obstacles),
+                shapes=scene.count,
+                truth=None if scene.truth is None else scene.truth.count,
                 style=scene.provenance.style,
                 source=scene.provenance.source,
                 protocol=scene.provenance.protocol,

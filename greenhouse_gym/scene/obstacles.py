@@ -94,6 +94,15 @@ class Shapes(Part):
 
     @model_validator(mode="after")
     def _within_bounds(self) -> Self:
+        self.check_bounds()
+        return self
+
+    def check_bounds(self) -> None:
+        """Check that no shape is too large or too far away.
+
+        Raises:
+            InvalidValueError: One is.
+        """
         numbers = np.hstack([self.arrays.starts, self.arrays.ends, self.arrays.sizes])
         outside = np.flatnonzero((np.abs(numbers) > MAX_SIZE).any(axis=1))
         if len(outside):
@@ -102,7 +111,6 @@ class Shapes(Part):
                 if index < (count := len(getattr(self, name))):
                     raise InvalidValueError(f"{name}.{index} is larger, or farther away, than {MAX_SIZE:g} m: {shape}")
                 index -= count
-        return self
 
     @cached_property
     def arrays(self) -> ShapeArrays:
@@ -120,6 +128,11 @@ class Shapes(Part):
     def obstacles(self) -> tuple[Shape, ...]:
         """All shapes in this order: tomatoes, stems, clutter."""
         return (*(tomato.shape for tomato in self.tomatoes), *self.stems, *self.clutter)
+
+    @property
+    def count(self) -> int:
+        """Number of shapes."""
+        return len(self.tomatoes) + len(self.stems) + len(self.clutter)
 
     def compact(self) -> Shapes:
         """Return the shapes as a scene file stores its truth: rounded to 0.1 mm, clutter sorted by type."""
@@ -168,7 +181,8 @@ def _unpacked(packed: dict[str, Any]) -> Shapes:
         raise InvalidValueError(f"more than {MAX_TOMATOES} tomatoes, or {MAX_SHAPES} stems or pieces of clutter")
     shapes = Shapes.model_construct(**parts._asdict())
     vars(shapes)["arrays"] = arrays_of_tables(tables)
-    return shapes._within_bounds()
+    shapes.check_bounds()
+    return shapes
 
 
 def _validated(value: Any, validate: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:
