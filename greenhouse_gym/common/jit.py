@@ -16,6 +16,7 @@ import numba
 Function = TypeVar("Function", bound=Callable[..., object])
 
 _SLOW = 3.0  # seconds of compilation after which the user is told
+_NOTICE = "compiling the numerical kernel %s; this takes some seconds, once on this machine"
 _logger = logging.getLogger(__name__)
 
 
@@ -30,7 +31,7 @@ def kernel(signature: str) -> Callable[[Function], Function]:
     """
 
     def compiled(function: Function) -> Function:
-        notice = threading.Timer(_SLOW, _logger.warning, ["compiling %s, once on this machine", function.__name__])
+        notice = threading.Timer(_SLOW, _logger.warning, [_NOTICE, function.__name__])
         notice.daemon = True
         notice.start()
         try:

@@ -8,6 +8,10 @@ array, so that one lookup serves many simulations.
 
 from __future__ import annotations
 
+import os
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import lru_cache
+
 import numpy as np
 import numpy.typing as npt
 
@@ -84,9 +88,10 @@ def _parts(shapes: ShapeArrays, scene_from_base: Array) -> tuple[Float32, Float3
 
 
 class FieldStore:
-    """Fields of many scenes in one array, indexed by slot."""
+    """Fields of many scenes in one array, indexed by slot; they are computed by threads until they are looked up."""
 
     def __init__(self) -> None:
+        self._pending: list[Future[npt.NDArray[np.void]]] = []
         self._nodes = np.empty((16, _SIZE), dtype=np.uint64)
         self._free = list(range(15, -1, -1))
 
@@ -96,17 +101,25 @@ class FieldStore:
     def add(self, shapes: ShapeArrays, tomatoes: int = 0, scene_from_base: npt.ArrayLike | None = None) -> int:
         """Compute a field as `obstacle_field` does and return its slot."""
         if not self._free:
+            self._finish()
             count = len(self._nodes)
             grown = np.empty((2 * count, _SIZE), dtype=np.uint64)
             grown[:count] = self._nodes
             self._nodes = grown
             self._free = list(range(2 * count - 1, count - 1, -1))
         slot = self._free.pop()
-        obstacle_field(shapes, tomatoes, scene_from_base, self._nodes[slot])
+        threads = _threads(os.getpid())
+        self._pending.append(threads.submit(obstacle_field, shapes, tomatoes, scene_from_base, self._nodes[slot]))
         return slot
+
+    def _finish(self) -> None:
+        """Wait for the fields that are being computed."""
+        while self._pending:
+            self._pending.pop().result()
 
     def remove(self, slot: int) -> None:
         """Release a slot."""
+        self._finish()
         self._free.append(slot)
 
     def lookup(
@@ -126,6 +139,7 @@ class FieldStore:
             Distances (n, k), metres, at most `MAX_DISTANCE`; unit directions (n, k, 3) towards the obstacle, zero
             where the distance is capped.
         """
+        self._finish()
         n, k, _ = points.shape
         # One row per axis from here on, and few array operations: their number sets the time of a single simulation.
         position = np.array(((points.reshape(-1, 3) - _ORIGIN) / CELL).T, dtype=np.float32, order="C")
@@ -151,6 +165,12 @@ class FieldStore:
         length[(distance >= _NEARLY_MAX) | (length <= _TINY)] = np.inf
         direction = slopes / -length
         return np.minimum(distance, _MAX).reshape(n, k), direction.reshape(3, n, k).transpose(1, 2, 0)
+
+
+@lru_cache(maxsize=1)
+def _threads(process: int) -> ThreadPoolExecutor:
+    """Return the threads of a process; a forked one needs its own."""
+    return ThreadPoolExecutor(os.cpu_count())
 
 
 _ORIGIN = np.array(ORIGIN)

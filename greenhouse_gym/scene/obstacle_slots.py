@@ -5,6 +5,7 @@ The arrays of the model become those that MuJoCo's compiler makes of the same ob
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import mujoco
@@ -61,7 +62,7 @@ def geoms_of(shapes: ShapeArrays) -> tuple[np.ndarray[tuple[int], np.dtype[np.in
     quats = np.tile(_NO_ROTATION, (len(kinds), 1))
     axes = shapes.ends - shapes.starts
     for k in np.flatnonzero(kinds == CAPSULE).tolist():
-        length = float(np.linalg.norm(axes[k]))
+        length = math.sqrt(axes[k].dot(axes[k]))
         if length <= MIN_LENGTH:
             kinds[k] = 0
         else:
