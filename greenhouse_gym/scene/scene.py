@@ -110,10 +110,20 @@ class Scene(Surroundings):
         return cls.parse(read_bytes(path, "scene"), path)
 
     @classmethod
-    def parse(cls, content: bytes, path: str | Path) -> Scene:
-        """Read a scene from the content of its file; error messages name ``path``."""
+    def parse(cls, content: bytes, path: str | Path, defer: bool = False) -> Scene:
+        """Read a scene from the content of its file.
+
+        Args:
+            content: The content.
+            path: The file, which error messages name.
+            defer: Unpack the truth and the occupancy grid, most of the work, when they are first used. For content
+                that a checksum covers: damage is found no sooner.
+
+        Raises:
+            FileFormatError: The content is damaged.
+        """
         with parsing(path, "scene"):
-            return cls.model_validate_json(content)
+            return cls.model_validate_json(content, context={"path": path} if defer else None)
 
     def save(self, path: str | Path) -> Path:
         """Write the scene as JSON (to a temporary name, then renamed) and return the path."""
