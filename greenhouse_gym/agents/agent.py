@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
+from greenhouse_gym.common.own_code import described
 from greenhouse_gym.envs.actions import INTERVAL, ActionRule, JointIncrements, JointVelocities
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
@@ -86,6 +87,15 @@ class Agent(Protocol):
         """Return the next action (size,) in `Problem.action_space`: [-1, 1] unless the environment has its own."""
 
 
+class NamedAgent:
+    """Base of agents that gives them a short text."""
+
+    name: str
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.name!r})"
+
+
 def check_agent(agent: object) -> None:
     """Raise an error unless an object is an `Agent`.
 
@@ -116,7 +126,7 @@ def options_for(agent: Agent, options: Mapping[str, Any]) -> dict[str, Any]:
         InvalidValueError: They contradict each other.
     """
     for key, value in agent.env_options.items():
-        if key in options and options[key] != value:
+        if key in options and described(options[key]) != described(value):
             raise InvalidValueError(f"agent {agent.name!r} needs {key}={value!r}, got {options[key]!r}")
     return {**options, **agent.env_options}
 

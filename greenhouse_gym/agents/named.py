@@ -34,6 +34,18 @@ def _training(path: Path) -> Path | None:
     return folder if (folder / _CHECKPOINT).is_file() else None
 
 
+def agent_of(agent: Agent | str) -> Agent:
+    """Return an agent, given itself or its name, see `make_agent`.
+
+    Raises:
+        InvalidValueError: It is not an agent.
+    """
+    if isinstance(agent, str):
+        return make_agent(agent)
+    check_agent(agent)
+    return agent
+
+
 def make_agent(name: str) -> Agent:
     """Make an agent by name: a baseline, a planner, a shipped policy, a policy's file, or your own.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import math
 from collections.abc import Collection, Iterator, Sequence
 from typing import NamedTuple
@@ -46,6 +47,17 @@ class Table(NamedTuple):
             return f"| {' | '.join(padded)} |\n"
 
         return "".join(map(line, (self.heads, rule, *self.rows)))
+
+    def as_html(self) -> str:
+        """Return the table as HTML, its texts escaped."""
+
+        def line(tag: str, cells: Sequence[str]) -> str:
+            sides = ("left" if k in self.words else "right" for k in range(len(cells)))
+            padded = zip(sides, map(html.escape, cells), strict=True)
+            return "".join(f'<{tag} style="text-align: {side}">{cell}</{tag}>' for side, cell in padded)
+
+        lines = [line("th", self.heads), *(line("td", row) for row in self.rows)]
+        return f"<table>{''.join(f'<tr>{cells}</tr>' for cells in lines)}</table>"
 
     def show(self, title: str | None = None) -> None:
         """Print the table: on a terminal with a frame, in parts if it is too wide, and as Markdown elsewhere."""

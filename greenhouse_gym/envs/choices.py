@@ -20,6 +20,7 @@ from greenhouse_gym.envs.contacts import CONTACT_GROUPS
 from greenhouse_gym.envs.image_observations import DepthObservation, PointsObservation, RgbObservation
 from greenhouse_gym.envs.observations import (
     PATH_FEATURES,
+    TOOL_FEATURES,
     GoalObservation,
     ObservationChoice,
     ObservationSpec,
@@ -38,7 +39,7 @@ OBSERVATIONS: Mapping[str, Callable[[Robot, Task], ObservationSpec]] = {
     "state": StateObservation,
     "state_occupancy": partial(StateObservation, extra=("unknown",)),
     "clearance_rays": partial(StateObservation, extra=("clearance_rays",)),
-    "waypoint": partial(StateObservation, extra=PATH_FEATURES),
+    "waypoint": partial(StateObservation, extra=PATH_FEATURES, without=TOOL_FEATURES),
     "goal": GoalObservation,
     "goal_waypoint": partial(GoalObservation, path=True),
     "depth": DepthObservation(),

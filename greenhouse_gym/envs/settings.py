@@ -63,8 +63,8 @@ class EnvSettings:
         success_radius: Maximum distance of the grasp point from the target's center for a success, metres. It belongs
             to the task "reach"; your own task has its own settings.
         step_limit: Steps after which an episode is truncated.
-        start: Start configuration: the name of one of the arm's, such as "folded", or a joint angle for each joint,
-            radians; the arm's upright default if None. The options of a reset may choose another.
+        start: Start configuration: the name of one of the arm's, "ready", "upright" or "folded", or a joint angle for
+            each joint, radians; the arm's own if None, which is "ready". The options of a reset may choose another.
         rate: Actions per second; the time between two actions must be a multiple of 10 ms: 100, 50, 25, 20, 10 and so
             on. Joint actions have the same maximum speed at every rate.
         task: Task: "reach", your own as ``"file.py:Name"`` or ``"module:Name"``, a `Task` or a subclass of it.

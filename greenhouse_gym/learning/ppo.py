@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -171,10 +172,11 @@ def load_ppo(folder: str | Path, num_envs: int | None = None) -> Any:
         FileFormatError: The checkpoint is missing or damaged.
     """
     settings = settings_of(Path(folder), PpoSettings)
+    if num_envs is not None:
+        settings = replace(settings, num_envs=num_envs, batch_size=max(2, num_envs * settings.rollout_steps))
     env = make_sb3_vec_env(
-        num_envs or settings.num_envs, split=settings.split, threads=settings.threads, seed=settings.seed,
-        **env_options(settings),
-    )  # fmt: skip
+        settings.num_envs, split=settings.split, threads=settings.threads, seed=settings.seed, **env_options(settings)
+    )
     model = make_ppo(settings, env)
     load_checkpoint(model, Path(folder))
     return model

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.agents import Problem
+from greenhouse_gym.agents.agent import NamedAgent
 from greenhouse_gym.common.extras import needs
 from greenhouse_gym.envs import EnvSettings, GreenhouseVectorEnv, make_vec_env
 from greenhouse_gym.envs.observations import Observed
@@ -22,7 +23,7 @@ TERMS = "episode_terms"
 """Key of the info at an episode's end that holds the sums of the reward's terms over the episode, by name."""
 
 
-class Sb3Agent:
+class Sb3Agent(NamedAgent):
     """Any model of Stable-Baselines3, also a recurrent one of sb3-contrib, as a `greenhouse_gym.agents.Agent`.
 
     Observations are normalized as by a ``VecNormalize`` around the model's environment.

@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from greenhouse_gym.agents import Agent, Problem
-from greenhouse_gym.agents.agent import check_agent, options_for
+from greenhouse_gym.agents.agent import options_for
+from greenhouse_gym.agents.named import agent_of
 from greenhouse_gym.envs import make_env
 from greenhouse_gym.envs.actions import check_actions
 from greenhouse_gym.envs.contacts import NAME_SEPARATOR
@@ -41,7 +42,7 @@ class FilmedEpisode(NamedTuple):
 
 
 def film(
-    agent: Agent,
+    agent: Agent | str,
     out: str | Path,
     seed: int = 0,
     *,
@@ -54,7 +55,8 @@ def film(
     """Film episodes of an agent in real time, as MP4 or GIF; each ends with a caption of its outcome.
 
     Args:
-        agent: The agent; its ``env_options`` choose the environment.
+        agent: The agent, or a name that `greenhouse_gym.agents.make_agent` takes; its ``env_options`` choose the
+            environment.
         out: The file; its suffix, .mp4 or .gif, chooses the format.
         seed: Seed of the first episode, as in `greenhouse_gym.evaluation.evaluate`; each further episode adds one.
         episodes: Number of episodes.
@@ -70,7 +72,7 @@ def film(
         AgentError: The agent failed before its first action.
     """
     require_picture(out, FILMS)
-    check_agent(agent)
+    agent = agent_of(agent)
     require_seed(seed)
     check_whole("episodes", episodes, 1)
     env = make_env(**options_for(agent, options))
