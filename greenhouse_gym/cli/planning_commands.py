@@ -61,7 +61,7 @@ def plan(
     with progress("searching goals"):
         goals = goal_configurations(chosen, target, robot, seed=seed)
     names = list(PLANNERS) if all_planners else [planner]
-    results = []
+    results: list[PlanResult] = []
     with progress("planners", len(names)) as on_progress:
         for name in names:
             on_progress(len(results), name)

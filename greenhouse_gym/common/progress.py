@@ -54,7 +54,7 @@ _running: list[_Work] = []
 
 
 @contextmanager
-def progress(name: str, total: int | None = None) -> Iterator[Callable[..., None]]:
+def progress(name: str, total: int | None = None, shown: bool = True) -> Iterator[Callable[..., None]]:
     """Show the progress of work that takes more than `FIRST` seconds, even while no part of it ends.
 
     Work may be shown within other work, from several threads.
@@ -62,11 +62,15 @@ def progress(name: str, total: int | None = None) -> Iterator[Callable[..., None
     Args:
         name: Name of its parts, or of the work if it has no parts.
         total: Number of its parts, if known.
+        shown: False shows nothing.
 
     Yields:
         A callback that takes the number of finished parts and, optionally, a note on the latest.
     """
     work, ended = _Work(name, total, perf_counter()), Event()
+    if not shown:
+        yield work.advance
+        return
     _running.append(work)
     reporter = Thread(target=_report_until, args=(work, ended), name=f"progress of {name}", daemon=True)
     reporter.start()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from contextlib import nullcontext
 from typing import Any
 
 import mujoco
@@ -110,7 +109,7 @@ class Simulation:
         required = self.observe.requires_occupancy
         first = self.state is None and self.count > 1
         setups = []
-        with progress("scenes prepared", len(ids)) if first else nullcontext(lambda _: None) as on_progress:
+        with progress("scenes prepared", len(ids), shown=first) as on_progress:
             for i in ids:
                 setups.append(
                     draw_setup(self.task, self.sampler, self.worlds, self.randomization, required, rng[i], options[i])
@@ -122,7 +121,7 @@ class Simulation:
             physics = self._physics = Physics(self.count, world, self._threads, self._timing, self.task.ends_on)
         for setup in setups:
             setup.world.check_fits(physics.models[0])
-        with progress("simulations begun", len(ids)) if first else nullcontext(lambda _: None) as on_progress:
+        with progress("simulations begun", len(ids), shown=first) as on_progress:
             for done, (i, setup) in enumerate(zip(ids.tolist(), setups, strict=True), start=1):
                 physics.load(i, setup.world, setup.episode.targets, setup.disturbance)
                 self._begin(i, setup)

@@ -9,7 +9,6 @@ import math
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Executor
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -90,8 +89,7 @@ def evaluate(
     left = tuple((k, where) for k, where in enumerate(chosen) if k not in ended)
     whole = _Part(agent, split, left, seed, num_envs, timeout, options, proven=bool(ended))
     results = whole.records() if executor is None else _run_by(executor, whole)
-    shown = progress_of(f"episodes of {agent.name}", len(chosen)) if progress else nullcontext(lambda _: None)
-    with shown as on_progress:
+    with progress_of(f"episodes of {agent.name}", len(chosen), progress) as on_progress:
         for k, record in results if left else ():
             ended[k] = record
             if journal is not None:

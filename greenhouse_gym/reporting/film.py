@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from itertools import count
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -81,16 +82,11 @@ def film(
     if not 0 < fps <= rate:
         raise InvalidValueError(f"fps must be above 0 and at most {rate:g}, the number of actions a second, got {fps}")
     viewer, filmed = Viewer("rgb_array", picture), list[FilmedEpisode]()
-    steps = 0
-
-    def count() -> None:
-        nonlocal steps
-        steps += 1
-        on_progress(steps)
+    steps = count(1)
 
     def images() -> Iterator[Image]:
         for k in range(episodes):
-            yield from _Take(agent, env, viewer, fps, count).images(seed + k, filmed)
+            yield from _Take(agent, env, viewer, fps, lambda: on_progress(next(steps))).images(seed + k, filmed)
 
     try:
         write_film(images(), out, fps)
@@ -105,7 +101,7 @@ class _Take(NamedTuple):
     env: GreenhouseEnv
     viewer: Viewer
     fps: float
-    count: Callable[[], None]
+    on_step: Callable[[], None]
 
     def images(self, seed: int, filmed: list[FilmedEpisode]) -> Iterator[Image]:
         """Run an episode; yield its images, and append it to the filmed ones."""
@@ -131,7 +127,7 @@ class _Take(NamedTuple):
                     raise never_acted(self.agent, seed, failure) from error
                 break
             observation, _, terminated, truncated, info = env.step(action)
-            self.count()
+            self.on_step()
             trace.append(simulation.tip(0))
             over = terminated or truncated
             if not over and self._is_due(info["steps"]):
