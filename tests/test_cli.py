@@ -357,7 +357,9 @@ def test_paths_are_printed_as_they_are(tmp_path: Path) -> None:
 
 def test_negative_seeds_are_refused(bank: SceneBank, tmp_path: Path) -> None:
     for arguments in (("compare", STILL), ("train", "ppo", "--out", tmp_path)):
-        assert "seed must be a whole number from 0 on" in str(fails(*arguments, "--bank", bank.path, "--seed", "-1"))
+        error = str(fails(*arguments, "--bank", bank.path, "--seed", "-1"))
+        assert error.startswith("seed")
+        assert "got -1" in error
 
 
 def test_compare_prints_a_table(bank: SceneBank) -> None:

@@ -38,7 +38,7 @@ ENTRIES = Path("benchmarks/leaderboard")
 """Folder of the leaderboard's entries in the repository."""
 
 EntryFolder = Annotated[
-    Path | None, typer.Option("--out", help=f"Folder of the entries; {ENTRIES} by default, if one stands next to it.")
+    Path | None, typer.Option("--out", help=f"Folder of the entries; {ENTRIES} by default, where that exists.")
 ]
 ReportFile = Annotated[
     Path | None, typer.Option("--report", help="HTML file for tables, plots and episodes in 3-D, all in one.")

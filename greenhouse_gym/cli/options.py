@@ -38,7 +38,10 @@ def _bank_names() -> list[str]:
     return list(shipped_banks())
 
 
-_AGENT = "A name of `greenhouse-gym list`, a policy's file, or your own as file.py:Class or module:Class."
+_AGENT = (
+    "A name of `greenhouse-gym list`, a policy's file, a training's folder, or your own as file.py:Class or "
+    "module:Class."
+)
 
 Address = Annotated[
     str, typer.Option(help="With ray: local, auto, or HOST:PORT of a cluster's head.", rich_help_panel=PARALLEL)

@@ -16,6 +16,7 @@ from greenhouse_gym.common.extras import needs
 from greenhouse_gym.common.files import require_writable, write_atomically
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.rendering.renderer import Image
+from greenhouse_gym.rendering.task_pictures import PINK, RED
 
 PICTURES = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg"}
 """Formats of pictures by the suffix of their files."""
@@ -23,7 +24,7 @@ PICTURES = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg"}
 FILMS = (".mp4", ".gif")
 """Suffixes of films."""
 
-_COLORS = 128  # of a GIF
+_COLORS = 256  # of a GIF
 _TEXT, _HALO = (40, 40, 40), (245, 247, 247)
 
 
@@ -73,10 +74,18 @@ def with_caption(image: Image, text: str) -> Image:
 
 
 def _gif(frames: Iterator[Image], fps: float) -> bytes:
-    first = PillowImage.fromarray(next(frames)).quantize(_COLORS, dither=PillowImage.Dither.NONE)
-    others = (PillowImage.fromarray(frame).quantize(palette=first, dither=PillowImage.Dither.NONE) for frame in frames)
+    opening = next(frames)
+    # the tip's path is not in the first image yet
+    shades = [np.multiply(255 * shade, color) for color in (RED, PINK) for shade in (0.6, 0.8, 1.0)]
+    swatches = [np.full((4, opening.shape[1], 3), shade, np.uint8) for shade in shades]
+    whole = PillowImage.fromarray(np.concatenate([opening, *swatches]))
+    palette = whole.quantize(_COLORS, PillowImage.Quantize.FASTOCTREE)  # which keeps the colors of small areas
+    images = (
+        PillowImage.fromarray(frame).quantize(palette=palette, dither=PillowImage.Dither.NONE)
+        for frame in chain((opening,), frames)
+    )
     written = io.BytesIO()
-    first.save(written, "gif", save_all=True, append_images=others, duration=round(1000 / fps), loop=0)
+    next(images).save(written, "gif", save_all=True, append_images=images, duration=round(1000 / fps), loop=0)
     return written.getvalue()
 
 
