@@ -94,7 +94,10 @@ def _write_mp4(frames: Iterator[Image], path: Path, fps: float) -> None:
 
     first = next(frames)
     height, width = first.shape[:2]
-    writer = write_frames(str(path), (width, height), fps=fps, macro_block_size=2, ffmpeg_log_level="error")
+    writer = write_frames(
+        str(path), (width, height), fps=fps, macro_block_size=2, ffmpeg_log_level="error",
+        output_params=["-preset", "veryfast"],
+    )  # fmt: skip
     writer.send(None)
     try:
         for frame in chain((first,), frames):
