@@ -130,7 +130,7 @@ def _from_text(path: Path, before: int, points: _Element, first: int | None) -> 
 def _skip(path: Path, file: IO[bytes], element: _Element, order: str) -> None:
     if any(each.count_type for each in element.properties):
         start = file.tell()
-        _, length = _walk(path, file.read(), element, order)
+        _, length = _read_rows(path, file.read(), element, order)
         file.seek(start + length)
         return
     end = file.tell() + element.count * _dtype(element.properties, order).itemsize
@@ -145,13 +145,13 @@ def _records(path: Path, file: IO[bytes], points: _Element, order: str) -> npt.N
     if len(dtype) == len(points.properties):
         return read_records(path, file, dtype, points.count)
     content = file.read()
-    starts, _ = _walk(path, content, points, order)
+    starts, _ = _read_rows(path, content, points, order)
     kept = np.array(starts[:: every(points.count)], dtype=np.int64)
     there = np.frombuffer(content, np.uint8)[kept[:, None] + np.arange(dtype.itemsize)]
     return there.view(dtype)[:, 0]
 
 
-def _walk(path: Path, content: bytes, element: _Element, order: str) -> tuple[list[int], int]:
+def _read_rows(path: Path, content: bytes, element: _Element, order: str) -> tuple[list[int], int]:
     """Return where each record of an element with lists starts, and where the last one ends."""
     steps: list[tuple[struct.Struct, int]] = []  # each ends with the length of a list, whose items have a size
     layout = ""

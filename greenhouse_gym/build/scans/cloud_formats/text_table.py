@@ -44,7 +44,7 @@ def read_text(path: Path) -> Parts:
     """Read rows of x y z, optionally with colors and normals, or with the columns that a header names.
 
     Raises:
-        FileFormatError: A row has a missing or unreadable number, or the columns cannot be told apart.
+        FileFormatError: A row has a missing or unreadable number, or the columns cannot be distinguished.
     """
     layout = _layout(path)
 
