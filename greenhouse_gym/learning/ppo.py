@@ -15,6 +15,7 @@ from greenhouse_gym.envs.settings import check_whole
 from greenhouse_gym.errors import require_choice, require_seed
 from greenhouse_gym.learning.sb3 import make_sb3_vec_env
 from greenhouse_gym.robots import get_robot
+from greenhouse_gym.scene import SceneBank
 
 with needs("train"):
     import tensorboard  # noqa: F401  Stable-Baselines3 needs it, but imports it late
@@ -39,9 +40,11 @@ class PpoSettings:
     Attributes:
         bank: Name or folder of the scene bank.
         split: Split to train on.
+        sources: Sources of the rows to train on, such as "own" or "helios"; all if empty.
         robot: The arm.
-        observation: "state", "clearance_rays" or "waypoint".
-        reward: "path", "dense" or "sparse".
+        observation: "state", "state_occupancy" or "clearance_rays"; "roadmap" has a planner in it.
+        action: "joint", "joint_velocity" or "tip_velocity".
+        reward: "dense" or "sparse"; "path" has a planner in it.
         difficulty: Difficulties of the targets.
         total_steps: Steps of all simulations together.
         num_envs: Number of simulations.
@@ -67,20 +70,22 @@ class PpoSettings:
 
     bank: str = "default"
     split: str = "train"
+    sources: tuple[str, ...] = ()
     robot: str = "ur5e"
-    observation: str = "waypoint"
-    reward: str = "path"
+    observation: str = "state"
+    action: str = "joint"
+    reward: str = "dense"
     difficulty: tuple[str, ...] = ("easy", "medium", "hard")
     total_steps: int = 2_000_000
     num_envs: int = 128
     rollout_steps: int = 64
-    batch_size: int = 4096
-    epochs: int = 8
+    batch_size: int = 2048
+    epochs: int = 6
     learning_rate: float = 5e-4
     discount: float = 0.99
     gae_lambda: float = 0.95
     clip_range: float = 0.2
-    log_std: float = -1.5
+    log_std: float = -1.0
     hidden: tuple[int, ...] = (256, 256)
     activation: str = "relu"
     critic_rollouts: int = 0
@@ -131,10 +136,13 @@ def train_ppo(
     out, described = Path(out), as_json(settings)
     check_start(out, described, resume)
     torch.set_num_threads(1)
+    bank = SceneBank.open(settings.bank)
+    if settings.sources:
+        bank = bank.select(split=settings.split, source=settings.sources)
     env = make_sb3_vec_env(
-        settings.num_envs, bank=settings.bank, split=settings.split, robot=settings.robot,
-        observation=settings.observation, reward=settings.reward, difficulty=settings.difficulty,
-        threads=settings.threads, seed=settings.seed,
+        settings.num_envs, bank=bank, split=settings.split, robot=settings.robot,
+        observation=settings.observation, action=settings.action, reward=settings.reward,
+        difficulty=settings.difficulty, threads=settings.threads, seed=settings.seed,
     )  # fmt: skip
     model = make_ppo(settings, env)
     set_up(model, out, described, resume)

@@ -52,7 +52,7 @@ def same(a: Any, b: Any) -> bool:
 PLAIN = [name for name in OBSERVATIONS if name != "state_occupancy"]  # the made-up scenes do not say what was seen
 KINDS = [
     *product(ROBOTS, PLAIN, ACTIONS, [name for name in REWARDS if name != "path"]),
-    *product(ROBOTS, ["state", "depth", "waypoint"], ["joint"], ["path"]),
+    *product(ROBOTS, ["state", "depth", "roadmap"], ["joint"], ["path"]),
 ]
 
 
@@ -147,7 +147,7 @@ def test_reward_is_the_sum_of_its_terms_and_progress_telescopes(bank: SceneBank)
 
 
 def test_observation_says_what_it_promises(bank: SceneBank) -> None:
-    env = make(bank)
+    env = make(bank, start="upright")
     env.reset(seed=1)
     for action in np.random.default_rng(4).uniform(-1, 1, (25, 6)):
         observation, *_ = env.step(action)
@@ -161,15 +161,15 @@ def test_observation_says_what_it_promises(bank: SceneBank) -> None:
     np.testing.assert_allclose(observation[:6], data.qpos, atol=1e-6)
     np.testing.assert_allclose(observation[6:12], data.qvel, atol=1e-5)
     np.testing.assert_allclose(observation[12:18], data.act - data.qpos, atol=1e-6)
-    np.testing.assert_allclose(observation[18:21], tomato.center - grasp, atol=1e-6)
-    np.testing.assert_allclose(observation[21:24], tomato.center - base, atol=1e-6)
+    np.testing.assert_allclose(observation[24:27], tomato.center - grasp, atol=1e-6)
+    np.testing.assert_allclose(observation[27:30], tomato.center - base, atol=1e-6)
     others = [s for s in env.scene.obstacles if s is not tomato]
     from greenhouse_gym.geometry import distance_to_shapes
 
     probes = [data.site(name).xpos for name in env.robot.probes]
     clearance = np.minimum(distance_to_shapes(probes, others).min(axis=1), 0.3) - env.robot.probe_radii
-    np.testing.assert_allclose(observation[24:33], clearance, atol=0.011)
-    lengths = np.linalg.norm(observation[33:].reshape(9, 3), axis=1)
+    np.testing.assert_allclose(observation[36:45], clearance, atol=0.011)
+    lengths = np.linalg.norm(observation[45:].reshape(9, 3), axis=1)
     assert (np.isclose(lengths, 1, atol=1e-3) | (lengths == 0)).all()
 
 
@@ -344,7 +344,7 @@ def test_truth_is_simulated_while_the_reconstruction_is_observed() -> None:
     env = make_for(placed, physics="truth")
     observation, info = env.reset(options={"scene": placed, "target": 0, "start": REACH})
     assert info["distance"] == pytest.approx(0.0, abs=1e-6)
-    assert observation[20] == pytest.approx(0.05, abs=1e-5)
+    assert observation[26] == pytest.approx(0.05, abs=1e-5)
     assert env.step(np.zeros(6))[4]["is_success"]
     with pytest.raises(InvalidValueError, match="truth"):
         make_for(believed, physics="truth").reset(options={"scene": believed, "target": 0})
@@ -355,7 +355,7 @@ def test_the_arm_follows_its_commands_without_ringing() -> None:
     env = make_for(empty)
     for joint in range(6):
         for sign in (1.0, -1.0):
-            env.reset(options={"scene": empty})
+            env.reset(options={"scene": empty, "start": "upright"})
             action, trace = np.zeros(6), []
             action[joint] = sign
             for step in range(40):
