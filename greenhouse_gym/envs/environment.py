@@ -13,20 +13,22 @@ from gymnasium import spaces
 from greenhouse_gym.envs.contacts import CONTACT_GROUPS
 from greenhouse_gym.envs.episodes import DifficultyChoice
 from greenhouse_gym.envs.hindsight import add_goal_functions
+from greenhouse_gym.envs.infos import numbers_only
 from greenhouse_gym.envs.observations import Observed, select
 from greenhouse_gym.envs.rewards import StepResult
-from greenhouse_gym.envs.settings import EnvSettings, SpecMixin, settings_with
+from greenhouse_gym.envs.settings import EnvMixin, EnvSettings, settings_with
 from greenhouse_gym.envs.simulation import Simulation
 from greenhouse_gym.errors import EpisodeOverError, require_choice
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.rendering.viewer import RENDER_MODES, Viewer
+from greenhouse_gym.rendering.renderer import Viewpoint
+from greenhouse_gym.rendering.viewer import RENDER_MODES, Picture, Viewer
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene
 
 _ONLY = np.array([0])
 
 
-class GreenhouseEnv(SpecMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]]):  # type: ignore[misc]
+class GreenhouseEnv(EnvMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]]):  # type: ignore[misc]
     """Environment of an arm in front of tomato plants with a task, see ``task``; ``TomatoReach-v0`` has `TomatoReach`.
 
     An episode takes place in one scene of a bank, with one or several of its tomatoes as targets. The arm carries a
@@ -127,9 +129,9 @@ class GreenhouseEnv(SpecMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]])
 
     | key | meaning |
     |---|---|
-    | ``is_success`` | bool |
+    | ``is_success`` | bool (flags and numbers are NumPy's scalars) |
     | ``collision`` | whether a contact ended the episode |
-    | ``contact`` | names of the two geoms of the first such contact, the arm's first; empty without a collision |
+    | ``contact`` | names of the two geoms of the first such contact, as "rod, stem_3"; empty without a collision |
     | ``self_collision`` | whether both belong to the arm |
     | ``contacts`` | number of contacts by group, summed over the physics steps of the action |
     | ``distance`` | remaining distance; from the grasp point to the target's center, m |
@@ -148,7 +150,7 @@ class GreenhouseEnv(SpecMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]])
     | option | meaning |
     |---|---|
     | ``scene`` | name of a scene of any split, or a `Scene` |
-    | ``target`` | index of any of its tomatoes; needs ``scene`` |
+    | ``target`` | index of any of its tomatoes; needs ``scene``, here or among the settings |
     | ``start`` | joint angles, rad, or a name such as ``upright`` or ``folded``; one in contact collides at once |
     | ``difficulty`` | for this episode, instead of the environment's |
 
@@ -160,6 +162,9 @@ class GreenhouseEnv(SpecMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]])
         settings: The settings; default `EnvSettings` if None.
         render_mode: "rgb_array" (by OpenGL, or by ray casting where it is missing), "depth_array" (m), "human" (a
             window) or None. The straight line from tip to target is red, the tip's path pink.
+        width: Width of the images, pixels.
+        height: Height of the images, pixels.
+        camera: "aisle", "behind", "side" or "top", or a `greenhouse_gym.rendering.renderer.Viewpoint` in the scene.
         **fields: Fields of `EnvSettings`, which documents them. They replace those of ``settings``.
 
     Raises:
@@ -170,10 +175,23 @@ class GreenhouseEnv(SpecMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]])
 
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": 20}  # noqa: RUF012
 
-    def __init__(self, settings: EnvSettings | None = None, *, render_mode: str | None = None, **fields: Any):
+    def __init__(
+        self,
+        settings: EnvSettings | None = None,
+        *,
+        render_mode: str | None = None,
+        width: int = 640,
+        height: int = 480,
+        camera: str | Viewpoint = "aisle",
+        **fields: Any,
+    ):
         self.settings = settings_with("GreenhouseEnv", settings, fields)
+        self.options = {"render_mode": render_mode}
+        if render_mode is not None:
+            self.options |= {"width": width, "height": height, "camera": camera}
         self.render_mode = None if render_mode is None else require_choice("render mode", render_mode, RENDER_MODES)
-        self._viewer = None if render_mode is None else Viewer(render_mode)
+        picture = Picture(width, height, camera)
+        self._viewer = None if render_mode is None else Viewer(render_mode, picture)
         self.metadata = {**self.metadata, "render_fps": self.settings.rate}
         self.simulation = Simulation(1, self.settings, threads=1)
         self.observation_space = self.simulation.observe.space
@@ -266,15 +284,16 @@ class GreenhouseEnv(SpecMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]])
 
     def _info(self, result: StepResult | None) -> dict[str, Any]:
         values = self.simulation.info(result)
-        contacts = dict(zip(CONTACT_GROUPS, values.pop("contacts")[0].tolist(), strict=True))
+        contacts = dict(zip(CONTACT_GROUPS, values.pop("contacts")[0], strict=True))
         info = {key: _item(array) for key, array in values.items()} | {"contacts": contacts}
         if result is not None:
-            info["reward_terms"] = {name: term.item() for name, term in result.terms.items()}
-        return info
+            info["reward_terms"] = {name: term[0] for name, term in result.terms.items()}
+        return numbers_only(info) if self.settings.infos == "numbers" else info
 
     def _tip(self) -> Array:
         return self.simulation.tip(0)
 
 
 def _item(values: npt.NDArray[Any]) -> Any:
-    return values[0].copy() if values.ndim > 1 else values.item()
+    """Return the first value, a NumPy scalar if it is a number: libraries read its ``dtype``."""
+    return values[0].copy() if values.ndim > 1 else values[0]

@@ -60,7 +60,7 @@ def _differences(entry: SceneEntry, scene: Scene) -> Iterator[str]:
         "style": scene.provenance.style,
         "source": scene.provenance.source,
         "protocol": scene.provenance.protocol,
-        "truth": None if scene.truth is None else len(scene.truth.obstacles),
+        "truth": None if scene.truth is None else scene.truth.count,
         "targets": target_counts(scene),
     }
     for field, value in found.items():

@@ -14,10 +14,8 @@ arm there as their size. Collision masks need not be set: every colliding geom c
 from __future__ import annotations
 
 import warnings
-import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
 from functools import lru_cache
-from hashlib import sha256
 from pathlib import Path
 from types import MappingProxyType
 
@@ -27,6 +25,7 @@ import numpy.typing as npt
 
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.robots.arm_file import fingerprint, read_arm
 from greenhouse_gym.robots.joint_limits import (
     DEFAULT_ACCELERATION,
     DEFAULT_SLIDE_ACCELERATION,
@@ -74,23 +73,12 @@ def get_robot(robot: str | Path | Robot) -> Robot:
         path = Path(robot).resolve()
     else:
         raise UnknownNameError("robot", str(robot), [*ROBOTS, "(or the path of an MJCF file, ending in .xml)"])
-    return _read_once(path, _fingerprint(path))
+    return _read_once(path, fingerprint(path))
 
 
 @lru_cache(maxsize=32)
 def _read_once(path: Path, fingerprint: str) -> Robot:
     return load_robot(path)
-
-
-def _fingerprint(path: Path) -> str:
-    """Return a checksum of an MJCF file and its includes; an empty text if it cannot be read."""
-    try:
-        text = path.read_bytes()
-        included = [node.get("file", "") for node in ElementTree.fromstring(text).iter("include")]
-    except (OSError, ElementTree.ParseError):
-        return ""
-    parts = [sha256(text).hexdigest(), *(_fingerprint(path.parent / name) for name in included)]
-    return sha256(" ".join(parts).encode()).hexdigest()
 
 
 def load_robot(
@@ -120,12 +108,14 @@ def load_robot(
         FileFormatError: The file lacks a required part, which the message names.
     """
     path = Path(path).resolve()
-    bare_spec = read_spec(path)
+    bare_spec = read_arm(path)
     bare = bare_spec.compile()
     n = _check_joints(path, bare)
     if not colliding_geoms(bare_spec):
         raise FileFormatError(path, "none of its geoms collides: give the links geoms with contype and conaffinity")
     tip = find_name(path, "site", tip, TIP_SITES, [bare.site(i).name for i in range(bare.nsite)])
+    if bare.body_weldid[bare.site(tip).bodyid[0]] == 0:
+        raise FileFormatError(path, f"no joint moves the site {tip!r}: the tip belongs on the last link")
     own_probes = any(bare.site(i).name.startswith(PROBE_PREFIX) for i in range(bare.nsite))
     search = SEARCHES.get(start) if isinstance(start, str) and start not in _keys(bare) else None
     begin = np.zeros(n) if search else _start(path, bare, start)
@@ -168,22 +158,6 @@ def load_robot(
     )
 
 
-def read_spec(path: Path) -> mujoco.MjSpec:
-    """Read the specification in an MJCF file and check that it compiles.
-
-    Raises:
-        FileFormatError: MuJoCo cannot load or compile it.
-    """
-    if not path.is_file():
-        raise FileFormatError(path, "no such file; expected an arm's MJCF file")
-    try:
-        spec = mujoco.MjSpec.from_file(str(path))
-        spec.compile()
-    except (ValueError, OSError) as error:
-        raise FileFormatError(path, f"MuJoCo cannot load it: {error}") from error
-    return spec
-
-
 def find_name(path: Path, kind: str, name: str | None, usual: Sequence[str], present: Sequence[str]) -> str:
     """Find a name, or by default the first of the usual names, among those in a file.
 
@@ -215,8 +189,6 @@ def _check_joints(path: Path, model: mujoco.MjModel) -> int:
             raise FileFormatError(
                 path, f"actuator {i} must be a position actuator of joint {model.joint(i).name!r}, in the joints' order"
             )
-    if (model.geom_bodyid == 0).any():
-        raise FileFormatError(path, "the world has geoms of its own (a floor?); expected the arm alone")
     return n
 
 

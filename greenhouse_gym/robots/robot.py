@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from greenhouse_gym.errors import require_choice
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.robots.arm_file import read_arm
 from greenhouse_gym.robots.kinematics import tool_chain
 from greenhouse_gym.robots.prepare import CUP_GEOM, TIP_SITE, prepare_spec
 
@@ -111,5 +112,5 @@ class Robot:
 
 
 def _restore(values: dict[str, Any]) -> Robot:
-    specification = prepare_spec(mujoco.MjSpec.from_file(str(values["path"])), values["tip"])
+    specification = prepare_spec(read_arm(values["path"]), values["tip"])
     return Robot(**{**values, "starts": MappingProxyType(values["starts"])}, specification=specification)

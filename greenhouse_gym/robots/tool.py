@@ -10,7 +10,8 @@ import numpy.typing as npt
 
 from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.errors import FileFormatError
-from greenhouse_gym.robots.load import FLANGE_SITES, find_name, load_robot, read_spec
+from greenhouse_gym.robots.arm_file import read_arm
+from greenhouse_gym.robots.load import FLANGE_SITES, find_name, load_robot
 from greenhouse_gym.robots.prepare import CUP_GEOM, PROBE_PREFIX, TIP_SITE
 
 LENGTH, RADIUS = 0.16, 0.012
@@ -39,7 +40,7 @@ def mount_tool(
         FileFormatError: The file contains no arm, no such site, or already a site ``tip`` or a geom ``cup``.
     """
     arm = Path(arm).resolve()
-    spec = read_spec(arm)
+    spec = read_arm(arm)
     model = spec.compile()
     sites = [model.site(i).name for i in range(model.nsite)]
     flange = find_name(arm, "site", flange, FLANGE_SITES, sites)

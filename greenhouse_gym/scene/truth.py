@@ -21,14 +21,10 @@ def true_scene(scene: Scene) -> Scene:
             f'scene {scene.name!r} carries no truth, which physics="truth" needs: scenes built from simulated '
             "recordings carry it, those of a real row cannot"
         )
-    return Scene(
-        name=scene.name,
-        tomatoes=scene.truth.tomatoes,
-        stems=scene.truth.stems,
-        clutter=scene.truth.clutter,
-        placement=scene.placement,
-        provenance=scene.provenance,
-    )
+    shapes = {name: getattr(scene.truth, name) for name in ("tomatoes", "stems", "clutter")}
+    true = scene.model_copy(update={**shapes, "targets": (), "truth": None, "occupancy": None})
+    vars(true)["arrays"] = scene.truth.arrays
+    return true
 
 
 def start_is_collision_free(scene: Scene, robot: str | Robot) -> bool:
