@@ -26,7 +26,7 @@ from greenhouse_gym.envs.worlds import capacity_of, shared_worlds
 from greenhouse_gym.errors import InvalidValueError, NoEpisodeError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import ROBOTS, get_robot
-from greenhouse_gym.scene import CompiledScene
+from greenhouse_gym.scene import CompiledScene, Scene
 
 STEP_INFOS = ("previous_goal", "effort")
 """Keys of the info of a step that the info of a reset lacks, besides the reward terms."""
@@ -232,6 +232,10 @@ class Simulation:
     def episode(self, i: int) -> Episode:
         """Return the current episode of a simulation."""
         return self._setup(i).episode
+
+    def known_scene(self, i: int) -> Scene:
+        """Return the current scene of a simulation as agents know it, see `greenhouse_gym.scene.truth.known_scene`."""
+        return self._setup(i).world.known
 
     def target(self, i: int) -> int:
         """Return the current target of a simulation, an index into the tomatoes of its scene."""

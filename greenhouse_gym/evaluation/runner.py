@@ -162,12 +162,7 @@ class EpisodeRunner:
         env, seed = self._env, self._seed + index
         alone = np.arange(env.num_envs) == i
         env.reset(seed=[seed if mine else None for mine in alone], options={**where, "reset_mask": alone})
-        episode = self._simulation.episode(i)
-        simulation = self._simulation
-        problem = Problem(
-            episode.scene, simulation.target(i), simulation.robot, episode.start, seed, simulation.action_rule,
-            simulation.interval,
-        )  # fmt: skip
+        problem = Problem.of(self._simulation, i, seed)
         run = _Run(index, problem, self._player(i), joints=[self._simulation.joints[i].copy()])
         began = time.perf_counter()
         try:
