@@ -44,8 +44,8 @@ from greenhouse_gym.agents.named import make_agent
 from greenhouse_gym.common.executors import completed, processes
 from greenhouse_gym.envs import PlantMotion, Randomization
 from greenhouse_gym.evaluation import evaluate, retrace
+from greenhouse_gym.evaluation.entry import read_entry
 from greenhouse_gym.evaluation.journal import RecordJournal
-from greenhouse_gym.evaluation.leaderboard import read_entry
 from greenhouse_gym.evaluation.records import Record
 from greenhouse_gym.motion.collision import CollisionChecker, planning_model
 from greenhouse_gym.motion.joint_reaches import arm_reaches
@@ -175,7 +175,7 @@ def play(
     journal = RecordJournal(a.workdir / f"{name}.jsonl".replace("/", "_"), about)
     result = evaluate(
         agent_from(a.agent, options), "test" if a.rows else a.split, a.episodes or 1, a.seed, problems=problems,
-        bank=bank.path, executor=executor, kept=journal, **world,
+        bank=bank.path, executor=executor, journal=journal, **world,
     )  # fmt: skip
     return list(result.records)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -119,15 +118,15 @@ def _require_report(path: Path) -> None:
 
 
 def _print_comparison(evaluations: Sequence[Evaluation], heading: str) -> None:
-    from greenhouse_gym.evaluation.records import comparison_notes, comparison_rows, pairing
+    from greenhouse_gym.evaluation.records import comparison_notes, comparison_rows, pairings
 
     if heading:
         say(f"\n{heading}\n")
     comparison_rows(evaluations).show()
     for note in comparison_notes(evaluations):
         say(f"\n{note}")
-    for first, second in combinations((e for e in evaluations if not e.error), 2):
-        say(str(pairing(first, second)))
+    for paired in pairings(evaluations):
+        say(str(paired))
 
 
 def _by_name(requested: Sequence[str], agents: Sequence[Agent]) -> dict[str, Agent]:
@@ -161,7 +160,8 @@ def submit(
     from dataclasses import replace
 
     from greenhouse_gym.agents.named import make_agent
-    from greenhouse_gym.evaluation.leaderboard import V1, leaderboard_table, read_entry
+    from greenhouse_gym.evaluation.entry import V1, read_entry
+    from greenhouse_gym.evaluation.leaderboard import leaderboard_table
     from greenhouse_gym.evaluation.leaderboard import submit as run
 
     player, rules = make_agent(agent), replace(V1, episodes=episodes)
@@ -178,7 +178,8 @@ def leaderboard(
     """Print the table of all entries of a folder, track by track."""
     from greenhouse_gym.common.files import write_atomically
     from greenhouse_gym.errors import FileFormatError
-    from greenhouse_gym.evaluation.leaderboard import leaderboard_table, read_entry
+    from greenhouse_gym.evaluation.entry import read_entry
+    from greenhouse_gym.evaluation.leaderboard import leaderboard_table
 
     entries = [read_entry(path) for path in sorted(folder.glob("*.json"))]
     if not entries:

@@ -67,6 +67,7 @@ class Simulation:
         hidden = 'physics="truth"' if settings.physics == "truth" else ""
         hidden = hidden or ("target_position" if self.randomization.target_position else "")
         check_goals(self.observe, hidden, reward_requires_roadmap)
+        self._hidden_goal = bool(hidden)
         self.env_options = settings.agent_options(robot.name if robot.name in ROBOTS else str(robot.path))
         capacity = settings.capacity or capacity_of(self.sampler.bank, settings.physics)
         self.worlds = shared_worlds(robot, settings.physics, capacity, self._timing.substeps)
@@ -146,7 +147,7 @@ class Simulation:
         before, physics, counts = self._current_state(), self._physics, self._counts
         action = check_actions(actions, self.count, self.action_rule.space)
         assert physics is not None
-        change = self.action_rule(action, before, physics.motion(self._perception.heading))
+        change = self.action_rule(action, before.known(self._hidden_goal), physics.motion(self._perception.heading))
         command = self._limit(physics.command, change, physics.qpos)
         contacts = physics.advance(command.position)
         self._record_contacts(contacts)
@@ -199,7 +200,7 @@ class Simulation:
     def observation(self, ids: Ids | None = None) -> Observed:
         """Return observations of all or some simulations."""
         state = self._current_state()
-        return self.observe(state if ids is None else state.select(ids))
+        return self.observe((state if ids is None else state.select(ids)).known(self._hidden_goal))
 
     def info(self, step: StepResult | None = None) -> dict[str, npt.NDArray[Any]]:
         """Return the info that `GreenhouseEnv` documents, without reward terms, as live arrays of length n.

@@ -4,8 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from queue import Empty, SimpleQueue
-from threading import Thread
+from threading import TIMEOUT_MAX, Thread
 from typing import ParamSpec, TypeVar
+
+from greenhouse_gym.errors import InvalidValueError
+
+MAX_MESSAGE = 1000
+"""Number of characters of an error's message that records hold."""
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -17,11 +22,21 @@ class Deadline:
     Each call runs in a thread of its own. A thread cannot be killed, so a call that hangs keeps running: discard the
     object that it works on.
 
+    A call that tries to end the process, as `sys.exit` does, fails instead.
+
     Args:
         seconds: Time limit of a call; None for no limit.
+
+    Raises:
+        InvalidValueError: The limit is not a positive, finite number that the system's clock can hold.
     """
 
     def __init__(self, seconds: float | None = None):
+        is_number = isinstance(seconds, int | float) and not isinstance(seconds, bool)
+        if seconds is not None and not (is_number and 0 < seconds <= TIMEOUT_MAX):
+            raise InvalidValueError(
+                f"timeout must be a positive number of seconds up to {TIMEOUT_MAX:.2g}, or None, got {seconds!r}"
+            )
         self._seconds = seconds
         self._timeout_message = ""
 
@@ -35,18 +50,26 @@ class Deadline:
 
         Raises:
             TimeoutError: This call or an earlier one timed out.
+            RuntimeError: The call raised something else than an `Exception`, such as `SystemExit`.
         """
         if self._seconds is None:
-            return function(*arguments, **keywords)
+            try:
+                return function(*arguments, **keywords)
+            except (Exception, KeyboardInterrupt):  # Ctrl-C
+                raise
+            except BaseException as error:
+                raise RuntimeError(describe(error)) from error
         if self._timeout_message:
             raise TimeoutError(self._timeout_message)
-        answers: SimpleQueue[tuple[T | None, BaseException | None]] = SimpleQueue()
+        answers: SimpleQueue[tuple[T | None, Exception | None]] = SimpleQueue()
 
         def work() -> None:
             try:
                 answers.put((function(*arguments, **keywords), None))
-            except BaseException as error:  # raised again in the caller's thread
+            except Exception as error:  # raised again in the caller's thread
                 answers.put((None, error))
+            except BaseException as error:  # no Ctrl-C: it reaches the main thread only
+                answers.put((None, RuntimeError(describe(error))))
 
         Thread(target=work, daemon=True).start()
         try:
@@ -57,3 +80,17 @@ class Deadline:
         if error is not None:
             raise error
         return result  # type: ignore[return-value]
+
+
+def describe(error: BaseException) -> str:
+    """Return an error's type and message as text that can be printed and stored, whatever the message is."""
+    try:
+        message = str(error)
+    except (Exception, SystemExit):
+        message = "its message cannot be printed"
+    return printable(f"{type(error).__name__}: {message}")
+
+
+def printable(text: str) -> str:
+    """Return a text of bounded length without characters that cannot be encoded."""
+    return text[:MAX_MESSAGE].encode(errors="replace").decode()

@@ -16,17 +16,8 @@ from greenhouse_gym.cli.main import app
 from greenhouse_gym.common.executors import workers_of
 from greenhouse_gym.errors import FileFormatError, InvalidValueError
 from greenhouse_gym.evaluation import leaderboard
-from greenhouse_gym.evaluation.leaderboard import (
-    TRACKS,
-    V1,
-    Entry,
-    follows,
-    is_current,
-    leaderboard_table,
-    read_entry,
-    replay,
-    submit,
-)
+from greenhouse_gym.evaluation.entry import V1, Entry, follows, is_current, read_entry
+from greenhouse_gym.evaluation.leaderboard import TRACKS, leaderboard_table, replay, submit
 from greenhouse_gym.evaluation.records import Evaluation, Record, pairing
 from greenhouse_gym.scene import SceneBank
 
