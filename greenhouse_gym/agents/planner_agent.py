@@ -51,7 +51,7 @@ def default_margin(scene: Scene) -> float:
 def fallback_levels(scene: Scene) -> list[Level]:
     """Return margins and rules for unknown space to plan with in turn, the most cautious first."""
     margin, unknown = default_margin(scene), default_unknown(scene)
-    return list(dict.fromkeys([(margin, unknown), (margin / 2, unknown), (margin / 2, "free"), (0.0, "free")]))
+    return list(dict.fromkeys([(margin, unknown), (margin, "free"), (margin / 2, "free"), (0.0, "free")]))
 
 
 class PathFollower:

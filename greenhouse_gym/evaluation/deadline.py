@@ -52,26 +52,28 @@ class Deadline:
             TimeoutError: This call or an earlier one timed out.
             RuntimeError: The call raised something else than an `Exception`, such as `SystemExit`.
         """
-        if self._seconds is None:
+
+        def work() -> T:
             try:
                 return function(*arguments, **keywords)
             except (Exception, KeyboardInterrupt):  # Ctrl-C
                 raise
             except BaseException as error:
                 raise RuntimeError(describe(error)) from error
+
+        if self._seconds is None:
+            return work()
         if self._timeout_message:
             raise TimeoutError(self._timeout_message)
-        answers: SimpleQueue[tuple[T | None, Exception | None]] = SimpleQueue()
+        answers: SimpleQueue[tuple[T | None, BaseException | None]] = SimpleQueue()
 
-        def work() -> None:
+        def answer() -> None:
             try:
-                answers.put((function(*arguments, **keywords), None))
-            except Exception as error:  # raised again in the caller's thread
+                answers.put((work(), None))
+            except BaseException as error:  # raised again in the caller's thread
                 answers.put((None, error))
-            except BaseException as error:  # no Ctrl-C: it reaches the main thread only
-                answers.put((None, RuntimeError(describe(error))))
 
-        Thread(target=work, daemon=True).start()
+        Thread(target=answer, daemon=True).start()
         try:
             result, error = answers.get(timeout=self._seconds)
         except Empty:

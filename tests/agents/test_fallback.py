@@ -17,7 +17,7 @@ from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.occupancy import FREE, OccupancyGrid
 
 ARM = get_robot("ur5e")
-LEVELS: list[Level] = [(0.01, MAX_DEPTH), (0.005, MAX_DEPTH), (0.005, "free"), (0.0, "free")]
+LEVELS: list[Level] = [(0.01, MAX_DEPTH), (0.01, "free"), (0.005, "free"), (0.0, "free")]
 
 
 @pytest.fixture
@@ -46,9 +46,8 @@ class Asked:
 def test_caution_is_given_up_step_by_step(scanned: Scene) -> None:
     assert fallback_levels(scanned) == LEVELS
     covered = scanned.provenance.model_copy(update={"protocol": "upright-back"})
-    assert fallback_levels(scanned.model_copy(update={"provenance": covered})) == [
-        (0.01, "free"), (0.005, "free"), (0.0, "free"),
-    ]  # fmt: skip
+    for same in ({"provenance": covered}, {"occupancy": None}):
+        assert fallback_levels(scanned.model_copy(update=same)) == LEVELS[1:], "no unknown space is avoided"
 
 
 @pytest.mark.parametrize("first", range(4))
@@ -103,15 +102,15 @@ def test_a_path_that_takes_too_long_is_the_last_resort(scanned: Scene, monkeypat
     def detour(*given: Any, margin: float, **named: Any) -> PlanResult:
         result = plan(*given, margin=margin, **named)
         assert result.path is not None
-        if margin:
+        if named["unknown"] == MAX_DEPTH or margin == 0.005:
             there = np.repeat(result.path[:1], 41, axis=0)
-            there[1::2, 5] += 3.0 if margin > 0.005 else 1.0  # turns its tool to and fro
+            there[1::2, 5] += 1.0 if margin == 0.005 else 3.0  # turns its tool to and fro
             result = PlanResult("solved", np.concatenate([there, result.path]), "RRTConnect")
         return result
 
     monkeypatch.setattr(planner_agent, "plan", detour)
     agent = PlannerAgent()
-    for step_limit, level in ((10_000, LEVELS[0]), (1000, LEVELS[1]), (150, LEVELS[3]), (3, LEVELS[3])):
+    for step_limit, level in ((10_000, LEVELS[0]), (150, LEVELS[1]), (3, LEVELS[1])):
         agent.reset(Problem(scanned, 0, ARM, ARM.start, step_limit=step_limit))
         assert agent.level == level, "the fastest, if none fits"
         assert agent.act(None).any()
