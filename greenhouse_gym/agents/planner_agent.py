@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.envs.actions import INTERVAL, joint_steps
-from greenhouse_gym.envs.settings import check_whole
+from greenhouse_gym.errors import check_whole
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning import PLANNERS, PlanResult, follow_path, free_commands, plan
 from greenhouse_gym.scene import Scene, compile_scene

@@ -8,7 +8,6 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
 from greenhouse_gym.envs.actions import ActionChoice
@@ -18,7 +17,7 @@ from greenhouse_gym.envs.randomization import NO_RANDOMIZATION, Randomization
 from greenhouse_gym.envs.rewards import Reward
 from greenhouse_gym.envs.state import RATE, STEP_LIMIT, control_timing
 from greenhouse_gym.envs.task import Task
-from greenhouse_gym.errors import InvalidValueError, UnknownKeywordError, require_choice
+from greenhouse_gym.errors import InvalidValueError, UnknownKeywordError, check_whole, is_number, require_choice
 from greenhouse_gym.motion.success import SUCCESS_RADIUS
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import SceneBank
@@ -88,11 +87,11 @@ class EnvSettings:
         check_whole("step_limit", self.step_limit, 1)
         if not isinstance(self.task, (str, Task)) and not (isinstance(self.task, type) and issubclass(self.task, Task)):
             raise InvalidValueError(f"task must be a name, a Task or a subclass of Task, got {self.task!r}")
-        if not _is_number(self.success_radius) or not 0 < self.success_radius <= 1:
+        if not is_number(self.success_radius) or not 0 < self.success_radius <= 1:
             raise InvalidValueError(f"success_radius must be metres above 0 up to 1, got {self.success_radius!r}")
         if self.start is not None and not isinstance(self.start, str):
             object.__setattr__(self, "start", _numbers("start", self.start))
-        if not _is_number(self.rate) or not 0.1 <= self.rate <= 1 / TIMESTEP or not _divides(self.rate):
+        if not is_number(self.rate) or not 0.1 <= self.rate <= 1 / TIMESTEP or not _divides(self.rate):
             raise InvalidValueError(
                 f"rate must be {1 / TIMESTEP:g} actions per second divided by a whole number (100, 50, 25, 20, ...), "
                 f"got {self.rate!r}"
@@ -155,19 +154,6 @@ def settings_with(callee: str, settings: EnvSettings | None, keywords: Mapping[s
     return replace(settings or EnvSettings(), **keywords)
 
 
-def check_whole(name: str, value: Any, lowest: int, highest: int | None = None) -> int:
-    """Return the value if it is a whole number in the range.
-
-    Raises:
-        InvalidValueError: It is not.
-    """
-    whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-    if not whole or value < lowest or (highest is not None and value > highest):
-        limit = "up" if highest is None else f"to {highest}"
-        raise InvalidValueError(f"{name} must be a whole number from {lowest} {limit}, got {value!r}")
-    return int(value)
-
-
 def _check_kind(name: str, value: Any, kinds: type | tuple[type, ...], expected: str) -> None:
     if not isinstance(value, kinds):
         raise InvalidValueError(f"{name} must be {expected}, got {value!r}")
@@ -178,10 +164,6 @@ def _numbers(name: str, value: Any) -> tuple[float, ...]:
         return tuple(float(number) for number in value)
     except (TypeError, ValueError) as error:
         raise InvalidValueError(f"{name} must be a name or numbers, got {value!r}") from error
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float, np.number)) and not isinstance(value, bool) and bool(np.isfinite(value))
 
 
 def _divides(rate: float) -> bool:

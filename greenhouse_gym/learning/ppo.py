@@ -11,8 +11,7 @@ import numpy as np
 
 from greenhouse_gym.common.extras import needs
 from greenhouse_gym.envs.episodes import EpisodeSampler
-from greenhouse_gym.envs.settings import check_whole
-from greenhouse_gym.errors import require_choice, require_seed
+from greenhouse_gym.errors import check_whole, require_choice, require_seed
 from greenhouse_gym.learning.sb3 import make_sb3_vec_env
 from greenhouse_gym.robots import get_robot
 
