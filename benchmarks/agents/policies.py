@@ -23,7 +23,7 @@ from greenhouse_gym.agents.named import make_agent
 from greenhouse_gym.agents.policy_agent import BEST
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.evaluation import Evaluation, evaluate
-from greenhouse_gym.evaluation.entry import follows, read_entry
+from greenhouse_gym.evaluation.leaderboard import follows, read_entry
 from greenhouse_gym.evaluation.records import Record, pairing
 from greenhouse_gym.scene import DIFFICULTIES, SceneBank
 

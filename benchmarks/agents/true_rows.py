@@ -44,8 +44,8 @@ from greenhouse_gym.agents.named import make_agent
 from greenhouse_gym.common.executors import completed, processes
 from greenhouse_gym.envs import PlantMotion, Randomization
 from greenhouse_gym.evaluation import evaluate, retrace
-from greenhouse_gym.evaluation.entry import read_entry
 from greenhouse_gym.evaluation.journal import RecordJournal
+from greenhouse_gym.evaluation.leaderboard import read_entry
 from greenhouse_gym.evaluation.records import Record
 from greenhouse_gym.motion.collision import CollisionChecker, planning_model
 from greenhouse_gym.motion.joint_reaches import arm_reaches

@@ -160,8 +160,7 @@ def submit(
     from dataclasses import replace
 
     from greenhouse_gym.agents.named import make_agent
-    from greenhouse_gym.evaluation.entry import V1, read_entry
-    from greenhouse_gym.evaluation.leaderboard import leaderboard_table
+    from greenhouse_gym.evaluation.leaderboard import V1, leaderboard_table, read_entry
     from greenhouse_gym.evaluation.leaderboard import submit as run
 
     player, rules = make_agent(agent), replace(V1, episodes=episodes)
@@ -178,8 +177,7 @@ def leaderboard(
     """Print the table of all entries of a folder, track by track."""
     from greenhouse_gym.common.files import write_atomically
     from greenhouse_gym.errors import FileFormatError
-    from greenhouse_gym.evaluation.entry import read_entry
-    from greenhouse_gym.evaluation.leaderboard import leaderboard_table
+    from greenhouse_gym.evaluation.leaderboard import leaderboard_table, read_entry
 
     entries = [read_entry(path) for path in sorted(folder.glob("*.json"))]
     if not entries:

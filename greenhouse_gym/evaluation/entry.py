@@ -81,7 +81,7 @@ class Entry(BaseModel):
 
     @model_validator(mode="after")
     def _is_whole(self) -> Entry:
-        episodes = _PROTOCOL.validate_python(self.protocol).episodes
+        episodes = self.rules.episodes
         for track in self.tracks:
             records = self.evaluation(track).records
             if len(records) != episodes:
@@ -89,6 +89,11 @@ class Entry(BaseModel):
             if changed := next((record.rules for record in records if record.rules), ""):
                 raise InvalidValueError(f"track {track!r} has episodes under other rules: {changed}")
         return self
+
+    @property
+    def rules(self) -> Protocol:
+        """The protocol; rules that the entry does not name are the current ones."""
+        return _PROTOCOL.validate_python(self.protocol)
 
     def evaluation(self, track: str) -> Evaluation:
         """Return the records of a track as an evaluation.
@@ -126,7 +131,7 @@ def read_entry(path: str | Path) -> Entry:
 
 def is_current(entry: Entry) -> bool:
     """Return whether an entry was made on the present version of its bank."""
-    return entry.bank_sha256 == SceneBank.open(str(entry.protocol["bank"])).sha256
+    return entry.bank_sha256 == SceneBank.open(entry.rules.bank).sha256
 
 
 def follows(entry: Entry, protocol: Protocol = V1) -> bool:

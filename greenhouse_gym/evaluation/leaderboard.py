@@ -27,6 +27,10 @@ from greenhouse_gym.evaluation.records import Evaluation, Record
 from greenhouse_gym.evaluation.rollouts import AGENTS_CHOICE, changed_rules, evaluate, shown_rules
 from greenhouse_gym.scene import SceneBank
 
+__all__ = [
+    "TRACKS", "V1", "Entry", "Protocol", "follows", "is_current", "leaderboard_table", "read_entry", "replay", "submit",
+]  # fmt: skip
+
 TRACKS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     {
         "reconstruction": {},
@@ -108,9 +112,9 @@ def submit(
 
 def replay(entry: Entry, agent: Agent, track: str, episodes: int = 10) -> list[tuple[Record, Record]]:
     """Repeat the first episodes of an entry and return pairs of its record and the new one."""
-    protocol = Protocol(**{**entry.protocol, "difficulty": tuple(entry.protocol["difficulty"])})
-    now = _run(agent, protocol, track, episodes).records
-    return list(zip(entry.evaluation(track).records[:episodes], now, strict=True))
+    before = entry.evaluation(track).records[:episodes]
+    now = _run(agent, entry.rules, track, len(before)).records
+    return list(zip(before, now, strict=True))
 
 
 def leaderboard_table(entries: Sequence[Entry], protocol: Protocol = V1) -> str:

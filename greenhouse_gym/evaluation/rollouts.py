@@ -6,6 +6,7 @@ The same seed gives every agent the same episodes, whatever the number of parall
 from __future__ import annotations
 
 import math
+import reprlib
 import sys
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -30,6 +31,9 @@ from greenhouse_gym.robots import Robot
 
 AGENTS_CHOICE = ("observation", "action")
 """Settings of the environment that every agent may choose; the others are rules of the episodes."""
+
+_SHOWN = reprlib.Repr()  # also of objects that cannot be printed
+_SHOWN.maxother = _SHOWN.maxstring = 100
 
 _PARTS = 16  # per worker, so that all workers finish at about the same time and an interruption loses little
 
@@ -123,7 +127,7 @@ def changed_rules(agent: str, own: Mapping[str, Any], options: Mapping[str, Any]
     """
     for key, value in own.items():
         if key in options and not _same(value, options[key]):
-            raise InvalidValueError(f"agent {agent!r} needs {key}={value!r}, got {options[key]!r}")
+            raise InvalidValueError(f"agent {agent!r} needs {key}={_SHOWN.repr(value)}, got {options[key]!r}")
     rules = {field.name: field.default for field in fields(EnvSettings)} | dict(options)
     return {
         key: value
@@ -134,11 +138,14 @@ def changed_rules(agent: str, own: Mapping[str, Any], options: Mapping[str, Any]
 
 def shown_rules(changed: Mapping[str, Any]) -> str:
     """Return changed rules as text, such as "success_radius=1.0"."""
-    return printable(", ".join(f"{key}={value!r}" for key, value in changed.items()))
+    return printable(", ".join(f"{key}={_SHOWN.repr(value)}" for key, value in changed.items()))
 
 
 def _same(a: Any, b: Any) -> bool:
-    return a is b or bool(np.all(a == b))
+    try:
+        return a is b or bool(np.all(a == b))
+    except Exception:  # arrays of different shapes, or an object of the agent
+        return False
 
 
 def compare(

@@ -10,8 +10,7 @@ from greenhouse_gym.agents import Agent
 from greenhouse_gym.agents.named import make_agent
 from greenhouse_gym.errors import GreenhouseError, InvalidValueError
 from greenhouse_gym.evaluation import retrace
-from greenhouse_gym.evaluation.entry import V1, Entry, Protocol, follows, is_current
-from greenhouse_gym.evaluation.leaderboard import TRACKS
+from greenhouse_gym.evaluation.leaderboard import TRACKS, V1, Entry, Protocol, follows, is_current
 from greenhouse_gym.evaluation.records import Evaluation, Record
 from greenhouse_gym.reporting.comparison_figures import colors_of
 from greenhouse_gym.reporting.comparison_page import comparison_page

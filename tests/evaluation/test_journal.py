@@ -13,9 +13,8 @@ from parallel_helpers import Elsewhere
 from greenhouse_gym.agents import Problem, RandomAgent
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.evaluation import AgentError, Record, evaluate
-from greenhouse_gym.evaluation.entry import V1, read_entry
 from greenhouse_gym.evaluation.journal import RecordJournal
-from greenhouse_gym.evaluation.leaderboard import submit
+from greenhouse_gym.evaluation.leaderboard import V1, read_entry, submit
 from greenhouse_gym.scene import SceneBank
 
 ABOUT = {"agent": "random", "bank": "mini"}

@@ -21,8 +21,7 @@ from greenhouse_gym.agents import RandomAgent, StraightLineAgent
 from greenhouse_gym.cli import app
 from greenhouse_gym.errors import FileWriteError, InvalidValueError
 from greenhouse_gym.evaluation import retrace
-from greenhouse_gym.evaluation.entry import V1
-from greenhouse_gym.evaluation.leaderboard import submit
+from greenhouse_gym.evaluation.leaderboard import V1, submit
 from greenhouse_gym.evaluation.records import Evaluation, Record
 from greenhouse_gym.reporting.comparison import dividing_episodes
 from greenhouse_gym.reporting.comparison_figures import (
