@@ -37,7 +37,7 @@ class RandomAgent:
 
 
 class StraightLineAgent:
-    """Move straight to the free goal configuration nearest to the start, through whatever is in between.
+    """Move straight to the free goal configuration nearest to the start, regardless of obstacles.
 
     It needs an environment whose actions move the joints.
     """
@@ -75,7 +75,7 @@ class WaypointAgent:
         self._direction = self._path = slice(0)
 
     def reset(self, problem: Problem) -> None:
-        """Look up where the direction, and whether it is free, are in the observation."""
+        """Find the indices of the waypoint's direction and of its flag in the observation."""
         groups = feature_slices(StateObservation(problem.robot, extra=PATH_FEATURES).layout)
         self._direction, self._path = groups["waypoint_direction"], groups["path"]
 

@@ -1,4 +1,4 @@
-"""Features: named groups of numbers that observations are made of."""
+"""Features: named groups of numbers from which observations are composed."""
 
 from __future__ import annotations
 

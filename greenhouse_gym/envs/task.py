@@ -1,4 +1,4 @@
-"""Protocol of tasks: what an episode is about, independent of physics, sensors, agents and evaluation.
+"""Protocol of tasks: goal and outcome of episodes, independent of physics, sensors, agents and evaluation.
 
 A task is one class, usually in one file, see `greenhouse_gym.envs.tasks.reach`. Its methods are elementwise functions
 of arrays over n simulations, so the vector environment and single environments compute the same numbers.

@@ -219,7 +219,7 @@ def _mask(count: int, chosen: Ids) -> Bools:
 
 
 def _masked(values: Infos, mask: Bools, stepped: Bools) -> Infos:
-    """Return infos with the mask of each key, that of a step for those which only steps have."""
+    """Return infos with a mask for each key: of the simulations that made a step for keys that only steps have."""
     result: Infos = {}
     for key, part in values.items():
         result[key] = _masked(part, mask, mask) if isinstance(part, dict) else part

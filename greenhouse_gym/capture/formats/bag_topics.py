@@ -96,7 +96,7 @@ def _single(path: object, camera: str, kind: str, topics: list[str]) -> str:
 
 
 def _stem(topic: str) -> str:
-    """Return a topic without its last part, that of a compression, and the suffix of RealSense's recorder."""
+    """Return a topic without the suffixes of compression and of RealSense's recorder."""
     return re.sub(r"(/image/data|/[^/]+)$", "", re.sub(r"/(compressed|compressedDepth)$", "", topic))
 
 
