@@ -209,9 +209,12 @@ def check_actions(actions: Any, count: int, space: spaces.Box) -> Array:
     """
     shape = (count, *space.shape)
     try:
-        array = np.asarray(actions, dtype=np.float64)
+        numbers = np.asarray(actions)
     except (TypeError, ValueError) as error:
         raise InvalidValueError(f"an action must be numbers of shape {shape}, got {actions!r}") from error
+    if numbers.dtype.kind not in "fiub":
+        raise InvalidValueError(f"an action must be real numbers of shape {shape}, got {actions!r}")
+    array = numbers.astype(np.float64)
     if array.shape != shape:
         raise InvalidValueError(f"an action must have shape {shape}, got {array.shape}")
     if not np.isfinite(array).all():

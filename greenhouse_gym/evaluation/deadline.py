@@ -7,7 +7,7 @@ from queue import Empty, SimpleQueue
 from threading import TIMEOUT_MAX, Thread
 from typing import ParamSpec, TypeVar
 
-from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.errors import InvalidValueError, is_number
 
 MAX_MESSAGE = 1000
 """Number of characters of an error's message that records hold."""
@@ -32,12 +32,11 @@ class Deadline:
     """
 
     def __init__(self, seconds: float | None = None):
-        is_number = isinstance(seconds, int | float) and not isinstance(seconds, bool)
-        if seconds is not None and not (is_number and 0 < seconds <= TIMEOUT_MAX):
+        if seconds is not None and not (is_number(seconds) and 0 < seconds <= TIMEOUT_MAX):
             raise InvalidValueError(
                 f"timeout must be a positive number of seconds up to {TIMEOUT_MAX:.2g}, or None, got {seconds!r}"
             )
-        self._seconds = seconds
+        self._seconds = None if seconds is None else float(seconds)
         self._timeout_message = ""
 
     @property
