@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.agents.agent import Problem
+from greenhouse_gym.agents.agent import NamedAgent, Problem
 from greenhouse_gym.envs.actions import INTERVAL, joint_steps
 from greenhouse_gym.errors import check_whole
 from greenhouse_gym.geometry import Array
@@ -85,7 +85,7 @@ class PathFollower:
         return next(self._actions, self._zero).astype(np.float32)
 
 
-class PlannerAgent:
+class PlannerAgent(NamedAgent):
     """Plan with any planner and follow the path; hold still without a path.
 
     By default it plans cautiously: away from leaves, and not deep into unknown space. Where no such path exists, or

@@ -209,12 +209,12 @@ def check_actions(actions: Any, count: int, space: spaces.Box) -> Array:
     """
     shape = (count, *space.shape)
     try:
-        numbers = np.asarray(actions)
-    except (TypeError, ValueError) as error:
-        raise InvalidValueError(f"an action must be numbers of shape {shape}, got {actions!r}") from error
-    if numbers.dtype.kind not in "fiub":
+        given = np.asarray(actions)
+        array = given.astype(np.float64) if given.dtype.kind in "buif" else None
+    except (TypeError, ValueError, RuntimeError):  # of other libraries' arrays
+        array = None
+    if array is None:
         raise InvalidValueError(f"an action must be real numbers of shape {shape}, got {actions!r}")
-    array = numbers.astype(np.float64)
     if array.shape != shape:
         raise InvalidValueError(f"an action must have shape {shape}, got {array.shape}")
     if not np.isfinite(array).all():

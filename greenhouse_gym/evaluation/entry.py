@@ -28,6 +28,7 @@ class Protocol:
         seed: Seed of the first episode; episode i has the seed ``seed + i``.
         difficulty: Difficulties of the targets, at their natural frequency.
         timeout: Time limit of each call of the agent, seconds.
+        start: Start configuration, from which the targets of the bank are rated.
     """
 
     version: str = "v1"
@@ -37,6 +38,7 @@ class Protocol:
     seed: int = 0
     difficulty: tuple[str, ...] = ("easy", "medium", "hard")
     timeout: float = 120.0
+    start: str = "upright"
 
     def as_json(self) -> dict[str, Any]:
         """Return the rules as an entry holds them."""

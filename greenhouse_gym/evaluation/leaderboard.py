@@ -205,7 +205,8 @@ def _run(
 
 
 def _settings(protocol: Protocol, track: str) -> dict[str, Any]:
-    return {"bank": protocol.bank, "split": protocol.split, "difficulty": protocol.difficulty, **TRACKS[track]}
+    rules = {name: getattr(protocol, name) for name in ("bank", "split", "difficulty", "start")}
+    return {**rules, **TRACKS[track]}
 
 
 def _check_rules(agent: str, changed: str) -> None:

@@ -18,13 +18,14 @@ import numpy as np
 from rich.progress import track
 
 from greenhouse_gym.agents import Agent
-from greenhouse_gym.agents.agent import check_agent
+from greenhouse_gym.agents.named import agent_of
 from greenhouse_gym.common.executors import completed, require_portable, workers_of
+from greenhouse_gym.common.own_code import described
 from greenhouse_gym.envs import EnvSettings, make_vec_env
 from greenhouse_gym.errors import InvalidValueError, require_seed
 from greenhouse_gym.evaluation.deadline import Deadline, printable
 from greenhouse_gym.evaluation.journal import RecordJournal
-from greenhouse_gym.evaluation.records import Evaluation, Record
+from greenhouse_gym.evaluation.records import Evaluation, Evaluations, Record
 from greenhouse_gym.evaluation.runner import AgentError, EpisodeRunner, never_acted
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
@@ -39,7 +40,7 @@ _PARTS = 16  # per worker, so that all workers finish at about the same time and
 
 
 def evaluate(
-    agent: Agent,
+    agent: Agent | str,
     split: str = "test",
     episodes: int = 200,
     seed: int = 0,
@@ -57,7 +58,8 @@ def evaluate(
     action raises an error; a later one ends the episode, which then counts as unsuccessful and records the reason.
 
     Args:
-        agent: The agent; its ``env_options`` are keywords of the environment. Records name those that change the rules.
+        agent: The agent, or a name that `greenhouse_gym.agents.make_agent` takes; its ``env_options`` are keywords of
+            the environment. Records name those that change the rules.
         split: "train", "validation" or "test".
         episodes: Number of episodes.
         seed: Episode i has the seed ``seed + i``. With the same bank, split and difficulties, every agent gets the same
@@ -85,7 +87,7 @@ def evaluate(
         if isinstance(number, bool) or not isinstance(number, (int, np.integer)) or number < 1:
             raise InvalidValueError(f"{name} must be a whole number from 1 up, got {number!r}")
     Deadline(timeout)  # raises before anything is run
-    check_agent(agent)
+    agent = agent_of(agent)
     require_seed(seed)
     own = dict(agent.env_options)
     changed = changed_rules(agent.name, own, {**options, "split": split})
@@ -143,15 +145,15 @@ def shown_rules(changed: Mapping[str, Any]) -> str:
 
 def _same(a: Any, b: Any) -> bool:
     try:
-        return a is b or bool(np.all(a == b))
+        return a is b or bool(np.all(a == b)) or bool(described(a) == described(b))
     except Exception:  # arrays of different shapes, or an object of the agent
         return False
 
 
 def compare(
-    agents: Iterable[Agent], split: str = "test", episodes: int = 200, seed: int = 0, **options: Any
-) -> tuple[Evaluation, ...]:
-    """Evaluate several agents on the same episodes, one after the other; see `evaluate`.
+    agents: Iterable[Agent | str], split: str = "test", episodes: int = 200, seed: int = 0, **options: Any
+) -> Evaluations:
+    """Evaluate several agents, or agents by name, on the same episodes, one after the other; see `evaluate`.
 
     An agent that cannot be evaluated gets an evaluation with an error and no records; the others continue.
     """
@@ -162,7 +164,7 @@ def compare(
         except AgentError as error:
             return Evaluation(agent.name, (), str(error))
 
-    return tuple(one(agent) for agent in agents)
+    return Evaluations([one(agent_of(agent)) for agent in ([agents] if isinstance(agents, str) else agents)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,19 +183,20 @@ class Trace:
 
 
 def retrace(
-    agent: Agent, seeds: Sequence[int], split: str = "test", timeout: float | None = None, **options: Any
+    agent: Agent | str, seeds: Sequence[int], split: str = "test", timeout: float | None = None, **options: Any
 ) -> tuple[Trace, ...]:
     """Repeat episodes of an evaluation and return their joint paths.
 
     The outcomes are the same, unless the agent's actions depend on the time it takes.
 
     Args:
-        agent: The agent.
+        agent: The agent, or its name.
         seeds: Seeds of the episodes, from their records.
         split: See `evaluate`.
         timeout: See `evaluate`.
         **options: Keywords of the environment; see `evaluate`.
     """
+    agent = agent_of(agent)
     env = make_vec_env(1, **{**agent.env_options, **options, "split": split})
     try:
         runner = EpisodeRunner(agent, env, deque((require_seed(seed), {}) for seed in seeds), 0, timeout, proven=True)
