@@ -202,7 +202,6 @@ class _CheckedAction:
     def __init__(self, own: Any, joints: int):
         self._own, self._joints, self._name = own, joints, f"action {_name(own)}"
         self.space: spaces.Box = own.space
-        self.peak = np.broadcast_to(np.asarray(getattr(own, "peak", np.inf), dtype=np.float64), joints)
         if not isinstance(self.space, spaces.Box) or len(self.space.shape) != 1:
             raise InvalidValueError(f"{self._name}: its space must be a Box of one axis, got {self.space}")
 

@@ -18,10 +18,10 @@ from greenhouse_gym.envs.hindsight import add_goal_functions
 from greenhouse_gym.envs.infos import Infos, masked, numbers_only
 from greenhouse_gym.envs.observations import Observed, select
 from greenhouse_gym.envs.rewards import StepResult
-from greenhouse_gym.envs.settings import EnvMixin, EnvSettings, check_whole, settings_with
+from greenhouse_gym.envs.settings import EnvMixin, EnvSettings, settings_with
 from greenhouse_gym.envs.simulation import Simulation
 from greenhouse_gym.envs.state import Bools, Ids
-from greenhouse_gym.errors import EpisodeOverError, InvalidValueError, UnknownNameError, require_choice
+from greenhouse_gym.errors import EpisodeOverError, InvalidValueError, UnknownNameError, check_whole, require_choice
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.rendering.renderer import Viewpoint
 from greenhouse_gym.rendering.viewer import RENDER_MODES, Picture, Viewer
