@@ -37,6 +37,8 @@ MAX_BYTES = MappingProxyType(
         "truth": 64 * 2**20,
         "row cloud": 16 * 2**30,
         "settings": 2**20,
+        "robot": 16 * 2**20,
+        "robot asset": 256 * 2**20,
         "cloud of points": 16 * 2**30,
         "policy": 2**30,
         "checkpoint": 4 * 2**30,

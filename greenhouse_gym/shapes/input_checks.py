@@ -1,4 +1,4 @@
-"""Checks and cleaning of a cloud before shapes are extracted, and the warnings that come of it."""
+"""Checks and cleaning of a cloud before shapes are extracted, and the resulting warnings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Guess what a point cloud file does not state: its unit, the upward direction, and the side of the scanner.
+"""Guess properties that a point cloud file does not state: its unit, the upward direction, and the side of the scanner.
 
 All guesses use the points alone and do not depend on how the cloud is rotated, mirrored or scaled.
 """
