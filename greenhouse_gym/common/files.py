@@ -86,12 +86,6 @@ def checked_name(kind: str, name: str) -> str:
     return name
 
 
-def natural_order(path: Path) -> tuple[list[str | int], str]:
-    """Return a sort key by which numbers in file names count as numbers: 2.png comes before 10.png."""
-    parts = re.split(r"(\d+)", path.stem)
-    return [int(part) if i % 2 else part for i, part in enumerate(parts)], path.name
-
-
 def inside(folder: str | Path, relative: str, named_in: object) -> Path:
     """Return the path of a file that another file names relative to a folder.
 
