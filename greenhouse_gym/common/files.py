@@ -173,7 +173,8 @@ def first_fault(error: ValidationError) -> str:
 def exclusive(folder: str | Path) -> Iterator[None]:
     """Hold a folder for this process alone; it is created if missing.
 
-    The file ``.lock`` in it is locked meanwhile; the lock ends with the process, however that ends.
+    The file ``.lock`` in it, which holds the number of the process, is locked meanwhile; the lock ends with the process,
+    however that ends.
 
     Raises:
         FileWriteError: The folder cannot be created or written, or another process holds it.
@@ -181,7 +182,7 @@ def exclusive(folder: str | Path) -> Iterator[None]:
     path = Path(folder) / ".lock"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        file = path.open("a")
+        file = path.open("a+")
     except OSError as error:
         raise FileWriteError(folder, error) from error
     with file:
@@ -191,8 +192,13 @@ def exclusive(folder: str | Path) -> Iterator[None]:
         except OSError:
             same = False
         if not same:
-            raise FileWriteError(folder, OSError("another process is at work in this folder"))
+            file.seek(0)
+            holder = f": {text}" if (text := file.read(200)) else ""
+            raise FileWriteError(folder, OSError(f"another process is at work in this folder{holder}"))
         try:
+            file.truncate(0)
+            file.write(f"process {os.getpid()}")
+            file.flush()
             yield
         finally:
             path.unlink(missing_ok=True)

@@ -249,7 +249,10 @@ def _made(kind: str, own: Any, *arguments: Any) -> Any:
             raise InvalidValueError(
                 f"{kind} {_name(own)} must be an object or a function of {given} that makes one: {error}"
             ) from error
-        made = own(*taken)
+        try:
+            made = own(*taken)
+        except Exception as error:  # any error in the user's code
+            raise InvalidValueError(f"{kind} {_name(own)} cannot be made: {type(error).__name__}: {error}") from error
     else:
         made = own
     if not callable(made) or not isinstance(getattr(made, "space", None), spaces.Space):
