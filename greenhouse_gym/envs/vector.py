@@ -72,7 +72,7 @@ class GreenhouseVectorEnv(  # type: ignore[misc]
         if render_mode == "human" and num_envs > 1:
             raise InvalidValueError('render_mode="human" shows one simulation; choose "rgb_array" or num_envs=1')
         self._viewer = None if render_mode is None else Viewer(render_mode)
-        self.autoreset_mode = _mode(autoreset_mode)
+        self.autoreset_mode = mode_of(autoreset_mode)
         self.metadata = {
             **self.metadata, "render_fps": self.settings.rate, "autoreset_mode": self.autoreset_mode
         }  # fmt: skip
@@ -205,7 +205,12 @@ class GreenhouseVectorEnv(  # type: ignore[misc]
             self.simulation.sampler.restart(next(iter(given.values())))
 
 
-def _mode(mode: AutoresetMode | str) -> AutoresetMode:
+def mode_of(mode: AutoresetMode | str) -> AutoresetMode:
+    """Return an autoreset mode by its value.
+
+    Raises:
+        UnknownNameError: There is no such mode.
+    """
     try:
         return AutoresetMode(mode)
     except ValueError:

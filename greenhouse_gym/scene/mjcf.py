@@ -31,7 +31,10 @@ ARM_AND_CUP, ARM_ONLY = 3, 1
 """Collision masks of an obstacle, and of the target (which the cup may touch)."""
 
 TIMESTEP = 0.01
-_MIN_LENGTH = 1e-6  # of a capsule, metres; a shorter one becomes a sphere
+
+MIN_CAPSULE_LENGTH = 1e-6
+"""Length below which a capsule becomes a sphere, metres."""
+
 _PARKED = (0.0, 0.0, -50.0)
 _STEM_COLORS = {
     "main": (0.33, 0.48, 0.2, 1.0),
@@ -217,7 +220,7 @@ def geom_of(shape: Shape) -> Geom:
         return Geom(mujoco.mjtGeom.mjGEOM_BOX, shape.half_extents, shape.center, quat)
     if isinstance(shape, Capsule):
         middle = (shape.start + shape.end) / 2
-        if shape.length <= _MIN_LENGTH:
+        if shape.length <= MIN_CAPSULE_LENGTH:
             return Geom(mujoco.mjtGeom.mjGEOM_SPHERE, [shape.radius, 0.0, 0.0], middle, quat)
         mujoco.mju_quatZ2Vec(quat, shape.end - shape.start)
         return Geom(mujoco.mjtGeom.mjGEOM_CAPSULE, [shape.radius, shape.length / 2, 0.0], middle, quat)

@@ -1,0 +1,1 @@
+"""Environments as kernels for CPU and GPU, by NVIDIA Warp: ``make_vec(..., backend="warp")``."""
