@@ -38,7 +38,13 @@ class ArmArrays:
         armature: (n,) inertia of the joint's motor.
         stiffness: (n,) of the servo.
         damping: (n,) of the servo and the joint.
-        lower: (n,) lower position limit.
+        range_low: (n,) joint position below which the physics push back.
+        range_high: (n,) joint position above which they do.
+        limit_stiffness: (n,) acceleration per depth beyond the range.
+        limit_damping: (n,) acceleration per velocity there.
+        limit_weight: (n,) inverse inertia by which MuJoCo softens the limit.
+        impedance: (n, 5) MuJoCo's ``solimp`` of the limit.
+        lower: (n,) lower position limit of commands.
         upper: (n,) upper position limit.
         peak: (size,) change of the commands by an action of 1; of the tip for tip velocities.
         max_change: (n,) change of a command at the speed limit.
@@ -66,6 +72,12 @@ class ArmArrays:
     armature: Array
     stiffness: Array
     damping: Array
+    range_low: Array
+    range_high: Array
+    limit_stiffness: Array
+    limit_damping: Array
+    limit_weight: Array
+    impedance: Array
     lower: Array
     upper: Array
     peak: Array
@@ -147,6 +159,7 @@ def arm_arrays(compiled: CompiledScene, rule: ActionRule, timing: ControlTiming)
     tip_body = int(model.site_bodyid[tip])
     return ArmArrays(
         **_links(model, chain),
+        **_limits(model),
         axis=model.jnt_axis.copy(),
         armature=model.dof_armature.copy(),
         stiffness=model.actuator_gainprm[:, 0].copy(),
@@ -191,6 +204,7 @@ def check_arm(robot: Robot, model: mujoco.MjModel) -> None:
         "several joints on one body": len(set(model.jnt_bodyid.tolist())) < model.njnt,
         "branches": any(_Chain(model)(int(model.body_parentid[b]))[0] != i - 1 for i, b in enumerate(model.jnt_bodyid)),
         "servos with force limits": model.actuator_forcelimited.any() or model.jnt_actfrclimited.any(),
+        "joint limits with solref below 0": (model.jnt_solref <= 0).any(),
         "joints with springs": model.jnt_stiffness.any(),
         "joints with dry friction": model.dof_frictionloss.any(),
         f"parts that are not capsules or spheres ({', '.join(other)})": bool(other),
@@ -224,6 +238,21 @@ def _links(model: mujoco.MjModel, chain: _Chain) -> dict[str, Array]:
             offset = c - center[i]
             inertia[i] += about + m * (offset @ offset * np.eye(3) - np.outer(offset, offset))
     return {"position": position, "rotation": rotation, "mass": mass, "center": center, "inertia": inertia}
+
+
+def _limits(model: mujoco.MjModel) -> dict[str, Array]:
+    """Return the soft joint limits, by field of `ArmArrays` (MuJoCo's documentation, solver parameters)."""
+    limited, impedance = model.jnt_limited.astype(bool), model.jnt_solimp.copy()
+    time = np.maximum(model.jnt_solref[:, 0], 2 * TIMESTEP)
+    strongest, ratio = impedance[:, 1], model.jnt_solref[:, 1]
+    return {
+        "range_low": np.where(limited, model.jnt_range[:, 0], -np.inf),
+        "range_high": np.where(limited, model.jnt_range[:, 1], np.inf),
+        "limit_stiffness": 1 / (strongest * time * ratio) ** 2,
+        "limit_damping": 2 / (strongest * time),
+        "limit_weight": model.dof_invweight0.copy(),
+        "impedance": impedance,
+    }
 
 
 def _ends(model: mujoco.MjModel, chain: _Chain, geom: int) -> tuple[int, Array, Array]:

@@ -14,7 +14,7 @@ from greenhouse_gym.envs.warp.structs import ACTING, FRESH, IDLE, NO_CONTACT, st
 
 # mypy: disable-error-code="no-untyped-def, valid-type, operator, call-overload, index, arg-type"
 
-_FRESH, _ACTING, _IDLE, _NONE = FRESH, ACTING, IDLE, NO_CONTACT
+_LIMIT_SWEEPS = 10
 _EXCESS = {wp.float32: 1.00001, wp.float64: 1 + 1e-9}  # of a speed limit that counts as such
 
 
@@ -28,7 +28,8 @@ def drive_kernel(real: Any, joints: int, substeps: int, moves_tip: bool, unrolle
     rows6 = wp.types.matrix((n, 6), real)
     vec6, mat6 = wp.types.vector(6, real), wp.types.matrix((6, 6), real)
     zero, one, over, damping = real(0.0), real(1.0), real(_EXCESS[real]), real(DAMPING**2)
-    fresh, acting, idle, none, steps = _FRESH, _ACTING, _IDLE, _NONE, real(float(substeps))
+    fresh, acting, idle, none, steps = FRESH, ACTING, IDLE, NO_CONTACT, real(float(substeps))
+    limit_sweeps = _LIMIT_SWEEPS
 
     @wp.func
     def turned(axis: vec3, angle: real):
@@ -89,6 +90,76 @@ def drive_kernel(real: Any, joints: int, substeps: int, moves_tip: bool, unrolle
         for j in range(n):
             change[j] = wp.dot(wp.cross(axes[j], tip) + levers[j], force) + wp.dot(axes[j], moment)
         return change
+
+    @wp.func
+    def decompose(matrix: matn):
+        """Return the Cholesky factor of a symmetric matrix, of which the lower half is read."""
+        for j in range(n):
+            x = matrix[j, j]
+            for k in range(n):
+                if k < j:
+                    x -= matrix[j, k] * matrix[j, k]
+            root = wp.sqrt(x)
+            matrix[j, j] = root
+            for i in range(n):
+                if i > j:
+                    y = matrix[i, j]
+                    for k in range(n):
+                        if k < j:
+                            y -= matrix[i, k] * matrix[j, k]
+                    matrix[i, j] = y / root
+        return matrix
+
+    @wp.func
+    def solve(factor: matn, x: vecn):
+        """Solve a system by the Cholesky factor of its matrix."""
+        for i in range(n):
+            y = x[i]
+            for k in range(n):
+                if k < i:
+                    y -= factor[i, k] * x[k]
+            x[i] = y / factor[i, i]
+        for ii in range(n):
+            i = n - 1 - ii
+            y = x[i]
+            for k in range(n):
+                if k > i:
+                    y -= factor[k, i] * x[k]
+            x[i] = y / factor[i, i]
+        return x
+
+    @wp.func
+    def limit_torques(arm: Arm, inertia: matn, torque: vecn, q: vecn, qd: vecn):
+        """Return the torques of MuJoCo's soft joint limits, by projected Gauss-Seidel iterations."""
+        factor = decompose(inertia)
+        acceleration = solve(factor, torque)
+        result = vecn()
+        sweep = int(0)
+        while sweep < limit_sweeps:
+            j = int(0)
+            while j < n:
+                side = wp.where(q[j] < arm.range_low[j], one, -one)
+                depth = wp.max(arm.range_low[j] - q[j], q[j] - arm.range_high[j])
+                if depth > zero:
+                    part = wp.min(depth / arm.impedance[j, 2], one)
+                    middle = arm.impedance[j, 3]
+                    power = arm.impedance[j, 4]
+                    rise = wp.pow(part, power) / wp.pow(middle, power - one)
+                    if part > middle:
+                        rise = one - wp.pow(one - part, power) / wp.pow(one - middle, power - one)
+                    strength = arm.impedance[j, 0] + rise * (arm.impedance[j, 1] - arm.impedance[j, 0])
+                    softness = (one - strength) / strength * arm.limit_weight[j]
+                    wanted = arm.limit_stiffness[j] * strength * depth - arm.limit_damping[j] * side * qd[j]
+                    unit = vecn()
+                    unit[j] = one
+                    response = solve(factor, unit)
+                    missing = wanted - side * acceleration[j] - softness * side * result[j]
+                    push = wp.max(side * result[j] + missing / (response[j] + softness), zero) * side
+                    acceleration += (push - result[j]) * response
+                    result[j] = push
+                j += 1
+            sweep += 1
+        return result
 
     @wp.kernel(module="unique", enable_backward=False, module_options={"max_unroll": unrolled})
     def drive(
@@ -268,36 +339,18 @@ def drive_kernel(real: Any, joints: int, substeps: int, moves_tip: bool, unrolle
                                 axes[j, 0] * turning[0] + axes[j, 1] * turning[1] + axes[j, 2] * turning[2]
                                 + levers[j, 0] * pushing[0] + levers[j, 1] * pushing[1] + levers[j, 2] * pushing[2]
                             )  # fmt: skip
-                    inertia[i, i] += arm.armature[i] + h * arm.damping[i]
-                # solve by Cholesky decomposition
-                for j in range(n):
-                    x = inertia[j, j]
-                    for k in range(n):
-                        if k < j:
-                            x -= inertia[j, k] * inertia[j, k]
-                    root = wp.sqrt(x)
-                    inertia[j, j] = root
-                    for i in range(n):
-                        if i > j:
-                            y = inertia[i, j]
-                            for k in range(n):
-                                if k < j:
-                                    y -= inertia[i, k] * inertia[j, k]
-                            inertia[i, j] = y / root
+                    inertia[i, i] += arm.armature[i]
+                beyond = int(0)
                 for i in range(n):
-                    y = torque[i]
-                    for k in range(n):
-                        if k < i:
-                            y -= inertia[i, k] * torque[k]
-                    torque[i] = y / inertia[i, i]
-                for ii in range(n):
-                    i = n - 1 - ii
-                    y = torque[i]
-                    for k in range(n):
-                        if k > n - 1 - ii:
-                            y -= inertia[k, i] * torque[k]
-                    torque[i] = y / inertia[i, i]
-                    qd[i] = qd[i] + h * torque[i]
+                    if q[i] < arm.range_low[i] or q[i] > arm.range_high[i]:
+                        beyond = 1
+                if beyond != 0:
+                    torque += limit_torques(arm, inertia, torque, q, qd)
+                for i in range(n):
+                    inertia[i, i] += h * arm.damping[i]
+                qdd = solve(decompose(inertia), torque)
+                for i in range(n):
+                    qd[i] = qd[i] + h * qdd[i]
                     q[i] = q[i] + h * qd[i]
             sub += 1
         for i in range(n):
