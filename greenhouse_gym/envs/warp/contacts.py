@@ -36,7 +36,7 @@ def contact_kernels(real: Any, lanes: int) -> ContactKernels:
     to_point, to_segment, segment_distance = t.to_point, t.to_segment, t.segment_distance
     idle, count, last = IDLE, COARSE_COUNT, COARSE_COUNT - 1
     half_width = real(COARSE_CELL * (COARSE_COUNT - 1) / 2)
-    zero, cell, unit, slack, tiny = (real(x) for x in (0.0, COARSE_CELL, COARSE_UNIT, _SLACK, 1e-9))
+    zero, half, cell, unit, slack, tiny = (real(x) for x in (0.0, 0.5, COARSE_CELL, COARSE_UNIT, _SLACK, 1e-9))
     own, floor, counterparts, per_step, last_step = MAX_SHAPES, FLOOR, _COUNTERPARTS, _COUNTERPARTS * MAX_PARTS, _LAST_STEP
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -98,22 +98,27 @@ def contact_kernels(real: Any, lanes: int) -> ContactKernels:
             if touches != 0 and s.near[w, part] != 0:
                 start = s.part_start[w, steps - 1, part]
                 along = s.part_end[w, steps - 1, part] - start
+                middle = start + half * along
                 radius = arm.part_radius[part]
                 reach = radius + s.travel[w, part]
+                ball = reach + half * wp.length(along)
                 shape = lane
                 while shape < shape_count:
-                    far = reach + shapes.bound[first + shape]
-                    if (touches == 1 or shape != target) and to_point(
-                        start, along, shapes.center[first + shape]
-                    ) < far * far:
-                        step = int(0)
-                        while step < steps:
-                            at = s.part_start[w, step, part]
-                            gap = segment_distance(shapes, first + shape, at, s.part_end[w, step, part] - at)
-                            if gap < radius:
-                                best = wp.min(best, code(step, part, shape))
-                                step = steps
-                            step += 1
+                    bound = shapes.bound[first + shape]
+                    offset = shapes.center[first + shape] - middle
+                    if wp.dot(offset, offset) < (ball + bound) * (ball + bound) and (touches == 1 or shape != target):
+                        squared = to_point(start, along, shapes.center[first + shape])
+                        if squared < (reach + bound) * (reach + bound) and (
+                            segment_distance(shapes, first + shape, start, along) < reach
+                        ):
+                            step = int(0)
+                            while step < steps:
+                                at = s.part_start[w, step, part]
+                                gap = segment_distance(shapes, first + shape, at, s.part_end[w, step, part] - at)
+                                if gap < radius:
+                                    best = wp.min(best, code(step, part, shape))
+                                    step = steps
+                                step += 1
                     shape += lanes
             part += 1
         pair = lane
@@ -135,7 +140,10 @@ def contact_kernels(real: Any, lanes: int) -> ContactKernels:
             pair += lanes
         part = lane
         while part < parts:
-            if arm.part_touches[part] != 0:
+            lowest = wp.min(s.part_start[w, steps - 1, part][2], s.part_end[w, steps - 1, part][2])
+            if arm.part_touches[part] != 0 and (
+                lowest - s.travel[w, part] - arm.part_radius[part] < scenes.floor[scene]
+            ):
                 step = int(0)
                 while step < steps:
                     lowest = wp.min(s.part_start[w, step, part][2], s.part_end[w, step, part][2])

@@ -17,7 +17,6 @@ from greenhouse_gym.envs.actions import check_actions
 from greenhouse_gym.envs.episodes import DifficultyChoice
 from greenhouse_gym.envs.settings import EnvSettings, SpecMixin, check_whole, settings_with
 from greenhouse_gym.envs.vector import mode_of
-from greenhouse_gym.envs.warp.bank import RATINGS
 from greenhouse_gym.envs.warp.simulation import TERMS, WarpSimulation
 from greenhouse_gym.errors import InvalidValueError, NoEpisodeError, require_choice
 
@@ -281,4 +280,3 @@ def _torch() -> Any:
     return torch
 
 
-__all__ = ["RATINGS", "WarpVectorEnv"]

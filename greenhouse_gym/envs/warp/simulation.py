@@ -19,7 +19,7 @@ from greenhouse_gym.envs.settings import EnvSettings
 from greenhouse_gym.envs.state import control_timing
 from greenhouse_gym.envs.tasks import TomatoReach
 from greenhouse_gym.envs.warp.arm import ArmArrays, arm_arrays, colliding_parts, unsupported
-from greenhouse_gym.envs.warp.bank import Bank, bank_of, draw_table
+from greenhouse_gym.envs.warp.bank import bank_of, draw_table
 from greenhouse_gym.envs.warp.contacts import FLOOR, MAX_SHAPES, contact_kernels
 from greenhouse_gym.envs.warp.dynamics import drive_kernel
 from greenhouse_gym.envs.warp.fields import COARSE_CELL, COARSE_COUNT, COARSE_UNIT, Half4, grid_kernels
@@ -29,7 +29,7 @@ from greenhouse_gym.envs.warp.structs import structs
 from greenhouse_gym.errors import InvalidValueError, require_choice
 from greenhouse_gym.motion.distance_field import CELL, MAX_DISTANCE, ORIGIN, SHAPE
 from greenhouse_gym.robots import get_robot
-from greenhouse_gym.scene import Scene, compile_scene
+from greenhouse_gym.scene import compile_scene
 
 ACTIONS = ("joint", "joint_velocity", "tip_velocity")
 OBSERVATIONS = ("state", "goal")
@@ -270,4 +270,3 @@ def _rules(settings: EnvSettings, observation: ObservationSpec) -> Any:
     return result
 
 
-__all__ = ["Bank", "Scene", "WarpSimulation"]
