@@ -98,6 +98,7 @@ class WarpVectorEnv(SpecMixin, VectorEnv[Any, Any, Any]):  # type: ignore[misc]
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._rng = np.random.default_rng()
         self._began = False
+        self._streams: dict[int, Any] = {}
         state, out = simulation.state, simulation.out
         state.seed.assign(self._rng.integers(2**31, size=num_envs).astype(np.int32))
         if simulation.observe.has_goals:
@@ -168,7 +169,9 @@ class WarpVectorEnv(SpecMixin, VectorEnv[Any, Any, Any]):  # type: ignore[misc]
         self._choose(np.flatnonzero(mask), each)
         waiting = state.ended.numpy().astype(np.bool_) & ~mask
         state.ended.assign(mask.astype(np.int32))
-        self._launch(resets_only=True)
+        wp.synchronize_device(self.simulation.device)  # what was assigned is on another stream
+        self.simulation.launch(resets_only=True, stream=self._stream())
+        wp.synchronize_device(self.simulation.device)
         state.ended.assign(waiting.astype(np.int32))
         self._began = True
         return self._observation(self._observed), self._infos(self._info)
@@ -185,13 +188,14 @@ class WarpVectorEnv(SpecMixin, VectorEnv[Any, Any, Any]):  # type: ignore[misc]
         if not self._began:
             raise NoEpisodeError("there is no episode yet: reset the whole environment first")
         self._take(actions)
-        self._launch()
-        out = self.simulation.out
+        stream, simulation = self._stream(), self.simulation
+        simulation.launch(stream=stream)
+        out = simulation.out
         same_step = self.autoreset_mode == AutoresetMode.SAME_STEP
         if same_step:
             for key, array in (self._observed | self._info).items():
-                wp.copy(self._final[key], array)
-            self._launch(resets_only=True)
+                wp.copy(self._final[key], array, stream=stream)
+            simulation.launch(resets_only=True, stream=stream)
         terms = dict(zip(TERMS, self._array(out.terms).T, strict=True))
         infos = self._infos(self._info) | {"reward_terms": terms, "_reward_terms": self._everyone}
         if same_step:
@@ -218,13 +222,14 @@ class WarpVectorEnv(SpecMixin, VectorEnv[Any, Any, Any]):  # type: ignore[misc]
             check_actions(actions, self.num_envs, simulation.action_rule.space).astype(np.float32)
         )
 
-    def _launch(self, resets_only: bool = False) -> None:
-        """Launch on torch's current stream if tensors are returned, so that its work before and after is in order."""
-        if self._torch is not None and self.simulation.device.is_cuda:
-            with wp.ScopedStream(wp.stream_from_torch(self._torch.cuda.current_stream()), sync_enter=False):
-                self.simulation.launch(resets_only)
-        else:
-            self.simulation.launch(resets_only)
+    def _stream(self) -> Any:
+        """Return torch's current stream if tensors are returned, so that its work before and after is in order."""
+        if self._torch is None or not self.simulation.device.is_cuda:
+            return None
+        current = self._torch.cuda.current_stream(self._action.device)
+        if current.cuda_stream not in self._streams:
+            self._streams[current.cuda_stream] = wp.stream_from_torch(current)
+        return self._streams[current.cuda_stream]
 
     def _seed(self, mask: npt.NDArray[np.bool_], seed: int | Sequence[int | None] | None) -> None:
         if seed is None:

@@ -116,10 +116,10 @@ class WarpSimulation:
         table = draw_table(self.scenes, self.sampler, self.bank.scenes.tomato_first)
         self.draws = struct_of(self.structs.Draws, table, self.device)
 
-    def launch(self, resets_only: bool = False) -> None:
+    def launch(self, resets_only: bool = False, stream: Any = None) -> None:
         """Advance all simulations by their actions and begin episodes where the last ended, or only the latter."""
         for kernel, dim, arguments in self.launches(int(resets_only)):
-            wp.launch(kernel, dim, arguments, device=self.device, block_dim=BLOCK_SIZE)
+            wp.launch(kernel, dim, arguments, device=self.device, stream=stream, block_dim=BLOCK_SIZE)
 
     def launches(self, resets_only: int) -> Iterator[tuple[Any, tuple[int, ...], list[Any]]]:
         """Yield kernels with their dimensions and arguments, in their order."""
