@@ -251,7 +251,9 @@ class Run:
         env = self.env(count, split=split)
         observation, _ = env.reset(seed=10_000)
         on = observation.device
-        weights = [(torch.from_numpy(w).to(on), torch.from_numpy(b).to(on)) for w, b in zip(policy.weights, policy.biases)]
+        weights = [
+            (torch.from_numpy(w).to(on), torch.from_numpy(b).to(on)) for w, b in zip(policy.weights, policy.biases)
+        ]
         center, scale = torch.from_numpy(policy.center).to(on), torch.from_numpy(policy.scale).to(on)
         alive = torch.ones(count, dtype=torch.bool, device=on)
         success, collision = torch.zeros_like(alive), torch.zeros_like(alive)
@@ -265,7 +267,11 @@ class Run:
             collision |= over & info["collision"]
             alive &= ~over
         env.close()
-        return {"episodes": count, "success": float(success.float().mean()), "collision": float(collision.float().mean())}
+        return {
+            "episodes": count,
+            "success": float(success.float().mean()),
+            "collision": float(collision.float().mean()),
+        }
 
 
 def main() -> None:

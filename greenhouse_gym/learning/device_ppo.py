@@ -175,13 +175,18 @@ class DevicePpo:
         # episodes that all began together would also all end together
         ages = np.random.default_rng(settings.seed).integers(self.env.settings.step_limit, size=count)
         self.env.simulation.state.steps.assign(ages.astype(np.int32))
-        actions = self.env.single_action_space.shape[0]
+        actions = int(self.env.simulation.action.shape[1])
         layout = self.env.simulation.observe.layout
         self.networks = Networks(size, actions, settings, layout).to(device)
         steps = settings.rollout_steps
-        shapes: dict[str, tuple[int, ...]] = {"observations": (steps + 1, count, size), "actions": (steps, count, actions)}
+        shapes: dict[str, tuple[int, ...]] = {
+            "observations": (steps + 1, count, size),
+            "actions": (steps, count, actions),
+        }
         shapes |= {"values": (steps + 1, count)}
-        shapes |= dict.fromkeys(("chances", "rewards", "terminal", "ended", "used", "advantages", "returns"), (steps, count))
+        shapes |= dict.fromkeys(
+            ("chances", "rewards", "terminal", "ended", "used", "advantages", "returns"), (steps, count)
+        )
         self._buffers = {name: torch.zeros(shape, device=device) for name, shape in shapes.items()}
         self._waiting, self._score = torch.zeros(count, device=device), torch.zeros(count, device=device)
         self._sums = torch.zeros(5, device=device)  # episodes, successes, collisions, returns, lengths
@@ -231,7 +236,9 @@ class DevicePpo:
         episodes, *sums = self._sums.tolist()
         self._sums.zero_()
         names = ("success_rate", "collision_rate", "return", "length")
-        return {name: round(value / episodes, 5) if episodes else math.nan for name, value in zip(names, sums, strict=True)}
+        return {
+            name: round(value / episodes, 5) if episodes else math.nan for name, value in zip(names, sums, strict=True)
+        }
 
     def policy(self) -> Policy:
         """Return the mean of the actor as a policy."""
@@ -250,7 +257,9 @@ class DevicePpo:
             env_options=self.env.settings.agent_options(simulation.robot.name),
             layout=simulation.observe.layout,
             training={
-                "algorithm": "PPO on a device", "steps": self.steps, "settings": json.loads(json.dumps(asdict(self.settings))),
+                "algorithm": "PPO on a device",
+                "steps": self.steps,
+                "settings": json.loads(json.dumps(asdict(self.settings))),
                 "bank_sha256": simulation.sampler.bank.sha256,
             },
         )  # fmt: skip
@@ -340,12 +349,17 @@ class Networks(nn.Module):
         layout: Name and size of each feature.
     """
 
+    center: Tensor
+    scale: Tensor
+
     def __init__(self, size: int, actions: int, settings: DevicePpoSettings, layout: tuple[tuple[str, int], ...]):
         super().__init__()
         self.actor = _perceptron((size, *settings.hidden, actions), 0.01)
         self.critic = _perceptron((size, *settings.hidden, 1), 1.0)
         self.log_std = nn.Parameter(torch.full((actions,), settings.log_std))
-        pairs = np.concatenate([np.tile(CENTERS_AND_SCALES.get(name, (0.0, 1.0)), (width, 1)) for name, width in layout])
+        pairs = np.concatenate(
+            [np.tile(CENTERS_AND_SCALES.get(name, (0.0, 1.0)), (width, 1)) for name, width in layout]
+        )
         self.register_buffer("center", torch.tensor(pairs[:, 0], dtype=torch.float32))
         self.register_buffer("scale", torch.tensor(pairs[:, 1], dtype=torch.float32))
 
@@ -368,7 +382,7 @@ def _perceptron(sizes: tuple[int, ...], last_gain: float) -> nn.Sequential:
 
 def _graph(function: Callable[[], None]) -> Callable[[], None]:
     """Return a function as a replayable CUDA graph, after warming it up."""
-    stream = torch.cuda.Stream()
+    stream: Any = torch.cuda.Stream()  # type: ignore[no-untyped-call]
     stream.wait_stream(torch.cuda.current_stream())
     with torch.cuda.stream(stream):
         for _ in range(2):

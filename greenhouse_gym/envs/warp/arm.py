@@ -211,7 +211,9 @@ def check_arm(robot: Robot, model: mujoco.MjModel) -> None:
     }
     for what, found in lacks.items():
         if found:
-            raise InvalidValueError(f'backend="warp" cannot simulate {what}, which robot {robot.name!r} has; {_INSTEAD}')
+            raise InvalidValueError(
+                f'backend="warp" cannot simulate {what}, which robot {robot.name!r} has; {_INSTEAD}'
+            )
 
 
 def _links(model: mujoco.MjModel, chain: _Chain) -> dict[str, Array]:

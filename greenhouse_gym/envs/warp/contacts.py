@@ -8,8 +8,6 @@ import warp as wp
 from greenhouse_gym.envs.warp.fields import COARSE_CELL, COARSE_COUNT, COARSE_UNIT
 from greenhouse_gym.envs.warp.structs import IDLE, structs
 
-# mypy: disable-error-code="no-untyped-def, valid-type, operator, call-overload, index, arg-type"
-
 MAX_SHAPES, MAX_PARTS = 60_000, 128
 """Maximum number of shapes in a scene and of parts of an arm that a contact can encode."""
 
@@ -32,12 +30,18 @@ class ContactKernels(NamedTuple):
 def contact_kernels(real: Any, lanes: int) -> ContactKernels:
     """Return the kernels of a precision; ``lanes`` threads share the shapes of a simulation."""
     t = structs(real)
-    vec3, Arm, Scenes, Grids, State, Shapes = t.vec3, t.Arm, t.Scenes, t.Grids, t.State, t.Shapes  # noqa: N806
+    vec3, Arm, Scenes, Grids, State, Shapes = t.vec3, t.Arm, t.Scenes, t.Grids, t.State, t.Shapes
     to_point, to_segment, segment_distance = t.to_point, t.to_segment, t.segment_distance
     idle, count, last = IDLE, COARSE_COUNT, COARSE_COUNT - 1
     half_width = real(COARSE_CELL * (COARSE_COUNT - 1) / 2)
     zero, half, cell, unit, slack, tiny = (real(x) for x in (0.0, 0.5, COARSE_CELL, COARSE_UNIT, _SLACK, 1e-9))
-    own, floor, counterparts, per_step, last_step = MAX_SHAPES, FLOOR, _COUNTERPARTS, _COUNTERPARTS * MAX_PARTS, _LAST_STEP
+    own, floor, counterparts, per_step, last_step = (
+        MAX_SHAPES,
+        FLOOR,
+        _COUNTERPARTS,
+        _COUNTERPARTS * MAX_PARTS,
+        _LAST_STEP,
+    )
 
     @wp.kernel(module="unique", enable_backward=False)
     def screen(arm: Arm, scenes: Scenes, grids: Grids, s: State):

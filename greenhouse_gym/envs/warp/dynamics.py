@@ -12,8 +12,6 @@ import warp as wp
 from greenhouse_gym.envs.actions import DAMPING
 from greenhouse_gym.envs.warp.structs import ACTING, FRESH, IDLE, NO_CONTACT, structs
 
-# mypy: disable-error-code="no-untyped-def, valid-type, operator, call-overload, index, arg-type"
-
 _LIMIT_SWEEPS = 10
 _EXCESS = {wp.float32: 1.00001, wp.float64: 1 + 1e-9}  # of a speed limit that counts as such
 
@@ -22,7 +20,7 @@ _EXCESS = {wp.float32: 1.00001, wp.float64: 1 + 1e-9}  # of a speed limit that c
 def drive_kernel(real: Any, joints: int, substeps: int, moves_tip: bool, unrolled: int) -> wp.Kernel:
     """Return the kernel for arms with ``joints`` joints; ``moves_tip`` if actions are velocities of the tip."""
     t = structs(real)
-    vec3, mat3, Arm, Scenes, Draws, State = t.vec3, t.mat3, t.Arm, t.Scenes, t.Draws, t.State  # noqa: N806
+    vec3, mat3, Arm, Scenes, Draws, State = t.vec3, t.mat3, t.Arm, t.Scenes, t.Draws, t.State
     n = joints
     vecn, matn, rows3 = wp.types.vector(n, real), wp.types.matrix((n, n), real), wp.types.matrix((n, 3), real)
     rows6 = wp.types.matrix((n, 6), real)

@@ -127,7 +127,7 @@ class WarpVectorEnv(SpecMixin, VectorEnv[Any, Any, Any]):  # type: ignore[misc]
     @property
     def scene_names(self) -> list[str]:
         """Names of the scenes, by index."""
-        return list(self.simulation.index)
+        return list(self.simulation.bank.index)
 
     def contact_names(self, i: int) -> tuple[str, str]:
         """Return the names of the first contact of a simulation's last step, the arm's first; empty without one."""
@@ -162,7 +162,7 @@ class WarpVectorEnv(SpecMixin, VectorEnv[Any, Any, Any]):  # type: ignore[misc]
                 raise InvalidValueError(f"reset_mask must be {count} bools, at least one true, got {mask!r}")
         if not self._began and not mask.all():
             raise NoEpisodeError("there is no episode yet: reset the whole environment first")
-        each = options if isinstance(options, (list, tuple)) else [options] * count
+        each: Any = options if isinstance(options, (list, tuple)) else [options] * count
         if len(each) != count:
             raise InvalidValueError(f"expected options for {count} simulations, got {len(each)}")
         self._seed(mask, seed)
@@ -206,7 +206,8 @@ class WarpVectorEnv(SpecMixin, VectorEnv[Any, Any, Any]):  # type: ignore[misc]
                 "_final_info": ended,
             }  # fmt: skip
         observation = self._observation(self._observed)
-        return observation, *(self._array(a) for a in (out.reward, out.terminated, out.truncated)), infos
+        reward, terminated, truncated = (self._array(array) for array in (out.reward, out.terminated, out.truncated))
+        return observation, reward, terminated, truncated, infos
 
     def _take(self, actions: Any) -> None:
         simulation = self.simulation
@@ -218,9 +219,7 @@ class WarpVectorEnv(SpecMixin, VectorEnv[Any, Any, Any]):  # type: ignore[misc]
                 self._action.copy_(actions)
                 return
             actions = actions.detach().cpu().numpy()
-        simulation.action.assign(
-            check_actions(actions, self.num_envs, simulation.action_rule.space).astype(np.float32)
-        )
+        simulation.action.assign(check_actions(actions, self.num_envs, simulation.action_rule.space).astype(np.float32))
 
     def _stream(self) -> Any:
         """Return torch's current stream if tensors are returned, so that its work before and after is in order."""
@@ -249,15 +248,15 @@ class WarpVectorEnv(SpecMixin, VectorEnv[Any, Any, Any]):  # type: ignore[misc]
         simulation = self.simulation
         if not any(options[i] for i in ids):
             return
-        state, sampler, first = simulation.state, simulation.sampler, simulation.bank.scenes.tomato_first
+        state, sampler, first = simulation.state, simulation.sampler, simulation.bank.arrays.tomato_first
         wanted, start = state.wanted.numpy().copy(), state.start.numpy().copy()
         for i in ids:
             if options[i]:
                 episode = sampler.draw(self._rng, options[i])
-                index = simulation.index.get(episode.scene.name)
-                if index is None or simulation.scenes[index] is not episode.scene:
+                index = simulation.bank.index.get(episode.scene.name)
+                if index is None or simulation.bank.scenes[index] is not episode.scene:
                     raise InvalidValueError(
-                        f'scene {episode.scene.name!r} is not in split {self.settings.split!r}, whose scenes '
+                        f"scene {episode.scene.name!r} is not in split {self.settings.split!r}, whose scenes "
                         'backend="warp" holds on the device: make the environment with its split and bank'
                     )
                 wanted[i], start[i] = first[index] + episode.targets[0], episode.start
@@ -272,7 +271,7 @@ class WarpVectorEnv(SpecMixin, VectorEnv[Any, Any, Any]):  # type: ignore[misc]
 
     def _observation(self, arrays: dict[str, Any]) -> Any:
         observed = {key: self._array(array) for key, array in arrays.items()}
-        return observed[""] if "" in observed else observed
+        return observed.get("", observed)
 
     def _infos(self, arrays: dict[str, Any]) -> dict[str, Any]:
         infos = {key: self._array(array) for key, array in arrays.items()}
@@ -283,5 +282,3 @@ def _torch() -> Any:
     with needs("train"):
         import torch
     return torch
-
-

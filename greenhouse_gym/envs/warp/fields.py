@@ -1,48 +1,46 @@
 """Grids of distances to the shapes of scenes, computed on the device."""
 
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import numpy as np
 import warp as wp
 
 from greenhouse_gym.envs.warp.geometry import geometry
-
-# mypy: disable-error-code="no-untyped-def, valid-type, operator, call-overload, index, arg-type"
 
 COARSE_CELL, COARSE_COUNT, COARSE_UNIT = 0.05, 48, 0.0025
 """Distance between the nodes of the coarse grid around the arm, their number along each axis, and the unit of its
 distances, metres."""
 
-_BLOCK = 8
-_AT_ONCE = 16  # scenes whose grids are computed together
-
 Half4 = wp.types.vector(4, wp.float16)
 
 
 class GridKernels(NamedTuple):
-    """Kernels for one precision: `fill` computes a grid, `coarsen` rounds it down to bytes."""
+    """Kernels in single precision: `fill` computes a grid, `coarsen` rounds it down to bytes."""
 
     fill: wp.Kernel
     coarsen: wp.Kernel
 
 
 @lru_cache
-def grid_kernels(real: Any) -> GridKernels:
-    """Return the kernels of a precision."""
-    g = geometry(real)
-    vec3, mat3, Shapes, point_distance = g.vec3, g.mat3, g.Shapes, g.point_distance  # noqa: N806
-    zero, half = real(0.0), real(0.5)
+def grid_kernels() -> GridKernels:
+    """Return the kernels."""
+    g = geometry(wp.float32)
+    unit = COARSE_UNIT
+    vec3, mat3, Shapes, point_distance = g.vec3, g.mat3, g.Shapes, g.point_distance
+
+    @wp.func
+    def as_vector(node: wp.vec3i):
+        return vec3(float(node[0]), float(node[1]), float(node[2]))
 
     @wp.func
     def keep_near(
         shapes: Shapes,
         first: wp.int32,
         point: vec3,
-        radius: real,
-        limit: real,
-        lists: wp.array2d(dtype=wp.int32),
-        thread: wp.int32,
+        radius: wp.float32,
+        limit: wp.float32,
+        rows: wp.array(dtype=wp.int32),
+        distances: wp.array(dtype=wp.float32),
         source: wp.int32,
         count: wp.int32,
         result: wp.int32,
@@ -50,13 +48,19 @@ def grid_kernels(real: Any) -> GridKernels:
         """Copy those shapes of a list that may be the nearest or second nearest within a ball; return their number."""
         nearest = limit - radius
         second = limit - radius
+        found = int(0)
         i = int(0)
         while i < count:
             row = first + i
             if source >= 0:
-                row = lists[thread, source + i]
-            if wp.length(point - shapes.center[row]) - shapes.bound[row] < second + radius + radius:
+                row = rows[source + i]
+            reach = second + radius + radius
+            if wp.length(point - shapes.center[row]) - shapes.bound[row] <= reach:
                 distance = point_distance(shapes, row, point)
+                if distance <= reach:
+                    rows[result + found] = row
+                    distances[result + found] = distance
+                    found += 1
                 if distance < nearest:
                     second = nearest
                     nearest = distance
@@ -65,15 +69,10 @@ def grid_kernels(real: Any) -> GridKernels:
             i += 1
         kept = int(0)
         i = int(0)
-        while i < count:
-            row = first + i
-            if source >= 0:
-                row = lists[thread, source + i]
-            reach = second + radius + radius
-            if wp.length(point - shapes.center[row]) - shapes.bound[row] < reach:
-                if point_distance(shapes, row, point) <= reach:
-                    lists[thread, result + kept] = row
-                    kept += 1
+        while i < found:  # those that came before the nearest ones may be too far
+            if distances[result + i] <= second + radius + radius:
+                rows[result + kept] = rows[result + i]
+                kept += 1
             i += 1
         return kept
 
@@ -86,10 +85,11 @@ def grid_kernels(real: Any) -> GridKernels:
         rotation: wp.array(dtype=mat3),
         first_scene: wp.int32,
         origin: vec3,
-        cell: real,
+        cell: wp.float32,
         nodes: wp.vec3i,
-        limit: real,
+        limit: wp.float32,
         lists: wp.array2d(dtype=wp.int32),
+        scratch: wp.array2d(dtype=wp.float32),
         grid: wp.array(dtype=Half4),
     ):
         """Fill one block of nodes of a scene's grid: distance, distance without the nearest tomato, and its index.
@@ -99,6 +99,8 @@ def grid_kernels(real: Any) -> GridKernels:
         index, block = wp.tid()
         thread = index * (nodes[0] * nodes[1] * nodes[2] // 512) + block
         scene = first_scene + index
+        rows = lists[thread]
+        distances = scratch[thread]
         room = lists.shape[1] // 3
         fruit = shapes.first[scene] + skip[scene]
         others = fruit + tomatoes[scene]
@@ -107,36 +109,45 @@ def grid_kernels(real: Any) -> GridKernels:
         corner = wp.vec3i(8 * (block // (by * bz)), 8 * ((block // bz) % by), 8 * (block % bz))
         base = position[scene]
         turn = rotation[scene]
-        spread = cell * real(0.8660254037844386)
-        middle = vec3(real(corner[0]), real(corner[1]), real(corner[2])) + real(3.5) * vec3(real(1.0))
+        spread = cell * 0.8660254037844386  # half the diagonal of a cell
+        middle = as_vector(corner) + vec3(3.5)
         count = shapes.count[scene] - skip[scene]
         large = keep_near(
-            shapes, fruit, base + turn * (origin + cell * middle), real(7.0) * spread, limit, lists, thread, -1, count, 0
+            shapes, fruit, base + turn * (origin + cell * middle), 7.0 * spread, limit, rows, distances, -1, count, 0
         )
         octant = int(0)
         while octant < 8:
             low = corner + 4 * wp.vec3i(octant // 4, (octant // 2) % 2, octant % 2)
-            middle = vec3(real(low[0]), real(low[1]), real(low[2])) + real(1.5) * vec3(real(1.0))
+            middle = as_vector(low) + vec3(1.5)
             small = keep_near(
-                shapes, 0, base + turn * (origin + cell * middle), real(3.0) * spread, limit, lists, thread, 0, large, room
+                shapes, 0, base + turn * (origin + cell * middle), 3.0 * spread, limit, rows, distances, 0, large, room
             )
             part = int(0)
             while part < 8:
                 pair = low + 2 * wp.vec3i(part // 4, (part // 2) % 2, part % 2)
-                middle = vec3(real(pair[0]), real(pair[1]), real(pair[2])) + half * vec3(real(1.0))
+                middle = as_vector(pair) + vec3(0.5)
                 few = keep_near(
-                    shapes, 0, base + turn * (origin + cell * middle), spread, limit, lists, thread, room, small, 2 * room
+                    shapes,
+                    0,
+                    base + turn * (origin + cell * middle),
+                    spread,
+                    limit,
+                    rows,
+                    distances,
+                    room,
+                    small,
+                    2 * room,
                 )
                 node = int(0)
                 while node < 8:
                     at = pair + wp.vec3i(node // 4, (node // 2) % 2, node % 2)
-                    point = base + turn * (origin + cell * vec3(real(at[0]), real(at[1]), real(at[2])))
+                    point = base + turn * (origin + cell * as_vector(at))
                     nearest = limit
                     otherwise = limit
                     tomato = int(-1)
                     i = int(0)
                     while i < few:
-                        row = lists[thread, 2 * room + i]
+                        row = rows[2 * room + i]
                         distance = point_distance(shapes, row, point)
                         if distance < nearest:
                             otherwise = nearest
@@ -147,8 +158,8 @@ def grid_kernels(real: Any) -> GridKernels:
                         i += 1
                     place = scene * (nodes[0] * nodes[1] * nodes[2]) + (at[0] * nodes[1] + at[1]) * nodes[2] + at[2]
                     grid[place] = Half4(
-                        wp.float16(wp.max(nearest, real(-1000.0))),
-                        wp.float16(wp.max(otherwise, real(-1000.0))),
+                        wp.float16(wp.max(nearest, -1000.0)),
+                        wp.float16(wp.max(otherwise, -1000.0)),
                         wp.float16(float(tomato)),
                         wp.float16(0.0),
                     )
@@ -157,9 +168,9 @@ def grid_kernels(real: Any) -> GridKernels:
             octant += 1
 
     @wp.kernel(module="unique", enable_backward=False)
-    def coarsen(grid: wp.array(dtype=Half4), unit: real, coarse: wp.array(dtype=wp.uint8)):
+    def coarsen(grid: wp.array(dtype=Half4), coarse: wp.array(dtype=wp.uint8)):
         """Round distances down to bytes; float16 may have rounded them up by half a unit."""
         i = wp.tid()
-        coarse[i] = wp.uint8(int(wp.clamp(real(grid[i][0]) / unit - half, zero, real(255.0))))
+        coarse[i] = wp.uint8(int(wp.clamp(float(grid[i][0]) / unit - 0.5, 0.0, 255.0)))
 
     return GridKernels(fill, coarsen)

@@ -8,8 +8,6 @@ import warp as wp
 
 from greenhouse_gym.envs.warp.bank import BOX, CAPSULE, ELLIPSOID, SPHERE
 
-# mypy: disable-error-code="no-untyped-def, valid-type, operator, call-overload, index, arg-type"
-
 _KINDS = SPHERE, CAPSULE, ELLIPSOID, BOX
 
 

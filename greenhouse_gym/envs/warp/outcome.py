@@ -9,8 +9,6 @@ from greenhouse_gym.envs.warp.contacts import _COUNTERPARTS, MAX_PARTS
 from greenhouse_gym.envs.warp.structs import FRESH, IDLE, NO_CONTACT, structs
 from greenhouse_gym.motion.distance_field import CELL, MAX_DISTANCE, ORIGIN, SHAPE
 
-# mypy: disable-error-code="no-untyped-def, valid-type, operator, call-overload, index, arg-type"
-
 FEATURES = (
     "joint_position", "joint_velocity", "command_error", "grasp_offset", "target_position", "tip_position", "tool_axis",
     "clearance", "obstacle_direction",
@@ -73,7 +71,7 @@ class Output:
 def observe_kernel(real: Any) -> wp.Kernel:
     """Return the kernel of a precision."""
     t = structs(real)
-    vec3, Arm, Scenes, Grids, State = t.vec3, t.Arm, t.Scenes, t.Grids, t.State  # noqa: N806
+    vec3, Arm, Scenes, Grids, State = t.vec3, t.Arm, t.Scenes, t.Grids, t.State
     fresh, idle, none = FRESH, IDLE, NO_CONTACT
     counterparts, max_parts = _COUNTERPARTS, MAX_PARTS
     origin, cell, far, capped = vec3(*ORIGIN), real(CELL), real(MAX_DISTANCE), real(MAX_DISTANCE - 1e-3)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -19,15 +19,14 @@ from greenhouse_gym.envs.settings import EnvSettings
 from greenhouse_gym.envs.state import control_timing
 from greenhouse_gym.envs.tasks import TomatoReach
 from greenhouse_gym.envs.warp.arm import ArmArrays, arm_arrays, colliding_parts, unsupported
-from greenhouse_gym.envs.warp.bank import bank_of, draw_table
+from greenhouse_gym.envs.warp.bank import draw_table
 from greenhouse_gym.envs.warp.contacts import FLOOR, MAX_SHAPES, contact_kernels
+from greenhouse_gym.envs.warp.device_bank import BYTES_PER_SCENE, device_bank
 from greenhouse_gym.envs.warp.dynamics import drive_kernel
-from greenhouse_gym.envs.warp.fields import COARSE_CELL, COARSE_COUNT, COARSE_UNIT, Half4, grid_kernels
 from greenhouse_gym.envs.warp.outcome import FEATURES, Layout, Output, Rules, observe_kernel
 from greenhouse_gym.envs.warp.runtime import BLOCK_SIZE, PRECISIONS, check_memory, load_kernels, open_device, struct_of
 from greenhouse_gym.envs.warp.structs import structs
 from greenhouse_gym.errors import InvalidValueError, require_choice
-from greenhouse_gym.motion.distance_field import CELL, MAX_DISTANCE, ORIGIN, SHAPE
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import compile_scene
 
@@ -37,7 +36,6 @@ REWARDS: Mapping[str, DenseReward | SparseReward] = {"dense": DenseReward(), "sp
 TERMS = ("success", "collision", "progress", "time", "effort")
 """Terms of the reward, in the order of their sum."""
 
-_AT_ONCE = 16  # scenes whose grids are computed together
 _CPU_UNROLLED, _GPU_UNROLLED = 0, 16  # rounds of loops: unrolled loops take long to compile, but run in registers
 _LANES = {True: 32, False: 1}  # threads that share the shapes of a simulation, on a GPU and on a CPU
 
@@ -56,8 +54,7 @@ class WarpSimulation:
         sampler: Sampler of the episodes, for `draw_table` and the options of a reset.
         observe: The observation, with its space and layout.
         action_rule: The kind of action, with its space.
-        scenes: Scenes of the split, by index.
-        bank: The scenes as arrays.
+        bank: Scenes of the split on the device.
         state: State of the simulations.
         out: Outputs of the last step.
         action: (n, size) actions of the next step, float32.
@@ -83,21 +80,14 @@ class WarpSimulation:
         self.arm_arrays = arm_arrays(first, self.action_rule, timing)
         sizes = self._sizes(self.arm_arrays, timing.substeps)
         self._check_memory(sizes, len(names))
-        self.scenes = [self.sampler.bank.scene(name) for name in names]
-        self.index = {scene.name: i for i, scene in enumerate(self.scenes)}
-        self.bank = bank_of(self.scenes, self.sampler, settings.physics)
         moves_tip = isinstance(self.action_rule, TipVelocity)
         unrolled = _GPU_UNROLLED if self.device.is_cuda else _CPU_UNROLLED
         self._lanes = _LANES[self.device.is_cuda]
         self._drive = drive_kernel(real, len(robot.joints), timing.substeps, moves_tip, unrolled)
-        self._contacts, self._observe, self._grids = (
-            contact_kernels(real, self._lanes), observe_kernel(real), grid_kernels(real)
-        )  # fmt: skip
-        load_kernels((self._drive, *self._contacts, self._observe, *self._grids), self.device)
+        self._contacts, self._observe = contact_kernels(real, self._lanes), observe_kernel(real)
+        load_kernels((self._drive, *self._contacts, self._observe), self.device)
         self.arm = struct_of(self.structs.Arm, self.arm_arrays, self.device)
-        self.placements = struct_of(self.structs.Scenes, self.bank.scenes, self.device)
-        self.shapes = struct_of(self.structs.Shapes, self.bank.simulated, self.device)
-        self.grids = self._make_grids()
+        self.bank = device_bank(self.sampler, settings.physics, self.device.alias, real)
         self.state = self._allocate(self.structs.State, sizes)
         self.out = self._allocate(Output, sizes)
         self.rules = _rules(settings, self.observe)
@@ -113,7 +103,7 @@ class WarpSimulation:
 
     def set_draws(self) -> None:
         """Take over the difficulties of the sampler, from the next episodes on."""
-        table = draw_table(self.scenes, self.sampler, self.bank.scenes.tomato_first)
+        table = draw_table(self.bank.scenes, self.sampler, self.bank.arrays.tomato_first)
         self.draws = struct_of(self.structs.Draws, table, self.device)
 
     def launch(self, resets_only: bool = False, stream: Any = None) -> None:
@@ -123,12 +113,12 @@ class WarpSimulation:
 
     def launches(self, resets_only: int) -> Iterator[tuple[Any, tuple[int, ...], list[Any]]]:
         """Yield kernels with their dimensions and arguments, in their order."""
-        n, arm, placements, s = self.count, self.arm, self.placements, self.state
-        yield self._drive, (n,), [arm, placements, self.draws, s, self.action, self.start, resets_only]
-        yield self._contacts.screen, (n, len(self.part_names)), [arm, placements, self.grids, s]
-        yield self._contacts.collide, (n, self._lanes), [arm, placements, self.shapes, s]
+        n, arm, bank, s = self.count, self.arm, self.bank, self.state
+        yield self._drive, (n,), [arm, bank.placements, self.draws, s, self.action, self.start, resets_only]
+        yield self._contacts.screen, (n, len(self.part_names)), [arm, bank.placements, bank.grids, s]
+        yield self._contacts.collide, (n, self._lanes), [arm, bank.placements, bank.shapes, s]
         yield self._observe, (n,), [
-            arm, placements, self.grids, s, self.rules, self.layout, self.low, self.high, resets_only, self.out
+            arm, bank.placements, bank.grids, s, self.rules, self.layout, self.low, self.high, resets_only, self.out
         ]  # fmt: skip
 
     def contact_names(self, part: int, counterpart: int, scene: int) -> tuple[str, str]:
@@ -139,10 +129,11 @@ class WarpSimulation:
             return self.part_names[part], "floor"
         if counterpart >= MAX_SHAPES:
             return self.part_names[part], self.part_names[counterpart - MAX_SHAPES]
-        index = counterpart - int(self.bank.scenes.fixtures[scene])
+        index = counterpart - int(self.bank.arrays.fixtures[scene])
         if index < 0:
             return self.part_names[part], "cart"
-        shapes = self.scenes[scene] if self.settings.physics == "reconstruction" else self.scenes[scene].truth
+        known = self.bank.scenes[scene]
+        shapes = known if self.settings.physics == "reconstruction" else known.truth
         assert shapes is not None
         for name, parts in (("tomato", shapes.tomatoes), ("stem", shapes.stems), ("clutter", shapes.clutter)):
             if index < len(parts):
@@ -169,57 +160,19 @@ class WarpSimulation:
             (12 * item // 4 if name in ("part_start", "part_end", "probe") else item) * math.prod(size)
             for name, size in sizes.items()
         )
-        per_scene = math.prod(SHAPE) * 8 + COARSE_COUNT**3
         advice = f"choose fewer simulations than {self.count:,}"
-        advice += f", or a split with fewer scenes than {scenes:,}" if per_scene * scenes > 0.2 * world * self.count else ""
-        check_memory(self.device, (world + 200) * self.count + per_scene * (scenes + _AT_ONCE), advice)
+        advice += (
+            f", or a split with fewer scenes than {scenes:,}"
+            if BYTES_PER_SCENE * scenes > 0.2 * world * self.count
+            else ""
+        )
+        check_memory(self.device, (world + 200) * self.count + BYTES_PER_SCENE * scenes, advice)
 
     def _allocate(self, kind: Any, sizes: Mapping[str, tuple[int, ...]]) -> Any:
         result = kind()
         for name, variable in kind.vars.items():
             size = sizes["contact_parts"] if kind is Output and name == "contact" else sizes.get(name, ())
             setattr(result, name, wp.zeros((self.count, *size), dtype=variable.type.dtype, device=self.device))
-        return result
-
-    def _make_grids(self) -> Any:
-        """Compute the distance grids of all scenes."""
-        count, vec3, real = len(self.scenes), self.structs.vec3, self.real
-        result = self.structs.Grids()
-        coarse_shape = (COARSE_COUNT,) * 3
-        result.fine = wp.zeros(count * math.prod(SHAPE), dtype=Half4, device=self.device)
-        result.coarse = wp.zeros(count * math.prod(coarse_shape), dtype=wp.uint8, device=self.device)
-        scenes, known = self.bank.scenes, struct_of(self.structs.Shapes, self.bank.known, self.device)
-        tomatoes = np.bincount(scenes.scene, minlength=count).astype(np.int32)
-        straight = np.tile(np.eye(3), (count, 1, 1))
-        nothing = np.zeros(count, dtype=np.int32)
-        low = -COARSE_CELL * (COARSE_COUNT - 1) / 2
-        most = int(max(self.bank.known.count.max(), self.bank.simulated.count.max(), 1))
-
-        def fill(
-            shapes: Any, skip: Any, fruit: Any, turns: Any, at: int, origin: Sequence[float], cell: float,
-            shape: Sequence[int], limit: float, grid: Any,
-        ) -> None:  # fmt: skip
-            some, blocks = min(_AT_ONCE, count - at), math.prod(shape) // 512
-            lists = wp.empty((some * blocks, 3 * most), dtype=wp.int32, device=self.device)
-            arrays = [wp.array(x, dtype=t, device=self.device) for x, t in (
-                (skip, wp.int32), (fruit, wp.int32), (scenes.base, vec3), (turns, self.structs.mat3)
-            )]  # fmt: skip
-            wp.launch(
-                self._grids.fill, (some, blocks),
-                [shapes, *arrays, at, vec3(*origin), real(cell), wp.vec3i(*shape), real(limit), lists, grid],
-                device=self.device, block_dim=BLOCK_SIZE,
-            )  # fmt: skip
-
-        for at in range(0, count, _AT_ONCE):
-            fill(known, scenes.fixtures, tomatoes, scenes.heading, at, ORIGIN, CELL, SHAPE, MAX_DISTANCE, result.fine)
-        nodes = math.prod(coarse_shape)
-        whole = wp.zeros(count * nodes, dtype=Half4, device=self.device)
-        for at in range(0, count, _AT_ONCE):
-            limit = 255 * COARSE_UNIT
-            fill(self.shapes, nothing, nothing, straight, at, (low,) * 3, COARSE_CELL, coarse_shape, limit, whole)
-        wp.launch(
-            self._grids.coarsen, whole.shape, [whole, real(COARSE_UNIT), result.coarse], device=self.device, block_dim=BLOCK_SIZE
-        )
         return result
 
 
@@ -268,5 +221,3 @@ def _rules(settings: EnvSettings, observation: ObservationSpec) -> Any:
         setattr(result, term, getattr(reward, term, 0.0))
     result.target_is_obstacle = int(observation.target_is_obstacle)
     return result
-
-

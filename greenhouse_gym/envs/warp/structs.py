@@ -1,4 +1,4 @@
-"""Structs of arrays on the device: the arm, the scenes, the distribution of episodes, and the state of n simulations."""
+"""Structs of arrays on the device: the arm, the scenes, the draws of episodes, and the state of n simulations."""
 
 from functools import lru_cache
 from types import SimpleNamespace
@@ -8,8 +8,6 @@ import warp as wp
 
 from greenhouse_gym.envs.warp.fields import Half4
 from greenhouse_gym.envs.warp.geometry import geometry
-
-# mypy: disable-error-code="valid-type"
 
 IDLE, ACTING, FRESH = 0, 1, 2
 """Phases of a simulation during a launch: it does nothing, acts, or begins an episode."""
