@@ -252,7 +252,8 @@ class Run:
         observation, _ = env.reset(seed=10_000)
         on = observation.device
         weights = [
-            (torch.from_numpy(w).to(on), torch.from_numpy(b).to(on)) for w, b in zip(policy.weights, policy.biases)
+            (torch.from_numpy(w).to(on), torch.from_numpy(b).to(on))
+            for w, b in zip(policy.weights, policy.biases, strict=True)
         ]
         center, scale = torch.from_numpy(policy.center).to(on), torch.from_numpy(policy.scale).to(on)
         alive = torch.ones(count, dtype=torch.bool, device=on)

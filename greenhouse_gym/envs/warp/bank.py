@@ -196,7 +196,10 @@ def draw_table(scenes: Sequence[Scene], sampler: EpisodeSampler, tomato_first: I
     cumulative = np.cumsum(chances).astype(np.float32)
     cumulative[-1] = 1.0
     return DrawTable(
-        cumulative, (np.cumsum(count) - count).astype(np.int32), count, np.array(sum(rows, []), dtype=np.int32)
+        cumulative,
+        (np.cumsum(count) - count).astype(np.int32),
+        count,
+        np.array([row for entry in rows for row in entry], dtype=np.int32),
     )
 
 

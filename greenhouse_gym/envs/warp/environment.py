@@ -42,9 +42,8 @@ class WarpVectorEnv(SpecMixin, VectorEnv[Any, Any, Any]):  # type: ignore[misc]
 
     Infos have the keys of `GreenhouseEnv` as arrays (n, ...), with a mask ``_key`` each. Names are indices: ``scene``
     into `scene_names`, ``difficulty`` into `RATINGS`, and ``contact`` (n, 2) holds an arm's part and its counterpart,
-    which `contact_names` names. ``reward_terms`` holds arrays by name. Contacts by group are not counted. With autoreset
-    in the same step, ``final_obs`` and ``final_info`` hold arrays as well; entries of simulations whose episode goes on
-    are those of the step.
+    which `contact_names` names. ``reward_terms`` holds arrays by name. Contacts are not counted by group. With autoreset
+    in the same step, ``final_obs`` and ``final_info`` hold arrays of all simulations as well.
 
     Args:
         num_envs: Number of simulations.
