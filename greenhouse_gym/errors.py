@@ -73,6 +73,10 @@ class FileWriteError(GreenhouseError, OSError):
         super().__init__(f"{path}: cannot be written ({error.strerror or error})")
 
 
+class DivergedError(GreenhouseError, ArithmeticError):
+    """A training diverged: its weights are not finite or explode; the message names the checkpoint that is kept."""
+
+
 class MissingDependencyError(GreenhouseError, ImportError):
     """An optional dependency is not installed or cannot be imported; the message names the extra that installs it."""
 

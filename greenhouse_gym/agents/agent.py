@@ -86,6 +86,15 @@ class Agent(Protocol):
         """Return the next action (size,) in `Problem.action_space`: [-1, 1] unless the environment has its own."""
 
 
+class NamedAgent:
+    """Base of agents that gives them a short text."""
+
+    name: str
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.name!r})"
+
+
 def check_agent(agent: object) -> None:
     """Raise an error unless an object is an `Agent`.
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.agents.agent import Problem
+from greenhouse_gym.agents.agent import NamedAgent, Problem
 from greenhouse_gym.envs.actions import INTERVAL, joint_steps
 from greenhouse_gym.envs.settings import check_whole
 from greenhouse_gym.geometry import Array
@@ -73,7 +73,7 @@ class PathFollower:
         return next(self._actions, self._zero).astype(np.float32)
 
 
-class PlannerAgent:
+class PlannerAgent(NamedAgent):
     """Plan with any planner and follow the path; hold still without a path.
 
     It needs an environment whose actions move the joints: increments or velocities.

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy.typing as npt
 
-from greenhouse_gym.agents.agent import Problem
+from greenhouse_gym.agents.agent import NamedAgent, Problem
 from greenhouse_gym.agents.goal_features import GOAL_FEATURES, goal_vector
 from greenhouse_gym.agents.policy import Float32, Policy, description_path
 from greenhouse_gym.common.files import data_path
@@ -25,7 +25,7 @@ def shipped_policies() -> dict[str, Path]:
     return {path.stem: path for path in sorted(data_path("policies").glob("*.json"))}
 
 
-class PolicyAgent:
+class PolicyAgent(NamedAgent):
     """A learned policy as an `Agent`.
 
     Attributes:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.agents.agent import Agent, Problem
+from greenhouse_gym.agents.agent import Agent, NamedAgent, Problem
 from greenhouse_gym.agents.policy_agent import BEST, PolicyAgent
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.collision import MARGIN, PROOF
@@ -23,7 +23,7 @@ SPREAD, GROWTH = 0.3, 0.1
 """Standard deviation of the alternatives, and its growth with every replaced action of the episode."""
 
 
-class ShieldedAgent:
+class ShieldedAgent(NamedAgent):
     """Take an agent's action if the commanded motion is free, else the nearest of some random alternatives that is.
 
     It looks one step ahead: it is a projection, not a planner. It checks the motions to the next command from the last

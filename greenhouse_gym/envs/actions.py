@@ -207,9 +207,12 @@ def check_actions(actions: Any, count: int, space: spaces.Box) -> Array:
     """
     shape = (count, *space.shape)
     try:
-        array = np.asarray(actions, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InvalidValueError(f"an action must be numbers of shape {shape}, got {actions!r}") from error
+        given = np.asarray(actions)
+        array = given.astype(np.float64) if given.dtype.kind in "buif" else None
+    except (TypeError, ValueError, RuntimeError):  # of other libraries' arrays
+        array = None
+    if array is None:
+        raise InvalidValueError(f"an action must be real numbers of shape {shape}, got {actions!r}")
     if array.shape != shape:
         raise InvalidValueError(f"an action must have shape {shape}, got {array.shape}")
     if not np.isfinite(array).all():

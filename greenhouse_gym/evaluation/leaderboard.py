@@ -55,6 +55,7 @@ class Protocol:
         seed: Seed of the first episode; episode i has the seed ``seed + i``.
         difficulty: Difficulties of the targets, at their natural frequency.
         timeout: Time limit of each call of the agent, seconds.
+        start: Start configuration, from which the targets of the bank are rated.
     """
 
     version: str = "v1"
@@ -64,6 +65,7 @@ class Protocol:
     seed: int = 0
     difficulty: tuple[str, ...] = ("easy", "medium", "hard")
     timeout: float = 120.0
+    start: str = "upright"
 
 
 V1 = Protocol()
@@ -279,7 +281,7 @@ def _run(
     executor: Executor | None = None,
     journal: RecordJournal | None = None,
 ) -> Evaluation:
-    options = {"bank": protocol.bank, "difficulty": protocol.difficulty, **TRACKS[track]}
+    options = {"bank": protocol.bank, "difficulty": protocol.difficulty, "start": protocol.start, **TRACKS[track]}
     return evaluate(
         agent,
         protocol.split,

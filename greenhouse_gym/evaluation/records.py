@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from html import escape
 from statistics import mean, median
+from typing import Any
 
+from greenhouse_gym.common.extras import needs
 from greenhouse_gym.common.tables import Table
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.scene import DIFFICULTIES
@@ -94,6 +97,23 @@ class Evaluation:
         """Number of episodes that ended because the agent gave no valid action."""
         return sum(bool(r.failure) for r in self.records)
 
+    def __repr__(self) -> str:
+        figures = (
+            f"success {self.success_rate:.1%}, collision {self.collision_rate:.1%}" if self.records else self.error
+        )
+        return f"Evaluation({self.agent!r}, {len(self.records)} episodes, {figures})"
+
+    def _repr_html_(self) -> str:
+        return comparison_html((self,))
+
+    def to_pandas(self) -> Any:
+        """Return a data frame with a row per episode: the agent and the fields of `Record`.
+
+        Raises:
+            MissingDependencyError: pandas is not installed.
+        """
+        return records_frame((self,))
+
     def of(self, difficulty: str) -> Evaluation:
         """Return the evaluation restricted to one difficulty."""
         return Evaluation(self.agent, tuple(r for r in self.records if r.difficulty == difficulty))
@@ -102,6 +122,35 @@ class Evaluation:
         """Return the median of a record field over all or the successful episodes; NaN without any."""
         values = [float(getattr(r, field)) for r in self.records if r.success or not solved_only]
         return median(values) if values else math.nan
+
+
+class Evaluations(tuple[Evaluation, ...]):
+    """Evaluations of several agents on the same episodes, which notebooks show as a table."""
+
+    __slots__ = ()
+
+    def __repr__(self) -> str:
+        return comparison_table(self)
+
+    def _repr_html_(self) -> str:
+        return comparison_html(self)
+
+    def to_pandas(self) -> Any:
+        """Return a data frame with a row per agent and episode, as `Evaluation.to_pandas`.
+
+        Raises:
+            MissingDependencyError: pandas is not installed.
+        """
+        return records_frame(self)
+
+
+def records_frame(evaluations: Sequence[Evaluation]) -> Any:
+    """Return a pandas data frame with a row per record."""
+    with needs("data"):
+        import pandas
+    columns = ["agent", *(f.name for f in fields(Record))]
+    rows = [[e.agent, *(getattr(r, name) for name in columns[1:])] for e in evaluations for r in e.records]
+    return pandas.DataFrame(rows, columns=columns)
 
 
 @dataclass(frozen=True)
@@ -165,6 +214,12 @@ def comparison_table(evaluations: Sequence[Evaluation]) -> str:
     """Return the table of `comparison_rows` as Markdown, with `comparison_notes` below it."""
     notes = "".join(f"\n{note}\n" for note in comparison_notes(evaluations))
     return comparison_rows(evaluations).as_markdown() + notes
+
+
+def comparison_html(evaluations: Sequence[Evaluation]) -> str:
+    """Return the table of `comparison_rows` as HTML, with `comparison_notes` below it."""
+    notes = "".join(f"<p>{escape(note)}</p>" for note in comparison_notes(evaluations))
+    return comparison_rows(evaluations).as_html() + notes
 
 
 def difficulties_of(evaluations: Sequence[Evaluation]) -> list[str]:

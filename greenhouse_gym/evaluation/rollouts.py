@@ -17,12 +17,13 @@ import numpy as np
 from rich.progress import track
 
 from greenhouse_gym.agents import Agent
-from greenhouse_gym.agents.agent import check_agent
+from greenhouse_gym.agents.named import agent_of
 from greenhouse_gym.common.executors import completed, require_portable, workers_of
+from greenhouse_gym.common.own_code import described
 from greenhouse_gym.envs import make_vec_env
 from greenhouse_gym.errors import InvalidValueError, require_seed
 from greenhouse_gym.evaluation.journal import RecordJournal
-from greenhouse_gym.evaluation.records import Evaluation, Record
+from greenhouse_gym.evaluation.records import Evaluation, Evaluations, Record
 from greenhouse_gym.evaluation.runner import AgentError, EpisodeRunner, never_acted
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
@@ -31,7 +32,7 @@ _PARTS = 16  # per worker, so that all workers finish at about the same time and
 
 
 def evaluate(
-    agent: Agent,
+    agent: Agent | str,
     split: str = "test",
     episodes: int = 200,
     seed: int = 0,
@@ -49,7 +50,8 @@ def evaluate(
     action raises an error; a later one ends the episode, which then counts as unsuccessful and records the reason.
 
     Args:
-        agent: The agent; its ``env_options`` are keywords of the environment.
+        agent: The agent, or a name that `greenhouse_gym.agents.make_agent` takes; its ``env_options`` are keywords of
+            the environment.
         split: "train", "validation" or "test".
         episodes: Number of episodes.
         seed: Episode i has the seed ``seed + i``. With the same bank, split and difficulties, every agent gets the same
@@ -78,10 +80,10 @@ def evaluate(
             raise InvalidValueError(f"{name} must be a whole number from 1 up, got {number!r}")
     if timeout is not None and not timeout > 0:
         raise InvalidValueError(f"timeout must be a positive number of seconds, or None, got {timeout!r}")
-    check_agent(agent)
+    agent = agent_of(agent)
     require_seed(seed)
     for key, value in agent.env_options.items():
-        if key in options and options[key] != value:
+        if key in options and described(options[key]) != described(value):
             raise InvalidValueError(f"agent {agent.name!r} needs {key}={value!r}, got {options[key]!r}")
     chosen: list[dict[str, Any]] = [{}] * episodes
     if problems is not None:
@@ -104,9 +106,9 @@ def evaluate(
 
 
 def compare(
-    agents: Iterable[Agent], split: str = "test", episodes: int = 200, seed: int = 0, **options: Any
-) -> tuple[Evaluation, ...]:
-    """Evaluate several agents on the same episodes, one after the other; see `evaluate`.
+    agents: Iterable[Agent | str], split: str = "test", episodes: int = 200, seed: int = 0, **options: Any
+) -> Evaluations:
+    """Evaluate several agents, or agents by name, on the same episodes, one after the other; see `evaluate`.
 
     An agent that cannot be evaluated gets an evaluation with an error and no records; the others continue.
     """
@@ -117,7 +119,7 @@ def compare(
         except AgentError as error:
             return Evaluation(agent.name, (), str(error))
 
-    return tuple(one(agent) for agent in agents)
+    return Evaluations([one(agent_of(agent)) for agent in ([agents] if isinstance(agents, str) else agents)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,19 +138,20 @@ class Trace:
 
 
 def retrace(
-    agent: Agent, seeds: Sequence[int], split: str = "test", timeout: float | None = None, **options: Any
+    agent: Agent | str, seeds: Sequence[int], split: str = "test", timeout: float | None = None, **options: Any
 ) -> tuple[Trace, ...]:
     """Repeat episodes of an evaluation and return their joint paths.
 
     The outcomes are the same, unless the agent's actions depend on the time it takes.
 
     Args:
-        agent: The agent.
+        agent: The agent, or its name.
         seeds: Seeds of the episodes, from their records.
         split: See `evaluate`.
         timeout: See `evaluate`.
         **options: Keywords of the environment; see `evaluate`.
     """
+    agent = agent_of(agent)
     env = make_vec_env(1, split=split, **{**options, **agent.env_options})
     try:
         runner = EpisodeRunner(agent, env, deque((require_seed(seed), {}) for seed in seeds), 0, timeout, proven=True)

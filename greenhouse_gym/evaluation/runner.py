@@ -15,6 +15,7 @@ import numpy as np
 from greenhouse_gym.agents.agent import Agent, Problem
 from greenhouse_gym.envs import GreenhouseVectorEnv
 from greenhouse_gym.envs.actions import check_actions
+from greenhouse_gym.envs.contacts import NAME_SEPARATOR
 from greenhouse_gym.envs.observations import Observed, select
 from greenhouse_gym.envs.simulation import Simulation
 from greenhouse_gym.errors import GreenhouseError, InvalidValueError
@@ -252,7 +253,7 @@ class EpisodeRunner:
             difficulty=info["difficulty"],
             success=bool(info["is_success"]) and not run.failure,
             collision=bool(info["collision"]),
-            contact=tuple(info["contact"]),
+            contact=tuple(filter(None, info["contact"].split(NAME_SEPARATOR))),
             steps=steps,
             planning_time=run.planning_time,
             action_time=run.action_time / max(1, steps),

@@ -70,7 +70,7 @@ def problems(scene: Scene, robot: Robot) -> Iterator[PlanningProblem]:
         others = [part for part in shapes if part is not tomato]
         name = f"{scene.name}-{target.tomato:03d}"
         yield PlanningProblem(
-            name, target.difficulty, robot.start, goals, tomato.position, base_from_scene @ tip_in_scene, others
+            name, target.difficulty, robot.rating_start, goals, tomato.position, base_from_scene @ tip_in_scene, others
         )
 
 

@@ -1,4 +1,4 @@
-"""Caution about what a scan may have missed: rims of leaves, unexplained occupied cells, and unknown space."""
+"""Caution about the gaps of a scan: rims of leaves, unexplained occupied cells, and unknown space."""
 
 from __future__ import annotations
 

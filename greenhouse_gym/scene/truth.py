@@ -21,18 +21,14 @@ def true_scene(scene: Scene) -> Scene:
             f'scene {scene.name!r} carries no truth, which physics="truth" needs: scenes built from simulated '
             "recordings carry it, those of a real row cannot"
         )
-    return Scene(
-        name=scene.name,
-        tomatoes=scene.truth.tomatoes,
-        stems=scene.truth.stems,
-        clutter=scene.truth.clutter,
-        placement=scene.placement,
-        provenance=scene.provenance,
-    )
+    shapes = {name: getattr(scene.truth, name) for name in ("tomatoes", "stems", "clutter")}
+    true = scene.model_copy(update={**shapes, "targets": (), "truth": None, "occupancy": None})
+    vars(true)["arrays"] = scene.truth.arrays
+    return true
 
 
 def start_is_collision_free(scene: Scene, robot: str | Robot) -> bool:
-    """Return whether an arm in its start configuration touches no plant of the true row.
+    """Return whether an arm touches no plant of the true row at its own start and at `Robot.rating_start`.
 
     People who put up an arm see the plants and do not place it inside them, whatever the scan shows. Contacts with the
     floor, the cart and the arm itself do not count.
@@ -45,8 +41,11 @@ def start_is_collision_free(scene: Scene, robot: str | Robot) -> bool:
         return True
     compiled = compile_scene(true_scene(scene), robot)
     data = mujoco.MjData(compiled.model)
-    data.qpos[:] = compiled.robot.start
-    mujoco.mj_kinematics(compiled.model, data)
-    mujoco.mj_collision(compiled.model, data)
     plants = compiled.obstacle_geoms
-    return not ((data.contact.geom >= plants.start) & (data.contact.geom < plants.stop)).any()
+    for start in (compiled.robot.start, compiled.robot.rating_start):
+        data.qpos[:] = start
+        mujoco.mj_kinematics(compiled.model, data)
+        mujoco.mj_collision(compiled.model, data)
+        if ((data.contact.geom >= plants.start) & (data.contact.geom < plants.stop)).any():
+            return False
+    return True

@@ -20,6 +20,7 @@ from greenhouse_gym.crops.parts import Stem, Tomato
 from greenhouse_gym.envs import GreenhouseEnv
 from greenhouse_gym.envs.actions import ACTIONS
 from greenhouse_gym.envs.choices import OBSERVATIONS
+from greenhouse_gym.envs.features import feature_slices
 from greenhouse_gym.envs.rewards import REWARDS
 from greenhouse_gym.errors import InvalidValueError, UnknownKeywordError, UnknownNameError
 from greenhouse_gym.geometry import Sphere
@@ -234,7 +235,7 @@ def test_only_the_cup_may_touch_only_the_target(target: int, touching: bool) -> 
     env = make_for(placed)
     _, info = env.reset(options={"scene": placed, "target": target, "start": REACH})
     assert info["collision"] == touching
-    assert info["contact"] == (("cup", "tomato_0") if touching else ())
+    assert info["contact"] == ("cup, tomato_0" if touching else "")
     *_, info = env.step(np.zeros(6))
     assert info["collision"] == touching
 
@@ -246,7 +247,7 @@ def test_the_rod_may_not_touch_the_target() -> None:
     env.reset(options={"scene": placed, "target": 0, "start": REACH})
     _, reward, terminated, _, info = env.step(np.zeros(6))
     assert terminated
-    assert info["contact"] == ("rod", "tomato_0")
+    assert info["contact"] == "rod, tomato_0"
     assert info["reward_terms"]["collision"] == -1
     assert reward < -0.9
 
@@ -257,6 +258,18 @@ def test_episodes_are_truncated_by_the_task(bank: SceneBank) -> None:
     assert len(steps) == 200
     assert [s[3] for s in steps] == [False] * 199 + [True]
     assert not steps[-1][2]
+
+
+def test_the_state_holds_the_tool_and_its_turn_to_the_target(bank: SceneBank) -> None:
+    env = make(bank, robot="iiwa14", action="tip_velocity")
+    observation = play(env, 1, np.random.default_rng(1).uniform(-1, 1, (5, 6)))[-1][0]
+    parts = {name: observation[part] for name, part in feature_slices(env.simulation.observe.layout).items()}
+    tip, axis = env.simulation.state.tip[0], env.simulation.state.axis[0]
+    np.testing.assert_allclose(parts["tip_position"], tip, atol=1e-6)
+    np.testing.assert_allclose(parts["tool_axis"], axis, atol=1e-6)
+    offset = parts["target_position"] - tip
+    np.testing.assert_allclose(parts["target_direction"], offset / np.linalg.norm(offset), atol=1e-5)
+    np.testing.assert_allclose(parts["turn_to_target"], np.cross(axis, parts["target_direction"]), atol=1e-5)
 
 
 def test_options_fix_scene_target_and_start(bank: SceneBank) -> None:

@@ -6,17 +6,19 @@ import json
 import re
 from pathlib import Path
 
-from greenhouse_gym.capture.formats.single_camera import single_camera
+from greenhouse_gym.capture.formats.pairs import Lens, Pair, distorted_lens
+from greenhouse_gym.capture.formats.single_camera import video
 from greenhouse_gym.capture.formats.trajectories import read_poses
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.capture.rig import Intrinsics
-from greenhouse_gym.common.files import parsing, read_bytes
+from greenhouse_gym.common.files import natural_order, parsing, read_bytes
 from greenhouse_gym.errors import FileFormatError
 
 name = "calibrated"
 description = "the folders rgb/ and depth/, camera_*.yaml, optionally groundtruth_handeye.txt"
 
 _POSES = "groundtruth_handeye.txt"
+_FIELD = re.compile(r"^(\w+):\s*(?:!!\S+\s*)?(?:rows:.*\s+cols:.*\s+(?:dt:.*\s+)?data:\s*)?(\[[^\]]*\]|\S.*)$", re.M)
 
 
 def recognizes(path: Path) -> bool:
@@ -31,28 +33,31 @@ def open(path: Path) -> Recording:
         FileFormatError: A file is missing or damaged. Images are checked when their station is read.
     """
     calibration, *_ = _calibrations(path) or [path / "camera_*.yaml"]
-    intrinsics = _intrinsics(calibration)
-    color = sorted((path / "rgb").glob("*.png"))
+    pair = Pair(_lens(calibration))
+    color = sorted((path / "rgb").glob("*.png"), key=natural_order)
     depth = [path / "depth" / file.name for file in color]
     truth = path / _POSES
     if not truth.exists():
-        return single_camera(path, intrinsics, color, depth, described_by=[calibration])
+        return video(path, pair, color, depth, [None] * len(color), [calibration])
     for file in color:
         if not file.stem.isdecimal():
             raise FileFormatError(file, f"expected a number as the image's name, by which {_POSES} gives its pose")
     numbers, matrices = read_poses(truth)
     poses = dict(zip(numbers.astype(int).tolist(), matrices, strict=True))
     known = [poses.get(int(file.stem)) for file in color]
-    return single_camera(path, intrinsics, color, depth, known, described_by=[calibration, truth])
+    return video(path, pair, color, depth, known, [calibration, truth])
 
 
 def _calibrations(path: Path) -> list[Path]:
     return sorted(path.glob("camera_*.yaml"))
 
 
-def _intrinsics(path: Path) -> Intrinsics:
+def _lens(path: Path) -> Lens:
+    """Read a calibration as ROS and OpenCV write it: matrices as lists, or as ``data`` below rows and columns."""
     with parsing(path, "calibration with image_width, image_height and a camera_matrix of nine numbers"):
         text = read_bytes(path, "calibration").decode()
-        fields = dict(re.findall(r"^(\w+):\s*(\S.*)$", text, re.M))
+        fields = dict(_FIELD.findall(text))
         width, height, k = (json.loads(fields[key]) for key in ("image_width", "image_height", "camera_matrix"))
-        return Intrinsics(int(width), int(height), k[0], k[4], k[2], k[5])
+        distortion = json.loads(fields.get("distortion_coefficients", "[]"))
+        model = fields.get("distortion_model", "").strip("\"' ")
+        return distorted_lens(path, Intrinsics(int(width), int(height), k[0], k[4], k[2], k[5]), distortion, model)

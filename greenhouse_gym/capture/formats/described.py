@@ -22,7 +22,7 @@ from typing import Annotated, TypeAlias
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from greenhouse_gym.capture.formats.pairs import Lens, Pair
+from greenhouse_gym.capture.formats.pairs import Lens, Pair, distorted_lens
 from greenhouse_gym.capture.formats.single_camera import CAMERA, RIG_FROM_CAMERA, station_pose
 from greenhouse_gym.capture.formats.trajectories import read_poses
 from greenhouse_gym.capture.frames import Station
@@ -60,9 +60,11 @@ class _Lens(_Part):
     cx: float
     cy: float
     distortion: list[float] = []
+    distortion_model: str = "plumb_bob"
 
-    def lens(self) -> Lens:
-        return Lens(Intrinsics(**self.model_dump(exclude={"distortion"})), tuple(self.distortion))
+    def lens(self, file: Path) -> Lens:
+        pinhole = Intrinsics(**self.model_dump(exclude={"distortion", "distortion_model"}))
+        return distorted_lens(file, pinhole, self.distortion, self.distortion_model)
 
 
 class _Camera(_Part):
@@ -143,8 +145,8 @@ def _station(pairs: Mapping[str, Pair], images: Images, poses: Sequence[Array | 
 def _pair(file: Path, camera: _Camera) -> Pair:
     matrix = camera.color_from_depth
     return Pair(
-        camera.intrinsics.lens(),
-        None if camera.depth_intrinsics is None else camera.depth_intrinsics.lens(),
+        camera.intrinsics.lens(file),
+        None if camera.depth_intrinsics is None else camera.depth_intrinsics.lens(file),
         np.eye(4) if matrix is None else checked_pose(file, "color_from_depth", matrix),
         camera.depth_scale,
     )

@@ -12,6 +12,7 @@ from greenhouse_gym.capture.formats.trajectories import read_numbers
 from greenhouse_gym.capture.image_files import read_any_color, read_any_depth
 from greenhouse_gym.capture.recordings import Recording, checked_pose
 from greenhouse_gym.capture.rig import Intrinsics
+from greenhouse_gym.common.files import natural_order
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import Array, invert
 
@@ -32,7 +33,7 @@ def open(path: Path) -> Recording:
     Raises:
         FileFormatError: A file is missing or damaged. Images are checked when their station is read.
     """
-    color = sorted((path / "color").glob("*.*"), key=_number)
+    color = sorted((path / "color").glob("*.*"), key=natural_order)
     depth = [path / "depth" / f"{file.stem}.png" for file in color]
     if not color:
         raise FileFormatError(path, "holds no color images")
@@ -44,10 +45,6 @@ def open(path: Path) -> Recording:
     pair = Pair(lenses[0], None if same else lenses[1], invert(extrinsics[0]) @ extrinsics[1])
     poses = [path / "pose" / f"{file.stem}.txt" for file in color]
     return video(path, pair, color, depth, [_pose(file) for file in poses], matrices)
-
-
-def _number(file: Path) -> tuple[int, str]:
-    return (int(file.stem) if file.stem.isdecimal() else -1, file.name)
 
 
 def _intrinsics(file: Path, shape: tuple[int, ...]) -> Intrinsics:

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
 import numpy.typing as npt
 
@@ -14,29 +13,27 @@ from greenhouse_gym.envs.episodes import UNRATED, EpisodeSampler
 from greenhouse_gym.envs.warp.arm import Ints, matrix
 from greenhouse_gym.envs.worlds import spheres_in_base
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.geometry import Array, Box, Capsule, Ellipsoid, Shape, pose, rotation_about
+from greenhouse_gym.geometry import Array, Box, ShapeArrays, arrays_of, pose, rotation_about
+from greenhouse_gym.geometry.shape_arrays import BOX, CAPSULE, SPHERE
+from greenhouse_gym.motion.distance_field import NODE, SHAPE, obstacle_field
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import DIFFICULTIES, Scene, compile_scene
-from greenhouse_gym.scene.mjcf import MIN_CAPSULE_LENGTH, base_position
+from greenhouse_gym.scene.mjcf import base_position
+from greenhouse_gym.scene.obstacle_slots import MIN_LENGTH
 from greenhouse_gym.scene.truth import true_scene
-
-SPHERE, CAPSULE, ELLIPSOID, BOX = (
-    int(getattr(mujoco.mjtGeom, f"mjGEOM_{kind}")) for kind in ("SPHERE", "CAPSULE", "ELLIPSOID", "BOX")
-)
-"""Kinds of shapes, as in MuJoCo."""
 
 RATINGS = (*DIFFICULTIES, UNRATED)
 """Ratings of targets by index."""
 
 
 @dataclass(frozen=True, eq=False)
-class ShapeArrays:
+class ShapeTable:
     """Shapes of s scenes in one table of m rows, in the frames of their scenes, metres.
 
     Attributes:
         first: (s,) first row of each scene.
         count: (s,) number of rows of each scene.
-        kind: (m,) kind of shape.
+        kind: (m,) kind of shape, as in `greenhouse_gym.geometry.shape_arrays`.
         center: (m, 3) center.
         rotation: (m, 3, 3) rotation; the axis of a capsule is its z axis.
         size: (m, 3) radius; radius and half length; semi-axes; half extents.
@@ -92,13 +89,13 @@ class Bank(NamedTuple):
 
     Attributes:
         scenes: Placements and tomatoes.
-        known: Shapes that agents know.
-        simulated: Shapes that the arm may touch: the same, or those of the true rows; the cart comes first.
+        shapes: Shapes that the arm may touch, those of the true rows if they are simulated; the cart comes first.
+        fields: (s, nodes) nodes of the distance fields of the scenes as agents know them.
     """
 
     scenes: SceneArrays
-    known: ShapeArrays
-    simulated: ShapeArrays
+    shapes: ShapeTable
+    fields: npt.NDArray[np.void]
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,16 +127,19 @@ def bank_of(scenes: Sequence[Scene], sampler: EpisodeSampler, physics: str) -> B
         InvalidValueError: A scene carries no truth although the physics need it.
     """
     robot, truth = sampler.robot, physics == "truth"
-    placements, known, simulated = [], [], []
+    placements, tables = [], []
     columns: dict[str, list[Array]] = {name: [] for name in ("scene", "tomato", "shape", "target", "goal", "radius")}
     ratings: list[int] = []
+    fields = np.empty((len(scenes), *SHAPE), dtype=NODE)
     for s, scene in enumerate(scenes):
         physical = true_scene(scene) if truth else scene
         placement = _Placement.of(scene, robot)
         placements.append(placement)
         cart = placement.cart
-        simulated.append(_table(physical.obstacles, cart))
-        known.append(_table(scene.obstacles, cart) if truth else simulated[-1])
+        tables.append(_table(cart, physical.arrays))
+        obstacle_field(
+            scene.arrays, len(scene.tomatoes), placement.scene_from_base, fields[s].reshape(-1).view(np.uint64)
+        )
         targets = spheres_in_base(scene, placement.scene_from_base).astype(np.float32).astype(np.float64)
         goals, bodies = targets, np.arange(len(targets))
         if truth:
@@ -148,7 +148,7 @@ def bank_of(scenes: Sequence[Scene], sampler: EpisodeSampler, physics: str) -> B
             goals = there[bodies]
         columns["scene"].append(np.full(len(targets), s))
         columns["tomato"].append(np.arange(len(targets)))
-        columns["shape"].append(bodies + len(cart))
+        columns["shape"].append(bodies + len(cart.kinds))
         columns["target"].append(targets[:, :3])
         columns["goal"].append(goals[:, :3])
         columns["radius"].append(goals[:, 3])
@@ -161,14 +161,13 @@ def bank_of(scenes: Sequence[Scene], sampler: EpisodeSampler, physics: str) -> B
         heading=np.array([p.scene_from_base[:3, :3] for p in placements]),
         arm_rotation=np.array([p.arm_rotation for p in placements]),
         floor=np.array([p.floor for p in placements]),
-        fixtures=np.array([len(p.cart) for p in placements], dtype=np.int32),
+        fixtures=np.array([len(p.cart.kinds) for p in placements], dtype=np.int32),
         tomato_first=np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(np.int32),
         rating=np.array(ratings, dtype=np.int32),
         **{name: whole[name].astype(np.int32) for name in ("scene", "tomato", "shape")},
         **{name: whole[name] for name in ("target", "goal", "radius")},
     )
-    together = _joined(simulated)
-    return Bank(arrays, _joined(known) if truth else together, together)
+    return Bank(arrays, _joined(tables), fields)
 
 
 def draw_table(scenes: Sequence[Scene], sampler: EpisodeSampler, tomato_first: Ints) -> DrawTable:
@@ -209,7 +208,7 @@ class _Placement(NamedTuple):
     scene_from_base: Array
     arm_rotation: Array
     floor: float
-    cart: list[Box]
+    cart: ShapeArrays
 
     @classmethod
     def of(cls, scene: Scene, robot: Robot) -> _Placement:
@@ -221,43 +220,32 @@ class _Placement(NamedTuple):
             pose(rotation_about([0, 0, 1], scene.placement.yaw), base_position(scene, robot)),
             matrix(model.body_quat[1]),
             float(model.geom("floor").pos[2]),
-            [Box(model.geom_pos[g], model.geom_size[g], matrix(model.geom_quat[g])) for g in fixtures],
+            arrays_of([Box(model.geom_pos[g], model.geom_size[g], matrix(model.geom_quat[g])) for g in fixtures]),
         )
 
 
-def _table(shapes: Sequence[Shape], cart: Sequence[Box]) -> ShapeArrays:
+def _table(cart: ShapeArrays, shapes: ShapeArrays) -> ShapeTable:
     """Return the shapes of one scene after its cart."""
-    rows = [_row(shape) for shape in (*cart, *shapes)]
-    kind, center, rotation, size, bound = zip(*rows, strict=True) if rows else ((), (), (), (), ())
-    return ShapeArrays(
-        np.zeros(1, dtype=np.int32),
-        np.array([len(rows)], dtype=np.int32),
-        np.array(kind, dtype=np.int32),
-        np.array(center).reshape(-1, 3),
-        np.array(rotation).reshape(-1, 3, 3),
-        np.array(size).reshape(-1, 3),
-        np.array(bound, dtype=np.float64),
+    kinds, starts, ends, sizes, rotations = (np.concatenate(both) for both in zip(cart, shapes, strict=True))
+    axes = (ends - starts) / 2
+    half = np.linalg.norm(axes, axis=1)
+    kinds = np.where((kinds == CAPSULE) & (2 * half <= MIN_LENGTH), SPHERE, kinds)
+    capsule = kinds == CAPSULE
+    rotations, sizes = rotations.copy(), sizes.copy()
+    rotations[capsule, :, 2] = axes[capsule] / half[capsule, None]  # the kernels read no other column
+    sizes[capsule, 1] = half[capsule]
+    bound = np.where(kinds == BOX, np.linalg.norm(sizes, axis=1), sizes.max(axis=1))
+    bound[capsule] = sizes[capsule, :2].sum(axis=1)
+    count = np.array([len(kinds)], dtype=np.int32)
+    return ShapeTable(
+        np.zeros(1, dtype=np.int32), count, kinds.astype(np.int32), (starts + ends) / 2, rotations, sizes, bound
     )
 
 
-def _row(shape: Shape) -> tuple[int, Array, Array, Sequence[float] | Array, float]:
-    if isinstance(shape, Box):
-        return BOX, shape.center, shape.rotation, shape.half_extents, float(np.linalg.norm(shape.half_extents))
-    if isinstance(shape, Ellipsoid):
-        return ELLIPSOID, shape.center, shape.rotation, shape.semi_axes, float(shape.semi_axes.max())
-    if isinstance(shape, Capsule) and (length := shape.length) > MIN_CAPSULE_LENGTH:
-        rotation = np.zeros((3, 3))
-        rotation[:, 2] = (shape.end - shape.start) / length  # the kernels read no other column
-        half = length / 2
-        return CAPSULE, (shape.start + shape.end) / 2, rotation, (shape.radius, half, 0.0), shape.radius + half
-    center = (shape.start + shape.end) / 2 if isinstance(shape, Capsule) else shape.center
-    return SPHERE, center, np.eye(3), (shape.radius, 0.0, 0.0), shape.radius
-
-
-def _joined(tables: Sequence[ShapeArrays]) -> ShapeArrays:
+def _joined(tables: Sequence[ShapeTable]) -> ShapeTable:
     count = np.concatenate([table.count for table in tables])
     columns = {
         name: np.concatenate([getattr(table, name) for table in tables])
         for name in ("kind", "center", "rotation", "size", "bound")
     }
-    return ShapeArrays((np.cumsum(count) - count).astype(np.int32), count.astype(np.int32), **columns)
+    return ShapeTable((np.cumsum(count) - count).astype(np.int32), count.astype(np.int32), **columns)

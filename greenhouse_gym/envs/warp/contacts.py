@@ -1,12 +1,12 @@
-"""Kernels that find contacts of the arm: `screen` finds the parts near shapes, `collide` tests these exactly."""
+"""Kernel that finds contacts of the arm with the scene, itself and the floor."""
 
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import warp as wp
 
-from greenhouse_gym.envs.warp.fields import COARSE_CELL, COARSE_COUNT, COARSE_UNIT
-from greenhouse_gym.envs.warp.structs import IDLE, structs
+from greenhouse_gym.envs.warp.cells import CELL
+from greenhouse_gym.envs.warp.structs import IDLE, Cells, structs
 
 MAX_SHAPES, MAX_PARTS = 60_000, 128
 """Maximum number of shapes in a scene and of parts of an arm that a contact can encode."""
@@ -16,25 +16,21 @@ FLOOR = 65_535
 
 _COUNTERPARTS = 65_536
 _LAST_STEP = 127  # later physics steps have this order in codes
-_SLACK = 0.004  # metres by which a part must be away from shapes to be left out
-
-
-class ContactKernels(NamedTuple):
-    """Kernels for one precision."""
-
-    screen: wp.Kernel
-    collide: wp.Kernel
 
 
 @lru_cache
-def contact_kernels(real: Any, lanes: int) -> ContactKernels:
-    """Return the kernels of a precision; ``lanes`` threads share the shapes of a simulation."""
+def collide_kernel(real: Any, lanes: int, share: int) -> wp.Kernel:
+    """Return the kernel of a precision.
+
+    Args:
+        real: Type of real numbers.
+        lanes: Number of threads of a simulation.
+        share: Number of threads that share the neighborhood of a part.
+    """
     t = structs(real)
-    vec3, Arm, Scenes, Grids, State, Shapes = t.vec3, t.Arm, t.Scenes, t.Grids, t.State, t.Shapes
+    vec3, Arm, Scenes, State, Shapes = t.vec3, t.Arm, t.Scenes, t.State, t.Shapes
     to_point, to_segment, segment_distance = t.to_point, t.to_segment, t.segment_distance
-    idle, count, last = IDLE, COARSE_COUNT, COARSE_COUNT - 1
-    half_width = real(COARSE_CELL * (COARSE_COUNT - 1) / 2)
-    zero, half, cell, unit, slack, tiny = (real(x) for x in (0.0, 0.5, COARSE_CELL, COARSE_UNIT, _SLACK, 1e-9))
+    idle, half, cell = IDLE, real(0.5), real(CELL)
     own, floor, counterparts, per_step, last_step = (
         MAX_SHAPES,
         FLOOR,
@@ -43,88 +39,74 @@ def contact_kernels(real: Any, lanes: int) -> ContactKernels:
         _LAST_STEP,
     )
 
-    @wp.kernel(module="unique", enable_backward=False)
-    def screen(arm: Arm, scenes: Scenes, grids: Grids, s: State):
-        """March along a part's axis in steps that the coarse grid proves to be free."""
-        w, part = wp.tid()
-        if s.phase[w] == idle:
-            return
-        near = int(0)
-        if arm.part_touches[part] != 0:
-            scene = scenes.scene[s.row[w]]
-            low = scenes.base[scene] - vec3(half_width)
-            end_step = s.part_start.shape[1] - 1
-            start = s.part_start[w, end_step, part]
-            along = s.part_end[w, end_step, part] - start
-            length = wp.length(along)
-            along = along / wp.max(length, tiny)
-            reach = arm.part_radius[part] + s.travel[w, part] + slack
-            done = real(0.0)
-            going = int(1)
-            while going != 0:
-                position = (start + done * along - low) / cell
-                x = wp.clamp(int(wp.round(position[0])), 0, last)
-                y = wp.clamp(int(wp.round(position[1])), 0, last)
-                z = wp.clamp(int(wp.round(position[2])), 0, last)
-                node = grids.coarse[((scene * count + x) * count + y) * count + z]
-                away = cell * wp.length(position - vec3(real(x), real(y), real(z)))
-                free = unit * real(int(node)) - away - reach
-                if free <= zero:
-                    near = 1
-                    going = 0
-                elif done >= length:
-                    going = 0
-                else:
-                    done = wp.min(length, done + free + slack)
-        s.near[w, part] = near
-
     @wp.func
     def code(step: wp.int32, part: wp.int32, counterpart: wp.int32):
         return wp.min(step, last_step) * per_step + part * counterparts + counterpart
 
     @wp.kernel(module="unique", enable_backward=False)
-    def collide(arm: Arm, scenes: Scenes, shapes: Shapes, s: State):
-        """Record the first contact with some of the shapes, of the arm with itself, and with the floor."""
+    def collide(arm: Arm, scenes: Scenes, shapes: Shapes, cells: Cells, s: State):
+        """Record the first contact of some of the parts."""
         w, lane = wp.tid()
         if s.phase[w] == idle:
             return
         scene = scenes.scene[s.row[w]]
         first = shapes.first[scene]
-        shape_count = shapes.count[scene]
         target = scenes.shape[s.row[w]]
+        low = scenes.base[scene] + vec3(real(cells.low))
+        side = cells.side
         parts = arm.part_link.shape[0]
         steps = s.part_start.shape[1]
         best = s.contact[w]
         none = best
-        part = int(0)
-        while part < parts:
+        work = lane
+        while work < parts * share:
+            part = work // share
             touches = arm.part_touches[part]
-            if touches != 0 and s.near[w, part] != 0:
-                start = s.part_start[w, steps - 1, part]
-                along = s.part_end[w, steps - 1, part] - start
-                middle = start + half * along
-                radius = arm.part_radius[part]
-                reach = radius + s.travel[w, part]
-                ball = reach + half * wp.length(along)
-                shape = lane
-                while shape < shape_count:
-                    bound = shapes.bound[first + shape]
-                    offset = shapes.center[first + shape] - middle
-                    if wp.dot(offset, offset) < (ball + bound) * (ball + bound) and (touches == 1 or shape != target):
-                        squared = to_point(start, along, shapes.center[first + shape])
-                        if squared < (reach + bound) * (reach + bound) and (
-                            segment_distance(shapes, first + shape, start, along) < reach
+            start = s.part_start[w, steps - 1, part]
+            end = s.part_end[w, steps - 1, part]
+            along = end - start
+            middle = start + half * along
+            radius = arm.part_radius[part]
+            reach = radius + s.travel[w, part]
+            ball = reach + half * wp.length(along)
+            first_cell = (wp.min(start, end) - vec3(reach) - low) / cell
+            last_cell = (wp.max(start, end) + vec3(reach) - low) / cell
+            last_x = wp.min(int(last_cell[0]), side - 1)
+            last_y = wp.min(int(last_cell[1]), side - 1)
+            last_z = wp.min(int(last_cell[2]), side - 1)
+            x = wp.max(int(first_cell[0]), 0) + work % share
+            if touches == 0:
+                x = side
+            while x <= last_x:
+                y = wp.max(int(first_cell[1]), 0)
+                while y <= last_y:
+                    z = wp.max(int(first_cell[2]), 0)
+                    row = ((scene * side + x) * side + y) * side
+                    item = cells.start[row + z]  # the cells of a row follow each other
+                    last_item = cells.start[row + last_z + 1]
+                    while item < last_item:
+                        shape = cells.item[item]
+                        bound = shapes.bound[first + shape]
+                        offset = shapes.center[first + shape] - middle
+                        if wp.dot(offset, offset) < (ball + bound) * (ball + bound) and (
+                            touches == 1 or shape != target
                         ):
-                            step = int(0)
-                            while step < steps:
-                                at = s.part_start[w, step, part]
-                                gap = segment_distance(shapes, first + shape, at, s.part_end[w, step, part] - at)
-                                if gap < radius:
-                                    best = wp.min(best, code(step, part, shape))
-                                    step = steps
-                                step += 1
-                    shape += lanes
-            part += 1
+                            squared = to_point(start, along, shapes.center[first + shape])
+                            if squared < (reach + bound) * (reach + bound) and (
+                                segment_distance(shapes, first + shape, start, along) < reach
+                            ):
+                                step = int(0)
+                                while step < steps:
+                                    at = s.part_start[w, step, part]
+                                    gap = segment_distance(shapes, first + shape, at, s.part_end[w, step, part] - at)
+                                    if gap < radius:
+                                        best = wp.min(best, code(step, part, shape))
+                                        step = steps
+                                    step += 1
+                        item += 1
+                    y += 1
+                x += share
+            work += lanes
         pair = lane
         while pair < arm.pairs.shape[0]:
             a = arm.pairs[pair][0]
@@ -159,4 +141,4 @@ def contact_kernels(real: Any, lanes: int) -> ContactKernels:
         if best < none:
             wp.atomic_min(s.contact, w, best)
 
-    return ContactKernels(screen, collide)
+    return collide

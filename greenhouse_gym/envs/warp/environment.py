@@ -15,7 +15,7 @@ from gymnasium.vector.utils import batch_space
 from greenhouse_gym.common.extras import needs
 from greenhouse_gym.envs.actions import check_actions
 from greenhouse_gym.envs.episodes import DifficultyChoice
-from greenhouse_gym.envs.settings import EnvSettings, SpecMixin, check_whole, settings_with
+from greenhouse_gym.envs.settings import EnvMixin, EnvSettings, check_whole, settings_with
 from greenhouse_gym.envs.vector import mode_of
 from greenhouse_gym.envs.warp.simulation import TERMS, WarpSimulation
 from greenhouse_gym.errors import InvalidValueError, NoEpisodeError, require_choice
@@ -30,7 +30,7 @@ _INFOS = {
 _COUNTS = ("steps", "speed_limited", "position_limited")
 
 
-class WarpVectorEnv(SpecMixin, VectorEnv[Any, Any, Any]):  # type: ignore[misc]
+class WarpVectorEnv(EnvMixin, VectorEnv[Any, Any, Any]):  # type: ignore[misc]
     """``num_envs`` simulations as kernels: the numbers of `GreenhouseVectorEnv`, up to rounding, from another device.
 
     The scenes of the split, their distance fields, the draws of episodes and the resets are on the device, and a step
@@ -42,8 +42,8 @@ class WarpVectorEnv(SpecMixin, VectorEnv[Any, Any, Any]):  # type: ignore[misc]
 
     Infos have the keys of `GreenhouseEnv` as arrays (n, ...), with a mask ``_key`` each. Names are indices: ``scene``
     into `scene_names`, ``difficulty`` into `RATINGS`, and ``contact`` (n, 2) holds an arm's part and its counterpart,
-    which `contact_names` names. ``reward_terms`` holds arrays by name. Contacts are not counted by group. With autoreset
-    in the same step, ``final_obs`` and ``final_info`` hold arrays of all simulations as well.
+    which `contact_names` names. ``reward_terms`` holds arrays by name. Contacts are not counted by group. With
+    autoreset in the same step, ``final_obs`` and ``final_info`` hold arrays of all simulations as well.
 
     Args:
         num_envs: Number of simulations.
@@ -88,6 +88,10 @@ class WarpVectorEnv(SpecMixin, VectorEnv[Any, Any, Any]):  # type: ignore[misc]
         self.autoreset_mode = mode_of(autoreset_mode)
         if self.autoreset_mode == AutoresetMode.DISABLED:
             raise InvalidValueError('backend="warp" resets by itself: choose autoreset_mode "NextStep" or "SameStep"')
+        self.options = {
+            "num_envs": num_envs, "device": device, "arrays": arrays, "precision": precision,
+            "autoreset_mode": self.autoreset_mode.value,
+        }  # fmt: skip
         self.metadata = {**self.metadata, "render_fps": self.settings.rate, "autoreset_mode": self.autoreset_mode}
         self._torch = _torch() if require_choice("arrays", arrays, ARRAYS) == "torch" else None
         self.simulation = simulation = WarpSimulation(num_envs, self.settings, device, precision)

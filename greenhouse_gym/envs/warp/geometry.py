@@ -6,9 +6,7 @@ from typing import Any
 
 import warp as wp
 
-from greenhouse_gym.envs.warp.bank import BOX, CAPSULE, ELLIPSOID, SPHERE
-
-_KINDS = SPHERE, CAPSULE, ELLIPSOID, BOX
+from greenhouse_gym.geometry.shape_arrays import BOX, CAPSULE, SPHERE
 
 
 @lru_cache
@@ -17,7 +15,7 @@ def geometry(real: Any) -> SimpleNamespace:
     vec3, mat3 = wp.types.vector(3, real), wp.types.matrix((3, 3), real)
     zero, one, half, two, tiny = (real(x) for x in (0.0, 1.0, 0.5, 2.0, 1e-12))
     parallel, golden, least_axis, smallest_slope = real(1e-9), real(0.381966), real(1e-6), real(1e-20)
-    sphere, capsule, box, _ = _KINDS[0], _KINDS[1], _KINDS[3], _KINDS[2]
+    sphere, capsule, box = SPHERE, CAPSULE, BOX
 
     @wp.struct
     class Shapes:
@@ -157,26 +155,7 @@ def geometry(real: Any) -> SimpleNamespace:
             return wp.sqrt(to_box(local, local_along, size))
         return to_ellipsoid(local, local_along, size)
 
-    @wp.func
-    def point_distance(shapes: Shapes, row: wp.int32, point: vec3):
-        """Return the signed distance of a point to a shape."""
-        kind = shapes.kind[row]
-        size = shapes.size[row]
-        offset = point - shapes.center[row]
-        if kind == sphere:
-            return wp.length(offset) - size[0]
-        local = offset @ shapes.rotation[row]
-        if kind == capsule:
-            axis = shapes.rotation[row] @ vec3(zero, zero, one)
-            beyond = wp.dot(offset, axis)
-            return wp.length(offset - wp.clamp(beyond, -size[1], size[1]) * axis) - size[0]
-        if kind == box:
-            excess = vec3(wp.abs(local[0]), wp.abs(local[1]), wp.abs(local[2])) - size
-            outside = wp.max(excess, vec3())
-            return wp.length(outside) + wp.min(wp.max(excess[0], wp.max(excess[1], excess[2])), zero)
-        return ellipsoid_distance(local, size)
-
     return SimpleNamespace(
         real=real, vec3=vec3, mat3=mat3, Shapes=Shapes, to_point=to_point, to_segment=to_segment,
-        segment_distance=segment_distance, point_distance=point_distance,
+        segment_distance=segment_distance
     )  # fmt: skip

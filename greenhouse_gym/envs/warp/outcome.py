@@ -6,12 +6,12 @@ from typing import Any
 import warp as wp
 
 from greenhouse_gym.envs.warp.contacts import _COUNTERPARTS, MAX_PARTS
-from greenhouse_gym.envs.warp.structs import FRESH, IDLE, NO_CONTACT, structs
+from greenhouse_gym.envs.warp.structs import FRESH, IDLE, NO_CONTACT, Half4, structs
 from greenhouse_gym.motion.distance_field import CELL, MAX_DISTANCE, ORIGIN, SHAPE
 
 FEATURES = (
-    "joint_position", "joint_velocity", "command_error", "grasp_offset", "target_position", "tip_position", "tool_axis",
-    "clearance", "obstacle_direction",
+    "joint_position", "joint_velocity", "command_error", "tip_position", "tool_axis", "grasp_offset", "target_position",
+    "target_direction", "turn_to_target", "clearance", "obstacle_direction",
 )  # fmt: skip
 """Features that the kernel computes."""
 
@@ -25,6 +25,8 @@ class Layout:
     command_error: wp.int32
     grasp_offset: wp.int32
     target_position: wp.int32
+    target_direction: wp.int32
+    turn_to_target: wp.int32
     tip_position: wp.int32
     tool_axis: wp.int32
     clearance: wp.int32
@@ -71,7 +73,7 @@ class Output:
 def observe_kernel(real: Any) -> wp.Kernel:
     """Return the kernel of a precision."""
     t = structs(real)
-    vec3, Arm, Scenes, Grids, State = t.vec3, t.Arm, t.Scenes, t.Grids, t.State
+    vec3, Arm, Scenes, State = t.vec3, t.Arm, t.Scenes, t.State
     fresh, idle, none = FRESH, IDLE, NO_CONTACT
     counterparts, max_parts = _COUNTERPARTS, MAX_PARTS
     origin, cell, far, capped = vec3(*ORIGIN), real(CELL), real(MAX_DISTANCE), real(MAX_DISTANCE - 1e-3)
@@ -96,7 +98,7 @@ def observe_kernel(real: Any) -> wp.Kernel:
     def observe(
         arm: Arm,
         scenes: Scenes,
-        grids: Grids,
+        fields: wp.array(dtype=Half4),
         s: State,
         rules: Rules,
         layout: Layout,
@@ -176,6 +178,9 @@ def observe_kernel(real: Any) -> wp.Kernel:
         put(observation, layout.target_position, target)
         put(observation, layout.tip_position, tip)
         put(observation, layout.tool_axis, axis)
+        direction = (target - tip) / wp.max(wp.length(target - tip), shortest)
+        put(observation, layout.target_direction, direction)
+        put(observation, layout.turn_to_target, wp.cross(axis, direction))
         ignored = wp.float16(float(scenes.tomato[row]))
         if rules.target_is_obstacle != 0:
             ignored = wp.float16(-2.0)
@@ -197,7 +202,7 @@ def observe_kernel(real: Any) -> wp.Kernel:
             for dx in range(2):
                 for dy in range(2):
                     for dz in range(2):
-                        node = grids.fine[scene * nodes + ((x + dx) * size_y + y + dy) * size_z + z + dz]
+                        node = fields[scene * nodes + ((x + dx) * size_y + y + dy) * size_z + z + dz]
                         v = real(wp.where(node[2] == ignored, node[1], node[0]))
                         wx = wp.where(dx == 1, fraction[0], one - fraction[0])
                         wy = wp.where(dy == 1, fraction[1], one - fraction[1])
@@ -208,15 +213,15 @@ def observe_kernel(real: Any) -> wp.Kernel:
                         )
             value += cell * wp.length(position - inside)
             length = wp.length(slope)
-            direction = vec3()
+            to_obstacle = vec3()
             if value < capped and length > shortest:
-                direction = -slope / length
+                to_obstacle = -slope / length
             clearance = wp.min(value, far) - arm.probe_radius[probe]
             nearest = wp.min(nearest, clearance)
             if layout.clearance >= 0:
                 observation[layout.clearance + probe] = wp.float32(clearance)
             if layout.obstacle_direction >= 0:
-                put(observation, layout.obstacle_direction + 3 * probe, direction)
+                put(observation, layout.obstacle_direction + 3 * probe, to_obstacle)
             probe += 1
         out.clearance[w] = wp.float32(nearest)
         column = int(0)

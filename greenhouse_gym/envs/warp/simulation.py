@@ -20,7 +20,8 @@ from greenhouse_gym.envs.state import control_timing
 from greenhouse_gym.envs.tasks import TomatoReach
 from greenhouse_gym.envs.warp.arm import ArmArrays, arm_arrays, colliding_parts, unsupported
 from greenhouse_gym.envs.warp.bank import draw_table
-from greenhouse_gym.envs.warp.contacts import FLOOR, MAX_SHAPES, contact_kernels
+from greenhouse_gym.envs.warp.cells import reach_of
+from greenhouse_gym.envs.warp.contacts import FLOOR, MAX_SHAPES, collide_kernel
 from greenhouse_gym.envs.warp.device_bank import BYTES_PER_SCENE, device_bank
 from greenhouse_gym.envs.warp.dynamics import drive_kernel
 from greenhouse_gym.envs.warp.outcome import FEATURES, Layout, Output, Rules, observe_kernel
@@ -37,7 +38,7 @@ TERMS = ("success", "collision", "progress", "time", "effort")
 """Terms of the reward, in the order of their sum."""
 
 _CPU_UNROLLED, _GPU_UNROLLED = 0, 16  # rounds of loops: unrolled loops take long to compile, but run in registers
-_LANES = {True: 32, False: 1}  # threads that share the shapes of a simulation, on a GPU and on a CPU
+_LANES = {True: (32, 2), False: (1, 1)}  # threads of a simulation and of a part, on a GPU and on a CPU
 
 
 class WarpSimulation:
@@ -82,12 +83,12 @@ class WarpSimulation:
         self._check_memory(sizes, len(names))
         moves_tip = isinstance(self.action_rule, TipVelocity)
         unrolled = _GPU_UNROLLED if self.device.is_cuda else _CPU_UNROLLED
-        self._lanes = _LANES[self.device.is_cuda]
+        self._lanes, share = _LANES[self.device.is_cuda]
         self._drive = drive_kernel(real, len(robot.joints), timing.substeps, moves_tip, unrolled)
-        self._contacts, self._observe = contact_kernels(real, self._lanes), observe_kernel(real)
-        load_kernels((self._drive, *self._contacts, self._observe), self.device)
+        self._collide, self._observe = collide_kernel(real, self._lanes, share), observe_kernel(real)
+        load_kernels((self._drive, self._collide, self._observe), self.device)
         self.arm = struct_of(self.structs.Arm, self.arm_arrays, self.device)
-        self.bank = device_bank(self.sampler, settings.physics, self.device.alias, real)
+        self.bank = device_bank(self.sampler, settings.physics, reach_of(self.arm_arrays), self.device.alias, real)
         self.state = self._allocate(self.structs.State, sizes)
         self.out = self._allocate(Output, sizes)
         self.rules = _rules(settings, self.observe)
@@ -115,10 +116,9 @@ class WarpSimulation:
         """Yield kernels with their dimensions and arguments, in their order."""
         n, arm, bank, s = self.count, self.arm, self.bank, self.state
         yield self._drive, (n,), [arm, bank.placements, self.draws, s, self.action, self.start, resets_only]
-        yield self._contacts.screen, (n, len(self.part_names)), [arm, bank.placements, bank.grids, s]
-        yield self._contacts.collide, (n, self._lanes), [arm, bank.placements, bank.shapes, s]
+        yield self._collide, (n, self._lanes), [arm, bank.placements, bank.shapes, bank.cells, s]
         yield self._observe, (n,), [
-            arm, bank.placements, bank.grids, s, self.rules, self.layout, self.low, self.high, resets_only, self.out
+            arm, bank.placements, bank.fields, s, self.rules, self.layout, self.low, self.high, resets_only, self.out
         ]  # fmt: skip
 
     def contact_names(self, part: int, counterpart: int, scene: int) -> tuple[str, str]:
@@ -149,7 +149,7 @@ class WarpSimulation:
         return {
             **dict.fromkeys(("joints", "velocities", "command", "start"), (joints,)),
             **dict.fromkeys(("part_start", "part_end"), (substeps, parts)),
-            **dict.fromkeys(("travel", "near"), (parts,)),
+            **dict.fromkeys(("travel",), (parts,)),
             "probe": (probes,), "observation": (observed,), "achieved": (3,), "desired": (3,), "terms": (len(TERMS),),
             "contact_parts": (2,),
         }  # fmt: skip
@@ -192,6 +192,8 @@ def check_settings(settings: EnvSettings) -> None:
         raise unsupported("reward", settings.reward, "dense, sparse, a DenseReward or SparseReward")
     if settings.task != "reach":
         raise unsupported("task", settings.task, '"reach"')
+    if settings.scene is not None:
+        raise unsupported("scene", settings.scene, "None, and the scene in the options of each reset")
     if settings.randomization != NO_RANDOMIZATION:
         raise unsupported("randomization", settings.randomization, "none")
 

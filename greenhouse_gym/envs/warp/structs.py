@@ -6,7 +6,6 @@ from typing import Any
 
 import warp as wp
 
-from greenhouse_gym.envs.warp.fields import Half4
 from greenhouse_gym.envs.warp.geometry import geometry
 
 IDLE, ACTING, FRESH = 0, 1, 2
@@ -14,6 +13,20 @@ IDLE, ACTING, FRESH = 0, 1, 2
 
 NO_CONTACT = 2**31 - 1
 """Contact of a simulation without one; others are encoded by `greenhouse_gym.envs.warp.contacts`."""
+
+
+Half4 = wp.types.vector(4, wp.float16)
+"""Node of a distance field: the distance, the distance without the nearest tomato, and the index of that tomato."""
+
+
+@wp.struct
+class Cells:
+    """Cell lists, see `greenhouse_gym.envs.warp.cells.CellLists`."""
+
+    start: wp.array(dtype=wp.int32)
+    item: wp.array(dtype=wp.int32)
+    side: wp.int32
+    low: wp.float32
 
 
 @lru_cache
@@ -98,7 +111,6 @@ def structs(real: Any) -> SimpleNamespace:
             start_contact: (n,) contact of the start, which counts in the first action.
             part_start, part_end: (n, substeps, g) ends of the parts after each physics step, in the scene.
             travel: (n, g) distance that a part moved in the action, at most.
-            near: (n, g) 1 if a part may touch the world.
             tip, axis: (n,) in the scene.
             probe: (n, k) in the scene.
         """
@@ -123,16 +135,8 @@ def structs(real: Any) -> SimpleNamespace:
         part_start: wp.array3d(dtype=vec3)
         part_end: wp.array3d(dtype=vec3)
         travel: wp.array2d(dtype=real)
-        near: wp.array2d(dtype=wp.int32)
         tip: wp.array(dtype=vec3)
         axis: wp.array(dtype=vec3)
         probe: wp.array2d(dtype=vec3)
 
-    @wp.struct
-    class Grids:
-        """Distance grids of the scenes: fine ones of what agents know, coarse ones of what the arm may touch."""
-
-        fine: wp.array(dtype=Half4)
-        coarse: wp.array(dtype=wp.uint8)
-
-    return SimpleNamespace(**vars(g), Arm=Arm, Scenes=Scenes, Draws=Draws, State=State, Grids=Grids)
+    return SimpleNamespace(**vars(g), Arm=Arm, Scenes=Scenes, Draws=Draws, State=State)
