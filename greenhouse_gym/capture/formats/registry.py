@@ -97,12 +97,9 @@ def open_recording(path: str | Path, format: str | RecordingFormat | None = None
         chosen = _checked(format, "the given format")
     with parsing(path, f"recording of the format {chosen.name!r}"):
         recording = chosen.open(path)
-    if not isinstance(recording, Recording):
-        raise FileFormatError(
-            path, f"the format {chosen.name!r} gave {type(recording).__name__} instead of a Recording"
-        )
-    if recording.size < 1:
-        raise FileFormatError(path, f"the format {chosen.name!r} found no stations in it")
+    if not isinstance(recording, Recording) or recording.size < 1:
+        kind = type(recording).__name__
+        raise FileFormatError(path, f"the format {chosen.name!r} found no stations in it (it gave a {kind})")
     return replace(recording, load=_Checked(recording, path, chosen.name))
 
 
