@@ -12,7 +12,7 @@ import numpy.typing as npt
 from greenhouse_gym.agents.agent import NamedAgent, Problem
 from greenhouse_gym.agents.planner_agent import PathFollower
 from greenhouse_gym.envs.features import feature_slices
-from greenhouse_gym.envs.observations import PATH_FEATURES, StateObservation
+from greenhouse_gym.envs.observations import PATH_FEATURES, TOOL_FEATURES, StateObservation
 from greenhouse_gym.planning import goal_configurations
 
 
@@ -37,7 +37,7 @@ class RandomAgent(NamedAgent):
 
 
 class StraightLineAgent(NamedAgent):
-    """Move straight to the free goal configuration nearest to the start, through whatever is in between.
+    """Move straight to the free goal configuration nearest to the start, regardless of obstacles.
 
     It needs an environment whose actions move the joints.
     """
@@ -64,19 +64,19 @@ class StraightLineAgent(NamedAgent):
 class WaypointAgent(NamedAgent):
     """Move straight to the observed waypoint; hold still while no collision-free waypoint is known.
 
-    This is what `observation="waypoint"` achieves without any learning.
+    This is what `observation="roadmap"` achieves without any learning.
     It needs an environment whose actions move the joints.
     """
 
-    name = "waypoint"
-    env_options: Mapping[str, Any] = MappingProxyType({"observation": "waypoint"})
+    name = "roadmap"
+    env_options: Mapping[str, Any] = MappingProxyType({"observation": "roadmap"})
 
     def __init__(self) -> None:
         self._direction = self._path = slice(0)
 
     def reset(self, problem: Problem) -> None:
-        """Look up where the direction, and whether it is free, are in the observation."""
-        groups = feature_slices(StateObservation(problem.robot, extra=PATH_FEATURES).layout)
+        """Find the indices of the waypoint's direction and of its flag in the observation."""
+        groups = feature_slices(StateObservation(problem.robot, extra=PATH_FEATURES, without=TOOL_FEATURES).layout)
         self._direction, self._path = groups["waypoint_direction"], groups["path"]
 
     def act(self, observation: Any) -> npt.NDArray[np.float32]:

@@ -148,8 +148,7 @@ def _datasets_in(folder: str) -> Iterator[None]:
 def _run(agent: Agent, env: GreenhouseEnv, seed: int) -> dict[str, Any]:
     """Run an episode and return its columns."""
     observation, info = env.reset(seed=seed)
-    rule, interval = env.simulation.action_rule, env.simulation.interval
-    agent.reset(Problem(env.scene, env.target, env.robot, env.start, seed, rule, interval))
+    agent.reset(Problem.of(env.simulation, 0, seed))
     columns: dict[str, list[Any]] = {
         "observations": [observation], "actions": [], "rewards": [], "terminations": [], "truncations": [],
     }  # fmt: skip

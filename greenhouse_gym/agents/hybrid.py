@@ -64,7 +64,7 @@ class HybridAgent(NamedAgent):
 
     def _rehearse(self, problem: Problem) -> bool:
         """Return whether the policy reaches the target in the known scene."""
-        capacity = capacity_for(len(problem.scene.obstacles))
+        capacity = capacity_for(problem.scene.count)
         options = {**self.env_options, "robot": problem.robot, "rate": 1 / problem.interval, "capacity": capacity}
         if problem.action is not None:
             options["action"] = problem.action

@@ -6,6 +6,7 @@ names pass `checked_name`; paths named inside a file pass `inside`. Files are wr
 
 from __future__ import annotations
 
+import codecs
 import errno
 import os
 import re
@@ -36,6 +37,8 @@ MAX_BYTES = MappingProxyType(
         "truth": 64 * 2**20,
         "row cloud": 16 * 2**30,
         "settings": 2**20,
+        "robot": 16 * 2**20,
+        "robot asset": 256 * 2**20,
         "cloud of points": 16 * 2**30,
         "policy": 2**30,
         "checkpoint": 4 * 2**30,
@@ -127,6 +130,12 @@ def read_bytes(path: str | Path, kind: str) -> bytes:
     if not readable:
         raise FileFormatError(path, f"too large for a {kind}: {status.st_size} bytes, at most {MAX_BYTES[kind]}")
     return content
+
+
+def text_encoding(path: Path) -> str:
+    """Return the encoding of a text file by its byte order mark; UTF-8 without one."""
+    with path.open("rb") as file:
+        return "utf-16" if file.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "utf-8-sig"
 
 
 def _without_waiting(path: str, flags: int) -> int:

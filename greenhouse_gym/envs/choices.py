@@ -21,6 +21,7 @@ from greenhouse_gym.envs.contacts import CONTACT_GROUPS
 from greenhouse_gym.envs.image_observations import DepthObservation, PointsObservation, RgbObservation
 from greenhouse_gym.envs.observations import (
     PATH_FEATURES,
+    TOOL_FEATURES,
     GoalObservation,
     ObservationChoice,
     ObservationSpec,
@@ -39,9 +40,9 @@ OBSERVATIONS: Mapping[str, Callable[[Robot, Task], ObservationSpec]] = {
     "state": StateObservation,
     "state_occupancy": partial(StateObservation, extra=("unknown",)),
     "clearance_rays": partial(StateObservation, extra=("clearance_rays",)),
-    "waypoint": partial(StateObservation, extra=PATH_FEATURES),
+    "roadmap": partial(StateObservation, extra=PATH_FEATURES, without=TOOL_FEATURES),
     "goal": GoalObservation,
-    "goal_waypoint": partial(GoalObservation, path=True),
+    "goal_roadmap": partial(GoalObservation, path=True),
     "depth": DepthObservation(),
     "points": PointsObservation(),
     "rgb": RgbObservation(),
@@ -202,7 +203,6 @@ class _CheckedAction:
     def __init__(self, own: Any, joints: int):
         self._own, self._joints, self._name = own, joints, f"action {_name(own)}"
         self.space: spaces.Box = own.space
-        self.peak = np.broadcast_to(np.asarray(getattr(own, "peak", np.inf), dtype=np.float64), joints)
         if not isinstance(self.space, spaces.Box) or len(self.space.shape) != 1:
             raise InvalidValueError(f"{self._name}: its space must be a Box of one axis, got {self.space}")
 

@@ -23,6 +23,8 @@ CENTERS_AND_SCALES: dict[str, tuple[float, float]] = {
     "command_error": (0.0, 0.1),
     "grasp_offset": (0.0, 0.25),
     "target_position": (0.0, 0.5),
+    "target_direction": (0.0, 1.0),
+    "turn_to_target": (0.0, 1.0),
     "tip_position": (0.0, 0.5),
     "tool_axis": (0.0, 1.0),
     "clearance": (0.1, 0.1),

@@ -86,6 +86,8 @@ def _single(path: object, camera: str, kind: str, topics: list[str]) -> str:
     """Return the topic to read: aligned depth rather than other depth, raw images rather than compressed ones."""
     topics = [topic for topic in topics if "aligned" in topic] or topics
     topics = [topic for topic in topics if "compressed" not in topic.lower()] or topics
+    if kind == "depth":  # the other compression squeezes depth into 8 bits
+        topics = [topic for topic in topics if "compresseddepth" in topic.lower()] or topics
     if len(topics) > 1:
         raise FileFormatError(
             path,
@@ -95,8 +97,13 @@ def _single(path: object, camera: str, kind: str, topics: list[str]) -> str:
     return topics[0]
 
 
+def is_rectified(topic: str) -> bool:
+    """Return whether the images of a topic are rectified, which ROS marks in its name: image_rect, image_rect_color."""
+    return re.search(r"(?<![a-z])rect(?!or)", topic.lower()) is not None
+
+
 def _stem(topic: str) -> str:
-    """Return a topic without its last part, that of a compression, and the suffix of RealSense's recorder."""
+    """Return a topic without the suffixes of compression and of RealSense's recorder."""
     return re.sub(r"(/image/data|/[^/]+)$", "", re.sub(r"/(compressed|compressedDepth)$", "", topic))
 
 
