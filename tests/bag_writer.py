@@ -98,12 +98,12 @@ class Writer:
         )  # fmt: skip
         self.put(topic, "tf2_msgs/msg/TFMessage", stamp, transforms=[stamped])
 
-    def pose(self, topic: str, place: Array, stamp: int) -> None:
+    def pose(self, topic: str, place: Array, stamp: int, frame: str = "odom") -> None:
         turned = Rotation.from_matrix(place[:3, :3]).as_quat()
         point = self.make("geometry_msgs/msg/Point", **dict(zip("xyz", place[:3, 3].tolist(), strict=True)))
         turn = self.make("geometry_msgs/msg/Quaternion", **dict(zip("xyzw", turned.tolist(), strict=True)))
         there = self.make("geometry_msgs/msg/Pose", position=point, orientation=turn)
-        self.put(topic, "geometry_msgs/msg/PoseStamped", stamp, header=self.header(stamp), pose=there)
+        self.put(topic, "geometry_msgs/msg/PoseStamped", stamp, header=self.header(stamp, frame), pose=there)
 
     def camera(self, prefix: str, frames: Sequence[RgbdFrame], late: int = 0) -> None:
         """A camera as ROS drivers name its topics, depth aligned to color in millimetres, ``late`` nanoseconds late."""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.agents.agent import Agent, Problem
+from greenhouse_gym.agents.agent import Agent, NamedAgent, Problem
 from greenhouse_gym.agents.planner_agent import PlannerAgent
 from greenhouse_gym.agents.policy_agent import BEST, PolicyAgent
 from greenhouse_gym.envs import make_env
@@ -20,7 +20,7 @@ MAX_CHECKS, ATTEMPTS = 300_000, 4
 found no path in one attempt were reached with other seeds, or with more checks."""
 
 
-class HybridAgent:
+class HybridAgent(NamedAgent):
     """Rehearse each episode with a policy in the known scene, and plan if the rehearsal fails.
 
     If the simulated world is the known scene, the episode repeats the rehearsal. A rehearsal takes about as long as

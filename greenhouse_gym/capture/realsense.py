@@ -182,6 +182,8 @@ def _pair(sdk: Any, profile: Any) -> Pair:
 
 
 def _lens(sdk: Any, found: Any) -> Lens:
-    """Convert the SDK's intrinsics; only Brown's distortion is undone, coefficients of its other models differ."""
+    """Convert the SDK's intrinsics; distortion is undone by Brown's and by the fisheye's model, which OpenCV has."""
     intrinsics = Intrinsics(found.width, found.height, found.fx, found.fy, found.ppx, found.ppy)
-    return Lens(intrinsics, tuple(found.coeffs) if found.model == sdk.distortion.brown_conrady else ())
+    fisheye = found.model == sdk.distortion.kannala_brandt4
+    known = fisheye or found.model == sdk.distortion.brown_conrady
+    return Lens(intrinsics, tuple(found.coeffs)[: 4 if fisheye else 5] if known else (), fisheye)

@@ -15,7 +15,7 @@ import numba
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
-_SLOW = 3.0  # seconds of compilation after which the user is told
+_SLOW = 3.0  # seconds of compilation after which a message is shown
 _NOTICE = "compiling the numerical kernel %s; this takes some seconds, once on this machine"
 _logger = logging.getLogger(__name__)
 

@@ -36,6 +36,9 @@ class Contact(NamedTuple):
 
 NO_CONTACT = Contact()
 
+NAME_SEPARATOR = ", "
+"""Text between the names of the two geoms in ``info["contact"]``."""
+
 
 class Contacts(NamedTuple):
     """Contacts of n simulations during an action.

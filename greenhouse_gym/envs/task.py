@@ -20,6 +20,9 @@ from greenhouse_gym.envs.rewards import REWARDS, Reward
 from greenhouse_gym.envs.state import Bools, State
 from greenhouse_gym.geometry import Array
 
+TARGET_FEATURES = ("grasp_offset", "target_position", "target_direction", "turn_to_target")
+"""Features of a task with one target at a time, see `GreenhouseEnv`."""
+
 
 class Outcome(NamedTuple):
     """Outcome of a task in n simulations.
@@ -56,9 +59,7 @@ class Task(ABC):
 
     ends_on: Collection[str] = CONTACT_GROUPS
     costs: Mapping[str, float] = MappingProxyType({})
-    features: Mapping[str, Feature] = MappingProxyType(
-        {name: FEATURES[name] for name in ("grasp_offset", "target_position")}
-    )
+    features: Mapping[str, Feature] = MappingProxyType({name: FEATURES[name] for name in TARGET_FEATURES})
     rewards: Mapping[str, Reward] = REWARDS
     memory: Mapping[str, float] = MappingProxyType({})
 

@@ -66,7 +66,7 @@ def planning_model(
         UnknownNameError: No such pair.
     """
     count = len(compiled.scene.tomatoes)
-    if not 0 <= target < count:
+    if not isinstance(target, int | np.integer) or isinstance(target, bool) or not 0 <= target < count:
         raise InvalidValueError(f"target {target!r}: scene {compiled.scene.name!r} has tomatoes 0 to {count - 1}")
     model = _with_world_at_rest(compiled.model)
     compiled.allow_cup_on(model, target)

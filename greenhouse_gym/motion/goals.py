@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.errors import InvalidValueError, require_seed
+from greenhouse_gym.errors import InvalidValueError, check_whole, is_number, require_seed
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.collision import CollisionChecker, checker_of
 from greenhouse_gym.motion.inverse_kinematics import Approach, inverse_kinematics
@@ -208,9 +208,8 @@ def search_goals(
 
     The search ends after ``budget`` random configurations. ``checker`` confirms what kernels find free.
     """
-    if count < 1:
-        raise InvalidValueError(f"count must be at least 1, got {count!r}")
-    if not (threshold > 0 and min_difference >= 0):
+    check_whole("count", count, 1)
+    if not (is_number(threshold) and threshold > 0 and is_number(min_difference) and min_difference >= 0):
         raise InvalidValueError(
             f"expected threshold > 0 and min_difference >= 0, got {threshold!r} and {min_difference!r}"
         )

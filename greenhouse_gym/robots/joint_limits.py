@@ -41,6 +41,8 @@ def motion_limits(path: Path, model: mujoco.MjModel, name: str, given: npt.Array
             raise InvalidValueError(f"{name} must be {model.njnt} positive numbers, got {given!r}")
         return limits
     in_file = numeric(path, model, name, model.njnt)
+    if in_file is not None and not (in_file > 0).all():
+        raise FileFormatError(path, f"custom numeric {name!r} must be positive numbers, got {in_file.tolist()}")
     return default if in_file is None else in_file
 
 

@@ -14,10 +14,8 @@ arm there as their size. Collision masks need not be set: every colliding geom c
 from __future__ import annotations
 
 import warnings
-import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
 from functools import lru_cache
-from hashlib import sha256
 from pathlib import Path
 from types import MappingProxyType
 
@@ -27,6 +25,7 @@ import numpy.typing as npt
 
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.robots.arm_file import fingerprint, read_arm
 from greenhouse_gym.robots.joint_limits import (
     DEFAULT_ACCELERATION,
     DEFAULT_SLIDE_ACCELERATION,
@@ -40,7 +39,7 @@ from greenhouse_gym.robots.joint_limits import (
 )
 from greenhouse_gym.robots.prepare import PROBE_PREFIX, TIP_SITE, colliding_geoms, prepare_spec, touching_bodies
 from greenhouse_gym.robots.robot import Robot
-from greenhouse_gym.robots.start import ahead_of_base, foot_depth, upright_start
+from greenhouse_gym.robots.start import SEARCHES, ahead_of_base, foot_depth
 
 _HERE = Path(__file__).parent
 ROBOTS: dict[str, Path] = {path.stem: path for path in sorted(_HERE.glob("*.xml"))}
@@ -52,11 +51,8 @@ FLANGE_SITES = ("flange", "attachment_site", "pinch_site")
 TIP_SITES = (TIP_SITE, *FLANGE_SITES[1:])
 """Names of the tip's site, tried in turn."""
 
-START_KEYS = ("start", "home")
+START_KEYS = ("ready", "start", "home")
 """Names of the start's key frame, tried in turn; the last is MuJoCo Menagerie's."""
-
-UPRIGHT = "upright"
-"""Name of the start that is searched for instead of read; see `upright_start`."""
 
 PLANTS_AHEAD = 0.45
 """Distance ahead of an arm's base at which a row's leaves and fruit begin, metres."""
@@ -77,23 +73,12 @@ def get_robot(robot: str | Path | Robot) -> Robot:
         path = Path(robot).resolve()
     else:
         raise UnknownNameError("robot", str(robot), [*ROBOTS, "(or the path of an MJCF file, ending in .xml)"])
-    return _read_once(path, _fingerprint(path))
+    return _read_once(path, fingerprint(path))
 
 
 @lru_cache(maxsize=32)
 def _read_once(path: Path, fingerprint: str) -> Robot:
     return load_robot(path)
-
-
-def _fingerprint(path: Path) -> str:
-    """Return a checksum of an MJCF file and its includes; an empty text if it cannot be read."""
-    try:
-        text = path.read_bytes()
-        included = [node.get("file", "") for node in ElementTree.fromstring(text).iter("include")]
-    except (OSError, ElementTree.ParseError):
-        return ""
-    parts = [sha256(text).hexdigest(), *(_fingerprint(path.parent / name) for name in included)]
-    return sha256(" ".join(parts).encode()).hexdigest()
 
 
 def load_robot(
@@ -111,9 +96,9 @@ def load_robot(
     Args:
         path: The file, which contains the arm alone, without floor or lights.
         tip: Name of the site at the tip, z along the tool; one of `TIP_SITES` when left out.
-        start: Name of a key frame, the joint positions (n,) in radians and metres, or "upright" to search for a
-            configuration away from the plants; one of `START_KEYS` when left out. A warning is given if the arm
-            starts among the plants.
+        start: Name of a key frame, the joint positions (n,) in radians and metres, or one of `SEARCHES` to search for a
+            configuration away from the plants if the file has no key frame of that name: "ready" or "upright". One of
+            `START_KEYS` when left out. A warning is given if the arm starts among the plants.
         velocity_limits: (n,) rad/s; when left out, the file's, or `DEFAULT_SPEED` and `DEFAULT_SLIDE_SPEED`, reduced
             to what the servos' force attains against the joints' damping.
         acceleration_limits: (n,) rad/s^2; when left out, the file's, or `DEFAULT_ACCELERATION` and
@@ -123,25 +108,27 @@ def load_robot(
         FileFormatError: The file lacks a required part, which the message names.
     """
     path = Path(path).resolve()
-    bare_spec = read_spec(path)
+    bare_spec = read_arm(path)
     bare = bare_spec.compile()
     n = _check_joints(path, bare)
     if not colliding_geoms(bare_spec):
         raise FileFormatError(path, "none of its geoms collides: give the links geoms with contype and conaffinity")
     tip = find_name(path, "site", tip, TIP_SITES, [bare.site(i).name for i in range(bare.nsite)])
+    if bare.body_weldid[bare.site(tip).bodyid[0]] == 0:
+        raise FileFormatError(path, f"no joint moves the site {tip!r}: the tip belongs on the last link")
     own_probes = any(bare.site(i).name.startswith(PROBE_PREFIX) for i in range(bare.nsite))
-    searched = isinstance(start, str) and start == UPRIGHT and UPRIGHT not in _keys(bare)
-    begin = np.zeros(n) if searched else _start(path, bare, start)
+    search = SEARCHES.get(start) if isinstance(start, str) and start not in _keys(bare) else None
+    begin = np.zeros(n) if search else _start(path, bare, start)
     lower, upper = joint_limits(bare, begin)
     spec = prepare_spec(bare_spec, tip)
-    if searched:
-        begin = upright_start(spec, lower, upper, foot_depth(spec.compile()))
+    if search:
+        begin = search(spec, lower, upper, foot_depth(spec.compile()))
     model = spec.compile()
     _check_start(path, model, begin, lower, upper)
-    if not searched and (ahead := ahead_of_base(model, begin)) > PLANTS_AHEAD:
+    if not search and (ahead := ahead_of_base(model, begin)) > PLANTS_AHEAD:
         warnings.warn(
             f"{path}: at its start the arm reaches {ahead:.2f} m ahead of its base, but plants stand from about "
-            f'{PLANTS_AHEAD} m on; load_robot(..., start="upright") finds a collision-free start',
+            f'{PLANTS_AHEAD} m on; load_robot(..., start="ready") finds a collision-free start',
             stacklevel=2,
         )
     height = numeric(path, model, "shoulder_height", 1)
@@ -169,22 +156,6 @@ def load_robot(
         lag=servo_lag(model),
         foot=foot_depth(model),
     )
-
-
-def read_spec(path: Path) -> mujoco.MjSpec:
-    """Read the specification in an MJCF file and check that it compiles.
-
-    Raises:
-        FileFormatError: MuJoCo cannot load or compile it.
-    """
-    if not path.is_file():
-        raise FileFormatError(path, "no such file; expected an arm's MJCF file")
-    try:
-        spec = mujoco.MjSpec.from_file(str(path))
-        spec.compile()
-    except (ValueError, OSError) as error:
-        raise FileFormatError(path, f"MuJoCo cannot load it: {error}") from error
-    return spec
 
 
 def find_name(path: Path, kind: str, name: str | None, usual: Sequence[str], present: Sequence[str]) -> str:
@@ -218,8 +189,6 @@ def _check_joints(path: Path, model: mujoco.MjModel) -> int:
             raise FileFormatError(
                 path, f"actuator {i} must be a position actuator of joint {model.joint(i).name!r}, in the joints' order"
             )
-    if (model.geom_bodyid == 0).any():
-        raise FileFormatError(path, "the world has geoms of its own (a floor?); expected the arm alone")
     return n
 
 

@@ -1,7 +1,8 @@
 """Preparation of an arm's MuJoCo specification for scenes, whatever its file contains.
 
 Collision masks: bit 1 is "the arm", bit 2 is "the cup". Obstacles have both bits; the target lets the cup pass if its
-bit 2 is cleared (`greenhouse_gym.scene.mjcf`). A file's own masks only distinguish colliding from visual geoms.
+bit 2 is cleared (`greenhouse_gym.scene.mjcf`). A file's own masks only distinguish colliding from visual geoms, and its
+margins are dropped: a contact is a touch.
 """
 
 from __future__ import annotations
@@ -36,6 +37,8 @@ def prepare_spec(spec: mujoco.MjSpec, tip: str) -> mujoco.MjSpec:
     cups = cup_geoms(spec, end)
     for geom in colliding_geoms(spec):
         geom.contype, geom.conaffinity = _CUP_MASKS if geom.name in cups else _LINK_MASKS
+    for part in (*spec.geoms, *spec.pairs):
+        part.margin = part.gap = 0.0
     end.name = TIP_SITE
     _let_base_touch_first_link(spec)
     return spec

@@ -10,7 +10,8 @@ import numpy.typing as npt
 
 from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.errors import FileFormatError
-from greenhouse_gym.robots.load import FLANGE_SITES, find_name, load_robot, read_spec
+from greenhouse_gym.robots.arm_file import read_arm
+from greenhouse_gym.robots.load import FLANGE_SITES, find_name, load_robot
 from greenhouse_gym.robots.prepare import CUP_GEOM, PROBE_PREFIX, TIP_SITE
 
 LENGTH, RADIUS = 0.16, 0.012
@@ -20,7 +21,7 @@ _ROD, _CUP = (0.005, 0.123), (0.132, 0.148)  # metres from the flange: ends of t
 
 
 def mount_tool(
-    arm: str | Path, out: str | Path, flange: str | None = None, start: str | npt.ArrayLike | None = "upright"
+    arm: str | Path, out: str | Path, flange: str | None = None, start: str | npt.ArrayLike | None = "ready"
 ) -> Path:
     """Write a copy of an arm's file with the gripper of the shipped arms at its flange and a collision-free start.
 
@@ -39,7 +40,7 @@ def mount_tool(
         FileFormatError: The file contains no arm, no such site, or already a site ``tip`` or a geom ``cup``.
     """
     arm = Path(arm).resolve()
-    spec = read_spec(arm)
+    spec = read_arm(arm)
     model = spec.compile()
     sites = [model.site(i).name for i in range(model.nsite)]
     flange = find_name(arm, "site", flange, FLANGE_SITES, sites)
@@ -62,9 +63,9 @@ def mount_tool(
     write_atomically(out, spec.to_xml())
     begin = load_robot(out, start=start).start
     for key in spec.keys:
-        if key.name == "start":
+        if key.name == "ready":
             spec.delete(key)
-    spec.add_key(name="start", qpos=begin)
+    spec.add_key(name="ready", qpos=begin)
     spec.compile()
     return write_atomically(out, spec.to_xml())
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import weakref
-from collections import OrderedDict
+from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -147,6 +147,11 @@ class SceneBank(Sequence[Scene]):
     def __reduce__(self) -> tuple[Callable[..., SceneBank], tuple[Any, ...]]:
         # a bank is pickled as its folder, a selection or union as its entries and the banks that read them
         return (SceneBank, (self.path, self.manifest, self._homes)) if self._homes else (SceneBank.open, (self.path,))
+
+    def __repr__(self) -> str:
+        splits = Counter(entry.split for entry in self.manifest.scenes)
+        counts = ", ".join(f"{splits[split]} {split}" for split in SPLITS if splits[split])
+        return f"SceneBank({self.manifest.name!r}, {len(self)} scenes: {counts}, {str(self.path)!r})"
 
     @property
     def sha256(self) -> str:

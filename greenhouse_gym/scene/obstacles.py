@@ -134,6 +134,16 @@ class Shapes(Part):
         """Number of shapes."""
         return len(self.tomatoes) + len(self.stems) + len(self.clutter)
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join(self._summary())})"
+
+    __str__ = __repr__
+
+    def _summary(self) -> list[str]:
+        """Return the parts of its text."""
+        parts = {"tomatoes": self.tomatoes, "stems": self.stems, "pieces of clutter": self.clutter}
+        return [f"{len(shapes)} {name}" for name, shapes in parts.items()]
+
     def compact(self) -> Shapes:
         """Return the shapes as a scene file stores its truth: rounded to 0.1 mm, clutter sorted by type."""
         return _unpacked(_packed(self))
@@ -204,3 +214,6 @@ class Surroundings(Shapes):
 
     name: SceneName
     placement: ArmPlacement = Field(default_factory=ArmPlacement)
+
+    def _summary(self) -> list[str]:
+        return [repr(self.name), *super()._summary()]

@@ -45,7 +45,7 @@ class OccupancyGrid(BaseModel):
     origin: Vector
     voxel: float = Field(gt=0, le=1)
     shape: tuple[int, int, int]
-    xz: str
+    xz: str = Field(repr=False)
 
     @model_validator(mode="after")
     def _data_fits(self, info: ValidationInfo) -> OccupancyGrid:

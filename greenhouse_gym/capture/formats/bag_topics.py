@@ -86,6 +86,8 @@ def _single(path: object, camera: str, kind: str, topics: list[str]) -> str:
     """Return the topic to read: aligned depth rather than other depth, raw images rather than compressed ones."""
     topics = [topic for topic in topics if "aligned" in topic] or topics
     topics = [topic for topic in topics if "compressed" not in topic.lower()] or topics
+    if kind == "depth":  # the other compression squeezes depth into 8 bits
+        topics = [topic for topic in topics if "compresseddepth" in topic.lower()] or topics
     if len(topics) > 1:
         raise FileFormatError(
             path,
@@ -93,6 +95,11 @@ def _single(path: object, camera: str, kind: str, topics: list[str]) -> str:
             "rosbags-convert --src BAG --dst FOLDER --exclude-topic TOPIC",
         )
     return topics[0]
+
+
+def is_rectified(topic: str) -> bool:
+    """Return whether the images of a topic are rectified, which ROS marks in its name: image_rect, image_rect_color."""
+    return re.search(r"(?<![a-z])rect(?!or)", topic.lower()) is not None
 
 
 def _stem(topic: str) -> str:

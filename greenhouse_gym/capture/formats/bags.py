@@ -14,18 +14,18 @@ from typing import Any
 
 import numpy as np
 
+from greenhouse_gym.capture.formats.bag_poses import ODOMETRY, POSE, PoseTopic, TimedPoses, rig_poses
 from greenhouse_gym.capture.formats.bag_readers import OpenBag, open_bag
-from greenhouse_gym.capture.formats.bag_topics import CameraTopics, MessageKey, cameras_of, match_moments
+from greenhouse_gym.capture.formats.bag_topics import CameraTopics, MessageKey, cameras_of, is_rectified, match_moments
 from greenhouse_gym.capture.formats.pairs import Pair
 from greenhouse_gym.capture.formats.ros_messages import (
-    POSES,
+    StaticFrames,
     bare_name,
     extrinsics_of,
     image_of,
     lens_of,
     moving_frames,
     pose_between,
-    pose_of,
     static_frames,
     track,
 )
@@ -36,20 +36,21 @@ from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.capture.rig import Camera, Rig
 from greenhouse_gym.common.files import parsing
 from greenhouse_gym.errors import FileFormatError
-from greenhouse_gym.geometry import Array, invert
+from greenhouse_gym.geometry import Array, invert, pose
 
 name = "bag"
 description = "a ROS 1 .bag (RealSense's too), a ROS 2 .mcap or .db3 with its metadata.yaml, or their folder"
 
-_SUFFIXES = (".bag", ".mcap", ".db3")
+_SUFFIXES = (".bag", ".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 _STATIC, _MOVING = "/tf_static", "/tf"
 
 
 def recognizes(path: Path) -> bool:
     """Return whether it is such a file, or a folder with one and its ``metadata.yaml``."""
     if path.is_file():
-        return path.suffix.lower() in _SUFFIXES
-    return (path / "metadata.yaml").is_file() and any(file.suffix in _SUFFIXES for file in path.iterdir())
+        return path.name.lower().endswith(_SUFFIXES)
+    files = path.iterdir() if (path / "metadata.yaml").is_file() else ()
+    return any(file.name.lower().endswith(_SUFFIXES) for file in files)
 
 
 def open(path: Path) -> Recording:
@@ -66,11 +67,14 @@ def open(path: Path) -> Recording:
         images, constants = _index(reader, cameras, types)
         pairs = {name: _pair(path, topics, constants) for name, topics in cameras.items()}
         reference = sorted(pairs)[len(pairs) // 2]
-        timed = _poses(reader, types)
-        camera_poses = not len(timed[0])
-        if camera_poses:
-            timed = _camera_track(reader, constants[cameras[reference].color_info].header.frame_id, constants)
-    moments, notes = match_moments(path, cameras, images)
+        frame = bare_name(constants[cameras[reference].color_info].header.frame_id)
+        moments, notes = match_moments(path, cameras, images)
+        static = static_frames(constants.get(_STATIC, []))
+        times = np.array([_color_stamp(moment) for moment in moments])
+        timed = rig_poses(_pose_topics(reader, types), frame, static, times)
+        if timed is None or not len(timed.times):
+            said = () if timed is None else timed.notes
+            timed = TimedPoses(*_camera_track(reader, frame, static), of_camera=True, notes=said)
     rig = Rig(
         {name: Camera(pair.color.intrinsics, RIG_FROM_CAMERA, pair.depth_scale) for name, pair in pairs.items()},
         reference,
@@ -78,11 +82,12 @@ def open(path: Path) -> Recording:
     for camera, topics in cameras.items():
         if pairs[camera].depth is not None and _color_from_depth(topics, constants) is None:
             notes.append(f"{camera}: the bag lacks the pose of depth to color; taken as the identity")
-    load = _Stations(OpenBag(bag), pairs, tuple(moments), tuple(_nearest_pose(moment, timed) for moment in moments))
+    load = _Stations(OpenBag(bag), pairs, tuple(moments), tuple(_nearest_poses(times, timed)))
     files = (bag,) if bag.is_file() else tuple(sorted(file for file in bag.iterdir() if file.is_file()))
     folder = bag.parent if bag.is_file() else bag
+    notes += timed.notes
     return Recording(
-        path.stem, rig, len(moments), load, folder, files=files, notes=tuple(notes), camera_poses=camera_poses
+        path.stem, rig, len(moments), load, folder, files=files, notes=tuple(notes), camera_poses=timed.of_camera
     )
 
 
@@ -127,10 +132,15 @@ def _pair(path: Path, topics: CameraTopics, constants: Mapping[str, Any]) -> Pai
     for topic in (topics.color_info, topics.depth_info):
         if topic not in constants:
             raise FileFormatError(path, f"has no CameraInfo on {topic}, which its images need")
-    color, depth = (lens_of(path, topic, constants[topic]) for topic in (topics.color_info, topics.depth_info))
+    color, depth = (
+        lens_of(path, info, constants[info], rectified=is_rectified(images))
+        for info, images in ((topics.color_info, topics.color), (topics.depth_info, topics.depth))
+    )
     scale = float(constants[topics.units].data) if topics.units in constants else 0.001
-    color_from_depth = _color_from_depth(topics, constants)
-    return Pair.of(color, depth, np.eye(4) if color_from_depth is None else color_from_depth, scale)
+    known = _color_from_depth(topics, constants)
+    color_from_depth = np.eye(4) if known is None else known
+    color_from_depth = pose(translation=-color.center) @ color_from_depth @ pose(translation=depth.center)
+    return Pair.of(color.lens, depth.lens, color_from_depth, scale)
 
 
 def _color_from_depth(topics: CameraTopics, constants: Mapping[str, Any]) -> Array | None:
@@ -142,32 +152,33 @@ def _color_from_depth(topics: CameraTopics, constants: Mapping[str, Any]) -> Arr
     return pose_between(static_frames(constants.get(_STATIC, [])), bare_name(frames[0]), bare_name(frames[1]))
 
 
-def _poses(reader: Any, types: Mapping[str, str]) -> tuple[Array, Array]:
-    """Return times (n,) and poses (n, 4, 4) of the first topic with poses of the rig, if there is one."""
-    topic = next((topic for topic, kind in sorted(types.items()) if kind in POSES), None)
-    if topic is None:
-        return np.zeros(0), np.zeros((0, 4, 4))
-    timed = [
-        (_stamp(raw, at) / 1e9, pose_of(reader.deserialize(raw, connection.msgtype)))
-        for connection, at, raw in reader.messages(connections=_connections(reader, {topic}))
-    ]
-    timed.sort(key=lambda each: each[0])
-    return np.array([time for time, _ in timed]), np.array([matrix for _, matrix in timed])
+def _pose_topics(reader: Any, types: Mapping[str, str]) -> list[PoseTopic]:
+    """Return the topics of the bag with poses."""
+    kinds = {topic: kind for topic, kind in types.items() if kind in (ODOMETRY, POSE)}
+    messages: dict[str, list[tuple[float, Any]]] = {topic: [] for topic in kinds}
+    for connection, at, raw in reader.messages(connections=_connections(reader, set(kinds))) if kinds else ():
+        messages[connection.topic].append((_stamp(raw, at) / 1e9, reader.deserialize(raw, connection.msgtype)))
+    found = (PoseTopic.of(topic, kinds[topic], each) for topic, each in messages.items())
+    return [topic for topic in found if topic is not None]
 
 
-def _camera_track(reader: Any, frame: str, constants: Mapping[str, Any]) -> tuple[Array, Array]:
+def _camera_track(reader: Any, frame: str, static: StaticFrames) -> tuple[Array, Array]:
     """Return times (n,) and poses (n, 4, 4) of the rig frame around a camera's frame, by /tf; empty if unknown."""
     connections = _connections(reader, {_MOVING})
     found = reader.messages(connections=connections) if connections else ()
     moving = moving_frames(reader.deserialize(raw, connection.msgtype) for connection, _, raw in found)
-    times, poses = track(bare_name(frame), static_frames(constants.get(_STATIC, [])), moving)
+    times, poses = track(frame, static, moving)
     return times, poses @ RIG_FROM_CAMERA.T
 
 
-def _nearest_pose(moment: Mapping[str, tuple[MessageKey, MessageKey]], timed: tuple[Array, Array]) -> Array | None:
-    stamp = next(iter(moment.values()))[0].stamp / 1e9
-    near = int(nearest_in_time(np.array([stamp]), timed[0], POSE_TOLERANCE)[0])
-    return None if near < 0 else timed[1][near]
+def _color_stamp(moment: Mapping[str, tuple[MessageKey, MessageKey]]) -> float:
+    """Return the time of a moment by its first color image, seconds."""
+    return next(iter(moment.values()))[0].stamp / 1e9
+
+
+def _nearest_poses(times: Array, timed: TimedPoses) -> list[Array | None]:
+    near = nearest_in_time(times, timed.times, POSE_TOLERANCE)
+    return [None if k < 0 else timed.poses[k] for k in near]
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,7 +197,9 @@ class _Stations:
         keys = self.moments[i][name]
         with self.bag.reader() as reader:
             color, depth = (_read(reader, key) for key in keys)
-        return self.pairs[name].frame(color, depth, f"{self.bag.bag}, {keys[0].topic} at {keys[0].stamp} ns")
+        return self.pairs[name].frame(
+            color, depth, f"{self.bag.bag}, {keys[0].topic} and {keys[1].topic} at {keys[0].stamp} ns"
+        )
 
 
 def _read(reader: Any, key: MessageKey) -> Any:

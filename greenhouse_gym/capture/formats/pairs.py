@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
@@ -18,13 +19,55 @@ from greenhouse_gym.geometry import Array, transform
 with needs("reconstruct"):
     import cv2
 
+_BROWN = ("", "plumb_bob", "rational_polynomial", "thin_prism", "radtan", "brown_conrady")
+_FISHEYES = ("equidistant", "fisheye", "kannala_brandt4")
 
-@dataclass(frozen=True, eq=False)
+
+@dataclass(frozen=True)
 class Lens:
-    """A pinhole camera and the distortion of its images."""
+    """A pinhole camera and the distortion of its images.
 
-    intrinsics: Intrinsics  # the pinhole
-    distortion: tuple[float, ...] = ()  # OpenCV's coefficients (k1, k2, p1, p2, k3, ...); empty for rectified images
+    Attributes:
+        intrinsics: The pinhole, also of the undistorted images.
+        distortion: OpenCV's coefficients (k1, k2, p1, p2, k3, ...), or (k1, k2, k3, k4) of a fisheye; empty for
+            rectified images.
+        fisheye: True for the equidistant model, in which an image without coefficients is no pinhole's either.
+    """
+
+    intrinsics: Intrinsics
+    distortion: tuple[float, ...] = ()
+    fisheye: bool = False
+
+    @property
+    def distorted(self) -> bool:
+        """True if images differ from those of the pinhole."""
+        return any(self.distortion) or (self.fisheye and len(self.distortion) > 0)
+
+
+def distorted_lens(path: object, intrinsics: Intrinsics, coefficients: Iterable[float], model: str) -> Lens:
+    """Return a lens by the name of its distortion model in ROS, OpenCV or RealSense's SDK.
+
+    Args:
+        path: The file that describes the lens, for messages.
+        intrinsics: The pinhole.
+        coefficients: The distortion coefficients; none for rectified images.
+        model: Name of the model; an empty text is OpenCV's usual one.
+
+    Raises:
+        FileFormatError: The model is unknown and the coefficients are not all 0, or they do not fit the model.
+    """
+    distortion = tuple(float(each) for each in coefficients)
+    fisheye = model.lower() in _FISHEYES
+    if not any(distortion) and not fisheye:
+        return Lens(intrinsics)
+    if not fisheye and model.lower() not in _BROWN:
+        known = ", ".join((*_BROWN[1:], *_FISHEYES))
+        raise FileFormatError(path, f"the distortion model {model!r} is not undone; known are {known}")
+    counts = (0, 4) if fisheye else (4, 5, 8, 12, 14)
+    if len(distortion) not in counts or not np.isfinite(distortion).all():
+        expected = " or ".join(map(str, counts))
+        raise FileFormatError(path, f"{model or 'distortion'}: expected {expected} finite numbers, got {distortion}")
+    return Lens(intrinsics, distortion, fisheye)
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,16 +82,25 @@ class Pair:
     @classmethod
     def of(cls, color: Lens, depth: Lens, color_from_depth: Array, depth_scale: float = 0.001) -> Pair:
         """Return a pair of two lenses; the depth lens is None if lens and pose equal those of color."""
-        same = color.intrinsics == depth.intrinsics and np.allclose(color_from_depth, np.eye(4), atol=1e-6)
+        same = color == depth and np.allclose(color_from_depth, np.eye(4), atol=1e-6)
         return cls(color, None if same else depth, color_from_depth, depth_scale)
 
     def frame(self, color: npt.NDArray[np.uint8], depth: npt.NDArray[Any], named: object) -> RgbdFrame:
         """Combine a color image (h, w, 3) and a depth image (h', w') in its own units into one frame.
 
         Raises:
-            FileFormatError: An image does not have its lens's size; ``named`` is its name in messages.
+            FileFormatError: An image does not have its lens's size, or holds something else than color or distances;
+                ``named`` is its name in messages.
         """
         own = self.depth or self.color
+        if color.dtype != np.uint8 or color.ndim != 3 or color.shape[2] != 3:
+            raise FileFormatError(named, f"color: expected 8 bits of RGB, got {color.dtype} of shape {color.shape}")
+        if depth.dtype.itemsize < 2 or depth.ndim != 2:
+            raise FileFormatError(
+                named,
+                f"depth: expected one channel of 16 bits or of fractions, got {depth.dtype} of shape {depth.shape}; "
+                "images of 8 bits, such as JPEG, hold no distances",
+            )
         for kind, image, lens in (("color", color, self.color), ("depth", depth, own)):
             size = (lens.intrinsics.height, lens.intrinsics.width)
             if image.shape[:2] != size:
@@ -56,9 +108,9 @@ class Pair:
                     named, f"{kind} image is {size_text(image.shape)}, the intrinsics say {size_text(size)}"
                 )
         metres = in_metres(depth, self.depth_scale)
-        if any(self.color.distortion):
+        if self.color.distorted:
             color = cv2.remap(color, *_undistortion(self.color), cv2.INTER_LINEAR)
-        if any(own.distortion):
+        if own.distorted:
             metres = cv2.remap(metres, *_undistortion(own), cv2.INTER_NEAREST)
         if self.depth is not None:
             metres = aligned(metres, self.depth.intrinsics, self.color.intrinsics, self.color_from_depth)
@@ -78,7 +130,8 @@ def _undistortion(lens: Lens) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.f
     """Return the coordinates in the distorted image of each pixel of the undistorted one."""
     k = lens.intrinsics
     distortion = np.array(lens.distortion)
-    maps = cv2.initUndistortRectifyMap(k.matrix, distortion, None, k.matrix, (k.width, k.height), cv2.CV_32FC1)
+    undistort = cv2.fisheye.initUndistortRectifyMap if lens.fisheye else cv2.initUndistortRectifyMap
+    maps = undistort(k.matrix, distortion, np.eye(3), k.matrix, (k.width, k.height), cv2.CV_32FC1)
     return maps[0], maps[1]
 
 

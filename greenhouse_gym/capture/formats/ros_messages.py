@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from greenhouse_gym.capture.formats.pairs import Lens
+from greenhouse_gym.capture.formats.pairs import Lens, distorted_lens
 from greenhouse_gym.capture.formats.trajectories import nearest_in_time
 from greenhouse_gym.capture.rig import Intrinsics
 from greenhouse_gym.common.extras import needs
@@ -21,8 +21,6 @@ with needs("reconstruct"):
 
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
-POSES = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped")
-"""Types of messages with the pose of a rig: x forward, z up, as in a rig's frame here."""
 
 _ENCODINGS: dict[str, tuple[Any, int, int | None]] = {
     "rgb8": (np.uint8, 3, None),
@@ -75,19 +73,41 @@ def _decompressed(topic: str, message: Any) -> npt.NDArray[Any]:
     return np.asarray(cv2.cvtColor(image[..., :3], cv2.COLOR_BGR2RGB) if image.ndim == 3 else image)
 
 
-def lens_of(path: object, topic: str, message: Any) -> Lens:
+class Calibrated(NamedTuple):
+    """A lens, and the position of its optical center in the frame of its CameraInfo, metres."""
+
+    lens: Lens
+    center: Array
+
+
+def lens_of(path: object, topic: str, message: Any, rectified: bool = False) -> Calibrated:
     """Convert a CameraInfo message.
 
+    Args:
+        path: The bag, for messages.
+        topic: The topic of the message.
+        message: The message.
+        rectified: The images are rectified: ``P`` describes them, without distortion, instead of ``K`` and ``D``.
+
     Raises:
-        FileFormatError: It holds no pinhole.
+        FileFormatError: It holds no pinhole, or a distortion model that is not known.
     """
-    matrix = np.asarray(message.K if hasattr(message, "K") else message.k, dtype=np.float64).reshape(3, 3)
-    distortion = np.asarray(message.D if hasattr(message, "D") else message.d, dtype=np.float64)
+    fields = {name.lower(): value for name, value in vars(message).items()}
+    projection = np.reshape(np.asarray(fields.get("p", np.zeros(12)), dtype=np.float64), (3, 4))
+    rectified = rectified and projection[0, 0] > 0
+    matrix = projection[:, :3] if rectified else np.reshape(np.asarray(fields["k"], dtype=np.float64), (3, 3))
     if not matrix[0, 0] > 0:
         raise FileFormatError(path, f"the CameraInfo on {topic} holds no focal length: the camera is not calibrated")
-    focal, center = matrix[[0, 1], [0, 1]].tolist(), matrix[:2, 2].tolist()
-    k = Intrinsics(int(message.width), int(message.height), *focal, *center)
-    return Lens(k, tuple(distortion.tolist()) if distortion.any() else ())
+    focal, center = matrix[[0, 1], [0, 1]], matrix[:2, 2]
+    size, corner = np.array([int(message.width), int(message.height)]), np.zeros(2)
+    if (region := fields.get("roi")) is not None and region.width and region.height:
+        size, corner = np.array([region.width, region.height]), np.array([region.x_offset, region.y_offset])
+    binning = np.maximum([fields.get("binning_x", 1), fields.get("binning_y", 1)], 1)
+    k = Intrinsics(*(size // binning).tolist(), *(focal / binning).tolist(), *((center - corner) / binning).tolist())
+    if rectified:
+        return Calibrated(Lens(k), np.append(-projection[:2, 3] / focal, 0.0))
+    where = f"{path}, the CameraInfo on {topic}"
+    return Calibrated(distorted_lens(where, k, fields["d"], fields.get("distortion_model", "")), np.zeros(3))
 
 
 def extrinsics_of(message: Any) -> Array:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from greenhouse_gym.capture.formats.image_lists import depth_partners, sorted_images
 from greenhouse_gym.capture.formats.pairs import Lens, Pair
 from greenhouse_gym.capture.formats.single_camera import video
 from greenhouse_gym.capture.formats.trajectories import read_numbers
@@ -32,8 +33,8 @@ def open(path: Path) -> Recording:
     Raises:
         FileFormatError: A file is missing or damaged. Images are checked when their station is read.
     """
-    color = sorted((path / "color").glob("*.*"), key=_number)
-    depth = [path / "depth" / f"{file.stem}.png" for file in color]
+    color = sorted_images((path / "color").glob("*"))
+    depth = depth_partners(path / "depth", color)
     if not color:
         raise FileFormatError(path, "holds no color images")
     matrices = [path / "intrinsic" / name for name in (_COLOR, _DEPTH)]
@@ -44,10 +45,6 @@ def open(path: Path) -> Recording:
     pair = Pair(lenses[0], None if same else lenses[1], invert(extrinsics[0]) @ extrinsics[1])
     poses = [path / "pose" / f"{file.stem}.txt" for file in color]
     return video(path, pair, color, depth, [_pose(file) for file in poses], matrices)
-
-
-def _number(file: Path) -> tuple[int, str]:
-    return (int(file.stem) if file.stem.isdecimal() else -1, file.name)
 
 
 def _intrinsics(file: Path, shape: tuple[int, ...]) -> Intrinsics:
