@@ -30,9 +30,7 @@ from greenhouse_gym.scene.truth import true_scene
 WIDTH, HEIGHT = 400, 400
 VIEW = Viewpoint((-1.0, -1.75, 1.7), (0.22, -0.1, 1.15), 46.0)
 EVERY = 2  # steps of the environment between two frames
-STEP = 0.05  # s between two actions
-HOLD = 1.5  # s for which the last frame is shown
-COLORS = 96
+DURATION, HOLD = 100, 1500  # ms for which a frame is shown, and the last one
 
 
 def play(scene: Scene, target: int) -> tuple[Robot, list[Array]]:
@@ -101,11 +99,18 @@ def main() -> None:
             picture.paste(drawn[k], (column * (WIDTH + 4), 22))
             ImageDraw.Draw(picture).text((column * (WIDTH + 4) + 6, 4), title, fill=(40, 40, 40), font_size=13)
         pictures.append(picture)
-    palette = pictures[-1].quantize(COLORS, dither=Image.Dither.NONE)
+    palette = pictures[-1].quantize(96, dither=Image.Dither.NONE)
     first, *others = (picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures)
-    durations = [round(1000 * STEP * EVERY)] * len(others) + [round(1000 * HOLD)]
     file = io.BytesIO()
-    first.save(file, "gif", save_all=True, append_images=others, duration=durations, loop=0, optimize=True)
+    first.save(
+        file,
+        "gif",
+        save_all=True,
+        append_images=others,
+        duration=[DURATION] * len(others) + [HOLD],
+        loop=0,
+        optimize=True,
+    )
     written = write_atomically(RESULTS / "reaching.gif", file.getvalue())
     print(f"{written}: {len(pictures)} frames, {written.stat().st_size / 1e6:.2f} MB")
 

@@ -73,7 +73,7 @@ def main() -> None:
     command.add_argument("--per-scene", type=int, default=12, help="targets within reach of each scene")
     command.add_argument("--episodes", type=int, help="episodes drawn from the split instead")
     command.add_argument("--seed", type=int, default=0, help="of the first episode")
-    command.add_argument("--start", help="start configuration, such as folded")
+    command.add_argument("--start", help="start configuration, such as folded; upright when left out")
     command.add_argument("--moved", action="store_true", help="the plants have moved since they were scanned")
     command.add_argument("--noise", action="store_true", help="add the noise of a D435 to the arm's camera")
     command.add_argument("--search", action="store_true", help="plan with the truth known")
@@ -86,7 +86,7 @@ def main() -> None:
     if a.contacts and (a.episodes is None or a.rows):
         command.error("--contacts needs --episodes of a bank")
     options = options_from(a.set)
-    world: dict[str, Any] = {"physics": "truth", "start": a.start}
+    world: dict[str, Any] = {"physics": "truth", "start": a.start or "upright"}
     if a.moved or a.noise:
         world["randomization"] = Randomization(plants=PlantMotion() if a.moved else None, depth_noise=a.noise)
     records: list[Record] = []
@@ -175,7 +175,7 @@ def play(
     journal = RecordJournal(a.workdir / f"{name}.jsonl".replace("/", "_"), about)
     result = evaluate(
         agent_from(a.agent, options), "test" if a.rows else a.split, a.episodes or 1, a.seed, problems=problems,
-        bank=bank.path, executor=executor, kept=journal, **world,
+        bank=bank.path, executor=executor, journal=journal, **world,
     )  # fmt: skip
     return list(result.records)
 
@@ -184,7 +184,7 @@ def start_is_free(scene: Scene, start: str | None) -> bool:
     """Return whether the arm's start touches no shape of the scan."""
     arm = get_robot(ROBOT)
     checker = CollisionChecker(planning_model(compile_scene(scene, arm), target=0), arm_reaches(arm))
-    return bool(checker.is_free(arm.start if start is None else arm.configuration(start)))
+    return bool(checker.is_free(arm.configuration(start or "upright")))
 
 
 def within_reach(scene: Scene, count: int, seed: int) -> list[int]:
@@ -216,7 +216,7 @@ def _key(record: Record, start: str | None) -> str:
 
 def _search(record: Record, bank: Path, start: str | None) -> tuple[str, str]:
     scene = SceneBank.open(bank).scene(record.scene)
-    return _key(record, start), path_in_truth(scene, record.target, record.seed, start=start)
+    return _key(record, start), path_in_truth(scene, record.target, record.seed, start=start or "upright")
 
 
 if __name__ == "__main__":

@@ -51,7 +51,6 @@ def summary(runs: Sequence[Run]) -> list[dict[str, Any]]:
             {
                 "planner": name,
                 "of_the_paper": name in PAPER_PLANNERS,
-                "state": _state(group, len(solved)),
                 "reproducible": PLANNERS[name].reproducible,
                 "runs": len(group),
                 "success": len(solved) / len(group),
@@ -64,9 +63,6 @@ def summary(runs: Sequence[Run]) -> list[dict[str, Any]]:
                 "planning_time_median_s": _median(group, "planning_time"),
                 "planning_time_95_s": float(np.quantile([run["planning_time"] for run in group], 0.95)),
                 "planning_time_median_by_difficulty_s": {d: _median(part, "planning_time") for d, part in by.items()},
-                "planning_time_median_easy_and_medium_s": _median(
-                    (run for run in group if run["difficulty"] != "hard"), "planning_time"
-                ),
                 "checks_median": _median(group, "checks"),
                 "checks_per_second_median": _median(group, "rate"),
                 "fraction_of_bare_rate_median": _median(group, "fraction_of_bare_rate"),
@@ -78,13 +74,6 @@ def summary(runs: Sequence[Run]) -> list[dict[str, Any]]:
             }
         )
     return rows
-
-
-def _state(group: Sequence[Run], solved: int) -> str:
-    if solved:
-        return "solves"
-    failed = [run for run in group if run["status"] in ("crashed", "timeout")]
-    return failed[0]["message"] if len(failed) == len(group) else "solves none here"
 
 
 _HEADS = (

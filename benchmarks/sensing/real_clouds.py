@@ -15,13 +15,7 @@ from greenhouse_gym.reconstruction.depth_normals import image_normals
 
 KINECT = Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5)
 
-CYLINDERS = {
-    "learn33": (50, 61),
-    "test31": (30, 40),
-    "test35": (30, 40, 50),
-    "test43": (60, 70),
-    "test50": (40, 80),
-}
+CYLINDERS = {"learn33": (50, 61), "test31": (30, 40), "test35": (30, 40, 50), "test43": (60, 70), "test50": (40, 80)}
 """Labels of the cans and of the outsides of the mugs; bowls and flat tins do not count as cylinders."""
 
 JUNCTION, MAIN, STALK = 2, 7, 9
@@ -40,7 +34,6 @@ class TableScene:
         colors: (n, 3) RGB in [0, 1].
         normals: (n, 3) unit vectors, toward the camera.
         labels: (n,) number of each point's object.
-        cylinders: Labels of the cans and mugs.
         camera_from_world: (4, 4).
     """
 
@@ -49,7 +42,6 @@ class TableScene:
     colors: Array
     normals: Array
     labels: npt.NDArray[np.int64]
-    cylinders: tuple[int, ...]
     camera_from_world: Array
 
 
@@ -99,7 +91,6 @@ def read_table(folder: Path, name: str) -> TableScene:
         colors[row] / 255.0,
         normals[v, u] @ world_from_camera[:3, :3].T,
         labels[row],
-        CYLINDERS[name],
         invert(world_from_camera),
     )
 

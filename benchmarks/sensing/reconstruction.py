@@ -193,9 +193,6 @@ def main() -> None:
     print("\n\n".join(filter(None, tables(records))))
 
 
-# -- tables -----------------------------------------------------------------------------------------------------------
-
-
 def tables(records: Sequence[Record]) -> Iterator[str]:
     """Yield a table of rows and methods, and one of rows with broken stations."""
     records = sorted(records, key=lambda r: (r["length"], r["seed"]))

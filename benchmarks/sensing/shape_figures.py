@@ -33,9 +33,6 @@ Record = Mapping[str, Any]
 Figures = dict[str, Any]
 
 
-# -- one row ----------------------------------------------------------------------------------------------------------
-
-
 def is_true(true: Sequence[Tomato], found: Sequence[Tomato]) -> npt.NDArray[np.bool_]:
     """Return which of the found tomatoes (n,) are true ones, visible or hidden."""
     right = np.zeros(len(found), dtype=bool)
@@ -49,9 +46,6 @@ def small_tomatoes(true: Sequence[Tomato], visible: npt.NDArray[np.bool_], found
     false = [t for t, right in zip(found, is_true(true, found), strict=True) if not right and t.radius < SMALL]
     matched = match_tomatoes(true, found).true
     return {"visible": int(small.sum()), "found": int(small[matched].sum()), "false": len(false)}
-
-
-# -- several rows -----------------------------------------------------------------------------------------------------
 
 
 def pooled(records: Sequence[Record]) -> Figures:
@@ -157,8 +151,6 @@ def calibration(records: Sequence[Sequence[Sequence[Any]]], bins: int = 5) -> Fi
         "true": [_mean(right[which == k]) for k in range(bins)],
     }
 
-
-# -- tables -----------------------------------------------------------------------------------------------------------
 
 _NUMBER, _PERCENT, _MM, _SECONDS = "{:.3f}", "{:.1%}", "{:.2f} mm", "{:.2f} s"
 _GOALS = (

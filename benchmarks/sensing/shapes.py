@@ -69,7 +69,7 @@ from greenhouse_gym.build.scenes import BuildSettings, cut_scenes, placement_pos
 from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.crops.parts import STEM_KINDS
-from greenhouse_gym.geometry import Array, Capsule, Shape, transform
+from greenhouse_gym.geometry import Array, Capsule, transform, transformed
 from greenhouse_gym.geometry.point_clouds import Cloud
 from greenhouse_gym.reconstruction import RowCloud
 from greenhouse_gym.shapes import RowShapes, extract_shapes
@@ -96,10 +96,10 @@ def measure(row: Row, cause: str, workdir: Path) -> dict[str, Any]:
 
     known = truth_of(row, cloud, workdir)
     placed = in_frame(shapes, known.world_from_row)
-    everything: list[Shape] = [*placed.tomatoes, *placed.stems, *placed.clutter]
+    everything = placed.shapes
     points = transform(known.world_from_row, cloud.points)
     skin = accuracy.skin_points(
-        Cloud(cloud.points, cloud.colors, cloud.normals).moved(known.world_from_row), known.row.tomatoes
+        Cloud(cloud.points, cloud.colors, cloud.normals).transformed(known.world_from_row), known.row.tomatoes
     )
     tomatoes = visible.tomatoes
     fractions = {
@@ -145,10 +145,9 @@ def in_frame(shapes: RowShapes, target_from_source: Array) -> RowShapes:
     """Return the shapes in another frame."""
     return replace(
         shapes,
-        **{
-            name: tuple(accuracy.moved(shape, target_from_source) for shape in getattr(shapes, name))
-            for name in ("tomatoes", "stems", "clutter")
-        },
+        tomatoes=tuple(tomato.transformed(target_from_source) for tomato in shapes.tomatoes),
+        stems=tuple(transformed(stem, target_from_source) for stem in shapes.stems),
+        clutter=tuple(transformed(box, target_from_source) for box in shapes.clutter),
     )
 
 

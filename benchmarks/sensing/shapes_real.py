@@ -42,15 +42,12 @@ SEEDLING_HEIGHT = 0.4
 Figures = dict[str, Any]
 
 
-# -- cans and mugs ----------------------------------------------------------------------------------------------------
-
-
 def measure_table(scene: TableScene) -> tuple[dict[str, Figures], Figures]:
     """Compare each can and mug with its labeled points, and count the other shapes on the table."""
     shapes = extract_shapes(scene.points, scene.colors, scene.normals)
     cans = {
         f"{scene.name} {label}": measure_can(scene.points[scene.labels == label], shapes.stems)
-        for label in scene.cylinders
+        for label in CYLINDERS[scene.name]
     }
     pipes = sum(stem.kind == "pipe" for stem in shapes.stems)
     found = sum(can["found"] for can in cans.values())
@@ -116,9 +113,6 @@ def fit_cylinder(points: Array) -> Capsule:
     origin = center + frame[:, :2] @ x[:2]
     reach = (points - origin) @ axis
     return Capsule(origin + reach.min() * axis, origin + reach.max() * axis, float(x[4]))
-
-
-# -- seedlings --------------------------------------------------------------------------------------------------------
 
 
 def measure_seedling(plant: Seedling) -> tuple[StemComparison, Figures]:
@@ -191,20 +185,19 @@ def false_length(stems: Sequence[Stem], points: Array) -> float:
 def main() -> None:
     """Measure, write the results, print them."""
     command = parser(__doc__)
-    command.add_argument("--data", type=Path, default=REAL_DATA)
     command.add_argument("--out", type=Path, default=RESULTS / "shapes_real.json")
     arguments = command.parse_args()
-    if not arguments.data.is_dir():
-        print("no real data: set GREENHOUSE_GYM_REAL_DATA or give --data")
+    if not REAL_DATA.is_dir():
+        print("skipped: GREENHOUSE_GYM_REAL_DATA names no folder")
         return
     cans: dict[str, Figures] = {}
     tables: dict[str, Figures] = {}
     for name in CYLINDERS:
-        on_table, tables[name] = measure_table(read_table(arguments.data, name))
+        on_table, tables[name] = measure_table(read_table(REAL_DATA, name))
         cans |= on_table
     compared: list[StemComparison] = []
     seedlings: dict[str, Figures] = {}
-    for plant in read_seedlings(arguments.data, SEEDLING_HEIGHT):
+    for plant in read_seedlings(REAL_DATA, SEEDLING_HEIGHT):
         comparison, seedlings[plant.name] = measure_seedling(plant)
         compared.append(comparison)
     found = [can for can in cans.values() if can["found"]]
@@ -212,20 +205,14 @@ def main() -> None:
     summary = {
         "cans_found": len(found),
         "cans": len(cans),
-        "radius_residual_median": median(found, "radius_residual"),
-        "axis_angle_median": median(found, "axis_angle"),
+        "radius_residual_median": float(np.median([can["radius_residual"] for can in found])),
+        "axis_angle_median": float(np.median([can["axis_angle"] for can in found])),
         "seedling_stem_recall": stems.recall,
         "seedling_axis_error_median": float(np.median(stems.axis_error)),
     }
-    results = {"summary": summary, "cans and mugs": cans, "tables": tables, "seedlings": seedlings}
-    write_results(arguments.out, results)
+    write_results(arguments.out, {"summary": summary, "cans and mugs": cans, "tables": tables, "seedlings": seedlings})
     for name, figures in {"summary": summary, **cans, **tables, **seedlings}.items():
         print(name, {key: round(v, 4) if isinstance(v, float) else v for key, v in figures.items()})
-
-
-def median(figures: Sequence[Figures], name: str) -> float | None:
-    """Return the median of one figure; None without figures."""
-    return float(np.median([one[name] for one in figures])) if figures else None
 
 
 if __name__ == "__main__":

@@ -72,7 +72,8 @@ def bare_physics(vector: GreenhouseVectorEnv, actions: Array) -> Callable[[], No
         episode = simulation.episode(i)
         compiled = compile_scene(episode.scene, simulation.robot, simulation.worlds.capacity)
         model = copy.copy(compiled.model)
-        compiled.allow_cup_on(model, episode.target)
+        for target in episode.targets:
+            compiled.allow_cup_on(model, target)
         model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
         models.append(model)
         starts.append(episode.start)

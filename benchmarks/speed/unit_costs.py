@@ -63,7 +63,9 @@ def main() -> None:
         "bytes of a metre": round(images / LENGTH),
     }
     results = {name: round(value, 4) if isinstance(value, float) else value for name, value in results.items()}
-    results["scenes of recordings"] = {shot.name: built(shot) for shot in shipped.shots() if shot.name in a.recordings}
+    results["scenes of recordings"] = {
+        row.name: built(row) for row in shipped.row_recordings() if row.name in a.recordings
+    }
     print(results)
     write_results(a.out, results)
 
@@ -81,11 +83,11 @@ def spent(act: Callable[[], object]) -> float:
     return processor_seconds() - before
 
 
-def built(shot: shipped.Shot) -> dict[str, Any]:
+def built(row: shipped.RowRecording) -> dict[str, Any]:
     """Build the scenes of a recording of the shipped bank."""
     with tempfile.TemporaryDirectory() as folder:
         before = processor_seconds()
-        bank = build_bank([shot.recording()], folder, shot.name, settings=shipped.SETTINGS)
+        bank = build_bank([row.recording()], folder, row.name, settings=shipped.SETTINGS)
         seconds = (processor_seconds() - before) / len(bank)
         targets = [len(scene.targets) for scene in bank]
     return {"scenes": len(targets), "targets": targets, "seconds per scene": round(seconds, 1)}

@@ -11,6 +11,7 @@ from greenhouse_gym.agents.planner_agent import PlannerAgent
 
 if TYPE_CHECKING:
     from greenhouse_gym.agents.hybrid import HybridAgent
+    from greenhouse_gym.agents.named import make_agent
     from greenhouse_gym.agents.policy_agent import PolicyAgent
     from greenhouse_gym.agents.shield import ShieldedAgent
     from greenhouse_gym.agents.watchful import WatchfulAgent
@@ -26,6 +27,7 @@ __all__ = [
     "StraightLineAgent",
     "WatchfulAgent",
     "WaypointAgent",
+    "make_agent",
 ]
 
 
@@ -35,6 +37,7 @@ _LAZY = {
     "PolicyAgent": "policy_agent",
     "ShieldedAgent": "shield",
     "WatchfulAgent": "watchful",
+    "make_agent": "named",
 }
 
 

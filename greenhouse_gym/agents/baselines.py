@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.agents.agent import Problem
+from greenhouse_gym.agents.agent import NamedAgent, Problem
 from greenhouse_gym.agents.planner_agent import PathFollower
 from greenhouse_gym.envs.features import feature_slices
-from greenhouse_gym.envs.observations import PATH_FEATURES, StateObservation
+from greenhouse_gym.envs.observations import PATH_FEATURES, TOOL_FEATURES, StateObservation
 from greenhouse_gym.planning import goal_configurations
 
 
-class RandomAgent:
+class RandomAgent(NamedAgent):
     """Draw every action uniformly."""
 
     name = "random"
@@ -36,8 +36,8 @@ class RandomAgent:
         return np.asarray(self._rng.uniform(*self._bounds), dtype=np.float32)
 
 
-class StraightLineAgent:
-    """Move straight to the free goal configuration nearest to the start, through whatever is in between.
+class StraightLineAgent(NamedAgent):
+    """Move straight to the free goal configuration nearest to the start, regardless of obstacles.
 
     It needs an environment whose actions move the joints.
     """
@@ -61,22 +61,22 @@ class StraightLineAgent:
         return self._follower.action()
 
 
-class WaypointAgent:
+class WaypointAgent(NamedAgent):
     """Move straight to the observed waypoint; hold still while no collision-free waypoint is known.
 
-    This is what `observation="waypoint"` achieves without any learning.
+    This is what `observation="roadmap"` achieves without any learning.
     It needs an environment whose actions move the joints.
     """
 
-    name = "waypoint"
-    env_options: Mapping[str, Any] = MappingProxyType({"observation": "waypoint"})
+    name = "roadmap"
+    env_options: Mapping[str, Any] = MappingProxyType({"observation": "roadmap"})
 
     def __init__(self) -> None:
         self._direction = self._path = slice(0)
 
     def reset(self, problem: Problem) -> None:
-        """Look up where the direction, and whether it is free, are in the observation."""
-        groups = feature_slices(StateObservation(problem.robot, extra=PATH_FEATURES).layout)
+        """Find the indices of the waypoint's direction and of its flag in the observation."""
+        groups = feature_slices(StateObservation(problem.robot, extra=PATH_FEATURES, without=TOOL_FEATURES).layout)
         self._direction, self._path = groups["waypoint_direction"], groups["path"]
 
     def act(self, observation: Any) -> npt.NDArray[np.float32]:

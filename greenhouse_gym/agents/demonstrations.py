@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+import shutil
+import tempfile
+import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -13,12 +16,16 @@ import numpy as np
 
 from greenhouse_gym.agents.agent import Agent, Problem, check_agent
 from greenhouse_gym.common.extras import needs
+from greenhouse_gym.common.files import require_writable
 from greenhouse_gym.envs import GreenhouseEnv, make_env
-from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.errors import FileWriteError, InvalidValueError
 from greenhouse_gym.scene import SceneBank
 
 DATA_SET = "tomato-reach/{agent}-v0"
 """Name of a data set in its folder."""
+
+SAVE_SECONDS = 60.0
+"""Time between two additions to the data set, seconds."""
 
 
 def record_demonstrations(
@@ -33,6 +40,9 @@ def record_demonstrations(
 ) -> str:
     """Record episodes of an agent, with rewards and infos, as a Minari data set.
 
+    The episodes are written every minute, and at the end, also after an interruption. If one writing fails, for example
+    on a full disk, the data set keeps the episodes that it holds.
+
     Args:
         agent: The agent; its ``env_options`` choose the environment.
         out: Folder of data sets (``MINARI_DATASETS_PATH``).
@@ -44,59 +54,88 @@ def record_demonstrations(
         **options: Further keywords of the environment.
 
     Returns:
-        The data set's name, as ``minari.load_dataset`` takes it.
+        The data set's name, as ``minari.load_dataset`` takes it; its ``recover_environment`` makes the environment.
 
     Raises:
         InvalidValueError: The split is "test", no episode succeeded, or the data set exists already.
+        FileWriteError: The folder cannot be written.
         MissingDependencyError: Minari is not installed.
     """
     with needs("data"):
-        import minari
         from minari.data_collector import EpisodeBuffer
     check_agent(agent)
     if split == "test":
         raise InvalidValueError("split 'test' is reserved for the final evaluation: choose train or validation")
-    env = make_env(split=split, **{**options, **agent.env_options})
-    bank = SceneBank.open(env.settings.bank)
     name = DATA_SET.format(agent="".join(c if c.isalnum() else "-" for c in agent.name.lower()))
+    if (Path(out) / name).exists():
+        raise InvalidValueError(f"{out} already holds a data set {name}: choose another folder")
+    require_writable(Path(out) / name)
+    env = make_env(split=split, **{**options, **agent.env_options})
     buffers: list[Any] = []
+    kept, saved = 0, time.monotonic()
     try:
         for i in range(episodes):
-            buffer = EpisodeBuffer(id=len(buffers), seed=seed + i, **_run(agent, env, seed + i))
+            buffer = EpisodeBuffer(id=kept + len(buffers), seed=seed + i, **_run(agent, env, seed + i))
             if buffer.infos["is_success"][-1] or not successes_only:  # type: ignore[index]
                 buffers.append(buffer)
             on_progress(i + 1)
+            if buffers and time.monotonic() - saved > SAVE_SECONDS:
+                kept, buffers, saved = _add(Path(out), name, buffers, kept, env, agent.name), [], time.monotonic()
     finally:
+        if buffers:
+            kept = _add(Path(out), name, buffers, kept, env, agent.name)
         env.close()
-    if not buffers:
+    if not kept:
         raise InvalidValueError(
             f"agent {agent.name!r} reached no target in {episodes} episodes: there is nothing to record"
         )
-    about = f"TomatoReach-v0, split {split} of bank {bank.manifest.name}, manifest sha256 {bank.sha256}"
-    with _datasets_in(Path(out)):
-        if name in minari.list_local_datasets():
-            raise InvalidValueError(f"{out} already holds a data set {name}: choose another folder")
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # about a missing author, permalink and environment
-            minari.create_dataset_from_buffers(
-                name,
-                buffers,
-                observation_space=env.observation_space,
-                action_space=env.action_space,
-                algorithm_name=agent.name,
-                description=about,
-                requirements=["greenhouse-gym"],
-                code_permalink=None, author=None, author_email=None,
-            )  # fmt: skip
     return name
 
 
+def _add(out: Path, name: str, buffers: list[Any], kept: int, env: GreenhouseEnv, algorithm: str) -> int:
+    """Add episodes to a data set of ``kept`` episodes and return their new number.
+
+    They are added to a copy, which then replaces the data set.
+    """
+    import minari
+
+    bank = SceneBank.open(env.settings.bank)
+    about = f"TomatoReach-v0, split {env.settings.split} of bank {bank.manifest.name}, manifest sha256 {bank.sha256}"
+    try:
+        with tempfile.TemporaryDirectory(dir=out, prefix=".", ignore_cleanup_errors=True) as copy, _datasets_in(copy):
+            if kept:
+                shutil.copytree(out / name, Path(copy) / name)
+                minari.load_dataset(name).update_dataset_from_buffer(buffers)
+            else:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore", UserWarning)  # about a missing author, permalink and evaluation
+                    minari.create_dataset_from_buffers(
+                        name,
+                        buffers,
+                        env=env.settings.spec(),
+                        observation_space=env.observation_space,
+                        action_space=env.action_space,
+                        algorithm_name=algorithm,
+                        description=about,
+                        requirements=["greenhouse-gym"],
+                        code_permalink=None, author=None, author_email=None,
+                    )  # fmt: skip
+            for path in sorted(Path(copy).rglob("*")):  # the episodes before their number
+                if path.is_file():
+                    target = out / path.relative_to(copy)
+                    target.parent.mkdir(parents=True, exist_ok=True)
+                    path.replace(target)
+    except (OSError, RuntimeError) as error:  # HDF5 raises either on a full disk
+        problem = getattr(error, "strerror", None) or str(error).splitlines()[0]
+        raise FileWriteError(out / name, OSError(f"{problem}; it keeps its first {kept} episodes")) from error
+    return kept + len(buffers)
+
+
 @contextmanager
-def _datasets_in(folder: Path) -> Iterator[None]:
+def _datasets_in(folder: str) -> Iterator[None]:
     """Set the environment variable by which Minari finds its folder."""
-    folder.mkdir(parents=True, exist_ok=True)
     previous = os.environ.get("MINARI_DATASETS_PATH")
-    os.environ["MINARI_DATASETS_PATH"] = str(folder.resolve())
+    os.environ["MINARI_DATASETS_PATH"] = folder
     try:
         yield
     finally:
@@ -109,8 +148,7 @@ def _datasets_in(folder: Path) -> Iterator[None]:
 def _run(agent: Agent, env: GreenhouseEnv, seed: int) -> dict[str, Any]:
     """Run an episode and return its columns."""
     observation, info = env.reset(seed=seed)
-    rule, interval = env.simulation.action_rule, env.simulation.interval
-    agent.reset(Problem(env.scene, env.target, env.robot, env.start, seed, rule, interval))
+    agent.reset(Problem.of(env.simulation, 0, seed))
     columns: dict[str, list[Any]] = {
         "observations": [observation], "actions": [], "rewards": [], "terminations": [], "truncations": [],
     }  # fmt: skip

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.agents.agent import Agent, Problem
+from greenhouse_gym.agents.agent import Agent, NamedAgent, Problem
 from greenhouse_gym.agents.planner_agent import PlannerAgent
 from greenhouse_gym.agents.policy_agent import BEST, PolicyAgent
 from greenhouse_gym.envs import make_env
@@ -20,7 +20,7 @@ MAX_CHECKS, ATTEMPTS = 300_000, 4
 found no path in one attempt were reached with other seeds, or with more checks."""
 
 
-class HybridAgent:
+class HybridAgent(NamedAgent):
     """Rehearse each episode with a policy in the known scene, and plan if the rehearsal fails.
 
     If the simulated world is the known scene, the episode repeats the rehearsal. A rehearsal takes about as long as
@@ -64,7 +64,7 @@ class HybridAgent:
 
     def _rehearse(self, problem: Problem) -> bool:
         """Return whether the policy reaches the target in the known scene."""
-        capacity = capacity_for(len(problem.scene.obstacles))
+        capacity = capacity_for(problem.scene.count)
         options = {**self.env_options, "robot": problem.robot, "rate": 1 / problem.interval, "capacity": capacity}
         if problem.action is not None:
             options["action"] = problem.action

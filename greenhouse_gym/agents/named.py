@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
+from pkgutil import resolve_name
+from typing import Any
+
 from greenhouse_gym.agents.agent import Agent, check_agent
 from greenhouse_gym.agents.baselines import RandomAgent, StraightLineAgent, WaypointAgent
 from greenhouse_gym.agents.hybrid import HybridAgent
@@ -10,7 +15,7 @@ from greenhouse_gym.agents.policy import description_path
 from greenhouse_gym.agents.policy_agent import PolicyAgent, shipped_policies
 from greenhouse_gym.agents.shield import ShieldedAgent
 from greenhouse_gym.agents.watchful import WatchfulAgent
-from greenhouse_gym.common.own_code import load_object
+from greenhouse_gym.common.own_code import load_own, make
 from greenhouse_gym.errors import FileFormatError, MissingDependencyError, UnknownNameError
 from greenhouse_gym.planning import PAPER_PLANNERS, PLANNERS
 
@@ -20,13 +25,33 @@ _NAMED: tuple[type[Agent], ...] = (
 SIMPLE = {agent.name: agent for agent in _NAMED}
 """Agents by name that are made without arguments."""
 
+_CHECKPOINT = "checkpoint.safetensors"
+
+
+def _training(path: Path) -> Path | None:
+    """Return the folder of a training, given itself or its checkpoint; None if it is none."""
+    folder = path.parent if path.name == _CHECKPOINT else path
+    return folder if (folder / _CHECKPOINT).is_file() else None
+
+
+def agent_of(agent: Agent | str) -> Agent:
+    """Return an agent, given itself or its name, see `make_agent`.
+
+    Raises:
+        InvalidValueError: It is not an agent.
+    """
+    if isinstance(agent, str):
+        return make_agent(agent)
+    check_agent(agent)
+    return agent
+
 
 def make_agent(name: str) -> Agent:
     """Make an agent by name: a baseline, a planner, a shipped policy, a policy's file, or your own.
 
     Args:
-        name: Such as "random", "RRTConnect", "ppo-ur5e", "runs/ppo/policy.json", "my_agent.py:MyAgent" or
-            "my_package.agents:MyAgent": a class that is called without arguments, or an agent.
+        name: Such as "random", "RRTConnect", "ppo-ur5e", "runs/ppo/policy.json", "runs/ppo" (the folder of a training),
+            "my_agent.py:MyAgent" or "my_package.agents:MyAgent": a class that is called without arguments, or an agent.
 
     Raises:
         UnknownNameError: No such agent; the message lists those of every kind.
@@ -38,11 +63,17 @@ def make_agent(name: str) -> Agent:
         return SIMPLE[name]()
     _, colon, attribute = name.rpartition(":")
     if colon and attribute.isidentifier():
-        agent: Agent = load_object(name, "agent", lambda value: isinstance(value, type) and hasattr(value, "act"))
+        agent: Any = load_own(name, "agent", lambda value: isinstance(value, type) and hasattr(value, "act"))
+        agent = make(agent, name, {}) if isinstance(agent, type) else agent
         check_agent(agent)
-        return agent
+        return agent  # type: ignore[no-any-return]
     if name in shipped_policies() or description_path(name).is_file():
         return PolicyAgent.load(name)
+    if training := _training(Path(name)):
+        if description_path(training / "policy").is_file():
+            return PolicyAgent.load(training / "policy")
+        load: Callable[[Path], Agent] = resolve_name("greenhouse_gym.learning:load_agent")  # which imports this package
+        return load(training)
     if name.endswith(".json"):
         raise FileFormatError(name, "there is no such file; expected a policy's description")
     try:
@@ -53,5 +84,5 @@ def make_agent(name: str) -> Agent:
         planners = ()
     if name in planners or name in PAPER_PLANNERS:
         return PlannerAgent(name)  # raises if OMPL is missing
-    own = "(a policy's file, file.py:Class or module:Class)"
+    own = "(a policy's file, a training's folder, file.py:Class or module:Class)"
     raise UnknownNameError("agent", name, [*SIMPLE, *shipped_policies(), own, *planners])

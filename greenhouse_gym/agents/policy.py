@@ -36,13 +36,13 @@ class _Network(_Part):
 
 
 class _EnvOptions(_Part):
-    """Keywords of `gymnasium.make` that a policy may require."""
+    """Keywords of `gymnasium.make` that a policy may require; own objects by reference or as the mapping of one."""
 
     robot: str | None = None
-    observation: str | None = None
-    action: str | None = None
+    observation: str | dict[str, Any] | None = None
+    action: str | dict[str, Any] | None = None
     rate: float | None = None
-    task: str | None = None
+    task: str | dict[str, Any] | None = None
 
 
 class _Description(_Part):

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy.typing as npt
 
-from greenhouse_gym.agents.agent import Problem
+from greenhouse_gym.agents.agent import NamedAgent, Problem
 from greenhouse_gym.agents.goal_features import GOAL_FEATURES, goal_vector
 from greenhouse_gym.agents.policy import Float32, Policy, description_path
 from greenhouse_gym.common.files import data_path
@@ -16,7 +16,7 @@ from greenhouse_gym.errors import InvalidValueError, UnknownNameError
 
 __all__ = ["BEST", "Policy", "PolicyAgent", "shipped_policies"]
 
-BEST = "ppo-waypoint-ur5e"
+BEST = "ppo-roadmap-ur5e"
 """The shipped policy with the highest success rate, which other agents use by default."""
 
 
@@ -25,7 +25,7 @@ def shipped_policies() -> dict[str, Path]:
     return {path.stem: path for path in sorted(data_path("policies").glob("*.json"))}
 
 
-class PolicyAgent:
+class PolicyAgent(NamedAgent):
     """A learned policy as an `Agent`.
 
     Attributes:

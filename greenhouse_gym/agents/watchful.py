@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from greenhouse_gym.agents.agent import Problem, action_towards
+from greenhouse_gym.agents.agent import NamedAgent, Problem, action_towards
 from greenhouse_gym.agents.local_map import LocalMap
 from greenhouse_gym.agents.occupancy_map import wrist_reading
 from greenhouse_gym.agents.viewpoints import DEPTHS, NOISY_DEPTHS, initial_view, viewpoints
@@ -66,7 +66,7 @@ _SAME = 0.05  # metres: points so near to those of an earlier look are not looke
 _INITIAL_POINT = np.array([1.0, 0.5, 0.5])  # the initial view is of the target's position, scaled by this
 
 
-class WatchfulAgent:
+class WatchfulAgent(NamedAgent):
     """Follows paths through observed space and observes unknown space on them before it goes there.
 
     It begins with a view of the plants. If its path leads through space that neither the scan nor its camera has

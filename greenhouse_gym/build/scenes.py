@@ -97,7 +97,7 @@ def scene_name(recording: Recording, index: int) -> str:
 
 
 def placement_positions(along: Array, settings: BuildSettings) -> list[float]:
-    """Return evenly spaced positions of the arm along a row, at least half a spacing from the ends of the walk.
+    """Return evenly spaced positions of the arm along a row, at least half a spacing from the ends of the recording.
 
     Args:
         along: (stations,) positions of the registered stations along the row in any order, metres.

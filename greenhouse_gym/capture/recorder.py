@@ -1,4 +1,4 @@
-"""Recorder: selects stations from what cameras show, writes each at once and checks it.
+"""Recorder: selects stations from camera images, writes each at once and checks it.
 
 The images come from any iterable of `Station`: RealSense cameras (`greenhouse_gym.capture.realsense`) or a recording
 that is played back.
@@ -48,7 +48,7 @@ def record(
     requested: Callable[[], bool] = lambda: False,
     on_station: Callable[[RecordedStation], None] = lambda station: None,
 ) -> int:
-    """Write stations of what cameras show until that ends; stations already written stay readable in any case.
+    """Write stations from camera images until these end; stations already written stay readable in any case.
 
     Args:
         moments: Images of the cameras, moment by moment.

@@ -131,7 +131,7 @@ def _sense(
 
 
 def perturbed_rig(rig: Rig, seed: int, settings: CaptureSettings) -> Rig:
-    """Return the rig with its cameras where they really stand, off from where the rig file has them."""
+    """Return the rig with perturbed camera poses, which the rig file does not state."""
     rng = np.random.default_rng([seed, 3])
     cameras = {}
     for name, camera in rig.cameras.items():

@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from greenhouse_gym.build.scans import Scan, ScannedRow
 
 Units = Annotated[
-    str | None, typer.Option(help="Unit of the cloud: m, cm, mm or a number of metres; estimated by default.")
+    str | None,
+    typer.Option(help="Unit: m, cm, mm, in, ft, us-ft or a number of metres; by default the file's, or estimated."),
 ]
 Up = Annotated[
     str | None, typer.Option(help="Up direction of the cloud: x, y, z, -x, -y, -z or a vector such as 0,0.1,1.")

@@ -10,13 +10,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+_SMALL, _MAX_RATIO = 2**28, 20  # unpacked bytes that any file may have, and per packed byte of a larger one
+
 
 def read_arrays(content: bytes, max_bytes: int) -> dict[str, npt.NDArray[Any]]:
     """Return the arrays of an ``.npz`` file by name.
 
     Args:
         content: Content of the file.
-        max_bytes: Largest size that the unpacked file may have.
+        max_bytes: Largest size that the unpacked file may have. A small file may not unpack to a large one either.
 
     Raises:
         ValueError: The file is larger, or an array does not match its header. Content that is not an ``.npz`` file
@@ -24,8 +26,9 @@ def read_arrays(content: bytes, max_bytes: int) -> dict[str, npt.NDArray[Any]]:
     """
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         unpacked = sum(member.file_size for member in archive.infolist())
-        if unpacked > max_bytes:
-            raise ValueError(f"unpacked it has {unpacked} bytes, at most {max_bytes} are read")
+        limit = min(max_bytes, max(_SMALL, _MAX_RATIO * len(content)))
+        if unpacked > limit:
+            raise ValueError(f"unpacked it has {unpacked} bytes, at most {limit} are read")
         return {name.removesuffix(".npy"): read_array(archive.read(name)) for name in archive.namelist()}
 
 

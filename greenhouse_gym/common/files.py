@@ -6,6 +6,7 @@ names pass `checked_name`; paths named inside a file pass `inside`. Files are wr
 
 from __future__ import annotations
 
+import codecs
 import errno
 import os
 import re
@@ -131,6 +132,12 @@ def read_bytes(path: str | Path, kind: str) -> bytes:
     return content
 
 
+def text_encoding(path: Path) -> str:
+    """Return the encoding of a text file by its byte order mark; UTF-8 without one."""
+    with path.open("rb") as file:
+        return "utf-16" if file.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "utf-8-sig"
+
+
 def _without_waiting(path: str, flags: int) -> int:
     """Open a file without blocking, even where it is a pipe without a writer."""
     return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
@@ -166,7 +173,8 @@ def first_fault(error: ValidationError) -> str:
 def exclusive(folder: str | Path) -> Iterator[None]:
     """Hold a folder for this process alone; it is created if missing.
 
-    The file ``.lock`` in it is locked meanwhile; the lock ends with the process, however that ends.
+    The file ``.lock`` in it, which holds the number of the process, is locked meanwhile; the lock ends with the process,
+    however that ends.
 
     Raises:
         FileWriteError: The folder cannot be created or written, or another process holds it.
@@ -174,7 +182,7 @@ def exclusive(folder: str | Path) -> Iterator[None]:
     path = Path(folder) / ".lock"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        file = path.open("a")
+        file = path.open("a+")
     except OSError as error:
         raise FileWriteError(folder, error) from error
     with file:
@@ -184,8 +192,13 @@ def exclusive(folder: str | Path) -> Iterator[None]:
         except OSError:
             same = False
         if not same:
-            raise FileWriteError(folder, OSError("another process is at work in this folder"))
+            file.seek(0)
+            holder = f": {text}" if (text := file.read(200)) else ""
+            raise FileWriteError(folder, OSError(f"another process is at work in this folder{holder}"))
         try:
+            file.truncate(0)
+            file.write(f"process {os.getpid()}")
+            file.flush()
             yield
         finally:
             path.unlink(missing_ok=True)

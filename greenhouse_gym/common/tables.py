@@ -31,6 +31,13 @@ class Table(NamedTuple):
         sides = ["left" if k in self.words else "right" for k in range(len(self.heads))]
         return tabulate(self.rows, self.heads, tablefmt="pipe", colalign=sides, disable_numparse=True) + "\n"
 
+    def as_html(self) -> str:
+        """Return the table as HTML, its texts escaped."""
+        from tabulate import tabulate
+
+        sides = ["left" if k in self.words else "right" for k in range(len(self.heads))]
+        return str(tabulate(self.rows, self.heads, tablefmt="html", colalign=sides, disable_numparse=True))
+
     def show(self, title: str | None = None) -> None:
         """Print the table with a frame on a terminal, and as Markdown elsewhere."""
         if not CONSOLE.is_terminal:

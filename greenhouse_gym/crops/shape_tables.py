@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -23,13 +23,15 @@ from greenhouse_gym.geometry import (
     Capsule,
     Ellipsoid,
     Shape,
+    ShapeArrays,
     Sphere,
     quaternions_from,
     rotations_from,
     transform,
+    unchecked,
 )
+from greenhouse_gym.geometry.shape_arrays import BOX, CAPSULE, ELLIPSOID, SPHERE
 
-Made = TypeVar("Made", Stem, Sphere, Capsule, Box)
 Integers = npt.NDArray[np.int64]
 
 MAX_ROWS = 300_000
@@ -126,19 +128,42 @@ def from_tables(tables: ShapeTables) -> ShapeParts:
     rotations = rotations_from(tables.boxes[:, 6:])
     for table in (*tables, rotations):
         table.setflags(write=False)  # shapes are immutable, and these are views
-    stems = tuple(
-        _unchecked(Stem, start=row[:3], end=row[3:6], radius=float(row[6]), kind=STEM_KINDS[int(row[7])])
-        for row in tables.stems
-    )
+    _, stems, balls, capsules, boxes = tables
+    centers, halves = np.split(boxes[:, :6], 2, axis=1)
+    names = [STEM_KINDS[int(kind)] for kind in kinds]
+    segments = ("start", "end", "radius")
     clutter: list[Sphere | Capsule | Box] = [
-        *(_unchecked(Sphere, center=row[:3], radius=float(row[3])) for row in tables.spheres),
-        *(_unchecked(Capsule, start=row[:3], end=row[3:6], radius=float(row[6])) for row in tables.capsules),
-        *(
-            _unchecked(Box, center=row[:3], half_extents=row[3:6], rotation=rotation)
-            for row, rotation in zip(tables.boxes, rotations, strict=True)
-        ),
+        *unchecked(Sphere, ("center", "radius"), zip(balls[:, :3], balls[:, 3].tolist(), strict=True)),
+        *unchecked(Capsule, segments, _segments(capsules)),
+        *unchecked(Box, ("center", "half_extents", "rotation"), zip(centers, halves, rotations, strict=True)),
     ]
-    return ShapeParts(tuple(map(_tomato, tables.tomatoes)), stems, tuple(clutter))
+    kinds_of = ((*row, name) for row, name in zip(_segments(stems), names, strict=True))
+    kept = unchecked(Stem, (*segments, "kind"), kinds_of)
+    return ShapeParts(tuple(_tomatoes(tables.tomatoes)), tuple(kept), tuple(clutter))
+
+
+def arrays_of_tables(tables: ShapeTables) -> ShapeArrays:
+    """Return the arrays of the shapes that `from_tables` returns."""
+    tomatoes, stems, spheres, capsules, boxes = tables
+    arrays = ShapeArrays.empty(sum(map(len, tables)))
+    ends = np.cumsum([len(table) for table in tables])
+    fruit, stalks, balls, segments, leaves = (slice(end - len(t), end) for end, t in zip(ends, tables, strict=True))
+    arrays.starts[:] = np.concatenate([table[:, :3] for table in tables])
+    arrays.ends[:] = arrays.starts
+    stretched = tomatoes[:, 6:].any(axis=1)
+    arrays.kinds[fruit], arrays.kinds[leaves] = np.where(stretched, ELLIPSOID, SPHERE), BOX
+    arrays.sizes[fruit, 0], arrays.sizes[balls, 0], arrays.sizes[leaves] = tomatoes[:, 3], spheres[:, 3], boxes[:, 3:6]
+    arrays.sizes[fruit][stretched] = tomatoes[stretched, 6:9]
+    arrays.rotations[fruit][stretched] = rotations_from(tomatoes[stretched, 9:])
+    arrays.rotations[leaves] = rotations_from(boxes[:, 6:])
+    for part, table in ((stalks, stems), (segments, capsules)):
+        arrays.kinds[part], arrays.ends[part], arrays.sizes[part, 0] = CAPSULE, table[:, 3:6], table[:, 6]
+    return arrays
+
+
+def _segments(table: Array) -> Iterable[tuple[Array, Array, float]]:
+    """Return the start, the end and the radius of each row."""
+    return zip(table[:, :3], table[:, 3:6], table[:, 6].tolist(), strict=True)
 
 
 def transform_tables(tables: ShapeTables, target_from_source: Array) -> ShapeTables:
@@ -195,8 +220,8 @@ def pack(tomatoes: tuple[Tomato, ...], stems: tuple[Stem, ...], clutter: tuple[S
     return {"rows": rows, "xz": compress(planes.tobytes())}
 
 
-def unpack(packed: Any) -> ShapeParts:
-    """Return the shapes that `pack` stored.
+def unpack(packed: Any) -> ShapeTables:
+    """Return the shapes that `pack` stored, for `from_tables`.
 
     Raises:
         InvalidValueError: The object is damaged.
@@ -217,7 +242,7 @@ def unpack(packed: Any) -> ShapeParts:
         _decode(part.reshape(width, -1).T, kinds) * np.array([_UNITS[kind] for kind in kinds])
         for part, width, kinds in zip(numbers, widths, COLUMNS, strict=True)
     ]
-    return from_tables(ShapeTables(*tables))
+    return ShapeTables(*tables)
 
 
 def _rounded(table: Array, kinds: str) -> Integers:
@@ -268,13 +293,6 @@ def _fourth_entry(others: Integers) -> Integers:
     return np.rint(np.sqrt(np.maximum(square, 0.0))).astype(np.int64)
 
 
-def _unchecked(shape_type: type[Made], **values: Any) -> Made:
-    """Return a shape of values that were already checked, which takes a tenth of the time."""
-    shape = object.__new__(shape_type)
-    shape.__dict__.update(values)
-    return shape
-
-
 def _tomato_row(tomato: Tomato) -> list[float]:
     shape = tomato.shape
     stretch: Sequence[float] = (
@@ -283,7 +301,23 @@ def _tomato_row(tomato: Tomato) -> list[float]:
     return [*shape.center, shape.radius, tomato.truss, -1.0 if tomato.ripeness is None else tomato.ripeness, *stretch]
 
 
-def _tomato(row: Array) -> Tomato:
-    stretched = row[6:].any()
-    shape = Ellipsoid(row[:3], row[6:9], rotations_from(row[None, 9:])[0]) if stretched else Sphere(row[:3], row[3])
-    return Tomato(shape, int(row[4]), None if row[5] < 0 else float(row[5]))
+def _tomatoes(table: Array) -> list[Tomato]:
+    """Return the tomatoes of a table.
+
+    Raises:
+        InvalidValueError: A size is not positive, or a ripeness is above 1.
+    """
+    stretched = np.asarray(table[:, 6:].any(axis=1))
+    balls, others = table[~stretched], table[stretched]
+    axes, rotations = others[:, 6:9], rotations_from(others[:, 9:])
+    if not ((balls[:, 3] > 0).all() and (axes > 0).all() and (table[:, 5] <= 1).all()):
+        raise InvalidValueError("tomatoes: expected positive sizes, and ripeness up to 1")
+    for array in (balls, others, axes, rotations):
+        array.setflags(write=False)
+    radii = np.cbrt(axes.prod(axis=1)).tolist()
+    spheres = iter(unchecked(Sphere, ("center", "radius"), zip(balls[:, :3], balls[:, 3].tolist(), strict=True)))
+    fields = ("center", "semi_axes", "rotation", "radius")
+    ellipsoids = iter(unchecked(Ellipsoid, fields, zip(others[:, :3], axes, rotations, radii, strict=True)))
+    shapes = [next(ellipsoids if is_ellipsoid else spheres) for is_ellipsoid in stretched.tolist()]
+    trusses, ripeness = table[:, 4].astype(int).tolist(), [None if r < 0 else r for r in table[:, 5].tolist()]
+    return unchecked(Tomato, ("shape", "truss", "ripeness"), zip(shapes, trusses, ripeness, strict=True))

@@ -14,12 +14,13 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from greenhouse_gym.common.own_code import load_object
+from greenhouse_gym.common.own_code import is_own, load_own, make
 from greenhouse_gym.envs.actions import ACTIONS, ActionChoice, ActionRule, ToolMotion
 from greenhouse_gym.envs.contacts import CONTACT_GROUPS
 from greenhouse_gym.envs.image_observations import DepthObservation, PointsObservation, RgbObservation
 from greenhouse_gym.envs.observations import (
     PATH_FEATURES,
+    TOOL_FEATURES,
     GoalObservation,
     ObservationChoice,
     ObservationSpec,
@@ -38,9 +39,9 @@ OBSERVATIONS: Mapping[str, Callable[[Robot, Task], ObservationSpec]] = {
     "state": StateObservation,
     "state_occupancy": partial(StateObservation, extra=("unknown",)),
     "clearance_rays": partial(StateObservation, extra=("clearance_rays",)),
-    "waypoint": partial(StateObservation, extra=PATH_FEATURES),
+    "roadmap": partial(StateObservation, extra=PATH_FEATURES, without=TOOL_FEATURES),
     "goal": GoalObservation,
-    "goal_waypoint": partial(GoalObservation, path=True),
+    "goal_roadmap": partial(GoalObservation, path=True),
     "depth": DepthObservation(),
     "points": PointsObservation(),
     "rgb": RgbObservation(),
@@ -63,13 +64,12 @@ def make_task(choice: str | Task | type[Task], success_radius: float) -> Task:
         InvalidValueError: The choice is not a `Task`.
         FileFormatError: The file of a task is missing or cannot be run.
     """
-    if isinstance(choice, str) and ":" in choice:
-        choice = load_object(choice, "task", lambda value: isinstance(value, type) and issubclass(value, Task))
-    if isinstance(choice, str):
-        kind = _named("task", choice, TASKS)
+    own = load_own(choice, "task", lambda value: isinstance(value, type) and issubclass(value, Task))
+    if isinstance(own, str):
+        kind = _named("task", own, TASKS)
         task = TomatoReach(success_radius) if kind is TomatoReach else kind()
     else:
-        task = choice() if isinstance(choice, type) else choice
+        task = make(own, f"task {_name(own)}", {}) if isinstance(own, type) else own
     if not isinstance(task, Task):
         raise InvalidValueError(f"task must be a Task, got {task!r}")
     for group in (*task.ends_on, *task.costs):
@@ -84,6 +84,7 @@ def make_observation(kind: ObservationChoice, robot: Robot, task: Task) -> Obser
         UnknownNameError: The name does not exist.
         InvalidValueError: The object is not an `Observation`.
     """
+    kind = load_own(kind, "observation")
     if isinstance(kind, str):
         return _named("observation", kind, OBSERVATIONS)(robot, task)
     if isinstance(kind, _OWN_SETTINGS):
@@ -104,6 +105,7 @@ def make_action(kind: ActionChoice, robot: Robot, interval: float) -> ActionRule
         UnknownNameError: The name does not exist.
         InvalidValueError: The object is not an `ActionRule`.
     """
+    kind = load_own(kind, "action")
     if isinstance(kind, str):
         return _named("action", kind, ACTIONS)(robot, interval)
     return _CheckedAction(_made("action", kind, robot, interval), len(robot.joints))
@@ -116,12 +118,15 @@ def make_reward(kind: str | Reward, task: Task) -> Reward:
         UnknownNameError: The name does not exist.
         InvalidValueError: The object is not a function.
     """
-    if isinstance(kind, str):
-        return _named("reward", kind, task.rewards)
-    if isinstance(kind, type) or not callable(kind):
+    own: Any = load_own(kind, "reward")
+    if is_own(kind) and isinstance(own, type):  # a command cannot name an instance
+        own = make(own, f"reward {_name(own)}", {})
+    if isinstance(own, str):
+        return _named("reward", own, task.rewards)
+    if isinstance(own, type) or not callable(own):
         choices = _listed(task.rewards)
-        raise InvalidValueError(f"reward must be one of {choices} or a function of a Transition, got {kind!r}")
-    return kind if type(kind) in (DenseReward, SparseReward, PathReward) else _CheckedReward(kind)
+        raise InvalidValueError(f"reward must be one of {choices} or a function of a Transition, got {own!r}")
+    return own if type(own) in (DenseReward, SparseReward, PathReward) else _CheckedReward(own)
 
 
 def outcome_check(task: Task) -> Callable[[Outcome, int], Outcome]:
@@ -197,7 +202,6 @@ class _CheckedAction:
     def __init__(self, own: Any, joints: int):
         self._own, self._joints, self._name = own, joints, f"action {_name(own)}"
         self.space: spaces.Box = own.space
-        self.peak = np.broadcast_to(np.asarray(getattr(own, "peak", np.inf), dtype=np.float64), joints)
         if not isinstance(self.space, spaces.Box) or len(self.space.shape) != 1:
             raise InvalidValueError(f"{self._name}: its space must be a Box of one axis, got {self.space}")
 
@@ -238,13 +242,17 @@ def _made(kind: str, own: Any, *arguments: Any) -> Any:
     """Return the user's object if it has a space, else the result of calling it."""
     if callable(own) and (isinstance(own, type) or not isinstance(getattr(own, "space", None), spaces.Space)):
         try:
-            signature(own).bind(*arguments)
-        except TypeError as error:
+            taken = arguments if signature(own).parameters else ()
+            signature(own).bind(*taken)
+        except (TypeError, ValueError) as error:
             given = " and ".join(type(argument).__name__ for argument in arguments)
             raise InvalidValueError(
                 f"{kind} {_name(own)} must be an object or a function of {given} that makes one: {error}"
             ) from error
-        made = own(*arguments)
+        try:
+            made = own(*taken)
+        except Exception as error:  # any error in the user's code
+            raise InvalidValueError(f"{kind} {_name(own)} cannot be made: {type(error).__name__}: {error}") from error
     else:
         made = own
     if not callable(made) or not isinstance(getattr(made, "space", None), spaces.Space):

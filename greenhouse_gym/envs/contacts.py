@@ -36,6 +36,9 @@ class Contact(NamedTuple):
 
 NO_CONTACT = Contact()
 
+NAME_SEPARATOR = ", "
+"""Text between the names of the two geoms in ``info["contact"]``."""
+
 
 class Contacts(NamedTuple):
     """Contacts of n simulations during an action.
@@ -73,10 +76,3 @@ def contact_groups(model: mujoco.MjModel, geoms: npt.NDArray[np.integer], groups
     """
     compiled = (geoms - first_world_geom(model)) % model.ngeom
     return np.asarray(groups[compiled].min(axis=1))  # the arm's own group is the largest
-
-
-def name_of(model: mujoco.MjModel, geom: int) -> str:
-    """Return the name of a geom, or of its body if it has none, as in MJCF files from elsewhere."""
-    # `MjModel.geom` would first build a table of thousands of names
-    own = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_GEOM, geom)
-    return str(own or model.body(model.geom_bodyid[geom]).name or f"geom {geom}")

@@ -13,20 +13,22 @@ from gymnasium import spaces
 from greenhouse_gym.envs.contacts import CONTACT_GROUPS
 from greenhouse_gym.envs.episodes import DifficultyChoice
 from greenhouse_gym.envs.hindsight import add_goal_functions
+from greenhouse_gym.envs.infos import numbers_only
 from greenhouse_gym.envs.observations import Observed, select
 from greenhouse_gym.envs.rewards import StepResult
-from greenhouse_gym.envs.settings import EnvSettings, SpecMixin, settings_with
+from greenhouse_gym.envs.settings import EnvMixin, EnvSettings, settings_with
 from greenhouse_gym.envs.simulation import Simulation
 from greenhouse_gym.errors import EpisodeOverError, require_choice
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.rendering.viewer import RENDER_MODES, Viewer
+from greenhouse_gym.rendering.renderer import Viewpoint
+from greenhouse_gym.rendering.viewer import RENDER_MODES, Picture, Viewer, available_modes
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene
 
 _ONLY = np.array([0])
 
 
-class GreenhouseEnv(SpecMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]]):  # type: ignore[misc]
+class GreenhouseEnv(EnvMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]]):  # type: ignore[misc]
     """Environment of an arm in front of tomato plants with a task, see ``task``; ``TomatoReach-v0`` has `TomatoReach`.
 
     An episode takes place in one scene of a bank, with one or several of its tomatoes as targets. The arm carries a
@@ -54,53 +56,58 @@ class GreenhouseEnv(SpecMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]])
     position limits (``info["position_limited"]`` counts stops) and speed limits (the whole motion is then scaled down,
     ``info["speed_limited"]`` counts it), and stay within 0.2 rad of the measured joints.
 
-    **Observation** ``state``, ``Box((60,), float32)`` for ``ur5e``, 3 j + 6 + 4 k entries in general:
+    **Observation** ``state``, ``Box((72,), float32)`` for ``ur5e``, 3 j + 18 + 4 k entries in general:
 
-    | ``ur5e`` | ``iiwa14`` | meaning | bounds | unit |
-    |---|---|---|---|---|
-    | 0 to 5 | 0 to 6 | joint positions | joint limits widened by 0.1 | rad |
-    | 6 to 11 | 7 to 13 | joint velocities | twice the speed limits | rad/s |
-    | 12 to 17 | 14 to 20 | command minus joint position | +-0.4 | rad |
-    | 18 to 20 | 21 to 23 | from the grasp point to the target's center | +-3 | m |
-    | 21 to 23 | 24 to 26 | the target's center | +-3 | m |
-    | 24 to 32 | 27 to 35 | clearance of the arm's surface at the probe points, arm to tip | -0.1 to 0.3 | m |
-    | 33 to 59 | 36 to 62 | unit vectors from there to the nearest obstacle, x y z each; 0 beyond 0.3 m | +-1 | |
+    | ``ur5e`` | ``iiwa14`` | feature | meaning | bounds | unit |
+    |---|---|---|---|---|---|
+    | 0 to 5 | 0 to 6 | ``joint_position`` | joint positions | joint limits widened by 0.1 | rad |
+    | 6 to 11 | 7 to 13 | ``joint_velocity`` | joint velocities | twice the speed limits | rad/s |
+    | 12 to 17 | 14 to 20 | ``command_error`` | command minus joint position | +-0.4 | rad |
+    | 18 to 20 | 21 to 23 | ``tip_position`` | the tip | +-3 | m |
+    | 21 to 23 | 24 to 26 | ``tool_axis`` | unit vector along the tool | +-1 | |
+    | 24 to 26 | 27 to 29 | ``grasp_offset`` | from the grasp point to the target's center | +-3 | m |
+    | 27 to 29 | 30 to 32 | ``target_position`` | the target's center | +-3 | m |
+    | 30 to 32 | 33 to 35 | ``target_direction`` | unit vector from the tip to the target's center | +-1 | |
+    | 33 to 35 | 36 to 38 | ``turn_to_target`` | cross product of tool axis and that direction | +-1 | |
+    | 36 to 44 | 39 to 47 | ``clearance`` | of the arm's surface at the probe points, arm to tip | -0.1 to 0.3 | m |
+    | 45 to 71 | 48 to 74 | ``obstacle_direction`` | unit vectors from there to the nearest obstacle | +-1 | |
 
-    Entries 18 to 23 are the features of the task; another task may have others. Obstacles are stems, clutter and all
-    tomatoes except the target, but not the floor, the cart or the arm itself. Distances come from a field with nodes
-    2 cm apart (error within 5 cm of an obstacle: mean 1 mm, 95 % within 4 mm, at most 12 mm). Values beyond a bound are
-    clipped to it. The other observations:
+    Features from ``grasp_offset`` to ``turn_to_target`` are those of the task; another task may have others. Vectors
+    are x y z; those to obstacles are 0 beyond 0.3 m. Obstacles are stems, clutter and all tomatoes except the target,
+    but not the floor, the cart or the arm itself. The turn is the axis that turns the tool to the target, as long as
+    the sine of the angle. Distances come from a field with nodes 2 cm apart (error within 5 cm of an obstacle: mean 1
+    mm, 95 % within 4 mm, at most 12 mm). Values beyond a bound are clipped to it. The other observations:
 
     | ``observation`` | key | shape, type | meaning |
     |---|---|---|---|
-    | ``state_occupancy`` | (a vector) | (3 j + 6 + 5 k,) float32 | ``state``, then 1 per probe point in unknown space |
-    | ``clearance_rays`` | (a vector) | (3 j + 6 + 4 k + 48,) float32 | ``state``, then clearances on rays, m |
-    | ``waypoint`` | (a vector) | (5 j + 8 + 4 k,) float32 | ``state``, then waypoint and path, rad |
+    | ``state_occupancy`` | (a vector) | (3 j + 18 + 5 k,) float32 | ``state``, then 1 per probe in unknown space |
+    | ``clearance_rays`` | (a vector) | (3 j + 18 + 4 k + 48,) float32 | ``state``, then clearances on rays, m |
+    | ``roadmap`` | (a vector) | (5 j + 8 + 4 k,) float32 | part of ``state``, then waypoint and path, rad |
     | ``goal`` | ``achieved_goal`` | (3,) float64 | grasp point, m |
     | | ``desired_goal`` | (3,) float64 | the target's center, m |
-    | | ``observation`` | (3 j + 6 + 4 k,) float32 | as ``state``, but see below |
-    | ``goal_waypoint`` | ``observation`` | (5 j + 8 + 4 k,) float32 | as in ``goal``, then as in ``waypoint`` |
+    | | ``observation`` | (3 j + 6 + 4 k,) float32 | ``state`` without the features of the task, but see below |
+    | ``goal_roadmap`` | ``observation`` | (5 j + 8 + 4 k,) float32 | as in ``goal``, then as in ``roadmap`` |
     | | ``achieved_goal``, ``desired_goal`` | | as in ``goal`` |
     | ``depth`` | ``depth`` | (1, 48, 64) float32 | depth over 2 m, 0 to 1; 0 without a reading |
-    | | ``state`` | (3 j + 6,) float32 | the first entries of ``state``, up to the target's center |
+    | | ``state`` | (3 j + 18,) float32 | ``state`` without its last two features |
     | ``points`` | ``points`` | (768, 3) float32 | points in 24 rows of 32, m; 0 0 0 without a reading |
-    | | ``state`` | (3 j + 6,) float32 | as in ``depth`` |
+    | | ``state`` | (3 j + 18,) float32 | as in ``depth`` |
     | ``rgb`` | ``rgb`` | (3, 48, 64) uint8 | color image of the camera of ``depth``, without shadows |
-    | | ``state`` | (3 j + 6,) float32 | as in ``depth`` |
+    | | ``state`` | (3 j + 18,) float32 | as in ``depth`` |
     | ``rgbd`` | ``depth``, ``rgb``, ``state`` | | as above |
 
-    - ``goal``: tip position (m) and tool axis (unit vector) replace offset and target, and clearances include the
-      target, so that the vector does not depend on the target.
+    - ``goal``: clearances include the target, so that the vector does not depend on it.
     - ``clearance_rays``: distances to obstacles on 24 rays from the target's center toward the arm's side (azimuths by
       `AZIMUTHS`, within each elevations by `ELEVATIONS`). For each ray, the smallest distance at 5 to 13 cm, where the
       tool would be, and at 18 to 30 cm, where the wrist would be.
-    - ``waypoint``: the waypoint is a goal configuration that a collision-free straight motion in the known scene
-      reaches, or else the node with the shortest path in a tree that grows from the goal configurations. The vector
-      holds its offset from the commanded joints and the action that moves there at full speed, j numbers each, then the
-      length of the path from there to the goal (rad), and 1 if the straight motion is collision-free. Where no such
-      waypoint is known, that is 0 and an arbitrary goal takes its place. A waypoint is more than a sensor could
-      provide: it is a plan of a few straight motions in the known scene, and finding it takes time at the start of an
-      episode. It is updated every 8 steps and on arrival (`greenhouse_gym.envs.waypoints`).
+    - ``roadmap``: ``state`` without tip, tool axis, direction and turn. The waypoint is a goal configuration that a
+      collision-free straight motion in the known scene reaches, or else the node with the shortest path in a tree that
+      grows from the goal configurations. The vector holds its offset from the commanded joints and the action that
+      moves there at full speed, j numbers each, then the length of the path from there to the goal (rad), and 1 if the
+      straight motion is collision-free. Where no such waypoint is known, that is 0 and an arbitrary goal takes its
+      place. A waypoint is more than a sensor could provide: it is a plan of a few straight motions in the known scene,
+      and finding it takes time at the start of an episode. It is updated every 8 steps and on arrival
+      (`greenhouse_gym.envs.waypoints`).
     - ``depth``, ``rgb`` and ``rgbd`` come from a camera next to the flange that looks along the tool; ``points`` is the
       view of the plants from a mast next to the arm, one point per pixel. `DepthObservation`, `PointsObservation` and
       `RgbObservation` in place of the name choose the camera ("wrist" or "mast"), its size and its field of view.
@@ -109,7 +116,7 @@ class GreenhouseEnv(SpecMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]])
     `ActionRule`, `Transition` and `Task`, and the folder ``examples``. They compute arrays of n simulations; the single
     environment has one. Their results are checked at every step.
 
-    **Goals.** With ``observation="goal"`` or ``"goal_waypoint"``, the methods ``compute_reward``,
+    **Goals.** With ``observation="goal"`` or ``"goal_roadmap"``, the methods ``compute_reward``,
     ``compute_terminated`` and ``compute_truncated`` (``achieved_goal``, ``desired_goal``, ``info``) evaluate one or n
     steps with other goals; they read everything else from the info (hindsight replay of Stable-Baselines3 needs
     ``copy_info_dict=True``).
@@ -122,9 +129,9 @@ class GreenhouseEnv(SpecMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]])
 
     | key | meaning |
     |---|---|
-    | ``is_success`` | bool |
+    | ``is_success`` | bool (flags and numbers are NumPy's scalars) |
     | ``collision`` | whether a contact ended the episode |
-    | ``contact`` | names of the two geoms of the first such contact, the arm's first; empty without a collision |
+    | ``contact`` | names of the two geoms of the first such contact, as "rod, stem_3"; empty without a collision |
     | ``self_collision`` | whether both belong to the arm |
     | ``contacts`` | number of contacts by group, summed over the physics steps of the action |
     | ``distance`` | remaining distance; from the grasp point to the target's center, m |
@@ -143,8 +150,8 @@ class GreenhouseEnv(SpecMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]])
     | option | meaning |
     |---|---|
     | ``scene`` | name of a scene of any split, or a `Scene` |
-    | ``target`` | index of any of its tomatoes; needs ``scene`` |
-    | ``start`` | joint angles, rad, or a name such as ``folded``; one in contact collides at once |
+    | ``target`` | index of any of its tomatoes; needs ``scene``, here or among the settings |
+    | ``start`` | joint angles, rad, or a name such as ``upright`` or ``folded``; one in contact collides at once |
     | ``difficulty`` | for this episode, instead of the environment's |
 
     **Versions.** A ``-v1`` is due for any change of what an agent observes or is rewarded for: spaces, order or meaning
@@ -155,6 +162,9 @@ class GreenhouseEnv(SpecMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]])
         settings: The settings; default `EnvSettings` if None.
         render_mode: "rgb_array" (by OpenGL, or by ray casting where it is missing), "depth_array" (m), "human" (a
             window) or None. The straight line from tip to target is red, the tip's path pink.
+        width: Width of the images, pixels.
+        height: Height of the images, pixels.
+        camera: "aisle", "behind", "side" or "top", or a `greenhouse_gym.rendering.renderer.Viewpoint` in the scene.
         **fields: Fields of `EnvSettings`, which documents them. They replace those of ``settings``.
 
     Raises:
@@ -165,11 +175,24 @@ class GreenhouseEnv(SpecMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]])
 
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": 20}  # noqa: RUF012
 
-    def __init__(self, settings: EnvSettings | None = None, *, render_mode: str | None = None, **fields: Any):
+    def __init__(
+        self,
+        settings: EnvSettings | None = None,
+        *,
+        render_mode: str | None = None,
+        width: int = 640,
+        height: int = 480,
+        camera: str | Viewpoint = "aisle",
+        **fields: Any,
+    ):
         self.settings = settings_with("GreenhouseEnv", settings, fields)
+        self.options = {"render_mode": render_mode}
+        if render_mode is not None:
+            self.options |= {"width": width, "height": height, "camera": camera}
         self.render_mode = None if render_mode is None else require_choice("render mode", render_mode, RENDER_MODES)
-        self._viewer = None if render_mode is None else Viewer(render_mode)
-        self.metadata = {**self.metadata, "render_fps": self.settings.rate}
+        picture = Picture(width, height, camera)
+        self._viewer = None if render_mode is None else Viewer(render_mode, picture)
+        self.metadata = {"render_modes": available_modes(), "render_fps": self.settings.rate}
         self.simulation = Simulation(1, self.settings, threads=1)
         self.observation_space = self.simulation.observe.space
         self.action_space: spaces.Box = self.simulation.action_rule.space  # type: ignore[assignment]
@@ -261,15 +284,16 @@ class GreenhouseEnv(SpecMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]])
 
     def _info(self, result: StepResult | None) -> dict[str, Any]:
         values = self.simulation.info(result)
-        contacts = dict(zip(CONTACT_GROUPS, values.pop("contacts")[0].tolist(), strict=True))
+        contacts = dict(zip(CONTACT_GROUPS, values.pop("contacts")[0], strict=True))
         info = {key: _item(array) for key, array in values.items()} | {"contacts": contacts}
         if result is not None:
-            info["reward_terms"] = {name: term.item() for name, term in result.terms.items()}
-        return info
+            info["reward_terms"] = {name: term[0] for name, term in result.terms.items()}
+        return numbers_only(info) if self.settings.infos == "numbers" else info
 
     def _tip(self) -> Array:
         return self.simulation.tip(0)
 
 
 def _item(values: npt.NDArray[Any]) -> Any:
-    return values[0].copy() if values.ndim > 1 else values.item()
+    """Return the first value, a NumPy scalar if it is a number: libraries read its ``dtype``."""
+    return values[0].copy() if values.ndim > 1 else values[0]

@@ -106,6 +106,12 @@ class EpisodeSampler:
         robot: The arm.
         difficulty: One difficulty, several, or weights. With weights, the difficulty is drawn before the scene.
         start: Start configuration, as in the options of a reset; the arm's default if None.
+        scene: The only scene, as in the options of a reset; each episode draws one if None.
+        target: Its only target, as in the options of a reset; each episode draws one if None.
+
+    Raises:
+        UnknownNameError: The split, the scene, a difficulty or a start does not exist.
+        InvalidValueError: The split has no scene, or the scene no such target.
     """
 
     def __init__(
@@ -115,6 +121,8 @@ class EpisodeSampler:
         robot: Robot,
         difficulty: DifficultyChoice,
         start: str | Sequence[float] | None = None,
+        scene: str | Scene | None = None,
+        target: int | None = None,
     ):
         self.bank = SceneBank.open(bank)
         self.split = require_choice("split", split, SPLITS)
@@ -124,7 +132,10 @@ class EpisodeSampler:
         self._cache: OrderedDict[tuple[int, tuple[str, ...]], tuple[Scene, list[Target]]] = OrderedDict()
         self.set_difficulty(difficulty)
         self._names = self.bank.names(split)
-        if not self._names:
+        self._only = {} if scene is None else {"scene": self._scene(scene)}
+        if scene is not None and target is not None:
+            self._only["target"] = self._rate(self._scene(scene), target)[0]
+        if not self._names and scene is None:
             filled = [name for name in SPLITS if self.bank.names(name)]
             raise InvalidValueError(
                 f"bank {self.bank.path} has no scene in split {split!r}; choices: {', '.join(filled) or '(none)'}"
@@ -169,18 +180,18 @@ class EpisodeSampler:
         """
         if options is not None and not isinstance(options, Mapping):
             raise InvalidValueError(f"reset options must be a dict, got {options!r}")
-        options = options or {}
-        for key in options:
+        for key in options or {}:
             require_choice("reset option", key, OPTIONS)
+        options = {key: value for key, value in (options or {}).items() if value is not None}
+        if "scene" not in options:  # another scene has other targets
+            options = {**self._only, **options}
         wanted = self._wanted if options.get("difficulty") is None else parse_difficulty(options["difficulty"])
         start = self._default_start if options.get("start") is None else self._start(options["start"])
         scene, tomato = options.get("scene"), options.get("target")
         if scene is None and tomato is not None:
             raise InvalidValueError("the reset option 'target' needs the option 'scene'")
         if scene is not None:
-            if not isinstance(scene, (Scene, str)):
-                raise InvalidValueError(f"the reset option 'scene' must be a scene's name or a Scene, got {scene!r}")
-            scene = self.bank.scene(scene) if isinstance(scene, str) else scene
+            scene = self._scene(scene)
         if tomato is not None:
             assert scene is not None
             index, difficulty = self._rate(scene, tomato)
@@ -219,6 +230,11 @@ class EpisodeSampler:
         while len(self._cache) > (self.at_a_time or _CACHED):
             self._cache.popitem(last=False)
         return self._cache[key][1]
+
+    def _scene(self, scene: Any) -> Scene:
+        if not isinstance(scene, (Scene, str)):
+            raise InvalidValueError(f"scene must be a scene's name or a Scene, got {scene!r}")
+        return self.bank.scene(scene) if isinstance(scene, str) else scene
 
     def _rating(self, target: Target) -> str:
         return str(target.difficulty) if target.robot == self.robot.name else UNRATED

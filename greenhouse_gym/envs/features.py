@@ -1,4 +1,4 @@
-"""Features: named groups of numbers that observations are made of."""
+"""Features: named groups of numbers from which observations are composed."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from gymnasium import spaces
 
 from greenhouse_gym.envs.actions import max_command_error
 from greenhouse_gym.envs.clearance_rays import NUM_CLEARANCES
-from greenhouse_gym.envs.state import ACTION_STEP, Float32, State
+from greenhouse_gym.envs.state import ACTION_STEP, Float32, State, lengths
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.distance_field import MAX_DISTANCE
 from greenhouse_gym.robots import Robot
@@ -58,6 +58,12 @@ def _direction(offset: Array) -> Array:
     return np.asarray(offset / np.maximum(ACTION_STEP, np.abs(offset).max(axis=1, keepdims=True)))
 
 
+def _target_direction(state: State) -> Array:
+    """Return unit vectors (n, 3) from the tip to the target, which is at least its radius away before a contact."""
+    offset = state.target - state.tip
+    return np.asarray(offset / np.maximum(lengths(offset), 1e-6)[:, None])
+
+
 FEATURES: Mapping[str, Feature] = MappingProxyType(
     {
         "joint_position": Feature(lambda s: s.joints, lambda r: (r.lower - JOINT_MARGIN, r.upper + JOINT_MARGIN)),
@@ -67,6 +73,8 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
         "command_error": Feature(lambda s: s.command_error, lambda r: _within(2 * max_command_error(r), len(r.joints))),
         "grasp_offset": Feature(lambda s: s.target - s.grasp, lambda r: _within(MAX_OFFSET, 3)),
         "target_position": Feature(lambda s: s.target, lambda r: _within(MAX_OFFSET, 3)),
+        "target_direction": Feature(_target_direction, lambda r: _within(1.0, 3)),
+        "turn_to_target": Feature(lambda s: np.cross(s.axis, _target_direction(s)), lambda r: _within(1.0, 3)),
         "tip_position": Feature(lambda s: s.tip, lambda r: _within(MAX_OFFSET, 3)),
         "tool_axis": Feature(lambda s: s.axis, lambda r: _within(1.0, 3)),
         "clearance": Feature(lambda s: s.clearance, lambda r: _between(MIN_CLEARANCE, MAX_DISTANCE, len(r.probes))),

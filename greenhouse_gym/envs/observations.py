@@ -79,13 +79,19 @@ class ObservationSpec(ABC):
 ObservationFactory: TypeAlias = Callable[[Robot], Observation]
 ObservationChoice: TypeAlias = str | Observation | ObservationFactory
 
+ARM_FEATURES = ("joint_position", "joint_velocity", "command_error", "tip_position", "tool_axis")
+"""Features of the arm itself."""
+
+TOOL_FEATURES = ("tip_position", "tool_axis", "target_direction", "turn_to_target")
+"""Features of the tool's pose and of its turn to the target."""
+
 PATH_FEATURES = ("waypoint_offset", "waypoint_direction", "path")
 """Features of the roadmap: offset and direction to the waypoint, and length and freedom of the path."""
 
 
 def body_features(task: Task) -> dict[str, Feature]:
-    """Return the features of the arm's own joints, followed by those of the task."""
-    return {**named_features("joint_position", "joint_velocity", "command_error"), **task.features}
+    """Return the features of the arm itself, followed by those of the task."""
+    return {**named_features(*ARM_FEATURES), **task.features}
 
 
 def named_features(*names: str) -> dict[str, Feature]:
@@ -94,16 +100,18 @@ def named_features(*names: str) -> dict[str, Feature]:
 
 
 class StateObservation(ObservationSpec):
-    """Joints, features of the task and clearances in one vector; `GreenhouseEnv` documents every index.
+    """Features of arm and task and clearances in one vector; `GreenhouseEnv` documents every index.
 
     Args:
         robot: The arm.
         task: The task.
         extra: Names of further features to append: "unknown", "clearance_rays" or those in `PATH_FEATURES`.
+        without: Names of features to leave out, such as `TOOL_FEATURES`.
     """
 
-    def __init__(self, robot: Robot, task: Task = REACH, extra: Sequence[str] = ()):
+    def __init__(self, robot: Robot, task: Task = REACH, extra: Sequence[str] = (), without: Sequence[str] = ()):
         features = body_features(task) | named_features("clearance", "obstacle_direction", *extra)
+        features = {name: feature for name, feature in features.items() if name not in without}
         self._vector = FeatureVector(robot, features)
         self.space, self.layout = self._vector.space, self._vector.layout
         self.requires_occupancy = "unknown" in extra
@@ -136,11 +144,8 @@ class GoalObservation(ObservationSpec):
                 f"a goal environment needs a GoalTask, got the task {type(task).__name__}; choose another observation"
             )
         self._task, self.requires_roadmap = task, path
-        features = named_features(
-            "joint_position", "joint_velocity", "command_error", "tip_position", "tool_axis", "clearance",
-            "obstacle_direction",
-        )  # fmt: skip
-        self._vector = FeatureVector(robot, features | named_features(*(PATH_FEATURES if path else ())))
+        features = (*ARM_FEATURES, "clearance", "obstacle_direction", *(PATH_FEATURES if path else ()))
+        self._vector = FeatureVector(robot, named_features(*features))
         self.layout = self._vector.layout
         goal = spaces.Box(-MAX_OFFSET, MAX_OFFSET, (3,), dtype=np.float64)
         self.space = spaces.Dict({"observation": self._vector.space, "achieved_goal": goal, "desired_goal": goal})
@@ -183,5 +188,5 @@ def check_goals(observation: ObservationSpec, hidden: str, reward_requires_roadm
     if reward_requires_roadmap:
         raise InvalidValueError(
             'a reward that requires the roadmap, such as "path", has no path to goals in hindsight; choose '
-            'reward="dense" or "sparse", or observation="waypoint"'
+            'reward="dense" or "sparse", or observation="roadmap"'
         )

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.envs.actions import ToolMotion
-from greenhouse_gym.envs.contacts import CONTACT_GROUPS, Contact, Contacts, contact_groups, name_of
+from greenhouse_gym.envs.contacts import CONTACT_GROUPS, Contact, Contacts, contact_groups
 from greenhouse_gym.envs.randomization import Disturbance, displace_base
 from greenhouse_gym.envs.state import Bools, ControlTiming, Ids
 from greenhouse_gym.envs.stepping import ManyStepper, OneStepper, Stepper
@@ -169,7 +169,7 @@ class Physics:
         model, contact = self.models[i], self._data.contact[index]
         geoms = sorted((int(contact.geom1), int(contact.geom2)), key=lambda g: model.geom_bodyid[g], reverse=True)
         # the simulation's own model has the names of the first scene that was loaded
-        names = tuple(name_of(self._worlds[i].compiled.model, compiled_geom_id(model, g)) for g in geoms)
+        names = tuple(self._worlds[i].compiled.geom_name(compiled_geom_id(model, g)) for g in geoms)
         return Contact(names, self_collision=bool(model.geom_bodyid[geoms[1]] > 0))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, fields
 from typing import NamedTuple
 
@@ -42,7 +43,8 @@ class Randomization:
             if field.name == "plants":
                 continue
             value = getattr(self, field.name)
-            if not (np.isfinite(value) and value >= 0):
+            real = isinstance(value, int | float | np.integer | np.floating | np.bool_)
+            if not (real and 0 <= value <= sys.float_info.max):
                 raise InvalidValueError(f"randomization {field.name} must be a number from 0 up, got {value!r}")
 
 

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
+from greenhouse_gym import ENV_IDS
+from greenhouse_gym.common.own_code import described, load_own, with_absolute_path
 from greenhouse_gym.envs.actions import ActionChoice
 from greenhouse_gym.envs.episodes import DifficultyChoice, parse_difficulty
 from greenhouse_gym.envs.observations import ObservationChoice
@@ -18,12 +22,15 @@ from greenhouse_gym.envs.randomization import NO_RANDOMIZATION, Randomization
 from greenhouse_gym.envs.rewards import Reward
 from greenhouse_gym.envs.state import RATE, STEP_LIMIT, control_timing
 from greenhouse_gym.envs.task import Task
-from greenhouse_gym.errors import InvalidValueError, UnknownKeywordError, require_choice
+from greenhouse_gym.errors import InvalidValueError, UnknownKeywordError, check_whole, is_number, require_choice
 from greenhouse_gym.motion.success import SUCCESS_RADIUS
-from greenhouse_gym.robots import Robot
-from greenhouse_gym.scene import SceneBank
+from greenhouse_gym.robots import ROBOTS, Robot, get_robot
+from greenhouse_gym.scene import Scene, SceneBank
 from greenhouse_gym.scene.manifest import SPLITS
 from greenhouse_gym.scene.mjcf import MAX_CAPACITY, TIMESTEP
+
+INFOS = ("all", "numbers")
+"""Choices of infos."""
 
 PHYSICS = ("reconstruction", "truth")
 """Choices of the simulated world."""
@@ -38,8 +45,9 @@ class EnvSettings:
             drawn from a few scenes at a time (`SceneWindow`); the seed of a reset restarts their order.
         split: "train", "validation" or "test".
         robot: Name of a shipped arm ("ur5e", "iiwa14"), an MJCF file, or a `Robot` of `load_robot`.
-        observation: "state", "state_occupancy", "clearance_rays", "waypoint", "goal", "goal_waypoint", "depth",
-            "points", "rgb", "rgbd", settings of the last four, or your own `Observation`.
+        observation: "state", "state_occupancy", "clearance_rays", "roadmap", "goal", "goal_roadmap", "depth",
+            "points", "rgb", "rgbd", settings of the last four, or your own `Observation`. Everything of your own is an
+            object, ``"file.py:Name"``, ``"module:Name"``, or a mapping with such a name as ``class`` and its fields.
         action: "joint", "joint_velocity", "tip_velocity", or your own `ActionRule`.
         reward: "dense", "sparse", "path", a `DenseReward`, `SparseReward` or `PathReward` with other values, or your
             own function from a `Transition` to terms.
@@ -53,19 +61,23 @@ class EnvSettings:
         success_radius: Maximum distance of the grasp point from the target's center for a success, metres. It belongs
             to the task "reach"; your own task has its own settings.
         step_limit: Steps after which an episode is truncated.
-        start: Start configuration: the name of one of the arm's, such as "folded", or a joint angle for each joint,
-            radians; the arm's upright default if None. The options of a reset may choose another.
+        start: Start configuration: the name of one of the arm's, "ready", "upright" or "folded", or a joint angle for
+            each joint, radians; the arm's own if None, which is "ready". The options of a reset may choose another.
         rate: Actions per second; the time between two actions must be a multiple of 10 ms: 100, 50, 25, 20, 10 and so
             on. Joint actions have the same maximum speed at every rate.
         task: Task: "reach", your own as ``"file.py:Name"`` or ``"module:Name"``, a `Task` or a subclass of it.
+        scene: The only scene of all episodes: its name, of any split, or a `Scene`; if None, each episode draws one.
+        target: Index of its only target tomato; if None, each episode draws one of the scene's.
+        infos: "all", or "numbers" for libraries that read no texts and no nested infos, such as TorchRL: texts are left
+            out, and keys are those of one level, such as "reward_terms.progress".
     """
 
     bank: str | Path | SceneBank = "default"
     split: str = "train"
     robot: str | Path | Robot = "ur5e"
-    observation: ObservationChoice = "state"
-    action: ActionChoice = "joint"
-    reward: str | Reward = "dense"
+    observation: ObservationChoice | Mapping[str, Any] = "state"
+    action: ActionChoice | Mapping[str, Any] = "joint"
+    reward: str | Reward | Mapping[str, Any] = "dense"
     difficulty: DifficultyChoice = ("easy", "medium", "hard")
     physics: str = "reconstruction"
     randomization: Randomization = field(default=NO_RANDOMIZATION)
@@ -74,48 +86,105 @@ class EnvSettings:
     step_limit: int = STEP_LIMIT
     rate: float = RATE
     start: str | Sequence[float] | None = None
-    task: str | Task | type[Task] = "reach"
+    task: str | Task | type[Task] | Mapping[str, Any] = "reach"
+    scene: str | Scene | None = None
+    target: int | None = None
+    infos: str = "all"
 
     def __post_init__(self) -> None:
         _check_kind("bank", self.bank, (str, Path, SceneBank), "a bank's name, folder or SceneBank")
         _check_kind("robot", self.robot, (str, Path, Robot), "an arm's name, MJCF file or Robot")
+        object.__setattr__(self, "randomization", load_own(self.randomization, "randomization"))
         _check_kind("randomization", self.randomization, Randomization, "a Randomization")
         require_choice("split", self.split, SPLITS)
         require_choice("physics", self.physics, PHYSICS)
+        require_choice("infos", self.infos, INFOS)
         parse_difficulty(self.difficulty)
         if self.capacity is not None:
             check_whole("capacity", self.capacity, 1, MAX_CAPACITY)
         check_whole("step_limit", self.step_limit, 1)
-        if not isinstance(self.task, (str, Task)) and not (isinstance(self.task, type) and issubclass(self.task, Task)):
+        kinds = (str, Task, Mapping)
+        if not isinstance(self.task, kinds) and not (isinstance(self.task, type) and issubclass(self.task, Task)):
             raise InvalidValueError(f"task must be a name, a Task or a subclass of Task, got {self.task!r}")
-        if not _is_number(self.success_radius) or not 0 < self.success_radius <= 1:
+        for name in ("observation", "action", "reward", "task"):
+            object.__setattr__(self, name, with_absolute_path(getattr(self, name)))
+        if self.scene is None and self.target is not None:
+            raise InvalidValueError(f"target needs scene, the scene of the tomato, got target={self.target!r} alone")
+        if not is_number(self.success_radius) or not 0 < self.success_radius <= 1:
             raise InvalidValueError(f"success_radius must be metres above 0 up to 1, got {self.success_radius!r}")
         if self.start is not None and not isinstance(self.start, str):
             object.__setattr__(self, "start", _numbers("start", self.start))
-        if not _is_number(self.rate) or not 0.1 <= self.rate <= 1 / TIMESTEP or not _divides(self.rate):
+        if not is_number(self.rate) or not 0.1 <= self.rate <= 1 / TIMESTEP or not _divides(self.rate):
             raise InvalidValueError(
                 f"rate must be {1 / TIMESTEP:g} actions per second divided by a whole number (100, 50, 25, 20, ...), "
                 f"got {self.rate!r}"
             )
 
-    def agent_options(self, robot: str) -> dict[str, Any]:
+    def agent_options(self) -> dict[str, Any]:
         """Return the keywords of an environment with the same arm (its name or file), spaces and task."""
-        options: dict[str, Any] = {"robot": robot, "observation": self.observation, "action": self.action}
+        options: dict[str, Any] = {
+            "robot": _as_json(get_robot(self.robot)),
+            "observation": self.observation,
+            "action": self.action,
+        }
         if self.rate != RATE:
             options["rate"] = self.rate
         if self.task != "reach":
             options["task"] = self.task
         return options
 
+    def keywords(self) -> dict[str, Any]:
+        """Return the keywords of ``gymnasium.make`` that differ from the defaults, as JSON holds them where it can."""
+        plain = EnvSettings()
+        given = {f.name: getattr(self, f.name) for f in fields(self)}
+        changed = {name: _as_json(value) for name, value in given.items() if value != getattr(plain, name)}
+        return {**changed, "scene": self._scene_by_name()} if self.scene is not None else changed
 
-class SpecMixin:
-    """Property ``spec`` of the single and the vector environment.
+    def __reduce__(self) -> tuple[Any, ...]:
+        given = {f.name: getattr(self, f.name) for f in fields(self)}
+        return _restored, ({**given, "scene": self._scene_by_name()},)
+
+    def _scene_by_name(self) -> str | Scene | None:
+        """Return the name of the scene if it is the bank's."""
+        scene, bank = self.scene, SceneBank.open(self.bank)
+        known = isinstance(scene, Scene) and scene.name in bank.names() and bank.scene(scene.name) is scene
+        return scene.name if known else scene  # type: ignore[union-attr]
+
+    def spec(self) -> EnvSpec:
+        """Return the specification with which ``gymnasium.make`` makes an environment with these settings."""
+        found = copy.copy(gymnasium.spec(ENV_IDS[0]))
+        found.kwargs = self.keywords()
+        return found
+
+
+def _restored(given: dict[str, Any]) -> EnvSettings:
+    return EnvSettings(**given)
+
+
+def _as_json(value: Any) -> Any:
+    """Return a setting as JSON holds it, or unchanged."""
+    if isinstance(value, SceneBank):
+        return str(value.path)
+    if isinstance(value, Robot):
+        return value.name if value.name in ROBOTS else str(value.path)
+    if isinstance(value, Path | np.generic):
+        return str(value) if isinstance(value, Path) else value.item()
+    return described(value) if not isinstance(value, Sequence | Scene) else value
+
+
+class EnvMixin:
+    """Specification, pickles, copies and text of the single and the vector environment.
+
+    A pickled environment becomes a new one with the same settings and random numbers, before its first reset. A copy is
+    in the same state.
 
     Attributes:
         settings: Settings of the environment.
+        options: Further keywords of its constructor.
     """
 
     settings: EnvSettings
+    options: Mapping[str, Any]
     _spec: EnvSpec | None = None
 
     @property
@@ -127,7 +196,30 @@ class SpecMixin:
     def spec(self, spec: EnvSpec | None) -> None:
         if spec is not None:
             spec.max_episode_steps = self.settings.step_limit
+            spec.kwargs = {**spec.kwargs, **self.settings.keywords()}  # own objects by reference, so that JSON holds it
         self._spec = spec
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        kept = ("_spec", "_np_random", "_np_random_seed", "_rngs")
+        return (
+            _made_again,
+            (type(self), self.settings, self.options),
+            {k: v for k, v in vars(self).items() if k in kept},
+        )
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Any:
+        twin = memo[id(self)] = object.__new__(type(self))
+        twin.__dict__ = copy.deepcopy(self.__dict__, memo)
+        return twin
+
+    def __repr__(self) -> str:
+        options = {name: value for name, value in self.options.items() if value is not None}
+        given = ", ".join(f"{name}={value!r}" for name, value in (self.settings.keywords() | options).items())
+        return f"{type(self).__name__}({given})"
+
+
+def _made_again(kind: Any, settings: EnvSettings, options: Mapping[str, Any]) -> Any:
+    return kind(settings=settings, **options)
 
 
 def settings_with(callee: str, settings: EnvSettings | None, keywords: Mapping[str, Any]) -> EnvSettings:
@@ -155,33 +247,15 @@ def settings_with(callee: str, settings: EnvSettings | None, keywords: Mapping[s
     return replace(settings or EnvSettings(), **keywords)
 
 
-def check_whole(name: str, value: Any, lowest: int, highest: int | None = None) -> int:
-    """Return the value if it is a whole number in the range.
-
-    Raises:
-        InvalidValueError: It is not.
-    """
-    whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-    if not whole or value < lowest or (highest is not None and value > highest):
-        limit = "up" if highest is None else f"to {highest}"
-        raise InvalidValueError(f"{name} must be a whole number from {lowest} {limit}, got {value!r}")
-    return int(value)
-
-
 def _check_kind(name: str, value: Any, kinds: type | tuple[type, ...], expected: str) -> None:
     if not isinstance(value, kinds):
         raise InvalidValueError(f"{name} must be {expected}, got {value!r}")
 
 
 def _numbers(name: str, value: Any) -> tuple[float, ...]:
-    try:
-        return tuple(float(number) for number in value)
-    except (TypeError, ValueError) as error:
-        raise InvalidValueError(f"{name} must be a name or numbers, got {value!r}") from error
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float, np.number)) and not isinstance(value, bool) and bool(np.isfinite(value))
+    if not isinstance(value, Sequence | np.ndarray) or not all(map(is_number, value)):
+        raise InvalidValueError(f"{name} must be a name or numbers, got {value!r}")
+    return tuple(map(float, value))
 
 
 def _divides(rate: float) -> bool:

@@ -1,4 +1,4 @@
-"""Setups of episodes: what is drawn at a reset, and the world that it takes place in."""
+"""Setups of episodes: the episode drawn at a reset and its world."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from greenhouse_gym.envs.actions import CommandLimits, check_actions, squared_norm
 from greenhouse_gym.envs.choices import make_action, make_observation, make_reward, make_task, outcome_check
-from greenhouse_gym.envs.contacts import NO_CONTACT, Contacts
+from greenhouse_gym.envs.contacts import NAME_SEPARATOR, NO_CONTACT, Contact, Contacts
 from greenhouse_gym.envs.episodes import Episode, EpisodeSampler
 from greenhouse_gym.envs.observations import Observed, check_goals
 from greenhouse_gym.envs.perception import Perception
@@ -25,8 +25,8 @@ from greenhouse_gym.envs.task import GoalTask, Outcome
 from greenhouse_gym.envs.worlds import capacity_of, shared_worlds
 from greenhouse_gym.errors import InvalidValueError, NoEpisodeError
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.robots import ROBOTS, get_robot
-from greenhouse_gym.scene import CompiledScene
+from greenhouse_gym.robots import get_robot
+from greenhouse_gym.scene import CompiledScene, Scene
 
 STEP_INFOS = ("previous_goal", "effort")
 """Keys of the info of a step that the info of a reset lacks, besides the reward terms."""
@@ -54,7 +54,9 @@ class Simulation:
         self.task = make_task(settings.task, settings.success_radius)
         self._checked = outcome_check(self.task)
         self.robot = robot = get_robot(settings.robot)
-        self.sampler = EpisodeSampler(settings.bank, settings.split, robot, settings.difficulty, settings.start)
+        self.sampler = EpisodeSampler(
+            settings.bank, settings.split, robot, settings.difficulty, settings.start, settings.scene, settings.target
+        )
         self.observe = make_observation(settings.observation, robot, self.task)
         self._timing = control_timing(settings.rate)
         self.action_rule = make_action(settings.action, robot, self._timing.interval)
@@ -67,7 +69,8 @@ class Simulation:
         hidden = 'physics="truth"' if settings.physics == "truth" else ""
         hidden = hidden or ("target_position" if self.randomization.target_position else "")
         check_goals(self.observe, hidden, reward_requires_roadmap)
-        self.env_options = settings.agent_options(robot.name if robot.name in ROBOTS else str(robot.path))
+        self._hidden_goal = bool(hidden)
+        self.env_options = settings.agent_options()
         capacity = settings.capacity or capacity_of(self.sampler.bank, settings.physics)
         self.worlds = shared_worlds(robot, settings.physics, capacity, self._timing.substeps)
         self.count = count
@@ -76,7 +79,7 @@ class Simulation:
         self._physics: Physics | None = None
         self._setups: list[Setup | None] = [None] * count
         self._names = {key: np.full(count, "", dtype=object) for key in ("scene", "difficulty")}
-        self._contact, self._self_collision = np.full(count, None, dtype=object), np.zeros(count, dtype=np.bool_)
+        self._contact, self._self_collision = np.full(count, "", dtype=object), np.zeros(count, dtype=np.bool_)
         # counts of the episode so far, and the current target as an index into the episode's targets and as a tomato
         counted = ("steps", "speed_limited", "position_limited", "index", "target")
         self._counts = {key: np.zeros(count, dtype=np.int64) for key in counted}
@@ -129,7 +132,7 @@ class Simulation:
         for counts in self._counts.values():
             counts[i] = 0
         self._counts["target"][i] = setup.episode.targets[0]
-        self._contact[i], self._self_collision[i] = NO_CONTACT
+        self._record_contact(i, NO_CONTACT)
         self._perception.begin(i, setup)
 
     def close(self) -> None:
@@ -146,7 +149,7 @@ class Simulation:
         before, physics, counts = self._current_state(), self._physics, self._counts
         action = check_actions(actions, self.count, self.action_rule.space)
         assert physics is not None
-        change = self.action_rule(action, before, physics.motion(self._perception.heading))
+        change = self.action_rule(action, before.known(self._hidden_goal), physics.motion(self._perception.heading))
         command = self._limit(physics.command, change, physics.qpos)
         contacts = physics.advance(command.position)
         self._record_contacts(contacts)
@@ -194,12 +197,15 @@ class Simulation:
 
     def _record_contacts(self, contacts: Contacts) -> None:
         for i, contact in contacts.first.items():
-            self._contact[i], self._self_collision[i] = contact
+            self._record_contact(i, contact)
+
+    def _record_contact(self, i: int, contact: Contact) -> None:
+        self._contact[i], self._self_collision[i] = NAME_SEPARATOR.join(contact.names), contact.self_collision
 
     def observation(self, ids: Ids | None = None) -> Observed:
         """Return observations of all or some simulations."""
         state = self._current_state()
-        return self.observe(state if ids is None else state.select(ids))
+        return self.observe((state if ids is None else state.select(ids)).known(self._hidden_goal))
 
     def info(self, step: StepResult | None = None) -> dict[str, npt.NDArray[Any]]:
         """Return the info that `GreenhouseEnv` documents, without reward terms, as live arrays of length n.
@@ -232,6 +238,10 @@ class Simulation:
     def episode(self, i: int) -> Episode:
         """Return the current episode of a simulation."""
         return self._setup(i).episode
+
+    def known_scene(self, i: int) -> Scene:
+        """Return the current scene of a simulation as agents know it, see `greenhouse_gym.scene.truth.known_scene`."""
+        return self._setup(i).world.known
 
     def target(self, i: int) -> int:
         """Return the current target of a simulation, an index into the tomatoes of its scene."""

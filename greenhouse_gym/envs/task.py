@@ -1,4 +1,4 @@
-"""Protocol of tasks: what an episode is about, independent of physics, sensors, agents and evaluation.
+"""Protocol of tasks: goal and outcome of episodes, independent of physics, sensors, agents and evaluation.
 
 A task is one class, usually in one file, see `greenhouse_gym.envs.tasks.reach`. Its methods are elementwise functions
 of arrays over n simulations, so the vector environment and single environments compute the same numbers.
@@ -19,6 +19,9 @@ from greenhouse_gym.envs.features import FEATURES, Feature
 from greenhouse_gym.envs.rewards import REWARDS, Reward
 from greenhouse_gym.envs.state import Bools, State
 from greenhouse_gym.geometry import Array
+
+TARGET_FEATURES = ("grasp_offset", "target_position", "target_direction", "turn_to_target")
+"""Features of a task with one target at a time, see `GreenhouseEnv`."""
 
 
 class Outcome(NamedTuple):
@@ -56,9 +59,7 @@ class Task(ABC):
 
     ends_on: Collection[str] = CONTACT_GROUPS
     costs: Mapping[str, float] = MappingProxyType({})
-    features: Mapping[str, Feature] = MappingProxyType(
-        {name: FEATURES[name] for name in ("grasp_offset", "target_position")}
-    )
+    features: Mapping[str, Feature] = MappingProxyType({name: FEATURES[name] for name in TARGET_FEATURES})
     rewards: Mapping[str, Reward] = REWARDS
     memory: Mapping[str, float] = MappingProxyType({})
 

@@ -15,21 +15,23 @@ from gymnasium.vector.utils import batch_space
 from greenhouse_gym.envs.contacts import CONTACT_GROUPS
 from greenhouse_gym.envs.episodes import DifficultyChoice
 from greenhouse_gym.envs.hindsight import add_goal_functions
+from greenhouse_gym.envs.infos import Infos, masked, numbers_only
 from greenhouse_gym.envs.observations import Observed, select
 from greenhouse_gym.envs.rewards import StepResult
-from greenhouse_gym.envs.settings import EnvSettings, SpecMixin, check_whole, settings_with
-from greenhouse_gym.envs.simulation import STEP_INFOS, Simulation
+from greenhouse_gym.envs.settings import EnvMixin, EnvSettings, settings_with
+from greenhouse_gym.envs.simulation import Simulation
 from greenhouse_gym.envs.state import Bools, Ids
-from greenhouse_gym.errors import EpisodeOverError, InvalidValueError, UnknownNameError, require_choice
+from greenhouse_gym.errors import EpisodeOverError, InvalidValueError, UnknownNameError, check_whole, require_choice
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.rendering.viewer import RENDER_MODES, Viewer
+from greenhouse_gym.rendering.renderer import Viewpoint
+from greenhouse_gym.rendering.viewer import RENDER_MODES, Picture, Viewer, available_modes
 
-Infos = dict[str, Any]
-"""Arrays (n,) by key, or dicts of such arrays, each with a mask."""
+MAX_THREADS = 1024
+"""Largest number of threads of a simulation."""
 
 
 class GreenhouseVectorEnv(  # type: ignore[misc]
-    SpecMixin, VectorEnv[Observed, npt.NDArray[np.float32], npt.NDArray[Any]]
+    EnvMixin, VectorEnv[Observed, npt.NDArray[np.float32], npt.NDArray[Any]]
 ):
     """``num_envs`` simulations, stepped together; spaces, rewards and infos are those of `GreenhouseEnv`.
 
@@ -46,6 +48,9 @@ class GreenhouseVectorEnv(  # type: ignore[misc]
         threads: Number of simulation threads; 0 uses all cores. Results do not depend on it.
         max_episode_steps: Step limit below that of the settings, as ``gymnasium.make`` has it for the single
             environment.
+        width: As in `GreenhouseEnv`.
+        height: As in `GreenhouseEnv`.
+        camera: As in `GreenhouseEnv`.
         **fields: Fields of `EnvSettings`, which replace those of ``settings``.
     """
 
@@ -60,6 +65,9 @@ class GreenhouseVectorEnv(  # type: ignore[misc]
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         threads: int = 0,
         max_episode_steps: int | None = None,
+        width: int = 640,
+        height: int = 480,
+        camera: str | Viewpoint = "aisle",
         **fields: Any,
     ):
         self.settings = settings_with("GreenhouseVectorEnv", settings, fields)
@@ -67,14 +75,22 @@ class GreenhouseVectorEnv(  # type: ignore[misc]
             limit = check_whole("max_episode_steps", max_episode_steps, 1, self.settings.step_limit)
             self.settings = replace(self.settings, step_limit=limit)
         self.num_envs = num_envs = check_whole("num_envs", num_envs, 1)
-        threads = check_whole("threads", threads, 0)
+        threads = check_whole("threads", threads, 0, MAX_THREADS)
         self.render_mode = None if render_mode is None else require_choice("render mode", render_mode, RENDER_MODES)
+        picture = Picture(width, height, camera)
         if render_mode == "human" and num_envs > 1:
             raise InvalidValueError('render_mode="human" shows one simulation; choose "rgb_array" or num_envs=1')
-        self._viewer = None if render_mode is None else Viewer(render_mode)
+        self.options = {
+            "num_envs": num_envs, "render_mode": render_mode, "autoreset_mode": _mode(autoreset_mode).value,
+            "threads": threads,
+        }  # fmt: skip
+        if render_mode is not None:
+            self.options |= {"width": width, "height": height, "camera": camera}
+        self._viewer = None if render_mode is None else Viewer(render_mode, picture)
         self.autoreset_mode = _mode(autoreset_mode)
         self.metadata = {
-            **self.metadata, "render_fps": self.settings.rate, "autoreset_mode": self.autoreset_mode
+            "render_modes": available_modes(), "render_fps": self.settings.rate,
+            "autoreset_mode": self.autoreset_mode,
         }  # fmt: skip
         self.simulation = Simulation(num_envs, self.settings, threads)
         self.single_observation_space = self.simulation.observe.space
@@ -114,7 +130,7 @@ class GreenhouseVectorEnv(  # type: ignore[misc]
         self.simulation.reset(chosen, self._rngs, each)  # type: ignore[arg-type]
         self._ended[chosen] = False
         mask = _mask(self.num_envs, chosen)
-        return self.simulation.observation(), _masked(self._info(None), mask, mask)
+        return self.simulation.observation(), masked(self._info(None), mask, mask)
 
     def step(  # type: ignore[override]
         self, actions: Any
@@ -131,12 +147,10 @@ class GreenhouseVectorEnv(  # type: ignore[misc]
         simulation, everyone = self.simulation, np.ones(self.num_envs, dtype=np.bool_)
         result = simulation.step(actions)
         reward, terminated, truncated = result.reward, result.terminated, result.truncated
-        terms = dict(result.terms)
+        terms = self._shown({"reward_terms": dict(result.terms)})
         if len(waiting):  # with autoreset in the next step
             simulation.reset(waiting, self._rngs, self._no_options)
             reward[waiting], terminated[waiting], truncated[waiting] = 0.0, False, False
-            for values in terms.values():
-                values[waiting] = 0.0
         info = self._info(result)
         observations = simulation.observation()
         ended = terminated | truncated
@@ -146,7 +160,7 @@ class GreenhouseVectorEnv(  # type: ignore[misc]
             final_obs = np.full(self.num_envs, None, dtype=object)
             for i in done:
                 final_obs[i] = _copied(select(observations, i))
-            final_info = _masked(info, ended, ended) | _nested("reward_terms", terms, ended)
+            final_info = masked(info, ended, ended) | masked(terms, ended, ended)
             final = {"final_obs": final_obs, "_final_obs": ended, "final_info": final_info, "_final_info": ended}
             simulation.reset(done, self._rngs, self._no_options)
             _replace(observations, done, simulation.observation(done))
@@ -156,7 +170,7 @@ class GreenhouseVectorEnv(  # type: ignore[misc]
             self._ended = ended.copy()
         # simulations whose episode has just begun have no info of a step
         stepped = ~(ended if final else _mask(self.num_envs, waiting))
-        infos = _masked(info, everyone, stepped) | _nested("reward_terms", terms, stepped) | final
+        infos = masked(info, everyone, stepped) | masked(terms, stepped, stepped) | final
         return observations, reward, terminated, truncated, infos
 
     def set_difficulty(self, difficulty: DifficultyChoice) -> None:
@@ -187,7 +201,10 @@ class GreenhouseVectorEnv(  # type: ignore[misc]
 
     def _info(self, result: StepResult | None) -> Infos:
         info: Infos = {key: values.copy() for key, values in self.simulation.info(result).items()}
-        return info | {"contacts": dict(zip(CONTACT_GROUPS, info["contacts"].T, strict=True))}
+        return self._shown(info | {"contacts": dict(zip(CONTACT_GROUPS, info["contacts"].T, strict=True))})
+
+    def _shown(self, infos: Infos) -> Infos:
+        return numbers_only(infos) if self.settings.infos == "numbers" else infos
 
     def _seed(self, chosen: Ids, seed: int | Sequence[int | None] | None) -> None:
         if seed is None:
@@ -216,19 +233,6 @@ def _mask(count: int, chosen: Ids) -> Bools:
     mask = np.zeros(count, dtype=np.bool_)
     mask[chosen] = True
     return mask
-
-
-def _masked(values: Infos, mask: Bools, stepped: Bools) -> Infos:
-    """Return infos with the mask of each key, that of a step for those which only steps have."""
-    result: Infos = {}
-    for key, part in values.items():
-        result[key] = _masked(part, mask, mask) if isinstance(part, dict) else part
-        result[f"_{key}"] = stepped if key in STEP_INFOS else mask
-    return result
-
-
-def _nested(name: str, values: Infos, mask: Bools) -> Infos:
-    return _masked({name: values}, mask, mask)
 
 
 def _copied(observed: Observed) -> Observed:

@@ -17,16 +17,15 @@ from greenhouse_gym.envs.episodes import LARGEST_WHOLE
 from greenhouse_gym.envs.state import SUBSTEPS
 from greenhouse_gym.envs.stepping import drive_and_record
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.geometry import Array, Ellipsoid, invert, pose, rotation_about, transform
-from greenhouse_gym.motion.distance_field import FieldStore, obstacle_field
+from greenhouse_gym.geometry import Array, invert, pose, rotation_about, transform
+from greenhouse_gym.motion.distance_field import FieldStore
 from greenhouse_gym.motion.roadmap import SceneRoadmaps
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import CompiledScene, Scene, SceneBank, Shapes, compile_scene
 from greenhouse_gym.scene.geom_order import first_world_geom
 from greenhouse_gym.scene.mjcf import DEFAULT_CAPACITY, MAX_CAPACITY, base_position
-from greenhouse_gym.scene.moved_obstacles import move_obstacles
 from greenhouse_gym.scene.plant_motion import move_plants
-from greenhouse_gym.scene.truth import true_scene
+from greenhouse_gym.scene.truth import known_scene, true_scene
 
 _ROUND = 100
 
@@ -69,7 +68,7 @@ class World:
     """Scene that is ready to be simulated and observed.
 
     Attributes:
-        scene: The scene as agents know it.
+        scene: The scene of the bank.
         compiled: The simulated scene: the same, or the true row behind it.
         frame: (5,) position of the arm's base in the scene, metres, and cosine and sine of its heading.
         tomatoes: (t, 4) centers in the base frame and radii of the scene's tomatoes, metres, float32.
@@ -102,6 +101,11 @@ class World:
             )
 
     @cached_property
+    def known(self) -> Scene:
+        """Scene as agents know it."""
+        return known_scene(self.scene) if self.before is None else self.before.known
+
+    @cached_property
     def roadmaps(self) -> SceneRoadmaps:
         """Roadmaps of the scene as agents know it; a world with moved plants shares those of the world before."""
         if self.before is not None:
@@ -111,7 +115,7 @@ class World:
     @cached_property
     def used(self) -> int:
         """Number of world geoms before the parked ones, which are the same in all worlds."""
-        return int(self.compiled.obstacle_geoms.start) + len(self.compiled.scene.obstacles)
+        return int(self.compiled.obstacle_geoms.start) + self.compiled.scene.count
 
     @cached_property
     def groups(self) -> Groups:
@@ -203,7 +207,7 @@ class Worlds:
         scene_from_base = pose(rotation_about([0, 0, 1], scene.placement.yaw), base_position(scene, self.robot))
         return replace(
             world,
-            compiled=move_obstacles(world.compiled, moved),
+            compiled=compile_scene(moved, self.robot, self.capacity, self._record),
             goals=_spheres(moved, scene_from_base)[world.bodies],
             before=world,
         )
@@ -217,15 +221,13 @@ class Worlds:
             bodies = np.arange(len(tomatoes))
         else:
             bodies = np.linalg.norm(tomatoes[:, None, :3] - bodies_there[None, :, :3], axis=-1).argmin(axis=1)
-        ellipsoids = {k: t.shape for k, t in enumerate(scene.tomatoes) if isinstance(t.shape, Ellipsoid)}
-        others = [*scene.stems, *scene.clutter]
         known: np.ndarray[tuple[int, int], np.dtype[np.float32]] = tomatoes.astype(np.float32)
         return World(
             scene=scene,
             compiled=compile_scene(physical, self.robot, self.capacity, self._record),
             frame=np.array([*scene_from_base[:3, 3], *scene_from_base[:2, 0]]),
             tomatoes=known,
-            field=self.fields.add(obstacle_field(tomatoes, others, scene_from_base, ellipsoids)),
+            field=self.fields.add(scene.arrays, len(tomatoes), scene_from_base),
             # the same numbers as observed if the scene itself is simulated
             goals=known.astype(np.float64) if physical is scene else bodies_there[bodies],
             bodies=bodies,
@@ -233,7 +235,7 @@ class Worlds:
 
     def _check_size(self, scene: Scene) -> None:
         """Reject a scene that does not fit before any memory is allocated."""
-        count = len(scene.obstacles)
+        count = scene.count
         if count > self.capacity:
             problem = f"scene {scene.name!r} has {count} obstacles, more than the {self.capacity} allowed"
             if self.physics == "truth" and self.capacity == MAX_CAPACITY:

@@ -1,6 +1,6 @@
 """Evaluation of agents: episode runner, records, comparison and leaderboard."""
 
-from greenhouse_gym.evaluation.records import Evaluation, Record, comparison_table, wilson_interval
+from greenhouse_gym.evaluation.records import Evaluation, Evaluations, Record, comparison_table, wilson_interval
 from greenhouse_gym.evaluation.rollouts import Trace, compare, evaluate, retrace
 from greenhouse_gym.evaluation.runner import AgentError
 from greenhouse_gym.motion.collision import CLEARANCE_RANGE
@@ -9,6 +9,7 @@ __all__ = [
     "CLEARANCE_RANGE",
     "AgentError",
     "Evaluation",
+    "Evaluations",
     "Record",
     "Trace",
     "compare",

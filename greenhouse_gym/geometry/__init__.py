@@ -25,7 +25,18 @@ from greenhouse_gym.geometry.poses import (
     rotations_from,
     transform,
 )
-from greenhouse_gym.geometry.shapes import Box, Capsule, Ellipsoid, Shape, Sphere, centered_at, transformed
+from greenhouse_gym.geometry.shape_arrays import ShapeArrays, arrays_of
+from greenhouse_gym.geometry.shapes import (
+    Box,
+    Capsule,
+    Ellipsoid,
+    Shape,
+    Sphere,
+    centered_at,
+    shapes_of,
+    transformed,
+    unchecked,
+)
 
 __all__ = [
     "Array",
@@ -34,8 +45,10 @@ __all__ = [
     "Ellipsoid",
     "Rotation",
     "Shape",
+    "ShapeArrays",
     "Sphere",
     "Vector",
+    "arrays_of",
     "bounding_balls",
     "centered_at",
     "closest_on_segments",
@@ -53,6 +66,8 @@ __all__ = [
     "rotation_about",
     "rotation_angle",
     "rotations_from",
+    "shapes_of",
     "transform",
     "transformed",
+    "unchecked",
 ]

@@ -8,12 +8,16 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.geometry import Array, transform
 
 _BLACK, _BURNT = 0.03, 0.97  # bounds of all channels beyond which a color holds no information
 _MAX_FAILED = 0.9  # fraction of the points beyond these bounds
+_MAX_CELLS = 4000  # cells in each direction that are distinguished; what is farther off falls into the last one
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +90,20 @@ def voxel_means(cloud: Cloud, voxel: float) -> tuple[Cloud, npt.NDArray[np.int64
     """Average the points in each occupied cube of ``voxel`` metres; also return the row of each point's mean (n,)."""
     (points, colors, normals), cube = means_by_voxel(cloud.points, voxel, cloud.points, cloud.colors, cloud.normals)
     return Cloud(points, colors, normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)), cube
+
+
+def group_sizes(points: Array, cell: float) -> npt.NDArray[np.int64]:
+    """Return for each point (n, 3) the number of points in its group: those in connected cubes of ``cell`` metres."""
+    with np.errstate(over="ignore"):
+        offsets = np.floor((points - np.median(points, axis=0)) / cell)
+    cubes = np.clip(offsets, -_MAX_CELLS, _MAX_CELLS).astype(np.int64) + _MAX_CELLS
+    base = [1, 4 * _MAX_CELLS, 16 * _MAX_CELLS**2]
+    cells, index = np.unique(cubes @ base, return_inverse=True)
+    corners = np.stack([cells % base[1], cells // base[1] % base[1], cells // base[2]], axis=1)
+    pairs = cKDTree(corners).query_pairs(1.8, output_type="ndarray")
+    links = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(len(cells),) * 2)
+    group = connected_components(links, directed=False)[1][index.ravel()]
+    return np.bincount(group)[group]
 
 
 def merge(clouds: Sequence[Cloud]) -> Cloud:

@@ -14,12 +14,14 @@ _UNITY = np.eye(3)
 def is_rotation(matrix: npt.ArrayLike, tolerance: float = 1e-5) -> bool:
     """Return whether a (3, 3) matrix is orthonormal with determinant +1."""
     r = np.asarray(matrix, dtype=np.float64)
+    return r.shape == (3, 3) and bool(np.isfinite(r).all() and are_rotations(r, tolerance))
+
+
+def are_rotations(matrices: Array, tolerance: float = 1e-5) -> npt.NDArray[np.bool_]:
+    """Return whether matrices (..., 3, 3) of finite numbers are orthonormal with determinant +1, (...)."""
     # np.allclose gives the same but takes 0.2 ms
-    return bool(
-        r.shape == (3, 3)
-        and (np.abs(r @ r.T - _UNITY) <= tolerance + 1e-5 * _UNITY).all()  # False for entries that are not finite
-        and np.linalg.det(r) > 0
-    )
+    unity = np.abs(matrices @ np.swapaxes(matrices, -1, -2) - _UNITY) <= tolerance + 1e-5 * _UNITY
+    return np.asarray(unity.all(axis=(-1, -2)) & (np.linalg.det(matrices) > 0))
 
 
 def pose(rotation: npt.ArrayLike | None = None, translation: npt.ArrayLike | None = None) -> Array:

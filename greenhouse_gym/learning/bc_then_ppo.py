@@ -8,13 +8,18 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from greenhouse_gym.common.files import exclusive
+from greenhouse_gym.common.setting_checks import check_numbers
 from greenhouse_gym.envs import make_vec_env
 from greenhouse_gym.learning.imitation import ImitationSettings, follow_waypoint, imitate
 from greenhouse_gym.learning.ppo import PpoSettings, train_ppo
+from greenhouse_gym.learning.training_run import as_json, check_start
 from greenhouse_gym.learning.variation import varied_bank
 from greenhouse_gym.scene import SceneBank
 
-FINE_TUNING = PpoSettings(reward="dense", log_std=-2.5, learning_rate=5e-5, critic_rollouts=8, epochs=4)
+FINE_TUNING = PpoSettings(
+    observation="roadmap", log_std=-2.5, learning_rate=5e-5, batch_size=4096, epochs=4, critic_rollouts=8
+)
 """Settings of PPO for a policy that is already good: little noise, small steps, the critic first."""
 
 
@@ -33,6 +38,9 @@ class BcThenPpoSettings:
     imitation: ImitationSettings = field(default_factory=ImitationSettings)
     ppo: PpoSettings = FINE_TUNING
     from_rule: bool = True
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
 
 
 def train_bc_then_ppo(
@@ -55,13 +63,17 @@ def train_bc_then_ppo(
     """
     out, ppo = Path(out), settings.ppo
     if settings.variations:
-        bank = varied_bank(SceneBank.open(ppo.bank), out / "bank", settings.variations, ppo.seed)
-        ppo = replace(ppo, bank=str(bank.path))
+        plain, ppo = SceneBank.open(ppo.bank), replace(ppo, bank=str((out / "bank").resolve()))
+        check_start(out, as_json(ppo), resume)
+        with exclusive(out):
+            varied_bank(plain, out / "bank", settings.variations, ppo.seed)
 
     def teach(model: Any) -> None:
         options = {
             name: getattr(ppo, name)
-            for name in ("bank", "split", "robot", "observation", "difficulty", "threads")
+            for name in (
+                "bank", "split", "robot", "observation", "action", "task", "difficulty", "scene", "target", "threads"
+            )
         }  # fmt: skip
         if settings.from_rule:
             follow_waypoint(model.policy)

@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 
 from greenhouse_gym.agents.agent import action_towards
+from greenhouse_gym.common.setting_checks import Fraction, PositiveCount, check_numbers
 from greenhouse_gym.envs import GreenhouseVectorEnv
 from greenhouse_gym.envs.observations import Observed
 from greenhouse_gym.envs.simulation import Simulation
 from greenhouse_gym.errors import InvalidValueError, MissingDependencyError
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.learning.training_settings import Rate, Simulations
 
 try:
     import torch
@@ -39,13 +41,16 @@ class ImitationSettings:
     """
 
     steps: int = 200_000
-    num_envs: int = 64
-    round_steps: int = 50
-    beta_fraction: float = 0.3
+    num_envs: Simulations = 64
+    round_steps: PositiveCount = 50
+    beta_fraction: Fraction = 0.3
     noise: float = 0.1
     passes: int = 24
-    batch_size: int = 1024
-    learning_rate: float = 1e-3
+    batch_size: PositiveCount = 1024
+    learning_rate: Rate = 1e-3
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
 
 
 def roadmap_labels(simulation: Simulation) -> Array:
@@ -61,24 +66,25 @@ def roadmap_labels(simulation: Simulation) -> Array:
 
 
 def follow_waypoint(policy: Any) -> None:
-    """Initialize the actor of an untrained Stable-Baselines3 policy so that it acts exactly as the agent ``waypoint``.
+    """Initialize the actor of an untrained Stable-Baselines3 policy so that it acts exactly as the agent ``roadmap``.
 
     The first hidden units carry the positive and the negative part of the waypoint's direction while the waypoint is
     free. The others keep their weights but have no effect on the action until they learn.
 
     Args:
-        policy: An actor-critic policy with rectified linear units on `ScaledObservation` of ``"waypoint"``.
+        policy: An actor-critic policy with rectified linear units on `ScaledObservation` of ``"roadmap"``.
 
     Raises:
         InvalidValueError: Its activation differs, its layers are too narrow, or it observes no waypoint.
     """
     extractor, actions = policy.pi_features_extractor, policy.action_net
     joints = actions.out_features
-    direction, path = (extractor.starts.get(name, -1) for name in ("waypoint_direction", "path"))
+    starts = getattr(extractor, "starts", {})
+    direction, path = (starts.get(name, -1) for name in ("waypoint_direction", "path"))
     layers = [layer for layer in policy.mlp_extractor.policy_net if hasattr(layer, "in_features")]
     if direction < 0 or policy.activation_fn is not torch.nn.ReLU or min(p.out_features for p in layers) < 2 * joints:
         raise InvalidValueError(
-            f'to follow waypoints, a policy needs observation="waypoint", activation="relu" and hidden layers of at '
+            f'to follow waypoints, a policy needs observation="roadmap", activation="relu" and hidden layers of at '
             f"least {2 * joints} units"
         )
     units = torch.arange(2 * joints)

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from greenhouse_gym.agents.goal_features import GOAL_FEATURES, GOAL_FEATURES_SIZE
 from greenhouse_gym.agents.policy import Policy
+from greenhouse_gym.common.own_code import portable
 from greenhouse_gym.envs.features import Layout
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.learning.sb3 import simulation_of
@@ -48,8 +49,9 @@ def _actor_of(model: Any) -> _Actor:
     kind = type(extractor).__name__
     if own is not None and kind == _GOALS:
         layers, scaled, output = [*_linear(own.latent_pi), own.mu], extractor.scaled, "tanh"
-    elif own is None and kind in _PLAIN and hasattr(network, "mlp_extractor"):
-        layers, scaled, output = [*_linear(network.mlp_extractor.policy_net), network.action_net], extractor, "clip"
+    elif own is None and kind in (*_PLAIN, _GOALS) and hasattr(network, "mlp_extractor"):
+        layers, output = [*_linear(network.mlp_extractor.policy_net), network.action_net], "clip"
+        scaled = extractor.scaled if kind == _GOALS else extractor
     else:
         space = type(getattr(network, "observation_space", None)).__name__
         raise InvalidValueError(
@@ -76,6 +78,15 @@ def _actor_of(model: Any) -> _Actor:
     )
 
 
+def fits_policy_file(model: Any) -> bool:
+    """Return whether a policy file can hold the actor of a Stable-Baselines3 model; see `policy_of`."""
+    try:
+        _actor_of(model)
+    except InvalidValueError:
+        return False
+    return True
+
+
 def _linear(layers: Any) -> list[Any]:
     return [layer for layer in layers if hasattr(layer, "in_features")]
 
@@ -88,7 +99,7 @@ def policy_of(model: Any, env_options: Mapping[str, Any], layout: Layout, traini
     """Convert the mean of a Stable-Baselines3 actor of `train_ppo` or `train_sac` to numpy.
 
     Raises:
-        InvalidValueError: The model is another type of network.
+        InvalidValueError: The model is another type of network, or a file cannot name an object of its environment.
     """
     actor = _actor_of(model)
     return Policy(
@@ -97,7 +108,7 @@ def policy_of(model: Any, env_options: Mapping[str, Any], layout: Layout, traini
         activation=actor.activation,
         center=actor.center,
         scale=actor.scale,
-        env_options=env_options,
+        env_options={name: portable(value, name) for name, value in env_options.items()},
         layout=(*layout, *actor.features),
         training=training,
         output=actor.output,

@@ -3,18 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
 from greenhouse_gym.common.extras import needs
+from greenhouse_gym.common.setting_checks import Fraction, PositiveCount
 from greenhouse_gym.envs.episodes import EpisodeSampler
-from greenhouse_gym.envs.settings import check_whole
-from greenhouse_gym.errors import require_choice, require_seed
+from greenhouse_gym.errors import InvalidValueError, require_choice
 from greenhouse_gym.learning.sb3 import make_sb3_vec_env
+from greenhouse_gym.learning.training_settings import (
+    Choice,
+    Layers,
+    Rate,
+    SceneChoice,
+    Seed,
+    Simulations,
+    Threads,
+    check_settings,
+    env_options,
+)
 from greenhouse_gym.robots import get_robot
+from greenhouse_gym.scene import SceneBank
 
 with needs("train"):
     import tensorboard  # noqa: F401  Stable-Baselines3 needs it, but imports it late
@@ -22,8 +35,16 @@ with needs("train"):
     from stable_baselines3 import PPO
     from stable_baselines3.common.callbacks import BaseCallback
 
-    from greenhouse_gym.learning.sb3_features import ScaledObservation
-    from greenhouse_gym.learning.training_run import TrainingReport, as_json, check_start, learn, set_up
+    from greenhouse_gym.learning.sb3_features import policy_for
+    from greenhouse_gym.learning.training_files import load_checkpoint, settings_of
+    from greenhouse_gym.learning.training_run import (
+        TrainingReport,
+        as_json,
+        check_start,
+        learn,
+        making_model,
+        training_in,
+    )
 
 ACTIVATIONS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
 """Activation functions by name."""
@@ -39,10 +60,15 @@ class PpoSettings:
     Attributes:
         bank: Name or folder of the scene bank.
         split: Split to train on.
+        sources: Sources of the rows to train on, such as "own" or "helios"; all if empty.
         robot: The arm.
-        observation: "state", "clearance_rays" or "waypoint".
-        reward: "path", "dense" or "sparse".
+        observation: Observation of the environment, by name or your own; "roadmap" has a planner in it.
+        action: Action of the environment, by name or your own.
+        reward: Reward of the environment, by name or your own; "path" has a planner in it.
+        task: Task of the environment, by name or your own.
         difficulty: Difficulties of the targets.
+        scene: Name of the only scene to train on; all scenes of the split if None.
+        target: Index of its only tomato to train on; needs a scene.
         total_steps: Steps of all simulations together.
         num_envs: Number of simulations.
         rollout_steps: Steps of each simulation between updates.
@@ -67,27 +93,38 @@ class PpoSettings:
 
     bank: str = "default"
     split: str = "train"
+    sources: tuple[str, ...] = ()
     robot: str = "ur5e"
-    observation: str = "waypoint"
-    reward: str = "path"
-    difficulty: tuple[str, ...] = ("easy", "medium", "hard")
+    observation: Choice = "state"
+    action: Choice = "joint"
+    reward: Choice = "dense"
+    task: Choice = "reach"
+    difficulty: str | tuple[str, ...] | dict[str, float] = ("easy", "medium", "hard")
+    scene: SceneChoice = None
+    target: int | None = None
     total_steps: int = 2_000_000
-    num_envs: int = 128
-    rollout_steps: int = 64
-    batch_size: int = 4096
-    epochs: int = 8
-    learning_rate: float = 5e-4
-    discount: float = 0.99
-    gae_lambda: float = 0.95
-    clip_range: float = 0.2
-    log_std: float = -1.5
-    hidden: tuple[int, ...] = (256, 256)
+    num_envs: Simulations = 128
+    rollout_steps: PositiveCount = 64
+    batch_size: Annotated[int, Field(ge=2)] = 2048
+    epochs: PositiveCount = 6
+    learning_rate: Rate = 5e-4
+    discount: Fraction = 0.99
+    gae_lambda: Fraction = 0.95
+    clip_range: Rate = 0.2
+    log_std: Annotated[float, Field(ge=-20, le=2, allow_inf_nan=False)] = -1.0
+    hidden: Layers = (256, 256)
     activation: str = "relu"
     critic_rollouts: int = 0
     validation_steps: int = 0
-    validation_episodes: int = 100
-    seed: int = 0
-    threads: int = 0
+    validation_episodes: PositiveCount = 100
+    seed: Seed = 0
+    threads: Threads = 0
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        require_choice("activation", self.activation, ACTIVATIONS)
+        if self.rollout_steps * self.num_envs < 2:
+            raise InvalidValueError("rollout_steps times num_envs must be at least 2, got 1")
 
 
 def train_ppo(
@@ -124,37 +161,39 @@ def train_ppo(
         InvalidValueError: Nothing to resume, a training that would be overwritten, a checkpoint with other settings,
             or no episodes for the validation.
         FileFormatError: The checkpoint is damaged.
+        FileWriteError: The folder cannot be written, or another training is at work in it.
+        DivergedError: The weights are no longer finite; the last checkpoint with finite ones is kept.
         KeyboardInterrupt: The training was interrupted; its results are written.
     """
-    require_seed(settings.seed)
+    if not settings.total_steps and prepare is None:
+        raise InvalidValueError("total_steps must be a whole number from 1 up, got 0")
     _check_validation(settings)
     out, described = Path(out), as_json(settings)
-    check_start(out, described, resume)
-    torch.set_num_threads(1)
+    check_start(out, described, resume, time_limit, checkpoint_seconds)
+    world = env_options(settings)
+    if settings.sources:
+        world["bank"] = SceneBank.open(settings.bank).select(split=settings.split, source=settings.sources)
     env = make_sb3_vec_env(
-        settings.num_envs, bank=settings.bank, split=settings.split, robot=settings.robot,
-        observation=settings.observation, reward=settings.reward, difficulty=settings.difficulty,
-        threads=settings.threads, seed=settings.seed,
-    )  # fmt: skip
+        settings.num_envs, split=settings.split, threads=settings.threads, seed=settings.seed, **world
+    )
     model = make_ppo(settings, env)
-    set_up(model, out, described, resume)
-    if not resume and prepare is not None:
-        prepare(model)
-    options = {
-        "num_envs": min(settings.num_envs, settings.validation_episodes),
-        **{name: getattr(settings, name) for name in ("bank", "robot", "difficulty", "threads")},
-    }
-    report = TrainingReport(
-        out, described, model, settings.num_envs * settings.rollout_steps, (VALIDATION_SPLIT,), options, time_limit,
-        checkpoint_seconds, on_progress,
-    )  # fmt: skip
-    return learn(model, report, resume, [CriticFirst(0 if model.num_timesteps else settings.critic_rollouts)])
+    with training_in(out, model, described, resume):
+        if not resume and prepare is not None:
+            prepare(model)
+        options = {
+            "num_envs": min(settings.num_envs, settings.validation_episodes),
+            **{name: getattr(settings, name) for name in ("bank", "robot", "difficulty", "threads", "task")},
+        }
+        report = TrainingReport(
+            out, described, model, settings.num_envs * settings.rollout_steps, (VALIDATION_SPLIT,), options,
+            time_limit, checkpoint_seconds, on_progress,
+        )  # fmt: skip
+        return learn(model, report, resume, [CriticFirst(0 if model.num_timesteps else settings.critic_rollouts)])
 
 
 def _check_validation(settings: PpoSettings) -> None:
     """Raise an error for a validation that would fail in the middle of the training."""
-    check_whole("validation_episodes", settings.validation_episodes, 1)
-    if check_whole("validation_steps", settings.validation_steps, 0):
+    if settings.validation_steps:
         sampler = EpisodeSampler(settings.bank, VALIDATION_SPLIT, get_robot(settings.robot), settings.difficulty)
         sampler.draw(np.random.default_rng(0))
 
@@ -181,25 +220,51 @@ class CriticFirst(BaseCallback):  # type: ignore[misc]
 
 
 def make_ppo(settings: PpoSettings, env: Any) -> Any:
-    """Make an untrained Stable-Baselines3 model on an environment of `make_sb3_vec_env`."""
-    layout = env.get_attr("simulation")[0].observe.layout
-    return PPO(
-        "MlpPolicy",
-        env,
-        n_steps=settings.rollout_steps,
-        batch_size=settings.batch_size,
-        n_epochs=settings.epochs,
-        learning_rate=lambda remaining: settings.learning_rate * remaining,
-        gamma=settings.discount,
-        gae_lambda=settings.gae_lambda,
-        clip_range=settings.clip_range,
-        policy_kwargs={
-            "net_arch": list(settings.hidden),
-            "activation_fn": ACTIVATIONS[require_choice("activation", settings.activation, ACTIVATIONS)],
-            "log_std_init": settings.log_std,
-            "features_extractor_class": ScaledObservation,
-            "features_extractor_kwargs": {"layout": layout},
-        },
-        seed=settings.seed,
-        device="cpu",
+    """Make an untrained Stable-Baselines3 model on an environment of `make_sb3_vec_env`.
+
+    Raises:
+        InvalidValueError: There is no such network, for example because images are too small for its convolutions.
+    """
+    policy, features = policy_for(env.get_attr("simulation")[0].observe)
+    torch.set_num_threads(1)
+    with making_model():
+        return PPO(
+            policy,
+            env,
+            n_steps=settings.rollout_steps,
+            batch_size=settings.batch_size,
+            n_epochs=settings.epochs,
+            learning_rate=lambda remaining: settings.learning_rate * remaining,
+            gamma=settings.discount,
+            gae_lambda=settings.gae_lambda,
+            clip_range=settings.clip_range,
+            policy_kwargs={
+                "net_arch": list(settings.hidden),
+                "activation_fn": ACTIVATIONS[settings.activation],
+                "log_std_init": settings.log_std,
+                **features,
+            },
+            seed=settings.seed,
+            device="cpu",
+        )
+
+
+def load_ppo(folder: str | Path, num_envs: int | None = None) -> Any:
+    """Load the Stable-Baselines3 model of a training's folder, on its own vector environment.
+
+    Args:
+        folder: Folder of the training.
+        num_envs: Number of simulations; that of the training if None.
+
+    Raises:
+        FileFormatError: The checkpoint is missing or damaged.
+    """
+    settings = settings_of(Path(folder), PpoSettings)
+    if num_envs is not None:
+        settings = replace(settings, num_envs=num_envs, batch_size=max(2, num_envs * settings.rollout_steps))
+    env = make_sb3_vec_env(
+        settings.num_envs, split=settings.split, threads=settings.threads, seed=settings.seed, **env_options(settings)
     )
+    model = make_ppo(settings, env)
+    load_checkpoint(model, Path(folder))
+    return model

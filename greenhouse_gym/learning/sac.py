@@ -2,26 +2,47 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import Field
 
 from greenhouse_gym.common.extras import needs
+from greenhouse_gym.common.setting_checks import Count, Fraction, PositiveCount
 from greenhouse_gym.envs import EnvSettings
-from greenhouse_gym.errors import InvalidValueError, require_seed
+from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.learning.sb3 import make_sb3_vec_env
+from greenhouse_gym.learning.training_settings import (
+    Choice,
+    Layers,
+    Rate,
+    SceneChoice,
+    Seed,
+    Simulations,
+    Threads,
+    check_settings,
+    env_options,
+)
 
 with needs("train"):
     import tensorboard  # noqa: F401  Stable-Baselines3 needs it, but imports it late
     import torch
 
     from greenhouse_gym.learning.guided_sac import Demonstrator, GuidedSAC
-    from greenhouse_gym.learning.sb3_features import GoalFeatures
+    from greenhouse_gym.learning.sb3_features import policy_for
     from greenhouse_gym.learning.sb3_her import GoalReplayBuffer
-    from greenhouse_gym.learning.training_files import load_checkpoint, read_notes
-    from greenhouse_gym.learning.training_run import TrainingReport, Validation, as_json, check_start, learn, set_up
+    from greenhouse_gym.learning.training_files import load_checkpoint, settings_of
+    from greenhouse_gym.learning.training_run import (
+        TrainingReport,
+        Validation,
+        as_json,
+        check_start,
+        learn,
+        making_model,
+        training_in,
+    )
 
 
 @dataclass(frozen=True)
@@ -32,9 +53,14 @@ class SacSettings:
         bank: Name or folder of the scene bank; its training split is trained on.
         robot: The arm.
         difficulty: Difficulties of the targets.
-        observation: "goal", or "goal_waypoint", which adds the next waypoint of a collision-free path.
-        reward: "dense" or "sparse". With the sparse one a collision costs what a success pays, so arms that still
-            collide often learn to keep away from the plants; it learned little.
+        observation: "goal", or "goal_roadmap", which adds the next waypoint of a collision-free path, or your own with
+            goals.
+        action: Action of the environment, by name or your own.
+        reward: "dense", "sparse" or your own. With the sparse one a collision costs what a success pays, so arms that
+            still collide often learn to keep away from the plants; it learned little.
+        task: Task of the environment, by name or your own; one with goals.
+        scene: Name of the only scene to train on; all scenes of the split if None.
+        target: Index of its only tomato to train on; needs a scene.
         num_envs: Number of simulations.
         updates_per_step: Gradient steps per step of all simulations.
         batch_size: Transitions per gradient step.
@@ -61,27 +87,34 @@ class SacSettings:
 
     bank: str = "mini"
     robot: str = "ur5e"
-    difficulty: tuple[str, ...] = ("easy",)
-    observation: str = "goal"
-    reward: str = "dense"
-    num_envs: int = 32
-    updates_per_step: int = 8
-    batch_size: int = 256
-    learning_rate: float = 1e-3
-    discount: float = 0.97
-    target_rate: float = 0.02
-    entropy_coefficient: float = 0.05
-    hindsight_goals: int = 2
-    memory: int = 400_000
+    difficulty: str | tuple[str, ...] | dict[str, float] = ("easy",)
+    observation: Choice = "goal"
+    action: Choice = "joint"
+    reward: Choice = "dense"
+    task: Choice = "reach"
+    scene: SceneChoice = None
+    target: int | None = None
+    num_envs: Simulations = 32
+    updates_per_step: PositiveCount = 8
+    batch_size: PositiveCount = 256
+    learning_rate: Rate = 1e-3
+    discount: Fraction = 0.97
+    target_rate: Fraction = 0.02
+    entropy_coefficient: Rate = 0.05
+    hindsight_goals: Count = 2
+    memory: PositiveCount = 400_000
     random_steps: int = 6_600
     guided: bool = False
     guide_weight: float = 2.0
-    total_steps: int = 1_000_000
+    total_steps: PositiveCount = 1_000_000
     validation_steps: int = 20_000
-    validation_episodes: int = 100
-    hidden: tuple[int, ...] = (256, 256)
-    seed: int = 0
-    threads: int = 0
+    validation_episodes: Annotated[int, Field(ge=1, le=1 << 16)] = 100
+    hidden: Layers = (256, 256)
+    seed: Seed = 0
+    threads: Threads = 0
+
+    def __post_init__(self) -> None:
+        check_settings(self)
 
 
 def make_sac(settings: SacSettings) -> Any:
@@ -91,42 +124,41 @@ def make_sac(settings: SacSettings) -> Any:
         InvalidValueError: Too few random steps (hindsight needs a finished episode), guidance without an observed
             waypoint, or a negative weight.
     """
-    if settings.guided and settings.observation != "goal_waypoint":
-        raise InvalidValueError(f'guided needs observation="goal_waypoint", got {settings.observation!r}')
+    if settings.guided and settings.observation != "goal_roadmap":
+        raise InvalidValueError(f'guided needs observation="goal_roadmap", got {settings.observation!r}')
     shortest = settings.num_envs * EnvSettings().step_limit
     if settings.random_steps < shortest:
         raise InvalidValueError(
             f"random_steps must be at least {shortest}, so that an episode of each of the {settings.num_envs} "
             f"simulations ends before learning starts, got {settings.random_steps}"
         )
-    if not (settings.guide_weight >= 0 and math.isfinite(settings.guide_weight)):
-        raise InvalidValueError(f"guide_weight must be a finite number from 0 on, got {settings.guide_weight!r}")
+    env = make_sb3_vec_env(settings.num_envs, threads=settings.threads, seed=settings.seed, **env_options(settings))
+    observe = env.get_attr("simulation")[0].observe
+    if not observe.has_goals:
+        env.close()
+        raise InvalidValueError(f"SAC with hindsight needs an observation with goals, got {settings.observation!r}")
+    policy, features = policy_for(observe)
     torch.set_num_threads(1)
-    env = make_sb3_vec_env(settings.num_envs, seed=settings.seed, **env_options(settings))
-    layout = env.get_attr("simulation")[0].observe.layout
-    model = GuidedSAC(
-        "MultiInputPolicy",
-        env,
-        replay_buffer_class=GoalReplayBuffer,
-        replay_buffer_kwargs={"n_sampled_goal": settings.hindsight_goals},
-        learning_starts=settings.random_steps,
-        gradient_steps=settings.updates_per_step,
-        batch_size=settings.batch_size,
-        learning_rate=settings.learning_rate,
-        gamma=settings.discount,
-        tau=settings.target_rate,
-        ent_coef=f"auto_{settings.entropy_coefficient}",
-        buffer_size=settings.memory,
-        policy_kwargs={
-            "net_arch": list(settings.hidden),
-            "features_extractor_class": GoalFeatures,
-            "features_extractor_kwargs": {"layout": layout},
-        },
-        seed=settings.seed,
-        device="cpu",
-    )
+    with making_model():
+        model = GuidedSAC(
+            policy,
+            env,
+            replay_buffer_class=GoalReplayBuffer,
+            replay_buffer_kwargs={"n_sampled_goal": settings.hindsight_goals},
+            learning_starts=settings.random_steps,
+            gradient_steps=settings.updates_per_step,
+            batch_size=settings.batch_size,
+            learning_rate=settings.learning_rate,
+            gamma=settings.discount,
+            tau=settings.target_rate,
+            ent_coef=f"auto_{settings.entropy_coefficient}",
+            buffer_size=settings.memory,
+            policy_kwargs={"net_arch": list(settings.hidden), **features},
+            seed=settings.seed,
+            device="cpu",
+        )
     if settings.guided:
-        model.demonstrator, model.guide_weight = Demonstrator(layout, settings.seed), settings.guide_weight
+        model.demonstrator, model.guide_weight = Demonstrator(observe.layout, settings.seed), settings.guide_weight
     return model
 
 
@@ -160,38 +192,41 @@ def train_sac(
         InvalidValueError: Nothing to resume, a training that would be overwritten, or a checkpoint with other
             settings.
         FileFormatError: The checkpoint is damaged.
+        FileWriteError: The folder cannot be written, or another training is at work in it.
+        DivergedError: The weights are no longer finite; the last checkpoint with finite ones is kept.
         KeyboardInterrupt: The training was interrupted; its results are written.
     """
-    require_seed(settings.seed)
     out, described = Path(out), as_json(settings)
-    check_start(out, described, resume)
+    check_start(out, described, resume, time_limit, checkpoint_seconds)
     model = make_sac(settings)
-    set_up(model, out, described, resume)
-    if resume:
-        model.learning_starts = model.num_timesteps + settings.random_steps
-        model.explores = False
-    options = {"num_envs": settings.validation_episodes, **env_options(settings)}
-    report = TrainingReport(
-        out, described, model, settings.num_envs * EnvSettings().step_limit, ("train", "validation"), options,
-        time_limit, checkpoint_seconds, on_validation=on_progress,
-    )  # fmt: skip
-    return learn(model, report, resume, algorithm="SAC")
+    with training_in(out, model, described, resume):
+        if resume:
+            model.learning_starts = model.num_timesteps + settings.random_steps
+            model.explores = False
+        options = {
+            **env_options(settings), "num_envs": settings.validation_episodes, "threads": settings.threads
+        }  # fmt: skip
+        splits = ("train",) if settings.scene is not None else ("train", "validation")
+        report = TrainingReport(
+            out, described, model, settings.num_envs * EnvSettings().step_limit, splits, options,
+            time_limit, checkpoint_seconds, on_validation=on_progress,
+        )  # fmt: skip
+        return learn(model, report, resume)
 
 
-def load_sac(folder: str | Path) -> Any:
+def load_sac(folder: str | Path, num_envs: int | None = None, memory: int | None = None) -> Any:
     """Load the Stable-Baselines3 model of a training's folder, on its own vector environment.
+
+    Args:
+        folder: Folder of the training.
+        num_envs: Number of simulations; that of the training if None.
+        memory: Number of transitions in the replay buffer; that of the training if None.
 
     Raises:
         FileFormatError: The checkpoint is missing or damaged.
     """
-    described = read_notes(Path(folder))["settings"]
-    tuples = {name: tuple(value) for name, value in described.items() if isinstance(value, list)}
-    model = make_sac(SacSettings(**{**described, **tuples}))
+    settings = settings_of(Path(folder), SacSettings)
+    settings = replace(settings, num_envs=num_envs or settings.num_envs, memory=memory or settings.memory)
+    model = make_sac(settings)
     load_checkpoint(model, Path(folder))
     return model
-
-
-def env_options(settings: SacSettings) -> dict[str, Any]:
-    """Return the keywords of the environment that is trained on."""
-    shared = ("bank", "robot", "difficulty", "observation", "reward", "threads")
-    return {name: getattr(settings, name) for name in shared}

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.agents import Problem
+from greenhouse_gym.agents.agent import NamedAgent
 from greenhouse_gym.common.extras import needs
 from greenhouse_gym.envs import EnvSettings, GreenhouseVectorEnv, make_vec_env
 from greenhouse_gym.envs.observations import Observed
@@ -22,7 +23,7 @@ TERMS = "episode_terms"
 """Key of the info at an episode's end that holds the sums of the reward's terms over the episode, by name."""
 
 
-class Sb3Agent:
+class Sb3Agent(NamedAgent):
     """Any model of Stable-Baselines3, also a recurrent one of sb3-contrib, as a `greenhouse_gym.agents.Agent`.
 
     Observations are normalized as by a ``VecNormalize`` around the model's environment.
@@ -115,9 +116,10 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
         """Step all simulations; those whose episode ends start a new one."""
         observations, rewards, terminated, truncated, infos = self.env.step(self._actions)
         dones = terminated | truncated
-        for name, values in infos["reward_terms"].items():
-            if not name.startswith("_"):
-                self._term_sums[name] = self._term_sums.get(name, 0.0) + values
+        for part in (infos, infos.get("final_info", {})):  # which are 0 where the other has the terms
+            for name, values in part.get("reward_terms", {}).items():
+                if not name.startswith("_"):
+                    self._term_sums[name] = self._term_sums.get(name, 0.0) + values
         has_goals = self.env.simulation.observe.has_goals
         single = [_info(infos, i) if has_goals else {} for i in range(self.num_envs)]
         for i in np.flatnonzero(dones).tolist():

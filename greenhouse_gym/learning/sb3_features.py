@@ -7,12 +7,14 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from greenhouse_gym.agents.goal_features import GOAL_FEATURES_SIZE, goal_features
+from greenhouse_gym.agents.goal_features import GOAL_FEATURES, GOAL_FEATURES_SIZE, flaw_of, goal_features
 from greenhouse_gym.common.extras import needs
 from greenhouse_gym.envs.features import Layout, feature_slices
+from greenhouse_gym.envs.observations import ObservationSpec
 
 with needs("train"):
     import torch
+    from stable_baselines3.common.preprocessing import is_image_space
     from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 CENTERS_AND_SCALES: dict[str, tuple[float, float]] = {
@@ -21,6 +23,8 @@ CENTERS_AND_SCALES: dict[str, tuple[float, float]] = {
     "command_error": (0.0, 0.1),
     "grasp_offset": (0.0, 0.25),
     "target_position": (0.0, 0.5),
+    "target_direction": (0.0, 1.0),
+    "turn_to_target": (0.0, 1.0),
     "tip_position": (0.0, 0.5),
     "tool_axis": (0.0, 1.0),
     "clearance": (0.1, 0.1),
@@ -32,6 +36,29 @@ CENTERS_AND_SCALES: dict[str, tuple[float, float]] = {
     "clearance_rays": (0.1, 0.1),
 }
 """Typical center and scale of each feature, which normalize it to about one. Features of other tasks are not scaled."""
+
+
+def policy_for(observe: ObservationSpec) -> tuple[str, dict[str, Any]]:
+    """Return the policy of Stable-Baselines3 for an observation, by name, and keywords of its feature extractor.
+
+    Vectors of this package are scaled; a user's own observation comes as it is.
+    """
+    space: Any = observe.space
+    size = sum(size for _, size in observe.layout)
+    extractor: type[BaseFeaturesExtractor] | None
+    if isinstance(space, spaces.Dict):
+        fits = not flaw_of((*observe.layout, (GOAL_FEATURES, GOAL_FEATURES_SIZE)))
+        goals = observe.has_goals and fits and space["observation"].shape == (size,)
+        name, extractor = "MultiInputPolicy", GoalFeatures if goals else None
+    else:
+        name = "CnnPolicy" if is_image_space(space) else "MlpPolicy"
+        extractor = ScaledObservation if size and space.shape == (size,) else None
+    name = (
+        "MultiInputPolicy" if isinstance(space, spaces.Dict) else "CnnPolicy" if is_image_space(space) else "MlpPolicy"
+    )
+    if extractor is None:
+        return name, {}
+    return name, {"features_extractor_class": extractor, "features_extractor_kwargs": {"layout": observe.layout}}
 
 
 class ScaledObservation(BaseFeaturesExtractor):  # type: ignore[misc]

@@ -7,22 +7,29 @@ import io
 import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 from pydantic import BaseModel, NonNegativeInt
 from safetensors.torch import load, save
 
 from greenhouse_gym.common.files import parsing, read_bytes, write_atomically
-from greenhouse_gym.errors import FileFormatError, InvalidValueError
+from greenhouse_gym.errors import DivergedError, FileFormatError, InvalidValueError
 
 CHECKPOINT, CURVE, VALIDATION = "checkpoint.safetensors", "curve.csv", "validation.csv"
 """Files of a training: its state, the results of its own episodes, and those on rows that it is not trained on."""
 
 
+Settings = TypeVar("Settings")
+
+MAX_WEIGHT, MAX_LOGARITHM = 1e6, 80.0
+"""Largest weight, and largest logarithm of a noise or an entropy coefficient, of a network that has not diverged."""
+
+
 class _Notes(BaseModel):
     steps: NonNegativeInt
     settings: dict[str, Any]
+    algorithm: str = "PPO"
 
 
 def check_folder(
@@ -76,20 +83,48 @@ def read_curve(path: Path) -> list[dict[str, float]]:
         return [{key: float(value) for key, value in row.items()} for row in csv.DictReader(file)]
 
 
+def has_diverged(model: Any) -> bool:
+    """Return whether weights of a Stable-Baselines3 model are not finite or explode."""
+    tensors = {**dict(model.policy.named_parameters()), **_tensors_outside_policy(model)}
+    largest = {name: MAX_LOGARITHM if name.startswith("log_") else MAX_WEIGHT for name in tensors}
+    return any(not bool((tensor.detach().abs() <= largest[name]).all()) for name, tensor in tensors.items())
+
+
+def algorithm_of(model: Any) -> str:
+    """Return the name of the algorithm of Stable-Baselines3 that a model has, itself or by its base class."""
+    return next(kind.__name__ for kind in type(model).__mro__ if kind.__module__.startswith("stable_baselines3"))
+
+
 def save_checkpoint(model: Any, folder: Path, notes: dict[str, Any]) -> Path:
-    """Write a Stable-Baselines3 model's weights and optimizers, with JSON ``notes``, as one file in ``folder``."""
+    """Write a Stable-Baselines3 model's weights and optimizers, with JSON ``notes``, as one file in ``folder``.
+
+    Raises:
+        DivergedError: The model has diverged; an earlier checkpoint is kept.
+        FileWriteError: The file could not be written; an earlier checkpoint is kept.
+    """
+    if has_diverged(model):
+        kept = "there is no checkpoint before that"
+        if (folder / CHECKPOINT).is_file():
+            kept = f"{folder / CHECKPOINT} of {read_notes(folder)['steps']:,} steps is kept, to resume from"
+        raise DivergedError(
+            f"the training diverged within {model.num_timesteps:,} steps: weights are not finite or explode; {kept}. A "
+            "lower learning_rate may help"
+        )
     tensors = {f"policy.{name}": tensor for name, tensor in model.policy.state_dict().items()}
     tensors |= {f"alone.{name}": tensor for name, tensor in _tensors_outside_policy(model).items()}
     for kind, optimizer in _optimizers(model).items():
         for index, state in optimizer.state_dict()["state"].items():
             tensors |= {f"{kind}.{index}.{name}": torch.as_tensor(value) for name, value in state.items()}
     contiguous = {name: tensor.detach().cpu().contiguous().clone() for name, tensor in tensors.items()}
-    content = save(contiguous, {"notes": json.dumps({"steps": int(model.num_timesteps), **notes})})
+    content = save(
+        contiguous,
+        {"notes": json.dumps({"steps": int(model.num_timesteps), "algorithm": algorithm_of(model), **notes})},
+    )
     return write_atomically(folder / CHECKPOINT, content)
 
 
 def read_notes(folder: Path) -> dict[str, Any]:
-    """Read the notes of a checkpoint: ``steps``, ``settings``.
+    """Read the notes of a checkpoint: ``steps``, ``settings``, ``algorithm``.
 
     Raises:
         FileFormatError: The checkpoint is missing or damaged.
@@ -100,6 +135,17 @@ def read_notes(folder: Path) -> dict[str, Any]:
         header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
         notes = _Notes.model_validate_json(header["__metadata__"]["notes"])
     return notes.model_dump()
+
+
+def settings_of(folder: Path, kind: type[Settings]) -> Settings:
+    """Read the settings of the training in a folder.
+
+    Raises:
+        FileFormatError: The checkpoint is missing or damaged, or its settings are not of that kind.
+    """
+    described = read_notes(folder)["settings"]
+    with parsing(folder / CHECKPOINT, f"checkpoint with {kind.__name__}"):
+        return kind(**{name: tuple(value) if isinstance(value, list) else value for name, value in described.items()})
 
 
 def load_checkpoint(model: Any, folder: Path) -> dict[str, Any]:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,22 +16,26 @@ from rich.progress import BarColumn, Progress, TimeRemainingColumn
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
 
-from greenhouse_gym.common.files import write_atomically
+from greenhouse_gym.common.files import exclusive, write_atomically
+from greenhouse_gym.common.own_code import described
+from greenhouse_gym.errors import FileWriteError, GreenhouseError, InvalidValueError
 from greenhouse_gym.evaluation import Evaluation, evaluate
-from greenhouse_gym.learning.policies import save_policy
+from greenhouse_gym.learning.policies import fits_policy_file, save_policy
 from greenhouse_gym.learning.sb3 import TERMS, Sb3Agent
 from greenhouse_gym.learning.training_files import (
     CHECKPOINT,
     CURVE,
     VALIDATION,
+    algorithm_of,
     check_folder,
+    has_diverged,
     load_checkpoint,
     read_curve,
     read_notes,
     save_checkpoint,
     write_curve,
 )
-from greenhouse_gym.scene import SceneBank
+from greenhouse_gym.scene import Scene, SceneBank
 
 WINDOW = 10
 """Lines of the learning curve whose episodes each line averages over."""
@@ -177,6 +182,8 @@ class TrainingReport(BaseCallback):  # type: ignore[misc]
             self.printed = time.monotonic()
             self.say(f"{self.num_timesteps:,} steps, {row['seconds']:.0f} s: {note}, return {row['return']:.2f}")
         self.on_progress(row)
+        if has_diverged(self.model):
+            self.save()
 
     def _validate(self) -> None:
         """Run the validation episodes with the policy without its noise."""
@@ -195,69 +202,138 @@ class TrainingReport(BaseCallback):  # type: ignore[misc]
         self.on_validation(validation)
 
     def save(self) -> None:
-        """Write the checkpoint and the learning curve."""
+        """Write the checkpoint and the learning curve.
+
+        Raises:
+            DivergedError: The model has diverged; the last checkpoint is kept.
+        """
         self.saved = time.monotonic()
         save_checkpoint(self.model, self.out, {"settings": dict(self.settings)})
         write_curve(self.out / CURVE, COLUMNS, self.rows)
 
-    def finish(self) -> None:
-        """Save, and stop the progress display."""
+    def save_policy(self) -> Path:
+        """Write the policy file and return its path, or the checkpoint's if such a file cannot hold the network."""
+        notes = {
+            "algorithm": algorithm_of(self.model),
+            "settings": dict(self.settings),
+            "bank_sha256": SceneBank.open(self.settings["bank"]).sha256,
+        }
+        if fits_policy_file(self.model):
+            return save_policy(self.model, self.out / "policy", notes)
+        return self.out / CHECKPOINT
+
+    def close(self) -> None:
+        """Stop the progress display and close the log."""
         self.progress.stop()
-        self.save()
         self.model.logger.close()
 
 
 def as_json(settings: Any) -> dict[str, Any]:
-    """Return a dataclass of settings as JSON has them: without tuples."""
-    return dict(json.loads(json.dumps(asdict(settings))))
+    """Return a dataclass of settings as JSON has them: without tuples, and with references to own objects."""
+
+    def written(value: Any) -> Any:
+        found = value.name if isinstance(value, Scene) else described(value)
+        # without its address, so that a resumed training has the same
+        return found if found is not value else f"{type(value).__name__} {getattr(value, '__qualname__', '')}".strip()
+
+    return dict(json.loads(json.dumps({f.name: getattr(settings, f.name) for f in fields(settings)}, default=written)))
 
 
-def check_start(out: Path, settings: Mapping[str, Any], resume: bool) -> None:
-    """Check that a training can start, or resume, in a folder; see `check_folder`."""
+def check_start(
+    out: Path,
+    settings: Mapping[str, Any],
+    resume: bool,
+    time_limit: float | None = None,
+    checkpoint_seconds: float = 1.0,
+) -> None:
+    """Check that a training can start, or resume, in a folder; see `check_folder`.
+
+    Raises:
+        InvalidValueError: Besides, a limit is not a number of seconds.
+    """
+    for name, value in (("time_limit", time_limit), ("checkpoint_seconds", checkpoint_seconds)):
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        if value is not None and not (number and value >= 0):
+            raise InvalidValueError(f"{name} must be seconds from 0 up, got {value!r}")
     check_folder(out / CHECKPOINT, lambda: read_notes(out)["settings"], settings, "total_steps", resume)
 
 
-def set_up(model: Any, out: Path, settings: Mapping[str, Any], resume: bool) -> None:
-    """Give a model its log and, to resume, the state of the checkpoint; write ``settings.json``."""
-    model.set_logger(configure(str(out / "tensorboard"), ["tensorboard"]))
-    if resume:
-        load_checkpoint(model, out)
-        model.get_env().seed(settings["seed"] + model.num_timesteps)
-    write_atomically(out / "settings.json", json.dumps(settings, indent=1) + "\n")
+@contextmanager
+def making_model() -> Iterator[None]:
+    """Turn errors of libraries about a network that they cannot make into an `InvalidValueError`."""
+    try:
+        yield
+    except GreenhouseError:
+        raise
+    except (AssertionError, RuntimeError, ValueError, TypeError, MemoryError) as error:
+        raise InvalidValueError(f"Stable-Baselines3 cannot make a model with these settings: {error}") from error
 
 
-def learn(
-    model: Any, report: TrainingReport, resume: bool, callbacks: Sequence[BaseCallback] = (), algorithm: str = ""
-) -> Path:
-    """Train a model to the end of its steps, also after an interruption save it, and close its environment.
+@contextmanager
+def training_in(out: Path, model: Any, settings: Mapping[str, Any], resume: bool) -> Iterator[None]:
+    """Hold the folder of a training for this process; afterwards close the model's environment.
+
+    The model gets its log and, to resume, the state of the checkpoint; ``settings.json`` is written.
+
+    Raises:
+        FileWriteError: Another training is at work in the folder, or it cannot be written.
+        InvalidValueError: See `check_folder`.
+    """
+    try:
+        with exclusive(out), writing(out):
+            check_start(out, settings, resume)  # another training may have begun since
+            model.set_logger(configure(str(out / "tensorboard"), ["tensorboard"]))
+            if resume:
+                load_checkpoint(model, out)
+                model.get_env().seed(settings["seed"] + model.num_timesteps)
+            write_atomically(out / "settings.json", json.dumps(settings, indent=1) + "\n")
+            yield
+    finally:
+        model.get_env().close()
+
+
+@contextmanager
+def writing(out: Path) -> Iterator[None]:
+    """Turn errors of libraries that write to a folder, for example on a full disk, into a `FileWriteError`."""
+    try:
+        yield
+    except GreenhouseError:
+        raise
+    except OSError as error:
+        raise FileWriteError(out, error) from error
+
+
+def learn(model: Any, report: TrainingReport, resume: bool, callbacks: Sequence[BaseCallback] = ()) -> Path:
+    """Train a model to the end of its steps, and save it, also after an interruption.
 
     Args:
-        model: The model, after `set_up`.
+        model: The model, in `training_in`.
         report: Its callback.
         resume: True if it continues a training.
         callbacks: Further callbacks.
-        algorithm: Name in the policy file; by default that of the model's class.
 
     Returns:
-        The path of the policy's JSON file.
+        The path of the policy's JSON file, or of the checkpoint if a policy file cannot hold the network.
+
+    Raises:
+        DivergedError: The model has diverged; the last checkpoint is kept.
     """
     remaining = report.settings["total_steps"] - model.num_timesteps
-    notes = {
-        **({"algorithm": algorithm} if algorithm else {}),
-        "settings": dict(report.settings),
-        "bank_sha256": SceneBank.open(report.settings["bank"]).sha256,
-    }
     try:
         if remaining > 0:
             model.learn(remaining, callback=[report, *callbacks], reset_num_timesteps=not resume)
+        report.save()
     except KeyboardInterrupt:
+        report.save()
         report.say(f"interrupted after {model.num_timesteps} steps; resume to continue from here")
-        save_policy(model, report.out / "policy", notes)
+        report.save_policy()
+        raise
+    except Exception:
+        report.save()  # which raises an error of its own if the model has diverged
         raise
     finally:
-        report.finish()
-        model.get_env().close()
-    return save_policy(model, report.out / "policy", notes)
+        report.close()
+    return report.save_policy()
 
 
 def _mean(values: Sequence[float]) -> float:

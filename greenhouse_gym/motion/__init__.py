@@ -1,1 +1,1 @@
-"""Collision model, distance field, kinematics and roadmaps: what environments and planners both need."""
+"""Collision model, distance field, kinematics and roadmaps, used by environments and planners."""

@@ -25,7 +25,7 @@ _WAIST = float(np.sqrt(1 - (SPACING / 2) ** 2))  # smallest radius of the union 
 
 @dataclass(frozen=True, eq=False)
 class ArmSpheres:
-    """An arm with nothing around it but its stand and the floor.
+    """Spheres that cover an arm, and its model without obstacles other than its stand and the floor.
 
     Attributes:
         chain: Its joints, in the frame of its base.

@@ -1,4 +1,4 @@
-"""Bounds on the motion of an arm's points per joint motion, which bound what lies between two configurations."""
+"""Bounds on the motion of an arm's points per joint motion, used to prove motions between two configurations."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ def _differences(entry: SceneEntry, scene: Scene) -> Iterator[str]:
         "style": scene.provenance.style,
         "source": scene.provenance.source,
         "protocol": scene.provenance.protocol,
-        "truth": None if scene.truth is None else len(scene.truth.obstacles),
+        "truth": None if scene.truth is None else scene.truth.count,
         "targets": target_counts(scene),
     }
     for field, value in found.items():
@@ -89,8 +89,8 @@ def witness_faults(scene: Scene) -> Iterator[str]:
 def _fault(compiled: CompiledScene, target: Target, path: Array) -> str:
     """Return the first fault of a witness, or an empty text."""
     robot, tomato = compiled.robot, compiled.scene.tomatoes[target.tomato]
-    if path.shape[1] != len(robot.joints) or np.abs(path[0] - robot.start).max() > _TOLERANCE:
-        return "the witness does not begin at the arm's start"
+    if path.shape[1] != len(robot.joints) or np.abs(path[0] - robot.rating_start).max() > _TOLERANCE:
+        return "the witness does not begin at the start that targets are rated from"
     if ((path < robot.lower - _TOLERANCE) | (path > robot.upper + _TOLERANCE)).any():
         return "the witness leaves the joints' limits"
     if not ProvingChecker(planning_model(compiled, target.tomato, margin=0.0)).path_is_free(path, STEP):

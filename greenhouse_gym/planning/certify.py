@@ -1,6 +1,6 @@
 """Certificates for the tomatoes of scenes and banks: how hard each is to reach, with a path as proof.
 
-The rule counts collision checks, so it does not depend on the machine:
+The rule counts collision checks, so it does not depend on the machine. Paths begin at `Robot.rating_start`:
 
 - easy: a straight joint motion to one of the goal configurations is free.
 - medium: RRTConnect needs at most `HARD` checks, in the median over `SEEDS` runs.
@@ -90,7 +90,7 @@ def certify_targets(
     arm, targets = get_robot(robot), dict[int, Target]()
     chosen = _spread(scene, max_targets, min_radius)
     for depth in depths_of(unknown):
-        compiled = guarded(scene, arm, arm.start, depth)
+        compiled = guarded(scene, arm, arm.rating_start, depth)
         for tomato in chosen:
             if tomato not in targets or targets[tomato].witness is None:
                 targets[tomato] = certify_target(compiled, tomato, seed)
@@ -182,9 +182,10 @@ class _Rating:
 
 def _straight(checker: CollisionChecker, robot: Robot, goals: Array) -> _Rating | None:
     """Rate by the shortest free straight motion to a goal; None without one."""
-    for goal in sorted(goals, key=lambda end: float(np.linalg.norm(end - robot.start))):
-        if checker.motion_is_free(robot.start, goal, COARSE):
-            path = _rounded(robot, np.stack([robot.start, goal]))
+    start = robot.rating_start
+    for goal in sorted(goals, key=lambda end: float(np.linalg.norm(end - start))):
+        if checker.motion_is_free(start, goal, COARSE):
+            path = _rounded(robot, np.stack([start, goal]))
             if checker.path_is_free(path, PROOF):
                 return _Rating("easy", path)
     return None
@@ -224,7 +225,8 @@ def _search(
 ) -> PlanResult:
     """Run RRTConnect once, limited by the number of checks alone."""
     for _ in range(_ATTEMPTS):
-        result = plan_with(compiled, checker, goals, "RRTConnect", None, checks, seed)
+        start = compiled.robot.rating_start
+        result = plan_with(compiled, checker, goals, "RRTConnect", None, checks, seed, start)
         if result.status not in ("crashed", "timeout"):
             return result
     raise PlannerFailedError(f"{compiled.scene.name}, tomato {tomato}: it cannot be rated. {result.message}")
@@ -296,5 +298,5 @@ def _start_contacts(compiled: CompiledScene) -> str:
     """Return a contact of the arm at its start, or an empty text; a scene without tomatoes is not checked."""
     if not compiled.scene.tomatoes:
         return ""
-    contacts = CollisionChecker(planning_model(compiled, 0)).contacts(compiled.robot.start)
+    contacts = CollisionChecker(planning_model(compiled, 0)).contacts(compiled.robot.rating_start)
     return ", ".join(f"{a} with {b}" for a, b in contacts[:1])

@@ -65,3 +65,12 @@ class PlanResult:
     goals: GoalStatistics | None = None
     message: str = ""
     unknown_length: float = math.nan
+
+    def __repr__(self) -> str:
+        path = "" if self.path is None else (
+            f", {len(self.path)} waypoints, {self.length:.2f} rad, clearance {1000 * self.clearance:.1f} mm"
+        )  # fmt: skip
+        said = f", {self.message}" if self.message else ""
+        return (
+            f"PlanResult({self.planner!r}, {self.status}{path}, {self.checks} checks, {self.planning_time:.2f} s{said})"
+        )

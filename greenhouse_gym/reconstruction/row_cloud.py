@@ -25,7 +25,7 @@ from greenhouse_gym.reconstruction.station_views import MinDepth
 
 @dataclass(frozen=True, eq=False)
 class ObservedSpace:
-    """Depth images of the registered stations, reduced to what occupancy is carved from."""
+    """Depth images of the registered stations, reduced to the data for occupancy carving."""
 
     rig: Rig  # the calibrated cameras
     min_depths: Mapping[int, Mapping[str, MinDepth]]  # by station and camera

@@ -63,6 +63,8 @@ class OpenGLRenderer:
         try:
             self._gl = _context_class()(width, height)
             self._gl.make_current()
+            buffer = model.vis.global_
+            buffer.offwidth, buffer.offheight = max(buffer.offwidth, width), max(buffer.offheight, height)
             self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
         except Exception as error:  # each backend raises its own kind
             raise OpenGLMissingError(

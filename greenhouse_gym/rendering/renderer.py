@@ -156,7 +156,7 @@ def view_rays(camera: Viewpoint, width: int, height: int) -> tuple[Array, Array,
 def _cast(
     model: mujoco.MjModel, data: mujoco.MjData, origin: Array, rays: Array
 ) -> tuple[Array, npt.NDArray[np.int32], Array]:
-    """Distances (m,), -1 for a miss, geom ids (m,) and normals (m, 3) for unit rays (m, 3) from one point."""
+    """Return distances (m,), -1 for a miss, geom ids (m,) and normals (m, 3) for unit rays (m, 3) from one point."""
     count = len(rays)
     geom, distance, normal = np.full(count, -1, dtype=np.int32), np.empty(count), np.zeros(3 * count)
     mujoco.mj_multiRay(

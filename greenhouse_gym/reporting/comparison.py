@@ -95,6 +95,7 @@ def leaderboard_report(entries: Sequence[Entry], rules: Protocol = V1) -> str:
         notes,
         difficulty=rules.difficulty,
         timeout=rules.timeout,
+        start=rules.start,
     )
 
 

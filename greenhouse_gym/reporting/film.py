@@ -9,17 +9,18 @@ from typing import Any
 from gymnasium.wrappers import RecordVideo
 
 from greenhouse_gym.agents import Agent, Problem
-from greenhouse_gym.agents.agent import check_agent
+from greenhouse_gym.agents.named import agent_of
 from greenhouse_gym.common.extras import require_extras
 from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.envs import make_env
 
 
-def film(agent: Agent, out: str | Path, seed: int = 0, **options: Any) -> bool:
+def film(agent: Agent | str, out: str | Path, seed: int = 0, **options: Any) -> bool:
     """Film an episode of an agent as MP4.
 
     Args:
-        agent: The agent; its ``env_options`` choose the environment.
+        agent: The agent, or a name that `greenhouse_gym.agents.make_agent` takes; its ``env_options`` choose the
+            environment.
         out: The file.
         seed: Seed of the episode, as in `greenhouse_gym.evaluation.evaluate`.
         **options: Further keywords of the environment.
@@ -31,14 +32,13 @@ def film(agent: Agent, out: str | Path, seed: int = 0, **options: Any) -> bool:
         MissingDependencyError: The extra ``viz`` is not installed.
     """
     require_extras("viz")
-    check_agent(agent)
+    agent = agent_of(agent)
     env = make_env(render_mode="rgb_array", **{**options, **agent.env_options})
     with tempfile.TemporaryDirectory() as folder:
         recorder: Any = RecordVideo(env, str(Path(folder) / "films"), name_prefix="film", disable_logger=True)
         try:
             observation, info = recorder.reset(seed=seed)
-            rule, interval = env.simulation.action_rule, env.simulation.interval
-            agent.reset(Problem(env.scene, env.target, env.robot, env.start, seed, rule, interval))
+            agent.reset(Problem.of(env.simulation, 0, seed))
             over = False
             while not over:
                 observation, _, terminated, truncated, info = recorder.step(agent.act(observation))

@@ -97,7 +97,7 @@ def _facts(scene: Scene) -> list[tuple[str, str]]:
         ("source", source.source or ""),
         ("protocol", source.protocol or ""),
         ("shapes", f"{len(scene.tomatoes)} tomatoes, {len(scene.stems)} stems, {len(scene.clutter)} clutter"),
-        ("truth", "" if scene.truth is None else f"{len(scene.truth.obstacles)} shapes"),
+        ("truth", "" if scene.truth is None else f"{scene.truth.count} shapes"),
         ("targets", ", ".join(f"{count} {name}" for name, count in sorted(counts.items()))),
     ]
     return [(name, text) for name, text in facts if text]

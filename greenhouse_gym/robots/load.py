@@ -39,7 +39,7 @@ from greenhouse_gym.robots.joint_limits import (
 )
 from greenhouse_gym.robots.prepare import PROBE_PREFIX, TIP_SITE, colliding_geoms, prepare_spec, touching_bodies
 from greenhouse_gym.robots.robot import Robot
-from greenhouse_gym.robots.start import ahead_of_base, foot_depth, upright_start
+from greenhouse_gym.robots.start import SEARCHES, ahead_of_base, foot_depth
 
 _HERE = Path(__file__).parent
 ROBOTS: dict[str, Path] = {path.stem: path for path in sorted(_HERE.glob("*.xml"))}
@@ -51,11 +51,8 @@ FLANGE_SITES = ("flange", "attachment_site", "pinch_site")
 TIP_SITES = (TIP_SITE, *FLANGE_SITES[1:])
 """Names of the tip's site, tried in turn."""
 
-START_KEYS = ("start", "home")
+START_KEYS = ("ready", "start", "home")
 """Names of the start's key frame, tried in turn; the last is MuJoCo Menagerie's."""
-
-UPRIGHT = "upright"
-"""Name of the start that is searched for instead of read; see `upright_start`."""
 
 PLANTS_AHEAD = 0.45
 """Distance ahead of an arm's base at which a row's leaves and fruit begin, metres."""
@@ -99,9 +96,9 @@ def load_robot(
     Args:
         path: The file, which contains the arm alone, without floor or lights.
         tip: Name of the site at the tip, z along the tool; one of `TIP_SITES` when left out.
-        start: Name of a key frame, the joint positions (n,) in radians and metres, or "upright" to search for a
-            configuration away from the plants; one of `START_KEYS` when left out. A warning is given if the arm
-            starts among the plants.
+        start: Name of a key frame, the joint positions (n,) in radians and metres, or one of `SEARCHES` to search for a
+            configuration away from the plants if the file has no key frame of that name: "ready" or "upright". One of
+            `START_KEYS` when left out. A warning is given if the arm starts among the plants.
         velocity_limits: (n,) rad/s; when left out, the file's, or `DEFAULT_SPEED` and `DEFAULT_SLIDE_SPEED`, reduced
             to what the servos' force attains against the joints' damping.
         acceleration_limits: (n,) rad/s^2; when left out, the file's, or `DEFAULT_ACCELERATION` and
@@ -120,18 +117,18 @@ def load_robot(
     if bare.body_weldid[bare.site(tip).bodyid[0]] == 0:
         raise FileFormatError(path, f"no joint moves the site {tip!r}: the tip belongs on the last link")
     own_probes = any(bare.site(i).name.startswith(PROBE_PREFIX) for i in range(bare.nsite))
-    searched = isinstance(start, str) and start == UPRIGHT and UPRIGHT not in _keys(bare)
-    begin = np.zeros(n) if searched else _start(path, bare, start)
+    search = SEARCHES.get(start) if isinstance(start, str) and start not in _keys(bare) else None
+    begin = np.zeros(n) if search else _start(path, bare, start)
     lower, upper = joint_limits(bare, begin)
     spec = prepare_spec(bare_spec, tip)
-    if searched:
-        begin = upright_start(spec, lower, upper, foot_depth(spec.compile()))
+    if search:
+        begin = search(spec, lower, upper, foot_depth(spec.compile()))
     model = spec.compile()
     _check_start(path, model, begin, lower, upper)
-    if not searched and (ahead := ahead_of_base(model, begin)) > PLANTS_AHEAD:
+    if not search and (ahead := ahead_of_base(model, begin)) > PLANTS_AHEAD:
         warnings.warn(
             f"{path}: at its start the arm reaches {ahead:.2f} m ahead of its base, but plants stand from about "
-            f'{PLANTS_AHEAD} m on; load_robot(..., start="upright") finds a collision-free start',
+            f'{PLANTS_AHEAD} m on; load_robot(..., start="ready") finds a collision-free start',
             stacklevel=2,
         )
     height = numeric(path, model, "shoulder_height", 1)

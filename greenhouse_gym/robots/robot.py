@@ -36,7 +36,7 @@ class Robot:
         joints: Names of the n joints, in order.
         start: (n,) start configuration of an episode, radians.
         starts: Start configurations by name, (n,) radians each: all key frames of the file. The shipped arms have
-            ``start`` (upright) and ``folded`` (over the aisle).
+            ``ready`` (the default: bent, the tool forward), ``upright`` and ``folded`` (over the aisle).
         lower: (n,) lower joint limits, radians.
         upper: (n,) upper joint limits, radians.
         velocity_limits: (n,) rad/s.
@@ -69,6 +69,12 @@ class Robot:
     lag: float
     foot: float
 
+    def __post_init__(self) -> None:
+        # arms are shared by everything that uses them
+        for array in (*vars(self).values(), *self.starts.values()):
+            if isinstance(array, np.ndarray):
+                array.setflags(write=False)
+
     def configuration(self, start: str | npt.ArrayLike | None) -> npt.ArrayLike:
         """Return a start by its name in ``starts``, or the arm's own for None; a configuration is returned unchanged.
 
@@ -78,6 +84,11 @@ class Robot:
         if start is None:
             return self.start
         return self.starts[require_choice("start", start, self.starts)] if isinstance(start, str) else start
+
+    @property
+    def rating_start(self) -> Array:
+        """(n,) start from which targets are rated and witnesses lead: ``upright`` if the arm has it, else its own."""
+        return self.starts.get("upright", self.start)
 
     @cached_property
     def rolls_tool(self) -> bool:

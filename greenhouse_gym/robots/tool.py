@@ -21,7 +21,7 @@ _ROD, _CUP = (0.005, 0.123), (0.132, 0.148)  # metres from the flange: ends of t
 
 
 def mount_tool(
-    arm: str | Path, out: str | Path, flange: str | None = None, start: str | npt.ArrayLike | None = "upright"
+    arm: str | Path, out: str | Path, flange: str | None = None, start: str | npt.ArrayLike | None = "ready"
 ) -> Path:
     """Write a copy of an arm's file with the gripper of the shipped arms at its flange and a collision-free start.
 
@@ -63,9 +63,9 @@ def mount_tool(
     write_atomically(out, spec.to_xml())
     begin = load_robot(out, start=start).start
     for key in spec.keys:
-        if key.name == "start":
+        if key.name == "ready":
             spec.delete(key)
-    spec.add_key(name="start", qpos=begin)
+    spec.add_key(name="ready", qpos=begin)
     spec.compile()
     return write_atomically(out, spec.to_xml())
 

@@ -70,7 +70,7 @@ def bank_statistics(bank: SceneBank) -> BankStatistics:
             name = getattr(scene.provenance, kind) or "unknown"
             by_kind.setdefault(name, Counter()).update(target.difficulty for target in scene.targets)
     known = [_known_fraction(scene) for scene in scenes if scene.occupancy is not None]
-    true = [len(scene.truth.obstacles) for scene in scenes if scene.truth is not None]
+    true = [scene.truth.count for scene in scenes if scene.truth is not None]
     return BankStatistics(
         name=bank.manifest.name,
         sha256=bank.sha256,
@@ -91,7 +91,7 @@ def bank_statistics(bank: SceneBank) -> BankStatistics:
         },
         per_scene={
             "tomatoes": _mean([len(scene.tomatoes) for scene in scenes]),
-            "shapes": _mean([len(scene.obstacles) for scene in scenes]),
+            "shapes": _mean([scene.count for scene in scenes]),
             "targets": _mean([len(scene.targets) for scene in scenes]),
         },
         truth=(len(true), _mean(true)),

@@ -7,19 +7,20 @@ no other part of the arm, touch it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+import copy
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import mujoco
 import numpy as np
 
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.geometry import Array, Box, Capsule, Ellipsoid, Shape
 from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.robots.robot import CUP_GEOM, TIP_SITE
 from greenhouse_gym.robots.start import CART_HALF_WIDTH, cart_drop
-from greenhouse_gym.scene.obstacles import Surroundings
+from greenhouse_gym.scene.obstacle_slots import TYPES, fill_slots, geoms_of
+from greenhouse_gym.scene.obstacles import ArmPlacement, Surroundings
 
 DEFAULT_CAPACITY = 600
 """Number of obstacle slots of a padded model."""
@@ -31,7 +32,6 @@ ARM_AND_CUP, ARM_ONLY = 3, 1
 """Collision masks of an obstacle, and of the target (which the cup may touch)."""
 
 TIMESTEP = 0.01
-_MIN_LENGTH = 1e-6  # of a capsule, metres; a shorter one becomes a sphere
 _PARKED = (0.0, 0.0, -50.0)
 _STEM_COLORS = {
     "main": (0.33, 0.48, 0.2, 1.0),
@@ -68,6 +68,17 @@ class CompiledScene:
     def tomato_geom(self, tomato: int) -> int:
         """Return the geom id of a tomato, by its index in the scene."""
         return int(self.obstacle_geoms.start) + tomato
+
+    def geom_name(self, geom: int) -> str:
+        """Return the name of a geom; slots of obstacles have the names of the obstacles in them."""
+        slot = geom - self.obstacle_geoms.start
+        if not 0 <= slot < self.scene.count:
+            return name_of(self.model, geom)
+        tomatoes, stems = len(self.scene.tomatoes), len(self.scene.stems)
+        if slot < tomatoes:
+            return f"tomato_{slot}"
+        slot -= tomatoes
+        return f"stem_{slot}_{self.scene.stems[slot].kind}" if slot < stems else f"clutter_{slot - stems}"
 
     def allow_cup_on(self, model: mujoco.MjModel, tomato: int, allowed: bool = True) -> None:
         """Let the cup touch a tomato in ``model``, a copy of this one with its geoms in either order, or forbid it."""
@@ -114,21 +125,18 @@ def scene_spec(
     names = [f"tomato_{i}" for i in range(len(scene.tomatoes))]
     names += [f"stem_{i}_{stem.kind}" for i, stem in enumerate(scene.stems)]
     names += [f"clutter_{i}" for i in range(len(scene.clutter))]
-    colors = [_tomato_color(tomato.ripeness) for tomato in scene.tomatoes]
-    colors += [_STEM_COLORS[stem.kind] for stem in scene.stems] + [_CLUTTER_COLOR] * len(scene.clutter)
-    for name, shape, color in zip(names, scene.obstacles, colors, strict=True):
-        world.add_geom(**geom_of(shape)._asdict(), name=name, rgba=color, contype=ARM_AND_CUP, conaffinity=ARM_AND_CUP)
+    for name, kind, pos, size, quat, color in zip(names, *geoms_of(scene.arrays), _colors(scene), strict=True):
+        world.add_geom(
+            name=name, type=TYPES[kind], pos=pos, size=size, quat=quat, rgba=color,
+            contype=ARM_AND_CUP, conaffinity=ARM_AND_CUP,
+        )  # fmt: skip
     if target is not None:
         reached = spec.geom(names[target])
         reached.contype = reached.conaffinity = ARM_ONLY
     if capacity is not None:
-        if len(names) > capacity:
-            raise InvalidValueError(
-                f"scene {scene.name!r} has {len(names)} obstacles, more than the {capacity} allowed"
-            )
-        for i in range(capacity - len(names)):
+        for i in range(len(names), capacity):
             world.add_geom(
-                name=f"parked_{i}", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.001, 0, 0], pos=_PARKED,
+                name=f"obstacle_{i}", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.001, 0, 0], pos=_PARKED,
                 rgba=[0, 0, 0, 0], contype=ARM_AND_CUP, conaffinity=ARM_AND_CUP,
             )  # fmt: skip
     return spec
@@ -140,24 +148,53 @@ def compile_scene(
     capacity: int | None = None,
     edit: Callable[[mujoco.MjSpec], None] | None = None,
 ) -> CompiledScene:
-    """Compile a scene with an arm (about 5 ms).
+    """Compile a scene with an arm (about 5 ms; 2 ms with a capacity, after the first of its kind).
 
     Args:
         scene: The scene.
         robot: As `scene_spec`.
-        capacity: As `scene_spec`.
+        capacity: Number of obstacle slots; unused ones are parked geoms, so models of several scenes have equal sizes.
+            The geoms of all slots are named ``obstacle_0`` and so on; see `CompiledScene.geom_name`.
         edit: Callback that changes the specification before it is compiled.
 
     Raises:
-        InvalidValueError: The scene has more obstacles than ``capacity``.
+        InvalidValueError: ``capacity`` is out of range or too small for the scene.
     """
     arm = get_robot(robot)
+    if capacity is None:
+        return _compiled(scene, arm, None, edit)
+    placement = scene.placement
+    place = (*placement.position.tolist(), placement.yaw, placement.shoulder_height)
+    empty = _without_obstacles(arm, capacity, edit, place)
+    if scene.count > capacity:
+        raise InvalidValueError(f"scene {scene.name!r} has {scene.count} obstacles, more than the {capacity} allowed")
+    model = copy.copy(empty.model)
+    fill_slots(model, empty.obstacle_geoms.start, scene.arrays, _colors(scene))
+    return replace(empty, scene=scene, model=model)
+
+
+@lru_cache(maxsize=16)
+def _without_obstacles(
+    robot: Robot,
+    capacity: int,
+    edit: Callable[[mujoco.MjSpec], None] | None,
+    place: tuple[float, float, float, float, float],
+) -> CompiledScene:
+    """Compile an arm at a position (x, y, z, yaw, shoulder height) with empty obstacle slots."""
+    *position, yaw, height = place
+    placement = ArmPlacement(position=np.array(position), yaw=yaw, shoulder_height=height)
+    return _compiled(Surroundings(name="empty", placement=placement), robot, capacity, edit)
+
+
+def _compiled(
+    scene: Surroundings, arm: Robot, capacity: int | None, edit: Callable[[mujoco.MjSpec], None] | None
+) -> CompiledScene:
     spec = scene_spec(scene, arm, capacity)
     if edit is not None:
         edit(spec)
     model = spec.compile()
     first = model.geom("floor").id + (2 if _has_column(scene, arm) else 1)
-    count = capacity if capacity is not None else len(scene.obstacles)
+    count = scene.count if capacity is None else capacity
     return CompiledScene(
         scene=scene,
         robot=arm,
@@ -195,33 +232,18 @@ def _place_arm(spec: mujoco.MjSpec, scene: Surroundings, robot: Robot) -> None:
         )  # fmt: skip
 
 
+def _colors(scene: Surroundings) -> list[tuple[float, float, float, float]]:
+    colors = [_tomato_color(tomato.ripeness) for tomato in scene.tomatoes]
+    return colors + [_STEM_COLORS[stem.kind] for stem in scene.stems] + [_CLUTTER_COLOR] * len(scene.clutter)
+
+
 def _tomato_color(ripeness: float | None) -> tuple[float, float, float, float]:
     r = 1.0 if ripeness is None else ripeness
     return (0.45 + 0.4 * r, 0.6 - 0.47 * r, 0.2 - 0.1 * r, 1.0)
 
 
-class Geom(NamedTuple):
-    """MuJoCo geom: type, size (3,) in metres, position (3,) and quaternion (4,) in the scene."""
-
-    type: mujoco.mjtGeom
-    size: Sequence[float] | Array
-    pos: Array
-    quat: Array
-
-
-def geom_of(shape: Shape) -> Geom:
-    """Return the geom of a shape."""
-    quat = np.array([1.0, 0.0, 0.0, 0.0])
-    if isinstance(shape, Box):
-        mujoco.mju_mat2Quat(quat, shape.rotation.flatten())
-        return Geom(mujoco.mjtGeom.mjGEOM_BOX, shape.half_extents, shape.center, quat)
-    if isinstance(shape, Capsule):
-        middle = (shape.start + shape.end) / 2
-        if shape.length <= _MIN_LENGTH:
-            return Geom(mujoco.mjtGeom.mjGEOM_SPHERE, [shape.radius, 0.0, 0.0], middle, quat)
-        mujoco.mju_quatZ2Vec(quat, shape.end - shape.start)
-        return Geom(mujoco.mjtGeom.mjGEOM_CAPSULE, [shape.radius, shape.length / 2, 0.0], middle, quat)
-    if isinstance(shape, Ellipsoid):
-        mujoco.mju_mat2Quat(quat, shape.rotation.flatten())
-        return Geom(mujoco.mjtGeom.mjGEOM_ELLIPSOID, shape.semi_axes, shape.center, quat)
-    return Geom(mujoco.mjtGeom.mjGEOM_SPHERE, [shape.radius, 0.0, 0.0], shape.center, quat)
+def name_of(model: mujoco.MjModel, geom: int) -> str:
+    """Return the name of a geom, or of its body if it has none, as in MJCF files from elsewhere."""
+    # `MjModel.geom` would first build a table of thousands of names
+    own = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_GEOM, geom)
+    return str(own or model.body(model.geom_bodyid[geom]).name or f"geom {geom}")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
+from functools import cached_property
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -13,14 +14,18 @@ from pydantic import (
     ConfigDict,
     Field,
     PlainSerializer,
+    ValidationInfo,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
     model_validator,
 )
 
-from greenhouse_gym.common.files import checked_name
+from greenhouse_gym.common.files import checked_name, parsing
 from greenhouse_gym.crops.parts import Stem, Tomato
-from greenhouse_gym.crops.shape_tables import pack, unpack
+from greenhouse_gym.crops.shape_tables import arrays_of_tables, from_tables, pack, unpack
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.geometry import Box, Capsule, Shape, Sphere, Vector
+from greenhouse_gym.geometry import Box, Capsule, Shape, ShapeArrays, Sphere, Vector, arrays_of
+from greenhouse_gym.scene.shape_lists import in_bulk, read_clutter, read_stems, read_tomatoes
 
 SceneName = Annotated[str, AfterValidator(lambda name: checked_name("a scene", name))]
 
@@ -77,54 +82,128 @@ class ArmPlacement(Part):
 class Shapes(Part):
     """Tomatoes, stems and clutter around an arm, in the scene frame."""
 
-    tomatoes: tuple[Tomato, ...] = Field(default=(), max_length=MAX_TOMATOES)
-    stems: tuple[Stem, ...] = Field(default=(), max_length=MAX_SHAPES)
-    clutter: tuple[Sphere | Capsule | Box, ...] = Field(default=(), max_length=MAX_SHAPES)
+    model_config = ConfigDict(ignored_types=(cached_property,))
+
+    tomatoes: Annotated[tuple[Tomato, ...], in_bulk(read_tomatoes, MAX_TOMATOES)] = Field(
+        default=(), max_length=MAX_TOMATOES
+    )
+    stems: Annotated[tuple[Stem, ...], in_bulk(read_stems, MAX_SHAPES)] = Field(default=(), max_length=MAX_SHAPES)
+    clutter: Annotated[tuple[Sphere | Capsule | Box, ...], in_bulk(read_clutter, MAX_SHAPES)] = Field(
+        default=(), max_length=MAX_SHAPES
+    )
 
     @model_validator(mode="after")
     def _within_bounds(self) -> Self:
-        if _largest_number(self.obstacles) > MAX_SIZE:
-            parts = {
-                "tomatoes": [tomato.shape for tomato in self.tomatoes],
-                "stems": self.stems,
-                "clutter": self.clutter,
-            }
-            for name, shapes in parts.items():
-                for i, shape in enumerate(shapes):
-                    if _largest_number([shape]) > MAX_SIZE:
-                        raise InvalidValueError(f"{name}.{i} is larger, or farther away, than {MAX_SIZE:g} m: {shape}")
+        self.check_bounds()
         return self
+
+    def check_bounds(self) -> None:
+        """Check that no shape is too large or too far away.
+
+        Raises:
+            InvalidValueError: One is.
+        """
+        numbers = np.hstack([self.arrays.starts, self.arrays.ends, self.arrays.sizes])
+        outside = np.flatnonzero((np.abs(numbers) > MAX_SIZE).any(axis=1))
+        if len(outside):
+            index, shape = int(outside[0]), self.obstacles[outside[0]]
+            for name in ("tomatoes", "stems", "clutter"):
+                if index < (count := len(getattr(self, name))):
+                    raise InvalidValueError(f"{name}.{index} is larger, or farther away, than {MAX_SIZE:g} m: {shape}")
+                index -= count
+
+    @cached_property
+    def arrays(self) -> ShapeArrays:
+        """`obstacles` as arrays; do not change them."""
+        return arrays_of(self.obstacles)
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """Copy the model with some fields changed, which are not validated."""
+        copied = super().model_copy(update=update, deep=deep)
+        if not {"tomatoes", "stems", "clutter"}.isdisjoint(update or ()):
+            vars(copied).pop("arrays", None)
+        return copied
 
     @property
     def obstacles(self) -> tuple[Shape, ...]:
         """All shapes in this order: tomatoes, stems, clutter."""
         return (*(tomato.shape for tomato in self.tomatoes), *self.stems, *self.clutter)
 
+    @property
+    def count(self) -> int:
+        """Number of shapes."""
+        return len(self.tomatoes) + len(self.stems) + len(self.clutter)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join(self._summary())})"
+
+    __str__ = __repr__
+
+    def _summary(self) -> list[str]:
+        """Return the parts of its text."""
+        parts = {"tomatoes": self.tomatoes, "stems": self.stems, "pieces of clutter": self.clutter}
+        return [f"{len(shapes)} {name}" for name, shapes in parts.items()]
+
     def compact(self) -> Shapes:
         """Return the shapes as a scene file stores its truth: rounded to 0.1 mm, clutter sorted by type."""
         return _unpacked(_packed(self))
 
 
-def _largest_number(shapes: Sequence[Shape]) -> float:
-    """Return the largest absolute coordinate or size in shapes, metres."""
-    numbers = [v for shape in shapes for v in vars(shape).values() if isinstance(v, np.ndarray | float)]
-    return float(np.abs(np.concatenate([np.ravel(number) for number in numbers])).max()) if numbers else 0.0
+class DeferredShapes(Shapes):
+    """Packed shapes of a file with a checked checksum, unpacked when one of them is first used.
+
+    Raises:
+        FileFormatError: On first use, if the file is damaged.
+    """
+
+    @classmethod
+    def of(cls, packed: dict[str, Any], path: object) -> DeferredShapes:
+        """Return the shapes that are packed in a file."""
+        deferred = cls.model_construct()
+        vars(deferred).clear()
+        vars(deferred).update(_packed=packed, _path=path)
+        return deferred
+
+    def __getattr__(self, name: str) -> Any:  # of fields that are not set yet
+        if name not in Shapes.model_fields or "_packed" not in vars(self):
+            return super().__getattr__(name)  # type: ignore[misc]
+        with parsing(vars(self)["_path"], "scene"):
+            vars(self).update(vars(_unpacked(vars(self)["_packed"])))
+        return vars(self)[name]
+
+    @cached_property
+    def arrays(self) -> ShapeArrays:
+        """See `Shapes.arrays`."""
+        _ = self.tomatoes  # unpacks everything
+        arrays: ShapeArrays = vars(self)["arrays"]
+        return arrays
 
 
 def _packed(shapes: Shapes) -> dict[str, Any]:
-    return pack(shapes.tomatoes, shapes.stems, shapes.clutter)
+    known: dict[str, Any] | None = vars(shapes).get("_packed")
+    return pack(shapes.tomatoes, shapes.stems, shapes.clutter) if known is None else known
 
 
-def _unpacked(value: Any) -> Any:
-    if isinstance(value, dict) and "rows" in value:
-        parts = unpack(value)
-        return Shapes(tomatoes=parts.tomatoes, stems=parts.stems, clutter=parts.clutter)
-    return value
+def _unpacked(packed: dict[str, Any]) -> Shapes:
+    tables = unpack(packed)
+    parts = from_tables(tables)
+    if len(parts.tomatoes) > MAX_TOMATOES or max(len(parts.stems), len(parts.clutter)) > MAX_SHAPES:
+        raise InvalidValueError(f"more than {MAX_TOMATOES} tomatoes, or {MAX_SHAPES} stems or pieces of clutter")
+    shapes = Shapes.model_construct(**parts._asdict())
+    vars(shapes)["arrays"] = arrays_of_tables(tables)
+    shapes.check_bounds()
+    return shapes
+
+
+def _validated(value: Any, validate: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:
+    if not (isinstance(value, dict) and "rows" in value):
+        return validate(value)
+    return DeferredShapes.of(value, info.context["path"]) if info.context else _unpacked(value)
 
 
 PackedShapes = Annotated[
     Shapes,
-    BeforeValidator(_unpacked),
+    WrapValidator(_validated),
     PlainSerializer(_packed, return_type=dict[str, Any], when_used="json"),
 ]
 """Shapes that files store as compressed tables (`greenhouse_gym.crops.shape_tables`), rounded to 0.1 mm."""
@@ -135,3 +214,6 @@ class Surroundings(Shapes):
 
     name: SceneName
     placement: ArmPlacement = Field(default_factory=ArmPlacement)
+
+    def _summary(self) -> list[str]:
+        return [repr(self.name), *super()._summary()]

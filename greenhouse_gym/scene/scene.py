@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -26,8 +27,8 @@ class Target(Part):
         tomato: Index into `Scene.tomatoes`.
         difficulty: One of `DIFFICULTIES`.
         robot: The arm the certificate is for.
-        witness: A checked collision-free joint path (k, joints) in radians from the arm's start to the target, or None
-            if none was found.
+        witness: A checked collision-free joint path (k, joints) in radians from `Robot.rating_start` to the target, or
+            None if none was found.
         goals: Number of distinct free goal configurations that were found, at most
             `greenhouse_gym.planning.certify.GOALS`.
         checks: Median over several seeds of the collision checks RRTConnect needed for a path. None for easy targets,
@@ -40,7 +41,7 @@ class Target(Part):
     tomato: int = Field(ge=0)
     difficulty: Difficulty
     robot: str = "ur5e"
-    witness: tuple[tuple[float, ...], ...] | None = None
+    witness: tuple[tuple[float, ...], ...] | None = Field(default=None, repr=False)
     goals: int | None = Field(default=None, ge=0, exclude_if=is_none)
     checks: int | None = Field(default=None, ge=0, exclude_if=is_none)
     clearance: float | None = Field(default=None, exclude_if=is_none)
@@ -92,6 +93,13 @@ class Scene(Surroundings):
                 raise InvalidValueError(f"target names tomato {target.tomato}, the scene has {len(self.tomatoes)}")
         return self
 
+    def _summary(self) -> list[str]:
+        ratings = Counter(target.difficulty for target in self.targets)
+        rated = ", ".join(f"{ratings[name]} {name}" for name in DIFFICULTIES if ratings[name])
+        targets = f"{len(self.targets)} targets{f' ({rated})' if rated else ''}"
+        known = [name for name in ("truth", "occupancy") if getattr(self, name) is not None]
+        return [*super()._summary(), targets, *known]
+
     @classmethod
     def load(cls, path: str | Path) -> Scene:
         """Read a scene from its JSON file.
@@ -102,10 +110,20 @@ class Scene(Surroundings):
         return cls.parse(read_bytes(path, "scene"), path)
 
     @classmethod
-    def parse(cls, content: bytes, path: str | Path) -> Scene:
-        """Read a scene from the content of its file; error messages name ``path``."""
+    def parse(cls, content: bytes, path: str | Path, defer: bool = False) -> Scene:
+        """Read a scene from the content of its file.
+
+        Args:
+            content: The content.
+            path: The file, which error messages name.
+            defer: Unpack the truth and the occupancy grid, most of the work, when they are first used. For content
+                that a checksum covers: damage is found no sooner.
+
+        Raises:
+            FileFormatError: The content is damaged.
+        """
         with parsing(path, "scene"):
-            return cls.model_validate_json(content)
+            return cls.model_validate_json(content, context={"path": path} if defer else None)
 
     def save(self, path: str | Path) -> Path:
         """Write the scene as JSON (to a temporary name, then renamed) and return the path."""

@@ -1,4 +1,4 @@
-"""Scenes made of the true row, and the check that an arm does not start inside it."""
+"""Scenes made of the true row, scenes without it, and the check that an arm does not start inside it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import mujoco
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene.mjcf import compile_scene
-from greenhouse_gym.scene.scene import Scene
+from greenhouse_gym.scene.scene import Provenance, Scene
 
 
 def true_scene(scene: Scene) -> Scene:
@@ -21,18 +21,32 @@ def true_scene(scene: Scene) -> Scene:
             f'scene {scene.name!r} carries no truth, which physics="truth" needs: scenes built from simulated '
             "recordings carry it, those of a real row cannot"
         )
+    shapes = {name: getattr(scene.truth, name) for name in ("tomatoes", "stems", "clutter")}
+    true = scene.model_copy(update={**shapes, "targets": (), "truth": None, "occupancy": None})
+    vars(true)["arrays"] = scene.truth.arrays
+    return true
+
+
+def known_scene(scene: Scene) -> Scene:
+    """Return what an agent may know of a scene: its shapes, placement and occupancy, and how it was scanned.
+
+    Truth, targets (ratings and witnesses) and everything that names the row, from which its truth could be looked up or
+    grown again, are left out.
+    """
+    provenance = scene.provenance
     return Scene(
-        name=scene.name,
-        tomatoes=scene.truth.tomatoes,
-        stems=scene.truth.stems,
-        clutter=scene.truth.clutter,
+        name="scene",
+        tomatoes=scene.tomatoes,
+        stems=scene.stems,
+        clutter=scene.clutter,
         placement=scene.placement,
-        provenance=scene.provenance,
+        provenance=Provenance(row="", protocol=provenance.protocol, settings=provenance.settings),
+        occupancy=scene.occupancy,
     )
 
 
 def start_is_collision_free(scene: Scene, robot: str | Robot) -> bool:
-    """Return whether an arm in its start configuration touches no plant of the true row.
+    """Return whether an arm touches no plant of the true row at its own start and at `Robot.rating_start`.
 
     People who put up an arm see the plants and do not place it inside them, whatever the scan shows. Contacts with the
     floor, the cart and the arm itself do not count.
@@ -45,8 +59,11 @@ def start_is_collision_free(scene: Scene, robot: str | Robot) -> bool:
         return True
     compiled = compile_scene(true_scene(scene), robot)
     data = mujoco.MjData(compiled.model)
-    data.qpos[:] = compiled.robot.start
-    mujoco.mj_kinematics(compiled.model, data)
-    mujoco.mj_collision(compiled.model, data)
     plants = compiled.obstacle_geoms
-    return not ((data.contact.geom >= plants.start) & (data.contact.geom < plants.stop)).any()
+    for start in (compiled.robot.start, compiled.robot.rating_start):
+        data.qpos[:] = start
+        mujoco.mj_kinematics(compiled.model, data)
+        mujoco.mj_collision(compiled.model, data)
+        if ((data.contact.geom >= plants.start) & (data.contact.geom < plants.stop)).any():
+            return False
+    return True

@@ -1,4 +1,4 @@
-"""Checks and cleaning of a cloud before shapes are extracted, and the warnings that come of it."""
+"""Checks and cleaning of a cloud before shapes are extracted, and the resulting warnings."""
 
 from __future__ import annotations
 
@@ -7,19 +7,15 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.geometry.point_clouds import Cloud, exposure_failure, voxel_means
+from greenhouse_gym.geometry.point_clouds import Cloud, exposure_failure, group_sizes, voxel_means
 from greenhouse_gym.shapes.normal_estimation import estimate_normals
 from greenhouse_gym.shapes.settings import ShapeSettings
 
 _MAX_LENGTH, _MAX_HEIGHT = 200.0, 20.0  # metres of a row
 _OUTLIER_CELL = 0.25  # metres that outliers are away from everything else
-_MAX_CELLS = 4000  # cells in each direction that are distinguished; what is farther off falls into the last one
 _MAX_OUTLIERS = 0.01  # fraction of all points; more are no outliers
 _MIN_POINTS = 50  # points needed to extract a shape
 _MAX_ZERO_NORMALS = 0.01  # fraction; fewer occur where surfaces back to back fall into one voxel
@@ -94,13 +90,5 @@ def downsample(whole: Cloud, with_normals: bool, settings: ShapeSettings, log: W
 
 def _outlier_mask(points: Array) -> npt.NDArray[np.bool_]:
     """Return which points (n,) form small groups far from all others."""
-    cubes = np.clip(np.floor((points - np.median(points, axis=0)) / _OUTLIER_CELL), -_MAX_CELLS, _MAX_CELLS)
-    base = [1, 4 * _MAX_CELLS, 16 * _MAX_CELLS**2]
-    cells, cell = np.unique((cubes.astype(np.int64) + _MAX_CELLS) @ base, return_inverse=True)
-    cells = np.stack([cells % base[1], cells // base[1] % base[1], cells // base[2]], axis=1)
-    pairs = cKDTree(cells).query_pairs(1.8, output_type="ndarray")
-    links = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(len(cells),) * 2)
-    part = connected_components(links, directed=False)[1][cell.ravel()]
-    count = np.bincount(part)
-    outlier = np.asarray((count < _MIN_POINTS)[part])
+    outlier = group_sizes(points, _OUTLIER_CELL) < _MIN_POINTS
     return outlier if outlier.mean() < _MAX_OUTLIERS else np.zeros(len(points), dtype=bool)

@@ -308,8 +308,8 @@ def test_organized_clouds_and_rows_that_are_not_finite(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("suffix", WRITERS)
 def test_of_too_many_points_some_are_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str) -> None:
-    monkeypatch.setattr("greenhouse_gym.build.scans.cloud_files.MAX_POINTS", 100)
-    monkeypatch.setattr("greenhouse_gym.build.scans.cloud_files._PIECE", 70)
+    monkeypatch.setattr("greenhouse_gym.build.scans.cloud_formats.parts.MAX_POINTS", 100)
+    monkeypatch.setattr("greenhouse_gym.build.scans.cloud_formats.parts._PIECE", 70)
     random = np.random.default_rng(0)
     points, colors, normals = random.random((250, 3)), random.random((250, 3)), random.random((250, 3))
     WRITERS[suffix](tmp_path / f"c{suffix}", points, colors, normals)
@@ -396,7 +396,7 @@ def test_a_bank_is_built_of_a_scan(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     stems = (Stem([0.5, 0, 0.6], [0.5, 0, 1.6], 0.005, "main"),)
     found = RowShapes((Tomato(Sphere([0.46, 0.0, 1.0], 0.03), 0),), stems)
     monkeypatch.setattr(row_module, "extract_from_scan", lambda scan, settings: (scan, found))
-    monkeypatch.setattr(build, "certify_targets", lambda scene, robot, most, smallest: ())
+    monkeypatch.setattr(build, "certify_targets", lambda scene, robot, **_: ())
     points, colors, normals = plant()
     rows = [scanned_row(open_scan(RawCloud(points, colors, normals), units="m", up=up)) for up in ("z", "-z")]
     bank = build.build_bank(rows[:1], tmp_path / "bank", "scanned", on_progress=lambda text: None)

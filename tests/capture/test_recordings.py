@@ -1,7 +1,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+import shutil
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -391,6 +392,34 @@ def test_an_open3d_folder(open3d_folder: Path) -> None:
     assert opened[1].world_from_station is not None
     (open3d_folder / "trajectory.log").unlink()
     assert open_recording(open3d_folder)[1].world_from_station is None
+
+
+@pytest.mark.parametrize(
+    ("names", "numbers", "expected"),
+    [
+        (range(12), range(12), range(12)),
+        (range(95, 105), range(95, 105), range(10)),
+        (range(1, 12), range(11), range(11)),
+        (range(12), [0, 5, 11], [0, None, None, None, None, 1, None, None, None, None, None, 2]),
+        (range(9, 12), [11, 9, 10], [1, 2, 0]),
+        (range(9, 12), [7, 7, 7], range(3)),
+    ],
+)
+def test_images_of_open3d_meet_their_poses_by_number(
+    open3d_folder: Path, names: Sequence[int], numbers: Sequence[int], expected: Sequence[int | None]
+) -> None:
+    for kind, suffix in (("color", ".jpg"), ("depth", ".png")):
+        first = (open3d_folder / kind / f"00000{suffix}").read_bytes()
+        shutil.rmtree(open3d_folder / kind)
+        (open3d_folder / kind).mkdir()
+        for name in names:
+            (open3d_folder / kind / f"{name}{suffix}").write_bytes(first)
+    blocks = [
+        f"{number} {number} {number + 1}\n1 0 0 {i}\n0 1 0 0\n0 0 1 0\n0 0 0 1\n" for i, number in enumerate(numbers)
+    ]
+    (open3d_folder / "trajectory.log").write_text("".join(blocks))
+    found = [station.world_from_station for station in open_recording(open3d_folder)]
+    assert [None if each is None else round(each[0, 3]) for each in found] == list(expected)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from test_vector import compare_with_singles
 from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.envs import EnvSettings, GreenhouseEnv, GreenhouseVectorEnv
 from greenhouse_gym.errors import GreenhouseError, InvalidValueError, NoEpisodeError, UnknownKeywordError
-from greenhouse_gym.geometry import Sphere
+from greenhouse_gym.geometry import Sphere, arrays_of
 from greenhouse_gym.motion.distance_field import obstacle_field
 from greenhouse_gym.scene import SceneBank
 
@@ -122,7 +122,7 @@ def test_a_huge_radius_beside_a_small_one_gives_numbers() -> None:
     assert env.observation_space.contains(observation)
     assert np.isfinite(info["clearance"])
     for radius in (3e5, 1e30):  # no scene may hold them, but a field of numbers stays one
-        field = obstacle_field(np.array([[0.9, 0.0, 0.0, radius]]), [Sphere([0.9, 0.3, 0.0], radius)])
+        field = obstacle_field(arrays_of([Sphere([0.9, 0.0, 0.0], radius), Sphere([0.9, 0.3, 0.0], radius)]), 1)
         assert np.isfinite(field["distance"]).all()
         assert np.isfinite(field["otherwise"]).all()
 

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.envs import GreenhouseEnv, GreenhouseVectorEnv, worlds
-from greenhouse_gym.envs.physics import name_of
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Box, pose
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene, SceneBank, Shapes
 from greenhouse_gym.scene.bank import write_bank
 from greenhouse_gym.scene.geom_order import put_arm_first
+from greenhouse_gym.scene.mjcf import name_of
 
 
 def test_old_worlds_make_room_unless_somebody_is_in_them(bank: SceneBank, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -102,7 +102,7 @@ def test_a_bank_that_is_written_anew_gives_its_new_scenes(scene: Scene, tmp_path
         write_bank(tmp_path, [(placed, "train")], name="same")
         env = GreenhouseEnv(bank=tmp_path)
         env.reset(seed=0, options={"scene": scene.name, "target": 0})
-        body = env.model_and_data()[0].geom("tomato_0").pos
+        body = env.model_and_data()[0].geom("obstacle_0").pos
         np.testing.assert_allclose(body, moved[0].center)
         return env.simulation.state.target[0]
 

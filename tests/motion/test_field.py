@@ -9,6 +9,7 @@ from greenhouse_gym.geometry import (
     Ellipsoid,
     Shape,
     Sphere,
+    arrays_of,
     distance_to_ellipsoids,
     distance_to_shapes,
     pose,
@@ -22,7 +23,6 @@ from greenhouse_gym.motion.distance_field import (
     ORIGIN,
     SHAPE,
     FieldStore,
-    distance_field,
     obstacle_field,
 )
 
@@ -46,16 +46,20 @@ def test_tomatoes_that_are_ellipsoids_keep_their_shape() -> None:
     scene_from_base = pose(rotation_about([0, 0, 1], 0.4), [0.1, -0.05, 0.9])
     turn = rotation_about([1.0, 0.5, 0.2], 1.0)
     ellipsoid = Ellipsoid(transform(scene_from_base, [[0.5, 0.1, 0.1]])[0], [0.02, 0.04, 0.05], turn)
-    tomatoes = np.array([[0.2, 0.0, 0.0, 0.03], [0.5, 0.1, 0.1, ellipsoid.radius]])
-    field = obstacle_field(tomatoes, [], scene_from_base, {1: ellipsoid})
+    ball = Sphere(transform(scene_from_base, [[0.2, 0.0, 0.0]])[0], 0.03)
+    field = obstacle_field(arrays_of([ball, ellipsoid]), 2, scene_from_base)
     nodes = tuple(np.random.default_rng(0).integers(0, SHAPE, (4000, 3)).T)
     points = np.stack(nodes, axis=1) * CELL + ORIGIN
-    to_ball = np.linalg.norm(points - tomatoes[0, :3], axis=1) - 0.03
+    to_ball = np.linalg.norm(points - [0.2, 0.0, 0.0], axis=1) - 0.03
     stretched = distance_to_ellipsoids(transform(scene_from_base, points), ellipsoid.center, ellipsoid.semi_axes, turn)[
         :, 0
     ]
     expected = np.minimum(np.minimum(to_ball, stretched), MAX_DISTANCE)
     np.testing.assert_allclose(field[nodes]["distance"], expected, atol=3e-4)
+
+
+def distances(shapes: list[Shape], scene_from_base: np.ndarray | None = None) -> np.ndarray:
+    return obstacle_field(arrays_of(shapes), 0, scene_from_base)["distance"]
 
 
 def inside_points(seed: int, count: int) -> np.ndarray:
@@ -67,19 +71,19 @@ def inside_points(seed: int, count: int) -> np.ndarray:
 def test_nodes_hold_the_exact_distance(seed: int) -> None:
     scene_from_base = pose(rotation_about([0, 0, 1], 0.4), [0.1, -0.05, 0.9])
     shapes = some_shapes(seed)
-    field = distance_field(shapes, pose())
+    field = distances(shapes, pose())
     nodes = np.random.default_rng(seed).integers(0, SHAPE, (3000, 3))
     points = nodes * CELL + ORIGIN
     expected = np.minimum(distance_to_shapes(points, shapes).min(axis=1), MAX_DISTANCE)
     np.testing.assert_allclose(field[tuple(nodes.T)], expected, atol=3e-4)
-    turned = distance_field(shapes, scene_from_base)
+    turned = distances(shapes, scene_from_base)
     expected = np.minimum(distance_to_shapes(transform(scene_from_base, points), shapes).min(axis=1), MAX_DISTANCE)
     np.testing.assert_allclose(turned[tuple(nodes.T)], expected, atol=3e-4)
 
 
 def test_without_shapes_everything_is_far() -> None:
-    assert (distance_field([]) == np.float16(MAX_DISTANCE)).all()
-    behind = distance_field([Sphere([-5.0, 0.0, 0.0], 0.1)])
+    assert (distances([]) == np.float16(MAX_DISTANCE)).all()
+    behind = distances([Sphere([-5.0, 0.0, 0.0], 0.1)])
     assert (behind == np.float16(MAX_DISTANCE)).all()
 
 
@@ -90,7 +94,8 @@ def test_nodes_know_the_distance_without_the_tomato_that_is_nearest() -> None:
     centers[1] = centers[0] + [0.03, 0.0, 0.0]  # two that overlap
     tomatoes = np.column_stack([centers, random.uniform(0.01, 0.04, 25)])
     others = some_shapes(1, 15)
-    field = obstacle_field(tomatoes, others, scene_from_base)
+    balls = [Sphere(c, r) for c, r in zip(transform(scene_from_base, centers), tomatoes[:, 3], strict=True)]
+    field = obstacle_field(arrays_of([*balls, *others]), 25, scene_from_base)
     nodes = tuple(random.integers(0, SHAPE, (4000, 3)).T)
     points = np.stack(nodes, axis=1) * CELL + ORIGIN
     to_others = distance_to_shapes(transform(scene_from_base, points), others).min(axis=1, keepdims=True)
@@ -108,13 +113,13 @@ def test_nodes_know_the_distance_without_the_tomato_that_is_nearest() -> None:
 
 def test_a_tomato_that_is_ignored_is_not_there() -> None:
     random = np.random.default_rng(2)
-    tomatoes = np.column_stack([random.uniform([0.4, -0.3, -0.3], [0.8, 0.3, 0.3], (9, 3)), np.full(9, 0.03)])
+    tomatoes: list[Shape] = [Sphere(c, 0.03) for c in random.uniform([0.4, -0.3, -0.3], [0.8, 0.3, 0.3], (9, 3))]
     store = FieldStore()
-    whole = store.add(obstacle_field(tomatoes, some_shapes(3, 5)))
+    whole = store.add(arrays_of([*tomatoes, *some_shapes(3, 5)]), 9)
     points = random.uniform([0.3, -0.4, -0.4], [0.9, 0.4, 0.4], (1, 500, 3))
     changed = 0
     for k in range(9):
-        without = store.add(obstacle_field(np.delete(tomatoes, k, axis=0), some_shapes(3, 5)))
+        without = store.add(arrays_of([*tomatoes[:k], *tomatoes[k + 1 :], *some_shapes(3, 5)]), 8)
         expected = store.lookup(np.array([without]), np.array([NO_TOMATO]), points)
         for one, other in zip(store.lookup(np.array([whole]), np.array([k]), points), expected, strict=True):
             np.testing.assert_array_equal(one, other)
@@ -123,7 +128,7 @@ def test_a_tomato_that_is_ignored_is_not_there() -> None:
 
 
 def keep(store: FieldStore, shapes: list[Shape]) -> int:
-    return store.add(obstacle_field(np.zeros((0, 4)), shapes))
+    return store.add(arrays_of(shapes))
 
 
 def test_lookup_interpolates_distance_and_direction() -> None:

@@ -20,6 +20,8 @@ from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.planning import CollisionChecker, goal_configurations, path_clearance, planning_model
 from greenhouse_gym.robots import ROBOTS, Robot, get_robot, load_robot, mount_tool
+from greenhouse_gym.robots.kinematics import tool_chain, tool_state
+from greenhouse_gym.robots.start import ahead_of_base
 from greenhouse_gym.scene import SceneBank, compile_scene
 
 
@@ -87,7 +89,7 @@ def test_the_flange_of_an_arm_without_a_cup_may_touch_the_target(name: str, tmp_
 
 
 def test_a_home_among_the_plants_is_warned_of(tmp_path: Path) -> None:
-    with pytest.warns(UserWarning, match=r"fr3\.xml: at its start the arm reaches 0\.5\d m ahead.*upright"):
+    with pytest.warns(UserWarning, match=r"fr3\.xml: at its start the arm reaches 0\.5\d m ahead.*ready"):
         load_robot(write_arm("fr3", tmp_path))
 
 
@@ -111,6 +113,17 @@ def test_a_base_turned_in_its_file_stays_turned(tmp_path: Path) -> None:
     data.qpos[:] = robot.start
     mujoco.mj_kinematics(model, data)
     assert data.site("tip").xpos[0] > 0.5  # its home looks ahead, not along the row
+
+
+@pytest.mark.parametrize("name", ["ur10e", "xarm7", "rail_arm"])
+def test_a_ready_start_is_found_for_any_arm(name: str, tmp_path: Path) -> None:
+    robot = load_robot(write_arm(name, tmp_path), start="ready")
+    model = robot.spec().compile()
+    axis = tool_state(tool_chain(model, model.site("tip").id), robot.start[None]).axis[0]
+    assert axis[0] > 0.8  # forward
+    assert 0.1 < ahead_of_base(model, robot.start) < 0.3
+    assert robot.rating_start is robot.start  # it has no other
+    np.testing.assert_array_equal(load_robot(robot.path, start="ready").start, robot.start)
 
 
 def test_default_speeds_are_those_that_the_servos_attain(tmp_path: Path) -> None:

@@ -9,6 +9,8 @@ from conftest import make_scene
 
 from greenhouse_gym.errors import FileFormatError, GreenhouseError, UnknownNameError
 from greenhouse_gym.robots import ROBOTS, Robot, get_robot, load_robot
+from greenhouse_gym.robots.kinematics import tool_chain, tool_state
+from greenhouse_gym.robots.start import ahead_of_base
 from greenhouse_gym.scene import compile_scene
 
 # the manufacturer's Denavit-Hartenberg parameters of the UR5e: d, a in metres, alpha in radians
@@ -110,7 +112,7 @@ def test_the_arm_stays_at_its_start_when_nothing_is_commanded(robot: Robot) -> N
     model = robot.spec().compile()
     model.opt.timestep, model.opt.integrator = 0.01, mujoco.mjtIntegrator.mjINT_IMPLICITFAST  # as in every scene
     data = mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, model.key("start").id)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("ready").id)
     mujoco.mj_step(model, data, 500)
     assert data.time == pytest.approx(5.0)  # no reset because of a diverging simulation
     np.testing.assert_allclose(data.qpos, robot.start, atol=1e-6)
@@ -138,7 +140,7 @@ def test_iiwa14_has_the_published_limits() -> None:
     np.testing.assert_allclose(np.degrees(robot.upper), [170, 120, 170, 120, 170, 120, 175], atol=1e-3)
     np.testing.assert_array_equal(robot.lower, -robot.upper)
     np.testing.assert_allclose(np.degrees(robot.velocity_limits), [85, 85, 100, 75, 130, 135, 135], atol=0.01)
-    np.testing.assert_array_equal(robot.start, np.zeros(7))
+    np.testing.assert_array_equal(robot.starts["upright"], np.zeros(7))
 
 
 # -- arms that know nothing of this package ---------------------------------------------------------------------------
@@ -212,7 +214,7 @@ def test_an_arm_of_ones_own(tmp_path: Path) -> None:
     [
         ('<site name="tip"/>', "", "site named 'tip'"),
         ('<position joint="one" kp="10"/>', "", "1 joints, 0 actuators"),
-        ('<key name="start" qpos="0.1"/>', "", "key frame named 'start'"),
+        ('<key name="start" qpos="0.1"/>', "", "key frame named 'ready' or 'start'"),
         ('<position joint="one" kp="10"/>', '<motor joint="one"/>', "position actuator of joint 'one'"),
         ('kp="10"/>', 'kp="10"/><position joint="one" kp="10"/>', "1 joints, 2 actuators"),
         ("<worldbody>", '<worldbody><geom size="1"/>', "the arm alone"),
@@ -263,11 +265,23 @@ def test_folded_away_the_arm_stays_over_the_aisle(robot: Robot) -> None:
 
 def test_a_start_is_named_or_given(robot: Robot) -> None:
     assert robot.configuration(None) is robot.start
-    np.testing.assert_array_equal(robot.configuration("start"), robot.start)
+    np.testing.assert_array_equal(robot.configuration("ready"), robot.start)
     given = robot.start + 0.1
     assert robot.configuration(given) is given
     with pytest.raises(UnknownNameError, match="folded"):
         robot.configuration("asleep")
+
+
+def test_an_arm_is_ready_at_its_start(robot: Robot) -> None:
+    model = robot.spec().compile()
+    tool = tool_state(tool_chain(model, model.site("tip").id), robot.start[None])
+    jacobian = np.concatenate([tool.jacobian[0], 0.3 * tool.joint_axes[0]])
+    assert np.linalg.svd(jacobian, compute_uv=False)[-1] > 0.03  # the tool can move and turn in all directions
+    assert tool.axis[0, 0] > 0.85  # forward
+    assert 0.05 < tool.point[0, 0] < 0.2
+    assert ahead_of_base(model, robot.start) < 0.25
+    np.testing.assert_array_equal(robot.rating_start, robot.starts["upright"])
+    assert np.array_equal(robot.start, robot.starts["ready"])
 
 
 def test_the_last_joint_rolls_the_tool(robot: Robot) -> None:

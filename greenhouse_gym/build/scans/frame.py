@@ -1,4 +1,4 @@
-"""Guess what a point cloud file does not state: its unit, the upward direction, and the side of the scanner.
+"""Guess properties that a point cloud file does not state: its unit, the upward direction, and the side of the scanner.
 
 All guesses use the points alone and do not depend on how the cloud is rotated, mirrored or scaled.
 """
@@ -11,12 +11,14 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
+from greenhouse_gym.build.scans.cloud_formats.las_units import FOOT, SURVEY_FOOT
 from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.geometry import Array, pose
 
-UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-"""Metres per unit, for the units that are tried."""
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": FOOT, "us-ft": SURVEY_FOOT}
+"""Metres per unit."""
 
+_GUESSED = ("m", "cm", "mm")
 _EXTENT, _SPACING = 2.0, 0.0015  # typical length of a scanned row and distance between points, m
 _DECADES = 0.5  # standard deviation of both, in powers of ten
 _RARE = {"cm": 3.0}  # prior cost of rare units
@@ -27,6 +29,7 @@ _ROD = 0.8  # 1 - ratio of the second to the first variance
 _SNAP = np.cos(np.deg2rad(12.0))  # directions this close to an axis of the file are snapped to it
 _FACING = 0.15  # mean of the unit normals across the row below which it was scanned from all sides
 _FLAT, _TABLE = 0.01, 0.3  # distance from a plane (m), and fraction of the points that a table or floor holds
+_ELSEWHERE = 0.005  # fraction of the points that need not lie in front of a camera
 _LONG = 1.3  # minimum ratio of length to depth for the longer side to be the row's direction
 
 
@@ -65,7 +68,7 @@ def guess_unit(points: Array) -> Unit:
         density = np.log10(apart * UNITS[name] / _SPACING) / _DECADES
         return float(size**2 + density**2 + _RARE.get(name, 0.0))
 
-    best, *others = sorted(UNITS, key=cost)
+    best, *others = sorted(_GUESSED, key=cost)
     size = f"{extent * UNITS[best]:.3g} m long with points {1e3 * apart * UNITS[best]:.2g} mm apart"
     note = f"units: taken as {best}, which makes it {size}"
     possible = [name for name in others if best in _RARE or cost(name) - cost(best) < _UNSURE]
@@ -123,11 +126,14 @@ def _up_without_rods(points: Array) -> Guess:
 
 
 def in_camera_frame(points: Array) -> bool:
-    """Return whether all points (n, 3) lie in front of a camera at the origin that looks along z, with y down."""
-    ahead = points[:, 2]
-    return bool(ahead.min() > 0 and np.abs(points[:, :2]).max() < 2.0 * ahead.max() and np.abs(
-        np.median(points[:, :2], axis=0)
-    ).max() < 0.5 * np.median(ahead))  # fmt: skip
+    """Return whether points (n, 3) lie in front of a camera at the origin that looks along z, with y down.
+
+    One point in 200 may lie elsewhere.
+    """
+    nearest, middle, farthest = np.quantile(points[:, 2], [_ELSEWHERE, 0.5, 1 - _ELSEWHERE])
+    aside = np.quantile(np.abs(points[:, :2]), 1 - _ELSEWHERE)
+    off_axis = np.abs(np.median(points[:, :2], axis=0)).max()
+    return bool(nearest > 0 and aside < 2.0 * farthest and off_axis < 0.5 * middle)
 
 
 def snap(direction: Array) -> Array:

@@ -11,9 +11,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from greenhouse_gym.build.scans.cloud_files import RawCloud, read_cloud
+from greenhouse_gym.build.scans.cloud_files import GRAY, MIN_POINTS, RawCloud, read_cloud
 from greenhouse_gym.build.scans.frame import UNITS, guess_unit, guess_up, row_from_file
-from greenhouse_gym.errors import InvalidValueError, require_choice
+from greenhouse_gym.build.scans.strays import without_strays
+from greenhouse_gym.errors import FileFormatError, InvalidValueError, require_choice
 from greenhouse_gym.geometry import Array, pose
 from greenhouse_gym.geometry.point_clouds import Cloud, voxel_means
 from greenhouse_gym.shapes import RowShapes, ShapeSettings, extract_shapes
@@ -22,7 +23,7 @@ from greenhouse_gym.shapes.normal_estimation import estimate_normals
 
 _VOXEL = 0.002  # m; as dense as a reconstructed row
 _FAR = 100.0  # m from the file's origin beyond which it is moved
-_GRAY = 0.5
+_MIN_EXTENT, _MAX_EXTENT = 0.05, 2000.0  # m, of a cloud; voxels of a larger one cannot be numbered
 _GREEN = 0.05  # redness (R - G) / (R + G) below which a point is not red
 _AGREE = 0.3  # mean cosine with estimated normals from which the file's normals are consistent
 _DIRECTIONS = {sign + axis: factor * np.eye(3)[k] for sign, factor in (("", 1.0), ("-", -1.0))
@@ -66,20 +67,31 @@ def open_scan(
 
     Args:
         source: A file of one of `greenhouse_gym.build.scans.CLOUD_SUFFIXES`, or its content.
-        units: "m", "cm" or "mm", or metres per unit.
+        units: A name in `greenhouse_gym.build.scans.frame.UNITS`, or metres per unit.
         up: "x", "y", "z", "-x", "-y" or "-z", or a vector (3,) in the file's frame.
         seen_from: (3,) position of the camera or scanner in the file's frame and unit.
 
     Raises:
-        FileFormatError: The file is missing, damaged, or holds too few points.
+        FileFormatError: The file is missing or damaged, or the cloud has too few points or another unit.
         InvalidValueError: A given value is invalid.
         UnknownNameError: The unit or direction is unknown.
     """
-    raw = source if isinstance(source, RawCloud) else read_cloud(source)
+    raw = without_strays(source if isinstance(source, RawCloud) else read_cloud(source))
     path = None if isinstance(source, RawCloud) else Path(source)
     notes = list(raw.notes)
-    unit, note = (_metres(units), "") if units is not None else guess_unit(raw.points)
+    if len(raw.points) < MIN_POINTS:
+        problem = f"holds {len(raw.points)} points, too few for a plant; expected at least {MIN_POINTS}"
+        raise FileFormatError(path or "the cloud", "; ".join((problem, *notes)))
+    if units is not None:
+        unit, note = _metres(units), ""
+    else:
+        unit, note = (raw.unit, "") if raw.unit else guess_unit(raw.points)
     notes += [note] if note else []
+    with np.errstate(over="ignore"):
+        extent = float(np.ptp(raw.points, axis=0).max()) * unit
+    if not _MIN_EXTENT < extent < _MAX_EXTENT:
+        problem = f"measures {extent:.3g} m, with {unit:g} m per unit; expected {_MIN_EXTENT:g} to {_MAX_EXTENT:g} m"
+        raise FileFormatError(path or "the cloud", f"{problem}: give the units")
     points = raw.points * unit
     middle = np.median(points, axis=0)
     origin = middle if np.linalg.norm(middle) > _FAR else np.zeros(3)
@@ -87,7 +99,7 @@ def open_scan(
         notes.append(f"the file's origin is {np.linalg.norm(middle):.0f} m away; it was moved to the cloud's middle")
     if raw.colors is None:
         notes.append("no colors: everything is taken as gray, and fruit is recognized by its form alone")
-    colors = np.full_like(points, _GRAY) if raw.colors is None else raw.colors
+    colors = np.full_like(points, GRAY) if raw.colors is None else raw.colors
     normals = np.zeros_like(points) if raw.normals is None else raw.normals
     normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
     cloud, _ = voxel_means(Cloud(points - origin, colors, normals), _VOXEL)

@@ -98,12 +98,12 @@ def _single(path: object, camera: str, kind: str, topics: list[str]) -> str:
 
 
 def is_rectified(topic: str) -> bool:
-    """Return whether the images of a topic are rectified, which ROS tells by its name: image_rect, image_rect_color."""
+    """Return whether the images of a topic are rectified, which ROS marks in its name: image_rect, image_rect_color."""
     return re.search(r"(?<![a-z])rect(?!or)", topic.lower()) is not None
 
 
 def _stem(topic: str) -> str:
-    """Return a topic without its last part, that of a compression, and the suffix of RealSense's recorder."""
+    """Return a topic without the suffixes of compression and of RealSense's recorder."""
     return re.sub(r"(/image/data|/[^/]+)$", "", re.sub(r"/(compressed|compressedDepth)$", "", topic))
 
 

@@ -92,7 +92,7 @@ def open(path: Path) -> Recording:
 
 
 def _bag(path: Path) -> Path:
-    """Return what the reader opens: the file of a ROS 1 bag or of RealSense's recorder, the folder of a ROS 2 bag."""
+    """Return the path to open: the file of a ROS 1 bag or of RealSense's recorder, the folder of a ROS 2 bag."""
     if path.suffix.lower() in (".bag", ".db3") or path.is_dir():
         return path
     if not (path.parent / "metadata.yaml").is_file():

@@ -81,7 +81,7 @@ class Pair:
 
     @classmethod
     def of(cls, color: Lens, depth: Lens, color_from_depth: Array, depth_scale: float = 0.001) -> Pair:
-        """Return a pair of two lenses, that of depth dropped where lens and pose equal those of color."""
+        """Return a pair of two lenses; the depth lens is None if lens and pose equal those of color."""
         same = color == depth and np.allclose(color_from_depth, np.eye(4), atol=1e-6)
         return cls(color, None if same else depth, color_from_depth, depth_scale)
 

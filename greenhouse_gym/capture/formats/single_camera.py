@@ -77,7 +77,7 @@ def rig_of(pair: Pair) -> Rig:
 
 
 def station_pose(world_from_camera: Array | None) -> Array | None:
-    """Return the pose of the rig frame for a pose of the camera of a rig of one."""
+    """Return the pose of the rig frame for a pose of its only camera."""
     return None if world_from_camera is None else world_from_camera @ RIG_FROM_CAMERA.T
 
 

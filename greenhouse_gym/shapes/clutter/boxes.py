@@ -1,4 +1,4 @@
-"""Oriented boxes that cover the points of no tomato and no stem.
+"""Oriented boxes over the points that belong to neither tomatoes nor stems.
 
 Leaves are flat, so flat patches of smooth surfaces get boxes first; the remaining cells get boxes by proximity. Boxes
 that enclose much empty surface are split. Then neighbors are merged, those whose common box adds the least empty

@@ -59,7 +59,7 @@ def clusters(centers: Array, min_cells: int) -> list[Rows]:
 
 
 def _in_best_plane(centers: Array, normals: Array, flatness: float) -> npt.NDArray[np.bool_]:
-    """Return which cells (n,) lie in the plane with the most of them: through one of them, then fitted to its own."""
+    """Return which cells (n,) lie in the plane through one cell that contains most cells, after a fit to these."""
     seeds = np.linspace(0, len(centers) - 1, min(len(centers), _MAX_PLANES)).astype(int)
     height = normals[seeds] @ centers.T - (normals[seeds] * centers[seeds]).sum(axis=1)[:, None]
     inside = (np.abs(height) < flatness) & (normals[seeds] @ normals.T > _ALIGNED)

@@ -1,0 +1,1 @@
+"""Readers of point cloud files, one module per format."""

@@ -1,0 +1,55 @@
+"""Compile numerical functions to machine code with numba.
+
+Numba takes a third of a second to import. Modules of kernels import it at their top; the functions that use these
+modules therefore import them on their first call, so that ``import greenhouse_gym`` stays fast.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+from typing import TypeVar
+
+import numba
+
+Function = TypeVar("Function", bound=Callable[..., object])
+
+_SLOW = 3.0  # seconds of compilation after which a message is shown
+_NOTICE = "compiling the numerical kernel %s; this takes some seconds, once on this machine"
+_logger = logging.getLogger(__name__)
+
+
+def kernel(signature: str) -> Callable[[Function], Function]:
+    """Return a decorator that compiles a function for one signature, or loads it from the cache on disk.
+
+    The compiled function keeps the order of floating-point operations, checks no bounds and releases the GIL. Without a
+    writable cache folder (``NUMBA_CACHE_DIR``, the package's own, the user's) it is compiled in each process.
+
+    Args:
+        signature: Types in numba's notation, such as ``"f8(f8[::1], i8)"``.
+    """
+
+    def compiled(function: Function) -> Function:
+        notice = threading.Timer(_SLOW, _logger.warning, [_NOTICE, function.__name__])
+        notice.daemon = True
+        notice.start()
+        try:
+            return _compile(function, signature, cache=True)
+        except (RuntimeError, OSError):  # no folder can be written
+            return _compile(function, signature, cache=False)
+        finally:
+            notice.cancel()
+
+    return compiled
+
+
+def inlined(function: Function) -> Function:
+    """Decorate a helper that kernels of the same module call; it is compiled as a part of them."""
+    result: Function = numba.njit(nogil=True, error_model="numpy")(function)
+    return result
+
+
+def _compile(function: Function, signature: str, cache: bool) -> Function:
+    result: Function = numba.njit(signature, cache=cache, nogil=True, error_model="numpy")(function)
+    return result

@@ -1,0 +1,294 @@
+"""Kernels of `greenhouse_gym.motion.distance_field`.
+
+Distances are computed in single precision, so that eight nodes or shapes fit one processor instruction. Each kernel is
+compiled for the grid of `distance_field`; its results do not depend on the processor.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from greenhouse_gym.common.jit import inlined, kernel
+from greenhouse_gym.motion.distance_field import CELL, MAX_DEPTH, MAX_DISTANCE, ORIGIN, SHAPE
+
+Float32 = npt.NDArray[np.float32]
+Array = npt.NDArray[np.float64]
+
+_X, _Y, _Z = SHAPE
+_ORIGIN_X, _ORIGIN_Y, _ORIGIN_Z = ORIGIN
+_BLOCK, _PART = 8, 4  # nodes per side
+_NODES = _PART**3
+_ZERO, _ONE, _HALF = np.float32(0), np.float32(1), np.float32(0.5)
+_FAR, _DEEP, _NONE = np.float32(MAX_DISTANCE), np.float32(-MAX_DEPTH), np.float32(1e30)
+_BEYOND = np.float32(MAX_DISTANCE + 1e-3)  # farther than what is stored, also after rounding
+_SLACK = 1e-5  # metres, more than single precision rounds off
+_BLOCK_RADIUS = np.float32((_BLOCK - 1) / 2 * CELL * np.sqrt(3.0) + _SLACK)
+_PART_RADIUS = np.float32((_PART - 1) / 2 * CELL * np.sqrt(3.0) + _SLACK)
+_NEWTON_STEPS = 9
+# float16 as the bits of a float32: its smallest normal number, the difference of the exponents' biases, the bits lost
+_SMALLEST_NORMAL, _BIAS, _LOST = np.uint32(113 << 23), np.uint32(112 << 23), np.uint32(13)
+_SIGN, _HALF_BITS, _UP_TO_TIES, _ODD = np.uint32(1 << 31), np.uint32(126 << 23), np.uint32(0xFFF), np.uint32(1)
+
+
+@inlined
+def _to_capsule(x, y, z, c):
+    """Return the signed distance of a point to a capsule, given by a tuple of a column of `obstacle_nodes`."""
+    dx, dy, dz = x - c[0], y - c[1], z - c[2]
+    s = (dx * c[3] + dy * c[4] + dz * c[5]) * c[6]
+    s = s if s > _ZERO else _ZERO
+    s = s if s < _ONE else _ONE
+    dx, dy, dz = dx - s * c[3], dy - s * c[4], dz - s * c[5]
+    return np.sqrt(dx * dx + dy * dy + dz * dz) - c[7]
+
+
+@inlined
+def _to_box(x, y, z, b):
+    """Return the signed distance of a point to a box, given by a tuple of a column of `obstacle_nodes`."""
+    dx, dy, dz = x - b[0], y - b[1], z - b[2]
+    e = abs(b[6] * dx + b[9] * dy + b[12] * dz) - b[3]
+    f = abs(b[7] * dx + b[10] * dy + b[13] * dz) - b[4]
+    g = abs(b[8] * dx + b[11] * dy + b[14] * dz) - b[5]
+    depth = e if e > f else f
+    depth = depth if depth > g else g
+    e, f, g = e if e > _ZERO else _ZERO, f if f > _ZERO else _ZERO, g if g > _ZERO else _ZERO
+    return np.sqrt(e * e + f * f + g * g) + (depth if depth < _ZERO else _ZERO)
+
+
+@inlined
+def _capsule(c, i):
+    return c[0, i], c[1, i], c[2, i], c[3, i], c[4, i], c[5, i], c[6, i], c[7, i]
+
+
+@inlined
+def _box(b, i):
+    turn = b[6, i], b[7, i], b[8, i], b[9, i], b[10, i], b[11, i], b[12, i], b[13, i], b[14, i]
+    return (b[0, i], b[1, i], b[2, i], b[3, i], b[4, i], b[5, i], *turn)
+
+
+@inlined
+def _keep(distances, count, radius, candidates, kept):
+    """Write the candidates that may be the nearest one within a radius of the center; return their number."""
+    nearest = _NONE
+    for i in range(count):
+        nearest = distances[i] if distances[i] < nearest else nearest
+    limit = nearest + radius + radius
+    limit = limit if limit < _FAR + radius else _FAR + radius
+    found = 0
+    for i in range(count):
+        if distances[i] <= limit:
+            kept[found], distances[found] = candidates[i], distances[i]
+            found += 1
+    return found
+
+
+@inlined
+def _lower(best, xs, ys, zs, capsules, boxes, i):
+    """Lower the distances of nodes to those from part i where it is nearer."""
+    n = capsules.shape[1]
+    if i < n:
+        capsule = _capsule(capsules, i)
+        for k in range(_NODES):
+            d = _to_capsule(xs[k], ys[k], zs[k], capsule)
+            best[k] = d if d < best[k] else best[k]
+    else:
+        box = _box(boxes, i - n)
+        for k in range(_NODES):
+            d = _to_box(xs[k], ys[k], zs[k], box)
+            best[k] = d if d < best[k] else best[k]
+
+
+@inlined
+def _to_ellipsoid(px, py, pz, center, axes, turn):
+    """Return the signed distance of a point to an ellipsoid; see `greenhouse_gym.geometry.distance_to_ellipsoids`."""
+    dx, dy, dz = px - center[0], py - center[1], pz - center[2]
+    l0 = abs(turn[0, 0] * dx + turn[1, 0] * dy + turn[2, 0] * dz)
+    l1 = abs(turn[0, 1] * dx + turn[1, 1] * dy + turn[2, 1] * dz)
+    l2 = abs(turn[0, 2] * dx + turn[1, 2] * dy + turn[2, 2] * dz)
+    e0, e1, e2 = axes[0], axes[1], axes[2]
+    s0, s1, s2 = e0 * e0, e1 * e1, e2 * e2
+    tiny = 1e-7 * min(e0, min(e1, e2))
+    y0, y1, y2 = max(l0, tiny), max(l1, tiny), max(l2, tiny)
+    t = max(e0 * y0 - s0, max(e1 * y1 - s1, e2 * y2 - s2))
+    for _ in range(_NEWTON_STEPS):
+        a0, a1, a2 = t + s0, t + s1, t + s2
+        r0, r1, r2 = e0 * y0 / a0, e1 * y1 / a1, e2 * y2 / a2
+        q0, q1, q2 = r0 * r0, r1 * r1, r2 * r2
+        t = t - (q0 + (q1 + q2) - 1.0) / (-2.0 * (q0 / a0 + (q1 / a1 + q2 / a2)))
+    n0, n1, n2 = y0 - s0 * y0 / (t + s0), y1 - s1 * y1 / (t + s1), y2 - s2 * y2 / (t + s2)
+    distance = np.sqrt(n0 * n0 + (n1 * n1 + n2 * n2))
+    f0, f1, f2 = l0 / e0, l1 / e1, l2 / e2
+    return -distance if f0 * f0 + (f1 * f1 + f2 * f2) < 1.0 else distance
+
+
+@inlined
+def _to_others(capsules, boxes, nearest):
+    """Compute the signed distances from all nodes to the union of capsules and boxes, at most the largest stored one.
+
+    Blocks of nodes are halved; a shape stays with a block only while it may be the nearest one somewhere in it.
+    """
+    n, m = capsules.shape[1], boxes.shape[1]
+    everything, in_block, in_part = np.arange(n + m), np.empty(n + m, np.int64), np.empty(n + m, np.int64)
+    distances = np.empty(n + m, np.float32)
+    xs, ys, zs, best = (
+        np.empty(_NODES, np.float32), np.empty(_NODES, np.float32), np.empty(_NODES, np.float32),
+        np.empty(_NODES, np.float32),
+    )  # fmt: skip
+    nearest[:] = _as_half(_FAR)
+    for block_x in range(0, _X, _BLOCK):
+        for block_y in range(0, _Y, _BLOCK):
+            for block_z in range(0, _Z, _BLOCK):
+                half = (_BLOCK - 1) / 2
+                x = np.float32((block_x + half) * CELL + _ORIGIN_X)
+                y = np.float32((block_y + half) * CELL + _ORIGIN_Y)
+                z = np.float32((block_z + half) * CELL + _ORIGIN_Z)
+                for i in range(n):
+                    distances[i] = _to_capsule(x, y, z, _capsule(capsules, i))
+                for i in range(m):
+                    distances[n + i] = _to_box(x, y, z, _box(boxes, i))
+                count = _keep(distances, n + m, _BLOCK_RADIUS, everything, in_block)
+                for part in range(8 if count else 0):
+                    part_x = block_x + _PART * (part >> 2)
+                    part_y = block_y + _PART * ((part >> 1) & 1)
+                    part_z = block_z + _PART * (part & 1)
+                    half = (_PART - 1) / 2
+                    x = np.float32((part_x + half) * CELL + _ORIGIN_X)
+                    y = np.float32((part_y + half) * CELL + _ORIGIN_Y)
+                    z = np.float32((part_z + half) * CELL + _ORIGIN_Z)
+                    k = 0
+                    while k < count and in_block[k] < n:
+                        distances[k] = _to_capsule(x, y, z, _capsule(capsules, in_block[k]))
+                        k += 1
+                    while k < count:
+                        distances[k] = _to_box(x, y, z, _box(boxes, in_block[k] - n))
+                        k += 1
+                    left = _keep(distances, count, _PART_RADIUS, in_block, in_part)
+                    if left == 0:
+                        continue
+                    for k in range(_NODES):
+                        xs[k] = np.float32((part_x + (k >> 4)) * CELL + _ORIGIN_X)
+                        ys[k] = np.float32((part_y + ((k >> 2) & 3)) * CELL + _ORIGIN_Y)
+                        zs[k] = np.float32((part_z + (k & 3)) * CELL + _ORIGIN_Z)
+                        best[k] = _FAR
+                    first = 0
+                    for j in range(1, left):
+                        first = j if distances[j] < distances[first] else first
+                    _lower(best, xs, ys, zs, capsules, boxes, in_part[first])
+                    largest = best[0]
+                    for k in range(1, _NODES):
+                        largest = best[k] if best[k] > largest else largest
+                    for j in range(left):
+                        if j != first and distances[j] - _PART_RADIUS < largest:
+                            _lower(best, xs, ys, zs, capsules, boxes, in_part[j])
+                    for k in range(_NODES):
+                        d = best[k] if best[k] > _DEEP else _DEEP
+                        nearest[part_x + (k >> 4), part_y + ((k >> 2) & 3), part_z + (k & 3)] = _as_half(d)
+
+
+@inlined
+def _half_bits(value):
+    """Return the bits of a number as float16, rounded to nearest and ties to even; overflow is not handled."""
+    bits = np.float32(value).view(np.uint32)
+    sign, size = bits & _SIGN, bits & ~_SIGN
+    tiny = np.float32(abs(value) + _HALF).view(np.uint32) - _HALF_BITS
+    normal = (size + _UP_TO_TIES + ((size >> _LOST) & _ODD) - _BIAS) >> _LOST
+    return np.uint32((tiny if size < _SMALLEST_NORMAL else normal) | (sign >> np.uint32(16)))
+
+
+@inlined
+def _as_half(value):
+    """Return a number as float32 after rounding to float16."""
+    bits = np.float32(value).view(np.uint32)
+    sign, size = bits & _SIGN, bits & ~_SIGN
+    if size < _SMALLEST_NORMAL:
+        size = np.float32((abs(value) + _HALF) - _HALF).view(np.uint32)
+    else:
+        size = ((size + _UP_TO_TIES + ((size >> _LOST) & _ODD)) >> _LOST) << _LOST
+    return np.uint32(size | sign).view(np.float32)
+
+
+@inlined
+def _range(center, reach, origin, count):
+    """Return the first and the last plus one of the nodes along an axis within reach of a center."""
+    low, high = np.ceil((center - reach - origin) / CELL), np.floor((center + reach - origin) / CELL) + 1
+    return int(max(low, 0.0)), int(min(high, float(count)))
+
+
+@kernel("void(f4[:, ::1], f4[:, ::1], f8[:, ::1], b1[::1], f8[:, ::1], f8[:, ::1], f8[:, :, ::1], f8[:, ::1], u8[::1])")
+def obstacle_nodes(
+    capsules: Float32,
+    boxes: Float32,
+    tomatoes: Array,
+    stretched: npt.NDArray[np.bool_],
+    centers: Array,
+    semi_axes: Array,
+    rotations: Array,
+    scene_from_base: Array,
+    nodes: npt.NDArray[np.uint64],
+) -> None:
+    """Compute the nodes of a scene's field.
+
+    Args:
+        capsules: (8, n) start, axis, inverse of its squared length or 0, and radius of capsules, base frame.
+        boxes: (15, m) center, half extents and rotation base_from_box, by rows, of boxes.
+        tomatoes: (t, 4) centers in the base frame and radii.
+        stretched: (t,) whether a tomato is an ellipsoid.
+        centers: (t, 3) centers in the scene frame,
+        semi_axes: (t, 3)
+        rotations: and (t, 3, 3) of those.
+        scene_from_base: (4, 4) pose of the base.
+        nodes: (nodes,) the result: `NODE` as whole numbers.
+    """
+    first = np.empty(SHAPE, np.float32)
+    _to_others(capsules, boxes, first)
+    second, tomato = first.copy(), np.full(SHAPE, -1, np.int16)
+    squares, own = np.empty(_Z, np.float32), np.empty(_Z, np.float32)
+    base = scene_from_base
+    for k in range(len(tomatoes)):
+        center_x, center_y, center_z, radius = tomatoes[k]
+        size = semi_axes[k].max() if stretched[k] else radius
+        reach, number = size + MAX_DISTANCE, np.int16(k)
+        low_x, high_x = _range(center_x, reach, _ORIGIN_X, _X)
+        low_y, high_y = _range(center_y, reach, _ORIGIN_Y, _Y)
+        low_z, high_z = _range(center_z, reach, _ORIGIN_Z, _Z)
+        bound = np.float32(size + _SLACK) if stretched[k] else np.float32(radius)
+        for z in range(_Z):
+            dz = np.float32(z * CELL + _ORIGIN_Z - center_z)
+            squares[z] = dz * dz if low_z <= z < high_z else _NONE
+        for x in range(low_x, high_x):
+            px = x * CELL + _ORIGIN_X
+            dx = np.float32(px - center_x)
+            for y in range(low_y, high_y):
+                py = y * CELL + _ORIGIN_Y
+                dy = np.float32(py - center_y)
+                flat = dx * dx + dy * dy
+                if np.sqrt(flat) - bound > _BEYOND:
+                    continue
+                f, s, index = first[x, y], second[x, y], tomato[x, y]
+                for z in range(_Z):
+                    own[z] = np.sqrt(flat + squares[z]) - bound
+                if stretched[k]:  # exact only where it may be nearer than the second nearest
+                    for z in range(low_z, high_z):
+                        if own[z] < s[z]:
+                            pz = z * CELL + _ORIGIN_Z
+                            own[z] = np.float32(
+                                _to_ellipsoid(
+                                    base[0, 0] * px + base[0, 1] * py + base[0, 2] * pz + base[0, 3],
+                                    base[1, 0] * px + base[1, 1] * py + base[1, 2] * pz + base[1, 3],
+                                    base[2, 0] * px + base[2, 1] * py + base[2, 2] * pz + base[2, 3],
+                                    centers[k], semi_axes[k], rotations[k],
+                                )
+                            )  # fmt: skip
+                for z in range(_Z):  # without branches, for vector instructions
+                    d, nearest, next_nearest, known = own[z], f[z], s[z], index[z]
+                    closer = d < nearest
+                    other = d if d < next_nearest else next_nearest
+                    s[z] = nearest if closer else other
+                    f[z] = d if closer else nearest
+                    index[z] = number if closer else known
+    firsts, seconds, indices = first.ravel(), second.ravel(), tomato.ravel()
+    for i in range(len(nodes)):
+        d = firsts[i] if firsts[i] > _DEEP else _DEEP
+        other = seconds[i] if seconds[i] > _DEEP else _DEEP
+        both = np.uint64(_half_bits(d) | (_half_bits(other) << np.uint32(16)))
+        nodes[i] = both | (np.uint64(indices[i] & 0xFFFF) << np.uint64(32))

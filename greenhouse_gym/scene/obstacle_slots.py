@@ -1,0 +1,86 @@
+"""Fill the obstacle slots of a compiled model, which takes a tenth of the time of compiling it.
+
+The arrays of the model become those that MuJoCo's compiler makes of the same obstacles, bit for bit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from greenhouse_gym.geometry import Array, ShapeArrays
+from greenhouse_gym.geometry.shape_arrays import BOX, CAPSULE, ELLIPSOID
+
+MIN_LENGTH = 1e-6
+"""Length below which a capsule becomes a sphere, metres."""
+
+TYPES = np.array(
+    [
+        mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_ELLIPSOID,
+        mujoco.mjtGeom.mjGEOM_BOX,
+    ]
+)  # fmt: skip
+_EQUAL = 1e-6  # difference below which the compiler takes frames as equal
+_NO_ROTATION = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+def fill_slots(model: mujoco.MjModel, first: int, shapes: ShapeArrays, colors: Sequence[Sequence[float]]) -> None:
+    """Turn geoms of the world body into shapes.
+
+    Args:
+        model: A model whose geoms from ``first`` on are spheres in empty slots.
+        first: Id of the first slot.
+        shapes: At most as many shapes as there are slots.
+        colors: (n, 4) their colors.
+    """
+    slots = slice(first, first + len(shapes.kinds))
+    kinds, positions, sizes, quats = geoms_of(shapes)
+    boxes = np.zeros((len(kinds), 6))
+    boxes[:, 3:] = sizes
+    round_, capsule = kinds == 0, kinds == CAPSULE
+    boxes[round_ | capsule, 3:] = sizes[round_ | capsule, :1]
+    boxes[capsule, 5] += sizes[capsule, 1]
+    x, y, z = boxes[:, 3:].T
+    model.geom_type[slots], model.geom_pos[slots], model.geom_size[slots] = TYPES[kinds], positions, sizes
+    model.geom_quat[slots], model.geom_aabb[slots], model.geom_rgba[slots] = quats, boxes, np.reshape(colors, (-1, 4))
+    model.geom_rbound[slots] = np.where(kinds == BOX, np.sqrt(x * x + y * y + z * z), boxes[:, 3:].max(axis=1))
+    rotated = np.minimum(np.abs(quats - _NO_ROTATION).max(axis=1), np.abs(quats + _NO_ROTATION).max(axis=1)) >= _EQUAL
+    shifted = (np.abs(positions) >= _EQUAL).any(axis=1)
+    frame = mujoco.mjtSameFrame
+    model.geom_sameframe[slots] = np.where(
+        rotated, frame.mjSAMEFRAME_NONE, np.where(shifted, frame.mjSAMEFRAME_BODYROT, frame.mjSAMEFRAME_BODY)
+    )
+    _build_tree(model)
+
+
+def geoms_of(shapes: ShapeArrays) -> tuple[np.ndarray[tuple[int], np.dtype[np.int8]], Array, Array, Array]:
+    """Return kinds (n,), positions (n, 3), sizes (n, 3) and quaternions (n, 4) of shapes as geoms of MuJoCo."""
+    kinds, sizes = shapes.kinds.copy(), shapes.sizes.copy()
+    quats = np.tile(_NO_ROTATION, (len(kinds), 1))
+    axes = shapes.ends - shapes.starts
+    for k in np.flatnonzero(kinds == CAPSULE).tolist():
+        length = math.sqrt(axes[k].dot(axes[k]))
+        if length <= MIN_LENGTH:
+            kinds[k] = 0
+        else:
+            sizes[k, 1] = length / 2
+            mujoco.mju_quatZ2Vec(quats[k], axes[k])
+    rotations = shapes.rotations.reshape(-1, 9)
+    for k in np.flatnonzero((kinds == BOX) | (kinds == ELLIPSOID)).tolist():
+        mujoco.mju_mat2Quat(quats[k], rotations[k])
+    return kinds, (shapes.starts + shapes.ends) / 2, sizes, quats
+
+
+def _build_tree(model: mujoco.MjModel) -> None:
+    """Build the bounding-volume tree of the world body, without which MuJoCo misses contacts."""
+    from greenhouse_gym.scene.tree_kernel import tree_over
+
+    geoms, first = int(model.body_geomnum[0]), int(model.body_bvhadr[0])
+    nodes = slice(first, first + int(model.body_bvhnum[0]))
+    tree_over(
+        model.geom_pos[:geoms], model.geom_quat[:geoms], model.geom_aabb[:geoms],
+        model.bvh_depth[nodes], model.bvh_child[nodes], model.bvh_nodeid[nodes], model.bvh_aabb[nodes],
+    )  # fmt: skip
