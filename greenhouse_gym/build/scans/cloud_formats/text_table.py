@@ -51,7 +51,7 @@ def read_text(path: Path) -> Parts:
     def rows(step: int = 1) -> Rows:
         lines = ((n, line) for n, line in lines_of(path) if n >= layout.first and line[0] not in _COMMENT)
         for number, line in islice(lines, None, None, step):
-            text = line.partition("#")[0]
+            text = line.partition(" #")[0]  # a comment; not that of 1.#QNAN
             yield number, text.replace(layout.separator, " ") if layout.separator else text
 
     total = sum(1 for _ in rows()) if every(path.stat().st_size // _MIN_ROW) > 1 else 0
@@ -98,7 +98,9 @@ def numbers(
             table = np.loadtxt((line for _, line in rows()), comments=None, ndmin=2)
         else:
             encoding = text_encoding(path)
-            table = np.loadtxt(str(path), delimiter=separator, skiprows=first - 1, ndmin=2, encoding=encoding)
+            table = np.loadtxt(
+                str(path), comments=None, delimiter=separator, skiprows=first - 1, ndmin=2, encoding=encoding
+            )
     except ValueError:
         table = np.array([_row(path, number, line, width) for number, line in rows()])
     if table.shape[1] != width and len(table):
@@ -153,11 +155,11 @@ def _layout(path: Path) -> _Layout:
         elif not stated and len(words) == 1 and text.isdecimal() and len(text) < 12:
             stated = int(text)
         else:
+            _row(path, number, " ".join(words), len(words))
             names = _names(path, header, separator, len(words))
             if not names and len(words) not in POSITIONAL:
-                raise FileFormatError(
-                    path, f"line {number}: {len(words)} numbers, expected 3, 6 or 9, or a header that names the columns"
-                )
+                expected = "expected 3, 6 or 9, or a header that names the columns"
+                raise FileFormatError(path, f"line {number}: {len(words)} numbers, {expected}: {text[:_SHOWN]!r}")
             return _Layout(names, separator, number, stated, len(words))
     raise FileFormatError(path, "holds no rows of numbers")
 
