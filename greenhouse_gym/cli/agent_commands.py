@@ -238,7 +238,7 @@ def leaderboard(
 
 
 def demonstrations(
-    agent: AgentArgument = "waypoint",
+    agent: AgentArgument = "roadmap",
     out: Annotated[Path, typer.Option(help="Folder of Minari data sets.")] = Path("demonstrations"),
     bank: Bank = "default",
     split: Split = "train",
@@ -261,7 +261,7 @@ def demonstrations(
 
 
 def watch(
-    agent: AgentArgument = "ppo-waypoint-ur5e",
+    agent: AgentArgument = "ppo-roadmap-ur5e",
     out: Annotated[
         Path | None,
         typer.Option(

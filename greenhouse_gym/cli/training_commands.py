@@ -42,7 +42,7 @@ def train(
         Path | None, typer.Option(help="Folder for the results; runs/ALGORITHM by default.", show_default=False)
     ] = None,
     bank: Bank = "default",
-    steps: Annotated[int, typer.Option(help="Environment steps.")] = 2_000_000,
+    steps: Annotated[int, typer.Option(min=1, help="Environment steps.")] = 2_000_000,
     seed: Annotated[int, typer.Option(help="Seed of scenes, weights and noise.")] = 0,
     scene: OneScene = None,
     target: OneTarget = None,
@@ -58,7 +58,10 @@ def train(
         ),
     ] = False,
 ) -> None:
-    """Train a policy. Settings from a file and from --set override --bank, --steps, --seed, --scene and --target."""
+    """Train a policy. Settings from a file and from --set override --bank, --steps, --scene, --target and --seed.
+
+    Observation, action, reward and task may be your own, as --set reward=file.py:name or --set reward=module:name.
+    """
     from greenhouse_gym.common.extras import require_extras
     from greenhouse_gym.common.files import write_atomically
     from greenhouse_gym.common.settings_files import as_toml, resolve

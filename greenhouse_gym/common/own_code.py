@@ -133,6 +133,8 @@ def _load(reference: str, kind: str, is_candidate: Callable[[object], bool]) -> 
         examples = " or ".join(f"{reference}:{name}" for name in names)
         raise InvalidValueError(f"{reference}: name the {kind} in this file as well, such as {examples}")
     module, _, attribute = reference.rpartition(":")
+    if not module or not attribute.isidentifier():
+        raise InvalidValueError(f'{kind}: expected "file.py:Name" or "module:Name", got {reference!r}')
     loaded = _from_file(module, kind) if module.endswith(".py") else _from_path(module)
     if not hasattr(loaded, attribute):
         candidates = [name for name, value in vars(loaded).items() if is_candidate(value)]

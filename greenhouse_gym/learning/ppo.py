@@ -18,6 +18,7 @@ from greenhouse_gym.learning.training_settings import (
     env_options,
 )
 from greenhouse_gym.robots import get_robot
+from greenhouse_gym.scene import SceneBank
 
 with needs("train"):
     import tensorboard  # noqa: F401  Stable-Baselines3 needs it, but imports it late
@@ -85,8 +86,11 @@ def train_ppo(
     _check_validation(settings)
     out, described = Path(out), as_json(settings)
     check_start(out, described, resume, time_limit, checkpoint_seconds)
+    world = env_options(settings)
+    if settings.sources:
+        world["bank"] = SceneBank.open(settings.bank).select(split=settings.split, source=settings.sources)
     env = make_sb3_vec_env(
-        settings.num_envs, split=settings.split, threads=settings.threads, seed=settings.seed, **env_options(settings)
+        settings.num_envs, split=settings.split, threads=settings.threads, seed=settings.seed, **world
     )
     model = make_ppo(settings, env)
     with training_in(out, model, described, resume):

@@ -42,8 +42,8 @@ def make_sac(settings: SacSettings) -> Any:
         InvalidValueError: Too few random steps (hindsight needs a finished episode), guidance without an observed
             waypoint, or a negative weight.
     """
-    if settings.guided and settings.observation != "goal_waypoint":
-        raise InvalidValueError(f'guided needs observation="goal_waypoint", got {settings.observation!r}')
+    if settings.guided and settings.observation != "goal_roadmap":
+        raise InvalidValueError(f'guided needs observation="goal_roadmap", got {settings.observation!r}')
     shortest = settings.num_envs * EnvSettings().step_limit
     if settings.random_steps < shortest:
         raise InvalidValueError(

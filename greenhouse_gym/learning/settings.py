@@ -31,10 +31,11 @@ class PpoSettings:
     Attributes:
         bank: Name or folder of the scene bank.
         split: Split to train on.
+        sources: Sources of the rows to train on, such as "own" or "helios"; all if empty.
         robot: The arm.
-        observation: Observation of the environment, by name or your own.
+        observation: Observation of the environment, by name or your own; "roadmap" has a planner in it.
         action: Action of the environment, by name or your own.
-        reward: Reward of the environment, by name or your own.
+        reward: Reward of the environment, by name or your own; "path" has a planner in it.
         task: Task of the environment, by name or your own.
         difficulty: Difficulties of the targets.
         scene: Name of the only scene to train on; all scenes of the split if None.
@@ -63,10 +64,11 @@ class PpoSettings:
 
     bank: str = "default"
     split: str = "train"
+    sources: tuple[str, ...] = ()
     robot: str = "ur5e"
-    observation: Choice = "waypoint"
+    observation: Choice = "state"
     action: Choice = "joint"
-    reward: Choice = "path"
+    reward: Choice = "dense"
     task: Choice = "reach"
     difficulty: str | tuple[str, ...] | dict[str, float] = ("easy", "medium", "hard")
     scene: SceneChoice = None
@@ -74,13 +76,13 @@ class PpoSettings:
     total_steps: int = 2_000_000
     num_envs: Simulations = 128
     rollout_steps: PositiveCount = 64
-    batch_size: Annotated[int, Field(ge=2)] = 4096
-    epochs: PositiveCount = 8
+    batch_size: Annotated[int, Field(ge=2)] = 2048
+    epochs: PositiveCount = 6
     learning_rate: Rate = 5e-4
     discount: Fraction = 0.99
     gae_lambda: Fraction = 0.95
     clip_range: Rate = 0.2
-    log_std: Annotated[float, Field(ge=-20, le=2, allow_inf_nan=False)] = -1.5
+    log_std: Annotated[float, Field(ge=-20, le=2, allow_inf_nan=False)] = -1.0
     hidden: Layers = (256, 256)
     activation: str = "relu"
     critic_rollouts: int = 0
@@ -104,7 +106,7 @@ class SacSettings:
         bank: Name or folder of the scene bank; its training split is trained on.
         robot: The arm.
         difficulty: Difficulties of the targets.
-        observation: "goal", or "goal_waypoint", which adds the next waypoint of a collision-free path, or your own with
+        observation: "goal", or "goal_roadmap", which adds the next waypoint of a collision-free path, or your own with
             goals.
         action: Action of the environment, by name or your own.
         reward: "dense", "sparse" or your own. With the sparse one a collision costs what a success pays, so arms that
@@ -197,7 +199,9 @@ class ImitationSettings:
         check_numbers(self)
 
 
-FINE_TUNING = PpoSettings(reward="dense", log_std=-2.5, learning_rate=5e-5, critic_rollouts=8, epochs=4)
+FINE_TUNING = PpoSettings(
+    observation="roadmap", log_std=-2.5, learning_rate=5e-5, batch_size=4096, epochs=4, critic_rollouts=8
+)
 """Settings of PPO for a policy that is already good: little noise, small steps, the critic first."""
 
 

@@ -108,9 +108,7 @@ class _Take(NamedTuple):
         env, simulation = self.env, self.env.simulation
         observation, info = env.reset(seed=seed)
         title = f"{self.agent.name}: {info['scene']}, tomato {info['target']} ({info['difficulty']})"
-        problem = Problem(
-            env.scene, env.target, env.robot, env.start, seed, simulation.action_rule, simulation.interval
-        )
+        problem = Problem.of(simulation, 0, seed)
         trace, failure, over = [simulation.tip(0)], "", False
         yield self._image(trace, title)
         try:
