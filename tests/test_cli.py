@@ -13,8 +13,10 @@ import numpy as np
 import pytest
 from row_helpers import HALF, black, from_stations, half_recording
 from still_agent import STILL
+from typer.main import get_command
 from typer.testing import CliRunner
 
+from greenhouse_gym import __version__
 from greenhouse_gym.agents import Agent
 from greenhouse_gym.capture import open_recording, simulate_recording, write_recording
 from greenhouse_gym.capture.image_files import read_color
@@ -308,6 +310,52 @@ def test_usage_errors_and_help() -> None:
     shown = CliRunner().invoke(app, ["--help"]).output
     for name in ("simulate", "reconstruct", "build", "plan", "train", "compare", "render", "demo"):
         assert name in shown
+
+
+def test_commands_are_listed_in_groups() -> None:
+    shown = CliRunner(env={"COLUMNS": "80", "TERM": "dumb"}).invoke(app, ["--help"]).output
+    panels = ("Options", "Learning", "Planning", "From recordings to scenes", "Banks and policies", "Help")
+    assert [shown.index(f"─ {panel} ─") for panel in panels] == sorted(shown.index(f"─ {panel} ─") for panel in panels)
+    assert "build-shipped" not in shown
+    assert "--install-completion" in shown
+    assert run("--version").split() == ["greenhouse-gym", __version__]
+
+
+def test_every_help_page_fits_and_has_examples_of_its_own() -> None:
+    """Help pages of 80 columns: no text of another command, and no line that is cut."""
+    group = get_command(app)
+    runner = CliRunner(env={"COLUMNS": "80", "TERM": "dumb"})
+    for name in group.commands:  # type: ignore[attr-defined]
+        shown = runner.invoke(app, [name, "--help"]).output
+        assert max(map(len, shown.splitlines())) <= 80, name
+        assert "…" not in shown, name
+        assert ("voxel" in shown) == (name in ("reconstruct", "shapes", "build")), name
+
+
+def test_names_are_listed() -> None:
+    from greenhouse_gym.planning import PLANNERS
+
+    listed = {line.split("|")[1].strip() for line in run("list").splitlines() if line.startswith("|")}
+    assert {"random", "ppo-ur5e", "default", "mini", "ur5e", "iiwa14", *PLANNERS} <= listed
+    assert "RRTConnect" not in run("list", "policies")
+    assert run("policy", "list") == run("list", "policies").rstrip() + "\n"
+    assert "Did you mean 'banks'" in str(fails("list", "bank"))
+
+
+def test_a_file_of_own_code_needs_a_name() -> None:
+    error = str(fails("compare", f"{ROOT}/examples/own_agent.py", "--bank", "mini"))
+    assert error.endswith(f"such as {ROOT}/examples/own_agent.py:ReachForIt")
+    error = str(fails("compare", "random", "--task", f"{ROOT}/examples/own_task.py", "--bank", "mini"))
+    assert "own_task.py:LookAtTomato" in error
+
+
+def test_entries_are_written_into_the_repository_or_a_given_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for arguments in (["submit", "random", "--episodes", "1"], ["leaderboard"]):
+        assert "no benchmarks/leaderboard in" in str(fails(*arguments))
+    assert not list(tmp_path.iterdir())
 
 
 def test_other_commands_check_their_names(bank: SceneBank, tmp_path: Path) -> None:
