@@ -45,8 +45,9 @@ def test_shapes_need_no_opencv() -> None:
 
 def test_settings_of_trainings_need_no_torch() -> None:
     code = (
-        "import sys, greenhouse_gym.learning.settings as settings; settings.PpoSettings(); settings.BcThenPpoSettings()\n"
-        "from greenhouse_gym.learning import SacSettings\n"
+        "import sys\n"
+        "from greenhouse_gym.learning import BcThenPpoSettings, PpoSettings, SacSettings\n"
+        "BcThenPpoSettings(), PpoSettings(), SacSettings()\n"
         "assert not {'torch', 'stable_baselines3'} & set(sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
