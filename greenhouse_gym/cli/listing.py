@@ -66,7 +66,7 @@ def list_names(
     kind: Annotated[
         str,
         typer.Argument(
-            metavar="[KIND]",
+            metavar="KIND",
             help=f"{', '.join(KINDS)}; all by default.",
             autocompletion=lambda: list(KINDS),
             show_default=False,

@@ -114,7 +114,10 @@ def render(
 
 
 def mount(
-    arm: Annotated[Path, typer.Argument(help="MJCF file of the arm, without a tool.")],
+    arm: Annotated[
+        Path,
+        typer.Argument(help="MJCF file of the arm, without a tool, as MuJoCo Menagerie has them (extra menagerie)."),
+    ],
     out: Annotated[Path, typer.Option(help="File to write.")],
     flange: Annotated[
         str | None, typer.Option(help="Name of the site at the flange; the usual names are recognized.")
