@@ -158,7 +158,7 @@ def build(
         BuildSettings(reconstruction=needed.pop() if len(needed) == 1 else None), settings, assignments or ()
     )
     try:
-        with executor_of(backend, workers, address, len(opened)) as executor:
+        with executor_of(backend, workers, address, len(opened)) as executor, progress("building"):
             bank = build_bank(opened, out, name or out.resolve().name, settings=resolved, executor=executor)
     except KeyboardInterrupt:
         say(f"interrupted: finished parts are kept in {out}; repeat the command to resume")
@@ -182,7 +182,7 @@ def build_shipped(
     if finished_only:
         banks = join_parts(parts, out)
     else:
-        with parallel.processes(processes) as executor:
+        with parallel.processes(processes) as executor, progress("building"):
             banks = build_shipped_banks(out, parts, executor)
     for bank in banks:
         say(f"{bank.manifest.name}: {len(bank)} scenes in {bank.path}")

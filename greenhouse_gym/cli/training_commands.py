@@ -146,6 +146,7 @@ def sweep(
     from greenhouse_gym.learning import sweep_ppo
 
     def on_result(row: dict[str, Any], done: int, total: int) -> None:
+        on_done(done)
         say(f"{done} of {total}: {row['folder']}: {row.get('error') or _summary(row)}")
 
     last = -inf
@@ -156,7 +157,8 @@ def sweep(
             last = monotonic()
             report(f"{row['folder']}: {_summary(row)}")
 
-    with executor_of(backend, workers, address, prod(map(len, choices.values()))) as executor:
+    trainings = prod(map(len, choices.values()))
+    with executor_of(backend, workers, address, trainings) as executor, progress("trainings", trainings) as on_done:
         rows = sweep_ppo(shared, choices, out, executor, on_result, stop_early=stop_early, on_progress=on_progress)
     say(f"table in {out / 'sweep.json'}; the best: {rows[0]['folder']}")
 
