@@ -140,6 +140,7 @@ def sweep(
     shared = resolve(PpoSettings(bank=bank, total_steps=steps), settings, assignments or ())
     choices: dict[str, list[Any]] = {}
     for text in tries:
+        resolve(shared, None, [text])  # raises before PyTorch is imported
         for name, value in assigned(text).items():
             choices.setdefault(name, []).append(value)
 
