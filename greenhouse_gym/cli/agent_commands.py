@@ -112,7 +112,7 @@ def compare(
             finally:
                 if evaluations:
                     say(f"track {name}: bank {bank}, split {split}, {episodes} episodes from seed {seed} on\n")
-                    _print_comparison(evaluations)
+                    print_comparison(evaluations)
         complete = True
     finally:
         results = {name: found for name, found in finished.items() if any(e.records for e in found)}
@@ -135,7 +135,8 @@ def _require_report(path: Path) -> None:
     require_writable(path)
 
 
-def _print_comparison(evaluations: Sequence[Evaluation]) -> None:
+def print_comparison(evaluations: Sequence[Evaluation]) -> None:
+    """Print the success and the motions of agents, and how they differ."""
     from greenhouse_gym.evaluation.records import comparison_notes, comparison_rows, differences
 
     rows = comparison_rows(evaluations)

@@ -72,9 +72,9 @@ class Picture:
         """Return the viewpoint in a scene with this placement of the arm."""
         if isinstance(self.camera, Viewpoint):
             return self.camera
-        position, look_at = CAMERAS[self.camera]
         turn = rotation_about([0.0, 0.0, 1.0], placement.yaw)
-        return Viewpoint(*(tuple((turn @ point + placement.position).tolist()) for point in (position, look_at)))
+        position, look_at = ((turn @ point + placement.position).tolist() for point in CAMERAS[self.camera])
+        return Viewpoint(tuple(position), tuple(look_at))
 
 
 class Viewer:
