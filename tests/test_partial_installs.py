@@ -16,6 +16,9 @@ from greenhouse_gym.common.extras import MODULES
 ROOT = Path(__file__).parent.parent
 DECLARED = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
+SHORT = ["--steps", "8", *(f"--set={name}" for name in ("num_envs=2", "rollout_steps=4", "batch_size=4"))]
+"""Options of the shortest training."""
+
 COMMANDS = {
     "simulate": ["simulate", "{out}/recording", "--length", "0.1"],
     "reconstruct": ["reconstruct", "{out}/recording", "--out", "{out}/row"],
@@ -25,8 +28,8 @@ COMMANDS = {
     "calibrate": ["calibrate", "{out}/video", "--out", "{out}/rig.yaml"],
     "formats": ["formats"],
     "plan": ["plan", "--scene", "{scene}", "--target", "0", "--bank", "mini", "--time-limit", "0.2"],
-    "train": ["train", "ppo", "--bank", "mini", "--out", "{out}/run", "--steps", "-1"],
-    "sweep": ["sweep", "--try", "seed=0", "--bank", "mini", "--out", "{out}/sweep", "--steps", "-1"],
+    "train": ["train", "ppo", "--bank", "mini", "--out", "{out}/run", *SHORT],
+    "sweep": ["sweep", "--try", "seed=0", "--bank", "mini", "--out", "{out}/sweep", *SHORT],
     "compare": ["compare", "random", "--bank", "mini", "--episodes", "1"],
     "compare planners": ["compare", "RRTConnect", "--bank", "mini", "--episodes", "1"],
     "policy": ["policy", "export", "ppo-ur5e", "--out", "{out}/policy.onnx"],
