@@ -593,3 +593,11 @@ def test_no_finished_part_leaves_the_shipped_banks_as_they_are(tmp_path: Path) -
     error = fails("build-shipped", "--finished-only", "--parts", tmp_path / "parts", "--out", tmp_path / "out")
     assert str(error) == f"{tmp_path / 'parts'}: holds no finished part of the shipped banks"
     assert not (tmp_path / "out").exists()
+
+
+def test_bank_info_keeps_unknown_styles_and_sources_apart(bank: SceneBank) -> None:
+    printed = run("bank", "info", bank.path)
+    counts = {line.split("|")[1].strip(): line.split("|")[2:] for line in printed.splitlines() if line.startswith("|")}
+    assert counts["unknown style"] == counts["unknown source"] == counts["all"]
+    assert "nan" not in printed
+    assert max(len(line) for line in printed.splitlines() if line.startswith("|")) <= 80
