@@ -33,8 +33,8 @@ class ShieldedAgent(NamedAgent):
     It looks one step ahead: it is a projection, not a planner. It checks the motions to the next command from the last
     one and from the estimated position of the arm, which lags behind and cuts corners. This makes contacts rare but
     proves nothing, because the arm's momentum is neglected.
-    It takes all of the package's actions. Those of the tip depend on the position of the arm, which is then observed; this
-    needs one of the package's observations.
+    It takes all of the package's actions. Those of the tip depend on the position of the arm, which is then observed;
+    this needs one of the package's observations.
 
     Args:
         agent: The agent to shield; the best shipped policy when left out.
@@ -112,7 +112,7 @@ class ShieldedAgent(NamedAgent):
 
 
 def _joints_and_command_error(observation: Any, joints: int) -> tuple[Array, Array]:
-    """Return the joint positions and command errors (joints,) in an observation, which all of the package begin with."""
+    """Return the joint positions and command errors (joints,), with which the package's observations begin."""
     if isinstance(observation, Mapping):
         observation = observation["observation" if "observation" in observation else "state"]
     vector = np.asarray(observation, dtype=np.float64)
