@@ -18,7 +18,9 @@ from greenhouse_gym.envs.actions import (
     TipVelocity,
     ToolMotion,
 )
-from greenhouse_gym.envs.state import State
+from greenhouse_gym.envs.choices import make_action
+from greenhouse_gym.envs.simulation import Simulation
+from greenhouse_gym.envs.state import STEP_LIMIT, State
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
@@ -30,13 +32,14 @@ class Problem:
     """Knowledge of an agent at the start of an episode.
 
     Attributes:
-        scene: The reconstructed scene.
+        scene: The reconstructed scene; see `greenhouse_gym.scene.truth.known_scene`.
         target: Index of the target tomato in the scene.
         robot: The arm.
         start: (joints,) start configuration, radians.
         seed: Seed of the agent's random choices in this episode.
         action: The environment's action rule; joint increments if None.
         interval: Seconds between two actions.
+        step_limit: Number of actions after which the episode ends.
     """
 
     scene: Scene
@@ -46,6 +49,19 @@ class Problem:
     seed: int = 0
     action: ActionRule | None = None
     interval: float = INTERVAL
+    step_limit: int = STEP_LIMIT
+
+    @classmethod
+    def of(cls, simulation: Simulation, i: int, seed: int) -> Problem:
+        """Return the problem of the current episode of a simulation.
+
+        It shares no object with the simulation that an agent could read the truth from or change the rules by.
+        """
+        settings, robot, interval = simulation.settings, simulation.robot, simulation.interval
+        return cls(
+            simulation.known_scene(i), simulation.target(i), robot, simulation.episode(i).start.copy(), seed,
+            make_action(settings.action, robot, interval), interval, settings.step_limit,
+        )  # fmt: skip
 
     @property
     def action_space(self) -> spaces.Box:

@@ -112,7 +112,7 @@ class ShieldedAgent(NamedAgent):
 
 
 def _joints_and_command_error(observation: Any, joints: int) -> tuple[Array, Array]:
-    """Return the joint positions and command errors (joints,), with which the package's observations begin."""
+    """Return joint positions and command errors (joints,), with which all observations of the package begin."""
     if isinstance(observation, Mapping):
         observation = observation["observation" if "observation" in observation else "state"]
     vector = np.asarray(observation, dtype=np.float64)

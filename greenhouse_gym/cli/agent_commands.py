@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -119,15 +118,15 @@ def _require_report(path: Path) -> None:
 
 
 def _print_comparison(evaluations: Sequence[Evaluation], heading: str) -> None:
-    from greenhouse_gym.evaluation.records import comparison_notes, comparison_rows, pairing
+    from greenhouse_gym.evaluation.records import comparison_notes, comparison_rows, pairings
 
     if heading:
         say(f"\n{heading}\n")
     comparison_rows(evaluations).show()
     for note in comparison_notes(evaluations):
         say(f"\n{note}")
-    for first, second in combinations((e for e in evaluations if not e.error), 2):
-        say(str(pairing(first, second)))
+    for paired in pairings(evaluations):
+        say(str(paired))
 
 
 def _by_name(requested: Sequence[str], agents: Sequence[Agent]) -> dict[str, Agent]:

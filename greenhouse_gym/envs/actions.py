@@ -123,11 +123,11 @@ class TipVelocity:
     def __init__(self, robot: Robot, interval: float):
         self.space = _unit_box(6)
         self._sliding = robot.sliding[:, None]
-        self._scale = interval * np.array([TIP_SPEED] * 3 + [TIP_TURN] * 3)
+        self.scale = interval * np.array([TIP_SPEED] * 3 + [TIP_TURN] * 3)
 
     def __call__(self, action: Array, state: State, motion: ToolMotion) -> Array:
         """Return joint steps that approximate the desired motion of the tip."""
-        desired = (self._scale * action).reshape(-1, 2, 3)
+        desired = (self.scale * action).reshape(-1, 2, 3)
         cosine, sine = motion.heading[:, :1], motion.heading[:, 1:]
         x = cosine * desired[..., 0] - sine * desired[..., 1]
         y = sine * desired[..., 0] + cosine * desired[..., 1]
@@ -169,7 +169,7 @@ class CommandLimits:
 
     Args:
         robot: The arm.
-        rule: The kind of action; its optional ``peak`` (j,) is the largest change that it requests, radians.
+        rule: The kind of action.
         timing: Timing of actions.
     """
 
@@ -177,7 +177,9 @@ class CommandLimits:
         self._max_error = max_command_error(robot, timing)
         self._max_change = robot.velocity_limits * timing.interval
         self._lower, self._upper = robot.lower, robot.upper
-        self._may_exceed = bool((getattr(rule, "peak", np.inf) > self._max_change * (1 + 1e-9)).any())
+        # a rule of a user may break its promise
+        peak = rule.peak if isinstance(rule, JointIncrements | JointVelocities) else np.inf
+        self._may_exceed = bool((peak > self._max_change * (1 + 1e-9)).any())
         self._never: dict[int, npt.NDArray[np.bool_]] = {}
 
     def __call__(self, command: Array, change: Array, joints: Array) -> Command:

@@ -21,7 +21,7 @@ from greenhouse_gym.envs.simulation import Simulation
 from greenhouse_gym.errors import EpisodeOverError, require_choice
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.rendering.renderer import Viewpoint
-from greenhouse_gym.rendering.viewer import RENDER_MODES, Picture, Viewer
+from greenhouse_gym.rendering.viewer import RENDER_MODES, Picture, Viewer, available_modes
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene
 
@@ -192,7 +192,7 @@ class GreenhouseEnv(EnvMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]]):
         self.render_mode = None if render_mode is None else require_choice("render mode", render_mode, RENDER_MODES)
         picture = Picture(width, height, camera)
         self._viewer = None if render_mode is None else Viewer(render_mode, picture)
-        self.metadata = {**self.metadata, "render_fps": self.settings.rate}
+        self.metadata = {"render_modes": available_modes(), "render_fps": self.settings.rate}
         self.simulation = Simulation(1, self.settings, threads=1)
         self.observation_space = self.simulation.observe.space
         self.action_space: spaces.Box = self.simulation.action_rule.space  # type: ignore[assignment]

@@ -121,8 +121,8 @@ class DenseReward:
     """Reward with a term for progress.
 
     From the same start, every success returns more than any collision: progress telescopes to the same 4 d in both, and
-    time and effort cost at most 8.2 (with 7 joints) of the 15 between them. A collision costs about as much as an episode
-    without either, so that a policy is not paid to try.
+    time and effort cost at most 8.2 (with 7 joints) of the 15 between them. A collision costs about as much as an
+    episode without either, so that a policy is not paid to try.
 
     Attributes:
         success: Reward for a success.

@@ -25,7 +25,7 @@ from greenhouse_gym.scene import CompiledScene, Scene, SceneBank, Shapes, compil
 from greenhouse_gym.scene.geom_order import first_world_geom
 from greenhouse_gym.scene.mjcf import DEFAULT_CAPACITY, MAX_CAPACITY, base_position
 from greenhouse_gym.scene.plant_motion import move_plants
-from greenhouse_gym.scene.truth import true_scene
+from greenhouse_gym.scene.truth import known_scene, true_scene
 
 _ROUND = 100
 
@@ -68,7 +68,7 @@ class World:
     """Scene that is ready to be simulated and observed.
 
     Attributes:
-        scene: The scene as agents know it.
+        scene: The scene of the bank.
         compiled: The simulated scene: the same, or the true row behind it.
         frame: (5,) position of the arm's base in the scene, metres, and cosine and sine of its heading.
         tomatoes: (t, 4) centers in the base frame and radii of the scene's tomatoes, metres, float32.
@@ -99,6 +99,11 @@ class World:
                 f"scene {self.scene.name!r} compiles to {source.ngeom} geoms, others to {model.ngeom}: "
                 "all scenes need the same kind of stand"
             )
+
+    @cached_property
+    def known(self) -> Scene:
+        """Scene as agents know it."""
+        return known_scene(self.scene) if self.before is None else self.before.known
 
     @cached_property
     def roadmaps(self) -> SceneRoadmaps:
@@ -203,7 +208,7 @@ class Worlds:
         return replace(
             world,
             compiled=compile_scene(moved, self.robot, self.capacity, self._record),
-            goals=_spheres(moved, scene_from_base)[world.bodies],
+            goals=spheres_in_base(moved, scene_from_base)[world.bodies],
             before=world,
         )
 
@@ -211,7 +216,7 @@ class Worlds:
         physical = true_scene(scene) if self.physics == "truth" else scene
         self._check_size(physical)
         scene_from_base = pose(rotation_about([0, 0, 1], scene.placement.yaw), base_position(scene, self.robot))
-        tomatoes, bodies_there = (_spheres(s, scene_from_base) for s in (scene, physical))
+        tomatoes, bodies_there = (spheres_in_base(s, scene_from_base) for s in (scene, physical))
         if physical is scene:
             bodies = np.arange(len(tomatoes))
         else:
@@ -238,7 +243,7 @@ class Worlds:
             raise InvalidValueError(problem)
 
 
-def _spheres(scene: Shapes, scene_from_base: Array) -> Array:
+def spheres_in_base(scene: Shapes, scene_from_base: Array) -> Array:
     """Return (t, 4) centers in the base frame and radii of the tomatoes, metres."""
     centers = np.array([tomato.center for tomato in scene.tomatoes]).reshape(-1, 3)
     radii = np.array([[tomato.radius] for tomato in scene.tomatoes]).reshape(-1, 1)
