@@ -121,7 +121,8 @@ class DenseReward:
     """Reward with a term for progress.
 
     From the same start, every success returns more than any collision: progress telescopes to the same 4 d in both, and
-    time and effort cost at most 8.2 (with 7 joints) of the 11 between them.
+    time and effort cost at most 8.2 (with 7 joints) of the 15 between them. A collision costs about as much as an
+    episode without either, so that a policy is not paid to try.
 
     Attributes:
         success: Reward for a success.
@@ -132,7 +133,7 @@ class DenseReward:
     """
 
     success: float = 10.0
-    collision: float = -1.0
+    collision: float = -5.0
     progress: float = 4.0
     time: float = -0.02
     effort: float = -0.003
@@ -162,10 +163,12 @@ class PathReward(DenseReward):
     it, because the path to a goal in hindsight is unknown.
 
     Attributes:
+        collision: Reward for a collision.
         progress: Reward per radian by which the remaining path became shorter.
     """
 
     requires_roadmap: ClassVar[bool] = True
+    collision: float = -1.0
     progress: float = 2.0
 
     def __call__(self, step: Transition) -> dict[str, Array]:
