@@ -90,9 +90,9 @@ def described(own: Any) -> Any:
         return own
     if reference := _reference_to(own):
         return reference
-    if not isinstance(own, type) and (kind := _reference_to(type(own))):
+    if kind := "" if isinstance(own, type) else _reference_to(type(own)):
         with suppress(TypeError, ValueError):
-            if is_dataclass(own):
+            if is_dataclass(own) and not isinstance(own, type):
                 return {CLASS: kind, **json.loads(json.dumps(asdict(own), allow_nan=False))}
             if not vars(own):
                 return {CLASS: kind}

@@ -84,13 +84,8 @@ def values(infos: dict[str, Any]) -> dict[str, Any]:
         if isinstance(value, dict):
             plain[key] = values(value)
         elif key != "final_obs":
-            blank = [v is None for v in value] if value.dtype == object else []
-            flags = value.dtype == object and any(isinstance(v, np.bool_) for v in value)
-            plain[key] = (
-                [bool(v) for v in value]
-                if flags
-                else [None if b else v for b, v in zip(blank, value)] or value.tolist()
-            )
+            flags = value.dtype == object and any(isinstance(each, np.bool_) for each in value)
+            plain[key] = [bool(each) for each in value] if flags else value.tolist()
     return plain
 
 
@@ -153,7 +148,8 @@ def test_actions_that_are_no_real_numbers_are_refused(bank: SceneBank, action: A
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"success_radius": 2**70}, {"success_radius": 10**400}, {"success_radius": 1j}, {"rate": 2**1100}, {"start": ["1"] * 6}],
+    [{"success_radius": 2**70}, {"success_radius": 10**400}, {"success_radius": 1j}, {"rate": 2**1100},
+     {"start": ["1"] * 6}],
     ids=str,
 )  # fmt: skip
 def test_settings_that_no_float_holds_are_refused(bank: SceneBank, wrong: dict[str, Any]) -> None:
