@@ -244,8 +244,8 @@ def _made(kind: str, own: Any, *arguments: Any) -> Any:
     if callable(own) and (isinstance(own, type) or not isinstance(getattr(own, "space", None), spaces.Space)):
         try:
             parameters = signature(own).parameters.values()
-            complete = is_dataclass(own) and all(p.default is not p.empty for p in parameters)
-            taken = arguments if parameters and not complete else ()
+            complete = not parameters or (is_dataclass(own) and all(p.default is not p.empty for p in parameters))
+            taken = () if isinstance(own, type) and complete else arguments
             signature(own).bind(*taken)
         except (TypeError, ValueError) as error:
             given = " and ".join(type(argument).__name__ for argument in arguments)
