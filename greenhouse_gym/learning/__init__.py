@@ -5,14 +5,14 @@ from greenhouse_gym.learning.policies import load_into, save_policy
 from greenhouse_gym.learning.ppo import PpoSettings, load_ppo, train_ppo
 from greenhouse_gym.learning.ppo_sweep import sweep_ppo
 from greenhouse_gym.learning.sac import SacSettings, load_sac, train_sac
-from greenhouse_gym.learning.trained import load_agent
+from greenhouse_gym.learning.trained import TrainedAgent
 
 __all__ = [
     "FINE_TUNING",
     "BcThenPpoSettings",
     "PpoSettings",
     "SacSettings",
-    "load_agent",
+    "TrainedAgent",
     "load_into",
     "load_ppo",
     "load_sac",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -237,3 +238,16 @@ def test_settings_of_imitation_and_seconds_are_checked(settings: PpoSettings, tm
             train_ppo(settings, tmp_path / "run", **seconds)  # type: ignore[arg-type]
     with pytest.raises(InvalidValueError, match="total_steps"):
         train_ppo(replace(settings, total_steps=0), tmp_path / "run")
+
+
+def test_a_trained_model_goes_to_other_processes_by_its_folder(settings: PpoSettings, tmp_path: Path) -> None:
+    train_ppo(replace(settings, observation="goal", reward="dense", log_std=-1.0), tmp_path / "goals")
+    assert make_agent(str(tmp_path / "goals")).name == "goals"
+    small = DepthObservation(camera=DepthCamera(width=8, height=6))
+    train_ppo(replace(settings, observation=small), tmp_path / "depth")
+    agent = make_agent(str(tmp_path / "depth" / "checkpoint.safetensors"))
+    again = pickle.loads(pickle.dumps(agent))
+    assert (again.name, again.env_options) == (agent.name, agent.env_options) == ("depth", agent.env_options)
+    env = make_env(bank=settings.bank, **agent.env_options)
+    observation, _ = env.reset(seed=0)
+    np.testing.assert_array_equal(agent.act(observation), again.act(observation))
