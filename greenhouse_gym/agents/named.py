@@ -72,9 +72,8 @@ def make_agent(name: str) -> Agent:
     if training := _training(Path(name)):
         if description_path(training / "policy").is_file():
             return PolicyAgent(Policy.load(training / "policy"), training.resolve().name)
-        load: Callable[[Path], Agent] = resolve_name(
-            "greenhouse_gym.learning:TrainedAgent"
-        )  # which imports this package
+        # by name, because that package imports this one
+        load: Callable[[Path], Agent] = resolve_name("greenhouse_gym.learning:TrainedAgent")
         return load(training)
     if name.endswith(".json"):
         raise FileFormatError(name, "there is no such file; expected a policy's description")

@@ -76,7 +76,8 @@ def make(found: Any, reference: str, arguments: Mapping[str, Any]) -> Any:
     except ValidationError as error:
         raise InvalidValueError(f"{reference}: {first_fault(error)}") from error
     except TypeError as error:
-        raise InvalidValueError(f"{reference} cannot be made with arguments {dict(arguments)}: {error}") from error
+        given = f"with arguments {dict(arguments)}" if arguments else "without arguments"
+        raise InvalidValueError(f"{reference} cannot be made {given}: {error}") from error
 
 
 def described(own: Any) -> Any:
