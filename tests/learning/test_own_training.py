@@ -21,6 +21,7 @@ from greenhouse_gym.errors import FileFormatError, GreenhouseError, InvalidValue
 from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.learning import BcThenPpoSettings, PpoSettings, SacSettings, train_ppo, train_sac
 from greenhouse_gym.learning.imitation import ImitationSettings
+from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import SceneBank
 
 OWN = """
@@ -83,6 +84,13 @@ class Joints:
         return np.clip(state.joints, -self.limit, self.limit).astype(np.float32)
 
 
+class OfRobot(Joints):
+    """Observation made from the arm."""
+
+    def __init__(self, robot: Robot):
+        super().__init__(float(len(robot.joints)))
+
+
 @pytest.fixture
 def settings(bank: SceneBank) -> PpoSettings:
     return PpoSettings(
@@ -128,7 +136,7 @@ def test_everything_own_is_trained_and_evaluated_from_another_folder(
     ("changed", "stored"),
     [
         ({"observation": Joints(6.5)}, {"class": "{here}:Joints", "limit": 6.5}),
-        ({"observation": Joints}, "{here}:Joints"),
+        ({"observation": OfRobot}, "{here}:OfRobot"),
         ({"reward": DenseReward(progress=2.0)}, None),
         ({"reward": lambda step: {"near": -step.after}}, None),
     ],
@@ -141,8 +149,9 @@ def test_objects_are_trained_and_a_policy_file_names_them(
     options = json.loads(path.read_text())["env_options"]
     if stored is not None:
         here = options["observation"]["class"] if isinstance(stored, dict) else options["observation"]
-        assert here.split(":")[0] in (__name__, str(Path(__file__).resolve()))
-        assert json.loads(json.dumps(stored).replace("{here}:Joints", here)) == options["observation"]
+        module = here.split(":")[0]
+        assert module in (__name__, str(Path(__file__).resolve()))
+        assert json.loads(json.dumps(stored).replace("{here}", module)) == options["observation"]
     agent = make_agent(str(path.parent))
     assert evaluate(agent, episodes=1, bank=settings.bank, step_limit=2).records[0].steps == 2
 
