@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from greenhouse_gym.learning.ppo_sweep import sweep_ppo
     from greenhouse_gym.learning.sac import load_sac, train_sac
     from greenhouse_gym.learning.settings import FINE_TUNING, BcThenPpoSettings, PpoSettings, SacSettings
-    from greenhouse_gym.learning.trained import load_agent
+    from greenhouse_gym.learning.trained import TrainedAgent
 
 _MODULES = {
     "bc_then_ppo": ("train_bc_then_ppo",),
@@ -19,7 +19,7 @@ _MODULES = {
     "ppo_sweep": ("sweep_ppo",),
     "sac": ("load_sac", "train_sac"),
     "settings": ("FINE_TUNING", "BcThenPpoSettings", "PpoSettings", "SacSettings"),
-    "trained": ("load_agent",),
+    "trained": ("TrainedAgent",),
 }
 
 __all__ = [
@@ -27,7 +27,7 @@ __all__ = [
     "BcThenPpoSettings",
     "PpoSettings",
     "SacSettings",
-    "load_agent",
+    "TrainedAgent",
     "load_into",
     "load_ppo",
     "load_sac",

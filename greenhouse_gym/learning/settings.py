@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, field
 from typing import Annotated
 
@@ -167,6 +168,9 @@ class SacSettings:
     threads: Threads = 0
 
     def __post_init__(self) -> None:
+        weight = self.guide_weight
+        if not isinstance(weight, float | int) or not 0 <= weight <= sys.float_info.max:
+            raise InvalidValueError(f"guide_weight must be a finite number from 0 on, got {weight!r}")
         check_settings(self)
 
 
