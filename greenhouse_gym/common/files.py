@@ -186,7 +186,7 @@ def first_fault(error: ValidationError) -> str:
 def exclusive(folder: str | Path) -> Iterator[None]:
     """Hold a folder for this process alone; it is created if missing.
 
-    The file ``.lock`` in it, which holds the number of the process, is locked meanwhile; the lock ends with the process,
+    The file ``.lock`` in it holds the number of the process and is locked meanwhile; the lock ends with the process,
     however that ends.
 
     Raises:

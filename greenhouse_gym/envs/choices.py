@@ -6,6 +6,7 @@ Values from a user's code are checked at every step, so that a mistake is report
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import is_dataclass
 from functools import partial
 from inspect import signature
 from typing import Any
@@ -242,7 +243,9 @@ def _made(kind: str, own: Any, *arguments: Any) -> Any:
     """Return the user's object if it has a space, else the result of calling it."""
     if callable(own) and (isinstance(own, type) or not isinstance(getattr(own, "space", None), spaces.Space)):
         try:
-            taken = arguments if signature(own).parameters else ()
+            parameters = signature(own).parameters.values()
+            complete = is_dataclass(own) and all(p.default is not p.empty for p in parameters)
+            taken = arguments if parameters and not complete else ()
             signature(own).bind(*taken)
         except (TypeError, ValueError) as error:
             given = " and ".join(type(argument).__name__ for argument in arguments)

@@ -52,7 +52,7 @@ def _minus(a, b):
 
 @inlined
 def segments_apart(a, b, c, d):
-    """Return the squared distance of the segments from a to b and from c to d (Ericson, Real-Time Collision Detection)."""
+    """Return the squared distance of the segments from a to b and from c to d (Ericson 2004)."""
     u, v, w = _minus(b, a), _minus(d, c), _minus(a, c)
     uu, vv, vw = _dot(u, u), _dot(v, v), _dot(v, w)
     s = t = 0.0
@@ -308,7 +308,7 @@ def first_contact(
     return -1
 
 
-@kernel(f"void({_WORLD}, f8[:, ::1], b1[::1])")
+@kernel(f"void({_WORLD}, f8[:, ::1], b1[::1])", writes=("touching",))
 def contacts(
     joints: Array,
     capsules: Array,
@@ -384,7 +384,10 @@ def _cross(a, b):
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@kernel("i8(f8[:, ::1], f8[::1], f8[::1], f8[::1], f8[::1], f8[::1], f8[::1], f8[::1], i8, f8[:, ::1], b1[::1])")
+@kernel(
+    "i8(f8[:, ::1], f8[::1], f8[::1], f8[::1], f8[::1], f8[::1], f8[::1], f8[::1], i8, f8[:, ::1], b1[::1])",
+    writes=("guesses", "done"),
+)
 def bring_onto(
     joints: Array,
     tip: Array,

@@ -75,13 +75,12 @@ def test_a_missing_or_unreadable_number_is_refused_with_its_line(tmp_path: Path,
 
 
 @TEXT
-@pytest.mark.parametrize(
-    "spelling", ["nan", "-nan", "NaN", "-nan(ind)", "1.#QNAN", "-1.#IND00", "1.#INF", "inf", "1e400"]
-)
+@pytest.mark.parametrize("spelling", ["nan", "-nan(ind)", "1.#QNAN", "-1.#IND00", "1.#INF", "inf", "1e400"])
 def test_points_without_a_finite_position_are_left_out(tmp_path: Path, suffix: str, spelling: str) -> None:
-    text = TEXTS[suffix].format(rows_of(POINTS).replace(f"{POINTS[57, 1]:.4f}", spelling, 1))
-    cloud = read(tmp_path, suffix, text)
-    assert_points(cloud, np.delete(POINTS, 57, axis=0))
+    for axis in (1, 2):
+        text = TEXTS[suffix].format(rows_of(POINTS).replace(f"{POINTS[57, axis]:.4f}", spelling, 1))
+        cloud = read(tmp_path, suffix, text)
+        assert_points(cloud, np.delete(POINTS, 57, axis=0))
         assert cloud.notes == ("1 of 100 points have no finite position and were left out",)
 
 
@@ -145,7 +144,7 @@ def test_columns_of_text_go_by_the_names_of_its_header(tmp_path: Path, name: str
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("x y z intensity\n" + rows_of(POINTS, "1 2 3"), "its header names 4 columns, its rows have 6"),
+        ("x y z intensity\n" + rows_of(POINTS, "1 2 3"), "line 2: 6 numbers, expected the 4 that its header names"),
         (rows_of(POINTS, "7"), "line 1: 4 numbers, expected 3, 6 or 9, or a header"),
         (rows_of(POINTS, "stem"), "line 1: 'stem' is no number"),
         (rows_of(POINTS).replace(".", ","), "line 1: '0,6370' is no number"),
@@ -613,7 +612,7 @@ def test_arrays_of_other_shapes_are_refused(tmp_path: Path, arrays: dict[str, Ar
         read(tmp_path, ".npz", npz(**arrays))
 
 
-def test_an_archive_that_unpacks_to_much_more_is_refused_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_archive_that_unpacks_to_much_more_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     points = np.zeros((100_000, 3))
     points[:100] = POINTS
     assert len(read(tmp_path, ".npz", npz(points=points)).points) == 100_000

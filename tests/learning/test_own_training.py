@@ -218,10 +218,11 @@ def test_hindsight_needs_goals(bank: SceneBank, tmp_path: Path) -> None:
     ids=str,
 )  # fmt: skip
 def test_settings_out_of_their_bounds_are_named(changed: dict[str, Any]) -> None:
-    with pytest.raises(InvalidValueError, match=next(iter(changed)) + "|rollout_steps"):
+    name = list(changed)[-1]
+    with pytest.raises(GreenhouseError, match=name):
         PpoSettings(**changed)
-    if hasattr(SacSettings, next(iter(changed))) and next(iter(changed)) != "batch_size":
-        with pytest.raises(InvalidValueError, match=next(iter(changed))):
+    if hasattr(SacSettings, name) and name != "batch_size":
+        with pytest.raises(InvalidValueError, match=name):
             SacSettings(**changed)
 
 

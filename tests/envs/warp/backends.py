@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from greenhouse_gym.envs.contacts import NAME_SEPARATOR
 from greenhouse_gym.envs import GreenhouseVectorEnv
+from greenhouse_gym.envs.contacts import NAME_SEPARATOR
 from greenhouse_gym.envs.features import feature_slices
 from greenhouse_gym.envs.warp.environment import WarpVectorEnv
 from greenhouse_gym.robots import get_robot

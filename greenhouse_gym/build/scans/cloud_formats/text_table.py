@@ -156,10 +156,11 @@ def _layout(path: Path) -> _Layout:
             stated = int(text)
         else:
             _row(path, number, " ".join(words), len(words))
-            names = _names(path, header, separator, len(words))
-            if not names and len(words) not in POSITIONAL:
-                expected = "expected 3, 6 or 9, or a header that names the columns"
-                raise FileFormatError(path, f"line {number}: {len(words)} numbers, {expected}: {text[:_SHOWN]!r}")
+            names, expected = _names(header, separator, len(words))
+            if expected:
+                raise FileFormatError(
+                    path, f"line {number}: {len(words)} numbers, expected {expected}: {text[:_SHOWN]!r}"
+                )
             return _Layout(names, separator, number, stated, len(words))
     raise FileFormatError(path, "holds no rows of numbers")
 
@@ -175,13 +176,16 @@ def _separator(row: str) -> str | None:
     return "," if "," in row and (len(words) == 1 or any("," in (word[0], word[-1]) for word in words)) else None
 
 
-def _names(path: Path, header: list[str], separator: str | None, width: int) -> list[str]:
-    """Return the names of the columns by the last line of a header that names x, y and z, or an empty list."""
+def _names(header: list[str], separator: str | None, width: int) -> tuple[list[str], str]:
+    """Return the names of the columns by the last line of a header that names x, y and z, or an empty list.
+
+    Also return the expected number of columns as words if ``width`` is not possible, else "".
+    """
     for line in reversed(header):
         text = re.sub(r"[\[(][^\])]*[\])]", "", line)
         for names in (text.split(separator), re.split(r"[\s,;]+", text.strip())):
             if holds_positions(names) and len(names) == width:
-                return [name.strip() for name in names]
+                return [name.strip() for name in names], ""
         if holds_positions(names) and width > 3:
-            raise FileFormatError(path, f"its header names {len(names)} columns, its rows have {width}")
-    return []
+            return [], f"the {len(names)} that its header names"
+    return [], "" if width in POSITIONAL else "3, 6 or 9, or a header that names the columns"
