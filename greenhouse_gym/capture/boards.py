@@ -21,7 +21,7 @@ with needs("reconstruct"):
     import cv2
 
 _MIN_CORNERS = 8  # for a pose
-_MIN_MARKERS = 4  # of which some belong together
+_MIN_MARKERS = 4  # in an image that shows the board or one like it
 _MIN_MOMENTS = 3  # at which a camera sees the board together with another
 
 

@@ -72,8 +72,8 @@ def _intrinsics(path: Path) -> Intrinsics:
 def _poses(path: Path, images: Sequence[Path]) -> list[Array | None]:
     """Return world_from_camera of each image; None for those without one.
 
-    The first number of a header is the number in the name of its image, or else the index of the image; headers that
-    tell the images apart by neither are ignored.
+    The first number of a header is the number in the name of its image, or else the index of the image. Other headers
+    are ignored.
     """
     with parsing(path, "trajectory with a header line and a 4x4 matrix per image"):
         lines = [line.split() for line in read_bytes(path, "trajectory").decode().splitlines() if line.strip()]
