@@ -56,7 +56,7 @@ def partners(color: Sequence[Path], depth: Sequence[Path]) -> list[Path | None]:
 
 
 def depth_partners(folder: Path, color: Sequence[Path]) -> list[Path]:
-    """Return the PNG file with the depth of each color image, in a folder; a missing one by the name of the color image.
+    """Return the PNG file with the depth of each color image, in a folder; a missing one by the color image's name.
 
     Raises:
         FileFormatError: The folder holds images of other kinds only.
