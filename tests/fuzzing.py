@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -57,8 +58,15 @@ def try_mutants(source: Source, first: int, last: int, report: Path) -> None:
             except GreenhouseError as error:
                 refused += len(str(error)) < 2000
             signal.setitimer(signal.ITIMER_PROF, 0)
-        usage = (resource.getrusage(each).ru_maxrss for each in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-        log.write(json.dumps([last - first, refused, 1024 * max(usage)]))
+        peak = max(_own_peak(), 1024 * resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
+        log.write(json.dumps([last - first, refused, peak]))
+
+
+def _own_peak() -> int:
+    """Bytes of memory of this process at its peak; the figure of ``getrusage`` includes its parent's at the start."""
+    found = re.search(r"VmHWM:\s*(\d+) kB", Path("/proc/self/status").read_text())
+    assert found
+    return 1024 * int(found[1])
 
 
 _RUN = """

@@ -140,7 +140,7 @@ def _bags() -> None:
 
 
 def test_some_mutants_of_each_kind(tmp_path: Path) -> None:
-    assert_all_end_well(__name__, tmp_path, [(kind, 0, 20) for kind in SOURCES])
+    assert_all_end_well(__name__, tmp_path, [(kind, 0, 10) for kind in SOURCES])
 
 
 @pytest.mark.slow
