@@ -174,7 +174,7 @@ def plan_with(
     """
     info = PLANNERS[planner]
     chosen = info.with_settings(settings or {})
-    require_seed(seed)
+    seed = require_seed(seed)
     seconds = _seconds(time_limit, max_checks)
     arm = compiled.robot
     origin = _configurations("start", [arm.configuration(start)], arm)[0]
