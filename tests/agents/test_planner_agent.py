@@ -100,7 +100,7 @@ def test_it_begins_anew_from_other_seeds_until_there_is_a_path(scene: Scene, mon
 
 
 def test_it_starts_where_it_is_told(scene: Scene) -> None:
-    start = ARM.start + [0.4, 0.1, 0.3, 0.0, 0.2, 0.0]
+    start = ARM.starts["upright"] + [0.4, 0.1, 0.3, 0.0, 0.2, 0.0]
     agent = PlannerAgent()
     agent.reset(Problem(scene, 0, ARM, start))
     assert agent.result is not None
