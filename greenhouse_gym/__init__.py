@@ -13,7 +13,7 @@ ENV_IDS: tuple[str, ...] = ("TomatoReach-v0",)
 gymnasium.register(
     id="TomatoReach-v0",
     entry_point="greenhouse_gym.envs.environment:GreenhouseEnv",
-    vector_entry_point="greenhouse_gym.envs.vector:GreenhouseVectorEnv",
+    vector_entry_point="greenhouse_gym.envs.factory:make_vec",
 )
 
 __all__ = ["ENV_IDS", "__version__"]

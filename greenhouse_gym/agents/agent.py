@@ -4,16 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, cast, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from greenhouse_gym.envs.actions import INTERVAL, ActionRule, JointIncrements, JointVelocities
+from greenhouse_gym.envs.actions import (
+    INTERVAL,
+    ActionRule,
+    JointIncrements,
+    JointVelocities,
+    TipVelocity,
+    ToolMotion,
+)
 from greenhouse_gym.envs.choices import make_action
 from greenhouse_gym.envs.simulation import Simulation
-from greenhouse_gym.envs.state import STEP_LIMIT
+from greenhouse_gym.envs.state import STEP_LIMIT, State
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
@@ -59,7 +66,7 @@ class Problem:
     @property
     def action_space(self) -> spaces.Box:
         """Space of an action; it has one axis."""
-        return self._rule.space
+        return self.rule.space
 
     @property
     def joint_steps(self) -> Array:
@@ -68,15 +75,31 @@ class Problem:
         Raises:
             InvalidValueError: The environment's actions do not move the joints.
         """
-        rule = self._rule
+        rule = self.rule
         if not isinstance(rule, JointIncrements | JointVelocities):
             raise InvalidValueError(
                 f"a joint path can be followed with action='joint' or 'joint_velocity' only, got {type(rule).__name__}"
             )
         return rule.peak
 
+    def command_change(self, action: Array, motion: ToolMotion) -> Array:
+        """Return the change of the joints' commands by an action (size,), (joints,) radians, before limits.
+
+        Args:
+            action: The action.
+            motion: Kinematics of the tool of one arm.
+
+        Raises:
+            InvalidValueError: The environment has its own kind of action, which may read the whole state.
+        """
+        rule = self.rule
+        if not isinstance(rule, JointIncrements | JointVelocities | TipVelocity):
+            raise InvalidValueError(f"the effect of an action is known for the package's own only, not {rule!r}")
+        return rule(action[None], cast(State, None), motion)[0]
+
     @property
-    def _rule(self) -> ActionRule:
+    def rule(self) -> ActionRule:
+        """The kind of action."""
         return JointIncrements(self.robot, self.interval) if self.action is None else self.action
 
 

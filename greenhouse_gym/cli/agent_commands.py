@@ -36,7 +36,7 @@ def compare(
         list[str] | None,
         typer.Argument(
             metavar="[AGENTS]...",
-            help="Planners, policies (names or files), random, straight-line, waypoint, watchful, hybrid, "
+            help="Planners, policies (names or files), random, straight-line, roadmap, watchful, hybrid, "
             "shielded, or your own as file.py:Class or module:Class.",
         ),
     ] = None,
@@ -192,7 +192,7 @@ def leaderboard(
 
 def demonstrations(
     out: Annotated[Path, typer.Option(help="Folder of Minari data sets.")] = Path("demonstrations"),
-    agent: Annotated[str, typer.Option(help="The demonstrator, named as in `compare`.")] = "waypoint",
+    agent: Annotated[str, typer.Option(help="The demonstrator, named as in `compare`.")] = "roadmap",
     bank: Bank = "default",
     split: Annotated[str, typer.Option(help="train or validation.")] = "train",
     observation: Annotated[str, typer.Option(help="Observation to record, unless the agent needs another.")] = "state",
@@ -212,7 +212,7 @@ def demonstrations(
 
 
 def watch(
-    agent: Annotated[str, typer.Option(help="The agent, named as in `compare`.")] = "ppo-waypoint-ur5e",
+    agent: Annotated[str, typer.Option(help="The agent, named as in `compare`.")] = "ppo-roadmap-ur5e",
     out: Annotated[Path, typer.Option(help="MP4 file to write.")] = Path("episode.mp4"),
     bank: Bank = "default",
     split: Annotated[str, typer.Option(help="train, validation or test.")] = "validation",

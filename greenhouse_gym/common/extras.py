@@ -17,6 +17,7 @@ MODULES: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "viz": ("matplotlib", "moviepy"),
         "cluster": ("ray",),
         "data": ("minari",),
+        "warp": ("warp",),
         "onnx": ("onnx", "safetensors"),
     }
 )

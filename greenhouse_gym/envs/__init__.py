@@ -5,7 +5,7 @@ from greenhouse_gym.envs.actions import ActionRule, ToolMotion
 from greenhouse_gym.envs.contacts import CONTACT_GROUPS
 from greenhouse_gym.envs.environment import GreenhouseEnv
 from greenhouse_gym.envs.episodes import Episode, EpisodeSampler
-from greenhouse_gym.envs.factory import make_env, make_vec_env
+from greenhouse_gym.envs.factory import make_env, make_vec, make_vec_env
 from greenhouse_gym.envs.features import FEATURES, Feature
 from greenhouse_gym.envs.image_observations import DepthObservation, PointsObservation, RgbObservation
 from greenhouse_gym.envs.observations import Observation
@@ -46,5 +46,6 @@ __all__ = [
     "ToolMotion",
     "Transition",
     "make_env",
+    "make_vec",
     "make_vec_env",
 ]

@@ -123,11 +123,11 @@ class TipVelocity:
     def __init__(self, robot: Robot, interval: float):
         self.space = _unit_box(6)
         self._sliding = robot.sliding[:, None]
-        self._scale = interval * np.array([TIP_SPEED] * 3 + [TIP_TURN] * 3)
+        self.scale = interval * np.array([TIP_SPEED] * 3 + [TIP_TURN] * 3)
 
     def __call__(self, action: Array, state: State, motion: ToolMotion) -> Array:
         """Return joint steps that approximate the desired motion of the tip."""
-        desired = (self._scale * action).reshape(-1, 2, 3)
+        desired = (self.scale * action).reshape(-1, 2, 3)
         cosine, sine = motion.heading[:, :1], motion.heading[:, 1:]
         x = cosine * desired[..., 0] - sine * desired[..., 1]
         y = sine * desired[..., 0] + cosine * desired[..., 1]

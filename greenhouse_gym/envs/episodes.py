@@ -199,28 +199,29 @@ class EpisodeSampler:
         names = _draw_difficulty(wanted, rng)
         if scene is None:
             scene, fitting = self._draw_scene(rng, names)
-        elif not (fitting := self._fitting(scene, names)):
-            raise InvalidValueError(self._nothing_fits(f"scene {scene.name!r}", names))
+        elif not (fitting := self.fitting(scene, names)):
+            raise InvalidValueError(self.nothing_fits(f"scene {scene.name!r}", names))
         target = fitting[int(rng.integers(len(fitting)))]
-        return Episode(scene, (target.tomato,), self._rating(target), start)
+        return Episode(scene, (target.tomato,), self.rating(target), start)
 
     def targets(self, scene: Scene) -> list[int]:
         """Return the tomatoes of a scene that are rated with one of the chosen difficulties."""
-        return [target.tomato for target in self._fitting(scene, tuple(self._wanted))]
+        return [target.tomato for target in self.fitting(scene, tuple(self._wanted))]
 
     def _draw_scene(self, rng: np.random.Generator, names: tuple[str, ...]) -> tuple[Scene, list[Target]]:
         # rejection sampling keeps scenes equally likely without reading all of them
         for _ in range(_DRAWS):
             scene = self.bank.scene(self._window.draw(rng))
-            if fitting := self._fitting(scene, names):
+            if fitting := self.fitting(scene, names):
                 return scene, fitting
-        scenes = [scene for scene in map(self.bank.scene, self._names) if self._fitting(scene, names)]
+        scenes = [scene for scene in map(self.bank.scene, self._names) if self.fitting(scene, names)]
         if not scenes:
-            raise InvalidValueError(self._nothing_fits(f"split {self.split!r} of bank {self.bank.path}", names))
+            raise InvalidValueError(self.nothing_fits(f"split {self.split!r} of bank {self.bank.path}", names))
         scene = scenes[int(rng.integers(len(scenes)))]
-        return scene, self._fitting(scene, names)
+        return scene, self.fitting(scene, names)
 
-    def _fitting(self, scene: Scene, names: tuple[str, ...]) -> list[Target]:
+    def fitting(self, scene: Scene, names: tuple[str, ...]) -> list[Target]:
+        """Return the targets of a scene with one of some difficulties, as rated for the arm, else for other arms."""
         key = (id(scene), names)
         if key not in self._cache:
             mine = [target for target in scene.targets if target.robot == self.robot.name]
@@ -236,10 +237,12 @@ class EpisodeSampler:
             raise InvalidValueError(f"scene must be a scene's name or a Scene, got {scene!r}")
         return self.bank.scene(scene) if isinstance(scene, str) else scene
 
-    def _rating(self, target: Target) -> str:
+    def rating(self, target: Target) -> str:
+        """Return the difficulty of a target, or `UNRATED` if it is rated for another arm."""
         return str(target.difficulty) if target.robot == self.robot.name else UNRATED
 
-    def _nothing_fits(self, where: str, names: tuple[str, ...]) -> str:
+    def nothing_fits(self, where: str, names: tuple[str, ...]) -> str:
+        """Return the message for a place that has no target with one of some difficulties."""
         return (
             f"{where} has no target rated {' or '.join(names)} for robot {self.robot.name!r}; difficulties are "
             f"{', '.join(DIFFICULTIES)}"

@@ -24,7 +24,7 @@ from greenhouse_gym.envs.state import Bools, Ids
 from greenhouse_gym.errors import EpisodeOverError, InvalidValueError, UnknownNameError, check_whole, require_choice
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.rendering.renderer import Viewpoint
-from greenhouse_gym.rendering.viewer import RENDER_MODES, Picture, Viewer
+from greenhouse_gym.rendering.viewer import RENDER_MODES, Picture, Viewer, available_modes
 
 MAX_THREADS = 1024
 """Largest number of threads of a simulation."""
@@ -81,15 +81,16 @@ class GreenhouseVectorEnv(  # type: ignore[misc]
         if render_mode == "human" and num_envs > 1:
             raise InvalidValueError('render_mode="human" shows one simulation; choose "rgb_array" or num_envs=1')
         self.options = {
-            "num_envs": num_envs, "render_mode": render_mode, "autoreset_mode": _mode(autoreset_mode).value,
+            "num_envs": num_envs, "render_mode": render_mode, "autoreset_mode": mode_of(autoreset_mode).value,
             "threads": threads,
         }  # fmt: skip
         if render_mode is not None:
             self.options |= {"width": width, "height": height, "camera": camera}
         self._viewer = None if render_mode is None else Viewer(render_mode, picture)
-        self.autoreset_mode = _mode(autoreset_mode)
+        self.autoreset_mode = mode_of(autoreset_mode)
         self.metadata = {
-            **self.metadata, "render_fps": self.settings.rate, "autoreset_mode": self.autoreset_mode
+            "render_modes": available_modes(), "render_fps": self.settings.rate,
+            "autoreset_mode": self.autoreset_mode,
         }  # fmt: skip
         self.simulation = Simulation(num_envs, self.settings, threads)
         self.single_observation_space = self.simulation.observe.space
@@ -221,7 +222,12 @@ class GreenhouseVectorEnv(  # type: ignore[misc]
             self.simulation.sampler.restart(next(iter(given.values())))
 
 
-def _mode(mode: AutoresetMode | str) -> AutoresetMode:
+def mode_of(mode: AutoresetMode | str) -> AutoresetMode:
+    """Return an autoreset mode by its value.
+
+    Raises:
+        UnknownNameError: There is no such mode.
+    """
     try:
         return AutoresetMode(mode)
     except ValueError:

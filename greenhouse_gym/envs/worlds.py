@@ -208,7 +208,7 @@ class Worlds:
         return replace(
             world,
             compiled=compile_scene(moved, self.robot, self.capacity, self._record),
-            goals=_spheres(moved, scene_from_base)[world.bodies],
+            goals=spheres_in_base(moved, scene_from_base)[world.bodies],
             before=world,
         )
 
@@ -216,7 +216,7 @@ class Worlds:
         physical = true_scene(scene) if self.physics == "truth" else scene
         self._check_size(physical)
         scene_from_base = pose(rotation_about([0, 0, 1], scene.placement.yaw), base_position(scene, self.robot))
-        tomatoes, bodies_there = (_spheres(s, scene_from_base) for s in (scene, physical))
+        tomatoes, bodies_there = (spheres_in_base(s, scene_from_base) for s in (scene, physical))
         if physical is scene:
             bodies = np.arange(len(tomatoes))
         else:
@@ -243,7 +243,7 @@ class Worlds:
             raise InvalidValueError(problem)
 
 
-def _spheres(scene: Shapes, scene_from_base: Array) -> Array:
+def spheres_in_base(scene: Shapes, scene_from_base: Array) -> Array:
     """Return (t, 4) centers in the base frame and radii of the tomatoes, metres."""
     centers = np.array([tomato.center for tomato in scene.tomatoes]).reshape(-1, 3)
     radii = np.array([[tomato.radius] for tomato in scene.tomatoes]).reshape(-1, 1)

@@ -243,7 +243,7 @@ def test_motion_bench_makers_files_come_in_pairs(turned: Scene, arm: Robot, tmp_
     reachable = sum(target.witness is not None for target in turned.targets)
     assert len(files) == 2 * reachable > 0
     scene, request = (yaml.safe_load(file.read_text()) for file in files[:2])
-    assert request["start_state"]["joint_state"]["position"] == pytest.approx(arm.start.tolist())
+    assert request["start_state"]["joint_state"]["position"] == pytest.approx(arm.rating_start.tolist())
     constraints = request["goal_constraints"][0]["joint_constraints"]
     assert [constraint["joint_name"] for constraint in constraints] == list(arm.joints)
     kinds = {piece["type"] for item in scene["world"]["collision_objects"] for piece in item["primitives"]}

@@ -147,7 +147,7 @@ def test_goals_may_be_given(scene: Scene) -> None:
 
 
 def test_start_elsewhere(scene: Scene) -> None:
-    start = START + [0.5, 0.2, 0.3, -0.4, 0.5, 0.0]
+    start = get_robot("ur5e").starts["upright"] + [0.5, 0.2, 0.3, -0.4, 0.5, 0.0]
     result = plan(scene, 3, start=start)
     assert result.path is not None
     assert np.array_equal(result.path[0], start)

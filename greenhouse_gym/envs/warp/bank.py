@@ -1,0 +1,251 @@
+"""Scenes of a bank as arrays: shapes, arm placements and tomatoes, and the table from which episodes are drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from greenhouse_gym.envs.episodes import UNRATED, EpisodeSampler
+from greenhouse_gym.envs.warp.arm import Ints, matrix
+from greenhouse_gym.envs.worlds import spheres_in_base
+from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.geometry import Array, Box, ShapeArrays, arrays_of, pose, rotation_about
+from greenhouse_gym.geometry.shape_arrays import BOX, CAPSULE, SPHERE
+from greenhouse_gym.motion.distance_field import NODE, SHAPE, obstacle_field
+from greenhouse_gym.robots import Robot
+from greenhouse_gym.scene import DIFFICULTIES, Scene, compile_scene
+from greenhouse_gym.scene.mjcf import base_position
+from greenhouse_gym.scene.obstacle_slots import MIN_LENGTH
+from greenhouse_gym.scene.truth import true_scene
+
+RATINGS = (*DIFFICULTIES, UNRATED)
+"""Ratings of targets by index."""
+
+
+@dataclass(frozen=True, eq=False)
+class ShapeTable:
+    """Shapes of s scenes in one table of m rows, in the frames of their scenes, metres.
+
+    Attributes:
+        first: (s,) first row of each scene.
+        count: (s,) number of rows of each scene.
+        kind: (m,) kind of shape, as in `greenhouse_gym.geometry.shape_arrays`.
+        center: (m, 3) center.
+        rotation: (m, 3, 3) rotation; the axis of a capsule is its z axis.
+        size: (m, 3) radius; radius and half length; semi-axes; half extents.
+        bound: (m,) radius of the ball around the center that encloses the shape.
+    """
+
+    first: Ints
+    count: Ints
+    kind: Ints
+    center: Array
+    rotation: Array
+    size: Array
+    bound: Array
+
+
+@dataclass(frozen=True, eq=False)
+class SceneArrays:
+    """Arm placements of s scenes and their t tomatoes.
+
+    Attributes:
+        base: (s, 3) the arm's base in the scene, metres.
+        heading: (s, 3, 3) rotation from the base frame, in which observations are, to the scene.
+        arm_rotation: (s, 3, 3) rotation of the arm's first body in the scene.
+        floor: (s,) height of the floor, metres.
+        fixtures: (s,) rows of each scene's shapes before its tomatoes.
+        tomato_first: (s,) first tomato of each scene.
+        scene: (t,) scene of each tomato.
+        tomato: (t,) its index in the scene.
+        shape: (t,) row of the simulated tomato, counted from the scene's first.
+        target: (t, 3) observed center in the base frame, metres.
+        goal: (t, 3) simulated center in the base frame, metres.
+        radius: (t,) simulated radius, metres.
+        rating: (t,) index into `RATINGS`.
+    """
+
+    base: Array
+    heading: Array
+    arm_rotation: Array
+    floor: Array
+    fixtures: Ints
+    tomato_first: Ints
+    scene: Ints
+    tomato: Ints
+    shape: Ints
+    target: Array
+    goal: Array
+    radius: Array
+    rating: Ints
+
+
+class Bank(NamedTuple):
+    """Scenes as arrays.
+
+    Attributes:
+        scenes: Placements and tomatoes.
+        shapes: Shapes that the arm may touch, those of the true rows if they are simulated; the cart comes first.
+        fields: (s, nodes) nodes of the distance fields of the scenes as agents know them.
+    """
+
+    scenes: SceneArrays
+    shapes: ShapeTable
+    fields: npt.NDArray[np.void]
+
+
+@dataclass(frozen=True, eq=False)
+class DrawTable:
+    """Distribution of episodes: an entry is drawn, then one of its tomatoes.
+
+    Attributes:
+        cumulative: (e,) probability of this or an earlier entry, float32.
+        first: (e,) first of the entry's rows.
+        count: (e,) number of its rows.
+        row: (r,) tomatoes of the entries, indices into `SceneArrays`.
+    """
+
+    cumulative: npt.NDArray[np.float32]
+    first: Ints
+    count: Ints
+    row: Ints
+
+
+def bank_of(scenes: Sequence[Scene], sampler: EpisodeSampler, physics: str) -> Bank:
+    """Return scenes as arrays.
+
+    Args:
+        scenes: The scenes.
+        sampler: Sampler of episodes, which rates the targets.
+        physics: "reconstruction" or "truth".
+
+    Raises:
+        InvalidValueError: A scene carries no truth although the physics need it.
+    """
+    robot, truth = sampler.robot, physics == "truth"
+    placements, tables = [], []
+    columns: dict[str, list[Array]] = {name: [] for name in ("scene", "tomato", "shape", "target", "goal", "radius")}
+    ratings: list[int] = []
+    fields = np.empty((len(scenes), *SHAPE), dtype=NODE)
+    for s, scene in enumerate(scenes):
+        physical = true_scene(scene) if truth else scene
+        placement = _Placement.of(scene, robot)
+        placements.append(placement)
+        cart = placement.cart
+        tables.append(_table(cart, physical.arrays))
+        obstacle_field(
+            scene.arrays, len(scene.tomatoes), placement.scene_from_base, fields[s].reshape(-1).view(np.uint64)
+        )
+        targets = spheres_in_base(scene, placement.scene_from_base).astype(np.float32).astype(np.float64)
+        goals, bodies = targets, np.arange(len(targets))
+        if truth:
+            exact, there = (spheres_in_base(x, placement.scene_from_base) for x in (scene, physical))
+            bodies = np.linalg.norm(exact[:, None, :3] - there[None, :, :3], axis=-1).argmin(axis=1)
+            goals = there[bodies]
+        columns["scene"].append(np.full(len(targets), s))
+        columns["tomato"].append(np.arange(len(targets)))
+        columns["shape"].append(bodies + len(cart.kinds))
+        columns["target"].append(targets[:, :3])
+        columns["goal"].append(goals[:, :3])
+        columns["radius"].append(goals[:, 3])
+        rated = {target.tomato: sampler.rating(target) for target in sampler.fitting(scene, DIFFICULTIES)}
+        ratings += [RATINGS.index(rated.get(k, UNRATED)) for k in range(len(targets))]
+    whole = {name: np.concatenate(parts) for name, parts in columns.items()}
+    counts = np.bincount(whole["scene"].astype(np.int64), minlength=len(scenes))
+    arrays = SceneArrays(
+        base=np.array([p.scene_from_base[:3, 3] for p in placements]),
+        heading=np.array([p.scene_from_base[:3, :3] for p in placements]),
+        arm_rotation=np.array([p.arm_rotation for p in placements]),
+        floor=np.array([p.floor for p in placements]),
+        fixtures=np.array([len(p.cart.kinds) for p in placements], dtype=np.int32),
+        tomato_first=np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(np.int32),
+        rating=np.array(ratings, dtype=np.int32),
+        **{name: whole[name].astype(np.int32) for name in ("scene", "tomato", "shape")},
+        **{name: whole[name] for name in ("target", "goal", "radius")},
+    )
+    return Bank(arrays, _joined(tables), fields)
+
+
+def draw_table(scenes: Sequence[Scene], sampler: EpisodeSampler, tomato_first: Ints) -> DrawTable:
+    """Return the distribution of `EpisodeSampler.draw`: a difficulty if they have weights, a scene, one of its targets.
+
+    Raises:
+        InvalidValueError: No target has one of the difficulties.
+    """
+    weights = sampler.difficulty
+    total = sum(weights.values())
+    groups = {(name,): weight / total for name, weight in weights.items()} if total else {tuple(weights): 1.0}
+    chances: list[float] = []
+    rows: list[list[int]] = []
+    for names, weight in groups.items():
+        fitting = [
+            [int(first) + target.tomato for target in sampler.fitting(scene, names)]
+            for scene, first in zip(scenes, tomato_first, strict=True)
+        ]
+        fitting = [entry for entry in fitting if entry]
+        if not fitting:
+            raise InvalidValueError(sampler.nothing_fits(f"split {sampler.split!r} of bank {sampler.bank.path}", names))
+        chances += [weight / len(fitting)] * len(fitting)
+        rows += fitting
+    count = np.array([len(entry) for entry in rows], dtype=np.int32)
+    cumulative = np.cumsum(chances).astype(np.float32)
+    cumulative[-1] = 1.0
+    return DrawTable(
+        cumulative,
+        (np.cumsum(count) - count).astype(np.int32),
+        count,
+        np.array([row for entry in rows for row in entry], dtype=np.int32),
+    )
+
+
+class _Placement(NamedTuple):
+    """Pose of the arm's base in a scene, rotation of its first body, height of the floor, and the cart, if any."""
+
+    scene_from_base: Array
+    arm_rotation: Array
+    floor: float
+    cart: ShapeArrays
+
+    @classmethod
+    def of(cls, scene: Scene, robot: Robot) -> _Placement:
+        bare = scene.model_copy(update={"tomatoes": (), "stems": (), "clutter": (), "targets": ()})
+        compiled = compile_scene(bare, robot)
+        model = compiled.model
+        fixtures = range(model.geom("floor").id + 1, compiled.obstacle_geoms.start)
+        return cls(
+            pose(rotation_about([0, 0, 1], scene.placement.yaw), base_position(scene, robot)),
+            matrix(model.body_quat[1]),
+            float(model.geom("floor").pos[2]),
+            arrays_of([Box(model.geom_pos[g], model.geom_size[g], matrix(model.geom_quat[g])) for g in fixtures]),
+        )
+
+
+def _table(cart: ShapeArrays, shapes: ShapeArrays) -> ShapeTable:
+    """Return the shapes of one scene after its cart."""
+    kinds, starts, ends, sizes, rotations = (np.concatenate(both) for both in zip(cart, shapes, strict=True))
+    axes = (ends - starts) / 2
+    half = np.linalg.norm(axes, axis=1)
+    kinds = np.where((kinds == CAPSULE) & (2 * half <= MIN_LENGTH), SPHERE, kinds)
+    capsule = kinds == CAPSULE
+    rotations, sizes = rotations.copy(), sizes.copy()
+    rotations[capsule, :, 2] = axes[capsule] / half[capsule, None]  # the kernels read no other column
+    sizes[capsule, 1] = half[capsule]
+    bound = np.where(kinds == BOX, np.linalg.norm(sizes, axis=1), sizes.max(axis=1))
+    bound[capsule] = sizes[capsule, :2].sum(axis=1)
+    count = np.array([len(kinds)], dtype=np.int32)
+    return ShapeTable(
+        np.zeros(1, dtype=np.int32), count, kinds.astype(np.int32), (starts + ends) / 2, rotations, sizes, bound
+    )
+
+
+def _joined(tables: Sequence[ShapeTable]) -> ShapeTable:
+    count = np.concatenate([table.count for table in tables])
+    columns = {
+        name: np.concatenate([getattr(table, name) for table in tables])
+        for name in ("kind", "center", "rotation", "size", "bound")
+    }
+    return ShapeTable((np.cumsum(count) - count).astype(np.int32), count.astype(np.int32), **columns)

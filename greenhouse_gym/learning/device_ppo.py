@@ -1,0 +1,396 @@
+"""PPO whose rollouts stay on the device of the Warp environment; on a GPU, rollouts and updates are CUDA graphs."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from greenhouse_gym.agents.policy import Policy
+from greenhouse_gym.common.extras import needs
+from greenhouse_gym.common.files import write_atomically
+from greenhouse_gym.common.progress import say
+from greenhouse_gym.envs.rewards import DenseReward
+from greenhouse_gym.envs.settings import EnvSettings, check_whole
+from greenhouse_gym.errors import InvalidValueError, require_seed
+
+with needs("train"):
+    import torch
+    from torch import Tensor, nn
+
+    from greenhouse_gym.learning.sb3_features import CENTERS_AND_SCALES
+    from greenhouse_gym.learning.training_files import CURVE, write_curve
+
+COLUMNS = ("steps", "seconds", "success_rate", "collision_rate", "return", "length", "learning_rate", "kl")
+"""Columns of the learning curve."""
+
+_LOG_2PI = math.log(2 * math.pi)
+_LOWEST_RATE, _HIGHEST_RATE = 2e-5, 2e-3
+_SECONDS_BETWEEN_LINES = 10.0
+
+
+@dataclass(frozen=True)
+class DevicePpoSettings:
+    """Settings of a training by PPO on a device.
+
+    Attributes:
+        bank: Name or folder of the scene bank.
+        split: Split to train on.
+        robot: The arm.
+        action: "joint", "joint_velocity" or "tip_velocity".
+        difficulty: Difficulties of the targets.
+        device: "cpu" or "cuda".
+        total_steps: Steps of all simulations together.
+        num_envs: Number of simulations.
+        rollout_steps: Steps of each simulation between updates.
+        minibatches: Gradient steps per pass over a rollout.
+        epochs: Passes over a rollout.
+        learning_rate: Learning rate at the start. It follows the divergence of the policy from the one before the
+            update, and falls in the last quarter of the steps.
+        divergence: Desired Kullback-Leibler divergence.
+        discount: Discount of future rewards, per step.
+        gae_lambda: Lambda of the generalized advantage estimate.
+        clip_range: Largest deviation of the probability ratio from 1.
+        collision: Reward for a collision; the other terms are those of `DenseReward`.
+        log_std: Initial logarithm of the standard deviation of the action noise.
+        hidden: Sizes of the hidden layers of actor and critic.
+        seed: Seed of episodes, weights and noise.
+    """
+
+    bank: str = "default"
+    split: str = "train"
+    robot: str = "ur5e"
+    action: str = "joint"
+    difficulty: tuple[str, ...] = ("easy", "medium", "hard")
+    device: str = "cpu"
+    total_steps: int = 100_000_000
+    num_envs: int = 4096
+    rollout_steps: int = 24
+    minibatches: int = 8
+    epochs: int = 4
+    learning_rate: float = 5e-4
+    divergence: float = 0.012
+    discount: float = 0.99
+    gae_lambda: float = 0.95
+    clip_range: float = 0.2
+    collision: float = -5.0
+    log_std: float = -0.5
+    hidden: tuple[int, ...] = (256, 256)
+    seed: int = 0
+
+
+def train_ppo_on_device(
+    settings: DevicePpoSettings,
+    out: str | Path,
+    *,
+    time_limit: float | None = None,
+    on_progress: Callable[[Mapping[str, float]], None] = lambda line: None,
+) -> Path:
+    """Train a policy on the Warp environment.
+
+    ``out`` gets ``settings.json``, ``curve.csv`` (one line per report), and ``policy.json`` with
+    ``policy.safetensors``, also when the training is interrupted.
+
+    Args:
+        settings: The settings.
+        out: Folder for the results, which must not hold a training.
+        time_limit: Seconds after which the training stops.
+        on_progress: Called with each new line of ``curve.csv``.
+
+    Returns:
+        The path of the policy's JSON file.
+
+    Raises:
+        InvalidValueError: The folder holds a training, or the device is missing or lacks memory.
+        KeyboardInterrupt: The training was interrupted; its results are written.
+    """
+    require_seed(settings.seed)
+    out = Path(out)
+    if (out / CURVE).exists():
+        raise InvalidValueError(f"{out} holds a training, which would be lost: choose another folder")
+    batch = settings.num_envs * settings.rollout_steps
+    check_whole("minibatches", settings.minibatches, 1, batch)
+    training = DevicePpo(settings)
+    write_atomically(out / "settings.json", json.dumps(asdict(settings), indent=1) + "\n")
+    rows: list[dict[str, float]] = []
+    began = shown = time.monotonic()
+    try:
+        while (left := 1 - training.steps / settings.total_steps) > 0:
+            kl = training.iterate(left)
+            now = time.monotonic()
+            over = time_limit is not None and now - began > time_limit
+            if over or now - shown > _SECONDS_BETWEEN_LINES or training.steps >= settings.total_steps:
+                shown = now
+                figures = {"steps": training.steps, "seconds": round(now - began, 2), **training.figures()}
+                rows.append({**figures, "learning_rate": training.learning_rate, "kl": kl})
+                write_curve(out / CURVE, COLUMNS, rows)
+                say(
+                    f"{training.steps:,} steps, {now - began:.0f} s: success {figures['success_rate']:.0%}, "
+                    f"collision {figures['collision_rate']:.0%}, return {figures['return']:.2f}"
+                )
+                on_progress(rows[-1])
+            if over:
+                break
+    finally:
+        path = training.policy().save(out / "policy")
+        training.env.close()
+    return path
+
+
+class DevicePpo:
+    """State of a training: environment, networks, and the buffers of a rollout.
+
+    Args:
+        settings: The settings.
+
+    Attributes:
+        env: The environment, which returns tensors.
+        steps: Environment steps so far.
+        learning_rate: Current learning rate.
+    """
+
+    def __init__(self, settings: DevicePpoSettings):
+        from greenhouse_gym.envs.warp import WarpVectorEnv
+
+        self.settings, self.steps, self.learning_rate = settings, 0, settings.learning_rate
+        torch.manual_seed(settings.seed)
+        self.env = WarpVectorEnv(
+            settings.num_envs,
+            EnvSettings(
+                settings.bank, settings.split, settings.robot, action=settings.action, difficulty=settings.difficulty,
+                reward=DenseReward(collision=settings.collision),
+            ),
+            device=settings.device, arrays="torch",
+        )  # fmt: skip
+        self._observation, _ = self.env.reset(seed=settings.seed)
+        device = self._device = self._observation.device
+        count, size = self._observation.shape
+        # episodes that all began together would also all end together
+        ages = np.random.default_rng(settings.seed).integers(self.env.settings.step_limit, size=count)
+        self.env.simulation.state.steps.assign(ages.astype(np.int32))
+        actions = int(self.env.simulation.action.shape[1])
+        layout = self.env.simulation.observe.layout
+        self.networks = Networks(size, actions, settings, layout).to(device)
+        steps = settings.rollout_steps
+        shapes: dict[str, tuple[int, ...]] = {
+            "observations": (steps + 1, count, size),
+            "actions": (steps, count, actions),
+        }
+        shapes |= {"values": (steps + 1, count)}
+        shapes |= dict.fromkeys(
+            ("chances", "rewards", "terminal", "ended", "used", "advantages", "returns"), (steps, count)
+        )
+        self._buffers = {name: torch.zeros(shape, device=device) for name, shape in shapes.items()}
+        self._waiting, self._score = torch.zeros(count, device=device), torch.zeros(count, device=device)
+        self._sums = torch.zeros(5, device=device)  # episodes, successes, collisions, returns, lengths
+        self._kl = torch.zeros(1, device=device)
+        self._minibatch = torch.zeros(steps * count // settings.minibatches, dtype=torch.int64, device=device)
+        graphs = device.type == "cuda"
+        rate: Any = torch.tensor(self.learning_rate, device=device) if graphs else self.learning_rate
+        self._optimizer = torch.optim.Adam(self.networks.parameters(), lr=rate, eps=1e-5, capturable=graphs)
+        self._roll, self._update = self._rollout, self._gradient_step
+        if graphs:
+            self._roll = _graph(self._rollout)
+            self._update = self._captured_update()
+
+    def iterate(self, left: float) -> float:
+        """Make a rollout and update the networks with it; return the divergence of the policy.
+
+        Args:
+            left: Fraction of the training that is left.
+        """
+        settings = self.settings
+        self._roll()
+        total = settings.num_envs * settings.rollout_steps
+        size = len(self._minibatch)
+        for _ in range(settings.epochs):
+            order = torch.randperm(total, device=self._device)
+            self._kl.zero_()
+            for k in range(settings.minibatches):
+                self._minibatch.copy_(order[k * size : (k + 1) * size])
+                self._update()
+        kl = float(self._kl) / settings.minibatches
+        rate = self.learning_rate
+        if kl > 2 * settings.divergence:
+            rate /= 1.5
+        elif kl < settings.divergence / 2:
+            rate *= 1.5
+        self.learning_rate = min(max(rate, _LOWEST_RATE), max(_LOWEST_RATE, _HIGHEST_RATE * min(1.0, left / 0.25)))
+        for group in self._optimizer.param_groups:
+            if isinstance(group["lr"], Tensor):
+                group["lr"].fill_(self.learning_rate)
+            else:
+                group["lr"] = self.learning_rate
+        self.steps += total
+        return kl
+
+    def figures(self) -> dict[str, float]:
+        """Return the averages over the episodes that ended since the last call."""
+        episodes, *sums = self._sums.tolist()
+        self._sums.zero_()
+        names = ("success_rate", "collision_rate", "return", "length")
+        return {
+            name: round(value / episodes, 5) if episodes else math.nan for name, value in zip(names, sums, strict=True)
+        }
+
+    def policy(self) -> Policy:
+        """Return the mean of the actor as a policy."""
+        layers = [layer for layer in self.networks.actor if isinstance(layer, nn.Linear)]
+
+        def numbers(tensor: Tensor) -> np.ndarray[Any, Any]:
+            return tensor.detach().cpu().numpy().astype(np.float32)
+
+        simulation = self.env.simulation
+        return Policy(
+            weights=tuple(numbers(layer.weight) for layer in layers),
+            biases=tuple(numbers(layer.bias) for layer in layers),
+            activation="relu",
+            center=numbers(self.networks.center),
+            scale=numbers(self.networks.scale),
+            env_options=self.env.settings.agent_options(),
+            layout=simulation.observe.layout,
+            training={
+                "algorithm": "PPO on a device",
+                "steps": self.steps,
+                "settings": json.loads(json.dumps(asdict(self.settings))),
+                "bank_sha256": simulation.sampler.bank.sha256,
+            },
+        )  # fmt: skip
+
+    @torch.no_grad()
+    def _rollout(self) -> None:
+        """Fill the buffers with steps of all simulations, and compute advantages and returns."""
+        b, networks, settings = self._buffers, self.networks, self.settings
+        log_std = networks.log_std
+        constant = -log_std.sum() - 0.5 * _LOG_2PI * len(log_std)
+        for t in range(settings.rollout_steps):
+            b["observations"][t].copy_(self._observation)
+            mean, value = networks(b["observations"][t])
+            noise = torch.randn_like(mean)
+            b["values"][t].copy_(value)
+            b["actions"][t].copy_(mean + log_std.exp() * noise)
+            b["chances"][t].copy_(constant - 0.5 * (noise * noise).sum(1))
+            # the environment clips actions, and ignores those of the step that begins an episode
+            self._observation, reward, terminated, truncated, info = self.env.step(b["actions"][t])
+            b["used"][t].copy_(1 - self._waiting)
+            b["rewards"][t].copy_(reward)
+            b["terminal"][t].copy_(terminated)
+            torch.logical_or(terminated, truncated, out=b["ended"][t])
+            ended = b["ended"][t]
+            self._waiting.copy_(ended)
+            self._score.add_(reward)
+            measured = torch.stack(
+                [torch.ones_like(reward), info["is_success"], info["collision"], self._score, info["steps"]]
+            )
+            self._sums.add_((measured * ended).sum(1))
+            self._score.mul_(1 - ended)
+        b["observations"][-1].copy_(self._observation)
+        b["values"][-1].copy_(networks(b["observations"][-1])[1])
+        advantage = torch.zeros_like(b["values"][0])
+        for t in reversed(range(settings.rollout_steps)):
+            expected = b["rewards"][t] + settings.discount * b["values"][t + 1] * (1 - b["terminal"][t])
+            going_on = settings.discount * settings.gae_lambda * (1 - b["ended"][t])
+            advantage = expected - b["values"][t] + going_on * advantage
+            b["advantages"][t].copy_(advantage)
+        b["returns"].copy_(b["advantages"] + b["values"][:-1])
+        used = b["used"]
+        mean = (b["advantages"] * used).sum() / used.sum()
+        deviation = (((b["advantages"] - mean) ** 2 * used).sum() / used.sum()).sqrt()
+        b["advantages"].sub_(mean).div_(deviation + 1e-8)
+
+    def _gradient_step(self) -> None:
+        """Update the networks with the samples of the current minibatch."""
+        settings, networks, rows = self.settings, self.networks, self._minibatch
+        b = {name: values[: settings.rollout_steps].flatten(0, 1)[rows] for name, values in self._buffers.items()}
+        mean, value = networks(b["observations"])
+        deviation = (b["actions"] - mean) * (-networks.log_std).exp()
+        chance = -0.5 * (deviation * deviation).sum(1) - networks.log_std.sum() - 0.5 * _LOG_2PI * deviation.shape[1]
+        change = chance - b["chances"]
+        ratio = change.exp()
+        weight = b["used"] / b["used"].sum()
+        clipped = ratio.clamp(1 - settings.clip_range, 1 + settings.clip_range)
+        gain = torch.minimum(b["advantages"] * ratio, b["advantages"] * clipped)
+        loss = (weight * (0.25 * (value - b["returns"]) ** 2 - gain)).sum()
+        self._optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        nn.utils.clip_grad_norm_(self.networks.parameters(), 0.5)
+        self._optimizer.step()
+        self._kl.add_((weight * (ratio - 1 - change)).sum().detach())
+
+    def _captured_update(self) -> Callable[[], None]:
+        """Return the update as a graph; capturing it changes neither the networks nor the optimizer."""
+        self._roll()
+        before = [parameter.detach().clone() for parameter in self.networks.parameters()]
+        self._minibatch.copy_(torch.arange(len(self._minibatch), device=self._device))
+        replay = _graph(self._gradient_step)
+        with torch.no_grad():
+            for parameter, value in zip(self.networks.parameters(), before, strict=True):
+                parameter.copy_(value)
+            for state in self._optimizer.state.values():
+                for value in state.values():
+                    value.zero_()
+        return replay
+
+
+class Networks(nn.Module):
+    """Actor and critic on observations of a layout, scaled to about one.
+
+    Args:
+        size: Size of the observation.
+        actions: Size of the action.
+        settings: Sizes of the hidden layers, and the noise.
+        layout: Name and size of each feature.
+    """
+
+    center: Tensor
+    scale: Tensor
+
+    def __init__(self, size: int, actions: int, settings: DevicePpoSettings, layout: tuple[tuple[str, int], ...]):
+        super().__init__()
+        self.actor = _perceptron((size, *settings.hidden, actions), 0.01)
+        self.critic = _perceptron((size, *settings.hidden, 1), 1.0)
+        self.log_std = nn.Parameter(torch.full((actions,), settings.log_std))
+        pairs = np.concatenate(
+            [np.tile(CENTERS_AND_SCALES.get(name, (0.0, 1.0)), (width, 1)) for name, width in layout]
+        )
+        self.register_buffer("center", torch.tensor(pairs[:, 0], dtype=torch.float32))
+        self.register_buffer("scale", torch.tensor(pairs[:, 1], dtype=torch.float32))
+
+    def forward(self, observations: Tensor) -> tuple[Tensor, Tensor]:
+        """Return mean actions (n, size) and values (n,)."""
+        scaled = (observations - self.center) / self.scale
+        return self.actor(scaled), self.critic(scaled).squeeze(1)
+
+
+def _perceptron(sizes: tuple[int, ...], last_gain: float) -> nn.Sequential:
+    layers: list[nn.Module] = []
+    for k, (inputs, outputs) in enumerate(pairwise(sizes)):
+        layer = nn.Linear(inputs, outputs)
+        is_last = k == len(sizes) - 2
+        nn.init.orthogonal_(layer.weight, last_gain if is_last else math.sqrt(2))
+        nn.init.zeros_(layer.bias)
+        layers += [layer] if is_last else [layer, nn.ReLU()]
+    return nn.Sequential(*layers)
+
+
+def _graph(function: Callable[[], None]) -> Callable[[], None]:
+    """Return a function as a replayable CUDA graph, after warming it up."""
+    stream: Any = torch.cuda.Stream()  # type: ignore[no-untyped-call]
+    stream.wait_stream(torch.cuda.current_stream())
+    with torch.cuda.stream(stream):
+        for _ in range(2):
+            function()
+    torch.cuda.current_stream().wait_stream(stream)
+    torch.cuda.synchronize()
+    graph = torch.cuda.CUDAGraph()
+    with torch.cuda.graph(graph):
+        function()
+    replay: Callable[[], None] = graph.replay
+    return replay
