@@ -89,7 +89,7 @@ def values(infos: dict[str, Any]) -> dict[str, Any]:
             plain[key] = (
                 [bool(v) for v in value]
                 if flags
-                else [None if b else v for b, v in zip(blank, value)] or value.tolist()
+                else [None if b else v for b, v in zip(blank, value, strict=True)] or value.tolist()
             )
     return plain
 
@@ -153,7 +153,8 @@ def test_actions_that_are_no_real_numbers_are_refused(bank: SceneBank, action: A
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"success_radius": 2**70}, {"success_radius": 10**400}, {"success_radius": 1j}, {"rate": 2**1100}, {"start": ["1"] * 6}],
+    [{"success_radius": 2**70}, {"success_radius": 10**400}, {"success_radius": 1j}, {"rate": 2**1100},
+     {"start": ["1"] * 6}],
     ids=str,
 )  # fmt: skip
 def test_settings_that_no_float_holds_are_refused(bank: SceneBank, wrong: dict[str, Any]) -> None:
