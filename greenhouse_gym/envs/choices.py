@@ -211,6 +211,11 @@ class _CheckedAction:
         return change.astype(np.float64)
 
 
+def is_of_user(part: object) -> bool:
+    """Return whether an observation or an action is a user's, not one of the package."""
+    return isinstance(part, _Checked | _CheckedAction)
+
+
 class _CheckedReward:
     """Reward of a user, with checks."""
 
