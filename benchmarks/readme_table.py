@@ -20,7 +20,12 @@ from greenhouse_gym.scene import SceneBank
 
 README = ROOT / "README.md"
 BEGIN, END = "<!-- --8<-- [start:results] -->", "<!-- --8<-- [end:results] -->"
-AGENTS = ("hybrid, reconstruction", "ppo-waypoint-ur5e, truth", "ppo-scratch-ur5e, reconstruction", "watchful, truth")
+AGENTS = (
+    "hybrid, reconstruction",
+    "ppo-roadmap-ur5e, truth",
+    "ppo-roadmap-scratch-ur5e, reconstruction",
+    "watchful, truth",
+)
 """Agents and worlds in README; the file holds the others."""
 PLANS = {
     "plans, test rows, unknown=0.15, folded": "at most 0.15 m deep into unknown space",

@@ -11,7 +11,7 @@ class Learned:
     name = "learned"
     env_options = {"robot": "ur5e", "observation": "state", "action": "joint"}
 
-    def __init__(self, network=lambda observations: np.tanh(observations[:, 18:24])):
+    def __init__(self, network=lambda observations: np.tanh(observations[:, 24:30])):
         self.network = network  # CleanRL: lambda x: actor(torch.as_tensor(x)).detach().numpy(); TorchRL: the same
 
     def reset(self, problem): ...

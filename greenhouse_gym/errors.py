@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from difflib import get_close_matches
-from numbers import Integral
+from numbers import Integral, Real
 from typing import Any
 
 _LONGEST = 1000  # characters of what a damaged file held that a message repeats
@@ -110,3 +111,24 @@ def require_seed(seed: int) -> int:
     if isinstance(seed, bool) or not isinstance(seed, Integral) or seed < 0:
         raise InvalidValueError(f"seed must be a whole number from 0 on, got {seed!r}")
     return int(seed)
+
+
+def check_whole(name: str, value: Any, lowest: int, highest: int | None = None) -> int:
+    """Return the value if it is a whole number in the range.
+
+    Raises:
+        InvalidValueError: It is not.
+    """
+    whole = isinstance(value, Integral) and not isinstance(value, bool)
+    if not whole or value < lowest or (highest is not None and value > highest):
+        limit = "up" if highest is None else f"to {highest}"
+        raise InvalidValueError(f"{name} must be a whole number from {lowest} {limit}, got {value!r}")
+    return int(value)
+
+
+def is_number(value: object) -> bool:
+    """Return whether a value is a finite real number; truth values are none."""
+    try:
+        return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
+    except OverflowError:  # a whole number beyond the range of floats
+        return False

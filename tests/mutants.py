@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import zipfile
 from copy import deepcopy
 from typing import Any
@@ -108,3 +109,25 @@ def damaged_arrays(content: bytes, seed: int) -> bytes:
 def _npy(array: Any) -> bytes:
     np.save(buffer := io.BytesIO(), array)
     return buffer.getvalue()
+
+
+def damaged_numbers(content: bytes, seed: int) -> bytes:
+    """One to three numbers of the first kilobytes changed: those that are written out, or 1 to 8 bytes as integers."""
+    rng = np.random.default_rng(seed)
+    data = bytearray(content)
+    for _ in range(rng.integers(1, 4)):
+        written = list(re.finditer(rb"\b\d+\b|\b[a-zA-Z_]\w*\b", data[:4000]))
+        if written and rng.random() < 0.6:
+            found = written[rng.integers(0, len(written))]
+            value = _NUMBERS[rng.integers(0, len(_NUMBERS))]
+            if found[0].isdigit() and rng.random() < 0.7:
+                value = str(int(found[0][:18]) * 10 ** int(rng.integers(0, 6)) + int(rng.integers(-1, 2))).encode()
+            elif not found[0].isdigit() and rng.random() < 0.7:
+                value = bytes([rng.integers(65, 91)]) + found[0][1:]
+            data[found.start() : found.end()] = value
+        else:
+            size = int(2 ** rng.integers(0, 4))
+            at = int(rng.integers(0, max(1, min(len(data), 600) - size)))
+            value = int(rng.choice([0, 1, 2, 255, 2**15, 2**16 - 1, 2**31 - 1, 2**31, 2**32 - 1, 10**6, 2**40, 2**63]))
+            data[at : at + size] = (value % 256**size).to_bytes(size, "little")
+    return bytes(data)

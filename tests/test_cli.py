@@ -411,6 +411,7 @@ def test_the_demo_runs_whole(tmp_path: Path) -> None:
     assert len(open_recording(out / "recording")) == 6
     assert (out / "comparison.md").read_text().count("|") > 20
     assert (out / "ppo" / "policy.json").is_file()
+    assert (out / "13-policy.mp4").stat().st_size > 0
 
 
 # -- settings and formats ---------------------------------------------------------------------------------------------

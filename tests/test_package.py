@@ -129,7 +129,7 @@ def test_the_wheel_installs_into_a_fresh_environment(wheel: Path, tmp_path: Path
     code = "from greenhouse_gym.cli import main; main()"  # the program's first line would hold the path, with its space
     assert program.is_file()
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
-    for arguments in (["doctor"], ["compare", "random", "waypoint", "--bank", "mini", "--episodes", "2"]):
+    for arguments in (["doctor"], ["compare", "random", "roadmap", "--bank", "mini", "--episodes", "2"]):
         done = subprocess.run(
             [python, "-c", code, *arguments], capture_output=True, text=True, cwd=tmp_path, env=environment, check=False
         )

@@ -40,10 +40,9 @@ def main() -> None:
         [clearances(scene, robot, candidates) for scene in SceneBank.open(a.bank) if len(scene.tomatoes) > 1]
     )
     for candidate, room in zip(candidates, rooms.transpose(2, 1, 0), strict=True):  # (worlds, scenes)
-        touched, kept = (room <= 0).sum(axis=1), (room >= ROOM).mean(axis=1)
-        print(
-            json.dumps({"start": candidate.tolist(), "touched": touched.tolist(), "with_room": kept.round(3).tolist()})
-        )
+        contacts, kept = (room <= 0).sum(axis=1), (room >= ROOM).mean(axis=1)
+        row = {"start": candidate.tolist(), "contacts": contacts.tolist(), "with_room": kept.round(3).tolist()}
+        print(json.dumps(row))
 
 
 def clearances(scene: Scene, robot: Robot, starts: Sequence[Array]) -> list[list[float]]:

@@ -1,6 +1,6 @@
 """Measure how often agents reach tomatoes of rows they have not seen, and how often they collide.
 
-python -m benchmarks.agents.policies --agents ppo-waypoint-ur5e hybrid --physics reconstruction truth --episodes 1000
+python -m benchmarks.agents.policies --agents ppo-roadmap-ur5e hybrid --physics reconstruction truth --episodes 1000
 python -m benchmarks.agents.policies --entries benchmarks/leaderboard
 python -m benchmarks.agents.policies --paired before.json benchmarks/leaderboard/watchful.json
 
@@ -27,7 +27,7 @@ from greenhouse_gym.evaluation.leaderboard import follows, read_entry
 from greenhouse_gym.evaluation.records import Record, pairing
 from greenhouse_gym.scene import DIFFICULTIES, SceneBank
 
-AGENTS = tuple(dict.fromkeys((BEST, "shielded", "hybrid", "waypoint", "ppo-ur5e", "straight-line", "random")))
+AGENTS = tuple(dict.fromkeys((BEST, "shielded", "hybrid", "roadmap", "ppo-ur5e", "straight-line", "random")))
 """Agents that play by default."""
 
 

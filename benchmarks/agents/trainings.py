@@ -1,8 +1,8 @@
 """Train policies from several seeds and measure how often they reach tomatoes of rows they have not seen.
 
 python -m benchmarks.agents.trainings ppo --seeds 0 1 2 --splits validation test --shielded
-python -m benchmarks.agents.trainings imitation --agents waypoint --set imitation.steps=0 --set ppo.total_steps=163840
-python -m benchmarks.agents.trainings sac_guided --seeds 0 1 2 --splits test --agents waypoint
+python -m benchmarks.agents.trainings imitation --agents roadmap --set imitation.steps=0 --set ppo.total_steps=163840
+python -m benchmarks.agents.trainings sac_guided --seeds 0 1 2 --splits test --agents roadmap
 
 Methods: ``ppo`` learns with the settings of ``greenhouse-gym train ppo``; ``imitation`` imitates a teacher before PPO;
 ``sac`` learns with hindsight replay on the goal environment, and ``sac_guided`` begins with demonstrations by the rule
@@ -62,7 +62,7 @@ METHODS = {
     "sac_guided": Method(
         train_sac,
         replace(
-            SAC, total_steps=60_000, bank="default", difficulty=("easy", "medium"), observation="goal_waypoint",
+            SAC, total_steps=60_000, bank="default", difficulty=("easy", "medium"), observation="goal_roadmap",
             reward="sparse", guided=True, random_steps=30_000,
         ),
     ),

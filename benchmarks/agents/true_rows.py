@@ -175,7 +175,7 @@ def play(
     journal = RecordJournal(a.workdir / f"{name}.jsonl".replace("/", "_"), about)
     result = evaluate(
         agent_from(a.agent, options), "test" if a.rows else a.split, a.episodes or 1, a.seed, problems=problems,
-        bank=bank.path, executor=executor, kept=journal, **world,
+        bank=bank.path, executor=executor, journal=journal, **world,
     )  # fmt: skip
     return list(result.records)
 

@@ -23,7 +23,7 @@ VARIANTS: dict[str, tuple[int, int, dict[str, Any]]] = {  # name: simulations, s
     "single": (1, 20_000, {}),
     "vector": (16, 20_000, {}),
     "goal": (16, 20_000, {"observation": "goal", "reward": "sparse"}),
-    "waypoint": (16, 20_000, {"observation": "waypoint", "reward": "path"}),
+    "roadmap": (16, 20_000, {"observation": "roadmap", "reward": "path"}),
     "tip-truth": (16, 20_000, {"action": "tip_velocity", "physics": "truth"}),
     "depth": (1, 1_000, {"observation": "depth"}),
 }

@@ -4,13 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, cast, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from greenhouse_gym.envs.actions import INTERVAL, ActionRule, JointIncrements, JointVelocities
+from greenhouse_gym.envs.actions import (
+    INTERVAL,
+    ActionRule,
+    JointIncrements,
+    JointVelocities,
+    TipVelocity,
+    ToolMotion,
+)
+from greenhouse_gym.envs.choices import make_action
+from greenhouse_gym.envs.simulation import Simulation
+from greenhouse_gym.envs.state import STEP_LIMIT, State
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
@@ -22,13 +32,14 @@ class Problem:
     """Knowledge of an agent at the start of an episode.
 
     Attributes:
-        scene: The reconstructed scene.
+        scene: The reconstructed scene; see `greenhouse_gym.scene.truth.known_scene`.
         target: Index of the target tomato in the scene.
         robot: The arm.
         start: (joints,) start configuration, radians.
         seed: Seed of the agent's random choices in this episode.
         action: The environment's action rule; joint increments if None.
         interval: Seconds between two actions.
+        step_limit: Number of actions after which the episode ends.
     """
 
     scene: Scene
@@ -38,11 +49,24 @@ class Problem:
     seed: int = 0
     action: ActionRule | None = None
     interval: float = INTERVAL
+    step_limit: int = STEP_LIMIT
+
+    @classmethod
+    def of(cls, simulation: Simulation, i: int, seed: int) -> Problem:
+        """Return the problem of the current episode of a simulation.
+
+        It shares no object with the simulation that an agent could read the truth from or change the rules by.
+        """
+        settings, robot, interval = simulation.settings, simulation.robot, simulation.interval
+        return cls(
+            simulation.known_scene(i), simulation.target(i), robot, simulation.episode(i).start.copy(), seed,
+            make_action(settings.action, robot, interval), interval, settings.step_limit,
+        )  # fmt: skip
 
     @property
     def action_space(self) -> spaces.Box:
         """Space of an action; it has one axis."""
-        return self._rule.space
+        return self.rule.space
 
     @property
     def joint_steps(self) -> Array:
@@ -51,15 +75,31 @@ class Problem:
         Raises:
             InvalidValueError: The environment's actions do not move the joints.
         """
-        rule = self._rule
+        rule = self.rule
         if not isinstance(rule, JointIncrements | JointVelocities):
             raise InvalidValueError(
                 f"a joint path can be followed with action='joint' or 'joint_velocity' only, got {type(rule).__name__}"
             )
         return rule.peak
 
+    def command_change(self, action: Array, motion: ToolMotion) -> Array:
+        """Return the change of the joints' commands by an action (size,), (joints,) radians, before limits.
+
+        Args:
+            action: The action.
+            motion: Kinematics of the tool of one arm.
+
+        Raises:
+            InvalidValueError: The environment has its own kind of action, which may read the whole state.
+        """
+        rule = self.rule
+        if not isinstance(rule, JointIncrements | JointVelocities | TipVelocity):
+            raise InvalidValueError(f"the effect of an action is known for the package's own only, not {rule!r}")
+        return rule(action[None], cast(State, None), motion)[0]
+
     @property
-    def _rule(self) -> ActionRule:
+    def rule(self) -> ActionRule:
+        """The kind of action."""
         return JointIncrements(self.robot, self.interval) if self.action is None else self.action
 
 

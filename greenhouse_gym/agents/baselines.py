@@ -64,12 +64,12 @@ class StraightLineAgent(NamedAgent):
 class WaypointAgent(NamedAgent):
     """Move straight to the observed waypoint; hold still while no collision-free waypoint is known.
 
-    This is what `observation="waypoint"` achieves without any learning.
+    This is what `observation="roadmap"` achieves without any learning.
     It needs an environment whose actions move the joints.
     """
 
-    name = "waypoint"
-    env_options: Mapping[str, Any] = MappingProxyType({"observation": "waypoint"})
+    name = "roadmap"
+    env_options: Mapping[str, Any] = MappingProxyType({"observation": "roadmap"})
 
     def __init__(self) -> None:
         self._direction = self._path = slice(0)

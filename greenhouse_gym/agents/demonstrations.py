@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from greenhouse_gym.agents.agent import Agent, Problem, check_agent
+from greenhouse_gym.agents.agent import Agent, Problem
+from greenhouse_gym.agents.named import agent_of
 from greenhouse_gym.common.extras import needs
 from greenhouse_gym.common.files import require_writable
 from greenhouse_gym.envs import GreenhouseEnv, make_env
@@ -29,7 +30,7 @@ SAVE_SECONDS = 60.0
 
 
 def record_demonstrations(
-    agent: Agent,
+    agent: Agent | str,
     out: str | Path,
     episodes: int = 100,
     seed: int = 0,
@@ -44,7 +45,7 @@ def record_demonstrations(
     on a full disk, the data set keeps the episodes that it holds.
 
     Args:
-        agent: The agent; its ``env_options`` choose the environment.
+        agent: The agent, or a name that `make_agent` takes; its ``env_options`` choose the environment.
         out: Folder of data sets (``MINARI_DATASETS_PATH``).
         episodes: Number of episodes to run; episode i has the seed ``seed + i``.
         seed: Seed of the first episode.
@@ -63,7 +64,7 @@ def record_demonstrations(
     """
     with needs("data"):
         from minari.data_collector import EpisodeBuffer
-    check_agent(agent)
+    agent = agent_of(agent)
     if split == "test":
         raise InvalidValueError("split 'test' is reserved for the final evaluation: choose train or validation")
     name = DATA_SET.format(agent="".join(c if c.isalnum() else "-" for c in agent.name.lower()))
@@ -148,8 +149,7 @@ def _datasets_in(folder: str) -> Iterator[None]:
 def _run(agent: Agent, env: GreenhouseEnv, seed: int) -> dict[str, Any]:
     """Run an episode and return its columns."""
     observation, info = env.reset(seed=seed)
-    rule, interval = env.simulation.action_rule, env.simulation.interval
-    agent.reset(Problem(env.scene, env.target, env.robot, env.start, seed, rule, interval))
+    agent.reset(Problem.of(env.simulation, 0, seed))
     columns: dict[str, list[Any]] = {
         "observations": [observation], "actions": [], "rewards": [], "terminations": [], "truncations": [],
     }  # fmt: skip

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.agents.agent import NamedAgent, Problem
 from greenhouse_gym.envs.actions import INTERVAL, joint_steps
-from greenhouse_gym.envs.settings import check_whole
+from greenhouse_gym.errors import check_whole
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning import PLANNERS, PlanResult, follow_path, free_commands, plan
 from greenhouse_gym.scene import Scene, compile_scene
+
+Level: TypeAlias = tuple[float, str | float]
+"""Margin, metres, and rule for unknown space, as `greenhouse_gym.planning.plan` takes them."""
 
 MAX_DEPTH = 0.15
 """Default depth of planned paths in unknown space, metres: the leaves that paths hit hang deeper in it."""
@@ -25,6 +28,9 @@ tomatoes had no path."""
 
 LEAF_MARGIN = 0.01
 """Default distance of planned paths from boxes of leaves, metres; see `greenhouse_gym.motion.caution.with_margin`."""
+
+ATTEMPTS = 4
+"""Default number of plans without any caution, each with another seed."""
 
 
 def default_unknown(scene: Scene) -> str | float:
@@ -40,6 +46,12 @@ def default_margin(scene: Scene) -> float:
     """
     shapes = scene.provenance.settings.get("shapes")
     return LEAF_MARGIN if isinstance(shapes, dict) and "clutter_per_area" in shapes else 0.0
+
+
+def fallback_levels(scene: Scene) -> list[Level]:
+    """Return margins and rules for unknown space to plan with in turn, the most cautious first."""
+    margin, unknown = default_margin(scene), default_unknown(scene)
+    return list(dict.fromkeys([(margin, unknown), (margin, "free"), (margin / 2, "free"), (0.0, "free")]))
 
 
 class PathFollower:
@@ -76,27 +88,34 @@ class PathFollower:
 class PlannerAgent(NamedAgent):
     """Plan with any planner and follow the path; hold still without a path.
 
+    By default it plans cautiously: away from leaves, and not deep into unknown space. Where no such path exists, or
+    none that the arm can follow within the episode, it falls back step by step to the known shapes alone, see
+    `fallback_levels`.
+
     It needs an environment whose actions move the joints: increments or velocities.
 
     Args:
         planner: A name in `greenhouse_gym.planning.PLANNERS`.
         time_limit: Seconds the planner may search, or None: with a limit, the result depends on the machine's load.
-        max_checks: Collision checks after which it stops, or None; the default takes some seconds.
+        max_checks: Collision checks of each plan, or None; the default takes some seconds.
         goals: Number of goal configurations.
         name: Name in tables; the planner's name when left out.
         settings: Parameters of the planner to change, as `greenhouse_gym.planning.plan` takes them.
         unknown: Rule for space that the scan did not observe, as `greenhouse_gym.planning.plan` takes it. When left
-            out, paths enter it no deeper than `MAX_DEPTH`; it is free if the scene has no occupancy or its protocol is
-            one of `COVERING_PROTOCOLS`. "avoid" tries several depths and ends with a plan through unknown space.
+            out, paths first enter it no deeper than `MAX_DEPTH`; it is free if the scene has no occupancy or its
+            protocol is one of `COVERING_PROTOCOLS`.
         margin: Distance from boxes of clutter, metres, as `greenhouse_gym.planning.plan` takes it. When left out,
-            `LEAF_MARGIN` in scenes whose boxes follow the area of the foliage, as scenes are built now, and 0 in
+            first `LEAF_MARGIN` in scenes whose boxes follow the area of the foliage, as scenes are built now, and 0 in
             others.
-        attempts: Largest number of plans, each with another seed, until there is a path.
+        attempts: Largest number of plans with the least caution, each with another seed.
         unexplained: Whether it avoids unexplained occupied cells, in scenes with occupancy; see
             `greenhouse_gym.motion.caution.with_unexplained_cells`.
+        fallback: Whether it becomes less cautious where it must. Without, it holds still there. A margin or a rule for
+            unknown space that is given never changes.
 
     Attributes:
         result: The last episode's plan; None before the first.
+        level: Margin and rule for unknown space of that plan.
 
     Raises:
         UnknownNameError: No such planner, or no such parameter of it.
@@ -115,39 +134,58 @@ class PlannerAgent(NamedAgent):
         settings: Mapping[str, float] | None = None,
         unknown: str | float | None = None,
         margin: float | None = None,
-        attempts: int = 1,
+        attempts: int = ATTEMPTS,
         unexplained: bool = False,
+        fallback: bool = True,
     ):
         self.planner, self.unknown, self.margin = PLANNERS[planner].name, unknown, margin
         self.settings = PLANNERS[planner].with_settings(settings or {})
-        self.unexplained = unexplained
+        self.unexplained, self.fallback = unexplained, fallback
         self.time_limit, self.max_checks, self.goals = time_limit, max_checks, goals
         self.name, self.attempts = name or planner, check_whole("attempts", attempts, 1)
         self.result: PlanResult | None = None
+        self.level: Level = (0.0, "free")
+        self._fell_back = False
         self._follower: PathFollower | None = None
 
     @property
     def status(self) -> str:
-        """Status of the last episode's plan, see `greenhouse_gym.planning.PlanResult.status`."""
-        return "" if self.result is None else self.result.status
+        """`greenhouse_gym.planning.PlanResult.status` of the last episode's plan, with its level if it fell back."""
+        if self.result is None:
+            return ""
+        margin, unknown = self.level
+        return f"{self.result.status}, margin {margin:g}, unknown {unknown}" if self._fell_back else self.result.status
 
     def reset(self, problem: Problem) -> None:
         """Plan a path."""
-        for attempt in range(self.attempts):
-            self.result = plan(
-                problem.scene, problem.target, problem.robot, self.planner, self.time_limit, self.max_checks,
-                self.goals, seed=problem.seed + attempt, start=problem.start, settings=self.settings,
-                unknown=default_unknown(problem.scene) if self.unknown is None else self.unknown,
-                margin=default_margin(problem.scene) if self.margin is None else self.margin,
-                unexplained=self.unexplained and problem.scene.occupancy is not None,
-            )  # fmt: skip
-            if self.result.path is not None:
+        self._follower = None
+        levels = self._levels(problem.scene)
+        tries = [(level, 0) for level in levels[:-1]] + [(levels[-1], k) for k in range(self.attempts)]
+        for level, attempt in tries:
+            result = self._plan(problem, level, problem.seed + attempt)
+            follower = None if result.path is None else PathFollower(result.path, problem, proven=True)
+            if self._follower is None or (follower and len(follower.commands) < len(self._follower.commands)):
+                self.result, self.level, self._follower = result, level, follower
+            if follower and len(follower.commands) <= problem.step_limit:
                 break
-        assert self.result is not None
-        if self.result.path is None:
-            self._follower = PathFollower(problem.start[None], problem)
-        else:
-            self._follower = PathFollower(self.result.path, problem, proven=True)
+        self._fell_back = self._follower is not None and self.level != levels[0]
+        self._follower = self._follower or PathFollower(problem.start[None], problem)
+
+    def _levels(self, scene: Scene) -> list[Level]:
+        """Return margins and rules for unknown space to try in turn."""
+        levels = [
+            (margin if self.margin is None else self.margin, unknown if self.unknown is None else self.unknown)
+            for margin, unknown in fallback_levels(scene)
+        ]
+        return list(dict.fromkeys(levels if self.fallback else levels[:1]))
+
+    def _plan(self, problem: Problem, level: Level, seed: int) -> PlanResult:
+        margin, unknown = level
+        return plan(
+            problem.scene, problem.target, problem.robot, self.planner, self.time_limit, self.max_checks, self.goals,
+            seed=seed, start=problem.start, settings=self.settings, unknown=unknown, margin=margin,
+            unexplained=self.unexplained and problem.scene.occupancy is not None,
+        )  # fmt: skip
 
     def act(self, observation: Any) -> npt.NDArray[np.float32]:
         """Return the next action along the path, whatever the observation."""

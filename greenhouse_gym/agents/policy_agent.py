@@ -16,7 +16,7 @@ from greenhouse_gym.errors import InvalidValueError, UnknownNameError
 
 __all__ = ["BEST", "Policy", "PolicyAgent", "shipped_policies"]
 
-BEST = "ppo-waypoint-ur5e"
+BEST = "ppo-roadmap-ur5e"
 """The shipped policy with the highest success rate, which other agents use by default."""
 
 

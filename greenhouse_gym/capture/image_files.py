@@ -1,9 +1,13 @@
-"""Image files: color as RGB uint8, depth as raw uint16 units, each checked while it is read."""
+"""Image files: color as RGB uint8, depth as raw uint16 units, each checked while it is read.
+
+Pixels are read as they are stored: an orientation in EXIF or TIFF tags is ignored, since color and depth must agree.
+"""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -17,11 +21,12 @@ with needs("reconstruct"):
     import cv2
 
 MAX_PIXELS = 64 * 10**6  # as many as the largest cameras have
+_WIDTH, _HEIGHT, _ORIENTATION = 256, 257, 274  # tags of TIFF
 
 
 def read_color(path: str | Path) -> npt.NDArray[np.uint8]:
     """Read a color image file as (height, width, 3) uint8 RGB."""
-    return np.asarray(_decode(Path(path), cv2.IMREAD_COLOR_RGB), dtype=np.uint8)
+    return np.asarray(_decode(Path(path), cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION), dtype=np.uint8)
 
 
 def read_depth(path: str | Path) -> npt.NDArray[np.uint16]:
@@ -108,8 +113,11 @@ def _decode(path: Path, mode: int, foreign: bool = False) -> npt.NDArray[np.gene
         kind, size, whole = "PNG", _png_size(data), data.endswith(b"IEND\xaeB`\x82")
     elif data.startswith(b"\xff\xd8"):
         kind, size, whole = "JPEG", _jpeg_size(data), b"\xff\xd9" in data[-64:]
-    elif foreign and data[:2] in (b"P5", b"P6", b"II", b"MM"):
-        kind, size, whole = ("PNM" if data[:1] == b"P" else "TIFF"), (1, 1), True
+    elif foreign and data[:2] in (b"P5", b"P6"):
+        kind, size, whole = "PNM", _pnm_size(data), True
+    elif foreign and data[:4] in (b"II*\0", b"MM\0*"):
+        data, size = _as_stored(data)
+        kind, whole = "TIFF", True
     else:
         raise FileFormatError(path, f"neither a PNG nor a JPEG file ({len(data)} bytes)")
     if not whole or size is None:
@@ -137,3 +145,27 @@ def _jpeg_size(data: bytes) -> tuple[int, int] | None:
             return int.from_bytes(data[at + 7 : at + 9], "big"), int.from_bytes(data[at + 5 : at + 7], "big")
         at += 1 if marker == 0xFF else 2 + length
     return None
+
+
+def _pnm_size(data: bytes) -> tuple[int, int] | None:
+    """Return width and height from the header of a PGM or PPM file."""
+    fields = re.sub(rb"#[^\n]*", b"", data[:1000]).split(maxsplit=4)[1:3]
+    return (int(fields[0]), int(fields[1])) if len(fields) == 2 and all(map(bytes.isdigit, fields)) else None
+
+
+def _as_stored(data: bytes) -> tuple[bytes, tuple[int, int] | None]:
+    """Return a TIFF file without its orientation, which OpenCV's decoder obeys, and its width and height."""
+    order: Literal["little", "big"] = "little" if data[:1] == b"I" else "big"
+    content = bytearray(data)
+
+    def number(at: int, length: int) -> int:
+        return int.from_bytes(data[at : at + length], order)
+
+    directory = number(4, 4)
+    found = {}
+    for entry in range(directory + 2, directory + 2 + 12 * number(directory, 2), 12):
+        tag, short = number(entry, 2), number(entry + 2, 2) == 3
+        found[tag] = number(entry + 8, 2 if short else 4)
+        if tag == _ORIENTATION and entry + 10 <= len(content):
+            content[entry + 8 : entry + 10] = (1).to_bytes(2, order)
+    return bytes(content), (found[_WIDTH], found[_HEIGHT]) if {_WIDTH, _HEIGHT} <= found.keys() else None

@@ -70,6 +70,9 @@ def choose_stations(
 
     Images of its reference camera are read, one at a time; ``on_frame`` is called with the number of each frame that is
     read for its motion.
+
+    Raises:
+        FileFormatError: No frame can be read; the error is that of the first.
     """
     path, lost, unreadable, known = _measured_path(recording, step, on_frame)
     frames: list[int] = []
@@ -83,6 +86,9 @@ def choose_stations(
             best = next((i for i in order if _sharpness_of(recording, i, unreadable)), -1)
         if best >= 0 and (not frames or best > frames[-1]):
             frames.append(best)
+    if not frames:
+        recording.frame(min(unreadable, default=0), recording.rig.reference)  # raises its error again
+        raise FileFormatError(recording.name, "no frame can be taken as a station")
     return StationSelection(tuple(frames), path, tuple(lost), tuple(sorted(unreadable)))
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -37,7 +36,7 @@ def compare(
         list[str] | None,
         typer.Argument(
             metavar="[AGENTS]...",
-            help="Planners, policies (names or files), random, straight-line, waypoint, watchful, hybrid, "
+            help="Planners, policies (names or files), random, straight-line, roadmap, watchful, hybrid, "
             "shielded, or your own as file.py:Class or module:Class.",
         ),
     ] = None,
@@ -119,15 +118,15 @@ def _require_report(path: Path) -> None:
 
 
 def _print_comparison(evaluations: Sequence[Evaluation], heading: str) -> None:
-    from greenhouse_gym.evaluation.records import comparison_notes, comparison_rows, pairing
+    from greenhouse_gym.evaluation.records import comparison_notes, comparison_rows, pairings
 
     if heading:
         say(f"\n{heading}\n")
     comparison_rows(evaluations).show()
     for note in comparison_notes(evaluations):
         say(f"\n{note}")
-    for first, second in combinations((e for e in evaluations if not e.error), 2):
-        say(str(pairing(first, second)))
+    for paired in pairings(evaluations):
+        say(str(paired))
 
 
 def _by_name(requested: Sequence[str], agents: Sequence[Agent]) -> dict[str, Agent]:
@@ -193,7 +192,7 @@ def leaderboard(
 
 def demonstrations(
     out: Annotated[Path, typer.Option(help="Folder of Minari data sets.")] = Path("demonstrations"),
-    agent: Annotated[str, typer.Option(help="The demonstrator, named as in `compare`.")] = "waypoint",
+    agent: Annotated[str, typer.Option(help="The demonstrator, named as in `compare`.")] = "roadmap",
     bank: Bank = "default",
     split: Annotated[str, typer.Option(help="train or validation.")] = "train",
     observation: Annotated[str, typer.Option(help="Observation to record, unless the agent needs another.")] = "state",
@@ -213,7 +212,7 @@ def demonstrations(
 
 
 def watch(
-    agent: Annotated[str, typer.Option(help="The agent, named as in `compare`.")] = "ppo-waypoint-ur5e",
+    agent: Annotated[str, typer.Option(help="The agent, named as in `compare`.")] = "ppo-roadmap-ur5e",
     out: Annotated[Path, typer.Option(help="MP4 file to write.")] = Path("episode.mp4"),
     bank: Bank = "default",
     split: Annotated[str, typer.Option(help="train, validation or test.")] = "validation",

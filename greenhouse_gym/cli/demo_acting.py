@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import shutil
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,12 +25,12 @@ if TYPE_CHECKING:
 def build(
     out: Path, recording: Recording, cloud: RowCloud, shapes: RowShapes, demo_settings: DemoSettings, report: DemoReport
 ) -> SceneBank:
-    """Cut two scenes out of the row and certify their tomatoes; both are for training."""
+    """Cut two scenes out of the row and certify their tomatoes; nothing is trained on them."""
     from greenhouse_gym.build.scenes import BuildSettings, cut_scenes
     from greenhouse_gym.planning import certify_targets
     from greenhouse_gym.scene.bank import write_bank
 
-    with report.stage("build a bank of two scenes, both for training") as results:
+    with report.stage("build a bank of two scenes") as results:
         walked = np.ptp(cloud.world_from_station[cloud.registered][:, 1, 3])
         settings = BuildSettings(spacing=float(walked) / 2.01, width=demo_settings.scene_width)  # two stands
         scenes = cut_scenes(cloud, shapes, recording, 0, settings)
@@ -40,7 +39,7 @@ def build(
             for scene in scenes:
                 certified.append(scene.model_copy(update={"targets": certify_targets(scene)}))
                 on_progress(len(certified))
-        bank = write_bank(out / "bank", [(scene, "train") for scene in certified], name="demo")
+        bank = write_bank(out / "bank", [(scene, "test") for scene in certified], name="demo")
         counts = {d: sum(t.difficulty == d for s in bank for t in s.targets) for d in ("easy", "medium", "hard")}
         targets = sum(len(scene.targets) for scene in bank)
         results += [f"{targets} targets", *(f"{count} {difficulty}" for difficulty, count in counts.items())]
@@ -57,7 +56,7 @@ def plan_to_every_tomato(out: Path, bank: SceneBank, report: DemoReport) -> None
         problems = [(scene.name, k) for scene in bank for k in range(len(scene.tomatoes))]
         # the plan is followed in the reconstruction, where unknown space is empty
         planner = PlannerAgent("RRTConnect", unknown="free")
-        evaluation = evaluate(planner, "train", problems=problems, bank=str(bank.path))
+        evaluation = evaluate(planner, "test", problems=problems, bank=str(bank.path))
         with_goal = [r for r in evaluation.records if r.status != "no_goal"]
         reached = sum(r.success for r in with_goal)
         rate = reached / max(len(with_goal), 1)
@@ -75,7 +74,7 @@ def follow_in_the_true_row(bank: SceneBank, settings: DemoSettings, report: Demo
         chosen = np.linspace(0, len(problems) - 1, min(settings.followed, len(problems))).round().astype(int)
         planner = PlannerAgent("RRTConnect", time_limit=None, max_checks=10_000)
         selected = [problems[k] for k in chosen]
-        evaluation = evaluate(planner, "train", problems=selected, bank=str(bank.path), physics="truth", start="folded")
+        evaluation = evaluate(planner, "test", problems=selected, bank=str(bank.path), physics="truth", start="folded")
         planned = [r for r in evaluation.records if r.status == "solved"]
         succeeded, refused = sum(r.success for r in planned), len(evaluation.records) - len(planned)
         results.append(f"{succeeded} of {len(planned)} succeeded in the true row, {refused} refused")
@@ -116,17 +115,17 @@ def _showpiece(bank: SceneBank) -> tuple[Scene, int]:
 
 
 def train(out: Path, seed: int, settings: DemoSettings, report: DemoReport) -> list[dict[str, str]]:
-    """Fine-tune the shipped policy in the scenes; return the rows of its learning curve."""
-    from greenhouse_gym.agents.policy_agent import BEST, PolicyAgent
-    from greenhouse_gym.learning import FINE_TUNING, load_into, train_ppo
+    """Train a policy from nothing on shipped rows, the demo's row excepted; return the rows of its learning curve."""
+    from greenhouse_gym.learning import PpoSettings, train_ppo
 
-    with report.stage("fine-tune the shipped policy with PPO") as results:
+    with report.stage("train a policy from random weights with PPO, on shipped rows") as results:
         shutil.rmtree(out / "ppo", ignore_errors=True)  # of an earlier demo
         # limited by steps, not seconds, so that a busy machine trains the same policy
-        ppo = replace(
-            FINE_TUNING, bank=str(out / "bank"), total_steps=settings.training_steps, seed=seed, critic_rollouts=3
-        )
-        train_ppo(ppo, out / "ppo", prepare=lambda model: load_into(model, PolicyAgent.load(BEST).policy))
+        ppo = PpoSettings(
+            bank=settings.training_bank, sources=("own",), difficulty=("easy",), total_steps=settings.training_steps,
+            seed=seed,
+        )  # fmt: skip
+        train_ppo(ppo, out / "ppo")
         curve = list(csv.DictReader((out / "ppo" / "curve.csv").read_text().splitlines()))
         results.append(f"{int(float(curve[-1]['steps'])):,} steps")
         report.figures["training_steps"] = int(float(curve[-1]["steps"]))
@@ -134,14 +133,16 @@ def train(out: Path, seed: int, settings: DemoSettings, report: DemoReport) -> l
 
 
 def compare_agents(out: Path, seed: int, settings: DemoSettings, report: DemoReport) -> tuple[Evaluation, ...]:
-    """Run a planner, the policy and a random agent on the same episodes."""
+    """Run a planner, the policy and a random agent on the same easy episodes of the row, and film the policy."""
     from greenhouse_gym.agents import Agent, PlannerAgent, PolicyAgent, RandomAgent
     from greenhouse_gym.evaluation import compare, comparison_table
+    from greenhouse_gym.reporting.film import film
 
-    with report.stage("planner, policy and random agent on the same episodes") as results:
+    with report.stage("planner, policy and random agent reach for the easy tomatoes of the row") as results:
         policy = PolicyAgent.load(out / "ppo" / "policy.json")
         agents: list[Agent] = [PlannerAgent("RRTConnect", unknown="free"), policy, RandomAgent()]
-        evaluations = compare(agents, "train", settings.episodes, seed + 1_000_000, bank=str(out / "bank"))
+        first, row = seed + 1_000_000, {"bank": str(out / "bank"), "split": "test", "difficulty": "easy"}
+        evaluations = compare(agents, episodes=settings.episodes, seed=first, **row)
         table = comparison_table(evaluations)
         typer.echo(table)
         write_atomically(out / "comparison.md", table)
@@ -149,4 +150,7 @@ def compare_agents(out: Path, seed: int, settings: DemoSettings, report: DemoRep
             results.append(f"{name} {evaluation.success_rate:.0%}")
             report.figures[f"{name}_success"] = evaluation.success_rate
             report.figures[f"{name}_collision"] = evaluation.collision_rate
+        reached = [record.seed for record in evaluations[1].records if record.success]
+        film(policy, out / "13-policy.mp4", (reached or [first])[0], **row)
+        results.append(f"film in {out / '13-policy.mp4'}")
     return evaluations

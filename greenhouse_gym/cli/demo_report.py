@@ -17,13 +17,14 @@ class DemoSettings:
     """Size of the demo."""
 
     length: float = 2.0  # m of row
-    training_steps: int = 100_000  # from the shipped policy on, about two minutes of one core
+    training_bank: str = "default"
+    training_steps: int = 300_000  # about two minutes of one core
     episodes: int = 100  # per agent
     scene_width: float = 1.6  # m
     followed: int = 16  # plans followed in the true row
 
 
-QUICK = DemoSettings(length=0.6, training_steps=10_000, episodes=5, scene_width=0.4, followed=3)
+QUICK = DemoSettings(length=0.6, training_bank="mini", training_steps=10_000, episodes=5, scene_width=0.4, followed=3)
 
 
 @dataclass

@@ -30,7 +30,13 @@ def train(
         Path | None, typer.Option(help="Folder for the results; runs/ALGORITHM by default.", show_default=False)
     ] = None,
     bank: Bank = "default",
-    steps: Annotated[int, typer.Option(help="Environment steps.")] = 2_000_000,
+    steps: Annotated[int, typer.Option(min=1, help="Environment steps.")] = 2_000_000,
+    scene: Annotated[
+        str | None, typer.Option(help="The only scene to train on; all of the split by default.", show_default=False)
+    ] = None,
+    target: Annotated[
+        int | None, typer.Option(help="The only tomato of --scene to train on.", show_default=False)
+    ] = None,
     seed: Annotated[int, typer.Option(help="Seed of scenes, weights and noise.")] = 0,
     resume: Annotated[bool, typer.Option(help="Resume from the checkpoint in the folder of results.")] = False,
     settings: SettingsFile = None,
@@ -39,12 +45,15 @@ def train(
         bool, typer.Option("--print-settings", help="Print all settings of the algorithm, and exit.")
     ] = False,
 ) -> None:
-    """Train a policy. Settings from a file and from --set override --bank, --steps and --seed."""
+    """Train a policy. Settings from a file and from --set override --bank, --steps, --scene, --target and --seed.
+
+    Observation, action, reward and task may be your own, as --set reward=file.py:name or --set reward=module:name.
+    """
     from greenhouse_gym.common.files import write_atomically
     from greenhouse_gym.common.settings_files import as_toml, resolve
     from greenhouse_gym.errors import require_choice
 
-    defaults, run = _algorithm(require_choice("algorithm", algorithm, ALGORITHMS), bank, steps, seed)
+    defaults, run = _algorithm(require_choice("algorithm", algorithm, ALGORITHMS), bank, steps, seed, scene, target)
     resolved = resolve(defaults, settings, assignments or ())
     if print_settings:
         typer.echo(as_toml(resolved, comments=True), nl=False)
@@ -55,14 +64,18 @@ def train(
     say(f"policy in {result}")
 
 
-def _algorithm(name: str, bank: str, steps: int, seed: int) -> tuple[Any, Callable[..., Path]]:
+def _algorithm(
+    name: str, bank: str, steps: int, seed: int, scene: str | None, target: int | None
+) -> tuple[Any, Callable[..., Path]]:
     """Return the default settings of an algorithm, and its training."""
     from dataclasses import replace
     from functools import partial
 
     from greenhouse_gym import learning
 
-    common: dict[str, Any] = {"bank": bank, "total_steps": steps, "seed": seed}
+    common: dict[str, Any] = {
+        "bank": bank, "total_steps": steps, "seed": seed, "scene": scene, "target": target
+    }  # fmt: skip
     if name == "sac-her":
         return learning.SacSettings(**common), learning.train_sac
     if name == "ppo":

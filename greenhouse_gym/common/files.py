@@ -86,12 +86,6 @@ def checked_name(kind: str, name: str) -> str:
     return name
 
 
-def natural_order(path: Path) -> tuple[list[str | int], str]:
-    """Return a sort key by which numbers in file names count as numbers: 2.png comes before 10.png."""
-    parts = re.split(r"(\d+)", path.stem)
-    return [int(part) if i % 2 else part for i, part in enumerate(parts)], path.name
-
-
 def inside(folder: str | Path, relative: str, named_in: object) -> Path:
     """Return the path of a file that another file names relative to a folder.
 
@@ -179,7 +173,8 @@ def first_fault(error: ValidationError) -> str:
 def exclusive(folder: str | Path) -> Iterator[None]:
     """Hold a folder for this process alone; it is created if missing.
 
-    The file ``.lock`` in it is locked meanwhile; the lock ends with the process, however that ends.
+    The file ``.lock`` in it holds the number of the process and is locked meanwhile; the lock ends with the process,
+    however that ends.
 
     Raises:
         FileWriteError: The folder cannot be created or written, or another process holds it.
@@ -187,7 +182,7 @@ def exclusive(folder: str | Path) -> Iterator[None]:
     path = Path(folder) / ".lock"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        file = path.open("a")
+        file = path.open("a+")
     except OSError as error:
         raise FileWriteError(folder, error) from error
     with file:
@@ -197,8 +192,13 @@ def exclusive(folder: str | Path) -> Iterator[None]:
         except OSError:
             same = False
         if not same:
-            raise FileWriteError(folder, OSError("another process is at work in this folder"))
+            file.seek(0)
+            holder = f": {text}" if (text := file.read(200)) else ""
+            raise FileWriteError(folder, OSError(f"another process is at work in this folder{holder}"))
         try:
+            file.truncate(0)
+            file.write(f"process {os.getpid()}")
+            file.flush()
             yield
         finally:
             path.unlink(missing_ok=True)

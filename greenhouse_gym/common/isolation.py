@@ -33,7 +33,7 @@ else:
 runpy.run_path(sys.argv[0], run_name="__main__")
 """
 _THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1") | {"RUST_BACKTRACE": "0"}
-_PATIENCE = 10  # seconds of real time for each allowed second of processor time, on a busy machine
+_SLOWEST = 10  # seconds of real time for each allowed second of processor time, on a busy machine
 _ERROR_BYTES = 10_000  # of the end of the script's error output
 
 
@@ -69,16 +69,16 @@ def isolated_output(script: Path, arguments: list[str], seconds: int, memory: in
         try:
             code = subprocess.run(
                 [sys.executable, "-c", _BOOT, setup], stdin=subprocess.DEVNULL, stdout=output, stderr=errors,
-                env=os.environ | _THREADS, timeout=_PATIENCE * seconds, check=False,
+                env=os.environ | _THREADS, timeout=_SLOWEST * seconds, check=False,
             ).returncode  # fmt: skip
-        except subprocess.TimeoutExpired as error:
-            raise IsolatedError(f"took longer than {error.timeout:.0f} s") from None
+        except subprocess.TimeoutExpired:
+            raise IsolatedError(f"took longer than {_SLOWEST * seconds:g} s") from None
         if code:
             errors.seek(max(0, errors.tell() - _ERROR_BYTES))
             last = errors.read().decode(errors="replace").strip().rpartition("\n")[2]
             kind, _, reason = last.partition(": ")
             if code > 0:
-                raise IsolatedError(reason or last, kind)
+                raise IsolatedError(reason or last or f"ended without a message (exit status {code})", kind)
             limits = f"it may take {seconds} s and {memory >> 20} MiB"
             raise IsolatedError(f"the script ended with signal {-code}; {limits}")
         output.seek(0)

@@ -6,21 +6,24 @@ modules therefore import them on their first call, so that ``import greenhouse_g
 
 from __future__ import annotations
 
+import inspect
 import logging
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import TypeVar
 
 import numba
+from numba.core import sigutils
+from numba.core.types import Array
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
-_SLOW = 3.0  # seconds of compilation after which the user is told
+_SLOW = 3.0  # seconds of compilation after which a message is shown
 _NOTICE = "compiling the numerical kernel %s; this takes some seconds, once on this machine"
 _logger = logging.getLogger(__name__)
 
 
-def kernel(signature: str) -> Callable[[Function], Function]:
+def kernel(signature: str, writes: Collection[str] = ()) -> Callable[[Function], Function]:
     """Return a decorator that compiles a function for one signature, or loads it from the cache on disk.
 
     The compiled function keeps the order of floating-point operations, checks no bounds and releases the GIL. Without a
@@ -28,16 +31,22 @@ def kernel(signature: str) -> Callable[[Function], Function]:
 
     Args:
         signature: Types in numba's notation, such as ``"f8(f8[::1], i8)"``.
+        writes: Names of the arrays that the function changes; others may be read-only.
     """
 
     def compiled(function: Function) -> Function:
         notice = threading.Timer(_SLOW, _logger.warning, [_NOTICE, function.__name__])
         notice.daemon = True
         notice.start()
+        types, result = sigutils.normalize_signature(signature)
+        names = inspect.signature(function).parameters
+        fixed = (kind.copy(readonly=True) if isinstance(kind, Array) else kind for kind in types)
+        chosen = (a if name in writes else b for name, a, b in zip(names, types, fixed, strict=True))
+        typed = result(*chosen)
         try:
-            return _compile(function, signature, cache=True)
+            return _compile(function, typed, cache=True)
         except (RuntimeError, OSError):  # no folder can be written
-            return _compile(function, signature, cache=False)
+            return _compile(function, typed, cache=False)
         finally:
             notice.cancel()
 
@@ -50,6 +59,6 @@ def inlined(function: Function) -> Function:
     return result
 
 
-def _compile(function: Function, signature: str, cache: bool) -> Function:
+def _compile(function: Function, signature: object, cache: bool) -> Function:
     result: Function = numba.njit(signature, cache=cache, nogil=True, error_model="numpy")(function)
     return result

@@ -127,6 +127,8 @@ def _reference_to(own: Any) -> str:
 
 def _load(reference: str, kind: str, is_candidate: Callable[[object], bool]) -> Any:
     module, _, attribute = reference.rpartition(":")
+    if not module or not attribute.isidentifier():
+        raise InvalidValueError(f'{kind}: expected "file.py:Name" or "module:Name", got {reference!r}')
     loaded = _from_file(module, kind) if module.endswith(".py") else _from_path(module)
     if not hasattr(loaded, attribute):
         candidates = [name for name, value in vars(loaded).items() if is_candidate(value)]

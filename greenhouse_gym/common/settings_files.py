@@ -11,7 +11,7 @@ import re
 import textwrap
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, asdict, fields, is_dataclass
+from dataclasses import MISSING, fields, is_dataclass
 from inspect import cleandoc, getsource
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_type_hints
@@ -19,6 +19,7 @@ from typing import Any, TypeVar, get_args, get_type_hints
 from pydantic import TypeAdapter, ValidationError
 
 from greenhouse_gym.common.files import first_fault, parsing, read_bytes
+from greenhouse_gym.common.own_code import CLASS, described
 from greenhouse_gym.errors import FileFormatError, GreenhouseError, InvalidValueError, UnknownNameError
 
 Settings = TypeVar("Settings")
@@ -109,18 +110,25 @@ def replaced(settings: Settings, content: Tree) -> Settings:
 def _merged(settings: object, content: Mapping[str, Any], where: str) -> Tree:
     """Return the fields of a dataclass as a tree, overridden by those of ``content``."""
     names = [field.name for field in fields(settings)]  # type: ignore[arg-type]
-    tree = asdict(settings)  # type: ignore[call-overload]
+    tree = {name: getattr(settings, name) for name in names}
     for name, value in content.items():
         if name not in names:
             raise UnknownNameError("setting", where + name, [where + known for known in names])
         inner = getattr(settings, name)
-        if is_dataclass(inner) and isinstance(value, dict):
+        if is_dataclass(inner) and isinstance(value, dict) and CLASS not in value:
             tree[name] = _merged(inner, value, f"{where}{name}.")
+        elif isinstance(inner, Mapping) and isinstance(value, dict) and CLASS not in value:
+            tree[name] = {**inner, **value}
         elif inner is None and isinstance(value, dict) and (kind := _inner_class(settings, name)) is not None:
             tree[name] = _merged(kind(), value, f"{where}{name}.")
         else:
             tree[name] = None if value == _NOTHING else value
     return tree
+
+
+def _is_nested(settings: object, name: str) -> bool:
+    """Return whether a field always holds settings, rather than any object."""
+    return is_dataclass(get_type_hints(type(settings))[name]) or _inner_class(settings, name) is not None
 
 
 def _inner_class(settings: object, name: str) -> Any:
@@ -139,7 +147,7 @@ def _lines(settings: Any, where: str, comments: bool) -> list[str]:
         if value is None and _inner_class(settings, field.name) is not None and comments:
             value, said_of = _inner_class(settings, field.name)(), said.get(field.name, "")
             inner += ["", *([f"# {said_of}"] if said_of else []), *_table(value, where + field.name, comments)]
-        elif is_dataclass(value):
+        elif is_dataclass(value) and _is_nested(settings, field.name):
             inner += ["", *_table(value, where + field.name, comments)]
         elif value is None and field.default not in (None, MISSING):
             own.append(f"{field.name} = {_value(_NOTHING)}")
@@ -155,6 +163,9 @@ def _table(settings: Any, where: str, comments: bool) -> list[str]:
 
 def _value(value: Any) -> str:
     """Return a value as TOML; values without a JSON form, such as paths, become text."""
+    value = described(value)
+    if isinstance(value, Mapping):
+        return f"{{ {', '.join(f'{json.dumps(name)} = {_value(part)}' for name, part in value.items())} }}"
     return json.dumps(value, default=str)
 
 

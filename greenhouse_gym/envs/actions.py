@@ -169,7 +169,7 @@ class CommandLimits:
 
     Args:
         robot: The arm.
-        rule: The kind of action; its optional ``peak`` (j,) is the largest change that it requests, radians.
+        rule: The kind of action.
         timing: Timing of actions.
     """
 
@@ -177,7 +177,9 @@ class CommandLimits:
         self._max_error = max_command_error(robot, timing)
         self._max_change = robot.velocity_limits * timing.interval
         self._lower, self._upper = robot.lower, robot.upper
-        self._may_exceed = bool((getattr(rule, "peak", np.inf) > self._max_change * (1 + 1e-9)).any())
+        # a rule of a user may break its promise
+        peak = rule.peak if isinstance(rule, JointIncrements | JointVelocities) else np.inf
+        self._may_exceed = bool((peak > self._max_change * (1 + 1e-9)).any())
         self._never: dict[int, npt.NDArray[np.bool_]] = {}
 
     def __call__(self, command: Array, change: Array, joints: Array) -> Command:

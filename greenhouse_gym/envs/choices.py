@@ -6,6 +6,7 @@ Values from a user's code are checked at every step, so that a mistake is report
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import is_dataclass
 from functools import partial
 from inspect import signature
 from typing import Any
@@ -39,9 +40,9 @@ OBSERVATIONS: Mapping[str, Callable[[Robot, Task], ObservationSpec]] = {
     "state": StateObservation,
     "state_occupancy": partial(StateObservation, extra=("unknown",)),
     "clearance_rays": partial(StateObservation, extra=("clearance_rays",)),
-    "waypoint": partial(StateObservation, extra=PATH_FEATURES, without=TOOL_FEATURES),
+    "roadmap": partial(StateObservation, extra=PATH_FEATURES, without=TOOL_FEATURES),
     "goal": GoalObservation,
-    "goal_waypoint": partial(GoalObservation, path=True),
+    "goal_roadmap": partial(GoalObservation, path=True),
     "depth": DepthObservation(),
     "points": PointsObservation(),
     "rgb": RgbObservation(),
@@ -202,7 +203,6 @@ class _CheckedAction:
     def __init__(self, own: Any, joints: int):
         self._own, self._joints, self._name = own, joints, f"action {_name(own)}"
         self.space: spaces.Box = own.space
-        self.peak = np.broadcast_to(np.asarray(getattr(own, "peak", np.inf), dtype=np.float64), joints)
         if not isinstance(self.space, spaces.Box) or len(self.space.shape) != 1:
             raise InvalidValueError(f"{self._name}: its space must be a Box of one axis, got {self.space}")
 
@@ -243,14 +243,19 @@ def _made(kind: str, own: Any, *arguments: Any) -> Any:
     """Return the user's object if it has a space, else the result of calling it."""
     if callable(own) and (isinstance(own, type) or not isinstance(getattr(own, "space", None), spaces.Space)):
         try:
-            taken = arguments if signature(own).parameters else ()
+            parameters = signature(own).parameters.values()
+            complete = is_dataclass(own) and all(p.default is not p.empty for p in parameters)
+            taken = arguments if parameters and not complete else ()
             signature(own).bind(*taken)
         except (TypeError, ValueError) as error:
             given = " and ".join(type(argument).__name__ for argument in arguments)
             raise InvalidValueError(
                 f"{kind} {_name(own)} must be an object or a function of {given} that makes one: {error}"
             ) from error
-        made = own(*taken)
+        try:
+            made = own(*taken)
+        except Exception as error:  # any error in the user's code
+            raise InvalidValueError(f"{kind} {_name(own)} cannot be made: {type(error).__name__}: {error}") from error
     else:
         made = own
     if not callable(made) or not isinstance(getattr(made, "space", None), spaces.Space):

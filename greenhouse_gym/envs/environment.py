@@ -21,7 +21,7 @@ from greenhouse_gym.envs.simulation import Simulation
 from greenhouse_gym.errors import EpisodeOverError, require_choice
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.rendering.renderer import Viewpoint
-from greenhouse_gym.rendering.viewer import RENDER_MODES, Picture, Viewer
+from greenhouse_gym.rendering.viewer import RENDER_MODES, Picture, Viewer, available_modes
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene
 
@@ -82,11 +82,11 @@ class GreenhouseEnv(EnvMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]]):
     |---|---|---|---|
     | ``state_occupancy`` | (a vector) | (3 j + 18 + 5 k,) float32 | ``state``, then 1 per probe in unknown space |
     | ``clearance_rays`` | (a vector) | (3 j + 18 + 4 k + 48,) float32 | ``state``, then clearances on rays, m |
-    | ``waypoint`` | (a vector) | (5 j + 8 + 4 k,) float32 | part of ``state``, then waypoint and path, rad |
+    | ``roadmap`` | (a vector) | (5 j + 8 + 4 k,) float32 | part of ``state``, then waypoint and path, rad |
     | ``goal`` | ``achieved_goal`` | (3,) float64 | grasp point, m |
     | | ``desired_goal`` | (3,) float64 | the target's center, m |
     | | ``observation`` | (3 j + 6 + 4 k,) float32 | ``state`` without the features of the task, but see below |
-    | ``goal_waypoint`` | ``observation`` | (5 j + 8 + 4 k,) float32 | as in ``goal``, then as in ``waypoint`` |
+    | ``goal_roadmap`` | ``observation`` | (5 j + 8 + 4 k,) float32 | as in ``goal``, then as in ``roadmap`` |
     | | ``achieved_goal``, ``desired_goal`` | | as in ``goal`` |
     | ``depth`` | ``depth`` | (1, 48, 64) float32 | depth over 2 m, 0 to 1; 0 without a reading |
     | | ``state`` | (3 j + 18,) float32 | ``state`` without its last two features |
@@ -100,7 +100,7 @@ class GreenhouseEnv(EnvMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]]):
     - ``clearance_rays``: distances to obstacles on 24 rays from the target's center toward the arm's side (azimuths by
       `AZIMUTHS`, within each elevations by `ELEVATIONS`). For each ray, the smallest distance at 5 to 13 cm, where the
       tool would be, and at 18 to 30 cm, where the wrist would be.
-    - ``waypoint``: ``state`` without tip, tool axis, direction and turn. The waypoint is a goal configuration that a
+    - ``roadmap``: ``state`` without tip, tool axis, direction and turn. The waypoint is a goal configuration that a
       collision-free straight motion in the known scene reaches, or else the node with the shortest path in a tree that
       grows from the goal configurations. The vector holds its offset from the commanded joints and the action that
       moves there at full speed, j numbers each, then the length of the path from there to the goal (rad), and 1 if the
@@ -116,7 +116,7 @@ class GreenhouseEnv(EnvMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]]):
     `ActionRule`, `Transition` and `Task`, and the folder ``examples``. They compute arrays of n simulations; the single
     environment has one. Their results are checked at every step.
 
-    **Goals.** With ``observation="goal"`` or ``"goal_waypoint"``, the methods ``compute_reward``,
+    **Goals.** With ``observation="goal"`` or ``"goal_roadmap"``, the methods ``compute_reward``,
     ``compute_terminated`` and ``compute_truncated`` (``achieved_goal``, ``desired_goal``, ``info``) evaluate one or n
     steps with other goals; they read everything else from the info (hindsight replay of Stable-Baselines3 needs
     ``copy_info_dict=True``).
@@ -192,7 +192,7 @@ class GreenhouseEnv(EnvMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]]):
         self.render_mode = None if render_mode is None else require_choice("render mode", render_mode, RENDER_MODES)
         picture = Picture(width, height, camera)
         self._viewer = None if render_mode is None else Viewer(render_mode, picture)
-        self.metadata = {**self.metadata, "render_fps": self.settings.rate}
+        self.metadata = {"render_modes": available_modes(), "render_fps": self.settings.rate}
         self.simulation = Simulation(1, self.settings, threads=1)
         self.observation_space = self.simulation.observe.space
         self.action_space: spaces.Box = self.simulation.action_rule.space  # type: ignore[assignment]

@@ -188,5 +188,5 @@ def check_goals(observation: ObservationSpec, hidden: str, reward_requires_roadm
     if reward_requires_roadmap:
         raise InvalidValueError(
             'a reward that requires the roadmap, such as "path", has no path to goals in hindsight; choose '
-            'reward="dense" or "sparse", or observation="waypoint"'
+            'reward="dense" or "sparse", or observation="roadmap"'
         )

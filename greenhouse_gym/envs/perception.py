@@ -67,8 +67,8 @@ class Perception:
 
     @property
     def heading(self) -> Array:
-        """(n, 2) cosine and sine of the heading of each base, live."""
-        return self._frame[:, 3:]
+        """(n, 2) cosine and sine of the heading of each base."""
+        return self._frame[:, 3:].copy()
 
     def begin(self, i: int, setup: Setup) -> None:
         """Prepare a new episode of a simulation."""

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import copy
-import math
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from difflib import get_close_matches
@@ -24,7 +22,7 @@ from greenhouse_gym.envs.randomization import NO_RANDOMIZATION, Randomization
 from greenhouse_gym.envs.rewards import Reward
 from greenhouse_gym.envs.state import RATE, STEP_LIMIT, control_timing
 from greenhouse_gym.envs.task import Task
-from greenhouse_gym.errors import InvalidValueError, UnknownKeywordError, require_choice
+from greenhouse_gym.errors import InvalidValueError, UnknownKeywordError, check_whole, is_number, require_choice
 from greenhouse_gym.motion.success import SUCCESS_RADIUS
 from greenhouse_gym.robots import ROBOTS, Robot, get_robot
 from greenhouse_gym.scene import Scene, SceneBank
@@ -47,7 +45,7 @@ class EnvSettings:
             drawn from a few scenes at a time (`SceneWindow`); the seed of a reset restarts their order.
         split: "train", "validation" or "test".
         robot: Name of a shipped arm ("ur5e", "iiwa14"), an MJCF file, or a `Robot` of `load_robot`.
-        observation: "state", "state_occupancy", "clearance_rays", "waypoint", "goal", "goal_waypoint", "depth",
+        observation: "state", "state_occupancy", "clearance_rays", "roadmap", "goal", "goal_roadmap", "depth",
             "points", "rgb", "rgbd", settings of the last four, or your own `Observation`. Everything of your own is an
             object, ``"file.py:Name"``, ``"module:Name"``, or a mapping with such a name as ``class`` and its fields.
         action: "joint", "joint_velocity", "tip_velocity", or your own `ActionRule`.
@@ -112,11 +110,11 @@ class EnvSettings:
             object.__setattr__(self, name, with_absolute_path(getattr(self, name)))
         if self.scene is None and self.target is not None:
             raise InvalidValueError(f"target needs scene, the scene of the tomato, got target={self.target!r} alone")
-        if not _is_number(self.success_radius) or not 0 < self.success_radius <= 1:
+        if not is_number(self.success_radius) or not 0 < self.success_radius <= 1:
             raise InvalidValueError(f"success_radius must be metres above 0 up to 1, got {self.success_radius!r}")
         if self.start is not None and not isinstance(self.start, str):
             object.__setattr__(self, "start", _numbers("start", self.start))
-        if not _is_number(self.rate) or not 0.1 <= self.rate <= 1 / TIMESTEP or not _divides(self.rate):
+        if not is_number(self.rate) or not 0.1 <= self.rate <= 1 / TIMESTEP or not _divides(self.rate):
             raise InvalidValueError(
                 f"rate must be {1 / TIMESTEP:g} actions per second divided by a whole number (100, 50, 25, 20, ...), "
                 f"got {self.rate!r}"
@@ -249,33 +247,15 @@ def settings_with(callee: str, settings: EnvSettings | None, keywords: Mapping[s
     return replace(settings or EnvSettings(), **keywords)
 
 
-def check_whole(name: str, value: Any, lowest: int, highest: int | None = None) -> int:
-    """Return the value if it is a whole number in the range.
-
-    Raises:
-        InvalidValueError: It is not.
-    """
-    whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-    if not whole or value < lowest or (highest is not None and value > highest):
-        limit = "up" if highest is None else f"to {highest}"
-        raise InvalidValueError(f"{name} must be a whole number from {lowest} {limit}, got {value!r}")
-    return int(value)
-
-
 def _check_kind(name: str, value: Any, kinds: type | tuple[type, ...], expected: str) -> None:
     if not isinstance(value, kinds):
         raise InvalidValueError(f"{name} must be {expected}, got {value!r}")
 
 
 def _numbers(name: str, value: Any) -> tuple[float, ...]:
-    if not isinstance(value, Sequence | np.ndarray) or not all(map(_is_number, value)):
+    if not isinstance(value, Sequence | np.ndarray) or not all(map(is_number, value)):
         raise InvalidValueError(f"{name} must be a name or numbers, got {value!r}")
     return tuple(map(float, value))
-
-
-def _is_number(value: Any) -> bool:
-    real = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
-    return real and math.isfinite(min(abs(value), sys.float_info.max))  # whole numbers may exceed any float
 
 
 def _divides(rate: float) -> bool:

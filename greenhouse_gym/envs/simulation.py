@@ -26,7 +26,7 @@ from greenhouse_gym.envs.worlds import capacity_of, shared_worlds
 from greenhouse_gym.errors import InvalidValueError, NoEpisodeError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import get_robot
-from greenhouse_gym.scene import CompiledScene
+from greenhouse_gym.scene import CompiledScene, Scene
 
 STEP_INFOS = ("previous_goal", "effort")
 """Keys of the info of a step that the info of a reset lacks, besides the reward terms."""
@@ -69,6 +69,7 @@ class Simulation:
         hidden = 'physics="truth"' if settings.physics == "truth" else ""
         hidden = hidden or ("target_position" if self.randomization.target_position else "")
         check_goals(self.observe, hidden, reward_requires_roadmap)
+        self._hidden_goal = bool(hidden)
         self.env_options = settings.agent_options()
         capacity = settings.capacity or capacity_of(self.sampler.bank, settings.physics)
         self.worlds = shared_worlds(robot, settings.physics, capacity, self._timing.substeps)
@@ -148,7 +149,7 @@ class Simulation:
         before, physics, counts = self._current_state(), self._physics, self._counts
         action = check_actions(actions, self.count, self.action_rule.space)
         assert physics is not None
-        change = self.action_rule(action, before, physics.motion(self._perception.heading))
+        change = self.action_rule(action, before.known(self._hidden_goal), physics.motion(self._perception.heading))
         command = self._limit(physics.command, change, physics.qpos)
         contacts = physics.advance(command.position)
         self._record_contacts(contacts)
@@ -204,7 +205,7 @@ class Simulation:
     def observation(self, ids: Ids | None = None) -> Observed:
         """Return observations of all or some simulations."""
         state = self._current_state()
-        return self.observe(state if ids is None else state.select(ids))
+        return self.observe((state if ids is None else state.select(ids)).known(self._hidden_goal))
 
     def info(self, step: StepResult | None = None) -> dict[str, npt.NDArray[Any]]:
         """Return the info that `GreenhouseEnv` documents, without reward terms, as live arrays of length n.
@@ -237,6 +238,10 @@ class Simulation:
     def episode(self, i: int) -> Episode:
         """Return the current episode of a simulation."""
         return self._setup(i).episode
+
+    def known_scene(self, i: int) -> Scene:
+        """Return the current scene of a simulation as agents know it, see `greenhouse_gym.scene.truth.known_scene`."""
+        return self._setup(i).world.known
 
     def target(self, i: int) -> int:
         """Return the current target of a simulation, an index into the tomatoes of its scene."""

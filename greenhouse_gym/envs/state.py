@@ -124,6 +124,19 @@ class State(NamedTuple):
         """Return the state with the outcome of the task, its last four fields (faster than ``_replace``)."""
         return State(*self[:-4], distance, success, failure, memory)
 
+    def known(self, hidden: bool) -> State:
+        """Return the state as observations and actions may know it; changes to its outcome have no effect.
+
+        Args:
+            hidden: The true goal differs from the target. The outcome, which depends on it, is then left out as well.
+        """
+        memory = {name: values.copy() for name, values in self.memory.items()}
+        seen = self._replace(goal=self.target.copy(), contacts=self.contacts.copy(), collided=self.collided.copy())
+        if not hidden:
+            return seen.with_outcome(self.distance.copy(), self.success.copy(), self.failure.copy(), memory)
+        undecided = np.zeros(len(self.success), dtype=np.bool_)
+        return seen.with_outcome(np.full(len(undecided), np.nan), undecided, undecided.copy(), memory)
+
     def select(self, ids: Ids) -> State:
         """Return the state of some simulations."""
         return State._make(_mapped(values, lambda array: array[ids]) for values in self)

@@ -18,13 +18,13 @@ from greenhouse_gym.envs.hindsight import add_goal_functions
 from greenhouse_gym.envs.infos import Infos, masked, numbers_only
 from greenhouse_gym.envs.observations import Observed, select
 from greenhouse_gym.envs.rewards import StepResult
-from greenhouse_gym.envs.settings import EnvMixin, EnvSettings, check_whole, settings_with
+from greenhouse_gym.envs.settings import EnvMixin, EnvSettings, settings_with
 from greenhouse_gym.envs.simulation import Simulation
 from greenhouse_gym.envs.state import Bools, Ids
-from greenhouse_gym.errors import EpisodeOverError, InvalidValueError, UnknownNameError, require_choice
+from greenhouse_gym.errors import EpisodeOverError, InvalidValueError, UnknownNameError, check_whole, require_choice
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.rendering.renderer import Viewpoint
-from greenhouse_gym.rendering.viewer import RENDER_MODES, Picture, Viewer
+from greenhouse_gym.rendering.viewer import RENDER_MODES, Picture, Viewer, available_modes
 
 MAX_THREADS = 1024
 """Largest number of threads of a simulation."""
@@ -89,7 +89,8 @@ class GreenhouseVectorEnv(  # type: ignore[misc]
         self._viewer = None if render_mode is None else Viewer(render_mode, picture)
         self.autoreset_mode = mode_of(autoreset_mode)
         self.metadata = {
-            **self.metadata, "render_fps": self.settings.rate, "autoreset_mode": self.autoreset_mode
+            "render_modes": available_modes(), "render_fps": self.settings.rate,
+            "autoreset_mode": self.autoreset_mode,
         }  # fmt: skip
         self.simulation = Simulation(num_envs, self.settings, threads)
         self.single_observation_space = self.simulation.observe.space

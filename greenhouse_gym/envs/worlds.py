@@ -25,7 +25,7 @@ from greenhouse_gym.scene import CompiledScene, Scene, SceneBank, Shapes, compil
 from greenhouse_gym.scene.geom_order import first_world_geom
 from greenhouse_gym.scene.mjcf import DEFAULT_CAPACITY, MAX_CAPACITY, base_position
 from greenhouse_gym.scene.plant_motion import move_plants
-from greenhouse_gym.scene.truth import true_scene
+from greenhouse_gym.scene.truth import known_scene, true_scene
 
 _ROUND = 100
 
@@ -68,7 +68,7 @@ class World:
     """Scene that is ready to be simulated and observed.
 
     Attributes:
-        scene: The scene as agents know it.
+        scene: The scene of the bank.
         compiled: The simulated scene: the same, or the true row behind it.
         frame: (5,) position of the arm's base in the scene, metres, and cosine and sine of its heading.
         tomatoes: (t, 4) centers in the base frame and radii of the scene's tomatoes, metres, float32.
@@ -99,6 +99,11 @@ class World:
                 f"scene {self.scene.name!r} compiles to {source.ngeom} geoms, others to {model.ngeom}: "
                 "all scenes need the same kind of stand"
             )
+
+    @cached_property
+    def known(self) -> Scene:
+        """Scene as agents know it."""
+        return known_scene(self.scene) if self.before is None else self.before.known
 
     @cached_property
     def roadmaps(self) -> SceneRoadmaps:

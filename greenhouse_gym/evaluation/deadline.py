@@ -4,8 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from queue import Empty, SimpleQueue
-from threading import Thread
+from threading import TIMEOUT_MAX, Thread
 from typing import ParamSpec, TypeVar
+
+from greenhouse_gym.errors import InvalidValueError, is_number
+
+MAX_MESSAGE = 1000
+"""Number of characters of an error's message that records hold."""
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -17,12 +22,21 @@ class Deadline:
     Each call runs in a thread of its own. A thread cannot be killed, so a call that hangs keeps running: discard the
     object that it works on.
 
+    A call that tries to end the process, as `sys.exit` does, fails instead.
+
     Args:
         seconds: Time limit of a call; None for no limit.
+
+    Raises:
+        InvalidValueError: The limit is not a positive, finite number that the system's clock can hold.
     """
 
     def __init__(self, seconds: float | None = None):
-        self._seconds = seconds
+        if seconds is not None and not (is_number(seconds) and 0 < seconds <= TIMEOUT_MAX):
+            raise InvalidValueError(
+                f"timeout must be a positive number of seconds up to {TIMEOUT_MAX:.2g}, or None, got {seconds!r}"
+            )
+        self._seconds = None if seconds is None else float(seconds)
         self._timeout_message = ""
 
     @property
@@ -35,20 +49,30 @@ class Deadline:
 
         Raises:
             TimeoutError: This call or an earlier one timed out.
+            RuntimeError: The call raised something else than an `Exception`, such as `SystemExit`.
         """
+
+        def work() -> T:
+            try:
+                return function(*arguments, **keywords)
+            except (Exception, KeyboardInterrupt):  # Ctrl-C
+                raise
+            except BaseException as error:
+                raise RuntimeError(describe(error)) from error
+
         if self._seconds is None:
-            return function(*arguments, **keywords)
+            return work()
         if self._timeout_message:
             raise TimeoutError(self._timeout_message)
         answers: SimpleQueue[tuple[T | None, BaseException | None]] = SimpleQueue()
 
-        def work() -> None:
+        def answer() -> None:
             try:
-                answers.put((function(*arguments, **keywords), None))
+                answers.put((work(), None))
             except BaseException as error:  # raised again in the caller's thread
                 answers.put((None, error))
 
-        Thread(target=work, daemon=True).start()
+        Thread(target=answer, daemon=True).start()
         try:
             result, error = answers.get(timeout=self._seconds)
         except Empty:
@@ -57,3 +81,17 @@ class Deadline:
         if error is not None:
             raise error
         return result  # type: ignore[return-value]
+
+
+def describe(error: BaseException) -> str:
+    """Return an error's type and message as text that can be printed and stored, whatever the message is."""
+    try:
+        message = str(error)
+    except (Exception, SystemExit):
+        message = "its message cannot be printed"
+    return printable(f"{type(error).__name__}: {message}")
+
+
+def printable(text: str) -> str:
+    """Return a text of bounded length without characters that cannot be encoded."""
+    return text[:MAX_MESSAGE].encode(errors="replace").decode()

@@ -3,32 +3,33 @@
 from __future__ import annotations
 
 import inspect
-import json
 import os
 import platform
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
-from dataclasses import asdict, dataclass, fields, replace
 from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal
-
-from pydantic import BaseModel, ConfigDict
+from typing import Any
 
 from greenhouse_gym.agents import Agent
 from greenhouse_gym.common.executors import workers_of
-from greenhouse_gym.common.files import parsing, read_bytes, write_atomically
+from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.common.tables import Table
 from greenhouse_gym.crops.crop import PlantMotion
-from greenhouse_gym.envs.randomization import Randomization
+from greenhouse_gym.envs import Randomization
 from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.evaluation.entry import V1, Entry, Protocol, columns_of, follows, is_current, read_entry
 from greenhouse_gym.evaluation.journal import RecordJournal
 from greenhouse_gym.evaluation.records import Evaluation, Record
-from greenhouse_gym.evaluation.rollouts import evaluate
+from greenhouse_gym.evaluation.rollouts import AGENTS_CHOICE, changed_rules, evaluate, shown_rules
 from greenhouse_gym.scene import SceneBank
+
+__all__ = [
+    "TRACKS", "V1", "Entry", "Protocol", "follows", "is_current", "leaderboard_table", "read_entry", "replay", "submit",
+]  # fmt: skip
 
 TRACKS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     {
@@ -41,75 +42,6 @@ TRACKS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
 
 Agents always observe the reconstruction.
 """
-
-
-@dataclass(frozen=True)
-class Protocol:
-    """Rules of a comparison.
-
-    Attributes:
-        version: Name of the protocol.
-        bank: Bank of scenes.
-        split: Split of the bank.
-        episodes: Number of episodes on each track.
-        seed: Seed of the first episode; episode i has the seed ``seed + i``.
-        difficulty: Difficulties of the targets, at their natural frequency.
-        timeout: Time limit of each call of the agent, seconds.
-        start: Start configuration, from which the targets of the bank are rated.
-    """
-
-    version: str = "v1"
-    bank: str = "default"
-    split: str = "test"
-    episodes: int = 1000
-    seed: int = 0
-    difficulty: tuple[str, ...] = ("easy", "medium", "hard")
-    timeout: float = 120.0
-    start: str = "upright"
-
-
-V1 = Protocol()
-"""The current protocol."""
-
-_DIGITS = 6
-
-
-class Entry(BaseModel):
-    """Leaderboard entry of an agent: protocol, environment and one record per episode.
-
-    Attributes:
-        agent: Name of the agent, as `make_agent` takes it.
-        note: Free text, such as how it was trained and on how many seeds.
-        protocol: The protocol.
-        bank_sha256: Checksum of the bank's manifest.
-        versions: Versions of the packages that the numbers depend on.
-        machine: Properties that times depend on, for each track: ``processor``, ``cores``, ``python``, ``num_envs``
-            (parallel episodes in each process) and ``workers`` (processes), with keys such as ``truth: cores``. Keys
-            without a track apply to tracks without their own.
-        tracks: Values of each field of `greenhouse_gym.evaluation.records.Record` by track, in order.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    schema_version: Literal[1] = 1
-    agent: str
-    note: str = ""
-    protocol: dict[str, Any]
-    bank_sha256: str
-    versions: dict[str, str]
-    machine: dict[str, str]
-    tracks: dict[str, dict[str, list[Any]]]
-
-    def evaluation(self, track: str) -> Evaluation:
-        """Return the records of a track as an evaluation."""
-        columns = {"measures": [{}] * len(self.tracks[track]["seed"]), **self.tracks[track]}
-        rows = zip(*(columns[field.name] for field in fields(Record)), strict=True)
-        records = (Record(*row) for row in rows)
-        return Evaluation(self.agent, tuple(replace(record, contact=tuple(record.contact)) for record in records))
-
-    def at_once(self, track: str) -> str:
-        """Return the number of parallel episodes x processes of a track; "?" where unknown."""
-        return " x ".join(self.machine.get(f"{track}: {name}", "?") for name in ("num_envs", "workers"))
 
 
 def submit(
@@ -142,7 +74,7 @@ def submit(
         Path of the entry.
 
     Raises:
-        InvalidValueError: No track is given, or an unknown one.
+        InvalidValueError: No track is given, or an unknown one; or the agent's ``env_options`` change the rules.
         FileFormatError: The existing entry is damaged.
     """
     if not tracks or not set(tracks) <= set(TRACKS):
@@ -152,7 +84,7 @@ def submit(
     fresh = Entry(
         agent=name,
         note=note,
-        protocol=_rules_as_json(protocol),
+        protocol=protocol.as_json(),
         bank_sha256=SceneBank.open(protocol.bank).sha256,
         versions={package: version(package) for package in ("greenhouse-gym", "mujoco", "numpy")},
         machine={},
@@ -163,44 +95,26 @@ def submit(
         "sha256": _checksum_of(agent, name)
     }
     for track in tracks:
+        _check_rules(agent.name, shown_rules(changed_rules(agent.name, agent.env_options, _settings(protocol, track))))
+    for track in tracks:
         journal = RecordJournal(path.with_suffix(f".{track}.jsonl"), {**about, "track": track})
         evaluation = _run(agent, protocol, track, protocol.episodes, num_envs, executor, journal)
         entry = _merged(path, fresh)  # other processes may have added tracks
         machine = {f"{track}: {name}": value for name, value in _machine(num_envs, executor).items()}
         changed = {
             "machine": {**entry.machine, **machine},
-            "tracks": {**entry.tracks, track: _columns(evaluation.records)},
+            "tracks": {**entry.tracks, track: columns_of(evaluation.records)},
         }
         write_atomically(path, entry.model_copy(update=changed).model_dump_json() + "\n")
         journal.remove()
     return path
 
 
-def read_entry(path: str | Path) -> Entry:
-    """Read an entry.
-
-    Raises:
-        FileFormatError: The file is missing or damaged.
-    """
-    with parsing(path, "leaderboard entry"):
-        return Entry.model_validate_json(read_bytes(path, "leaderboard entry"))
-
-
-def is_current(entry: Entry) -> bool:
-    """Return whether an entry was made on the present version of its bank."""
-    return entry.bank_sha256 == SceneBank.open(str(entry.protocol["bank"])).sha256
-
-
-def follows(entry: Entry, protocol: Protocol = V1) -> bool:
-    """Return whether an entry follows a protocol; one that does not follow the current protocol is a trial."""
-    return entry.protocol == _rules_as_json(protocol)
-
-
 def replay(entry: Entry, agent: Agent, track: str, episodes: int = 10) -> list[tuple[Record, Record]]:
     """Repeat the first episodes of an entry and return pairs of its record and the new one."""
-    protocol = Protocol(**{**entry.protocol, "difficulty": tuple(entry.protocol["difficulty"])})
-    now = _run(agent, protocol, track, episodes).records
-    return list(zip(entry.evaluation(track).records[:episodes], now, strict=True))
+    before = entry.evaluation(track).records[:episodes]
+    now = _run(agent, entry.rules, track, len(before)).records
+    return list(zip(before, now, strict=True))
 
 
 def leaderboard_table(entries: Sequence[Entry], protocol: Protocol = V1) -> str:
@@ -257,11 +171,6 @@ def _checksum_of(agent: Agent, name: str) -> str:
     return sha256(b"".join(file.read_bytes() for file in files if file.is_file())).hexdigest()
 
 
-def _rules_as_json(protocol: Protocol) -> dict[str, Any]:
-    rules: dict[str, Any] = json.loads(json.dumps(asdict(protocol)))
-    return rules
-
-
 def _machine(num_envs: int, executor: Executor | None) -> dict[str, str]:
     return {
         "processor": platform.machine(),
@@ -281,26 +190,28 @@ def _run(
     executor: Executor | None = None,
     journal: RecordJournal | None = None,
 ) -> Evaluation:
-    options = {"bank": protocol.bank, "difficulty": protocol.difficulty, "start": protocol.start, **TRACKS[track]}
-    return evaluate(
+    evaluation = evaluate(
         agent,
-        protocol.split,
-        episodes,
-        protocol.seed,
+        episodes=episodes,
+        seed=protocol.seed,
         num_envs=num_envs,
         timeout=protocol.timeout,
         executor=executor,
         journal=journal,
-        **options,
+        **_settings(protocol, track),
     )
+    _check_rules(agent.name, evaluation.rules)
+    return evaluation
 
 
-def _columns(records: Sequence[Record]) -> dict[str, list[Any]]:
-    columns = {field.name: [_plain(getattr(record, field.name)) for record in records] for field in fields(Record)}
-    return columns if any(columns["measures"]) else {name: columns[name] for name in columns if name != "measures"}
+def _settings(protocol: Protocol, track: str) -> dict[str, Any]:
+    rules = {name: getattr(protocol, name) for name in ("bank", "split", "difficulty", "start")}
+    return {**rules, **TRACKS[track]}
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, float):
-        return round(value, _DIGITS)
-    return list(value) if isinstance(value, tuple) else value
+def _check_rules(agent: str, changed: str) -> None:
+    if changed:
+        raise InvalidValueError(
+            f"agent {agent!r} changes the rules of the leaderboard: {changed}; its env_options may choose "
+            f"{' and '.join(AGENTS_CHOICE)} only"
+        )

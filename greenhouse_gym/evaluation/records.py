@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from html import escape
+from itertools import combinations
 from statistics import mean, median
 from typing import Any
 
@@ -40,6 +41,8 @@ class Record:
         status: The agent's status of its plan; empty for agents that do not plan.
         failure: Reason why the agent gave no valid action, which ended the episode; empty otherwise.
         measures: Numbers that the task remembers, at the end of the episode, by name; see `greenhouse_gym.envs.Task`.
+        rules: Settings by which the agent's ``env_options`` changed the rules of the episode, such as
+            "success_radius=1.0"; empty otherwise.
     """
 
     seed: int
@@ -61,6 +64,7 @@ class Record:
     status: str = ""
     failure: str = ""
     measures: dict[str, float] = field(default_factory=dict, hash=False)
+    rules: str = ""
 
 
 @dataclass(frozen=True)
@@ -91,6 +95,11 @@ class Evaluation:
     def success_interval(self) -> tuple[float, float]:
         """95 % confidence interval of the success rate (Wilson)."""
         return wilson_interval(sum(r.success for r in self.records), len(self.records))
+
+    @property
+    def rules(self) -> str:
+        """Settings by which the agent changed the rules of its episodes, see `Record.rules`."""
+        return "; ".join(dict.fromkeys(r.rules for r in self.records if r.rules))
 
     @property
     def failures(self) -> int:
@@ -182,13 +191,13 @@ class Pairing:
 
 
 def pairing(first: Evaluation, second: Evaluation) -> Pairing:
-    """Compare two agents by McNemar's exact test (1947) on the episodes that both ran.
+    """Compare two agents by McNemar's exact test (1947) on the episodes that both ran, under the same rules.
 
     Raises:
         InvalidValueError: They have no episode in common.
     """
-    theirs = {(r.seed, r.scene, r.target): r.success for r in second.records}
-    both = [(r.success, theirs[key]) for r in first.records if (key := (r.seed, r.scene, r.target)) in theirs]
+    theirs = {_episode(r): r.success for r in second.records}
+    both = [(r.success, theirs[_episode(r)]) for r in first.records if _episode(r) in theirs]
     if not both:
         raise InvalidValueError(f"{first.agent} and {second.agent} have no episode in common")
     ours, others = both.count((True, False)), both.count((False, True))
@@ -198,6 +207,16 @@ def pairing(first: Evaluation, second: Evaluation) -> Pairing:
 
         p_value = float(binomtest(ours, ours + others).pvalue)
     return Pairing(first.agent, second.agent, len(both), ours, others, p_value)
+
+
+def pairings(evaluations: Sequence[Evaluation]) -> list[Pairing]:
+    """Compare every two agents that have episodes in common."""
+    episodes = {id(e): {_episode(r) for r in e.records} for e in evaluations}
+    return [pairing(a, b) for a, b in combinations(evaluations, 2) if not episodes[id(a)].isdisjoint(episodes[id(b)])]
+
+
+def _episode(record: Record) -> tuple[int, str, int, str]:
+    return record.seed, record.scene, record.target, record.rules
 
 
 def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
@@ -238,7 +257,7 @@ def comparison_rows(evaluations: Sequence[Evaluation]) -> Table:
         low, high = e.success_interval
         rows.append(
             [
-                e.agent,
+                f"{e.agent} *" if e.rules else e.agent,
                 str(len(e.records)),
                 f"{e.success_rate:.1%} [{low:.1%}, {high:.1%}]",
                 *(f"{e.of(difficulty).success_rate:.1%}" for difficulty in difficulties),
@@ -255,8 +274,9 @@ def comparison_rows(evaluations: Sequence[Evaluation]) -> Table:
 
 
 def comparison_notes(evaluations: Sequence[Evaluation]) -> list[str]:
-    """Return notes on agents that could not be evaluated or gave no valid action in some episodes."""
+    """Return notes on agents that could not be evaluated, changed the rules, or gave no valid action."""
     notes = [f"{e.agent}: {e.error}" for e in evaluations if e.error]
+    notes += [f"* {e.agent} changed the rules of its episodes: {e.rules}" for e in evaluations if e.rules]
     for e in evaluations:
         if e.failures:
             first = next(r for r in e.records if r.failure)

@@ -6,11 +6,12 @@ The same seed gives every agent the same episodes, whatever the number of parall
 from __future__ import annotations
 
 import math
+import reprlib
 import sys
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -20,13 +21,20 @@ from greenhouse_gym.agents import Agent
 from greenhouse_gym.agents.named import agent_of
 from greenhouse_gym.common.executors import completed, require_portable, workers_of
 from greenhouse_gym.common.own_code import described
-from greenhouse_gym.envs import make_vec_env
+from greenhouse_gym.envs import EnvSettings, make_vec_env
 from greenhouse_gym.errors import InvalidValueError, require_seed
+from greenhouse_gym.evaluation.deadline import Deadline, printable
 from greenhouse_gym.evaluation.journal import RecordJournal
 from greenhouse_gym.evaluation.records import Evaluation, Evaluations, Record
 from greenhouse_gym.evaluation.runner import AgentError, EpisodeRunner, never_acted
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
+
+AGENTS_CHOICE = ("observation", "action")
+"""Settings of the environment that every agent may choose; the others are rules of the episodes."""
+
+_SHOWN = reprlib.Repr()  # also of objects that cannot be printed
+_SHOWN.maxother = _SHOWN.maxstring = 100
 
 _PARTS = 16  # per worker, so that all workers finish at about the same time and an interruption loses little
 
@@ -51,7 +59,7 @@ def evaluate(
 
     Args:
         agent: The agent, or a name that `greenhouse_gym.agents.make_agent` takes; its ``env_options`` are keywords of
-            the environment.
+            the environment. Records name those that change the rules.
         split: "train", "validation" or "test".
         episodes: Number of episodes.
         seed: Episode i has the seed ``seed + i``. With the same bank, split and difficulties, every agent gets the same
@@ -78,31 +86,68 @@ def evaluate(
     for name, number in (("episodes", episodes), ("num_envs", num_envs)):
         if isinstance(number, bool) or not isinstance(number, (int, np.integer)) or number < 1:
             raise InvalidValueError(f"{name} must be a whole number from 1 up, got {number!r}")
-    if timeout is not None and not timeout > 0:
-        raise InvalidValueError(f"timeout must be a positive number of seconds, or None, got {timeout!r}")
+    Deadline(timeout)  # raises before anything is run
     agent = agent_of(agent)
     require_seed(seed)
-    for key, value in agent.env_options.items():
-        if key in options and described(options[key]) != described(value):
-            raise InvalidValueError(f"agent {agent.name!r} needs {key}={value!r}, got {options[key]!r}")
+    own = dict(agent.env_options)
+    changed = changed_rules(agent.name, own, {**options, "split": split})
     chosen: list[dict[str, Any]] = [{}] * episodes
     if problems is not None:
         chosen = [{"scene": name, "target": k} for name, k in problems]
     show = sys.stderr.isatty() if progress is None else progress
     ended = {} if journal is None else {k: record for k, record in journal.records.items() if k < len(chosen)}
     left = tuple((k, where) for k, where in enumerate(chosen) if k not in ended)
-    whole = _Part(agent, split, left, seed, num_envs, timeout, options, proven=bool(ended))
+    choice = {key: own[key] for key in AGENTS_CHOICE if key in own}
+    keywords = {**choice, **changed, **options, "split": split}
+    whole = _Part(agent, left, seed, num_envs, timeout, keywords, proven=bool(ended))
+    rules = shown_rules(changed)
     results = whole.records() if executor is None else _run_by(executor, whole)
     for k, record in track(results if left else (), description=agent.name, disable=not show, total=len(left)):
-        ended[k] = record
+        ended[k] = replace(record, rules=rules)
         if journal is not None:
-            journal.add(k, record)
+            journal.add(k, ended[k])
     records = tuple(ended[k] for k in sorted(ended))
     if executor is not None and records and records[0].failure and not records[0].steps:
         if journal is not None:
             journal.remove()  # the agent may be fixed before the next attempt
         raise never_acted(agent, records[0].seed, records[0].failure)
     return Evaluation(agent.name, records)
+
+
+def changed_rules(agent: str, own: Mapping[str, Any], options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the keywords by which an agent's ``env_options`` change the rules of the episodes.
+
+    An agent may choose its observation and action; all else is a rule.
+
+    Args:
+        agent: Name of the agent.
+        own: Its ``env_options``.
+        options: Keywords of the episodes; those left out have their defaults.
+
+    Raises:
+        InvalidValueError: The agent's ``env_options`` contradict the keywords of the episodes.
+    """
+    for key, value in own.items():
+        if key in options and not _same(value, options[key]):
+            raise InvalidValueError(f"agent {agent!r} needs {key}={_SHOWN.repr(value)}, got {options[key]!r}")
+    rules = {field.name: field.default for field in fields(EnvSettings)} | dict(options)
+    return {
+        key: value
+        for key, value in own.items()
+        if key not in AGENTS_CHOICE and not (key in rules and _same(value, rules[key]))
+    }
+
+
+def shown_rules(changed: Mapping[str, Any]) -> str:
+    """Return changed rules as text, such as "success_radius=1.0"."""
+    return printable(", ".join(f"{key}={_SHOWN.repr(value)}" for key, value in changed.items()))
+
+
+def _same(a: Any, b: Any) -> bool:
+    try:
+        return a is b or bool(np.all(a == b)) or bool(described(a) == described(b))
+    except Exception:  # arrays of different shapes, or an object of the agent
+        return False
 
 
 def compare(
@@ -152,7 +197,7 @@ def retrace(
         **options: Keywords of the environment; see `evaluate`.
     """
     agent = agent_of(agent)
-    env = make_vec_env(1, split=split, **{**options, **agent.env_options})
+    env = make_vec_env(1, **{**agent.env_options, **options, "split": split})
     try:
         runner = EpisodeRunner(agent, env, deque((require_seed(seed), {}) for seed in seeds), 0, timeout, proven=True)
         return tuple(Trace(result.record, env.simulation.robot, result.joints) for result in runner.run())
@@ -166,28 +211,26 @@ class _Part:
 
     Attributes:
         agent: The agent.
-        split: Split of the bank.
         chosen: Index and reset options of each episode.
         seed: Seed of episode 0.
         num_envs: Number of episodes run in parallel.
         timeout: See `evaluate`.
-        options: Further keywords of the environment.
+        keywords: Keywords of the environment.
         proven: The agent is known to give valid actions.
     """
 
     agent: Agent
-    split: str
     chosen: tuple[tuple[int, dict[str, Any]], ...]
     seed: int
     num_envs: int
     timeout: float | None
-    options: dict[str, Any]
+    keywords: dict[str, Any]
     proven: bool = False
 
     def records(self) -> Iterator[tuple[int, Record]]:
         """Yield indices and records of the episodes in the order in which they end."""
         count = min(self.num_envs, max(1, len(self.chosen)))
-        env = make_vec_env(count, split=self.split, **{**self.options, **self.agent.env_options})
+        env = make_vec_env(count, **self.keywords)
         try:
             runner = EpisodeRunner(self.agent, env, deque(self.chosen), self.seed, self.timeout, self.proven)
             yield from ((result.episode_index, result.record) for result in runner.run())

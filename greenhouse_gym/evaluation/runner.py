@@ -19,7 +19,7 @@ from greenhouse_gym.envs.contacts import NAME_SEPARATOR
 from greenhouse_gym.envs.observations import Observed, select
 from greenhouse_gym.envs.simulation import Simulation
 from greenhouse_gym.errors import GreenhouseError, InvalidValueError
-from greenhouse_gym.evaluation.deadline import Deadline
+from greenhouse_gym.evaluation.deadline import Deadline, describe, printable
 from greenhouse_gym.evaluation.records import Record
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.collision import smallest_clearance
@@ -123,8 +123,8 @@ class EpisodeRunner:
             self._fresh = agent
             self._players = [_Player(_copy(agent), Deadline(timeout)) for _ in self._players]
         elif timeout is not None:
-            with suppress(Exception):
-                self._fresh = copy.deepcopy(agent)
+            with suppress(InvalidValueError):
+                self._fresh = _copy(agent)
         self._proven = proven
 
     def run(self) -> Iterator[EpisodeResult]:
@@ -163,12 +163,7 @@ class EpisodeRunner:
         env, seed = self._env, self._seed + index
         alone = np.arange(env.num_envs) == i
         env.reset(seed=[seed if mine else None for mine in alone], options={**where, "reset_mask": alone})
-        episode = self._simulation.episode(i)
-        simulation = self._simulation
-        problem = Problem(
-            episode.scene, simulation.target(i), simulation.robot, episode.start, seed, simulation.action_rule,
-            simulation.interval,
-        )  # fmt: skip
+        problem = Problem.of(self._simulation, i, seed)
         run = _Run(index, problem, self._player(i), joints=[self._simulation.joints[i].copy()])
         began = time.perf_counter()
         try:
@@ -202,7 +197,7 @@ class EpisodeRunner:
         began = time.perf_counter()
         try:
             batch = select(observations, [i for i, _ in playing])
-            together = np.asarray(deadline.call(agent.act_many, batch))  # type: ignore[attr-defined]
+            together = deadline.call(lambda: np.asarray(agent.act_many(batch)))  # type: ignore[attr-defined]
             if together.shape[:1] != (len(playing),):
                 raise InvalidValueError(f"act_many must return {len(playing)} actions, got shape {together.shape}")
         except Exception as error:
@@ -217,9 +212,12 @@ class EpisodeRunner:
     def _ask(self, run: _Run, act: Callable[[Any], Any], observation: Any, action: Array) -> None:
         """Fill in the next action (1, size) of a run."""
         began = time.perf_counter()
+
+        def checked() -> Array:
+            return check_actions(np.asarray(act(observation))[None], 1, self._space)
+
         try:
-            answer = run.player.deadline.call(act, observation)
-            action[:] = check_actions(np.asarray(answer)[None], 1, self._space)
+            action[:] = run.player.deadline.call(checked)
         except Exception as error:
             self._fail(run, error)
         else:
@@ -227,7 +225,7 @@ class EpisodeRunner:
         run.action_time += time.perf_counter() - began
 
     def _fail(self, run: _Run, error: Exception) -> None:
-        run.failure = f"{type(error).__name__}: {error}"
+        run.failure = describe(error)
         if not self._proven:
             raise never_acted(self._agent, run.problem.seed, run.failure) from error
 
@@ -263,18 +261,26 @@ class EpisodeRunner:
             roughness=float(np.linalg.norm(np.diff(path, n=2, axis=0), axis=-1).mean()) if steps > 1 else 0.0,
             total_reward=run.total_reward,
             distance=float(info["distance"]),
-            status=str(getattr(run.player.agent, "status", "")),
+            status=_status(run.player),
             failure=run.failure,
             measures={name: float(info[name]) for name in simulation.task.memory},
         )
         return EpisodeResult(run.index, record, path)
 
 
+def _status(player: _Player) -> str:
+    """Return the agent's status of its plan, or an empty text if it has none that can be printed."""
+    try:
+        return printable(player.deadline.call(lambda: str(getattr(player.agent, "status", ""))))
+    except Exception:
+        return ""
+
+
 def _copy(agent: Agent) -> Agent:
     try:
-        return copy.deepcopy(agent)
+        return Deadline().call(copy.deepcopy, agent)
     except Exception as error:
         raise InvalidValueError(
-            f"agent {agent.name!r} cannot be copied for each simulation ({error}); "
+            f"agent {agent.name!r} cannot be copied for each simulation ({describe(error)}); "
             "give it a method act_many(observations), or use num_envs=1"
         ) from error

@@ -181,7 +181,19 @@ def _joints(robot: Robot, goal: Array) -> list[dict[str, Any]]:
     ]
 
 
+_STRING_OR_POWER = re.compile(r'"(?:[^"\\]|\\.)*"|-?\d+(?:\.\d+)?e[-+]?\d+')
+
+
 def _yaml(data: Any) -> bytes:
-    """Return JSON that is also YAML: YAML 1.1 reads a number such as 1e-05, without a point, as a string."""
-    text = re.sub(r"-?\d+(?:\.\d+)?e-?\d+", lambda found: f"{float(found[0]):.12f}", json.dumps(data))
-    return (text + "\n").encode()
+    """Return JSON that is also YAML.
+
+    YAML 1.1 reads a number such as 1e-05, without a point, as a string, and no pairs of surrogates.
+    """
+
+    def rewritten(found: re.Match[str]) -> str:
+        if not found[0].startswith('"'):
+            return f"{float(found[0]):.12f}"
+        text = json.loads(found[0])
+        return '"' + "".join(each if each > "\uffff" else json.dumps(each)[1:-1] for each in text) + '"'
+
+    return (_STRING_OR_POWER.sub(rewritten, json.dumps(data)) + "\n").encode()

@@ -133,7 +133,7 @@ def shapes_of(shape_type: type[AnyShape], columns: Mapping[str, Sequence[Any]]) 
         columns: Values of each field of numbers.
 
     Raises:
-        InvalidValueError: A shape is impossible; constructing it alone tells why.
+        InvalidValueError: A shape is impossible; constructing it alone names the value.
         TypeError, ValueError: A value is no number, or an array has another length.
     """
     arrays = {name: np.array(values, dtype=np.float64) for name, values in columns.items()}

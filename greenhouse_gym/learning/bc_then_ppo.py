@@ -17,7 +17,9 @@ from greenhouse_gym.learning.training_run import as_json, check_start
 from greenhouse_gym.learning.variation import varied_bank
 from greenhouse_gym.scene import SceneBank
 
-FINE_TUNING = PpoSettings(reward="dense", log_std=-2.5, learning_rate=5e-5, critic_rollouts=8, epochs=4)
+FINE_TUNING = PpoSettings(
+    observation="roadmap", log_std=-2.5, learning_rate=5e-5, batch_size=4096, epochs=4, critic_rollouts=8
+)
 """Settings of PPO for a policy that is already good: little noise, small steps, the critic first."""
 
 

@@ -254,7 +254,7 @@ class DevicePpo:
             activation="relu",
             center=numbers(self.networks.center),
             scale=numbers(self.networks.scale),
-            env_options=self.env.settings.agent_options(simulation.robot.name),
+            env_options=self.env.settings.agent_options(),
             layout=simulation.observe.layout,
             training={
                 "algorithm": "PPO on a device",

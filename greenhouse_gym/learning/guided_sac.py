@@ -21,7 +21,7 @@ MAX_NOISE = 0.5
 
 
 class Demonstrator:
-    """Follow the waypoint of a goal environment, as the agent ``waypoint`` does.
+    """Follow the waypoint of a goal environment, as the agent ``roadmap`` does.
 
     Args:
         layout: Layout of the environment's ``"observation"``.

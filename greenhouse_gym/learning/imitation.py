@@ -66,13 +66,13 @@ def roadmap_labels(simulation: Simulation) -> Array:
 
 
 def follow_waypoint(policy: Any) -> None:
-    """Initialize the actor of an untrained Stable-Baselines3 policy so that it acts exactly as the agent ``waypoint``.
+    """Initialize the actor of an untrained Stable-Baselines3 policy so that it acts exactly as the agent ``roadmap``.
 
     The first hidden units carry the positive and the negative part of the waypoint's direction while the waypoint is
     free. The others keep their weights but have no effect on the action until they learn.
 
     Args:
-        policy: An actor-critic policy with rectified linear units on `ScaledObservation` of ``"waypoint"``.
+        policy: An actor-critic policy with rectified linear units on `ScaledObservation` of ``"roadmap"``.
 
     Raises:
         InvalidValueError: Its activation differs, its layers are too narrow, or it observes no waypoint.
@@ -84,7 +84,7 @@ def follow_waypoint(policy: Any) -> None:
     layers = [layer for layer in policy.mlp_extractor.policy_net if hasattr(layer, "in_features")]
     if direction < 0 or policy.activation_fn is not torch.nn.ReLU or min(p.out_features for p in layers) < 2 * joints:
         raise InvalidValueError(
-            f'to follow waypoints, a policy needs observation="waypoint", activation="relu" and hidden layers of at '
+            f'to follow waypoints, a policy needs observation="roadmap", activation="relu" and hidden layers of at '
             f"least {2 * joints} units"
         )
     units = torch.arange(2 * joints)

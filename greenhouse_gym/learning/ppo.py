@@ -27,6 +27,7 @@ from greenhouse_gym.learning.training_settings import (
     env_options,
 )
 from greenhouse_gym.robots import get_robot
+from greenhouse_gym.scene import SceneBank
 
 with needs("train"):
     import tensorboard  # noqa: F401  Stable-Baselines3 needs it, but imports it late
@@ -59,10 +60,11 @@ class PpoSettings:
     Attributes:
         bank: Name or folder of the scene bank.
         split: Split to train on.
+        sources: Sources of the rows to train on, such as "own" or "helios"; all if empty.
         robot: The arm.
-        observation: Observation of the environment, by name or your own.
+        observation: Observation of the environment, by name or your own; "roadmap" has a planner in it.
         action: Action of the environment, by name or your own.
-        reward: Reward of the environment, by name or your own.
+        reward: Reward of the environment, by name or your own; "path" has a planner in it.
         task: Task of the environment, by name or your own.
         difficulty: Difficulties of the targets.
         scene: Name of the only scene to train on; all scenes of the split if None.
@@ -91,10 +93,11 @@ class PpoSettings:
 
     bank: str = "default"
     split: str = "train"
+    sources: tuple[str, ...] = ()
     robot: str = "ur5e"
-    observation: Choice = "waypoint"
+    observation: Choice = "state"
     action: Choice = "joint"
-    reward: Choice = "path"
+    reward: Choice = "dense"
     task: Choice = "reach"
     difficulty: str | tuple[str, ...] | dict[str, float] = ("easy", "medium", "hard")
     scene: SceneChoice = None
@@ -102,13 +105,13 @@ class PpoSettings:
     total_steps: int = 2_000_000
     num_envs: Simulations = 128
     rollout_steps: PositiveCount = 64
-    batch_size: Annotated[int, Field(ge=2)] = 4096
-    epochs: PositiveCount = 8
+    batch_size: Annotated[int, Field(ge=2)] = 2048
+    epochs: PositiveCount = 6
     learning_rate: Rate = 5e-4
     discount: Fraction = 0.99
     gae_lambda: Fraction = 0.95
     clip_range: Rate = 0.2
-    log_std: Annotated[float, Field(ge=-20, le=2, allow_inf_nan=False)] = -1.5
+    log_std: Annotated[float, Field(ge=-20, le=2, allow_inf_nan=False)] = -1.0
     hidden: Layers = (256, 256)
     activation: str = "relu"
     critic_rollouts: int = 0
@@ -167,8 +170,11 @@ def train_ppo(
     _check_validation(settings)
     out, described = Path(out), as_json(settings)
     check_start(out, described, resume, time_limit, checkpoint_seconds)
+    world = env_options(settings)
+    if settings.sources:
+        world["bank"] = SceneBank.open(settings.bank).select(split=settings.split, source=settings.sources)
     env = make_sb3_vec_env(
-        settings.num_envs, split=settings.split, threads=settings.threads, seed=settings.seed, **env_options(settings)
+        settings.num_envs, split=settings.split, threads=settings.threads, seed=settings.seed, **world
     )
     model = make_ppo(settings, env)
     with training_in(out, model, described, resume):

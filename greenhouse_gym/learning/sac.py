@@ -53,7 +53,7 @@ class SacSettings:
         bank: Name or folder of the scene bank; its training split is trained on.
         robot: The arm.
         difficulty: Difficulties of the targets.
-        observation: "goal", or "goal_waypoint", which adds the next waypoint of a collision-free path, or your own with
+        observation: "goal", or "goal_roadmap", which adds the next waypoint of a collision-free path, or your own with
             goals.
         action: Action of the environment, by name or your own.
         reward: "dense", "sparse" or your own. With the sparse one a collision costs what a success pays, so arms that
@@ -124,8 +124,8 @@ def make_sac(settings: SacSettings) -> Any:
         InvalidValueError: Too few random steps (hindsight needs a finished episode), guidance without an observed
             waypoint, or a negative weight.
     """
-    if settings.guided and settings.observation != "goal_waypoint":
-        raise InvalidValueError(f'guided needs observation="goal_waypoint", got {settings.observation!r}')
+    if settings.guided and settings.observation != "goal_roadmap":
+        raise InvalidValueError(f'guided needs observation="goal_roadmap", got {settings.observation!r}')
     shortest = settings.num_envs * EnvSettings().step_limit
     if settings.random_steps < shortest:
         raise InvalidValueError(

@@ -41,7 +41,7 @@ def check_settings(settings: object) -> None:
         elif field.name in OWN:
             object.__setattr__(settings, field.name, with_absolute_path(value))
     check_numbers(settings)
-    for name in ("observation", "action", "task"):  # of which a saved policy must know
+    for name in ("observation", "action", "task"):  # that a saved policy must state
         if hasattr(settings, name):
             portable(getattr(settings, name), name)
 

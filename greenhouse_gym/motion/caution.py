@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
@@ -11,7 +10,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.errors import InvalidValueError, is_number
 from greenhouse_gym.geometry import Box, bounding_balls, distance_to_nearest
 from greenhouse_gym.motion.collision import planning_model
 from greenhouse_gym.motion.goals import GoalSampler
@@ -106,7 +105,7 @@ def check_margin(margin: float) -> float:
     Raises:
         InvalidValueError: It is negative or not finite.
     """
-    if not (margin >= 0 and math.isfinite(margin)):
+    if not (is_number(margin) and margin >= 0):
         raise InvalidValueError(f"margin must be a finite number of metres, 0 or more, got {margin!r}")
     return margin
 

@@ -66,7 +66,7 @@ def planning_model(
         UnknownNameError: No such pair.
     """
     count = len(compiled.scene.tomatoes)
-    if not 0 <= target < count:
+    if not isinstance(target, int | np.integer) or isinstance(target, bool) or not 0 <= target < count:
         raise InvalidValueError(f"target {target!r}: scene {compiled.scene.name!r} has tomatoes 0 to {count - 1}")
     model = _with_world_at_rest(compiled.model)
     compiled.allow_cup_on(model, target)
@@ -167,8 +167,14 @@ class CollisionChecker:
         self.checks = 0
         self._known_reaches = reaches
         self.model = model
-        self._data = mujoco.MjData(model)
-        self._qpos = self._data.qpos  # a view: writing to it takes a third of the time of looking it up
+
+    @cached_property
+    def _data(self) -> mujoco.MjData:
+        return mujoco.MjData(self.model)
+
+    @cached_property
+    def _qpos(self) -> Array:
+        return self._data.qpos  # a view: writing to it takes a third of the time of looking it up
 
     @cached_property
     def reaches(self) -> Array:
@@ -178,6 +184,10 @@ class CollisionChecker:
     def is_free(self, configuration: npt.ArrayLike) -> bool:
         """Return whether a configuration (joints,) is collision-free."""
         return self._all_free((configuration,))
+
+    def are_free(self, configurations: Array) -> npt.NDArray[np.bool_]:
+        """Return whether each of some configurations (k, joints) is collision-free, (k,)."""
+        return np.array([self.is_free(configuration) for configuration in configurations], dtype=np.bool_)
 
     def motion_is_free(self, start: npt.ArrayLike, end: npt.ArrayLike, resolution: float) -> bool:
         """Return whether the straight joint motion between two configurations, both included, is collision-free.
@@ -197,16 +207,19 @@ class CollisionChecker:
 
     def _all_free(self, configurations: Iterable[npt.ArrayLike]) -> bool:
         """Return whether all configurations are collision-free; stop at the first collision."""
-        model, data, qpos = self.model, self._data, self._qpos  # looking them up in this tight loop takes time
-        kinematics, collision = mujoco.mj_kinematics, mujoco.mj_collision
+        data = self._data
         for configuration in configurations:
-            self.checks += 1
-            qpos[:] = configuration
-            kinematics(model, data)
-            collision(model, data)
+            self._collide(configuration)
             if data.ncon:
                 return False
         return True
+
+    def _collide(self, configuration: npt.ArrayLike) -> None:
+        """Let MuJoCo find the contacts of a configuration."""
+        self.checks += 1
+        self._qpos[:] = configuration
+        mujoco.mj_kinematics(self.model, self._data)
+        mujoco.mj_collision(self.model, self._data)
 
     def free_fraction(self, start: npt.ArrayLike, end: npt.ArrayLike, resolution: float) -> float:
         """Return the fraction of the straight motion from a free configuration up to the first collision, 0 to 1."""
@@ -229,12 +242,12 @@ class CollisionChecker:
 
     def clearance(self, configuration: npt.ArrayLike) -> float:
         """Return the distance of the arm to the nearest contact, metres; < 0 inside, inf beyond the model's margin."""
-        self.is_free(configuration)
+        self._collide(configuration)
         return float(self._data.contact.dist.min(initial=np.inf))
 
     def contacts(self, configuration: npt.ArrayLike) -> tuple[tuple[str, str], ...]:
         """Return the names of the pairs of geoms in contact, or within the model's margin, in a configuration."""
-        self.is_free(configuration)
+        self._collide(configuration)
         pairs = self._data.contact.geom
         return tuple((self.model.geom(int(a)).name, self.model.geom(int(b)).name) for a, b in pairs)
 

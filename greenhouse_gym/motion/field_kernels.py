@@ -214,7 +214,10 @@ def _range(center, reach, origin, count):
     return int(max(low, 0.0)), int(min(high, float(count)))
 
 
-@kernel("void(f4[:, ::1], f4[:, ::1], f8[:, ::1], b1[::1], f8[:, ::1], f8[:, ::1], f8[:, :, ::1], f8[:, ::1], u8[::1])")
+@kernel(
+    "void(f4[:, ::1], f4[:, ::1], f8[:, ::1], b1[::1], f8[:, ::1], f8[:, ::1], f8[:, :, ::1], f8[:, ::1], u8[::1])",
+    writes=("nodes",),
+)
 def obstacle_nodes(
     capsules: Float32,
     boxes: Float32,

@@ -15,13 +15,14 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.errors import InvalidValueError, require_seed
+from greenhouse_gym.errors import InvalidValueError, check_whole, is_number, require_seed
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.collision import CollisionChecker, checker_of
 from greenhouse_gym.motion.inverse_kinematics import Approach, inverse_kinematics
+from greenhouse_gym.motion.kernel_checker import search_checker
 from greenhouse_gym.motion.unknown_space import depths_of, guarded
 from greenhouse_gym.robots import Robot, get_robot
-from greenhouse_gym.robots.kinematics import tool_chain, tool_state
+from greenhouse_gym.robots.kinematics import tool_chain
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.mjcf import CompiledScene
 
@@ -53,8 +54,8 @@ class GoalStatistics:
         within_threshold: Those with the grasp point within the threshold of the target.
         converged: Those that inverse kinematics brought onto the target within the joint limits, and into the approach
             cone if one is given.
-        duplicate: Converged ones that repeat an accepted one.
-        colliding: Converged, new ones in collision.
+        duplicate: Converged, free ones that repeat an accepted one.
+        colliding: Converged ones in collision.
     """
 
     samples: int
@@ -138,11 +139,10 @@ class GoalSampler:
             arm.keep_tool_roll(guesses, start)
         else:
             guesses = self._rng.uniform(arm.lower, arm.upper, (BATCH_SIZE, len(start)))
-        if math.isfinite(self._threshold):
-            offset = tool_state(self._chain, guesses, self._radius).point - self.center
-            guesses = guesses[(offset * offset).sum(-1) <= self._threshold**2]
-        found = inverse_kinematics(self._chain, guesses, self.center, self._radius, arm, self._approach)
-        return GoalBatch(len(guesses), found)
+        found, tried = inverse_kinematics(
+            self._chain, guesses, self.center, self._radius, arm, self._approach, self._threshold
+        )
+        return GoalBatch(tried, found)
 
 
 def goal_configurations(
@@ -206,15 +206,15 @@ def search_goals(
 ) -> Goals:
     """Search as `goal_configurations` does, in a compiled scene with a given checker.
 
-    The search ends after ``budget`` random configurations.
+    The search ends after ``budget`` random configurations. ``checker`` confirms what kernels find free.
     """
-    if count < 1:
-        raise InvalidValueError(f"count must be at least 1, got {count!r}")
-    if not (threshold > 0 and min_difference >= 0):
+    check_whole("count", count, 1)
+    if not (is_number(threshold) and threshold > 0 and is_number(min_difference) and min_difference >= 0):
         raise InvalidValueError(
             f"expected threshold > 0 and min_difference >= 0, got {threshold!r} and {min_difference!r}"
         )
     sampler = GoalSampler(compiled, target, threshold=threshold, approach=approach, seed=require_seed(seed))
+    search = search_checker(checker.model)
     accepted = np.empty((count, len(compiled.robot.joints)))
     found = samples = within = converged = duplicate = colliding = 0
     while found < count and samples < budget:
@@ -222,7 +222,9 @@ def search_goals(
         samples += BATCH_SIZE
         within += batch.within_threshold
         converged += len(batch.configurations)
-        for configuration in batch.configurations:
+        free = batch.configurations[search.are_free(batch.configurations)]
+        colliding += len(batch.configurations) - len(free)
+        for configuration in free:
             if (np.abs(accepted[:found] - configuration) < min_difference).all(-1).any():
                 duplicate += 1
             elif not checker.is_free(configuration):
@@ -249,7 +251,7 @@ def nearest_free_goals(
     free: list[npt.NDArray[np.float64]] = []
     for k in range(MAX_BATCHES):
         goals = sampler[k].configurations
-        free += [goal for goal in goals if checker.is_free(goal)]
+        free += list(goals[checker.are_free(goals)])
         if len(free) >= min_goals or (free and k + 1 >= batches) or not len(goals):
             break
     found = np.array(free).reshape(-1, len(sampler.start))

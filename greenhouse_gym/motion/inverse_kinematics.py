@@ -9,7 +9,7 @@ import numpy as np
 
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.robots.kinematics import Chain, tool_state
+from greenhouse_gym.robots.kinematics import Chain
 from greenhouse_gym.robots.robot import Robot
 
 TOLERANCE = 1e-3
@@ -45,17 +45,16 @@ class Approach:
             raise InvalidValueError(f"approach: expected a half angle above 0, up to pi, got {self.half_angle!r}")
         object.__setattr__(self, "direction", direction / length)
 
-    def turn(self, axis: Array) -> Array:
-        """Return rotation vectors (m, 3) that turn tool axes (m, 3) to the cone's edge; zero for those inside it."""
-        across = np.cross(axis, self.direction)
-        sine = np.linalg.norm(across, axis=-1)
-        outside = np.maximum(np.arctan2(sine, axis @ self.direction) - self.half_angle, 0.0)
-        return across * (outside / np.maximum(sine, 1e-9))[:, None]
-
 
 def inverse_kinematics(
-    chain: Chain, guesses: Array, point: Array, ahead: float, arm: Robot, approach: Approach | None = None
-) -> Array:
+    chain: Chain,
+    guesses: Array,
+    point: Array,
+    ahead: float,
+    arm: Robot,
+    approach: Approach | None = None,
+    threshold: float = math.inf,
+) -> tuple[Array, int]:
     """Bring the grasp point onto a point from many initial guesses, within the joint limits.
 
     Args:
@@ -65,32 +64,18 @@ def inverse_kinematics(
         ahead: Distance of the grasp point from the tip along the tool axis, metres.
         arm: The arm whose limits apply.
         approach: Cone that the tool axis must end up in; any direction if None.
+        threshold: Guesses with the grasp point farther from the point than this are left out, metres.
 
     Returns:
-        (k, n) the k <= m configurations that converged to `TOLERANCE`, in the order of their guesses.
+        (k, n) the configurations that converged to `TOLERANCE`, in the order of their guesses, and the number of
+        guesses that were not left out.
     """
-    q = guesses.copy()
-    done = np.zeros(len(q), dtype=bool)
-    for _ in range(_ITERATIONS):
-        active = np.flatnonzero(~done)
-        if not len(active):
-            break
-        state = tool_state(chain, q[active], ahead)
-        error = point - state.point
-        distance = np.linalg.norm(error, axis=-1, keepdims=True)
-        arrived = distance[:, 0] < TOLERANCE
-        error = error * np.minimum(1.0, _STEP / np.maximum(distance, 1e-12))
-        jacobian = state.jacobian
-        if approach is not None:
-            turn = approach.turn(state.axis)
-            outside = np.any(turn != 0, axis=1)
-            arrived &= ~outside
-            # slightly past the edge, so that the axis counts as inside
-            error = np.concatenate([error, _TURN * 1.05 * turn], axis=-1)
-            jacobian = np.concatenate([jacobian, _TURN * outside[:, None, None] * state.joint_axes], axis=1)
-        done[active[arrived]] = True
-        active, error, jacobian = active[~arrived], error[~arrived], jacobian[~arrived]
-        normal = jacobian @ np.swapaxes(jacobian, -1, -2) + _DAMPING**2 * np.eye(jacobian.shape[1])
-        step = np.einsum("mij,mi->mj", jacobian, np.linalg.solve(normal, error[..., None])[..., 0])
-        q[active] = np.clip(q[active] + step, arm.lower, arm.upper)
-    return q[done]
+    from greenhouse_gym.motion.collision_kernels import bring_onto
+
+    q, done = np.array(guesses, dtype=np.float64, order="C"), np.empty(len(guesses), dtype=np.bool_)
+    cone = np.array([0.0, 0.0, 0.0, -1.0] if approach is None else [*approach.direction, approach.half_angle])
+    tried = bring_onto(
+        chain.table, chain.offsets[-1, :3].reshape(12), np.array(point, dtype=np.float64), cone, arm.lower, arm.upper,
+        np.array([ahead, TOLERANCE, _STEP, threshold]), np.array([_DAMPING, _TURN]), _ITERATIONS, q, done,
+    )  # fmt: skip
+    return q[done], tried

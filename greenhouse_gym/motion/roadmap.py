@@ -19,6 +19,7 @@ from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.collision import CollisionChecker, planning_model
 from greenhouse_gym.motion.goals import GoalSampler, nearest_free_goals
 from greenhouse_gym.motion.joint_reaches import arm_reaches
+from greenhouse_gym.motion.kernel_checker import search_checker
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import CompiledScene
 
@@ -131,7 +132,7 @@ class SceneRoadmaps:
     def roadmap(self, goals: GoalSampler) -> Roadmap:
         """Return the roadmap from the start of a sampler to the goals that it samples."""
         model = planning_model(self.compiled, goals.target, ROADMAP_MARGIN)
-        checker = CollisionChecker(model, arm_reaches(self.compiled.robot))
+        checker = search_checker(model, arm_reaches(self.compiled.robot))
         key = np.concatenate([[goals.target], goals.center, goals.start]).tobytes()
         if key not in self._nodes:
             if len(self._nodes) >= _CACHE_SIZE:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -13,7 +14,7 @@ from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
 from greenhouse_gym.crops.parts import Tomato
-from greenhouse_gym.errors import InvalidValueError, require_choice
+from greenhouse_gym.errors import InvalidValueError, is_number, require_choice
 from greenhouse_gym.geometry import Array, Box, bounding_balls, distance_to_shapes
 from greenhouse_gym.motion.collision import CollisionChecker, planning_model
 from greenhouse_gym.motion.joint_reaches import arm_reaches
@@ -51,7 +52,7 @@ def depths_of(rule: str | float) -> tuple[float, ...]:
     if isinstance(rule, str):
         named = {"free": DEPTHS[-1:], "avoid": DEPTHS, "forbid": DEPTHS[:1]}
         return named[require_choice("unknown", rule, UNKNOWN_RULES)]
-    if not rule >= 0:
+    if not (rule == math.inf or (is_number(rule) and rule >= 0)):
         raise InvalidValueError(f"unknown must be a rule or a depth of 0 m or more, got {rule!r}")
     return (float(rule),)
 

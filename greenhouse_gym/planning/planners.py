@@ -67,6 +67,8 @@ class PlannerInfo:
             UnknownNameError: The planner has no such parameter; the message lists those it has.
             InvalidValueError: A value is of the wrong type or outside its range.
         """
+        if not isinstance(values, Mapping):
+            raise InvalidValueError(f"{self.name}: settings must map names to values, got {values!r}")
         if values:
             require_valid(self.name, values, self.parameters)
         return {**self.settings, **values}

@@ -6,11 +6,12 @@ import math
 import time
 from collections.abc import Collection, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.errors import InvalidValueError, require_seed
+from greenhouse_gym.errors import InvalidValueError, check_whole, is_number, require_seed
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.caution import with_margin, with_unexplained_cells
 from greenhouse_gym.motion.collision import (
@@ -106,17 +107,22 @@ def plan(
             ``unknown`` or ``unexplained`` needs one.
         MissingDependencyError: OMPL is not installed.
     """
+    if not isinstance(scene, Scene):
+        raise InvalidValueError(f"scene must be a Scene, got {scene!r}")
+    if isinstance(pairs, str) or not isinstance(pairs, Collection):
+        raise InvalidValueError(f"pairs must be some of {', '.join(COLLISION_PAIRS)}, got {pairs!r}")
+    seed = require_seed(seed)
     arm, depths = get_robot(robot), depths_of(unknown)
     if unknown != "free" or unexplained:
         occupancy_of(scene)
     _seconds(time_limit, max_checks)  # raises before anything is searched
-    origin = arm.configuration(start)
+    origin = _configurations("start", [arm.configuration(start)], arm)[0]
     scene = with_margin(scene, arm, origin, margin)
     scene = with_unexplained_cells(scene, arm, origin) if unexplained else scene
     began = time.perf_counter()
     statistics = None
     if isinstance(goals, int | np.integer):
-        count, widest = int(goals), guarded(scene, arm, origin, depths[-1])
+        count, widest = check_whole("count of goals", goals, 1), guarded(scene, arm, origin, depths[-1])
         checker = checker_of(widest, target, pairs)
         pool = max(count, _POOL) if len(depths) > 1 else count
         searched = search_goals(widest, checker, target, pool, seed=seed, budget=sample_budget(depths[-1]))
@@ -170,7 +176,7 @@ def plan_with(
     require_seed(seed)
     seconds = _seconds(time_limit, max_checks)
     arm = compiled.robot
-    origin = _configurations("start", np.asarray(arm.configuration(start))[None], arm)[0]
+    origin = _configurations("start", [arm.configuration(start)], arm)[0]
     if not checker.is_free(origin):
         touching = ", ".join(f"{a} with {b}" for a, b in checker.contacts(origin))
         return PlanResult("start_in_collision", None, planner, message=f"at the start: {touching}")
@@ -198,15 +204,15 @@ def plan_with(
 
 def _seconds(time_limit: float | None, max_checks: int | None) -> float:
     """Return the limit on time; without one, a limit that the checks never reach."""
-    if max_checks is not None and max_checks < 1:
-        raise InvalidValueError(f"max_checks must be at least 1 or None, got {max_checks!r}")
+    if max_checks is not None:
+        check_whole("max_checks", max_checks, 1)
     if time_limit is None:
         if max_checks is None:
             raise InvalidValueError("time_limit is None: give max_checks, otherwise nothing ends the search")
         return min(60.0 + _SLOWEST * max_checks, _LONGEST)
-    if not (math.isfinite(time_limit) and time_limit > 0):
+    if not (is_number(time_limit) and time_limit > 0):
         raise InvalidValueError(f"time_limit must be a positive, finite number of seconds, or None, got {time_limit!r}")
-    return min(time_limit, _LONGEST)
+    return min(float(time_limit), _LONGEST)
 
 
 def _run_planner(info: PlannerInfo, checker: CollisionChecker, query: PlannerQuery) -> PlanResult:
@@ -265,10 +271,13 @@ def _flaw(checker: CollisionChecker, query: PlannerQuery, path: Array) -> str:
     return ""
 
 
-def _configurations(name: str, values: npt.ArrayLike, arm: Robot) -> Array:
+def _configurations(name: str, values: Any, arm: Robot) -> Array:
     """Return configurations (k, joints) of an arm after checking their shape and limits."""
-    array = np.asarray(values, dtype=np.float64)
     joints = len(arm.joints)
+    try:
+        array = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InvalidValueError(f"{name}: {arm.name} takes {joints} joint angles, got {values!r}") from error
     if array.ndim != 2 or array.shape[1] != joints:
         raise InvalidValueError(f"{name}: {arm.name} takes {joints} joint angles, got an array of shape {array.shape}")
     outside = ~((array >= arm.lower) & (array <= arm.upper))

@@ -153,7 +153,7 @@ class Viewer:
         target: Array,
         trace: list[Array],
     ) -> None:
-        if sys.platform == "linux" and not _has_display():
+        if not _has_display():
             raise NoDisplayError('render_mode="human" needs a display; choose "rgb_array" or "depth_array" here')
         import mujoco.viewer
 
@@ -176,5 +176,10 @@ class Viewer:
         self._window.sync()
 
 
+def available_modes() -> list[str]:
+    """Return the `RENDER_MODES` that work on this machine: no window without a display."""
+    return [mode for mode in RENDER_MODES if mode != "human" or _has_display()]
+
+
 def _has_display() -> bool:
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from itertools import chain, combinations
+from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from greenhouse_gym.common.tables import Table
 from greenhouse_gym.envs.actions import INTERVAL
-from greenhouse_gym.evaluation.records import Evaluation, Record, pairing
+from greenhouse_gym.evaluation.records import Evaluation, Record, pairings
 from greenhouse_gym.reporting.plots import fractions, hover, logarithmic
 
 if TYPE_CHECKING:
@@ -148,12 +148,11 @@ def _milliseconds(value: float) -> str:
 def pairs_table(evaluations: Sequence[Evaluation]) -> Table:
     """Return McNemar's test of every two agents: how often one alone succeeded, and the p-value of that difference."""
     rows = []
-    for first, second in combinations((e for e in evaluations if e.records), 2):
-        p = pairing(first, second)
+    for p in pairings(evaluations):
         better = p.first if p.only_first > p.only_second else p.second
         verdict = f"{better} is better" if p.p_value < 0.05 else "may be equally good"
         alone = (f"{p.only_first} of {p.episodes}", f"{p.only_second} of {p.episodes}")
-        rows.append((first.agent, second.agent, *alone, f"{p.p_value:.2g}", verdict))
+        rows.append((p.first, p.second, *alone, f"{p.p_value:.2g}", verdict))
     heads = ("first", "second", "only first succeeded", "only second succeeded", "p", "verdict")
     return Table(heads, rows, words=(0, 1, 5))
 

@@ -38,8 +38,7 @@ def film(agent: Agent | str, out: str | Path, seed: int = 0, **options: Any) -> 
         recorder: Any = RecordVideo(env, str(Path(folder) / "films"), name_prefix="film", disable_logger=True)
         try:
             observation, info = recorder.reset(seed=seed)
-            rule, interval = env.simulation.action_rule, env.simulation.interval
-            agent.reset(Problem(env.scene, env.target, env.robot, env.start, seed, rule, interval))
+            agent.reset(Problem.of(env.simulation, 0, seed))
             over = False
             while not over:
                 observation, _, terminated, truncated, info = recorder.step(agent.act(observation))

@@ -6,6 +6,7 @@ The grasp point lies a given distance ahead of the tip along the tool axis (the 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import mujoco
@@ -28,6 +29,11 @@ class Chain:
     offsets: Array
     axes: Array
     sliding: npt.NDArray[np.bool_]
+
+    @cached_property
+    def table(self) -> Array:
+        """(n, 16) the joints as `greenhouse_gym.motion.collision_kernels` wants them."""
+        return np.column_stack([self.offsets[:-1, :3].reshape(-1, 12), self.axes, self.sliding])
 
 
 class ToolState(NamedTuple):

@@ -69,6 +69,12 @@ class Robot:
     lag: float
     foot: float
 
+    def __post_init__(self) -> None:
+        # arms are shared by everything that uses them
+        for array in (*vars(self).values(), *self.starts.values()):
+            if isinstance(array, np.ndarray):
+                array.setflags(write=False)
+
     def configuration(self, start: str | npt.ArrayLike | None) -> npt.ArrayLike:
         """Return a start by its name in ``starts``, or the arm's own for None; a configuration is returned unchanged.
 

@@ -27,8 +27,8 @@ class Target(Part):
         tomato: Index into `Scene.tomatoes`.
         difficulty: One of `DIFFICULTIES`.
         robot: The arm the certificate is for.
-        witness: A checked collision-free joint path (k, joints) in radians from the arm's start to the target, or None
-            if none was found.
+        witness: A checked collision-free joint path (k, joints) in radians from `Robot.rating_start` to the target, or
+            None if none was found.
         goals: Number of distinct free goal configurations that were found, at most
             `greenhouse_gym.planning.certify.GOALS`.
         checks: Median over several seeds of the collision checks RRTConnect needed for a path. None for easy targets,

@@ -45,7 +45,10 @@ def _partition(ids, first, count, middle, keys):
             break
 
 
-@kernel("i8(f8[:, ::1], f8[:, ::1], f8[:, ::1], i4[::1], i4[:, ::1], i4[::1], f8[:, ::1])")
+@kernel(
+    "i8(f8[:, ::1], f8[:, ::1], f8[:, ::1], i4[::1], i4[:, ::1], i4[::1], f8[:, ::1])",
+    writes=("depth", "child", "geom", "aabb"),
+)
 def tree_over(positions: Array, quats: Array, boxes: Array, depth: Ids, child: Ids, geom: Ids, aabb: Array) -> int:
     """Build the tree by splitting at the median along the longest axis.
 

@@ -1,4 +1,4 @@
-"""Scenes made of the true row, and the check that an arm does not start inside it."""
+"""Scenes made of the true row, scenes without it, and the check that an arm does not start inside it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import mujoco
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene.mjcf import compile_scene
-from greenhouse_gym.scene.scene import Scene
+from greenhouse_gym.scene.scene import Provenance, Scene
 
 
 def true_scene(scene: Scene) -> Scene:
@@ -25,6 +25,24 @@ def true_scene(scene: Scene) -> Scene:
     true = scene.model_copy(update={**shapes, "targets": (), "truth": None, "occupancy": None})
     vars(true)["arrays"] = scene.truth.arrays
     return true
+
+
+def known_scene(scene: Scene) -> Scene:
+    """Return what an agent may know of a scene: its shapes, placement and occupancy, and how it was scanned.
+
+    Truth, targets (ratings and witnesses) and everything that names the row, from which its truth could be looked up or
+    grown again, are left out.
+    """
+    provenance = scene.provenance
+    return Scene(
+        name="scene",
+        tomatoes=scene.tomatoes,
+        stems=scene.stems,
+        clutter=scene.clutter,
+        placement=scene.placement,
+        provenance=Provenance(row="", protocol=provenance.protocol, settings=provenance.settings),
+        occupancy=scene.occupancy,
+    )
 
 
 def start_is_collision_free(scene: Scene, robot: str | Robot) -> bool:

@@ -10,10 +10,10 @@ pytest.importorskip("minari")
 
 import minari
 
-from greenhouse_gym.agents import RandomAgent
+from greenhouse_gym.agents import RandomAgent, demonstrations
 from greenhouse_gym.agents.demonstrations import record_demonstrations
-from greenhouse_gym.envs import GreenhouseEnv
-from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.envs import DepthCamera, DepthObservation, GreenhouseEnv
+from greenhouse_gym.errors import FileWriteError, InvalidValueError
 from greenhouse_gym.scene import SceneBank
 
 
@@ -54,3 +54,67 @@ def test_nothing_to_keep_and_the_test_split_are_told(bank: SceneBank, tmp_path: 
         record_demonstrations(RandomAgent(), tmp_path, 1, bank=bank, step_limit=1)
     with pytest.raises(InvalidValueError, match="test"):
         record_demonstrations(RandomAgent(), tmp_path, 1, split="test", bank=bank)
+
+
+def test_the_environment_is_recovered(bank: SceneBank, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    own = DepthObservation(camera=DepthCamera(width=8, height=6))
+    name = record_demonstrations("random", tmp_path, 1, successes_only=False, bank=bank, observation=own, step_limit=2)
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    data = minari.load_dataset(name)
+    env = data.recover_environment()
+    assert env.observation_space == data.observation_space
+    assert env.unwrapped.settings.step_limit == 2
+
+
+def test_a_data_set_grows_and_an_existing_one_is_refused_before_the_first_episode(
+    bank: SceneBank, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(demonstrations, "SAVE_SECONDS", 0.0)
+    seen: list[int] = []
+
+    def count(done: int) -> None:
+        folder = tmp_path / "tomato-reach" / "random-v0" / "data"
+        seen.append(done if (folder / "main_data.hdf5").is_file() else 0)
+
+    options: dict[str, Any] = {"successes_only": False, "bank": bank, "step_limit": 2}
+    name = record_demonstrations(RandomAgent(), tmp_path, 3, on_progress=count, **options)
+    assert seen == [0, 2, 3]
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    assert [episode.seed for episode in minari.load_dataset(name).iterate_episodes()] == [0, 1, 2]
+    with pytest.raises(InvalidValueError, match="already holds"):
+        record_demonstrations(RandomAgent(), tmp_path, 1, on_progress=lambda done: pytest.fail("ran"), **options)
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), RuntimeError("Can't flush")])
+def test_what_was_written_before_the_disk_was_full_is_kept(
+    bank: SceneBank, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    monkeypatch.setattr(demonstrations, "SAVE_SECONDS", 0.0)
+
+    def fill(done: int) -> None:
+        if done == 2:  # the first episode is written
+            monkeypatch.setattr(minari.MinariDataset, "update_dataset_from_buffer", full)
+
+    def full(*_: Any) -> None:
+        raise error
+
+    with pytest.raises(FileWriteError, match="keeps its first 1 episodes"):
+        record_demonstrations(
+            RandomAgent(), tmp_path, 5, successes_only=False, on_progress=fill, bank=bank, step_limit=2
+        )
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    assert minari.load_dataset("tomato-reach/random-v0").total_episodes == 1
+    assert {path.name for path in tmp_path.iterdir()} == {"tomato-reach"}
+
+
+def test_an_interruption_keeps_the_episodes(bank: SceneBank, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(done: int) -> None:
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        record_demonstrations(
+            RandomAgent(), tmp_path, 5, successes_only=False, on_progress=interrupt, bank=bank, step_limit=2
+        )
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    assert minari.load_dataset("tomato-reach/random-v0").total_episodes == 2

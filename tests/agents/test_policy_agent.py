@@ -140,10 +140,10 @@ def test_what_a_file_cannot_hold_is_not_written(policy: Policy, tmp_path: Path) 
 
 
 def test_shipped_policies_load_and_say_what_they_were_trained_on() -> None:
-    assert {"ppo-ur5e", "ppo-scratch-ur5e", BEST} <= set(shipped_policies())
+    assert {"ppo-ur5e", "ppo-roadmap-scratch-ur5e", BEST} <= set(shipped_policies())
     for name in shipped_policies():
         agent = PolicyAgent.load(name)
-        assert agent.env_options["observation"] in ("state", "waypoint", "goal_waypoint")
+        assert agent.env_options["observation"] in ("state", "roadmap", "goal_roadmap")
         assert agent.policy.training["settings"].get("split", "train") == "train"
 
 

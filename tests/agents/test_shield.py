@@ -1,11 +1,18 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 import pytest
+from gymnasium import spaces
 
-from greenhouse_gym.agents import Agent, PlannerAgent, RandomAgent, ShieldedAgent, StraightLineAgent
+from greenhouse_gym.agents import Agent, PlannerAgent, Problem, RandomAgent, ShieldedAgent, StraightLineAgent
+from greenhouse_gym.envs import GreenhouseEnv
+from greenhouse_gym.envs.actions import ToolMotion
+from greenhouse_gym.envs.state import State
 from greenhouse_gym.evaluation import AgentError, evaluate
+from greenhouse_gym.geometry import Array
 from greenhouse_gym.scene import SceneBank
 
 
@@ -20,8 +27,9 @@ class Forward(RandomAgent):
 
 @pytest.mark.parametrize("agent", [Forward(), StraightLineAgent()], ids=lambda agent: agent.name)
 def test_hardly_anything_is_touched_whatever_the_agent_wants(bank: SceneBank, agent: Agent) -> None:
-    assert evaluate(agent, episodes=6, seed=3, bank=bank).collision_rate >= 0.5
-    assert evaluate(ShieldedAgent(agent), episodes=6, seed=3, bank=bank).collision_rate < 0.2
+    options: dict[str, Any] = {"episodes": 6, "seed": 3, "bank": bank, "start": "upright"}
+    assert evaluate(agent, **options).collision_rate >= 0.5
+    assert evaluate(ShieldedAgent(agent), **options).collision_rate < 0.2
 
 
 def test_free_actions_are_not_changed(bank: SceneBank) -> None:
@@ -38,7 +46,37 @@ def test_it_starts_anew_with_every_episode(bank: SceneBank) -> None:
     assert [r.joint_length for r in first] == [r.joint_length for r in again]
 
 
-def test_actions_of_the_tip_are_refused(bank: SceneBank) -> None:
-    with pytest.raises(AgentError, match="a joint path can be followed with action='joint' or 'joint_velocity' only"):
-        evaluate(ShieldedAgent(RandomAgent()), episodes=1, bank=bank, action="tip_velocity")
+class ToTheRow(RandomAgent):
+    """Moves its tip into the plants at full speed."""
+
+    name = "to the row"
+
+    def act(self, observation: object) -> npt.NDArray[np.float32]:
+        return np.array([1, 0, 0, 0, 0, 0], dtype=np.float32)
+
+
+def test_actions_of_the_tip_are_shielded(bank: SceneBank) -> None:
+    options: dict[str, Any] = {"episodes": 6, "seed": 3, "bank": bank, "action": "tip_velocity"}
+    assert evaluate(ToTheRow(), **options).collision_rate >= 0.5
+    assert evaluate(ShieldedAgent(ToTheRow()), **options).collision_rate < 0.2
+
+
+def test_the_command_after_an_action_of_the_tip_is_foreseen(bank: SceneBank) -> None:
+    env = GreenhouseEnv(bank=bank, action="tip_velocity")
+    observation, _ = env.reset(seed=1)
+    shield, simulation = ShieldedAgent(ToTheRow()), env.simulation
+    shield.reset(Problem(env.scene, env.target, env.robot, env.start, 0, simulation.action_rule, simulation.interval))
+    env.step(shield.act(observation))
+    np.testing.assert_allclose(shield._command, simulation.command[0], atol=1e-9)
+
+
+def test_own_actions_are_refused(bank: SceneBank) -> None:
+    class Other:
+        space = spaces.Box(-1, 1, (6,), dtype=np.float32)
+
+        def __call__(self, action: Array, state: State, motion: ToolMotion) -> Array:
+            return np.zeros((len(action), 6))
+
+    with pytest.raises(AgentError, match="the package's own only"):
+        evaluate(ShieldedAgent(RandomAgent()), episodes=1, bank=bank, action=Other())
     assert isinstance(ShieldedAgent(RandomAgent()), Agent)

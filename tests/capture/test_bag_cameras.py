@@ -104,10 +104,15 @@ def test_binning_and_region_of_interest_move_the_pinhole() -> None:
 
 @pytest.mark.parametrize(
     ("topic", "expected"),
-    [("/camera/rgb/image_rect_color", True), ("/camera/depth/image_rect_raw", True), ("/color/image_rect/compressed", True),
-
-     ("/camera/color/image_raw", False), ("/direct/color/image", False), ("/corrected/color/image", False)],
-)  # fmt: skip
+    [
+        ("/camera/rgb/image_rect_color", True),
+        ("/camera/depth/image_rect_raw", True),
+        ("/color/image_rect/compressed", True),
+        ("/camera/color/image_raw", False),
+        ("/direct/color/image", False),
+        ("/corrected/color/image", False),
+    ],
+)
 def test_rectified_topics_are_known_by_their_names(topic: str, expected: bool) -> None:
     assert is_rectified(topic) == expected
 

@@ -92,6 +92,11 @@ def test_a_wish_that_is_too_fast_is_slowed_as_a_whole() -> None:
         (np.full((2, 6), np.nan), "finite"),
         (np.array([[0, 0, 0, 0, 0, 0], [0, 0, np.inf, 0, 0, 0]]), r"index \[1, 2\]"),
         ("left", "numbers"),
+        (np.zeros((2, 6), dtype=complex), "real numbers"),
+        ([["0.1"] * 6] * 2, "real numbers"),
+        (np.zeros((2, 6), dtype="datetime64[s]"), "real numbers"),
+        ([[None] * 6] * 2, "real numbers"),
+        ([[0.0], [0.0, 1.0]], "numbers"),
     ],
 )
 def test_bad_actions_are_named(actions: object, message: str) -> None:

@@ -55,7 +55,7 @@ def test_the_contract_of_goal_environments_holds(bank: SceneBank, reward: str) -
 
 def test_a_goal_environment_may_tell_the_waypoint_too(bank: SceneBank) -> None:
     plain, waypoint, guided = (
-        GreenhouseEnv(bank=bank, observation=kind).reset(seed=3)[0] for kind in ("goal", "waypoint", "goal_waypoint")
+        GreenhouseEnv(bank=bank, observation=kind).reset(seed=3)[0] for kind in ("goal", "roadmap", "goal_roadmap")
     )
     assert set(plain) == set(guided)
     size = len(plain["observation"])

@@ -189,7 +189,7 @@ def test_what_own_objects_do_wrong_is_reported_by_name(bank: SceneBank, keywords
         ({"reward": DenseReward}, "reward must be"),
         ({"reward": None}, "reward must be"),
         ({"reward": "path", "observation": "goal"}, "goals in hindsight"),
-        ({"reward": PathReward(progress=1.0), "observation": "goal_waypoint"}, "goals in hindsight"),
+        ({"reward": PathReward(progress=1.0), "observation": "goal_roadmap"}, "goals in hindsight"),
         ({"observation": 3}, "observation must be a name"),
         ({"observation": lambda robot: 3}, "space"),
         ({"observation": lambda: 3}, "function of Robot that makes one"),

@@ -36,9 +36,9 @@ def test_encoders_are_off_while_the_arm_stands_where_it_is_told(bank: SceneBank)
 def test_the_told_target_is_off_and_the_true_one_counts(bank: SceneBank) -> None:
     env, observed = first(bank, target_position=0.03)
     _, true = first(bank)
-    error = observed[21:24] - true[21:24]
+    error = observed[27:30] - true[27:30]
     assert 0.001 < np.abs(error).max() <= 0.03
-    np.testing.assert_allclose(observed[18:21] - true[18:21], error, atol=1e-6)
+    np.testing.assert_allclose(observed[24:27] - true[24:27], error, atol=1e-6)
     assert env.step(np.zeros(6))[4]["distance"] == first(bank)[0].step(np.zeros(6))[4]["distance"]
 
 
@@ -53,7 +53,7 @@ def test_the_base_stands_elsewhere_and_physics_and_positions_follow(bank: SceneB
     tip = data.site_xpos[model.site("tip").id]
     tool = data.site_xmat[model.site("tip").id].reshape(3, 3)[:, 2]
     tomato = env.scene.tomatoes[0]
-    np.testing.assert_allclose(observed[18:21], tomato.center - tip - tomato.radius * tool, atol=1e-6)
+    np.testing.assert_allclose(observed[24:27], tomato.center - tip - tomato.radius * tool, atol=1e-6)
     # every episode is displaced from where the stand is
     env.reset(seed=1, options={"scene": "made-up-0", "target": 0})
     moved = env.model_and_data()[0].body_pos[1] - still.body_pos[1]

@@ -95,7 +95,7 @@ def test_targets_follow_one_another(bank: SceneBank) -> None:
         observation, _, terminated, _, info = env.step(np.zeros(6))
         targets.append(env.target)
         ends.append((terminated, info["is_success"], info["target"]))
-        center = observation[21:24] + env.simulation._setup(0).world.frame[:3]
+        center = observation[27:30] + env.simulation._setup(0).world.frame[:3]
         if env.simulation._setup(0).world.frame[3] == 1.0:
             np.testing.assert_allclose(center, scene.tomatoes[env.target].center, atol=1e-5)
     assert targets == [0, 1, 0, 0]

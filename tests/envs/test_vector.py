@@ -97,8 +97,8 @@ ALL_OFF = Randomization(0.03, 0.05, 0.02, 0.01, depth_noise=True)
     [
         {"robot": "iiwa14", "observation": "goal", "action": "tip_velocity", "reward": "sparse"},
         {"observation": "depth", "action": "joint_velocity", "randomization": ALL_OFF},
-        {"observation": "waypoint", "randomization": Randomization(0.03, 0.05, 0.02, 0.01)},
-        {"robot": "iiwa14", "observation": "waypoint"},
+        {"observation": "roadmap", "randomization": Randomization(0.03, 0.05, 0.02, 0.01)},
+        {"robot": "iiwa14", "observation": "roadmap"},
         {"observation": "state", "reward": "path"},
         {"robot": "iiwa14", "observation": "points", "difficulty": {"easy": 1, "hard": 0}},
     ],

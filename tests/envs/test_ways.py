@@ -1,4 +1,4 @@
-"""The roadmap behind ``observation="waypoint"`` and the path reward."""
+"""The roadmap behind ``observation="roadmap"`` and the path reward."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_it_begins_as_the_state_does_and_says_the_same_of_the_truth(scene: Scene
     episode = {"scene": scene.model_copy(update={"truth": Shapes(tomatoes=scene.tomatoes)}), "target": TARGET}
     state, told, of_truth = (
         GreenhouseEnv(bank="mini", observation=kind, physics=physics).reset(options=episode)[0]
-        for kind, physics in (("state", "reconstruction"), ("waypoint", "reconstruction"), ("waypoint", "truth"))
+        for kind, physics in (("state", "reconstruction"), ("roadmap", "reconstruction"), ("roadmap", "truth"))
     )
     np.testing.assert_array_equal(told[: len(state)], state)
     assert len(told) == len(state) + 2 * JOINTS + 2
@@ -99,7 +99,7 @@ def test_goals_are_sampled_once_for_each_new_episode(bank: SceneBank, monkeypatc
     original = goals.inverse_kinematics
     monkeypatch.setattr(goals, "inverse_kinematics", counted)
     scene = bank.scene(bank.names("train")[0]).model_copy(update={"name": "of this test alone"})
-    env = GreenhouseEnv(bank=bank, observation="waypoint")
+    env = GreenhouseEnv(bank=bank, observation="roadmap")
     for target in (0, 1, 0, 1):
         env.reset(options={"scene": scene, "target": target})
     assert len(calls) == 2
@@ -111,7 +111,7 @@ def left(env: GreenhouseEnv) -> float:
     return float(np.linalg.norm(state.waypoint[0]) + state.path_length[0])
 
 
-@pytest.mark.parametrize("observation", ["state", "waypoint"])
+@pytest.mark.parametrize("observation", ["state", "roadmap"])
 def test_what_is_paid_for_the_way_depends_on_its_ends_alone(scene: Scene, observation: str) -> None:
     env = GreenhouseEnv(bank="mini", observation=observation, reward="path", step_limit=60)
     for seed in range(3):
@@ -127,7 +127,7 @@ def test_what_is_paid_for_the_way_depends_on_its_ends_alone(scene: Scene, observ
 
 
 def test_going_along_the_way_is_paid_and_staying_is_not(scene: Scene) -> None:
-    env = GreenhouseEnv(bank="mini", observation="waypoint", reward=PathReward(progress=1.0, time=0.0, effort=0.0))
+    env = GreenhouseEnv(bank="mini", observation="roadmap", reward=PathReward(progress=1.0, time=0.0, effort=0.0))
     seen, info = env.reset(options={"scene": scene, "target": TARGET})
     assert env.step(np.zeros(JOINTS))[1] == 0
     total, began = 0.0, left(env)

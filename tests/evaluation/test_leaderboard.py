@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from greenhouse_gym.agents import RandomAgent
 from greenhouse_gym.agents.named import make_agent
 from greenhouse_gym.cli.main import app
 from greenhouse_gym.common.executors import workers_of
-from greenhouse_gym.errors import FileFormatError, InvalidValueError
+from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError
 from greenhouse_gym.evaluation import leaderboard
 from greenhouse_gym.evaluation.leaderboard import (
     TRACKS,
@@ -187,6 +188,76 @@ def test_damaged_entries_and_unknown_tracks_are_refused(entry: Entry, tmp_path: 
         read_entry(broken)
     with pytest.raises(InvalidValueError, match="moved"):
         submit(RandomAgent(), "random", tmp_path, ["rumor"], SHORT)
+
+
+TRACK_DAMAGES: dict[str, Callable[[dict[str, Any]], Any]] = {
+    "a column is missing": lambda track: track.pop("seed"),
+    "a column is too short": lambda track: track["steps"].pop(),
+    "all columns are too short": lambda track: [values.pop() for values in track.values()],
+    "there are no records": lambda track: [values.clear() for values in track.values()],
+    "there are no columns": lambda track: track.clear(),
+    "a column is unknown": lambda track: track.update(luck=[1, 2]),
+    "the column of another": lambda track: track.update(measures=[{"a": "b"}, {}]),
+    "other rules": lambda track: track.update(rules=["", "success_radius=1.0"]),
+    **{
+        f"{name} is {value!r}": lambda track, name=name, value=value: track[name].__setitem__(1, value)  # type: ignore[misc]
+        for name, values in {
+            "seed": ("1", None, 1.5, [1], {}),
+            "success": (None, 1, "true", 0.0),
+            "collision": (None, "false"),
+            "contact": (None, "arm", [1], {"a": "b"}),
+            "action_time": ("x", None, True, [0.1], "1.0"),
+            "planning_time": ([1], "1"),
+            "scene": (None, 3, ["a"]),
+            "difficulty": (None, 3, ["easy"]),
+            "failure": (None, 0),
+        }.items()
+        for value in values
+    },
+}
+ENTRY_DAMAGES: dict[str, Callable[[dict[str, Any]], Any]] = {
+    "a bank of numbers": lambda entry: entry["protocol"].update(bank=[3]),
+    "words for episodes": lambda entry: entry["protocol"].update(episodes="many"),
+    "no protocol": lambda entry: entry.pop("protocol"),
+    "a protocol of nothing": lambda entry: entry.update(protocol=None),
+    "tracks in a list": lambda entry: entry.update(tracks=[entry["tracks"]]),
+    "a track of numbers": lambda entry: entry["tracks"].update(truth=[1, 2]),
+    "a name of numbers": lambda entry: entry.update(agent=3),
+    "versions without numbers": lambda entry: entry.update(versions={"mujoco": None}),
+}
+
+
+@pytest.mark.parametrize("damage", [*TRACK_DAMAGES, *ENTRY_DAMAGES])
+def test_every_damage_of_an_entry_names_its_file(entry: Entry, tmp_path: Path, damage: str) -> None:
+    content = json.loads(entry.model_dump_json())
+    if damage in ENTRY_DAMAGES:
+        ENTRY_DAMAGES[damage](content)
+    else:
+        TRACK_DAMAGES[damage](content["tracks"]["truth"])
+    path = tmp_path / "random.trial.json"
+    path.write_text(json.dumps(content))
+    with pytest.raises(FileFormatError, match=r"random\.trial\.json: not a valid leaderboard entry"):
+        leaderboard_table([read_entry(path)], SHORT)
+    result = CliRunner().invoke(app, ["leaderboard", str(tmp_path)])
+    assert isinstance(result.exception, FileFormatError | SystemExit)
+
+
+def test_entries_under_rules_of_another_version_are_trials(entry: Entry, tmp_path: Path) -> None:
+    content = json.loads(entry.model_dump_json())
+    del content["protocol"]["bank"]
+    content["protocol"]["gravity"] = 0
+    path = tmp_path / "random.json"
+    path.write_text(json.dumps(content))
+    assert "Trials that do not follow the current protocol: random." in leaderboard_table([read_entry(path)], SHORT)
+    assert not is_current(read_entry(path)), "the bank by default"
+
+
+def test_an_entry_without_a_track_says_which_it_has(entry: Entry) -> None:
+    part = entry.model_copy(update={"tracks": {"truth": entry.tracks["truth"]}})
+    with pytest.raises(UnknownNameError, match=r"moved.*Choices: truth"):
+        replay(part, RandomAgent(), "moved", 1)
+    with pytest.raises(UnknownNameError, match="rumor"):
+        entry.evaluation("rumor")
 
 
 @pytest.mark.parametrize("path", ENTRIES, ids=lambda path: path.stem)

@@ -243,7 +243,7 @@ def test_motion_bench_makers_files_come_in_pairs(turned: Scene, arm: Robot, tmp_
     reachable = sum(target.witness is not None for target in turned.targets)
     assert len(files) == 2 * reachable > 0
     scene, request = (yaml.safe_load(file.read_text()) for file in files[:2])
-    assert request["start_state"]["joint_state"]["position"] == pytest.approx(arm.start.tolist())
+    assert request["start_state"]["joint_state"]["position"] == pytest.approx(arm.rating_start.tolist())
     constraints = request["goal_constraints"][0]["joint_constraints"]
     assert [constraint["joint_name"] for constraint in constraints] == list(arm.joints)
     kinds = {piece["type"] for item in scene["world"]["collision_objects"] for piece in item["primitives"]}
@@ -257,6 +257,26 @@ def test_small_numbers_stay_numbers_in_yaml(scene: Scene, tmp_path: Path) -> Non
     from greenhouse_gym.export.problems import _yaml
 
     assert yaml.safe_load(_yaml({"a": [1e-5, -2.5e-7, 3.0], "b": 1e-05})) == {"a": [1e-5, -2.5e-7, 3.0], "b": 1e-5}
+    assert yaml.safe_load(_yaml([1e-300, 1e16, -1e22, 12])) == [0.0, 1e16, -1e22, 12]
+
+
+@pytest.mark.parametrize(
+    "name", ["\U0001f345", "row-1e-05", 'a"\\ud83c\\"b', "\u6eab\u5ba4 \u00e9", "\u2028\x7f\ufeff", "\U0010ffff\u0301"]
+)
+def test_names_are_the_same_in_yaml(name: str) -> None:
+    yaml = pytest.importorskip("yaml")
+    from greenhouse_gym.export.problems import _yaml
+
+    assert yaml.safe_load(_yaml({name: [name, 1e-05]}).decode()) == {name: [name, 1e-05]}
+
+
+def test_a_scene_may_be_named_by_an_emoji(turned: Scene, tmp_path: Path) -> None:
+    yaml = pytest.importorskip("yaml")
+    named = turned.model_copy(update={"name": "\U0001f345 1e5"})
+    (path,) = export_scene(named, "robometrics", tmp_path)
+    assert list(yaml.safe_load(path.read_bytes())) == [named.name]
+    for file in export_scene(named, "motionbenchmaker", tmp_path):
+        yaml.safe_load(file.read_bytes())
 
 
 @pytest.mark.parametrize("format", FORMATS)

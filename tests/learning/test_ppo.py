@@ -86,7 +86,7 @@ def test_training_leaves_curve_checkpoint_and_policy(settings: PpoSettings, tmp_
     assert description["training"]["bank_sha256"] == SceneBank.open(settings.bank).sha256
     assert description["env_options"] == {"robot": "ur5e", "observation": "state", "action": "joint"}
     agent = PolicyAgent.load(path)
-    assert agent.act(np.zeros(60)).shape == (6,)
+    assert agent.act(np.zeros(72)).shape == (6,)
 
 
 def test_a_training_validates_on_other_rows_and_logs_to_tensorboard(settings: PpoSettings, tmp_path: Path) -> None:

@@ -130,7 +130,7 @@ def test_too_few_random_steps_are_refused(settings: SacSettings, tmp_path: Path)
 
 
 def test_guided_steps_fill_the_memory_with_what_the_waypoint_says(settings: SacSettings, tmp_path: Path) -> None:
-    guided = replace(settings, observation="goal_waypoint", guided=True, reward="sparse")
+    guided = replace(settings, observation="goal_roadmap", guided=True, reward="sparse")
     model = make_sac(guided)
     model.learn(2_100)
     kept = model.replay_buffer
@@ -143,7 +143,7 @@ def test_guided_steps_fill_the_memory_with_what_the_waypoint_says(settings: SacS
     assert kept.rewards[:200, 0].max() == 1.0, "it reaches some target"
     before = distance(make_sac(guided), kept)
     assert distance(model, kept) < 0.5 * before, "its actor is constrained towards them"
-    with pytest.raises(InvalidValueError, match='guided needs observation="goal_waypoint"'):
+    with pytest.raises(InvalidValueError, match='guided needs observation="goal_roadmap"'):
         train_sac(replace(guided, observation="goal"), tmp_path)
     for wrong in (-1.0, float("nan"), float("inf")):
         with pytest.raises(InvalidValueError, match=f"guide_weight must be a finite number from 0 on, got {wrong}"):
@@ -151,7 +151,7 @@ def test_guided_steps_fill_the_memory_with_what_the_waypoint_says(settings: SacS
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("observation", ["goal", "goal_waypoint"])
+@pytest.mark.parametrize("observation", ["goal", "goal_roadmap"])
 def test_what_it_learned_is_a_policy_file(settings: SacSettings, tmp_path: Path, observation: str) -> None:
     """Which acts as the model does, alone and among others, and whose weights go into another model."""
     short = replace(settings, observation=observation, total_steps=940, validation_steps=NEVER)

@@ -119,8 +119,8 @@ def test_models_with_a_memory_forget_between_episodes() -> None:
     problem = Problem(*(None,) * 4)  # type: ignore[arg-type]
     for _ in range(2):
         agent.reset(problem)
-        agent.act(np.zeros(60))
-        agent.act(np.zeros(60))
+        agent.act(np.zeros(72))
+        agent.act(np.zeros(72))
     assert model.told == [(None, True), (1, False)] * 2
     assert copy.deepcopy(agent).model is model
 

@@ -47,9 +47,9 @@ def test_a_whole_bank_has_no_faults(whole: Path) -> None:
 
 def test_every_fault_of_a_witness_is_named(certified: Scene) -> None:
     path = next(target.witness for target in certified.targets if target.witness)
-    start = tuple(get_robot("ur5e").start.tolist())
+    start = tuple(get_robot("ur5e").rating_start.tolist())
     wrong = {
-        "begin at the arm's start": path[::-1],
+        "begin at the start that targets are rated from": path[::-1],
         "leaves the joints' limits": (start, (9.0, *start[1:])),
         "does not end at the tomato": (start, start),
         "touches something": (start, (start[0], 1.5, 2.9, *start[3:])),  # folded into its own cart

@@ -84,7 +84,7 @@ def test_witnesses_are_free_and_end_at_the_target(small: Scene, targets: tuple[T
     for target in targets[:2]:
         path = np.array(target.witness)
         assert np.array_equal(path, path.round(6))
-        np.testing.assert_allclose(path[0], get_robot("ur5e").start, atol=1e-6)
+        np.testing.assert_allclose(path[0], get_robot("ur5e").rating_start, atol=1e-6)
         simulator = CollisionChecker(planning_model(compiled, target.tomato, margin=0.0))
         assert simulator.path_is_free(path, 0.002)
 

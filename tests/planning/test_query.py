@@ -147,7 +147,7 @@ def test_goals_may_be_given(scene: Scene) -> None:
 
 
 def test_start_elsewhere(scene: Scene) -> None:
-    start = START + [0.5, 0.2, 0.3, -0.4, 0.5, 0.0]
+    start = get_robot("ur5e").starts["upright"] + [0.5, 0.2, 0.3, -0.4, 0.5, 0.0]
     result = plan(scene, 3, start=start)
     assert result.path is not None
     assert np.array_equal(result.path[0], start)
@@ -191,6 +191,16 @@ def test_nothing_to_reach_is_a_result(scene: Scene) -> None:
         ({"start": [0.0]}, "6 joint angles"),
         ({"goals": [[0, 0, 9, 0, 0, 0]]}, "elbow"),
         ({"goals": [0.0, 1.0]}, "6 joint angles"),
+        *(({"target": wrong}, "target") for wrong in (None, "0", 1.5, True, -1, [0], math.nan)),
+        *(({"time_limit": wrong}, "time_limit") for wrong in ("1", True, [1.0], 1j, -math.inf)),
+        *(({"max_checks": wrong}, "max_checks") for wrong in ("a", 1.5, True, math.nan, [1], -(2**70))),
+        *(({"seed": wrong}, "seed") for wrong in ("1", None, 1.0, True)),
+        *(({"goals": wrong}, "goals") for wrong in (None, "a", True, 1.5, -3, ["a"], [[1.0], [1.0, 2.0]])),
+        *(({"start": wrong}, "start") for wrong in (3, ["a"] * 6, [None] * 6, {})),
+        *(({"margin": wrong}, "margin") for wrong in (None, "a", True, math.nan, math.inf, -0.1)),
+        *(({"unknown": wrong}, "unknown") for wrong in (None, True, -1, math.nan, [0.1])),
+        *(({"pairs": wrong}, "pairs") for wrong in (None, 3, "stems")),
+        *(({"settings": wrong}, "settings") for wrong in ("range", 3, [("range", 1.0)])),
     ],
 )
 def test_bad_values_are_named(scene: Scene, wrong: dict[str, object], message: str) -> None:
@@ -203,6 +213,13 @@ def test_unknown_names_list_the_choices(scene: Scene) -> None:
         plan(scene, 0, planner="RRTconnect")
     with pytest.raises(UnknownNameError, match="ur5e"):
         plan(scene, 0, robot="ur6")
+    with pytest.raises(InvalidValueError, match="scene must be a Scene, got 'mini'"):
+        plan("mini", 0)  # type: ignore[arg-type]
+
+
+def test_numbers_of_numpy_are_numbers(scene: Scene) -> None:
+    numbers = {"target": np.int64(1), "time_limit": np.float32(9), "max_checks": np.int32(9999), "goals": np.int16(3)}
+    assert plan(scene, **numbers, seed=np.int64(3), margin=np.float32(0)).status == "solved"  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

@@ -24,12 +24,12 @@ def without_strays(cloud: RawCloud) -> RawCloud:
     from the rest, such as readings of 65.535 m.
     """
     points = cloud.points
-    kept = np.isfinite(points).all(axis=1)
+    kept = np.asarray(np.isfinite(points).all(axis=1))
     notes = [f"{np.count_nonzero(~kept)} points have no finite position and were left out"] if not kept.all() else []
     for position in _repeated(points[kept]):
         missing = kept & (points == position).all(axis=1)
         if missing.any():
-            kept &= ~missing
+            kept = kept & ~missing
             where = ", ".join(f"{value:g}" for value in position)
             notes.append(f"{np.count_nonzero(missing)} points at ({where}) are missing readings and were left out")
     strays, distance = _strays(points[kept])

@@ -1,4 +1,4 @@
-"""Poses of a rig in a bag: which topic gives them, and of which frame they are.
+"""Poses of a rig in a bag: their topic, and the frame to which they belong.
 
 Bags hold poses of other things as well: markers in view, goals, the arm. A pose relative to a frame that moves with the
 camera is none of the rig; odometry goes before other poses; then the topic with poses for most images is taken.

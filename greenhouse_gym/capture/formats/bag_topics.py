@@ -98,7 +98,7 @@ def _single(path: object, camera: str, kind: str, topics: list[str]) -> str:
 
 
 def is_rectified(topic: str) -> bool:
-    """Return whether the images of a topic are rectified, which ROS tells by its name: image_rect, image_rect_color."""
+    """Return whether the images of a topic are rectified, which ROS marks in its name: image_rect, image_rect_color."""
     return re.search(r"(?<![a-z])rect(?!or)", topic.lower()) is not None
 
 

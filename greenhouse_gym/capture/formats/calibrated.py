@@ -6,18 +6,21 @@ import json
 import re
 from pathlib import Path
 
+from greenhouse_gym.capture.formats.image_lists import depth_partners, sorted_images
 from greenhouse_gym.capture.formats.pairs import Lens, Pair, distorted_lens
 from greenhouse_gym.capture.formats.single_camera import video
 from greenhouse_gym.capture.formats.trajectories import read_poses
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.capture.rig import Intrinsics
-from greenhouse_gym.common.files import natural_order, parsing, read_bytes
+from greenhouse_gym.common.files import parsing, read_bytes
 from greenhouse_gym.errors import FileFormatError
 
 name = "calibrated"
 description = "the folders rgb/ and depth/, camera_*.yaml, optionally groundtruth_handeye.txt"
 
 _POSES = "groundtruth_handeye.txt"
+_NUMBERS = ("image_width", "image_height", "camera_matrix", "distortion_coefficients")
+_BARE_POINT = re.compile(r"\.(?=[\s,\]eE])")  # as OpenCV writes 10.
 _FIELD = re.compile(r"^(\w+):\s*(?:!!\S+\s*)?(?:rows:.*\s+cols:.*\s+(?:dt:.*\s+)?data:\s*)?(\[[^\]]*\]|\S.*)$", re.M)
 
 
@@ -34,16 +37,18 @@ def open(path: Path) -> Recording:
     """
     calibration, *_ = _calibrations(path) or [path / "camera_*.yaml"]
     pair = Pair(_lens(calibration))
-    color = sorted((path / "rgb").glob("*.png"), key=natural_order)
-    depth = [path / "depth" / file.name for file in color]
+    color = sorted_images((path / "rgb").glob("*"))
+    depth = depth_partners(path / "depth", color)
     truth = path / _POSES
     if not truth.exists():
         return video(path, pair, color, depth, [None] * len(color), [calibration])
     for file in color:
         if not file.stem.isdecimal():
             raise FileFormatError(file, f"expected a number as the image's name, by which {_POSES} gives its pose")
-    numbers, matrices = read_poses(truth)
-    poses = dict(zip(numbers.astype(int).tolist(), matrices, strict=True))
+    ids, matrices = read_poses(truth)
+    if len(set(ids)) < len(ids) or (ids != ids.round()).any():
+        raise FileFormatError(truth, "expected a different whole number as the id of each pose")
+    poses = dict(zip(ids.astype(int).tolist(), matrices, strict=True))
     known = [poses.get(int(file.stem)) for file in color]
     return video(path, pair, color, depth, known, [calibration, truth])
 
@@ -57,7 +62,8 @@ def _lens(path: Path) -> Lens:
     with parsing(path, "calibration with image_width, image_height and a camera_matrix of nine numbers"):
         text = read_bytes(path, "calibration").decode()
         fields = dict(_FIELD.findall(text))
-        width, height, k = (json.loads(fields[key]) for key in ("image_width", "image_height", "camera_matrix"))
-        distortion = json.loads(fields.get("distortion_coefficients", "[]"))
+        values = {key: json.loads(_BARE_POINT.sub(".0", value)) for key, value in fields.items() if key in _NUMBERS}
+        width, height, k = (values[key] for key in _NUMBERS[:3])
+        distortion = values.get("distortion_coefficients", [])
         model = fields.get("distortion_model", "").strip("\"' ")
         return distorted_lens(path, Intrinsics(int(width), int(height), k[0], k[4], k[2], k[5]), distortion, model)

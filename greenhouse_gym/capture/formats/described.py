@@ -1,12 +1,13 @@
 """Plain folders of images, described by a small file ``cameras.yaml`` next to them.
 
-color: rgb/*.jpg               # sorted by name, as many as depth images
+color: rgb/*.jpg               # sorted by the numbers in their names, as many as depth images
 depth: depth/*.npy             # PNG, PGM or TIFF of 16 bits, fractions in TIFF, NPY or EXR
 depth_scale: 0.001             # metres per unit of whole numbers; fractions are metres
 intrinsics: {width: 1280, height: 720, fx: 915.1, fy: 915.2, cx: 640.3, cy: 358.8, distortion: [0.1, -0.2, 0, 0]}
+                               # and distortion_model: equidistant for a fisheye
 depth_intrinsics: {...}        # where depth is not aligned to color
 color_from_depth: [[...], ...] # 4x4, metres
-poses: poses.txt               # world from camera: lines of "id tx ty tz qx qy qz qw" in the images' order
+poses: poses.txt               # world from camera: "id tx ty tz qx qy qz qw", id an image's number or a time
 reference: middle              # only with several cameras
 cameras:                       # instead of the first six: each with the same keys and its pose on the rig
 middle: {color: ..., depth: ..., intrinsics: {...}, rig_from_camera: [[...], ...]}
@@ -22,6 +23,7 @@ from typing import Annotated, TypeAlias
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from greenhouse_gym.capture.formats.image_lists import check_numbers, poses_by_id, sorted_images
 from greenhouse_gym.capture.formats.pairs import Lens, Pair, distorted_lens
 from greenhouse_gym.capture.formats.single_camera import CAMERA, RIG_FROM_CAMERA, station_pose
 from greenhouse_gym.capture.formats.trajectories import read_poses
@@ -113,25 +115,26 @@ def open(path: Path) -> Recording:
         pairs = {name: _pair(file, camera) for name, camera in cameras.items()}
         rig = Rig({name: _rig_camera(file, name, camera, pairs[name]) for name, camera in cameras.items()}, reference)
     images = {name: (_images(path, camera.color), _images(path, camera.depth)) for name, camera in cameras.items()}
-    counts = {
-        f"{name} {kind}": len(found)
+    lists = {
+        f"{name} {kind}": found
         for name, both in images.items()
         for kind, found in zip(("color", "depth"), both, strict=True)
     }
+    counts = {kind: len(found) for kind, found in lists.items()}
     size = min(counts.values())
     if len(set(counts.values())) > 1 or not size:
         counted = ", ".join(f"{count} of {kind}" for kind, count in counts.items())
         raise FileFormatError(file, f"expected equally many images of each kind, found {counted}")
+    notes = check_numbers(file, lists)
     alone = cameras.keys() == {CAMERA} and cameras[CAMERA].rig_from_camera is None
     known: list[Array | None] = [None] * size
     if poses is not None:
-        matrices = read_poses(inside(path, poses, named_in=file))[1]
-        if len(matrices) != size:
-            raise FileFormatError(path / poses, f"{len(matrices)} poses for {size} images")
-        known = [station_pose(matrix) if alone else matrix for matrix in matrices]
+        ids, matrices = read_poses(inside(path, poses, named_in=file))
+        matched = poses_by_id(path / poses, ids, matrices, images[reference][0])
+        known = [station_pose(matrix) if alone else matrix for matrix in matched]
     files = (file, *(image for both in images.values() for found in both for image in found))
     load = partial(_station, pairs, images, tuple(known))
-    return Recording(path.name, rig, size, load, path, files=files, camera_poses=alone)
+    return Recording(path.name, rig, size, load, path, files=files, notes=tuple(notes), camera_poses=alone)
 
 
 def _station(pairs: Mapping[str, Pair], images: Images, poses: Sequence[Array | None], i: int) -> Station:
@@ -161,4 +164,4 @@ def _rig_camera(file: Path, name: str, camera: _Camera, pair: Pair) -> Camera:
 def _images(folder: Path, pattern: str) -> list[Path]:
     if Path(pattern).is_absolute() or ".." in Path(pattern).parts:
         raise FileFormatError(folder / INDEX, f"the pattern {pattern!r} leads out of the folder")
-    return sorted(folder.glob(pattern))
+    return sorted_images(folder.glob(pattern))

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from pydantic import BaseModel, Field
 
-from greenhouse_gym.capture.formats.single_camera import single_camera
+from greenhouse_gym.capture.formats.image_lists import depth_partners, numbers, sorted_images
+from greenhouse_gym.capture.formats.pairs import Lens, Pair
+from greenhouse_gym.capture.formats.single_camera import video
 from greenhouse_gym.capture.recordings import INDEX, Recording, checked_pose
 from greenhouse_gym.capture.rig import Intrinsics
-from greenhouse_gym.common.files import natural_order, parsing, read_bytes
+from greenhouse_gym.common.files import parsing, read_bytes
 from greenhouse_gym.geometry import Array
 
 name = "open3d"
@@ -48,8 +51,7 @@ def open(path: Path) -> Recording:
     described_by = [*cameras, *([trajectory] if trajectory.exists() else [])]
     poses = _poses(trajectory, color) if trajectory.exists() else [None] * len(color)
     intrinsics = _intrinsics(cameras[0]) if cameras else PRIMESENSE
-    depth = [folder / "depth" / f"{file.stem}.png" for file in color]
-    return single_camera(folder, intrinsics, color, depth, poses, described_by=described_by)
+    return video(folder, Pair(Lens(intrinsics)), color, depth_partners(folder / "depth", color), poses, described_by)
 
 
 def _inner(path: Path) -> Path:
@@ -57,8 +59,7 @@ def _inner(path: Path) -> Path:
 
 
 def _color_images(folder: Path) -> list[Path]:
-    images = [file for file in (folder / "color").glob("*.*") if file.suffix.lower() in (".jpg", ".jpeg", ".png")]
-    return sorted(images, key=natural_order)
+    return sorted_images((folder / "color").glob("*"))
 
 
 def _intrinsics(path: Path) -> Intrinsics:
@@ -68,23 +69,20 @@ def _intrinsics(path: Path) -> Intrinsics:
         return Intrinsics(camera.width, camera.height, m[0], m[4], m[6], m[7])
 
 
-def _poses(path: Path, images: list[Path]) -> list[Array | None]:
-    """Return world_from_camera of each image, or None.
+def _poses(path: Path, images: Sequence[Path]) -> list[Array | None]:
+    """Return world_from_camera of each image; None for those without one.
 
-    The header of a pose starts with the number of its image: that of its name, or else its index. Headers that fit
-    neither count for nothing, and the poses belong to the images in their order.
+    The first number of a header is the index of its image, or the image's own number; headers that do not tell the
+    images apart are ignored.
     """
     with parsing(path, "trajectory with a header line and a 4x4 matrix per image"):
-        lines = [line for line in read_bytes(path, "trajectory").decode().splitlines() if line.strip()]
-        blocks = [
-            np.array([list(map(float, row.split())) for row in lines[i + 1 : i + 5]]) for i in range(0, len(lines), 5)
-        ]
-        numbers = [int(line.split()[0]) for line in lines[::5]]
+        lines = [line.split() for line in read_bytes(path, "trajectory").decode().splitlines() if line.strip()]
+        blocks = [np.array([list(map(float, row)) for row in lines[i + 1 : i + 5]]) for i in range(0, len(lines), 5)]
         found = [checked_pose(path, f"pose {i}", block) for i, block in enumerate(blocks)]
-    names = [int(file.stem) if file.stem.isdecimal() else -1 for file in images]
-    indices = list(range(len(images)))
-    keys = next((keys for keys in (names, indices) if set(numbers) <= set(keys)), None)
-    if keys is None or len(set(numbers)) < len(numbers):
-        keys, numbers = indices, list(range(len(found)))
-    poses = dict(zip(numbers, found, strict=True))
-    return [poses.get(key) for key in keys]
+        ids = [int(line[0]) for line in lines[::5]]
+    own = [number[-1] for number in numbers(images) or []]
+    for names in (list(range(len(images))), own):
+        if len(set(ids)) == len(ids) and set(ids) <= set(names):
+            by_id = dict(zip(ids, found, strict=True))
+            return [by_id.get(name) for name in names]
+    return [*found[: len(images)], *[None] * (len(images) - len(found))]

@@ -98,7 +98,8 @@ def open_recording(path: str | Path, format: str | RecordingFormat | None = None
     with parsing(path, f"recording of the format {chosen.name!r}"):
         recording = chosen.open(path)
     if not isinstance(recording, Recording) or recording.size < 1:
-        raise FileFormatError(path, f"the format {chosen.name!r} found no stations in it (it gave {recording!r:.80})")
+        kind = type(recording).__name__
+        raise FileFormatError(path, f"the format {chosen.name!r} found no stations in it (it gave a {kind})")
     return replace(recording, load=_Checked(recording, path, chosen.name))
 
 

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
+from greenhouse_gym.capture.formats.image_lists import depth_partners, sorted_images
 from greenhouse_gym.capture.formats.pairs import Lens, Pair
 from greenhouse_gym.capture.formats.single_camera import video
 from greenhouse_gym.capture.formats.trajectories import read_numbers
 from greenhouse_gym.capture.image_files import read_any_color, read_any_depth
 from greenhouse_gym.capture.recordings import Recording, checked_pose
 from greenhouse_gym.capture.rig import Intrinsics
-from greenhouse_gym.common.files import natural_order
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import Array, invert
 
@@ -33,8 +33,8 @@ def open(path: Path) -> Recording:
     Raises:
         FileFormatError: A file is missing or damaged. Images are checked when their station is read.
     """
-    color = sorted((path / "color").glob("*.*"), key=natural_order)
-    depth = [path / "depth" / f"{file.stem}.png" for file in color]
+    color = sorted_images((path / "color").glob("*"))
+    depth = depth_partners(path / "depth", color)
     if not color:
         raise FileFormatError(path, "holds no color images")
     matrices = [path / "intrinsic" / name for name in (_COLOR, _DEPTH)]

@@ -77,8 +77,8 @@ def _size(path: Path) -> tuple[int, int]:
 def _list(folder: Path, file: str) -> tuple[Array, list[Path]]:
     """Read times (n,) and files of a list, sorted by time."""
     with parsing(folder / file, "list of times and files"):
-        lines = [line.split() for line in read_bytes(folder / file, "trajectory").decode().splitlines()]
-        pairs = sorted((float(line[0]), line[1]) for line in lines if line and not line[0].startswith("#"))
+        lines = [line.split(maxsplit=1) for line in read_bytes(folder / file, "trajectory").decode().splitlines()]
+        pairs = sorted((float(line[0]), line[1].strip()) for line in lines if line and not line[0].startswith("#"))
         if not pairs:
             raise FileFormatError(folder / file, "names no images")
         return np.array([t for t, _ in pairs]), [inside(folder, f, named_in=folder / file) for _, f in pairs]

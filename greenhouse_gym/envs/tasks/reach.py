@@ -28,10 +28,10 @@ class TomatoReach(GoalTask):
     | ``time`` | -0.02 | -0.02 | |
     | ``effort`` | -0.003 times the sum of the action's squares | as ``dense`` | |
 
-    ``path`` measures progress along the path of the observation ``waypoint`` in joint space: to the waypoint and on to
+    ``path`` measures progress along the path of the observation ``roadmap`` in joint space: to the waypoint and on to
     the goal. It works with any observation, but not in goal environments.
 
-    **Goals.** With ``observation="goal"`` or ``"goal_waypoint"``, the achieved goal is the grasp point and the desired
+    **Goals.** With ``observation="goal"`` or ``"goal_roadmap"``, the achieved goal is the grasp point and the desired
     goal the target's center.
 
     Attributes:

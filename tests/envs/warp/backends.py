@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from greenhouse_gym.envs.contacts import NAME_SEPARATOR
 from greenhouse_gym.envs import GreenhouseVectorEnv
+from greenhouse_gym.envs.contacts import NAME_SEPARATOR
 from greenhouse_gym.envs.features import feature_slices
 from greenhouse_gym.envs.warp.environment import WarpVectorEnv
 from greenhouse_gym.robots import get_robot
@@ -86,7 +86,10 @@ def compare(count: int, steps: int, seed: int = 0, precision: str | None = None,
             if results[0] != results[1]:
                 different.append((int(i), step, *results, info["contact"][i] or warp.contact_names(i)))
             elif results[0] == "collision":
-                agree, collisions = agree + (info["contact"][i] == NAME_SEPARATOR.join(warp.contact_names(i))), collisions + 1
+                agree, collisions = (
+                    agree + (info["contact"][i] == NAME_SEPARATOR.join(warp.contact_names(i))),
+                    collisions + 1,
+                )
             alive[i] = False
     mujoco.close()
     return Comparison(outcomes, different, deviation, reward_deviation, (agree, collisions))

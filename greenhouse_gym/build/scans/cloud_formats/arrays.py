@@ -25,9 +25,9 @@ def read_npy(path: Path) -> Parts:
         FileFormatError: The array has another shape or type.
     """
     array = read_array(read_bytes(path, _KIND))
-    if array.dtype.names:
-        fields = array.reshape(-1)
-        return named_parts(path, array.dtype.names, lambda k: fields[array.dtype.names[k]], len(fields))
+    if names := array.dtype.names:
+        rows = array.reshape(-1)
+        return named_parts(path, names, lambda k: rows[names[k]], len(rows))
     return positional_parts(path, array)
 
 
@@ -47,4 +47,4 @@ def read_npz(path: Path) -> Parts:
     if colors is not None and colors.shape[-1:] == (4,):
         colors = colors[..., :3]
     rows = [each if each is None or each.ndim < 2 else each.reshape(-1, each.shape[-1]) for each in (colors, normals)]
-    return Parts(points.reshape(-1, *points.shape[-1:]), *rows)
+    return Parts(points.reshape(-1, *points.shape[-1:]), colors=rows[0], normals=rows[1])

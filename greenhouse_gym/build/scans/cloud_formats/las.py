@@ -74,11 +74,11 @@ def _header(path: Path, file: IO[bytes]) -> _Header:
         raise FileFormatError(
             path, f"states {header_size} bytes of header and points from byte {points_at} on, of {size}"
         )
-    places = [*_places(path, file, header_size, points_at, count, long=False)]
+    spans = [*_record_spans(path, file, header_size, points_at, count, long=False)]
     if start[25] >= 4 and len(start) == 375:
         later, later_count, all_points = struct.unpack_from("<QIQ", start, 235)
         total = all_points or total
-        places += _places(path, file, later, size, later_count, long=True) if later_count else []
+        spans += _record_spans(path, file, later, size, later_count, long=True) if later_count else []
     kind, compressed = form & ~_COMPRESSED, bool(form & _COMPRESSED)
     if kind >= len(_LENGTHS) or length < _LENGTHS[kind]:
         raise FileFormatError(path, f"points of format {kind} and {length} bytes; known are the formats 0 to 10")
@@ -89,10 +89,10 @@ def _header(path: Path, file: IO[bytes]) -> _Header:
     fields += [("rgb", ("<u2", 3), _COLORS_AT[kind])] if kind in _COLORS_AT else []
     names, formats, offsets = map(list, zip(*fields, strict=True))
     dtype = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": length})
-    return _Header(points_at, dtype, total, numbers[:3], numbers[3:], compressed, dict(places))
+    return _Header(points_at, dtype, total, numbers[:3], numbers[3:], compressed, dict(spans))
 
 
-def _places(
+def _record_spans(
     path: Path, file: IO[bytes], start: int, end: int, count: int, long: bool
 ) -> Iterator[tuple[tuple[str, int], tuple[int, int]]]:
     """Yield owner and number, first byte and length of the records between two bytes of the file."""

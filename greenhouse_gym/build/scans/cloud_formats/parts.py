@@ -53,8 +53,10 @@ def read_records(path: Path, file: IO[bytes], dtype: np.dtype[Any], total: int) 
     """Return every k-th of the fixed-size records that follow in an open file.
 
     Raises:
-        FileFormatError: The file ends before.
+        FileFormatError: The file ends before, or the records are empty.
     """
+    if not dtype.itemsize:
+        raise FileFormatError(path, "its points have no columns")
     there = (path.stat().st_size - file.tell()) // dtype.itemsize
     require_all(path, there, total)
     step, size = every(total), max(1, _PIECE // dtype.itemsize)

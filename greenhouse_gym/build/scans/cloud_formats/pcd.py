@@ -24,11 +24,11 @@ _MAX_RATIO = 100  # of unpacked to packed bytes; LZF makes at most 264 bytes of 
 class _Field(NamedTuple):
     name: str
     dtype: np.dtype[Any]
-    count: int
+    length: int
 
     @property
     def size(self) -> int:
-        return self.dtype.itemsize * self.count
+        return self.dtype.itemsize * self.length
 
 
 class _Header(NamedTuple):
@@ -85,15 +85,15 @@ def _text(path: Path, file: IO[bytes], header: _Header) -> Callable[[int], npt.N
         lines = dropwhile(lambda row: row[1].split()[0] != "DATA", lines_of(path))
         return islice(lines, 1, 1 + header.points, step)
 
-    width = sum(field.count for field in fields)
+    width = sum(field.length for field in fields)
     table = numbers(path, rows, width, first if step == 1 else None)[: header.points]
     require_all(path, len(table) * step, header.points)
-    starts = np.cumsum([0, *(field.count for field in fields)])
+    starts = np.cumsum([0, *(field.length for field in fields)])
     return lambda k: as_declared(path, fields[k].name, table[:, starts[k]], fields[k].dtype)
 
 
 def _binary(path: Path, file: IO[bytes], header: _Header) -> Callable[[int], npt.NDArray[Any]]:
-    layout = [(f"{k}", field.dtype, (field.count,)) for k, field in enumerate(header.fields)]
+    layout = [(f"{k}", field.dtype, (field.length,)) for k, field in enumerate(header.fields)]
     records = read_records(path, file, np.dtype(layout), header.points)
     return lambda k: records[f"{k}"][:, 0]
 
@@ -115,8 +115,8 @@ def _compressed(path: Path, file: IO[bytes], header: _Header) -> Callable[[int],
 
     def column(k: int) -> npt.NDArray[Any]:
         field = header.fields[k]
-        values = np.frombuffer(data, field.dtype, field.count * header.points, int(starts[k]))
-        return values.reshape(-1, field.count)[:: every(header.points), 0]
+        values = np.frombuffer(data, field.dtype, field.length * header.points, int(starts[k]))
+        return values.reshape(-1, field.length)[:: every(header.points), 0]
 
     return column
 

@@ -38,7 +38,7 @@ class _Property(NamedTuple):
 
 class _Element(NamedTuple):
     name: str
-    count: int
+    total: int
     properties: list[_Property]
 
 
@@ -58,14 +58,15 @@ def read_ply(path: Path) -> Parts:
             length = file.tell()
             file.seek(0)
             first = 1 + len(re.findall(rb"\r\n|\r|\n", file.read(length)))
-            alone = sum(element.count for element in elements) == points.count
+            alone = sum(element.total for element in elements) == points.total
             return _from_text(
-                path, sum(element.count for element in elements[:index]), points, first if alone else None
+                path, sum(element.total for element in elements[:index]), points, first if alone else None
             )
         for element in elements[:index]:
             _skip(path, file, element, order)
         records = _records(path, file, points, order)
-    return named_parts(path, list(records.dtype.names or ()), lambda k: records[records.dtype.names[k]], points.count)
+    names = records.dtype.names or ()
+    return named_parts(path, names, lambda k: records[names[k]], points.total)
 
 
 def _header(path: Path, file: IO[bytes]) -> tuple[str, list[_Element]]:
@@ -115,43 +116,43 @@ def _from_text(path: Path, before: int, points: _Element, first: int | None) -> 
 
     def rows() -> Iterator[tuple[int, str]]:
         lines = dropwhile(lambda row: row[1].strip() != "end_header", lines_of(path))
-        for number, line in islice(lines, 1 + before, 1 + before + points.count, every(points.count)):
+        for number, line in islice(lines, 1 + before, 1 + before + points.total, every(points.total)):
             yield number, line if whole else " ".join(line.split()[: len(scalars)])
 
-    fast = whole and every(points.count) == 1
-    table = numbers(path, rows, len(scalars), first if fast else None)[: points.count]
-    require_all(path, len(table) * every(points.count), points.count)
+    fast = whole and every(points.total) == 1
+    table = numbers(path, rows, len(scalars), first if fast else None)[: points.total]
+    require_all(path, len(table) * every(points.total), points.total)
     names = [each.name for each in scalars]
     return named_parts(
-        path, names, lambda k: as_declared(path, names[k], table[:, k], np.dtype(scalars[k].type)), points.count
+        path, names, lambda k: as_declared(path, names[k], table[:, k], np.dtype(scalars[k].type)), points.total
     )
 
 
 def _skip(path: Path, file: IO[bytes], element: _Element, order: str) -> None:
     if any(each.count_type for each in element.properties):
         start = file.tell()
-        _, length = _walk(path, file.read(), element, order)
+        _, length = _read_rows(path, file.read(), element, order)
         file.seek(start + length)
         return
-    end = file.tell() + element.count * _dtype(element.properties, order).itemsize
+    end = file.tell() + element.total * _dtype(element.properties, order).itemsize
     if end > path.stat().st_size:
-        raise FileFormatError(path, f"cut short among its {element.count} elements {element.name}")
+        raise FileFormatError(path, f"cut short among its {element.total} elements {element.name}")
     file.seek(end)
 
 
 def _records(path: Path, file: IO[bytes], points: _Element, order: str) -> npt.NDArray[Any]:
     """Return every k-th point with its properties before the first list."""
     dtype = _dtype(_scalars(points), order)
-    if len(dtype) == len(points.properties):
-        return read_records(path, file, dtype, points.count)
+    if len(_scalars(points)) == len(points.properties):
+        return read_records(path, file, dtype, points.total)
     content = file.read()
-    starts, _ = _walk(path, content, points, order)
-    kept = np.array(starts[:: every(points.count)], dtype=np.int64)
+    starts, _ = _read_rows(path, content, points, order)
+    kept = np.array(starts[:: every(points.total)], dtype=np.int64)
     there = np.frombuffer(content, np.uint8)[kept[:, None] + np.arange(dtype.itemsize)]
     return there.view(dtype)[:, 0]
 
 
-def _walk(path: Path, content: bytes, element: _Element, order: str) -> tuple[list[int], int]:
+def _read_rows(path: Path, content: bytes, element: _Element, order: str) -> tuple[list[int], int]:
     """Return where each record of an element with lists starts, and where the last one ends."""
     steps: list[tuple[struct.Struct, int]] = []  # each ends with the length of a list, whose items have a size
     layout = ""
@@ -164,7 +165,7 @@ def _walk(path: Path, content: bytes, element: _Element, order: str) -> tuple[li
     rest = struct.calcsize(order + layout)
     starts, at = [], 0
     try:
-        for _ in range(element.count):
+        for _ in range(element.total):
             starts.append(at)
             for fields, size in steps:
                 length = int(fields.unpack_from(content, at)[0])
@@ -177,5 +178,5 @@ def _walk(path: Path, content: bytes, element: _Element, order: str) -> tuple[li
     except struct.error:
         at = len(content) + 1
     if at > len(content):
-        raise FileFormatError(path, f"cut short: fewer than {element.count} elements {element.name} are there")
+        raise FileFormatError(path, f"cut short: fewer than {element.total} elements {element.name} are there")
     return starts, at

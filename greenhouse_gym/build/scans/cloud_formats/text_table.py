@@ -44,14 +44,14 @@ def read_text(path: Path) -> Parts:
     """Read rows of x y z, optionally with colors and normals, or with the columns that a header names.
 
     Raises:
-        FileFormatError: A row has a missing or unreadable number, or the columns cannot be told apart.
+        FileFormatError: A row has a missing or unreadable number, or the columns cannot be distinguished.
     """
     layout = _layout(path)
 
     def rows(step: int = 1) -> Rows:
         lines = ((n, line) for n, line in lines_of(path) if n >= layout.first and line[0] not in _COMMENT)
         for number, line in islice(lines, None, None, step):
-            text = line.partition("#")[0]
+            text = line.partition(" #")[0]  # a comment; not that of 1.#QNAN
             yield number, text.replace(layout.separator, " ") if layout.separator else text
 
     total = sum(1 for _ in rows()) if every(path.stat().st_size // _MIN_ROW) > 1 else 0
@@ -98,7 +98,9 @@ def numbers(
             table = np.loadtxt((line for _, line in rows()), comments=None, ndmin=2)
         else:
             encoding = text_encoding(path)
-            table = np.loadtxt(str(path), delimiter=separator, skiprows=first - 1, ndmin=2, encoding=encoding)
+            table = np.loadtxt(
+                str(path), comments=None, delimiter=separator, skiprows=first - 1, ndmin=2, encoding=encoding
+            )
     except ValueError:
         table = np.array([_row(path, number, line, width) for number, line in rows()])
     if table.shape[1] != width and len(table):
@@ -153,10 +155,11 @@ def _layout(path: Path) -> _Layout:
         elif not stated and len(words) == 1 and text.isdecimal() and len(text) < 12:
             stated = int(text)
         else:
-            names = _names(path, header, separator, len(words))
-            if not names and len(words) not in POSITIONAL:
+            _row(path, number, " ".join(words), len(words))
+            names, expected = _names(header, separator, len(words))
+            if expected:
                 raise FileFormatError(
-                    path, f"line {number}: {len(words)} numbers, expected 3, 6 or 9, or a header that names the columns"
+                    path, f"line {number}: {len(words)} numbers, expected {expected}: {text[:_SHOWN]!r}"
                 )
             return _Layout(names, separator, number, stated, len(words))
     raise FileFormatError(path, "holds no rows of numbers")
@@ -173,13 +176,16 @@ def _separator(row: str) -> str | None:
     return "," if "," in row and (len(words) == 1 or any("," in (word[0], word[-1]) for word in words)) else None
 
 
-def _names(path: Path, header: list[str], separator: str | None, width: int) -> list[str]:
-    """Return the names of the columns by the last line of a header that names x, y and z, or an empty list."""
+def _names(header: list[str], separator: str | None, width: int) -> tuple[list[str], str]:
+    """Return the names of the columns by the last line of a header that names x, y and z, or an empty list.
+
+    Also return the expected number of columns as words if ``width`` is not possible, else "".
+    """
     for line in reversed(header):
         text = re.sub(r"[\[(][^\])]*[\])]", "", line)
         for names in (text.split(separator), re.split(r"[\s,;]+", text.strip())):
             if holds_positions(names) and len(names) == width:
-                return [name.strip() for name in names]
+                return [name.strip() for name in names], ""
         if holds_positions(names) and width > 3:
-            raise FileFormatError(path, f"its header names {len(names)} columns, its rows have {width}")
-    return []
+            return [], f"the {len(names)} that its header names"
+    return [], "" if width in POSITIONAL else "3, 6 or 9, or a header that names the columns"

@@ -1,0 +1,151 @@
+"""Collision checks by compiled kernels, five times as fast as MuJoCo's, for arms made of capsules and spheres.
+
+Verdicts are those of MuJoCo, except within a micrometre of contact and where MuJoCo misses a thin box. Searches use
+them; whatever a search finds is proven by MuJoCo afterwards.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from greenhouse_gym.geometry import Array
+from greenhouse_gym.motion.collision import CollisionChecker
+from greenhouse_gym.motion.proof import ProvingChecker
+from greenhouse_gym.robots.kinematics import Chain, joint_frames, tool_chain
+from greenhouse_gym.robots.robot import TIP_SITE
+
+_PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
+_ARM_TYPES = (int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM_CAPSULE))
+_WORLD_TYPES = (*_ARM_TYPES, _PLANE, int(mujoco.mjtGeom.mjGEOM_ELLIPSOID), int(mujoco.mjtGeom.mjGEOM_BOX))
+
+
+class KernelWorld(NamedTuple):
+    """An arm and the world around it as arrays, see `greenhouse_gym.motion.collision_kernels`."""
+
+    joints: Array
+    capsules: Array
+    pairs: npt.NDArray[np.int32]
+    geoms: Array
+    nodes: Array
+    planes: Array
+
+
+class KernelChecker(CollisionChecker):
+    """A `CollisionChecker` by kernels; `search_checker` makes them."""
+
+    def __init__(self, model: mujoco.MjModel, reaches: Array | None, world: KernelWorld):
+        from greenhouse_gym.motion import collision_kernels
+
+        super().__init__(model, reaches)
+        self._world, self._kernels = world, collision_kernels
+
+    def are_free(self, configurations: Array) -> npt.NDArray[np.bool_]:
+        """Return whether each of some configurations (k, joints) is collision-free, (k,)."""
+        touching = np.empty(len(configurations), dtype=np.bool_)
+        self._kernels.contacts(*self._world, np.ascontiguousarray(configurations, dtype=np.float64), touching)
+        self.checks += len(touching)
+        return ~touching
+
+    def inside_is_free(self, start: Array, end: Array, resolution: float) -> bool:
+        """Return whether a motion between free ends is free, without checking the ends."""
+        if tuple(start) > tuple(end):
+            start, end = end, start
+        motion = end - start
+        steps = self._steps(motion, resolution)
+        checks = self._kernels.contact_along(*self._world, np.ascontiguousarray(start), motion, steps)
+        self.checks += checks or max(steps - 1, 0)
+        return checks == 0
+
+    def _all_free(self, configurations: Iterable[npt.ArrayLike]) -> bool:
+        q = configurations if isinstance(configurations, np.ndarray) else np.array(tuple(configurations))
+        first = self._kernels.first_contact(*self._world, np.ascontiguousarray(q, dtype=np.float64))
+        self.checks += len(q) if first < 0 else first + 1
+        return first < 0
+
+
+def search_checker(model: mujoco.MjModel, reaches: Array | None = None) -> CollisionChecker:
+    """Return the fastest checker for searches on a model; arguments as for `CollisionChecker`."""
+    world = kernel_world(model)
+    return ProvingChecker(model, reaches) if world is None else KernelChecker(model, reaches, world)
+
+
+def kernel_world(model: mujoco.MjModel) -> KernelWorld | None:
+    """Return a model for the kernels, or None if they cannot compute it."""
+    colliding = (model.geom_contype | model.geom_conaffinity) > 0
+    arm = np.flatnonzero((model.geom_bodyid > 0) & colliding)
+    count = int(model.body_geomnum[0])
+    tip = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, TIP_SITE)
+    simple = np.isin(model.geom_type[arm], _ARM_TYPES).all() and np.isin(model.geom_type[:count], _WORLD_TYPES).all()
+    if tip < 0 or not simple or model.npair or model.body_geomadr[0] != 0:
+        return None
+    chain = tool_chain(model, tip)
+    if not len(chain.axes) == model.njnt == model.nq:
+        return None
+    geoms = np.column_stack(
+        [
+            model.geom_type[:count], model.geom_pos[:count], _matrices(model.geom_quat[:count]),
+            model.geom_size[:count], model.geom_contype[:count], model.geom_conaffinity[:count],
+            model.geom_margin[:count],
+        ]
+    )  # fmt: skip
+    planes = geoms[geoms[:, 0] == _PLANE]
+    geoms[geoms[:, 0] == _PLANE, 16:18] = 0.0  # infinite, so not a matter of boxes
+    own = slice(int(model.body_bvhadr[0]), int(model.body_bvhadr[0]) + int(model.body_bvhnum[0]))
+    nodes = np.column_stack([model.bvh_aabb[own], model.bvh_child[own], model.bvh_nodeid[own]])
+    nodes[:, 3:6] += model.geom_margin[:count].max(initial=0.0)
+    return KernelWorld(chain.table, _capsules(model, chain, arm), _pairs(model, arm), geoms, nodes, planes)
+
+
+def _capsules(model: mujoco.MjModel, chain: Chain, arm: npt.NDArray[np.int64]) -> Array:
+    """Return the arm's geoms as capsules."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = 0.0
+    mujoco.mj_kinematics(model, data)
+    rotations, positions = joint_frames(chain, np.zeros((1, model.nq)))
+    result = np.empty((len(arm), 11))
+    for row, geom in zip(result, arm.tolist(), strict=True):
+        body = int(model.body_weldid[model.geom_bodyid[geom]])
+        joint = int(model.body_jntadr[body]) + int(model.body_jntnum[body]) - 1 if body else -1
+        long = model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_SPHERE
+        half = model.geom_size[geom, 1] * data.geom_xmat[geom].reshape(3, 3)[:, 2] * long
+        ends = data.geom_xpos[geom] + np.array([-half, half])
+        if joint >= 0:
+            ends = (ends - positions[joint, 0]) @ rotations[joint, 0]
+        masks = model.geom_contype[geom], model.geom_conaffinity[geom]
+        row[:] = joint, *ends.ravel(), model.geom_size[geom, 0], model.geom_margin[geom], *masks
+    return result
+
+
+def _pairs(model: mujoco.MjModel, arm: npt.NDArray[np.int64]) -> npt.NDArray[np.int32]:
+    """Return the pairs of the arm's geoms, by their indices in it, that MuJoCo checks against each other."""
+    excluded = {(int(pair) >> 16, int(pair) & 0xFFFF) for pair in model.exclude_signature}
+    weld, parent = model.body_weldid, model.body_weldid[model.body_parentid]
+    found = []
+    for i, one in enumerate(arm.tolist()):
+        for k, other in enumerate(arm[:i].tolist()):
+            a, b = int(model.geom_bodyid[one]), int(model.geom_bodyid[other])
+            links = int(weld[a]), int(weld[b])
+            adjacent = all(links) and (links[0] == parent[links[1]] or links[1] == parent[links[0]])
+            masks = (
+                model.geom_contype[one] & model.geom_conaffinity[other]
+                or model.geom_contype[other] & model.geom_conaffinity[one]
+            )
+            if links[0] != links[1] and not adjacent and masks and not {(a, b), (b, a)} & excluded:
+                found.append((k, i))
+    return np.array(found, dtype=np.int32).reshape(-1, 2)
+
+
+def _matrices(quats: Array) -> Array:
+    """Return rotations (n, 9) by rows of unit quaternions (n, 4)."""
+    w, x, y, z = quats.T
+    rows = [
+        w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y),
+        2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x),
+        2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z,
+    ]  # fmt: skip
+    return np.stack(rows, axis=1)

@@ -1,0 +1,168 @@
+"""Damaged clouds of all formats, read in a process of its own: no foreign error, no crash, no hang, no full memory."""
+
+from __future__ import annotations
+
+import io
+import json
+import signal
+import struct
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+import pytest
+from cloud_writers import COLOR_NAMES, e57, geo_keys, las, pcd, ply_header, ply_with_columns, rows_of, with_valid_pages
+from mutants import damaged_arrays, damaged_bytes, damaged_numbers
+
+from greenhouse_gym.build.scans import read_cloud
+from greenhouse_gym.build.scans.frame import guess_unit
+from greenhouse_gym.build.scans.strays import without_strays
+from greenhouse_gym.errors import GreenhouseError
+
+SECONDS, MEMORY = 10, 10**9
+"""Processor time and bytes that a mutant may take."""
+
+POINTS = np.random.default_rng(0).random((120, 3)).round(4)
+RED = {name: np.full(120, value) for name, value in zip(("red", "green", "blue"), (194, 26, 18), strict=True)}
+FACES = "element face 2\nproperty list uchar int vertex_indices\n"
+TWO_FACES = struct.pack("<B3iB4i", 3, 0, 1, 2, 4, 0, 1, 2, 3)
+FLOATS = POINTS.astype("<f4").tobytes()
+PACKED = rows_of(POINTS, "12720658")
+
+
+def npy(array: np.ndarray) -> bytes:
+    np.save(buffer := io.BytesIO(), array)
+    return buffer.getvalue()
+
+
+def npz() -> bytes:
+    np.savez_compressed(buffer := io.BytesIO(), points=POINTS, colors=(255 * POINTS).astype(np.uint8), normals=POINTS)
+    return buffer.getvalue()
+
+
+def compressed() -> bytes:
+    """Literal bytes for x and y, repetitions for z."""
+    content = POINTS[:, :2].T.astype("<f4").tobytes()
+    block = b"".join(bytes([31]) + content[i : i + 32] for i in range(0, len(content), 32))
+    block += b"\x03" + np.float32(0.5).tobytes() + b"\xe0\xff\x03" + b"\xe0\xcb\x03"
+    return pcd("x y z", [4] * 3, "F F F", struct.pack("<II", len(block), 1440) + block, 120, "binary_compressed")
+
+
+def laser(suffix: str, point_format: int = 2, version: str = "1.2") -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        records = [
+            geo_keys((1024, 0, 1), (3076, 0, 9003)),
+            (2112, b'PROJCS["a",GEOGCS["b",UNIT["c",1]],UNIT["foot",0.3]]'),
+        ]
+        return las(Path(folder) / f"w{suffix}", POINTS, (1, 2, 3), records, point_format, version)
+
+
+def two_scans() -> bytes:
+    axes = {f"cartesian{axis}": column for axis, column in zip("XYZ", POINTS.T, strict=True)}
+    colors = dict.fromkeys(COLOR_NAMES, np.full(120, 0.5)) | {"cartesianInvalidState": np.arange(120) % 7 == 0}
+    with tempfile.TemporaryDirectory() as folder:
+        return e57(Path(folder) / "w.e57", (axes | colors, None, (0, 1)), (axes, None, None))
+
+
+SOURCES: Mapping[str, tuple[str, Callable[[], bytes]]] = MappingProxyType(
+    {
+        "ply": (".ply", lambda: ply_with_columns(POINTS, RED, "uchar", "u1")),
+        "ply with lists": (".ply", lambda: ply_header(120, before=FACES) + TWO_FACES + FLOATS),
+        "ply as text": (".ply", lambda: ply_header(120, form="ascii") + rows_of(POINTS).encode()),
+        "pcd": (".pcd", lambda: pcd("x y z normal_x normal_y normal_z", [4] * 6, "F F F F F F",
+                                    np.column_stack([POINTS, POINTS]).astype("<f4").tobytes(), 120)),
+        "pcd compressed": (".pcd", compressed),
+        "pcd as text": (".pcd", lambda: pcd("x y z rgb", [4] * 4, "F F F U", PACKED, 120, "ascii")),
+        "text": (".txt", lambda: b"//X Y Z R G B Nx Ny Nz\n120\n" + rows_of(POINTS, "194 26 18 0 0.6 0.8").encode()),
+        "commas": (".xyz", lambda: rows_of(POINTS, "1 2 3", ",").encode("utf-8-sig")),
+        "npy": (".npy", lambda: npy(POINTS)),
+        "npz": (".npz", npz),
+        "las": (".las", lambda: laser(".las")),
+        "las 1.4": (".las", lambda: laser(".las", 7, "1.4")),
+        "laz": (".laz", lambda: laser(".laz")),
+        "e57": (".e57", two_scans),
+    }
+)  # fmt: skip
+NATIVE = ("laz", "e57")  # each read starts a process
+
+Damage = Callable[[bytes, int], bytes]
+
+
+def damages(kind: str) -> list[Damage]:
+    if kind == "npz":
+        return [damaged_arrays, damaged_bytes]
+    if kind == "e57":  # half of the time such that the decoder notices it behind the checksums only
+        return [damaged_bytes, lambda content, seed: with_valid_pages(damaged_numbers(content, seed))]
+    return [damaged_bytes, damaged_numbers]
+
+
+def run(kind: str, first: int, last: int, report: Path) -> None:
+    """Read mutants; the report's last line says which one is being read, or how many were refused."""
+    import resource
+
+    suffix, source = SOURCES[kind]
+    content, ways = source(), damages(kind)
+    with tempfile.TemporaryDirectory() as folder, report.open("w") as log:
+        path, refused = Path(folder) / f"cloud{suffix}", 0
+        path.write_bytes(content)
+        assert len(read_cloud(path).points) > 100
+        for seed in range(first, last):
+            log.write(f"mutant {seed}\n")
+            log.flush()
+            path.write_bytes(ways[seed % len(ways)](content, seed))
+            signal.setitimer(signal.ITIMER_PROF, SECONDS)
+            try:
+                guess_unit(without_strays(read_cloud(path)).points)
+            except GreenhouseError as error:
+                refused += len(str(error)) < 2000
+            signal.setitimer(signal.ITIMER_PROF, 0)
+        peak = 1024 * max(
+            resource.getrusage(each).ru_maxrss for each in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+        )
+        log.write(json.dumps([last - first, refused, peak]))
+
+
+RUN = """
+import json, sys
+from pathlib import Path
+sys.path[:], jobs, folder = json.loads(sys.argv[1])
+import resource
+resource.setrlimit(resource.RLIMIT_DATA, (2 * 10**9, 2 * 10**9))
+from test_cloud_fuzzing import run
+for kind, first, last in jobs:
+    run(kind, first, last, Path(folder) / f"{kind}.log")
+"""
+
+
+def assert_all_end_well(folder: Path, jobs: list[tuple[str, int, int]]) -> None:
+    arguments = json.dumps([sys.path, jobs, str(folder)])
+    done = subprocess.run([sys.executable, "-c", RUN, arguments], capture_output=True, text=True, check=False)
+    for kind, first, last in jobs:
+        log = folder / f"{kind}.log"
+        final = log.read_text().splitlines()[-1] if log.exists() and log.stat().st_size else "not started"
+        if not final.startswith("["):
+            pytest.fail(f"{kind}, {final}: exit status {done.returncode}\n{done.stderr[-2000:]}")
+        count, refused, peak = json.loads(final)
+        assert count == last - first
+        assert refused >= 0.2 * count
+        assert peak < MEMORY
+    assert done.returncode == 0, done.stderr
+
+
+def test_some_mutants_of_each_format(tmp_path: Path) -> None:
+    pytest.importorskip("laspy")
+    pytest.importorskip("pye57")
+    assert_all_end_well(tmp_path, [(kind, 0, 3 if kind in NATIVE else 25) for kind in SOURCES])
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(7200)
+@pytest.mark.parametrize("kind", SOURCES)
+def test_2000_mutants_of_each_format(tmp_path: Path, kind: str) -> None:
+    pytest.importorskip("laspy")
+    pytest.importorskip("pye57")
+    assert_all_end_well(tmp_path, [(kind, 0, 2000)])

@@ -1,0 +1,268 @@
+"""Agents that try to end a comparison, or to bend its rules."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from still_agent import StillAgent
+from typer.testing import CliRunner
+
+from greenhouse_gym.agents import Problem, WaypointAgent
+from greenhouse_gym.cli.main import app
+from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.evaluation import Evaluation, compare, comparison_table, evaluate, leaderboard, retrace
+from greenhouse_gym.evaluation.entry import columns_of
+from greenhouse_gym.evaluation.journal import RecordJournal
+from greenhouse_gym.evaluation.leaderboard import V1, Entry, read_entry, submit
+from greenhouse_gym.evaluation.records import Record, pairing, pairings
+from greenhouse_gym.reporting.comparison_figures import pairs_table
+from greenhouse_gym.scene import SceneBank
+
+SHORT = replace(V1, bank="mini", split="validation", episodes=2)
+
+
+class Quit(BaseException):
+    pass
+
+
+class UnprintableError(Exception):
+    def __str__(self) -> str:
+        raise ZeroDivisionError
+
+    __repr__ = __str__
+
+
+class QuitsWhenPrintedError(Exception):
+    def __str__(self) -> str:
+        sys.exit(4)
+
+
+class OddAnswer:
+    def __array__(self, *_: Any, **__: Any) -> np.ndarray:
+        sys.exit("in the middle of NumPy")
+
+
+def failing(error: BaseException) -> Callable[[], Any]:
+    def fail() -> Any:
+        raise error
+
+    return fail
+
+
+FAULTS: dict[str, tuple[Callable[[], Any], str]] = {
+    "quits": (lambda: sys.exit(3), "SystemExit: 3"),
+    "quits without a word": (sys.exit, "SystemExit"),
+    "raises a BaseException": (failing(Quit("enough")), "Quit: enough"),
+    "ends a generator": (failing(GeneratorExit()), "GeneratorExit"),
+    "raises what cannot be printed": (failing(UnprintableError()), "UnprintableError: its message cannot be printed"),
+    "raises what quits when printed": (failing(QuitsWhenPrintedError()), "QuitsWhenPrintedError: its message cannot"),
+    "says half a letter": (failing(ValueError("\ud800")), "ValueError: ?"),
+    "says too much": (failing(ValueError("x" * 10**6)), "ValueError: xxx"),
+    "answers with a trap": (OddAnswer, "SystemExit: in the middle of NumPy"),
+}
+
+
+class Hostile(StillAgent):
+    """Fails in its first or third action, or while it is reset; its status cannot be read."""
+
+    name = "hostile"
+
+    def __init__(self, fault: str, at: int):
+        super().__init__()
+        self.fault, self.at, self.steps = fault, at, 0
+
+    def reset(self, problem: Problem) -> None:
+        super().reset(problem)
+        self.steps = 0
+        if self.at == 0:
+            FAULTS[self.fault][0]()
+
+    def act(self, observation: Any) -> Any:
+        self.steps += 1
+        return FAULTS[self.fault][0]() if self.steps == self.at else super().act(observation)
+
+    @property
+    def status(self) -> str:
+        sys.exit("no status")
+
+
+@pytest.mark.parametrize("timeout", [None, 60.0])
+@pytest.mark.parametrize("fault", FAULTS)
+def test_no_agent_ends_a_comparison(bank: SceneBank, fault: str, timeout: float | None, tmp_path: Path) -> None:
+    agents = [Hostile(fault, 3), Hostile(fault, 1), StillAgent()]
+    if fault != "answers with a trap":
+        agents.insert(0, Hostile(fault, 0))
+    *early, still = compare(agents, episodes=2, bank=bank, timeout=timeout, step_limit=4)
+    late = early.pop(-2)
+    assert [record.failure for record in still.records] == ["", ""]
+    assert all(not e.records and FAULTS[fault][1] in e.error for e in early)
+    assert len(late.records) == 2
+    assert all(FAULTS[fault][1] in r.failure and r.steps == 2 and len(r.failure) <= 1000 for r in late.records)
+    assert FAULTS[fault][1][:9] in comparison_table([late, *early, still])
+    journal = RecordJournal(tmp_path / "records.jsonl", {})
+    journal.add(0, late.records[0])
+    assert RecordJournal(tmp_path / "records.jsonl", {}).records == {0: late.records[0]}
+
+
+def test_ctrl_c_still_ends_it(bank: SceneBank) -> None:
+    class Interrupted(StillAgent):
+        def act(self, observation: Any) -> Any:
+            raise KeyboardInterrupt
+
+    for timeout in (None, 60.0):
+        with pytest.raises(KeyboardInterrupt):
+            evaluate(Interrupted(), episodes=1, bank=bank, timeout=timeout)
+
+
+@pytest.mark.parametrize("timeout", [0, -1.0, math.inf, math.nan, 1e300, "1", True, [1]])
+def test_a_timeout_that_is_none_is_no_fault_of_the_agent(bank: SceneBank, timeout: Any) -> None:
+    for run in (evaluate, retrace):
+        with pytest.raises(InvalidValueError, match="timeout must be a positive number of seconds"):
+            run(StillAgent(), seeds=[0], episodes=1, bank=bank, timeout=timeout) if run is evaluate else run(
+                StillAgent(), [0], bank=bank, timeout=timeout
+            )
+
+
+# -- rules ------------------------------------------------------------------------------------------------------------
+
+
+class Lies(WaypointAgent):
+    name = "lies"
+
+    def __init__(self, **options: Any):
+        super().__init__()
+        self.env_options: Mapping[str, Any] = {**WaypointAgent.env_options, **options}
+
+
+class Equal(float):
+    """A number that says it is equal to any other."""
+
+    def __eq__(self, other: object) -> bool:
+        return True
+
+    __hash__ = float.__hash__
+
+
+BENT: list[dict[str, Any]] = [
+    {"success_radius": 1.0, "step_limit": 100_000},
+    {"success_radius": 0.021},
+    {"rate": 10},
+    {"start": "folded"},
+    {"start": [0.0] * 6},
+    {"physics": "truth"},
+    {"robot": "iiwa14"},
+    {"reward": "sparse"},
+    {"capacity": 5000},
+    {"difficulty": "easy"},
+    {"split": "train"},
+    {"bank": "default"},
+    {"start": np.zeros(3)},
+    {"start": UnprintableError()},
+]
+
+
+@pytest.mark.parametrize("options", BENT, ids=range(len(BENT)))
+def test_no_rule_of_the_leaderboard_can_be_bent(
+    options: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(leaderboard, "evaluate", lambda *_, **__: pytest.fail("it was played"))
+    with pytest.raises(InvalidValueError, match=next(iter(options))):
+        submit(Lies(**options), "lies", tmp_path, ["reconstruction"], SHORT)
+    assert not list(tmp_path.iterdir())
+
+
+def test_rules_that_are_named_as_they_are_do_no_harm(tmp_path: Path) -> None:
+    agent = Lies(success_radius=0.02, step_limit=200, rate=20.0, task="reach", robot="ur5e", split="validation")
+    entry = read_entry(submit(agent, "lies", tmp_path, ["reconstruction"], SHORT))
+    assert not entry.evaluation("reconstruction").rules
+
+
+def test_a_value_that_claims_to_be_the_rule_has_no_effect(bank: SceneBank) -> None:
+    liar = evaluate(Lies(success_radius=Equal(1.0)), episodes=2, bank=bank)
+    honest = evaluate(WaypointAgent(), episodes=2, bank=bank)
+    assert [r.steps for r in liar.records] == [r.steps for r in honest.records]
+
+
+def test_an_agent_that_bends_rules_only_while_it_plays_gets_no_entry(tmp_path: Path) -> None:
+    class Late(StillAgent):
+        asked = 0
+
+        @property
+        def env_options(self) -> Mapping[str, Any]:  # type: ignore[override]
+            self.asked += 1
+            return {"success_radius": 1.0} if self.asked > 3 else {}
+
+    for _ in range(4):
+        with pytest.raises(InvalidValueError, match=r"changes the rules of the leaderboard: success_radius=1\.0"):
+            submit(Late(), "late", tmp_path, ["reconstruction", "truth"], SHORT)
+    assert not list(tmp_path.glob("*.json"))
+
+
+@pytest.fixture(scope="module")
+def bent(bank: SceneBank) -> tuple[Evaluation, ...]:
+    return compare([Lies(success_radius=1.0, step_limit=20), Lies(), WaypointAgent()], episodes=3, bank=bank)
+
+
+def test_changed_rules_are_recorded_and_shown(bent: tuple[Evaluation, ...], tmp_path: Path) -> None:
+    liar, honest, other = bent
+    assert {record.rules for record in liar.records} == {"success_radius=1.0, step_limit=20"}
+    assert {record.rules for record in (*honest.records, *other.records)} == {""}
+    table = comparison_table(bent)
+    assert "| lies * " in table
+    assert "* lies changed the rules of its episodes: success_radius=1.0, step_limit=20" in table
+    journal = RecordJournal(tmp_path / "records.jsonl", {})
+    journal.add(0, liar.records[0])
+    assert "success_radius=1.0" in (tmp_path / "records.jsonl").read_text()
+
+
+def test_agents_are_not_paired_under_different_rules(bent: tuple[Evaluation, ...]) -> None:
+    liar, honest, other = bent
+    assert [(p.first, p.second) for p in pairings(bent)] == [("lies", "waypoint")]
+    assert len(pairs_table(bent).rows) == 1
+    with pytest.raises(InvalidValueError, match="no episode in common"):
+        pairing(liar, other)
+    assert pairing(honest, other).episodes == 3
+
+
+def test_the_command_shows_them(tmp_path: Path) -> None:
+    code = tmp_path / "liar.py"
+    code.write_text(
+        "from greenhouse_gym.agents import StraightLineAgent\n"
+        "class Liar(StraightLineAgent):\n    name = 'liar'\n    env_options = {'success_radius': 1.0}\n"
+    )
+    asked = [f"{code}:Liar", "straight-line", "--bank", "mini", "--episodes", "1"]
+    result = CliRunner().invoke(app, ["compare", *asked])
+    assert result.exit_code == 0, repr(result.exception)
+    assert "liar changed the rules of its episodes: success_radius=1.0" in " ".join(result.output.split())
+    assert "McNemar" not in result.output
+    refused = CliRunner().invoke(app, ["submit", asked[0], "--out", str(tmp_path), "--episodes", "1"])
+    assert refused.exit_code != 0
+    assert isinstance(refused.exception, InvalidValueError | SystemExit)
+
+
+# -- entries ----------------------------------------------------------------------------------------------------------
+
+
+def entry_of(*records: Record) -> dict[str, Any]:
+    return Entry(
+        agent="a",
+        protocol=replace(SHORT, episodes=len(records)).as_json(),
+        bank_sha256="0" * 64,
+        versions={},
+        machine={},
+        tracks={"truth": columns_of(records)},
+    ).model_dump(mode="json")
+
+
+def test_entries_hold_records_under_the_same_rules_only(bent: tuple[Evaluation, ...]) -> None:
+    liar, honest, _ = bent
+    assert Entry(**entry_of(*honest.records)).evaluation("truth").records[0].rules == ""
+    with pytest.raises(ValueError, match=r"under other rules: success_radius=1\.0"):
+        entry_of(*liar.records)
