@@ -38,6 +38,10 @@ def train(
         int | None, typer.Option(help="The only tomato of --scene to train on.", show_default=False)
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of scenes, weights and noise.")] = 0,
+    backend: Annotated[
+        str, typer.Option(help="mujoco; warp: ppo with simulations and networks on --device.")
+    ] = "mujoco",
+    device: Annotated[str, typer.Option(help="With --backend warp: cpu or cuda.")] = "cpu",
     resume: Annotated[bool, typer.Option(help="Resume from the checkpoint in the folder of results.")] = False,
     settings: SettingsFile = None,
     assignments: Assignments = None,
@@ -51,15 +55,21 @@ def train(
     """
     from greenhouse_gym.common.files import write_atomically
     from greenhouse_gym.common.settings_files import as_toml, resolve
-    from greenhouse_gym.errors import require_choice
+    from greenhouse_gym.envs.factory import BACKENDS
+    from greenhouse_gym.errors import InvalidValueError, require_choice
 
-    defaults, run = _algorithm(require_choice("algorithm", algorithm, ALGORITHMS), bank, steps, seed, scene, target)
+    if require_choice("backend", backend, BACKENDS) == "warp":
+        if algorithm != "ppo" or resume:
+            raise InvalidValueError("--backend warp trains by ppo, and resumes nothing")
+        defaults, run = _on_device(device, bank, steps, seed, scene, target)
+    else:
+        defaults, run = _algorithm(require_choice("algorithm", algorithm, ALGORITHMS), bank, steps, seed, scene, target)
     resolved = resolve(defaults, settings, assignments or ())
     if print_settings:
         typer.echo(as_toml(resolved, comments=True), nl=False)
         return
     folder = Path("runs") / algorithm if out is None else out
-    result = run(resolved, folder, resume=resume)
+    result = run(resolved, folder, **({"resume": True} if resume else {}))
     write_atomically(folder / "settings.toml", as_toml(resolved))
     say(f"policy in {result}")
 
@@ -83,6 +93,16 @@ def _algorithm(
     settings = learning.BcThenPpoSettings()
     settings = replace(settings, ppo=replace(settings.ppo, **common))
     return settings, partial(learning.train_bc_then_ppo, on_progress=_print_imitation)
+
+
+def _on_device(device: str, bank: str, steps: int, seed: int, scene: str | None, target: int | None) -> tuple[Any, Any]:
+    """Return the default settings of PPO on a device, and its training."""
+    from greenhouse_gym import learning
+
+    settings = learning.DevicePpoSettings(
+        bank=bank, total_steps=steps, seed=seed, scene=scene, target=target, device=device
+    )
+    return settings, learning.train_ppo_on_device
 
 
 def _print_imitation(steps: int, metrics: dict[str, float]) -> None:

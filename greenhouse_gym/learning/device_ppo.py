@@ -46,6 +46,8 @@ class DevicePpoSettings:
         robot: The arm.
         action: "joint", "joint_velocity" or "tip_velocity".
         difficulty: Difficulties of the targets.
+        scene: Name of the only scene to train on; all of the split if None.
+        target: The only tomato of the scene to train on.
         device: "cpu" or "cuda".
         total_steps: Steps of all simulations together.
         num_envs: Number of simulations.
@@ -69,6 +71,8 @@ class DevicePpoSettings:
     robot: str = "ur5e"
     action: str = "joint"
     difficulty: tuple[str, ...] = ("easy", "medium", "hard")
+    scene: str | None = None
+    target: int | None = None
     device: str = "cpu"
     total_steps: int = 100_000_000
     num_envs: int = 4096
@@ -165,7 +169,7 @@ class DevicePpo:
             settings.num_envs,
             EnvSettings(
                 settings.bank, settings.split, settings.robot, action=settings.action, difficulty=settings.difficulty,
-                reward=DenseReward(collision=settings.collision),
+                reward=DenseReward(collision=settings.collision), scene=settings.scene, target=settings.target,
             ),
             device=settings.device, arrays="torch",
         )  # fmt: skip

@@ -256,12 +256,7 @@ class WarpVectorEnv(EnvMixin, VectorEnv[Any, Any, Any]):  # type: ignore[misc]
         for i in ids:
             if options[i]:
                 episode = sampler.draw(self._rng, options[i])
-                index = simulation.bank.index.get(episode.scene.name)
-                if index is None or simulation.bank.scenes[index] is not episode.scene:
-                    raise InvalidValueError(
-                        f"scene {episode.scene.name!r} is not in split {self.settings.split!r}, whose scenes "
-                        'backend="warp" holds on the device: make the environment with its split and bank'
-                    )
+                index = simulation.bank.index_of(episode.scene, self.settings.split)
                 wanted[i], start[i] = first[index] + episode.targets[0], episode.start
         state.wanted.assign(wanted)
         state.start.assign(start)

@@ -59,7 +59,9 @@ def by_mujoco(table, starts, ends, radius):
     spec = mujoco.MjSpec()
     for name in ("part", *TYPES.values()):
         body = spec.worldbody.add_body(name=name)
-        geom_type = mujoco.mjtGeom.mjGEOM_CAPSULE if name == "part" else getattr(mujoco.mjtGeom, f"mjGEOM_{name.upper()}")
+        geom_type = (
+            mujoco.mjtGeom.mjGEOM_CAPSULE if name == "part" else getattr(mujoco.mjtGeom, f"mjGEOM_{name.upper()}")
+        )
         body.add_geom(name=name, type=geom_type, size=[0.1, 0.1, 0.1])
     model = spec.compile()
     data = mujoco.MjData(model)
