@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("warp")
 
-from backends import compare  # noqa: E402
+from backends import compare
 
 SETTINGS: list[dict[str, Any]] = [
     {"count": 48, "steps": 120},
