@@ -34,9 +34,10 @@ class WarpVectorEnv(EnvMixin, VectorEnv[Any, Any, Any]):  # type: ignore[misc]
     """``num_envs`` simulations as kernels: the numbers of `GreenhouseVectorEnv`, up to rounding, from another device.
 
     The scenes of the split, their distance fields, the draws of episodes and the resets are on the device, and a step
-    waits for nothing, so it can be captured in a CUDA graph. Contacts end episodes and push nothing. Supported are the task "reach", arms of hinges whose parts
-    are capsules or spheres, the observations "state" and "goal", all three kinds of actions, and the rewards "dense"
-    and "sparse"; other settings raise an error. All scenes of the split are drawn from, also of a large bank.
+    waits for nothing, so it can be captured in a CUDA graph. Contacts end episodes, and push nothing. Supported are the
+    task "reach", arms of hinges whose parts are capsules or spheres, the observations "state" and "goal", all three
+    kinds of actions, and the rewards "dense" and "sparse"; other settings raise an error. All scenes of the split are
+    drawn from, also of a large bank.
 
     With seed s, simulation i draws the episodes of a single simulation with seed s + i; the other backend draws others.
 
