@@ -18,8 +18,8 @@ from greenhouse_gym.common.extras import needs
 from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.common.progress import say
 from greenhouse_gym.envs.rewards import DenseReward
-from greenhouse_gym.envs.settings import EnvSettings, check_whole
-from greenhouse_gym.errors import InvalidValueError, require_seed
+from greenhouse_gym.envs.settings import EnvSettings
+from greenhouse_gym.errors import InvalidValueError, check_whole, require_seed
 
 with needs("train"):
     import torch

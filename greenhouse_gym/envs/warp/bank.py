@@ -227,7 +227,8 @@ class _Placement(NamedTuple):
 
 def _table(cart: ShapeArrays, shapes: ShapeArrays) -> ShapeTable:
     """Return the shapes of one scene after its cart."""
-    kinds, starts, ends, sizes, rotations = (np.concatenate(both) for both in zip(cart, shapes, strict=True))
+    both = ShapeArrays._make(np.concatenate([getattr(x, name) for x in (cart, shapes)]) for name in ShapeArrays._fields)
+    kinds, starts, ends, sizes, rotations = both
     axes = (ends - starts) / 2
     half = np.linalg.norm(axes, axis=1)
     kinds = np.where((kinds == CAPSULE) & (2 * half <= MIN_LENGTH), SPHERE, kinds)

@@ -15,10 +15,10 @@ from gymnasium.vector.utils import batch_space
 from greenhouse_gym.common.extras import needs
 from greenhouse_gym.envs.actions import check_actions
 from greenhouse_gym.envs.episodes import DifficultyChoice
-from greenhouse_gym.envs.settings import EnvMixin, EnvSettings, check_whole, settings_with
+from greenhouse_gym.envs.settings import EnvMixin, EnvSettings, settings_with
 from greenhouse_gym.envs.vector import mode_of
 from greenhouse_gym.envs.warp.simulation import TERMS, WarpSimulation
-from greenhouse_gym.errors import InvalidValueError, NoEpisodeError, require_choice
+from greenhouse_gym.errors import InvalidValueError, NoEpisodeError, check_whole, require_choice
 
 ARRAYS = ("numpy", "torch")
 """Kinds of arrays that an environment returns."""
@@ -216,7 +216,7 @@ class WarpVectorEnv(EnvMixin, VectorEnv[Any, Any, Any]):  # type: ignore[misc]
     def _take(self, actions: Any) -> None:
         simulation = self.simulation
         if type(actions).__module__.partition(".")[0] == "torch":
-            shape = (self.num_envs, *self.single_action_space.shape)
+            shape = tuple(simulation.action.shape)
             if tuple(actions.shape) != shape:
                 raise InvalidValueError(f"an action must have shape {shape}, got {tuple(actions.shape)}")
             if self._torch is not None:
