@@ -299,4 +299,4 @@ def _start_contacts(compiled: CompiledScene) -> str:
     if not compiled.scene.tomatoes:
         return ""
     contacts = CollisionChecker(planning_model(compiled, 0)).contacts(compiled.robot.rating_start)
-    return ", ".join(f"{a} with {b}" for a, b in contacts[:1])
+    return ", ".join(f"{compiled.geom_name(a)} with {compiled.geom_name(b)}" for a, b in contacts[:1])
