@@ -18,8 +18,8 @@ import numpy.typing as npt
 from greenhouse_gym.errors import GreenhouseError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.collision import PROOF
-from greenhouse_gym.motion.path import path_length
 from greenhouse_gym.motion.kernel_checker import search_checker
+from greenhouse_gym.motion.path import path_length
 from greenhouse_gym.planning.worker import PlannerAnswer, PlannerQuery
 
 
