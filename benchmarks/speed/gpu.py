@@ -227,7 +227,7 @@ class Run:
     def train(self, name: str, seconds: float, count: int, **settings: Any) -> None:
         """Train a policy for some seconds, and evaluate it on all splits."""
         from greenhouse_gym.agents.policy import Policy
-        from greenhouse_gym.learning.device_ppo import DevicePpoSettings, train_ppo_on_device
+        from greenhouse_gym.learning import DevicePpoSettings, train_ppo_on_device
 
         chosen = DevicePpoSettings(
             bank=str(self.folder / "bank"), device=self.device, num_envs=count, total_steps=10**12, **settings

@@ -9,7 +9,8 @@ pytest.importorskip("torch")
 from greenhouse_gym.agents.policy_agent import PolicyAgent
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.evaluation import evaluate
-from greenhouse_gym.learning.device_ppo import DevicePpo, DevicePpoSettings, train_ppo_on_device
+from greenhouse_gym.learning import DevicePpoSettings, train_ppo_on_device
+from greenhouse_gym.learning.device_ppo import DevicePpo
 from greenhouse_gym.learning.training_files import CURVE, read_curve
 
 SMALL = DevicePpoSettings(
