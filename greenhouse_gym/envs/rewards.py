@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from functools import reduce
+from numbers import Real
 from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
@@ -203,7 +204,7 @@ def with_contact_cost(terms: Terms, costs: Mapping[str, float], contacts: npt.ND
 def _check_finite(reward: Any) -> None:
     for field in fields(reward):
         value = getattr(reward, field.name)
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
+        if isinstance(value, bool) or not isinstance(value, Real) or not np.isfinite(value):
             raise InvalidValueError(f"{type(reward).__name__}.{field.name} must be a finite number, got {value!r}")
 
 
