@@ -44,6 +44,10 @@ def train(
     bank: Bank = "default",
     steps: Annotated[int, typer.Option(min=1, help="Environment steps.")] = 2_000_000,
     seed: Annotated[int, typer.Option(help="Seed of scenes, weights and noise.")] = 0,
+    backend: Annotated[
+        str, typer.Option(help="mujoco; warp: ppo with simulations and networks on --device.")
+    ] = "mujoco",
+    device: Annotated[str, typer.Option(help="With --backend warp: cpu or cuda.")] = "cpu",
     scene: OneScene = None,
     target: OneTarget = None,
     resume: Annotated[
@@ -65,19 +69,26 @@ def train(
     from greenhouse_gym.common.extras import require_extras
     from greenhouse_gym.common.files import write_atomically
     from greenhouse_gym.common.settings_files import as_toml, resolve
-    from greenhouse_gym.errors import require_choice
+    from greenhouse_gym.envs.factory import BACKENDS
+    from greenhouse_gym.errors import InvalidValueError, require_choice
+    from greenhouse_gym.learning.settings import DevicePpoSettings
 
+    if require_choice("backend", backend, BACKENDS) == "warp" and (algorithm != "ppo" or resume):
+        raise InvalidValueError("--backend warp trains by ppo, and resumes nothing")
     require_extras("train")
     common = {"bank": bank, "total_steps": steps, "seed": seed, **given(scene=scene, target=target)}
-    defaults = _defaults(require_choice("algorithm", algorithm, ALGORITHMS), common)
+    if backend == "warp":
+        defaults: Any = DevicePpoSettings(device=device, **common)
+    else:
+        defaults = _defaults(require_choice("algorithm", algorithm, ALGORITHMS), common)
     resolved = resolve(defaults, settings, assignments or ())
     if print_settings:
         typer.echo(as_toml(resolved, comments=True), nl=False)
         return
     folder = Path("runs") / algorithm if out is None else out
     with progress("loading PyTorch"):
-        run = _training(algorithm)
-    result = run(resolved, folder, resume=resume)
+        run = _training(algorithm, backend)
+    result = run(resolved, folder, **({"resume": True} if resume else {}))
     write_atomically(folder / "settings.toml", as_toml(resolved))
     say(f"policy in {result}")
 
@@ -94,11 +105,13 @@ def _defaults(algorithm: str, common: dict[str, Any]) -> Any:
     return SacSettings(**common) if algorithm == "sac-her" else PpoSettings(**common)
 
 
-def _training(algorithm: str) -> Callable[..., Path]:
+def _training(algorithm: str, backend: str) -> Callable[..., Path]:
     from functools import partial
 
     from greenhouse_gym import learning
 
+    if backend == "warp":
+        return learning.train_ppo_on_device
     if algorithm == "bc-then-ppo":
         return partial(learning.train_bc_then_ppo, on_progress=_print_imitation)
     return learning.train_sac if algorithm == "sac-her" else learning.train_ppo

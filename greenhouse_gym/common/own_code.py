@@ -76,7 +76,8 @@ def make(found: Any, reference: str, arguments: Mapping[str, Any]) -> Any:
     except ValidationError as error:
         raise InvalidValueError(f"{reference}: {first_fault(error)}") from error
     except TypeError as error:
-        raise InvalidValueError(f"{reference} cannot be made with arguments {dict(arguments)}: {error}") from error
+        given = f"with arguments {dict(arguments)}" if arguments else "without arguments"
+        raise InvalidValueError(f"{reference} cannot be made {given}: {error}") from error
 
 
 def described(own: Any) -> Any:
@@ -90,9 +91,9 @@ def described(own: Any) -> Any:
         return own
     if reference := _reference_to(own):
         return reference
-    if not isinstance(own, type) and (kind := _reference_to(type(own))):
+    if kind := "" if isinstance(own, type) else _reference_to(type(own)):
         with suppress(TypeError, ValueError):
-            if is_dataclass(own):
+            if is_dataclass(own) and not isinstance(own, type):
                 return {CLASS: kind, **json.loads(json.dumps(asdict(own), allow_nan=False))}
             if not vars(own):
                 return {CLASS: kind}

@@ -86,8 +86,7 @@ def evaluate(
         if isinstance(number, bool) or not isinstance(number, (int, np.integer)) or number < 1:
             raise InvalidValueError(f"{name} must be a whole number from 1 up, got {number!r}")
     Deadline(timeout)  # raises before anything is run
-    agent = agent_of(agent)
-    require_seed(seed)
+    agent, seed, episodes, num_envs = agent_of(agent), require_seed(seed), int(episodes), int(num_envs)
     own = dict(agent.env_options)
     changed = changed_rules(agent.name, own, {**options, "split": split})
     chosen: list[dict[str, Any]] = [{}] * episodes

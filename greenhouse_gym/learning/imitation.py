@@ -12,7 +12,7 @@ from greenhouse_gym.agents.agent import action_towards
 from greenhouse_gym.envs import GreenhouseVectorEnv
 from greenhouse_gym.envs.observations import Observed
 from greenhouse_gym.envs.simulation import Simulation
-from greenhouse_gym.errors import InvalidValueError, MissingDependencyError
+from greenhouse_gym.errors import InvalidValueError, MissingDependencyError, require_seed
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.learning.settings import ImitationSettings
 
@@ -89,6 +89,7 @@ def imitate(
         seed: Seed of episodes and noise.
         on_progress: Called with the steps so far and figures after each round.
     """
+    seed = require_seed(seed)
     rng = np.random.default_rng(seed)
     torch.manual_seed(seed)
     parameters = [*policy.mlp_extractor.policy_net.parameters(), *policy.action_net.parameters()]

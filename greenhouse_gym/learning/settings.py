@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, field
 from typing import Annotated
 
@@ -99,6 +100,60 @@ class PpoSettings:
 
 
 @dataclass(frozen=True)
+class DevicePpoSettings:
+    """Settings of a training by PPO on a device.
+
+    Attributes:
+        bank: Name or folder of the scene bank.
+        split: Split to train on.
+        robot: The arm.
+        action: "joint", "joint_velocity" or "tip_velocity".
+        difficulty: Difficulties of the targets.
+        scene: Name of the only scene to train on; all of the split if None.
+        target: The only tomato of the scene to train on.
+        device: "cpu" or "cuda".
+        total_steps: Steps of all simulations together.
+        num_envs: Number of simulations.
+        rollout_steps: Steps of each simulation between updates.
+        minibatches: Gradient steps per pass over a rollout.
+        epochs: Passes over a rollout.
+        learning_rate: Learning rate at the start. It follows the divergence of the policy from the one before the
+            update, and falls in the last quarter of the steps.
+        divergence: Desired Kullback-Leibler divergence.
+        discount: Discount of future rewards, per step.
+        gae_lambda: Lambda of the generalized advantage estimate.
+        clip_range: Largest deviation of the probability ratio from 1.
+        collision: Reward for a collision; the other terms are those of `DenseReward`.
+        log_std: Initial logarithm of the standard deviation of the action noise.
+        hidden: Sizes of the hidden layers of actor and critic.
+        seed: Seed of episodes, weights and noise.
+    """
+
+    bank: str = "default"
+    split: str = "train"
+    robot: str = "ur5e"
+    action: str = "joint"
+    difficulty: tuple[str, ...] = ("easy", "medium", "hard")
+    scene: str | None = None
+    target: int | None = None
+    device: str = "cpu"
+    total_steps: int = 100_000_000
+    num_envs: int = 4096
+    rollout_steps: int = 24
+    minibatches: int = 8
+    epochs: int = 4
+    learning_rate: float = 5e-4
+    divergence: float = 0.012
+    discount: float = 0.99
+    gae_lambda: float = 0.95
+    clip_range: float = 0.2
+    collision: float = -5.0
+    log_std: float = -0.5
+    hidden: tuple[int, ...] = (256, 256)
+    seed: int = 0
+
+
+@dataclass(frozen=True)
 class SacSettings:
     """Settings of a training by SAC.
 
@@ -167,6 +222,9 @@ class SacSettings:
     threads: Threads = 0
 
     def __post_init__(self) -> None:
+        weight = self.guide_weight
+        if not isinstance(weight, float | int) or not 0 <= weight <= sys.float_info.max:
+            raise InvalidValueError(f"guide_weight must be a finite number from 0 on, got {weight!r}")
         check_settings(self)
 
 

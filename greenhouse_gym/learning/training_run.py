@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import fields
+from numbers import Real
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -238,7 +239,7 @@ def check_start(
         InvalidValueError: Besides, a limit is not a number of seconds.
     """
     for name, value in (("time_limit", time_limit), ("checkpoint_seconds", checkpoint_seconds)):
-        number = isinstance(value, int | float) and not isinstance(value, bool)
+        number = isinstance(value, Real) and not isinstance(value, bool)
         if value is not None and not (number and value >= 0):
             raise InvalidValueError(f"{name} must be seconds from 0 up, got {value!r}")
     check_folder(out / CHECKPOINT, lambda: read_notes(out)["settings"], settings, "total_steps", resume)

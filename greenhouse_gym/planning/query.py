@@ -24,6 +24,7 @@ from greenhouse_gym.motion.collision import (
 )
 from greenhouse_gym.motion.goals import Goals, sample_budget, search_goals
 from greenhouse_gym.motion.path import path_length
+from greenhouse_gym.motion.proof import ProvingChecker
 from greenhouse_gym.motion.unknown_space import depths_of, guarded, occupancy_of, unknown_length
 from greenhouse_gym.planning.own_planners import PlannerFailedError, run_own_planner
 from greenhouse_gym.planning.parameters import Value
@@ -174,12 +175,13 @@ def plan_with(
     """
     info = PLANNERS[planner]
     chosen = info.with_settings(settings or {})
-    require_seed(seed)
+    seed = require_seed(seed)
     seconds = _seconds(time_limit, max_checks)
     arm = compiled.robot
     origin = _configurations("start", [arm.configuration(start)], arm)[0]
     if not checker.is_free(origin):
-        touching = ", ".join(f"{a} with {b}" for a, b in checker.contacts(origin))
+        pairs = [[compiled.geom_name(geom) for geom in pair] for pair in checker.contacts(origin)]
+        touching = ", ".join(f"{a} with {b}" for a, b in pairs)
         return PlanResult("start_in_collision", None, planner, message=f"at the start: {touching}")
     if not len(goals):
         return PlanResult("no_goal", None, planner)
@@ -267,7 +269,7 @@ def _flaw(checker: CollisionChecker, query: PlannerQuery, path: Array) -> str:
         return f"{query.planner}: the path ends at {path[-1].tolist()}, which is none of the goals"
     if ((path < query.lower) | (path > query.upper)).any():
         return f"{query.planner}: the path leaves the joint limits"
-    if not checker.path_is_free(path, PROOF):
+    if not ProvingChecker(checker.model, checker.reaches).path_is_free(path, PROOF):
         return f"{query.planner}: the path is not free"
     return ""
 

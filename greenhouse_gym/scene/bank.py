@@ -7,6 +7,7 @@ import weakref
 from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import lru_cache
+from numbers import Integral
 from pathlib import Path
 from typing import Any, overload
 
@@ -286,7 +287,7 @@ def _holds(path: Path, content: str) -> bool:
 
 
 def _several(choice: str | int | Iterable[str | int]) -> set[str]:
-    return {str(choice)} if isinstance(choice, str | int) else {str(value) for value in choice}
+    return {str(choice)} if isinstance(choice, str | Integral) else {str(value) for value in choice}
 
 
 def _described(wanted: Mapping[str, set[str]]) -> str:
