@@ -11,7 +11,7 @@ from greenhouse_gym.agents.agent import Agent, check_agent
 from greenhouse_gym.agents.baselines import RandomAgent, StraightLineAgent, WaypointAgent
 from greenhouse_gym.agents.hybrid import HybridAgent
 from greenhouse_gym.agents.planner_agent import PlannerAgent
-from greenhouse_gym.agents.policy import description_path
+from greenhouse_gym.agents.policy import Policy, description_path
 from greenhouse_gym.agents.policy_agent import PolicyAgent, shipped_policies
 from greenhouse_gym.agents.shield import ShieldedAgent
 from greenhouse_gym.agents.watchful import WatchfulAgent
@@ -62,7 +62,7 @@ def make_agent(name: str) -> Agent:
     if name in SIMPLE:
         return SIMPLE[name]()
     _, colon, attribute = name.rpartition(":")
-    if colon and attribute.isidentifier():
+    if (colon and attribute.isidentifier()) or name.endswith(".py"):
         agent: Any = load_own(name, "agent", lambda value: isinstance(value, type) and hasattr(value, "act"))
         agent = make(agent, name, {}) if isinstance(agent, type) else agent
         check_agent(agent)
@@ -71,8 +71,9 @@ def make_agent(name: str) -> Agent:
         return PolicyAgent.load(name)
     if training := _training(Path(name)):
         if description_path(training / "policy").is_file():
-            return PolicyAgent.load(training / "policy")
-        load: Callable[[Path], Agent] = resolve_name("greenhouse_gym.learning:load_agent")  # which imports this package
+            return PolicyAgent(Policy.load(training / "policy"), training.resolve().name)
+        # by name, because that package imports this one
+        load: Callable[[Path], Agent] = resolve_name("greenhouse_gym.learning:TrainedAgent")
         return load(training)
     if name.endswith(".json"):
         raise FileFormatError(name, "there is no such file; expected a policy's description")

@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PositiveInt, ValidationError
 
 from greenhouse_gym.agents.goal_features import flaw_of
 from greenhouse_gym.common.files import first_fault, parsing, read_bytes, write_atomically
@@ -35,14 +35,24 @@ class _Network(_Part):
     output: Literal["clip", "tanh"] = "clip"
 
 
+def _checked_choice(value: Any) -> Any:
+    if not isinstance(value, str | dict | None):
+        raise ValueError(f"Input should be a valid string or mapping, got {value!r}")
+    return value
+
+
+_Choice = Annotated[Any, AfterValidator(_checked_choice)]
+"""Name, or own object by reference or as the mapping of an instance."""
+
+
 class _EnvOptions(_Part):
-    """Keywords of `gymnasium.make` that a policy may require; own objects by reference or as the mapping of one."""
+    """Keywords of `gymnasium.make` that a policy may require."""
 
     robot: str | None = None
-    observation: str | dict[str, Any] | None = None
-    action: str | dict[str, Any] | None = None
+    observation: _Choice = None
+    action: _Choice = None
     rate: float | None = None
-    task: str | dict[str, Any] | None = None
+    task: _Choice = None
 
 
 class _Description(_Part):

@@ -85,7 +85,7 @@ def make_observation(kind: ObservationChoice, robot: Robot, task: Task) -> Obser
         UnknownNameError: The name does not exist.
         InvalidValueError: The object is not an `Observation`.
     """
-    kind = load_own(kind, "observation")
+    kind = _loaded("observation", kind)
     if isinstance(kind, str):
         return _named("observation", kind, OBSERVATIONS)(robot, task)
     if isinstance(kind, _OWN_SETTINGS):
@@ -106,7 +106,7 @@ def make_action(kind: ActionChoice, robot: Robot, interval: float) -> ActionRule
         UnknownNameError: The name does not exist.
         InvalidValueError: The object is not an `ActionRule`.
     """
-    kind = load_own(kind, "action")
+    kind = _loaded("action", kind)
     if isinstance(kind, str):
         return _named("action", kind, ACTIONS)(robot, interval)
     return _CheckedAction(_made("action", kind, robot, interval), len(robot.joints))
@@ -119,9 +119,7 @@ def make_reward(kind: str | Reward, task: Task) -> Reward:
         UnknownNameError: The name does not exist.
         InvalidValueError: The object is not a function.
     """
-    own: Any = load_own(kind, "reward")
-    if is_own(kind) and isinstance(own, type):  # a command cannot name an instance
-        own = make(own, f"reward {_name(own)}", {})
+    own = _loaded("reward", kind)
     if isinstance(own, str):
         return _named("reward", own, task.rewards)
     if isinstance(own, type) or not callable(own):
@@ -213,6 +211,11 @@ class _CheckedAction:
         return change.astype(np.float64)
 
 
+def is_of_user(part: object) -> bool:
+    """Return whether an observation or an action is a user's, not one of the package."""
+    return isinstance(part, _Checked | _CheckedAction)
+
+
 class _CheckedReward:
     """Reward of a user, with checks."""
 
@@ -233,6 +236,19 @@ class _CheckedReward:
         return result
 
 
+def _loaded(kind: str, choice: Any) -> Any:
+    """Return the object that a choice names; an instance of a class that needs no arguments, which a command names."""
+    own = load_own(choice, kind)
+    if not is_own(choice) or not isinstance(own, type):
+        return own
+    try:
+        parameters = signature(own).parameters.values()
+    except ValueError:  # of some classes that are not written in Python
+        return own
+    complete = not parameters or (is_dataclass(own) and all(p.default is not p.empty for p in parameters))
+    return make(own, f"{kind} {_name(own)}", {}) if complete else own
+
+
 def _named(kind: str, name: str, choices: Mapping[str, Any]) -> Any:
     if name not in choices:
         raise UnknownNameError(kind, name, choices)
@@ -243,17 +259,14 @@ def _made(kind: str, own: Any, *arguments: Any) -> Any:
     """Return the user's object if it has a space, else the result of calling it."""
     if callable(own) and (isinstance(own, type) or not isinstance(getattr(own, "space", None), spaces.Space)):
         try:
-            parameters = signature(own).parameters.values()
-            complete = is_dataclass(own) and all(p.default is not p.empty for p in parameters)
-            taken = arguments if parameters and not complete else ()
-            signature(own).bind(*taken)
+            signature(own).bind(*arguments)
         except (TypeError, ValueError) as error:
             given = " and ".join(type(argument).__name__ for argument in arguments)
             raise InvalidValueError(
                 f"{kind} {_name(own)} must be an object or a function of {given} that makes one: {error}"
             ) from error
         try:
-            made = own(*taken)
+            made = own(*arguments)
         except Exception as error:  # any error in the user's code
             raise InvalidValueError(f"{kind} {_name(own)} cannot be made: {type(error).__name__}: {error}") from error
     else:

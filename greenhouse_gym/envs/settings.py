@@ -196,7 +196,8 @@ class EnvMixin:
     def spec(self, spec: EnvSpec | None) -> None:
         if spec is not None:
             spec.max_episode_steps = self.settings.step_limit
-            spec.kwargs = {**spec.kwargs, **self.settings.keywords()}  # own objects by reference, so that JSON holds it
+            given = {name: value for name, value in spec.kwargs.items() if name != "settings"}
+            spec.kwargs = given | self.settings.keywords()  # own objects by reference, so that JSON holds it
         self._spec = spec
 
     def __reduce__(self) -> tuple[Any, ...]:

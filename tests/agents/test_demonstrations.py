@@ -80,7 +80,7 @@ def test_a_data_set_grows_and_an_existing_one_is_refused_before_the_first_episod
     name = record_demonstrations(RandomAgent(), tmp_path, 3, on_progress=count, **options)
     assert seen == [0, 2, 3]
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
-    assert [episode.seed for episode in minari.load_dataset(name).iterate_episodes()] == [0, 1, 2]
+    assert [episode.id for episode in minari.load_dataset(name).iterate_episodes()] == [0, 1, 2]
     with pytest.raises(InvalidValueError, match="already holds"):
         record_demonstrations(RandomAgent(), tmp_path, 1, on_progress=lambda done: pytest.fail("ran"), **options)
 

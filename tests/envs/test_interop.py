@@ -84,13 +84,8 @@ def values(infos: dict[str, Any]) -> dict[str, Any]:
         if isinstance(value, dict):
             plain[key] = values(value)
         elif key != "final_obs":
-            blank = [v is None for v in value] if value.dtype == object else []
-            flags = value.dtype == object and any(isinstance(v, np.bool_) for v in value)
-            plain[key] = (
-                [bool(v) for v in value]
-                if flags
-                else [None if b else v for b, v in zip(blank, value, strict=True)] or value.tolist()
-            )
+            flags = value.dtype == object and any(isinstance(each, np.bool_) for each in value)
+            plain[key] = [bool(each) for each in value] if flags else value.tolist()
     return plain
 
 

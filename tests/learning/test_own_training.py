@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from greenhouse_gym.errors import FileFormatError, GreenhouseError, InvalidValue
 from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.learning import BcThenPpoSettings, PpoSettings, SacSettings, train_ppo, train_sac
 from greenhouse_gym.learning.imitation import ImitationSettings
+from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import SceneBank
 
 OWN = """
@@ -82,6 +84,13 @@ class Joints:
         return np.clip(state.joints, -self.limit, self.limit).astype(np.float32)
 
 
+class OfRobot(Joints):
+    """Observation made from the arm."""
+
+    def __init__(self, robot: Robot):
+        super().__init__(float(len(robot.joints)))
+
+
 @pytest.fixture
 def settings(bank: SceneBank) -> PpoSettings:
     return PpoSettings(
@@ -127,7 +136,7 @@ def test_everything_own_is_trained_and_evaluated_from_another_folder(
     ("changed", "stored"),
     [
         ({"observation": Joints(6.5)}, {"class": "{here}:Joints", "limit": 6.5}),
-        ({"observation": Joints}, "{here}:Joints"),
+        ({"observation": OfRobot}, "{here}:OfRobot"),
         ({"reward": DenseReward(progress=2.0)}, None),
         ({"reward": lambda step: {"near": -step.after}}, None),
     ],
@@ -140,8 +149,9 @@ def test_objects_are_trained_and_a_policy_file_names_them(
     options = json.loads(path.read_text())["env_options"]
     if stored is not None:
         here = options["observation"]["class"] if isinstance(stored, dict) else options["observation"]
-        assert here.split(":")[0] in (__name__, str(Path(__file__).resolve()))
-        assert json.loads(json.dumps(stored).replace("{here}:Joints", here)) == options["observation"]
+        module = here.split(":")[0]
+        assert module in (__name__, str(Path(__file__).resolve()))
+        assert json.loads(json.dumps(stored).replace("{here}", module)) == options["observation"]
     agent = make_agent(str(path.parent))
     assert evaluate(agent, episodes=1, bank=settings.bank, step_limit=2).records[0].steps == 2
 
@@ -237,3 +247,16 @@ def test_settings_of_imitation_and_seconds_are_checked(settings: PpoSettings, tm
             train_ppo(settings, tmp_path / "run", **seconds)  # type: ignore[arg-type]
     with pytest.raises(InvalidValueError, match="total_steps"):
         train_ppo(replace(settings, total_steps=0), tmp_path / "run")
+
+
+def test_a_trained_model_goes_to_other_processes_by_its_folder(settings: PpoSettings, tmp_path: Path) -> None:
+    train_ppo(replace(settings, observation="goal", reward="dense", log_std=-1.0), tmp_path / "goals")
+    assert make_agent(str(tmp_path / "goals")).name == "goals"
+    small = DepthObservation(camera=DepthCamera(width=8, height=6))
+    train_ppo(replace(settings, observation=small), tmp_path / "depth")
+    agent = make_agent(str(tmp_path / "depth" / "checkpoint.safetensors"))
+    again = pickle.loads(pickle.dumps(agent))
+    assert (again.name, again.env_options) == (agent.name, agent.env_options) == ("depth", agent.env_options)
+    env = make_env(bank=settings.bank, **agent.env_options)
+    observation, _ = env.reset(seed=0)
+    np.testing.assert_array_equal(agent.act(observation), again.act(observation))

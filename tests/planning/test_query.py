@@ -250,3 +250,8 @@ def test_every_path_of_the_worker_is_verified(
     assert result.status == "invalid"
     assert result.path is None
     assert message in result.message
+
+
+def test_a_budget_of_checks_limits_the_time_of_planners_that_hardly_check() -> None:
+    assert query._seconds(None, 1_000) <= 10.0
+    assert query._seconds(None, 1_000_000) >= 100.0
