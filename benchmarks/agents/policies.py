@@ -50,10 +50,7 @@ def main() -> None:
     if arguments.paired:
         compare_entries(*arguments.paired)
         return
-    if arguments.entries:
-        evaluations = of_entries(arguments.entries)
-    else:
-        evaluations = evaluated(arguments)
+    evaluations = of_entries(arguments.entries) if arguments.entries else evaluated(arguments)
     for name, settings, evaluation in evaluations:
         figures = rates(evaluation.records, SceneBank.open(settings["bank"]))
         print(name, figures, flush=True)

@@ -71,7 +71,7 @@ def pack(folder: Path) -> None:
         folder / "episodes.npz", options=json.dumps(options), actions=np.array(actions), outcome=outcome,
         ended_at=ended_at, observations=np.array(observations)[:61], rewards=np.array(rewards)[:60],
     )  # fmt: skip
-    print(f"{len(options)} episodes: {np.bincount(outcome, minlength=3).tolist()} going on, successes, collisions")
+    print(f"{len(options)} episodes: {np.bincount(outcome, minlength=3).tolist()} unfinished, successes, collisions")
 
 
 def copy_bank(bank: Any, folder: Path) -> None:

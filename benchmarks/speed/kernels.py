@@ -91,12 +91,12 @@ def checks(count: int) -> dict[str, Any]:
     bank, arm, total = SceneBank.open("default"), get_robot("ur5e"), {"mujoco": 0.0, "kernel": 0.0, "single": 0.0}
     names, rng, differ, size = bank.names("test"), np.random.default_rng(0), 0, 2000
     for name in names[:: len(names) // count][:count]:
-        judge = checker_of(compile_scene(bank.scene(name), arm), 0)
-        kernel = search_checker(judge.model, judge.reaches)
+        exact = checker_of(compile_scene(bank.scene(name), arm), 0)
+        kernel = search_checker(exact.model, exact.reaches)
         q = np.clip(arm.rating_start + rng.normal(0, 0.6, (size, len(arm.joints))), arm.lower, arm.upper)
-        known = CollisionChecker.are_free(judge, q)
+        known = CollisionChecker.are_free(exact, q)
         differ += int((kernel.are_free(q) != known).sum())
-        total["mujoco"] += seconds_of(partial(judge.are_free, q), time.process_time)
+        total["mujoco"] += seconds_of(partial(exact.are_free, q), time.process_time)
         total["kernel"] += seconds_of(partial(kernel.are_free, q), time.process_time)
         total["single"] += seconds_of(partial(CollisionChecker.are_free, kernel, q), time.process_time)
     each = {f"{name}, us": 1e6 * seconds / (size * count) for name, seconds in total.items()}

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from numbers import Real
 from typing import Any, Protocol
 
 import numpy as np
 
 from greenhouse_gym.crops.plant_row import STEM_LINE, Palette, PlantRow
-from greenhouse_gym.errors import InvalidValueError, check_whole, require_choice, require_seed
+from greenhouse_gym.errors import InvalidValueError, check_whole, is_number, require_choice, require_seed
 
 
 class Growth(Protocol):
@@ -47,7 +46,7 @@ class PlantMotion:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if not (isinstance(value, Real) and np.isfinite(value) and 0 <= value <= 1):
+            if not (is_number(value) and 0 <= value <= 1):
                 raise InvalidValueError(f"plant motion {name} must be a number from 0 to 1, got {value!r}")
 
 

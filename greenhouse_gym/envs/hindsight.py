@@ -50,7 +50,7 @@ def relabel(
     """
     reached, goals = (np.atleast_2d(np.asarray(points, dtype=np.float64)) for points in (achieved, desired))
     single = info is None or isinstance(info, Mapping)
-    infos = [info] if single else list(info)
+    infos: list[Any] = [info] if single else list(info)  # type: ignore[arg-type]
     if not single and len(infos) != len(reached):
         raise InvalidValueError(f"expected an info for each of {len(reached)} goals, got {len(infos)}")
 

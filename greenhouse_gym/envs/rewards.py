@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from functools import reduce
-from numbers import Real
 from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
@@ -13,7 +12,7 @@ import numpy.typing as npt
 
 from greenhouse_gym.envs.contacts import CONTACT_GROUPS
 from greenhouse_gym.envs.state import Bools, State
-from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.errors import InvalidValueError, is_number
 from greenhouse_gym.geometry import Array
 
 
@@ -204,7 +203,7 @@ def with_contact_cost(terms: Terms, costs: Mapping[str, float], contacts: npt.ND
 def _check_finite(reward: Any) -> None:
     for field in fields(reward):
         value = getattr(reward, field.name)
-        if isinstance(value, bool) or not isinstance(value, Real) or not np.isfinite(value):
+        if not is_number(value):
             raise InvalidValueError(f"{type(reward).__name__}.{field.name} must be a finite number, got {value!r}")
 
 

@@ -340,7 +340,7 @@ def contact_along(
     """Check the inner points of a straight motion from a configuration, in `collision.halving_order`.
 
     Returns:
-        The number of checks up to the first collision; 0 if there is none.
+        Number of checks up to the first collision, or 0 without a collision.
     """
     frames, ends, stack = np.empty((len(joints), 18)), np.empty((len(capsules), 6)), np.empty(_STACK, np.int64)
     q, checks, bits = np.empty(len(start)), 0, 0

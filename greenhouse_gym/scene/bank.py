@@ -155,7 +155,7 @@ class SceneBank(Sequence[Scene]):
         return (SceneBank, (self.path, self.manifest, self._homes)) if self._homes else (SceneBank.open, (self.path,))
 
     def __repr__(self) -> str:
-        splits = Counter(entry.split for entry in self.manifest.scenes)
+        splits = Counter(str(entry.split) for entry in self.manifest.scenes)
         counts = ", ".join(f"{splits[split]} {split}" for split in SPLITS if splits[split])
         return f"SceneBank({self.manifest.name!r}, {len(self)} scenes: {counts}, {str(self.path)!r})"
 
@@ -287,7 +287,9 @@ def _holds(path: Path, content: str) -> bool:
 
 
 def _several(choice: str | int | Iterable[str | int]) -> set[str]:
-    return {str(choice)} if isinstance(choice, str | Integral) else {str(value) for value in choice}
+    if isinstance(choice, str | int | Integral):  # NumPy's integers as well
+        return {str(choice)}
+    return {str(value) for value in choice}
 
 
 def _described(wanted: Mapping[str, set[str]]) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
+from textwrap import wrap
 
 import numpy as np
 
@@ -13,6 +14,8 @@ from greenhouse_gym.scene.bank import SceneBank
 from greenhouse_gym.scene.manifest import SPLITS
 from greenhouse_gym.scene.occupancy import REACH
 from greenhouse_gym.scene.scene import DIFFICULTIES, Scene
+
+_WIDTH = 62  # characters of a column of words
 
 
 @dataclass(frozen=True)
@@ -67,8 +70,11 @@ def bank_statistics(bank: SceneBank, on_progress: Callable[[int], None] = lambda
         FileFormatError: A scene is missing or damaged, or its checksum differs from the manifest's.
     """
     entries, scenes = bank.manifest.scenes, list[Scene]()
+    known, size = list[float](), 0
     for scene in bank:
         scenes.append(scene)
+        size += len(scene.model_dump_json()) + 1
+        known += [] if scene.occupancy is None else [_known_fraction(scene)]
         on_progress(len(scenes))
     targets = [target for scene in scenes for target in scene.targets]
     kinds = ("style", "source", "protocol", "week")
@@ -77,7 +83,6 @@ def bank_statistics(bank: SceneBank, on_progress: Callable[[int], None] = lambda
         for kind in ("style", "source"):
             name = getattr(scene.provenance, kind) or f"unknown {kind}"
             by_kind.setdefault(name, Counter()).update(target.difficulty for target in scene.targets)
-    known = [_known_fraction(scene) for scene in scenes if scene.occupancy is not None]
     true = [scene.truth.count for scene in scenes if scene.truth is not None]
     return BankStatistics(
         name=bank.manifest.name,
@@ -85,7 +90,7 @@ def bank_statistics(bank: SceneBank, on_progress: Callable[[int], None] = lambda
         scenes=len(scenes),
         rows=len({entry.row for entry in entries}),
         recordings=len({scene.provenance.recording or scene.name for scene in scenes}),
-        megabytes=sum(len(scene.model_dump_json()) + 1 for scene in scenes) / 1e6,
+        megabytes=size / 1e6,
         splits={
             split: (len(bank.names(split)), len({entry.row for entry in entries if entry.split == split}))
             for split in SPLITS
@@ -129,7 +134,7 @@ def as_markdown(found: BankStatistics) -> str:
     """Return the statistics as Markdown tables."""
     total = max(sum(found.difficulties.values()), 1)
     size = f"{found.scenes} scenes of {found.recordings} recordings of {found.rows} rows, {total} targets"
-    kinds = [(kind, ", ".join(f"{name} {count}" for name, count in of.items())) for kind, of in found.kinds.items()]
+    kinds = [line for kind, counts in found.kinds.items() for line in _wrapped(kind, counts)]
     figures = [
         *((f"{name} in a scene, mean", number(mean, ".1f")) for name, mean in found.per_scene.items()),
         ("scenes with truth", str(found.truth[0])),
@@ -149,6 +154,12 @@ def as_markdown(found: BankStatistics) -> str:
     )
     head = f"{size}, {found.megabytes:.1f} MB\n\nChecksum of the manifest (SHA-256): `{found.sha256}`\n"
     return "\n".join((head, *(table.as_markdown() for table in tables)))
+
+
+def _wrapped(kind: str, counts: dict[str, int]) -> list[tuple[str, str]]:
+    """Return the counts of a kind in lines that fit a terminal, the kind at the first of them."""
+    lines = wrap(", ".join(f"{name.replace(' ', '~')}~{count}" for name, count in counts.items()), _WIDTH)
+    return [("" if k else kind, line.replace("~", " ")) for k, line in enumerate(lines)]
 
 
 def _with_fractions(name: str, counts: dict[str, int]) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -137,7 +137,7 @@ def bank_of(scenes: Sequence[Scene], sampler: EpisodeSampler, physics: str) -> B
     """
     robot, truth = sampler.robot, physics == "truth"
     placements, tables = [], []
-    columns: dict[str, list[Array]] = {name: [] for name in ("scene", "tomato", "shape", "target", "goal", "radius")}
+    columns: dict[str, list[Any]] = {name: [] for name in ("scene", "tomato", "shape", "target", "goal", "radius")}
     ratings: list[int] = []
     fields = np.empty((len(scenes), *SHAPE), dtype=NODE)
     for s, scene in enumerate(scenes):
@@ -163,7 +163,7 @@ def bank_of(scenes: Sequence[Scene], sampler: EpisodeSampler, physics: str) -> B
         columns["radius"].append(goals[:, 3])
         rated = {target.tomato: sampler.rating(target) for target in sampler.fitting(scene, DIFFICULTIES)}
         ratings += [RATINGS.index(rated.get(k, UNRATED)) for k in range(len(targets))]
-    whole = {name: np.concatenate(parts) for name, parts in columns.items()}
+    whole: dict[str, Any] = {name: np.concatenate(parts) for name, parts in columns.items()}
     counts = np.bincount(whole["scene"].astype(np.int64), minlength=len(scenes))
     arrays = SceneArrays(
         base=np.array([p.scene_from_base[:3, 3] for p in placements]),

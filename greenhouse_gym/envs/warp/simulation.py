@@ -83,9 +83,9 @@ class WarpSimulation:
         self._check_memory(sizes, len(names))
         moves_tip = isinstance(self.action_rule, TipVelocity)
         unrolled = _GPU_UNROLLED if self.device.is_cuda else _CPU_UNROLLED
-        self._lanes, share = _LANES[self.device.is_cuda]
+        self._lanes, part_threads = _LANES[self.device.is_cuda]
         self._drive = drive_kernel(real, len(robot.joints), timing.substeps, moves_tip, unrolled)
-        self._collide, self._observe = collide_kernel(real, self._lanes, share), observe_kernel(real)
+        self._collide, self._observe = collide_kernel(real, self._lanes, part_threads), observe_kernel(real)
         load_kernels((self._drive, self._collide, self._observe), self.device)
         self.arm = struct_of(self.structs.Arm, self.arm_arrays, self.device)
         self.bank = device_bank(self.sampler, settings.physics, reach_of(self.arm_arrays), self.device.alias, real)
