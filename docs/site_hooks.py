@@ -45,7 +45,8 @@ def commands() -> str:
 def _command(command: Any, name: str) -> list[str]:
     """Return the lines of a command, or of the commands in a group."""
     if subcommands := getattr(command, "commands", None):
-        return [line for key, child in subcommands.items() for line in _command(child, f"{name} {key}")]
+        shown = {key: child for key, child in subcommands.items() if not child.hidden}
+        return [line for key, child in shown.items() for line in _command(child, f"{name} {key}")]
     context = command.make_context(name, [], resilient_parsing=True)
     usage = " ".join(command.collect_usage_pieces(context))
     lines = [f"## {name.removeprefix('greenhouse-gym ')}", "", f"`{name} {usage}`", "", command.help or "", ""]

@@ -30,6 +30,8 @@ def open(path: Path) -> Recording:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 2:
+        sys.exit(f"usage: python {sys.argv[0]} FOLDER, with {description}")
     recording = open_recording(sys.argv[1], format=sys.modules[__name__])
     points = recording[0].frames["camera"].points()
     print(f"{len(recording)} stations, {len(points)} points at the first, {points[:, 2].mean():.2f} m away")

@@ -5,11 +5,14 @@ Importing the package registers its environments with Gymnasium; everything else
 
 import gymnasium
 
+from greenhouse_gym.common.opengl_choice import drop_broken_opengl_choice
+
 __version__ = "0.1.0"
 
 ENV_IDS: tuple[str, ...] = ("TomatoReach-v0",)
 """Ids of the environments this package registers."""
 
+drop_broken_opengl_choice()
 gymnasium.register(
     id="TomatoReach-v0",
     entry_point="greenhouse_gym.envs.environment:GreenhouseEnv",

@@ -43,10 +43,21 @@ def test_shapes_need_no_opencv() -> None:
     assert done.returncode == 0, done.stderr
 
 
+def test_settings_of_trainings_need_no_torch() -> None:
+    code = (
+        "import sys\n"
+        "from greenhouse_gym.learning import BcThenPpoSettings, PpoSettings, SacSettings\n"
+        "BcThenPpoSettings(), PpoSettings(), SacSettings()\n"
+        "assert not {'torch', 'stable_baselines3'} & set(sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
 def test_libraries_of_reports_and_exports_are_loaded_where_they_are_used() -> None:
     code = (
         "import sys, greenhouse_gym, greenhouse_gym.cli, greenhouse_gym.export\n"
-        "assert not {'jinja2', 'matplotlib', 'tabulate', 'trimesh'} & set(sys.modules)"
+        "assert not {'PIL', 'jinja2', 'matplotlib', 'trimesh'} & set(sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

@@ -16,6 +16,9 @@ from greenhouse_gym.common.extras import MODULES
 ROOT = Path(__file__).parent.parent
 DECLARED = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
+SHORT = ["--steps", "8", *(f"--set={name}" for name in ("num_envs=2", "rollout_steps=4", "batch_size=4"))]
+"""Options of the shortest training."""
+
 COMMANDS = {
     "simulate": ["simulate", "{out}/recording", "--length", "0.1"],
     "reconstruct": ["reconstruct", "{out}/recording", "--out", "{out}/row"],
@@ -25,12 +28,11 @@ COMMANDS = {
     "calibrate": ["calibrate", "{out}/video", "--out", "{out}/rig.yaml"],
     "formats": ["formats"],
     "plan": ["plan", "--scene", "{scene}", "--target", "0", "--bank", "mini", "--time-limit", "0.2"],
-    "train": ["train", "ppo", "--bank", "mini", "--out", "{out}/run", "--steps", "-1"],
-    "sweep": ["sweep", "--try", "seed=0", "--bank", "mini", "--out", "{out}/sweep", "--steps", "-1"],
+    "train": ["train", "ppo", "--bank", "mini", "--out", "{out}/run", *SHORT],
+    "sweep": ["sweep", "--try", "seed=0", "--bank", "mini", "--out", "{out}/sweep", *SHORT],
     "compare": ["compare", "random", "--bank", "mini", "--episodes", "1"],
     "compare planners": ["compare", "RRTConnect", "--bank", "mini", "--episodes", "1"],
     "policy": ["policy", "export", "ppo-ur5e", "--out", "{out}/policy.onnx"],
-    "render": ["render", "--bank", "mini", "--out", "{out}/scene.png"],
     "demo": ["demo", "--quick", "--out", "{out}/demo"],
 }
 
@@ -47,7 +49,6 @@ NEEDED = {
     "sweep": {"train"},
     "compare planners": {"plan"},
     "policy": {"onnx"},
-    "render": {"reconstruct"},
     "demo": {"reconstruct", "plan", "train", "viz"},
 }
 
@@ -100,6 +101,19 @@ def test_what_is_missing_is_named_by_its_extra(tmp_path: Path, installed: str) -
         (extra,) = re.findall(r"pip install 'greenhouse-gym\[(\w+)\]'", message)
         assert extra in NEEDED[name] - {installed}, f"{name}: {message}"
     assert not [path for path in tmp_path.rglob("*") if path.is_file() and "recording" not in str(path)]
+
+
+def test_pictures_and_films_need_no_extra(tmp_path: Path) -> None:
+    small = ["--fps", "1", "--size", "64x48", "--seed", "1"]
+    commands = {
+        "render": ["render", "--bank", "mini", "--out", f"{tmp_path}/scene.png"],
+        "watch": ["watch", "random", "--bank", "mini", "--split", "train", "--out", f"{tmp_path}/film.gif", *small],
+    }
+    hidden = sorted({module for modules in MODULES.values() for module in modules})
+    arguments = [sys.executable, "-c", RUN, json.dumps([hidden, commands])]
+    done = subprocess.run(arguments, capture_output=True, text=True, cwd=ROOT, check=False)
+    assert [result[0] for result in json.loads(done.stdout.splitlines()[-1]).values()] == [0, 0], done.stdout
+    assert {path.name for path in tmp_path.iterdir()} == {"scene.png", "film.gif"}
 
 
 def test_a_report_without_matplotlib_names_the_extra_before_the_episodes(tmp_path: Path) -> None:

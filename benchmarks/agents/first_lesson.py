@@ -1,4 +1,4 @@
-"""How much the ten lines of README learn: train, play on rows that were not trained on, and draw the curve.
+"""Measure the ten lines of README: train, evaluate on held-out rows, and plot the learning curve.
 
 python -m benchmarks.agents.first_lesson --seeds 0 1 2
 python -m benchmarks.agents.first_lesson --action tip_velocity --split train --name "tip actions"
@@ -27,8 +27,8 @@ from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.learning.sb3 import Sb3Agent, make_sb3_vec_env
 from greenhouse_gym.scene import SceneBank
 
-PLAYED = (("own", "easy"), ("own", "medium"), ("helios", "easy"))
-"""Sources and difficulties of the episodes that are played."""
+EVALUATED = (("own", "easy"), ("own", "medium"), ("helios", "easy"))
+"""Sources and difficulties of the evaluated episodes."""
 
 RESULT, PICTURE = RESULTS / "first_lesson.json", RESULTS / "first_lesson.png"
 
@@ -63,12 +63,12 @@ def main() -> None:
         model, entry = trained(bank, a.steps, seed, a.action, DenseReward(collision=a.collision), world)
         policy = Sb3Agent(model)
         for agent in (policy, ShieldedAgent(policy)) if a.shielded else (policy,):
-            for source, difficulty in PLAYED if a.split == "test" else PLAYED[:2]:
+            for source, difficulty in EVALUATED if a.split == "test" else EVALUATED[:2]:
                 chosen = default.select(row=left_out) if left_out else default.select(split="test", source=source)
                 options = {"bank": chosen, "difficulty": difficulty, "num_envs": 64, "threads": 1, **world}
-                played = evaluate(agent, a.split, a.episodes, 20_000, **options)
+                evaluation = evaluate(agent, a.split, a.episodes, 20_000, **options)
                 kind = f"{'alone' if agent is policy else 'shielded'}, {source}, {difficulty}"
-                entry[kind] = outcomes(played.records)
+                entry[kind] = outcomes(evaluation.records)
                 print(seed, kind, entry[kind], flush=True)
         figures["seeds"][str(seed)] = entry
         write_entry(RESULT, a.name, figures)

@@ -12,6 +12,7 @@ McNemar's exact test and writes nothing. Takes 1 to 120 minutes per agent.
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import product
@@ -38,6 +39,7 @@ def main() -> None:
     command.add_argument("--bank", default="default")
     command.add_argument("--split", default="test")
     command.add_argument("--physics", nargs="+", default=["reconstruction", "truth"])
+    command.add_argument("--start", default="ready", help="start configuration; entries have their own")
     command.add_argument("--episodes", type=int, default=1000)
     command.add_argument("--seed", type=int, default=0, help="of the first episode")
     command.add_argument("--num-envs", type=int, default=64)
@@ -48,13 +50,7 @@ def main() -> None:
     if arguments.paired:
         compare_entries(*arguments.paired)
         return
-    if arguments.entries:
-        evaluations = of_entries(arguments.entries)
-    else:
-        evaluations = evaluated(
-            arguments.agents, arguments.bank, arguments.split, arguments.physics, arguments.episodes, arguments.seed,
-            arguments.num_envs,
-        )  # fmt: skip
+    evaluations = of_entries(arguments.entries) if arguments.entries else evaluated(arguments)
     for name, settings, evaluation in evaluations:
         figures = rates(evaluation.records, SceneBank.open(settings["bank"]))
         print(name, figures, flush=True)
@@ -64,23 +60,20 @@ def main() -> None:
 _Named = tuple[str, dict[str, Any], Evaluation]  # entry, the episodes that were evaluated, and their records
 
 
-def evaluated(
-    agents: Sequence[str], bank: str, split: str, worlds: Sequence[str], episodes: int, seed: int, num_envs: int
-) -> Iterator[_Named]:
+def evaluated(a: argparse.Namespace) -> Iterator[_Named]:
     """Yield the evaluations of agents in one or both worlds."""
-    for physics, name in product(worlds, agents):
-        evaluation = evaluate(
-            make_agent(name), split, episodes, seed, num_envs=num_envs, bank=bank, physics=physics, threads=1
-        )
-        about = {"bank": bank, "bank_sha256": SceneBank.open(bank).sha256, "split": split}
-        yield f"{name}, {physics}", about | {"physics": physics, "first_seed": seed}, evaluation
+    about = {"bank": a.bank, "bank_sha256": SceneBank.open(a.bank).sha256, "split": a.split, "start": a.start}
+    for physics, name in product(a.physics, a.agents):
+        world = {"bank": a.bank, "physics": physics, "start": a.start}
+        evaluation = evaluate(make_agent(name), a.split, a.episodes, a.seed, num_envs=a.num_envs, threads=1, **world)
+        yield f"{name}, {physics}", about | {"physics": physics, "first_seed": a.seed}, evaluation
 
 
 def of_entries(folder: Path) -> Iterator[_Named]:
     """Yield the evaluations of the leaderboard's entries that follow its rules."""
     for entry in filter(follows, map(read_entry, sorted(folder.glob("*.json")))):
         rules = entry.protocol
-        about = {"bank": rules["bank"], "bank_sha256": entry.bank_sha256, "split": rules["split"]}
+        about = {name: rules[name] for name in ("bank", "split", "start")} | {"bank_sha256": entry.bank_sha256}
         for track in entry.tracks:
             settings = about | {"physics": track, "first_seed": rules["seed"]}
             yield f"{entry.agent}, {track}", settings, entry.evaluation(track)

@@ -71,7 +71,7 @@ def pack(folder: Path) -> None:
         folder / "episodes.npz", options=json.dumps(options), actions=np.array(actions), outcome=outcome,
         ended_at=ended_at, observations=np.array(observations)[:61], rewards=np.array(rewards)[:60],
     )  # fmt: skip
-    print(f"{len(options)} episodes: {np.bincount(outcome, minlength=3).tolist()} going on, successes, collisions")
+    print(f"{len(options)} episodes: {np.bincount(outcome, minlength=3).tolist()} unfinished, successes, collisions")
 
 
 def copy_bank(bank: Any, folder: Path) -> None:
@@ -128,11 +128,14 @@ class Run:
 
     def equivalence(self) -> None:
         """Play the recorded episodes."""
+        from greenhouse_gym.envs.features import feature_slices
+
         torch, recorded = self.torch, np.load(self.folder / "episodes.npz")
         began = time.monotonic()
         options = json.loads(str(recorded["options"]))
         env = self.env(len(options))
         observation, _ = env.reset(options=options)
+        self.columns = feature_slices(env.unwrapped.simulation.observe.layout)
         self.note("make and reset, kernels not cached", {"seconds": round(time.monotonic() - began, 1)})
         outcome, ended_at = np.zeros(len(options), dtype=np.int8), np.full(len(options), STEPS)
         alive, rewards, deviation = np.ones(len(options), dtype=bool), [], []
@@ -154,14 +157,14 @@ class Run:
                 "max clearance deviation, m": max(d[1] for d in deviation), "max reward deviation": max(rewards),
             },
         )  # fmt: skip
-        self.layout = env.unwrapped.simulation.observe.layout
         env.close()
 
     def _deviation(self, observation: Any, recorded: Any, step: int, rows: Any) -> tuple[float, float]:
         if step >= len(recorded["observations"]) or not rows.any():
             return 0.0, 0.0
         difference = np.abs(observation.cpu().numpy() - recorded["observations"][step])[rows]
-        return float(difference[:, :6].max()), float(difference[:, 24:33].max())
+        joints, clearances = (difference[:, self.columns[name]] for name in ("joint_position", "clearance"))
+        return float(joints.max()), float(clearances.max())
 
     def table(self, sizes: tuple[int, ...]) -> None:
         """Time random actions and a policy for several numbers of simulations."""
@@ -224,7 +227,7 @@ class Run:
     def train(self, name: str, seconds: float, count: int, **settings: Any) -> None:
         """Train a policy for some seconds, and evaluate it on all splits."""
         from greenhouse_gym.agents.policy import Policy
-        from greenhouse_gym.learning.device_ppo import DevicePpoSettings, train_ppo_on_device
+        from greenhouse_gym.learning import DevicePpoSettings, train_ppo_on_device
 
         chosen = DevicePpoSettings(
             bank=str(self.folder / "bank"), device=self.device, num_envs=count, total_steps=10**12, **settings

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
+from greenhouse_gym.common.own_code import described
 from greenhouse_gym.envs.actions import (
     INTERVAL,
     ActionRule,
@@ -156,6 +157,18 @@ def check_agent(agent: object) -> None:
                 f"{called!r} is no agent: its {attribute!r} is missing or of the wrong type; an agent has a name, "
                 "env_options (a mapping), reset(problem) and act(observation)"
             )
+
+
+def options_for(agent: Agent, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the keywords of an agent's environment: its own, and further ones that do not contradict them.
+
+    Raises:
+        InvalidValueError: They contradict each other.
+    """
+    for key, value in agent.env_options.items():
+        if key in options and described(options[key]) != described(value):
+            raise InvalidValueError(f"agent {agent.name!r} needs {key}={value!r}, got {options[key]!r}")
+    return {**options, **agent.env_options}
 
 
 def action_towards(waypoint: Array, command: Array, steps: Array) -> Array:

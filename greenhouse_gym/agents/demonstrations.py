@@ -19,7 +19,7 @@ from greenhouse_gym.agents.named import agent_of
 from greenhouse_gym.common.extras import needs
 from greenhouse_gym.common.files import require_writable
 from greenhouse_gym.envs import GreenhouseEnv, make_env
-from greenhouse_gym.errors import FileWriteError, InvalidValueError
+from greenhouse_gym.errors import FileWriteError, InvalidValueError, check_whole, require_seed
 from greenhouse_gym.scene import SceneBank
 
 DATA_SET = "tomato-reach/{agent}-v0"
@@ -64,7 +64,7 @@ def record_demonstrations(
     """
     with needs("data"):
         from minari.data_collector import EpisodeBuffer
-    agent = agent_of(agent)
+    agent, seed, episodes = agent_of(agent), require_seed(seed), check_whole("episodes", episodes, 1)
     if split == "test":
         raise InvalidValueError("split 'test' is reserved for the final evaluation: choose train or validation")
     name = DATA_SET.format(agent="".join(c if c.isalnum() else "-" for c in agent.name.lower()))

@@ -62,7 +62,7 @@ def make_agent(name: str) -> Agent:
     if name in SIMPLE:
         return SIMPLE[name]()
     _, colon, attribute = name.rpartition(":")
-    if colon and attribute.isidentifier():
+    if (colon and attribute.isidentifier()) or name.endswith(".py"):
         agent: Any = load_own(name, "agent", lambda value: isinstance(value, type) and hasattr(value, "act"))
         agent = make(agent, name, {}) if isinstance(agent, type) else agent
         check_agent(agent)

@@ -67,7 +67,7 @@ _INITIAL_POINT = np.array([1.0, 0.5, 0.5])  # the initial view is of the target'
 
 
 class WatchfulAgent(NamedAgent):
-    """Follows paths through observed space and observes unknown space on them before it goes there.
+    """Follow paths through observed space, and observe unknown space on them before entering it.
 
     It begins with a view of the plants. If its path leads through space that neither the scan nor its camera has
     observed, it first moves to where its camera sees that space, if there is such a viewpoint and it has looked fewer

@@ -21,6 +21,7 @@ with needs("reconstruct"):
     import cv2
 
 _MIN_CORNERS = 8  # for a pose
+_MIN_MARKERS = 4  # in an image that shows the board or one like it
 _MIN_MOMENTS = 3  # at which a camera sees the board together with another
 
 
@@ -28,7 +29,8 @@ _MIN_MOMENTS = 3  # at which a camera sees the board together with another
 class Board:
     """A ChArUco board: ``columns`` by ``rows`` squares of ``square`` metres, markers of ``marker`` metres.
 
-    The markers are those of OpenCV's dictionary ``dictionary``, in the order in which OpenCV draws them.
+    The markers are those of OpenCV's dictionary ``dictionary``, in the order in which OpenCV draws them. Boards with an
+    even number of rows come in two layouts; both are found.
     """
 
     columns: int = 8
@@ -44,10 +46,15 @@ class Board:
         if self.columns < 3 or self.rows < 3 or not 0 < self.marker < self.square:
             raise InvalidValueError(f"board: expected at least 3x3 squares, and markers smaller than them, got {self}")
 
-    def to_opencv(self) -> Any:
-        """Return OpenCV's board."""
+    def to_opencv(self, legacy: bool = False) -> Any:
+        """Return OpenCV's board, ``legacy`` with a marker in the first corner of an even number of rows.
+
+        OpenCV drew boards so before version 4.6, and calib.io still does.
+        """
         dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary))
-        return cv2.aruco.CharucoBoard((self.columns, self.rows), self.square, self.marker, dictionary)
+        board = cv2.aruco.CharucoBoard((self.columns, self.rows), self.square, self.marker, dictionary)
+        board.setLegacyPattern(legacy)
+        return board
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,11 +79,24 @@ class BoardCalibration:
 
 def find_board(frame: RgbdFrame, board: Board) -> BoardDetection | None:
     """Detect the board in an image; None where too few of its corners are visible."""
-    charuco = board.to_opencv()
+    return _detect(frame, board)[0]
+
+
+def _detect(frame: RgbdFrame, board: Board) -> tuple[BoardDetection | None, int]:
+    """Return the board in an image, and the number of visible markers."""
     gray = cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY)
-    corners, numbers, _, _ = cv2.aruco.CharucoDetector(charuco).detectBoard(gray)
-    if numbers is None or len(numbers) < _MIN_CORNERS:
-        return None
+    markers: list[Any] = []
+    for legacy in (False, True) if board.rows % 2 == 0 else (False,):
+        charuco = board.to_opencv(legacy)
+        corners, numbers, *markers = cv2.aruco.CharucoDetector(charuco).detectBoard(gray, None, None, *markers)
+        if numbers is not None and len(numbers) >= _MIN_CORNERS:
+            return _located(frame, charuco, corners, numbers), len(markers[0])
+        if not len(markers[0]):
+            break
+    return None, len(markers[0])
+
+
+def _located(frame: RgbdFrame, charuco: Any, corners: Any, numbers: Any) -> BoardDetection | None:
     on_board = np.asarray(charuco.getChessboardCorners(), dtype=np.float64)[np.ravel(numbers)]
     pixels = np.asarray(corners, dtype=np.float64).reshape(-1, 2)
     matrix = frame.intrinsics.matrix
@@ -100,8 +120,11 @@ def calibrate_from_boards(stations: Iterable[Station], rig: Rig, board: Board) -
     """
     moments: list[dict[str, BoardDetection]] = []
     ratios: dict[str, list[float]] = {name: [] for name in rig.cameras}
+    other_layout = 0
     for station in stations:
-        visible = {name: found for name, frame in station.frames.items() if (found := find_board(frame, board))}
+        detected = {name: _detect(frame, board) for name, frame in station.frames.items()}
+        visible = {name: found for name, (found, _) in detected.items() if found}
+        other_layout += sum(found is None and markers >= _MIN_MARKERS for found, markers in detected.values())
         for name, detection in visible.items():
             ratios[name] += _depth_ratios(station.frames[name], detection)
         if len(visible) > 1:
@@ -109,9 +132,13 @@ def calibrate_from_boards(stations: Iterable[Station], rig: Rig, board: Board) -
     counts = {name: sum(name in visible for visible in moments) for name in rig.cameras}
     rare = [f"{name} ({count} times)" for name, count in counts.items() if count < _MIN_MOMENTS]
     if rare:
+        hint = (
+            f"; {other_layout} images show its markers, but not as on a board of {board.columns}x{board.rows} squares: "
+            "check columns, rows and markers"
+        )
         raise InvalidValueError(
             f"together with another camera the board is seen too seldom by {', '.join(rare)}; at least {_MIN_MOMENTS} "
-            "times needed"
+            f"times needed{hint if other_layout else ''}"
         )
     reference_from = _chained_poses(moments, rig)
     intrinsics = {name: camera.intrinsics for name, camera in rig.cameras.items()}

@@ -21,6 +21,7 @@ with needs("reconstruct"):
     import cv2
 
 MAX_PIXELS = 64 * 10**6  # as many as the largest cameras have
+PNG_START, _JPEG_START = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
 _WIDTH, _HEIGHT, _ORIENTATION = 256, 257, 274  # tags of TIFF
 
 
@@ -109,10 +110,11 @@ def encode_png(image: npt.NDArray[np.uint8] | npt.NDArray[np.uint16]) -> bytes:
 
 def _decode(path: Path, mode: int, foreign: bool = False) -> npt.NDArray[np.generic]:
     data = read_bytes(path, "image")
-    if data.startswith(b"\x89PNG\r\n\x1a\n"):
-        kind, size, whole = "PNG", _png_size(data), data.endswith(b"IEND\xaeB`\x82")
-    elif data.startswith(b"\xff\xd8"):
-        kind, size, whole = "JPEG", _jpeg_size(data), b"\xff\xd9" in data[-64:]
+    size = declared_size(data)
+    if data.startswith(PNG_START):
+        kind, whole = "PNG", data.endswith(b"IEND\xaeB`\x82")
+    elif data.startswith(_JPEG_START):
+        kind, whole = "JPEG", b"\xff\xd9" in data[-64:]
     elif foreign and data[:2] in (b"P5", b"P6"):
         kind, size, whole = "PNM", _pnm_size(data), True
     elif foreign and data[:4] in (b"II*\0", b"MM\0*"):
@@ -129,6 +131,13 @@ def _decode(path: Path, mode: int, foreign: bool = False) -> npt.NDArray[np.gene
     if image is None:
         raise FileFormatError(path, f"not a {kind} file that can be decoded ({len(data)} bytes)")
     return image
+
+
+def declared_size(data: bytes) -> tuple[int, int] | None:
+    """Return width and height of a PNG or JPEG file by its headers; None if it is neither or has none."""
+    if data.startswith(PNG_START):
+        return _png_size(data)
+    return _jpeg_size(data) if data.startswith(_JPEG_START) else None
 
 
 def _png_size(data: bytes) -> tuple[int, int] | None:

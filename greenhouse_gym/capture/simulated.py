@@ -24,7 +24,7 @@ from greenhouse_gym.capture.sensor import (
     sense_depth,
 )
 from greenhouse_gym.crops import PlantRow
-from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.errors import check_whole, require_seed
 from greenhouse_gym.geometry import Array, pose, rotation_about
 
 
@@ -73,11 +73,8 @@ def simulate_recording(
         InvalidValueError: ``stations`` is not positive, or ``seed`` is negative.
     """
     settings = settings or CaptureSettings()
-    count = round(row.length / settings.step) if stations is None else stations
-    if count < 1:
-        raise InvalidValueError(f"stations must be at least 1, got {count}")
-    if seed < 0:
-        raise InvalidValueError(f"seed must be 0 or more, got {seed!r}")
+    count = check_whole("stations", round(row.length / settings.step) if stations is None else stations, 1)
+    seed = require_seed(seed)
     light = light or draw_light(np.random.default_rng([seed, 4]))
     poses = tripod_poses(count, seed, rig, settings, pass_number)
     load = _SimulatedStations(row, seed, rig, poses, settings, pass_number, light)

@@ -10,60 +10,78 @@ import typer
 
 from greenhouse_gym.cli.options import (
     Address,
+    AgentArgument,
+    AgentArguments,
     AgentRobot,
     Backend,
     Bank,
+    Difficulty,
+    NumEnvs,
+    OneScene,
+    OneTarget,
+    Seed,
+    Split,
     Workers,
     comma_separated,
     executor_of,
-    robot_for,
+    given,
+    whole_pair,
 )
 from greenhouse_gym.common.progress import progress, say
 
 if TYPE_CHECKING:
     from greenhouse_gym.agents import Agent
     from greenhouse_gym.evaluation import Evaluation
+    from greenhouse_gym.evaluation.leaderboard import Entry, Protocol
 
+ENTRIES = Path("benchmarks/leaderboard")
+"""Folder of the leaderboard's entries in the repository."""
+
+EntryFolder = Annotated[
+    Path | None, typer.Option("--out", help=f"Folder of the entries; {ENTRIES} by default, where that exists.")
+]
 ReportFile = Annotated[
     Path | None, typer.Option("--report", help="HTML file for tables, plots and episodes in 3-D, all in one.")
 ]
 
-policy_app = typer.Typer(help="Write trained policies for other programs.", no_args_is_help=True)
+_SUCCESS = ("agent", "success [95 %]", "easy", "medium", "hard", "unreachable", "collision")
+_MOTION = ("agent", "planning s", "steps", "joints rad", "tip m", "clearance mm")
+
+_RANKING = ("agent", "success [95 %]", "collision", "first ms", "action ms")
+
+policy_app = typer.Typer(help="List trained policies, and write them for other programs.", no_args_is_help=True)
 
 
 def compare(
-    names: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="[AGENTS]...",
-            help="Planners, policies (names or files), random, straight-line, roadmap, watchful, hybrid, "
-            "shielded, or your own as file.py:Class or module:Class.",
-        ),
-    ] = None,
-    agents: Annotated[str, typer.Option(help="Further agents, separated by commas.")] = "",
+    names: AgentArguments = None,
     bank: Bank = "default",
-    split: Annotated[str, typer.Option(help="train, validation or test.")] = "test",
+    split: Split = "test",
     episodes: Annotated[int, typer.Option(help="Episodes of each agent.")] = 100,
-    seed: Annotated[int, typer.Option(help="Seed of the first episode; each further episode adds one.")] = 0,
+    seed: Seed = 0,
     robot: AgentRobot = "",
     task: Annotated[str, typer.Option(help="Your own task as file.py:Class or module:Class; reach by default.")] = "",
-    difficulty: Annotated[str, typer.Option(help="Difficulties of the targets, separated by commas.")] = "",
+    scene: OneScene = None,
+    target: OneTarget = None,
+    difficulty: Difficulty = "",
     track: Annotated[
         str, typer.Option(help="Worlds of the contacts, separated by commas: reconstruction, truth, moved.")
     ] = "reconstruction",
-    num_envs: Annotated[int, typer.Option(help="Episodes to run at once.")] = 1,
+    num_envs: NumEnvs = 1,
     timeout: Annotated[float, typer.Option(help="Timeout of one answer of an agent, seconds.")] = 120.0,
     report: ReportFile = None,
     backend: Backend = None,
     workers: Workers = None,
     address: Address = "local",
 ) -> None:
-    """Run agents on the same episodes and print a table for each track.
+    """Run agents on the same episodes and print their success and their motions.
 
-    By default these are a planner, the shipped policy and a random agent. Lines below each table state whether the
-    agents differ by more than chance, by McNemar's test on the same episodes. An interrupted run prints the table of
-    the agents that have finished. The work runs in several processes only on request, because parallel processes
-    distort each other's times. For the report, a few episodes are run again at the end.
+    By default these are a planner, the shipped policy and a random agent. The line below the tables states which of
+    them differ by more than chance, by McNemar's test on the same episodes. Lengths, steps and clearances are medians
+    over the successful episodes.
+
+    An interrupted run prints the tables of the agents that have finished. The work runs in several processes only on
+    request, because parallel processes distort each other's times. For the report, a few episodes are run again at the
+    end.
     """
     from dataclasses import replace
 
@@ -73,12 +91,11 @@ def compare(
     from greenhouse_gym.evaluation import compare as run
     from greenhouse_gym.evaluation.leaderboard import TRACKS
 
-    requested = [*(names or ()), *comma_separated(agents)] or ["RRTConnect", BEST, "random"]
+    requested = names or ["RRTConnect", BEST, "random"]
     tracks = [require_choice("track", name, TRACKS) for name in comma_separated(track)]
     chosen = _by_name(requested, [make_agent(name) for name in requested])
     shared: dict[str, Any] = {"timeout": timeout}
-    own = {"robot": robot, "task": task, "difficulty": comma_separated(difficulty)}
-    shared |= {key: value for key, value in own.items() if value}
+    shared |= given(robot=robot, task=task, difficulty=comma_separated(difficulty), scene=scene, target=target)
     if report is not None:
         _require_report(report)
     finished: dict[str, list[Evaluation]] = {}
@@ -94,7 +111,8 @@ def compare(
                         evaluations.append(replace(found, agent=label))
             finally:
                 if evaluations:
-                    _print_comparison(evaluations, f"track {name}" if len(tracks) > 1 else "")
+                    say(f"track {name}: bank {bank}, split {split}, {episodes} episodes from seed {seed} on\n")
+                    print_comparison(evaluations)
         complete = True
     finally:
         results = {name: found for name, found in finished.items() if any(e.records for e in found)}
@@ -117,16 +135,16 @@ def _require_report(path: Path) -> None:
     require_writable(path)
 
 
-def _print_comparison(evaluations: Sequence[Evaluation], heading: str) -> None:
-    from greenhouse_gym.evaluation.records import comparison_notes, comparison_rows, pairings
+def print_comparison(evaluations: Sequence[Evaluation]) -> None:
+    """Print the success and the motions of agents, and how they differ."""
+    from greenhouse_gym.evaluation.records import comparison_notes, comparison_rows, differences
 
-    if heading:
-        say(f"\n{heading}\n")
-    comparison_rows(evaluations).show()
-    for note in comparison_notes(evaluations):
-        say(f"\n{note}")
-    for paired in pairings(evaluations):
-        say(str(paired))
+    rows = comparison_rows(evaluations)
+    rows.only(*_SUCCESS).show()
+    say("")
+    rows.only(*_MOTION).show()
+    for note in (*comparison_notes(evaluations), differences(evaluations)):
+        say(f"\n{note}" if note else "")
 
 
 def _by_name(requested: Sequence[str], agents: Sequence[Agent]) -> dict[str, Agent]:
@@ -136,13 +154,13 @@ def _by_name(requested: Sequence[str], agents: Sequence[Agent]) -> dict[str, Age
 
 
 def submit(
-    agent: Annotated[str, typer.Argument(help="An agent, named as in `compare`.")],
-    out: Annotated[Path, typer.Option(help="Folder of the entries.")] = Path("benchmarks/leaderboard"),
+    agent: AgentArgument,
+    out: EntryFolder = None,
     track: Annotated[str, typer.Option(help="Tracks, separated by commas.")] = "reconstruction,truth,moved",
     episodes: Annotated[
         int, typer.Option(min=1, help="A number other than the protocol's makes a trial, which is not ranked.")
     ] = 1000,
-    num_envs: Annotated[int, typer.Option(help="Episodes to run at once; above 1, times are not comparable.")] = 1,
+    num_envs: NumEnvs = 1,
     note: Annotated[str, typer.Option(help="A remark, such as how the agent was trained.")] = "",
     backend: Backend = None,
     workers: Workers = None,
@@ -154,35 +172,65 @@ def submit(
     AGENT.trial.json. An interrupted run resumes from AGENT.TRACK.jsonl, which holds the records of a track until all
     its episodes are done.
 
-    The work runs in several processes only on request: the results are the same, but parallel processes distort each
-    other's times.
+    The work runs in several processes only on request: the results are the same, but episodes and processes that run at
+    once distort each other's times.
     """
     from dataclasses import replace
 
     from greenhouse_gym.agents.named import make_agent
-    from greenhouse_gym.evaluation.leaderboard import V1, leaderboard_table, read_entry
+    from greenhouse_gym.evaluation.leaderboard import V1, read_entry
     from greenhouse_gym.evaluation.leaderboard import submit as run
 
+    folder = _entry_folder(out)
     player, rules = make_agent(agent), replace(V1, episodes=episodes)
     with executor_of(backend, workers, address) as executor:
-        path = run(player, agent, out, comma_separated(track), rules, num_envs, note, executor)
-    typer.echo(leaderboard_table([read_entry(path)], rules), nl=False)
+        path = run(player, agent, folder, comma_separated(track), rules, num_envs, note, executor)
+    _print_leaderboard([read_entry(path)], rules)
     say(f"{'entry' if rules == V1 else 'trial'} in {path}")
 
 
+def _entry_folder(out: Path | None) -> Path:
+    """Return the folder of entries: the one given, or the repository's if one stands in the repository.
+
+    Raises:
+        InvalidValueError: No folder is given, and this is not the repository.
+    """
+    from greenhouse_gym.errors import InvalidValueError
+
+    if out is None and not ENTRIES.is_dir():
+        raise InvalidValueError(f"name the folder of the entries: there is no {ENTRIES} in {Path.cwd()}")
+    return out or ENTRIES
+
+
+def _print_leaderboard(entries: Sequence[Entry], rules: Protocol) -> None:
+    from greenhouse_gym.evaluation.leaderboard import TRACKS, leaderboard_notes, leaderboard_rows
+
+    table = leaderboard_rows(entries, rules)
+    for track in TRACKS:
+        if rows := [row for row in table.rows if row[0] == track]:
+            say(f"track {track}\n")
+            table._replace(rows=rows).only(*_RANKING).show()
+            say("")
+    for note in leaderboard_notes(entries, rules):
+        say(note)
+
+
 def leaderboard(
-    folder: Annotated[Path, typer.Argument(help="Folder of the entries.")] = Path("benchmarks/leaderboard"),
+    folder: Annotated[
+        Path | None, typer.Argument(help=f"Folder of the entries; {ENTRIES} by default.", show_default=False)
+    ] = None,
     report: ReportFile = None,
 ) -> None:
-    """Print the table of all entries of a folder, track by track."""
+    """Print the tables of all entries of a folder, track by track."""
     from greenhouse_gym.common.files import write_atomically
     from greenhouse_gym.errors import FileFormatError
-    from greenhouse_gym.evaluation.leaderboard import leaderboard_table, read_entry
+    from greenhouse_gym.evaluation.leaderboard import V1, read_entry
 
+    folder = _entry_folder(folder)
     entries = [read_entry(path) for path in sorted(folder.glob("*.json"))]
     if not entries:
         raise FileFormatError(folder, "holds no entry; `greenhouse-gym submit` writes one")
-    typer.echo(leaderboard_table(entries), nl=False)
+    _print_leaderboard(entries, V1)
     if report is not None:
         from greenhouse_gym.reporting.comparison import leaderboard_report
 
@@ -191,46 +239,86 @@ def leaderboard(
 
 
 def demonstrations(
+    agent: AgentArgument = "roadmap",
     out: Annotated[Path, typer.Option(help="Folder of Minari data sets.")] = Path("demonstrations"),
-    agent: Annotated[str, typer.Option(help="The demonstrator, named as in `compare`.")] = "roadmap",
     bank: Bank = "default",
-    split: Annotated[str, typer.Option(help="train or validation.")] = "train",
+    split: Split = "train",
     observation: Annotated[str, typer.Option(help="Observation to record, unless the agent needs another.")] = "state",
     episodes: Annotated[int, typer.Option(min=1, help="Episodes to run; the successful ones are kept.")] = 100,
-    seed: Annotated[int, typer.Option(help="Seed of the first episode.")] = 0,
+    seed: Seed = 0,
     robot: AgentRobot = "",
 ) -> None:
     """Run an agent and keep its successful episodes as a Minari data set."""
+    from greenhouse_gym.agents.agent import options_for
     from greenhouse_gym.agents.demonstrations import record_demonstrations
     from greenhouse_gym.agents.named import make_agent
 
     player = make_agent(agent)
-    options = {"bank": bank, "observation": observation, **robot_for(player, robot), **player.env_options}
+    observed = {} if "observation" in player.env_options else {"observation": observation}
+    options = options_for(player, {"bank": bank, **observed, **given(robot=robot)})
     with progress("episodes", episodes) as on_progress:
         name = record_demonstrations(player, out, episodes, seed, split, on_progress=on_progress, **options)
     say(f"data set {name} in {out}: MINARI_DATASETS_PATH={out} and minari.load_dataset({name!r})")
 
 
 def watch(
-    agent: Annotated[str, typer.Option(help="The agent, named as in `compare`.")] = "ppo-roadmap-ur5e",
-    out: Annotated[Path, typer.Option(help="MP4 file to write.")] = Path("episode.mp4"),
+    agent: AgentArgument = "ppo-roadmap-ur5e",
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="File to write, .mp4 or .gif; episode.mp4 by default, or episode.gif without the extra viz.",
+            show_default=False,
+        ),
+    ] = None,
+    episodes: Annotated[int, typer.Option(min=1, help="Number of episodes, one after the other.")] = 1,
+    scene: OneScene = None,
+    target: OneTarget = None,
     bank: Bank = "default",
-    split: Annotated[str, typer.Option(help="train, validation or test.")] = "validation",
-    seed: Annotated[int, typer.Option(help="Seed of the episode.")] = 0,
+    split: Split = "validation",
+    seed: Seed = 0,
+    difficulty: Difficulty = "",
+    track: Annotated[
+        str, typer.Option(help="World of the contacts and of the film: reconstruction, truth or moved.")
+    ] = "reconstruction",
     robot: AgentRobot = "",
+    fps: Annotated[
+        float | None, typer.Option(help="Images per second; one for each action by default.", show_default=False)
+    ] = None,
+    size: Annotated[str, typer.Option(help="Width and height of the film, pixels.")] = "640x480",
+    camera: Annotated[str, typer.Option(help="Camera: aisle, behind, side or top.")] = "aisle",
 ) -> None:
-    """Film one episode of an agent."""
+    """Film episodes of an agent in real time, with a caption of the outcome at the end of each."""
+    from importlib.util import find_spec
+
     from greenhouse_gym.agents.named import make_agent
+    from greenhouse_gym.errors import require_choice
+    from greenhouse_gym.evaluation.leaderboard import TRACKS
+    from greenhouse_gym.rendering.picture_files import FILMS, require_picture
+    from greenhouse_gym.rendering.viewer import Picture
     from greenhouse_gym.reporting.film import film
 
-    player = make_agent(agent)
-    success = film(player, out, seed, bank=bank, split=split, **robot_for(player, robot))
-    say(f"{'success' if success else 'no success'}, in {out}")
+    if out is None:
+        out = Path("episode.mp4" if find_spec("imageio_ffmpeg") else "episode.gif")
+    require_picture(out, FILMS)
+    options = {"bank": bank, "split": split, **TRACKS[require_choice("track", track, TRACKS)]}
+    options |= given(robot=robot, difficulty=comma_separated(difficulty), scene=scene, target=target)
+    picture = Picture(*whole_pair("--size", size, "640x480"), camera)
+    with progress("actions") as on_progress:
+        filmed = film(
+            make_agent(agent), out, seed, episodes=episodes, fps=fps, picture=picture, on_progress=on_progress,
+            **options,
+        )  # fmt: skip
+    for episode in filmed:
+        say(f"{episode.title}: {episode.outcome}")
+    say(f"{len(filmed)} {'episode' if len(filmed) == 1 else 'episodes'} in {out}")
 
 
-@policy_app.callback()
-def _policy_group() -> None:
-    """Keep the group's single command a subcommand."""
+@policy_app.command("list")
+def list_policies() -> None:
+    """List the shipped policies."""
+    from greenhouse_gym.cli.listing import policy_table
+
+    policy_table().show()
 
 
 @policy_app.command("export")

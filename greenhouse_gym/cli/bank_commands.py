@@ -10,9 +10,21 @@ import typer
 from greenhouse_gym.cli.options import BankArgument, Robot, SceneName, scene_in
 from greenhouse_gym.common.progress import progress, say
 
-Several = Annotated[list[str] | None, typer.Option(help="May be given several times; all by default.")]
 
-app = typer.Typer(help="Inspect, check, filter and export banks of scenes.", no_args_is_help=True)
+def _several(kind: str) -> Any:
+    """Return the option that selects scenes by some of their properties."""
+    return typer.Option(help=f"{kind} of the scenes to take; may be given several times; all by default.")
+
+
+app = typer.Typer(help="List, inspect, check, filter and export banks of scenes.", no_args_is_help=True)
+
+
+@app.command("list")
+def list_banks() -> None:
+    """List the shipped banks."""
+    from greenhouse_gym.cli.listing import bank_table
+
+    bank_table().show()
 
 
 @app.command()
@@ -22,9 +34,9 @@ def info(bank: BankArgument = "default") -> None:
     from greenhouse_gym.scene.bank_statistics import as_markdown, bank_statistics
 
     opened = SceneBank.open(bank)
-    typer.echo(
-        f"# {opened.manifest.name}\n\n{opened.manifest.description}\n\n{as_markdown(bank_statistics(opened))}", nl=False
-    )
+    with progress("scenes read", len(opened)) as on_progress:
+        found = bank_statistics(opened, on_progress)
+    typer.echo(f"# {opened.manifest.name}\n\n{opened.manifest.description}\n\n{as_markdown(found)}", nl=False)
 
 
 @app.command()
@@ -71,13 +83,13 @@ def filter_(
     out: Annotated[Path, typer.Option(help="Folder of the new bank.")],
     join: Annotated[list[str] | None, typer.Option(help="Further banks; may be given several times.")] = None,
     name: Annotated[str, typer.Option(help="Name of the new bank; the folder's name by default.")] = "",
-    split: Several = None,
-    row: Several = None,
-    week: Several = None,
-    style: Several = None,
-    source: Several = None,
-    protocol: Several = None,
-    difficulty: Several = None,
+    split: Annotated[list[str] | None, _several("Split")] = None,
+    row: Annotated[list[str] | None, _several("Row")] = None,
+    week: Annotated[list[str] | None, _several("Growth week")] = None,
+    style: Annotated[list[str] | None, _several("Fruit style")] = None,
+    source: Annotated[list[str] | None, _several("Source of the plants")] = None,
+    protocol: Annotated[list[str] | None, _several("Capture protocol")] = None,
+    difficulty: Annotated[list[str] | None, _several("Difficulty of a target")] = None,
 ) -> None:
     """Write selected scenes as a new bank; with --join, scenes of several banks."""
     from greenhouse_gym.common.files import exclusive
@@ -107,7 +119,7 @@ def export(
         typer.Option(help="One of mjcf, urdf, sdf, moveit, ply, obj, stl, vamp, robometrics, motionbenchmaker."),
     ],
     out: Annotated[Path, typer.Option(help="Folder for the files.")],
-    scene: Several = None,
+    scene: Annotated[list[str] | None, _several("Name")] = None,
     robot: Robot = "ur5e",
     truth: Annotated[bool, typer.Option("--truth", help="Write the true shapes, as moveit, ply, obj or stl.")] = False,
 ) -> None:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from greenhouse_gym.cli.options import Assignments, Out, SettingsFile, print_settings
-from greenhouse_gym.common.progress import say
+from greenhouse_gym.cli.options import Out, SettingsFile, print_settings, set_option
+from greenhouse_gym.common.progress import progress, say
 
 if TYPE_CHECKING:
     from greenhouse_gym.build.scans import Scan, ScannedRow
@@ -33,7 +33,7 @@ def shapes(
     up: Up = None,
     seen_from: SeenFrom = None,
     settings: SettingsFile = None,
-    assignments: Assignments = None,
+    assignments: Annotated[list[str] | None, set_option("voxel=0.004")] = None,
     print_defaults: Annotated[bool, print_settings("greenhouse_gym.shapes:ShapeSettings")] = False,
 ) -> None:
     """Find tomatoes, stems and clutter in a cloud of another source, and print the assumptions made.
@@ -53,7 +53,8 @@ def shapes(
     say(f"searching shapes in {len(opened.cloud)} points")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ShapeWarning)  # printed below
-        scan, found = extract_from_scan(opened, resolved)
+        with progress("searching shapes"):
+            scan, found = extract_from_scan(opened, resolved)
     for note in (*scan.notes[len(opened.notes) :], *found.warnings):
         say(note)
     notes = [*scan.notes, *found.warnings]
@@ -80,7 +81,8 @@ def _opened(cloud: Path, units: str | None, up: str | None, seen_from: str | Non
     direction = _numbers("--up", up) if up and "," in up else up
     if cloud.is_file():
         say(f"reading {cloud}, {cloud.stat().st_size / 1e6:.0f} MB")
-    scan = open_scan(cloud, _number(units), direction, _numbers("--seen-from", seen_from))
+    with progress("reading the cloud"):
+        scan = open_scan(cloud, _number(units), direction, _numbers("--seen-from", seen_from))
     for note in scan.notes:
         say(note)
     return scan

@@ -5,10 +5,9 @@ from __future__ import annotations
 import csv
 import shutil
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import typer
 
 from greenhouse_gym.cli.demo_report import DemoReport, DemoSettings
 from greenhouse_gym.common.files import write_atomically
@@ -84,8 +83,9 @@ def follow_in_the_true_row(bank: SceneBank, settings: DemoSettings, report: Demo
 def draw_the_arm(out: Path, recording: Recording, cloud: RowCloud, bank: SceneBank, report: DemoReport) -> None:
     """Draw the arm at the start and at the end of a witness, and the whole pipeline in one picture."""
     from greenhouse_gym.planning import resample
+    from greenhouse_gym.rendering.picture_files import write_picture
     from greenhouse_gym.rendering.task_pictures import picture_of_path
-    from greenhouse_gym.reporting.pictures import save, save_pipeline, splat, upright
+    from greenhouse_gym.reporting.pictures import save_pipeline, splat, upright
     from greenhouse_gym.robots import get_robot
 
     with report.stage("pictures of the arm") as results:
@@ -94,7 +94,7 @@ def draw_the_arm(out: Path, recording: Recording, cloud: RowCloud, bank: SceneBa
         pictures = {"9-arm-at-start": path[:1], "10-arm-at-target": resample(path, 0.03)}
         for name, joints in pictures.items():
             image = picture_of_path(scene, "ur5e", target, joints, width=960, height=720)
-            save(image, out / f"{name}.png")
+            write_picture(image, out / f"{name}.png")
         station = recording[scene.provenance.station or 0]
         photograph = upright(station.frames[recording.rig.reference].color)
         save_pipeline(photograph, splat(cloud.points, cloud.colors), image, out / "0-overview.png")
@@ -135,17 +135,18 @@ def train(out: Path, seed: int, settings: DemoSettings, report: DemoReport) -> l
 def compare_agents(out: Path, seed: int, settings: DemoSettings, report: DemoReport) -> tuple[Evaluation, ...]:
     """Run a planner, the policy and a random agent on the same easy episodes of the row, and film the policy."""
     from greenhouse_gym.agents import Agent, PlannerAgent, PolicyAgent, RandomAgent
+    from greenhouse_gym.cli.agent_commands import print_comparison
     from greenhouse_gym.evaluation import compare, comparison_table
     from greenhouse_gym.reporting.film import film
 
     with report.stage("planner, policy and random agent reach for the easy tomatoes of the row") as results:
         policy = PolicyAgent.load(out / "ppo" / "policy.json")
         agents: list[Agent] = [PlannerAgent("RRTConnect", unknown="free"), policy, RandomAgent()]
-        first, row = seed + 1_000_000, {"bank": str(out / "bank"), "split": "test", "difficulty": "easy"}
+        first = seed + 1_000_000
+        row: dict[str, Any] = {"bank": str(out / "bank"), "split": "test", "difficulty": "easy"}
         evaluations = compare(agents, episodes=settings.episodes, seed=first, **row)
-        table = comparison_table(evaluations)
-        typer.echo(table)
-        write_atomically(out / "comparison.md", table)
+        print_comparison(evaluations)
+        write_atomically(out / "comparison.md", comparison_table(evaluations))
         for name, evaluation in zip(("planner", "policy", "random"), evaluations, strict=True):
             results.append(f"{name} {evaluation.success_rate:.0%}")
             report.figures[f"{name}_success"] = evaluation.success_rate

@@ -91,8 +91,9 @@ def extract(out: Path, row: PlantRow, recording: Recording, cloud: RowCloud, rep
     """Fit shapes to the cloud, and count the visible tomatoes that were found."""
     from greenhouse_gym.accuracy import match_tomatoes, visible_tomatoes
     from greenhouse_gym.geometry import invert
+    from greenhouse_gym.rendering.picture_files import write_picture
     from greenhouse_gym.reporting.overlay import shapes_over_photograph
-    from greenhouse_gym.reporting.pictures import save, upright
+    from greenhouse_gym.reporting.pictures import upright
     from greenhouse_gym.shapes import extract_shapes
 
     with report.stage("extract shapes") as results:
@@ -100,7 +101,7 @@ def extract(out: Path, row: PlantRow, recording: Recording, cloud: RowCloud, rep
         results.append(f"{len(shapes.tomatoes)} tomatoes, {len(shapes.stems)} stems, {len(shapes.clutter)} boxes")
         registered = np.flatnonzero(cloud.registered)
         picture = shapes_over_photograph(recording, cloud, shapes, int(registered[len(registered) // 2]))
-        save(upright(picture), out / "12-shapes-over-photograph.png")
+        write_picture(upright(picture), out / "12-shapes-over-photograph.png")
     with report.stage("count the visible tomatoes") as results:
         poses = true_poses(recording)
         visible = visible_tomatoes(row, recording.rig, poses)

@@ -17,6 +17,7 @@ import typer
 from greenhouse_gym import __version__
 from greenhouse_gym.common.extras import MODULES
 from greenhouse_gym.common.files import data_path
+from greenhouse_gym.common.opengl_choice import opengl_choice
 from greenhouse_gym.common.progress import CONSOLE, say
 from greenhouse_gym.errors import GreenhouseError
 
@@ -131,7 +132,7 @@ def _opengl() -> Finding:
     except OpenGLMissingError as error:
         result = "not available; pictures are drawn by ray casting instead, at a few per second"
         return Finding("OpenGL", "missing", result, str(error).partition("; ")[2])
-    return Finding("OpenGL", "good", f"works (MUJOCO_GL={os.environ.get('MUJOCO_GL', 'not set')})")
+    return Finding("OpenGL", "good", f"works (MUJOCO_GL={opengl_choice() or 'not set'})")
 
 
 def _bank(name: str) -> Finding:

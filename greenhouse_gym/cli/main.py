@@ -5,11 +5,13 @@ from __future__ import annotations
 import sys
 import warnings
 from collections.abc import Callable
+from typing import Annotated
 
 import typer
 from rich.console import Console
 from rich.markup import escape
 
+from greenhouse_gym import __version__
 from greenhouse_gym.cli import (
     agent_commands,
     bank_commands,
@@ -22,42 +24,71 @@ from greenhouse_gym.cli import (
 )
 from greenhouse_gym.cli.demo import demo
 from greenhouse_gym.cli.doctor import doctor
+from greenhouse_gym.cli.listing import list_names
 from greenhouse_gym.errors import GreenhouseError
 
-app = typer.Typer(
-    help="Reinforcement learning and motion planning in reconstructed tomato greenhouses.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-)
-_COMMANDS: dict[str, Callable[..., None]] = {
-    "simulate": recording_commands.simulate,
-    "reconstruct": reconstruction_commands.reconstruct,
-    "build": reconstruction_commands.build,
-    "import": recording_commands.import_,
-    "calibrate": recording_commands.calibrate,
-    "record": live_recording.record,
-    "shapes": cloud_commands.shapes,
-    "formats": recording_commands.formats,
-    "build-shipped": reconstruction_commands.build_shipped,
-    "plan": planning_commands.plan,
-    "mount": planning_commands.mount,
-    "rate": planning_commands.rate,
-    "train": training_commands.train,
-    "sweep": training_commands.sweep,
-    "compare": agent_commands.compare,
-    "submit": agent_commands.submit,
-    "leaderboard": agent_commands.leaderboard,
-    "demonstrations": agent_commands.demonstrations,
-    "watch": agent_commands.watch,
-    "render": planning_commands.render,
-    "demo": demo,
-    "doctor": doctor,
+app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode="markdown")
+
+_COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
+    "Learning": {
+        "train": training_commands.train,
+        "sweep": training_commands.sweep,
+        "compare": agent_commands.compare,
+        "watch": agent_commands.watch,
+        "demonstrations": agent_commands.demonstrations,
+        "submit": agent_commands.submit,
+        "leaderboard": agent_commands.leaderboard,
+    },
+    "Planning": {
+        "plan": planning_commands.plan,
+        "render": planning_commands.render,
+        "mount": planning_commands.mount,
+    },
+    "From recordings to scenes": {
+        "simulate": recording_commands.simulate,
+        "record": live_recording.record,
+        "import": recording_commands.import_,
+        "formats": recording_commands.formats,
+        "calibrate": recording_commands.calibrate,
+        "reconstruct": reconstruction_commands.reconstruct,
+        "shapes": cloud_commands.shapes,
+        "build": reconstruction_commands.build,
+    },
+    "Banks and policies": {
+        "bank": bank_commands.app,
+        "rate": planning_commands.rate,
+        "policy": agent_commands.policy_app,
+    },
+    "Help": {
+        "demo": demo,
+        "doctor": doctor,
+        "list": list_names,
+    },
 }
-for name, command in _COMMANDS.items():
-    app.command(name)(command)
-app.add_typer(bank_commands.app, name="bank")
-app.add_typer(agent_commands.policy_app, name="policy")
+"""Commands and groups of commands by panel of the help."""
+
+for panel, commands in _COMMANDS.items():
+    for name, command in commands.items():
+        if isinstance(command, typer.Typer):
+            app.add_typer(command, name=name, rich_help_panel=panel)
+        else:
+            app.command(name, rich_help_panel=panel)(command)
+app.command("build-shipped", hidden=True)(reconstruction_commands.build_shipped)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"greenhouse-gym {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool, typer.Option("--version", is_eager=True, callback=_print_version, help="Print the version, and exit.")
+    ] = False,
+) -> None:
+    """Reinforcement learning and motion planning in reconstructed tomato greenhouses."""
 
 
 def main() -> None:

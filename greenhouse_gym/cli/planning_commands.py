@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.progress import track
 
-from greenhouse_gym.cli.options import Bank, BankArgument, Robot, SceneName, scene_in
-from greenhouse_gym.common.progress import CONSOLE, progress, say
+from greenhouse_gym.cli.options import Bank, BankArgument, Robot, SceneName, Target, planner_names, scene_in, set_option
+from greenhouse_gym.common.progress import progress, say
 
 if TYPE_CHECKING:
     from greenhouse_gym.common.tables import Table
@@ -20,8 +19,10 @@ if TYPE_CHECKING:
 
 def plan(
     scene: SceneName = "",
-    target: Annotated[int, typer.Option(help="Index of the tomato in the scene.")] = 0,
-    planner: Annotated[str, typer.Option(help="Name of the planner.")] = "RRTConnect",
+    target: Target = 0,
+    planner: Annotated[
+        str, typer.Option(help="Name of the planner, see `greenhouse-gym list planners`.", autocompletion=planner_names)
+    ] = "RRTConnect",
     all_planners: Annotated[bool, typer.Option("--all", help="Run every planner.")] = False,
     bank: Bank = "default",
     robot: Robot = "ur5e",
@@ -29,21 +30,21 @@ def plan(
         float | None, typer.Option(help="Seconds per planner; 5 unless --max-checks is given.")
     ] = None,
     max_checks: Annotated[int | None, typer.Option(help="Collision checks after which a planner stops.")] = None,
-    setting: Annotated[
-        list[str] | None, typer.Option("--set", help="A parameter of the planner, such as range=0.5; may be repeated.")
-    ] = None,
+    setting: Annotated[list[str] | None, set_option("range=0.5")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the goal search and the planner.")] = 0,
-    picture: Annotated[Path | None, typer.Option(help="PNG file for a picture of the shortest path.")] = None,
+    picture: Annotated[Path | None, typer.Option(help="PNG or JPEG file for a picture of the shortest path.")] = None,
 ) -> None:
     """Plan a path to a tomato with one planner, or with all planners and the same goals, and print a table.
 
-    BiTRRT, CForest, pRRT and pSBL have no Python bindings in OMPL 1.7.0 and are called by the memory layout of that
-    wheel; with another build they may end as "crashed".
+    The table holds the planning time, the collision checks, and the length and clearance of the shortened path. BiTRRT,
+    CForest, pRRT and pSBL have no Python bindings in OMPL 1.7.0 and are called by the memory layout of that wheel; with
+    another build they may end as "crashed".
     """
     from greenhouse_gym.common.settings_files import assigned
     from greenhouse_gym.errors import InvalidValueError
     from greenhouse_gym.planning import PLANNERS, goal_configurations, resample
     from greenhouse_gym.planning import plan as plan_path
+    from greenhouse_gym.rendering.picture_files import require_picture, write_picture
     from greenhouse_gym.rendering.task_pictures import picture_of_path
     from greenhouse_gym.scene import SceneBank
 
@@ -51,16 +52,22 @@ def plan(
         time_limit = 5.0
     if all_planners and setting:
         raise InvalidValueError("--set needs one planner; it does not go with --all")
+    if picture is not None:
+        require_picture(picture)
     chosen = scene_in(SceneBank.open(bank), scene)
     settings = {name: value for text in setting or () for name, value in assigned(text).items()}
     if not all_planners:
         PLANNERS[planner].with_settings(settings)  # raises before the goals are searched
-    goals = goal_configurations(chosen, target, robot, seed=seed)
+    with progress("searching goals"):
+        goals = goal_configurations(chosen, target, robot, seed=seed)
     names = list(PLANNERS) if all_planners else [planner]
-    results = [
-        plan_path(chosen, target, robot, name, time_limit, max_checks, goals, seed=seed, settings=settings)
-        for name in track(names, "planning", disable=not CONSOLE.is_terminal)
-    ]
+    results: list[PlanResult] = []
+    with progress("planners", len(names)) as on_progress:
+        for name in names:
+            on_progress(len(results), name)
+            results.append(
+                plan_path(chosen, target, robot, name, time_limit, max_checks, goals, seed=seed, settings=settings)
+            )
     _plan_table(results).show()
     for result in results:
         if result.message:
@@ -69,11 +76,10 @@ def plan(
     if not solved:
         raise typer.Exit(2)
     if picture is not None:
-        from greenhouse_gym.reporting.pictures import save
-
         best = min(solved, key=lambda result: result.length)
         assert best.path is not None
-        save(picture_of_path(chosen, robot, target, resample(best.path, 0.03)), picture)
+        with progress("drawing"):
+            write_picture(picture_of_path(chosen, robot, target, resample(best.path, 0.03)), picture)
         say(f"path of {best.planner} in {picture}")
 
 
@@ -82,35 +88,36 @@ def _plan_table(results: Sequence[PlanResult]) -> Table:
 
     rows = []
     for r in results:
-        first, lengths = "", ("", "", "")
-        if r.path is not None:
-            first = f"{r.costs[0, 0]:.3f}"
-            lengths = (f"{r.raw_length:.2f}", f"{r.length:.2f}", f"{1000 * r.clearance:.0f}")
-        rows.append((r.planner, r.status, f"{r.planning_time:.3f}", first, str(r.checks), str(r.tree_size), *lengths))
-    heads = ("planner", "status", "seconds", "first s", "checks", "nodes", "raw rad", "rad", "clearance mm")
-    return Table(heads, rows, words=(0, 1))
+        found = ("", "") if r.path is None else (f"{r.length:.2f}", f"{1000 * r.clearance:.0f}")
+        rows.append((r.planner, r.status, f"{r.planning_time:.3f}", f"{r.checks:,}", *found))
+    return Table(("planner", "status", "seconds", "checks", "path rad", "clearance mm"), rows, words=(0, 1))
 
 
 def render(
     scene: SceneName = "",
-    out: Annotated[Path, typer.Option(help="PNG file to write.")] = Path("scene.png"),
-    target: Annotated[int, typer.Option(help="Index of the tomato at the end of the red line.")] = 0,
+    out: Annotated[Path, typer.Option(help="PNG or JPEG file to write.")] = Path("scene.png"),
+    target: Target = 0,
     bank: Bank = "default",
     robot: Robot = "ur5e",
 ) -> None:
-    """Draw a scene with the arm in its start configuration."""
+    """Draw a scene with the arm in its start configuration and a red line to the target."""
+    from greenhouse_gym.rendering.picture_files import require_picture, write_picture
     from greenhouse_gym.rendering.task_pictures import picture_of_path
-    from greenhouse_gym.reporting.pictures import save
     from greenhouse_gym.robots import get_robot
     from greenhouse_gym.scene import SceneBank
 
+    require_picture(out)
     arm = get_robot(robot)
-    save(picture_of_path(scene_in(SceneBank.open(bank), scene), arm, target, arm.start[None]), out)
+    with progress("drawing"):
+        write_picture(picture_of_path(scene_in(SceneBank.open(bank), scene), arm, target, arm.start[None]), out)
     say(f"picture in {out}")
 
 
 def mount(
-    arm: Annotated[Path, typer.Argument(help="MJCF file of the arm, without a tool.")],
+    arm: Annotated[
+        Path,
+        typer.Argument(help="MJCF file of the arm, without a tool, as MuJoCo Menagerie has them (extra menagerie)."),
+    ],
     out: Annotated[Path, typer.Option(help="File to write.")],
     flange: Annotated[
         str | None, typer.Option(help="Name of the site at the flange; the usual names are recognized.")
@@ -119,7 +126,8 @@ def mount(
     """Write a copy of an arm's file with the package's gripper at its flange and a collision-free start."""
     from greenhouse_gym.robots import get_robot, mount_tool
 
-    robot = get_robot(mount_tool(arm, out, flange))
+    with progress("searching a start"):
+        robot = get_robot(mount_tool(arm, out, flange))
     start = ", ".join(f"{name} {value:.2f}" for name, value in zip(robot.joints, robot.start, strict=True))
     say(f"{out}: starts at {start}")
 

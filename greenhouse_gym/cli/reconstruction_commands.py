@@ -11,7 +11,6 @@ import typer
 from greenhouse_gym.cli.cloud_commands import Floor, SeenFrom, Units, Up, scanned_row_of
 from greenhouse_gym.cli.options import (
     Address,
-    Assignments,
     Backend,
     Format,
     Out,
@@ -19,8 +18,9 @@ from greenhouse_gym.cli.options import (
     Workers,
     executor_of,
     print_settings,
+    set_option,
 )
-from greenhouse_gym.common.progress import CONSOLE, progress, say
+from greenhouse_gym.common.progress import progress, say
 
 if TYPE_CHECKING:
     from greenhouse_gym.capture import Recording
@@ -40,7 +40,7 @@ def reconstruct(
         str | None, typer.Option(help="Poses of the stations: estimate, given (trust the recording) or refine.")
     ] = None,
     settings: SettingsFile = None,
-    assignments: Assignments = None,
+    assignments: Annotated[list[str] | None, set_option("voxel=0.004")] = None,
     print_defaults: Annotated[bool, print_settings("greenhouse_gym.reconstruction:ReconstructionSettings")] = False,
 ) -> None:
     """Reconstruct a recording as a cloud and a mesh, with a report; resumes an interrupted run.
@@ -80,7 +80,7 @@ def _reconstruct(
     try:
         with progress("stations", len(opened)) as on_progress:
             stations = register_stations(opened, settings, lambda i: on_progress(i + 1), work)
-        with CONSOLE.status("merging, meshing, drawing"):
+        with progress("merging, meshing, drawing"):
             rows, mesh = write_results(
                 stations, opened, settings, lambda row: triangulate(simplify_points(row, points), method, faces),
                 out, work=work / "results",
@@ -129,7 +129,7 @@ def build(
     seen_from: SeenFrom = None,
     floor: Floor = None,
     settings: SettingsFile = None,
-    assignments: Assignments = None,
+    assignments: Annotated[list[str] | None, set_option("shapes.voxel=0.004")] = None,
     print_defaults: Annotated[bool, print_settings("greenhouse_gym.build.scenes:BuildSettings")] = False,
     backend: Backend = None,
     workers: Workers = None,
@@ -158,7 +158,7 @@ def build(
         BuildSettings(reconstruction=needed.pop() if len(needed) == 1 else None), settings, assignments or ()
     )
     try:
-        with executor_of(backend, workers, address, len(opened)) as executor:
+        with executor_of(backend, workers, address, len(opened)) as executor, progress("building"):
             bank = build_bank(opened, out, name or out.resolve().name, settings=resolved, executor=executor)
     except KeyboardInterrupt:
         say(f"interrupted: finished parts are kept in {out}; repeat the command to resume")
@@ -175,14 +175,14 @@ def build_shipped(
     ] = None,
     finished_only: Annotated[bool, typer.Option("--finished-only", help="Only join the finished parts.")] = False,
 ) -> None:
-    """Build the shipped banks from simulated recordings: default, and mini for tests; resumes an interrupted build."""
+    """Build the shipped banks, default and mini, from simulated recordings; resumes an interrupted build."""
     from greenhouse_gym.build.shipped import build_shipped_banks, join_parts
     from greenhouse_gym.common import executors as parallel
 
     if finished_only:
         banks = join_parts(parts, out)
     else:
-        with parallel.processes(processes) as executor:
+        with parallel.processes(processes) as executor, progress("building"):
             banks = build_shipped_banks(out, parts, executor)
     for bank in banks:
         say(f"{bank.manifest.name}: {len(bank)} scenes in {bank.path}")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from greenhouse_gym.cli.options import Format, Out, RigFile
+from greenhouse_gym.cli.options import Format, Out, RigFile, whole_pair
 from greenhouse_gym.common.progress import progress, say
 
 if TYPE_CHECKING:
@@ -60,12 +60,12 @@ def import_(
     import.json (figures and verdict) and import.png (stations side by side).
     """
     from greenhouse_gym.capture import open_recording, write_recording
-    from greenhouse_gym.capture.image_files import encode_png
     from greenhouse_gym.capture.inspection import inspect_recording
     from greenhouse_gym.capture.recordings import INDEX
     from greenhouse_gym.capture.station_selection import choose_stations, select_stations
     from greenhouse_gym.common.files import write_atomically
     from greenhouse_gym.errors import FileFormatError
+    from greenhouse_gym.rendering.picture_files import write_picture
     from greenhouse_gym.reporting.pictures import contact_sheet
 
     if (out / INDEX).exists():
@@ -86,7 +86,7 @@ def import_(
     found = inspect_recording(open_recording(out))
     report = {"source": str(source), "notes": notes, **asdict(found)}
     write_atomically(out / "import.json", json.dumps(report, indent=1) + "\n")
-    write_atomically(out / "import.png", encode_png(contact_sheet(open_recording(out))))
+    write_picture(contact_sheet(open_recording(out)), out / "import.png")
     for line in (*notes, *found.verdict):
         say(line)
     say(f"{len(opened)} stations in {out}")
@@ -124,15 +124,15 @@ def calibrate(
             f"{rig} has no pose of {', '.join(new)}: without a board, all are needed, to a few degrees and cm"
         )
     if board:
-        across, _, down = squares.partition("x")
-        if not across.isdecimal() or not down.isdecimal():
-            raise InvalidValueError(f"--squares: expected columns and rows such as 8x6, got {squares!r}")
-        found = calibrate_from_boards(opened, opened.rig, Board(int(across), int(down), square, marker, dictionary))
+        across, down = whole_pair("--squares", squares, "8x6")
+        with progress("searching the board"):
+            found = calibrate_from_boards(opened, opened.rig, Board(across, down, square, marker, dictionary))
         mounting, turned, shifted = found.mounting, found.turned, found.shifted
         for name, pixels in found.residual.items():
             say(f"{name}: board seen {found.moments[name]} times, residual of corners {pixels:.2f} px")
     else:
-        mounting, turned, shifted, gap = calibrate_from_overlap(opened)
+        with progress("aligning the surfaces"):
+            mounting, turned, shifted, gap = calibrate_from_overlap(opened)
         say(f"median distance between the surfaces that two cameras see: {1e3 * gap:.2f} mm")
     for name in mounting.rig_from_camera:
         depth = mounting.depth_error.get(name, 0.0)

@@ -48,6 +48,8 @@ MAX_BYTES = MappingProxyType(
 )
 """Largest size of a file of each kind, bytes; larger files are refused before they are read."""
 
+_TEXTS = ("scene", "bank manifest", "recording index", "calibration", "trajectory", "settings", "leaderboard entry",
+          "record journal")  # fmt: skip
 _UNSAFE = re.compile(r'[/\\:*?"<>|\x00-\x1f\x7f\ud800-\udfff]')
 _MAX_NAME_BYTES = 200  # file systems allow 255, suffixes and temporary names take some
 
@@ -111,6 +113,8 @@ def inside(folder: str | Path, relative: str, named_in: object) -> Path:
 def read_bytes(path: str | Path, kind: str) -> bytes:
     """Return the content of a regular file no larger than the limit for its kind.
 
+    Texts are returned as UTF-8 without a byte order mark, which some editors write; UTF-16 with one is converted.
+
     Args:
         path: The file; pipes, devices and folders are refused before they are read.
         kind: A key of `MAX_BYTES`.
@@ -129,7 +133,16 @@ def read_bytes(path: str | Path, kind: str) -> bytes:
         raise FileFormatError(path, "cannot be read (not a regular file)")
     if not readable:
         raise FileFormatError(path, f"too large for a {kind}: {status.st_size} bytes, at most {MAX_BYTES[kind]}")
-    return content
+    return _as_utf8(path, content) if kind in _TEXTS else content
+
+
+def _as_utf8(path: str | Path, content: bytes) -> bytes:
+    if not content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return content.removeprefix(codecs.BOM_UTF8)
+    try:
+        return content.decode("utf-16").encode()
+    except UnicodeError as error:
+        raise FileFormatError(path, f"begins as UTF-16, but is no such text ({error})") from error
 
 
 def text_encoding(path: Path) -> str:

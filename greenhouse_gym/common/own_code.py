@@ -29,7 +29,7 @@ CLASS = "class"
 
 def is_own(choice: object) -> bool:
     """Return whether a setting names an object of the user's own code: a reference or the mapping of an instance."""
-    return isinstance(choice, Mapping) or (isinstance(choice, str) and ":" in choice)
+    return isinstance(choice, Mapping) or (isinstance(choice, str) and (":" in choice or choice.endswith(".py")))
 
 
 def with_absolute_path(choice: Any) -> Any:
@@ -127,6 +127,12 @@ def _reference_to(own: Any) -> str:
 
 
 def _load(reference: str, kind: str, is_candidate: Callable[[object], bool]) -> Any:
+    if reference.endswith(".py"):
+        loaded = _from_file(reference, kind)
+        own = [name for name, value in vars(loaded).items() if getattr(value, "__module__", "") == loaded.__name__]
+        names = [name for name in own if is_candidate(getattr(loaded, name))] or ["Name"]
+        examples = " or ".join(f"{reference}:{name}" for name in names)
+        raise InvalidValueError(f"{reference}: name the {kind} in this file as well, such as {examples}")
     module, _, attribute = reference.rpartition(":")
     if not module or not attribute.isidentifier():
         raise InvalidValueError(f'{kind}: expected "file.py:Name" or "module:Name", got {reference!r}')

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from greenhouse_gym.crops.plant_row import STEM_LINE, Palette, PlantRow
-from greenhouse_gym.errors import InvalidValueError, require_choice
+from greenhouse_gym.errors import InvalidValueError, check_whole, is_number, require_choice, require_seed
 
 
 class Growth(Protocol):
@@ -46,7 +46,7 @@ class PlantMotion:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if not (isinstance(value, int | float) and np.isfinite(value) and 0 <= value <= 1):
+            if not (is_number(value) and 0 <= value <= 1):
                 raise InvalidValueError(f"plant motion {name} must be a number from 0 to 1, got {value!r}")
 
 
@@ -96,10 +96,7 @@ class Crop:
         """
         if not (np.isfinite(length) and length > 0):
             raise InvalidValueError(f"length must be a positive number of metres, got {length!r}")
-        if week < 0:
-            raise InvalidValueError(f"week must be 0 or more, got {week!r}")
-        if seed < 0:
-            raise InvalidValueError(f"seed must be 0 or more, got {seed!r}")
+        week, seed = check_whole("week", week, 0), require_seed(seed)
         chosen = (
             next(iter(self.sources)) if source is None else require_choice("source of plants", source, self.sources)
         )

@@ -53,7 +53,7 @@ OBSERVATIONS: Mapping[str, Callable[[Robot, Task], ObservationSpec]] = {
 _OWN_SETTINGS = (DepthObservation, PointsObservation, RgbObservation)
 
 
-def make_task(choice: str | Task | type[Task], success_radius: float) -> Task:
+def make_task(choice: str | Task | type[Task] | Mapping[str, Any], success_radius: float) -> Task:
     """Return a task by name, by file or module, or as the user's own object.
 
     Args:
@@ -78,7 +78,7 @@ def make_task(choice: str | Task | type[Task], success_radius: float) -> Task:
     return task
 
 
-def make_observation(kind: ObservationChoice, robot: Robot, task: Task) -> ObservationSpec:
+def make_observation(kind: ObservationChoice | Mapping[str, Any], robot: Robot, task: Task) -> ObservationSpec:
     """Return an observation by name, with other settings, or the user's own.
 
     Raises:
@@ -94,7 +94,7 @@ def make_observation(kind: ObservationChoice, robot: Robot, task: Task) -> Obser
     return own if isinstance(own, ObservationSpec) and _is_ours(own) else _Checked(own)
 
 
-def make_action(kind: ActionChoice, robot: Robot, interval: float) -> ActionRule:
+def make_action(kind: ActionChoice | Mapping[str, Any], robot: Robot, interval: float) -> ActionRule:
     """Return a kind of action by name, or the user's own.
 
     Args:
@@ -112,7 +112,7 @@ def make_action(kind: ActionChoice, robot: Robot, interval: float) -> ActionRule
     return _CheckedAction(_made("action", kind, robot, interval), len(robot.joints))
 
 
-def make_reward(kind: str | Reward, task: Task) -> Reward:
+def make_reward(kind: str | Reward | Mapping[str, Any], task: Task) -> Reward:
     """Return a reward of the task by name, or the user's own.
 
     Raises:
@@ -209,6 +209,11 @@ class _CheckedAction:
         change = _array(self._name, self._own(action, state, motion), (len(action), self._joints))
         _check_finite(self._name, change)
         return change.astype(np.float64)
+
+
+def is_of_user(part: object) -> bool:
+    """Return whether an observation or an action is a user's, not one of the package."""
+    return isinstance(part, _Checked | _CheckedAction)
 
 
 class _CheckedReward:

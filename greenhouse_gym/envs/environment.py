@@ -18,7 +18,7 @@ from greenhouse_gym.envs.observations import Observed, select
 from greenhouse_gym.envs.rewards import StepResult
 from greenhouse_gym.envs.settings import EnvMixin, EnvSettings, settings_with
 from greenhouse_gym.envs.simulation import Simulation
-from greenhouse_gym.errors import EpisodeOverError, require_choice
+from greenhouse_gym.errors import EpisodeOverError, require_choice, require_seed
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.rendering.renderer import Viewpoint
 from greenhouse_gym.rendering.viewer import RENDER_MODES, Picture, Viewer, available_modes
@@ -228,6 +228,7 @@ class GreenhouseEnv(EnvMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observed, dict[str, Any]]:
         """Begin an episode; see the class for the options."""
+        seed = None if seed is None else require_seed(seed)
         super().reset(seed=seed)
         if seed is not None:
             self.simulation.sampler.restart(seed)

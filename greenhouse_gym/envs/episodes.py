@@ -132,7 +132,7 @@ class EpisodeSampler:
         self._cache: OrderedDict[tuple[int, tuple[str, ...]], tuple[Scene, list[Target]]] = OrderedDict()
         self.set_difficulty(difficulty)
         self._names = self.bank.names(split)
-        self._only = {} if scene is None else {"scene": self._scene(scene)}
+        self._only: dict[str, Any] = {} if scene is None else {"scene": self._scene(scene)}
         if scene is not None and target is not None:
             self._only["target"] = self._rate(self._scene(scene), target)[0]
         if not self._names and scene is None:

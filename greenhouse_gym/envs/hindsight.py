@@ -15,7 +15,7 @@ from greenhouse_gym.envs.task import GoalTask
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 
-Info = Mapping[str, Any] | Sequence[Mapping[str, Any]] | npt.NDArray[Any]
+Info = Mapping[str, Any] | Sequence[Mapping[str, Any]] | npt.NDArray[Any] | None
 
 
 class Relabeled(NamedTuple):
@@ -49,7 +49,10 @@ def relabel(
         InvalidValueError: An info lacks a key that the steps of a goal environment have.
     """
     reached, goals = (np.atleast_2d(np.asarray(points, dtype=np.float64)) for points in (achieved, desired))
-    infos = [info] if isinstance(info, Mapping) else list(info)
+    single = info is None or isinstance(info, Mapping)
+    infos: list[Any] = [info] if single else list(info)  # type: ignore[arg-type]
+    if not single and len(infos) != len(reached):
+        raise InvalidValueError(f"expected an info for each of {len(reached)} goals, got {len(infos)}")
 
     def from_info(key: str) -> npt.NDArray[Any]:
         try:

@@ -10,8 +10,9 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from greenhouse_gym.common.progress import progress
 from greenhouse_gym.envs.actions import CommandLimits, check_actions, squared_norm
-from greenhouse_gym.envs.choices import make_action, make_observation, make_reward, make_task, outcome_check
+from greenhouse_gym.envs.choices import is_of_user, make_action, make_observation, make_reward, make_task, outcome_check
 from greenhouse_gym.envs.contacts import NAME_SEPARATOR, NO_CONTACT, Contact, Contacts
 from greenhouse_gym.envs.episodes import Episode, EpisodeSampler
 from greenhouse_gym.envs.observations import Observed, check_goals
@@ -107,19 +108,25 @@ class Simulation:
         if self.state is None and len(ids) < self.count:
             self._current_state()
         required = self.observe.requires_occupancy
-        setups = [
-            draw_setup(self.task, self.sampler, self.worlds, self.randomization, required, rng[i], options[i])
-            for i in ids
-        ]
+        first = self.state is None and self.count > 1
+        setups = []
+        with progress("scenes prepared", len(ids), shown=first) as on_progress:
+            for i in ids:
+                setups.append(
+                    draw_setup(self.task, self.sampler, self.worlds, self.randomization, required, rng[i], options[i])
+                )
+                on_progress(len(setups))
         physics = self._physics
         if physics is None:
-            first = setups[0].world
-            physics = self._physics = Physics(self.count, first, self._threads, self._timing, self.task.ends_on)
+            world = setups[0].world
+            physics = self._physics = Physics(self.count, world, self._threads, self._timing, self.task.ends_on)
         for setup in setups:
             setup.world.check_fits(physics.models[0])
-        for i, setup in zip(ids.tolist(), setups, strict=True):
-            physics.load(i, setup.world, setup.episode.targets, setup.disturbance)
-            self._begin(i, setup)
+        with progress("simulations begun", len(ids), shown=first) as on_progress:
+            for done, (i, setup) in enumerate(zip(ids.tolist(), setups, strict=True), start=1):
+                physics.load(i, setup.world, setup.episode.targets, setup.disturbance)
+                self._begin(i, setup)
+                on_progress(done)
         contacts = physics.place(ids, np.array([setup.episode.start for setup in setups]))
         self._record_contacts(contacts)
         memory = {name: np.full(len(ids), value) for name, value in self.task.memory.items()}
@@ -149,7 +156,8 @@ class Simulation:
         before, physics, counts = self._current_state(), self._physics, self._counts
         action = check_actions(actions, self.count, self.action_rule.space)
         assert physics is not None
-        change = self.action_rule(action, before.known(self._hidden_goal), physics.motion(self._perception.heading))
+        shown = self._shown_to(self.action_rule, before)
+        change = self.action_rule(action, shown, physics.motion(self._perception.heading))
         command = self._limit(physics.command, change, physics.qpos)
         contacts = physics.advance(command.position)
         self._record_contacts(contacts)
@@ -205,7 +213,7 @@ class Simulation:
     def observation(self, ids: Ids | None = None) -> Observed:
         """Return observations of all or some simulations."""
         state = self._current_state()
-        return self.observe((state if ids is None else state.select(ids)).known(self._hidden_goal))
+        return self.observe(self._shown_to(self.observe, state if ids is None else state.select(ids)))
 
     def info(self, step: StepResult | None = None) -> dict[str, npt.NDArray[Any]]:
         """Return the info that `GreenhouseEnv` documents, without reward terms, as live arrays of length n.
@@ -288,6 +296,10 @@ class Simulation:
         data = mujoco.MjData(model)
         self._physics.copy_state(i, model, data)
         return model, data
+
+    def _shown_to(self, part: object, state: State) -> State:
+        """Return the state as an observation or action gets it; those of a user may not know all of it."""
+        return state.known(self._hidden_goal) if is_of_user(part) else state
 
     def _current_state(self) -> State:
         if self.state is None:

@@ -21,7 +21,14 @@ from greenhouse_gym.envs.rewards import StepResult
 from greenhouse_gym.envs.settings import EnvMixin, EnvSettings, settings_with
 from greenhouse_gym.envs.simulation import Simulation
 from greenhouse_gym.envs.state import Bools, Ids
-from greenhouse_gym.errors import EpisodeOverError, InvalidValueError, UnknownNameError, check_whole, require_choice
+from greenhouse_gym.errors import (
+    EpisodeOverError,
+    InvalidValueError,
+    UnknownNameError,
+    check_whole,
+    require_choice,
+    require_seed,
+)
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.rendering.renderer import Viewpoint
 from greenhouse_gym.rendering.viewer import RENDER_MODES, Picture, Viewer, available_modes
@@ -215,7 +222,7 @@ class GreenhouseVectorEnv(  # type: ignore[misc]
             seeds = list(seed)
         if len(seeds) != self.num_envs:
             raise InvalidValueError(f"expected {self.num_envs} seeds, got {len(seeds)}")
-        given = {int(i): seed for i in chosen if (seed := seeds[i]) is not None}
+        given = {int(i): require_seed(seed) for i in chosen if (seed := seeds[i]) is not None}
         for i, own in given.items():
             self._rngs[i], _ = seeding.np_random(own)
         if given:

@@ -110,7 +110,7 @@ class World:
         """Roadmaps of the scene as agents know it; a world with moved plants shares those of the world before."""
         if self.before is not None:
             return self.before.roadmaps
-        return SceneRoadmaps(compile_scene(self.scene, self.compiled.robot))
+        return SceneRoadmaps(compile_scene(self.scene, self.compiled.robot, capacity_for(self.scene.count)))
 
     @cached_property
     def used(self) -> int:

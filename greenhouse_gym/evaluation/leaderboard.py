@@ -17,7 +17,7 @@ from typing import Any
 from greenhouse_gym.agents import Agent
 from greenhouse_gym.common.executors import workers_of
 from greenhouse_gym.common.files import write_atomically
-from greenhouse_gym.common.tables import Table
+from greenhouse_gym.common.tables import Table, number
 from greenhouse_gym.crops.crop import PlantMotion
 from greenhouse_gym.envs import Randomization
 from greenhouse_gym.errors import InvalidValueError
@@ -117,19 +117,11 @@ def replay(entry: Entry, agent: Agent, track: str, episodes: int = 10) -> list[t
     return list(zip(before, now, strict=True))
 
 
-def leaderboard_table(entries: Sequence[Entry], protocol: Protocol = V1) -> str:
-    """Return a Markdown table of entries by track, best first.
-
-    Entries that follow another protocol or were made on another bank are listed below the table.
-
-    Args:
-        entries: The entries.
-        protocol: Protocol of the ranked entries.
-    """
-    heads = ["track", "agent", "episodes", "success [95 %]", "collision", "first motion ms", "action ms", "at once"]
+def leaderboard_rows(entries: Sequence[Entry], protocol: Protocol = V1) -> Table:
+    """Return a table of the entries that follow a protocol on the present bank, track by track, best first."""
+    heads = ["track", "agent", "episodes", "success [95 %]", "collision", "first ms", "action ms", "at once"]
     rows = []
-    proper = [entry for entry in entries if follows(entry, protocol)]
-    ranked = [entry for entry in proper if is_current(entry)]
+    ranked = [entry for entry in entries if follows(entry, protocol) and is_current(entry)]
     for track in TRACKS:
         here = [(entry, entry.evaluation(track)) for entry in ranked if track in entry.tracks]
         for entry, e in sorted(here, key=lambda pair: -pair[1].success_rate):
@@ -139,19 +131,30 @@ def leaderboard_table(entries: Sequence[Entry], protocol: Protocol = V1) -> str:
                     track,
                     entry.agent,
                     str(len(e.records)),
-                    f"{e.success_rate:.1%} [{low:.1%}, {high:.1%}]",
+                    f"{e.success_rate:.1%} [{100 * low:.1f}, {100 * high:.1f}]",
                     f"{e.collision_rate:.1%}",
-                    f"{1e3 * (e.median('planning_time') + e.median('action_time')):.1f}",
-                    f"{1e3 * e.median('action_time'):.2f}",
+                    number(1e3 * (e.median("planning_time") + e.median("action_time")), ".1f"),
+                    number(1e3 * e.median("action_time"), ".2f"),
                     entry.at_once(track),
-                    f"{e.median('steps', solved_only=True):.0f}",
+                    number(e.median("steps", solved_only=True), ".0f"),
                 ]
             )
-    table = Table([*heads, "steps"], rows, words=(0, 1)).as_markdown()
+    return Table([*heads, "steps"], rows, words=(0, 1))
+
+
+def leaderboard_notes(entries: Sequence[Entry], protocol: Protocol = V1) -> list[str]:
+    """Return notes on the entries that are not ranked: those of another bank, and those of another protocol."""
+    proper = [entry for entry in entries if follows(entry, protocol)]
     stale = [entry.agent for entry in proper if not is_current(entry)]
     trials = [entry.agent for entry in entries if not follows(entry, protocol)]
-    table += f"\nMade on an earlier bank, to be submitted again: {', '.join(stale)}.\n" if stale else ""
-    return table + (f"\nTrials that do not follow the current protocol: {', '.join(trials)}.\n" if trials else "")
+    notes = [f"Made on an earlier bank, to be submitted again: {', '.join(stale)}."] if stale else []
+    return [*notes, *([f"Trials that do not follow the current protocol: {', '.join(trials)}."] if trials else [])]
+
+
+def leaderboard_table(entries: Sequence[Entry], protocol: Protocol = V1) -> str:
+    """Return the table of `leaderboard_rows` as Markdown, with `leaderboard_notes` below it."""
+    notes = "".join(f"\n{note}\n" for note in leaderboard_notes(entries, protocol))
+    return leaderboard_rows(entries, protocol).as_markdown() + notes
 
 
 def _merged(path: Path, fresh: Entry) -> Entry:

@@ -11,9 +11,12 @@ from statistics import mean, median
 from typing import Any
 
 from greenhouse_gym.common.extras import needs
-from greenhouse_gym.common.tables import Table
+from greenhouse_gym.common.tables import Table, number
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.scene import DIFFICULTIES
+
+SIGNIFICANT = 0.05
+"""Probability of a difference by chance below which two agents count as different."""
 
 
 @dataclass(frozen=True)
@@ -183,7 +186,7 @@ class Pairing:
     p_value: float
 
     def __str__(self) -> str:
-        verdict = "differ" if self.p_value < 0.05 else "may be equally good"
+        verdict = "differ" if self.p_value < SIGNIFICANT else "may be equally good"
         return (
             f"{self.first} and {self.second} {verdict}: only the first succeeded in {self.only_first}, only the second "
             f"in {self.only_second} of {self.episodes} episodes, McNemar p = {self.p_value:.2g}"
@@ -207,6 +210,26 @@ def pairing(first: Evaluation, second: Evaluation) -> Pairing:
 
         p_value = float(binomtest(ours, ours + others).pvalue)
     return Pairing(first.agent, second.agent, len(both), ours, others, p_value)
+
+
+def differences(evaluations: Sequence[Evaluation]) -> str:
+    """Return one line on which agents differ by more than chance; empty for fewer than two agents with records."""
+    pairs = pairings(evaluations)
+    if len(pairs) < 2:
+        return "".join(map(str, pairs))
+    beaten: dict[str, list[str]] = {}
+    for pair in pairs:
+        if pair.p_value < SIGNIFICANT:
+            better, worse = pair.first, pair.second
+            if pair.only_second > pair.only_first:
+                better, worse = worse, better
+            beaten.setdefault(better, []).append(worse)
+    if not beaten:
+        return f"No two agents differ by more than chance (McNemar, smallest p = {min(p.p_value for p in pairs):.2g})"
+    found = "; ".join(f"{better} beats {', '.join(worse)}" for better, worse in beaten.items())
+    rest = len(pairs) - sum(map(len, beaten.values()))
+    others = "; other pairs may be equally good" if rest else ""
+    return f"By more than chance (McNemar, p < {SIGNIFICANT}): {found}{others}"
 
 
 def pairings(evaluations: Sequence[Evaluation]) -> list[Pairing]:
@@ -259,15 +282,15 @@ def comparison_rows(evaluations: Sequence[Evaluation]) -> Table:
             [
                 f"{e.agent} *" if e.rules else e.agent,
                 str(len(e.records)),
-                f"{e.success_rate:.1%} [{low:.1%}, {high:.1%}]",
-                *(f"{e.of(difficulty).success_rate:.1%}" for difficulty in difficulties),
-                f"{e.collision_rate:.1%}",
-                f"{e.median('planning_time'):.3f}",
-                f"{e.median('steps', solved_only=True):.0f}",
-                f"{e.median('joint_length', solved_only=True):.2f}",
-                f"{e.median('tip_length', solved_only=True):.2f}",
-                f"{1000 * e.median('clearance', solved_only=True):.1f}",
-                f"{e.median('roughness', solved_only=True):.4f}",
+                f"{e.success_rate:.1%} [{100 * low:.1f}, {100 * high:.1f}]" if e.records else "",
+                *(number(e.of(difficulty).success_rate, ".0%") for difficulty in difficulties),
+                number(e.collision_rate, ".1%"),
+                number(e.median("planning_time"), ".3f"),
+                number(e.median("steps", solved_only=True), ".0f"),
+                number(e.median("joint_length", solved_only=True), ".2f"),
+                number(e.median("tip_length", solved_only=True), ".2f"),
+                number(1000 * e.median("clearance", solved_only=True), ".1f"),
+                number(e.median("roughness", solved_only=True), ".4f"),
             ]
         )
     return Table(heads, rows)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 import reprlib
-import sys
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
@@ -15,12 +14,12 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
-from rich.progress import track
 
 from greenhouse_gym.agents import Agent
 from greenhouse_gym.agents.named import agent_of
 from greenhouse_gym.common.executors import completed, require_portable, workers_of
 from greenhouse_gym.common.own_code import described
+from greenhouse_gym.common.progress import progress as progress_of
 from greenhouse_gym.envs import EnvSettings, make_vec_env
 from greenhouse_gym.errors import InvalidValueError, require_seed
 from greenhouse_gym.evaluation.deadline import Deadline, printable
@@ -44,7 +43,7 @@ def evaluate(
     split: str = "test",
     episodes: int = 200,
     seed: int = 0,
-    progress: bool | None = None,
+    progress: bool = True,
     problems: Sequence[tuple[str, int]] | None = None,
     num_envs: int = 1,
     timeout: float | None = None,
@@ -64,7 +63,7 @@ def evaluate(
         episodes: Number of episodes.
         seed: Episode i has the seed ``seed + i``. With the same bank, split and difficulties, every agent gets the same
             scene and target.
-        progress: Show a progress bar; None shows it on a terminal only.
+        progress: Show the progress on standard error if the episodes take more than a few seconds.
         problems: Scene names and targets to run instead, one episode each, of any split and difficulty; ``episodes`` is
             then ignored.
         num_envs: Number of episodes run in parallel. Each runs a copy of the agent, unless the agent has ``act_many``.
@@ -87,14 +86,12 @@ def evaluate(
         if isinstance(number, bool) or not isinstance(number, (int, np.integer)) or number < 1:
             raise InvalidValueError(f"{name} must be a whole number from 1 up, got {number!r}")
     Deadline(timeout)  # raises before anything is run
-    agent = agent_of(agent)
-    require_seed(seed)
+    agent, seed, episodes, num_envs = agent_of(agent), require_seed(seed), int(episodes), int(num_envs)
     own = dict(agent.env_options)
     changed = changed_rules(agent.name, own, {**options, "split": split})
     chosen: list[dict[str, Any]] = [{}] * episodes
     if problems is not None:
         chosen = [{"scene": name, "target": k} for name, k in problems]
-    show = sys.stderr.isatty() if progress is None else progress
     ended = {} if journal is None else {k: record for k, record in journal.records.items() if k < len(chosen)}
     left = tuple((k, where) for k, where in enumerate(chosen) if k not in ended)
     choice = {key: own[key] for key in AGENTS_CHOICE if key in own}
@@ -102,10 +99,12 @@ def evaluate(
     whole = _Part(agent, left, seed, num_envs, timeout, keywords, proven=bool(ended))
     rules = shown_rules(changed)
     results = whole.records() if executor is None else _run_by(executor, whole)
-    for k, record in track(results if left else (), description=agent.name, disable=not show, total=len(left)):
-        ended[k] = replace(record, rules=rules)
-        if journal is not None:
-            journal.add(k, ended[k])
+    with progress_of(f"episodes of {agent.name}", len(chosen), progress) as on_progress:
+        for k, record in results if left else ():
+            ended[k] = replace(record, rules=rules)
+            if journal is not None:
+                journal.add(k, ended[k])
+            on_progress(len(ended))
     records = tuple(ended[k] for k in sorted(ended))
     if executor is not None and records and records[0].failure and not records[0].steps:
         if journal is not None:

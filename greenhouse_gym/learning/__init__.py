@@ -1,15 +1,39 @@
 """Training: PPO, imitation of a teacher before PPO, SAC with hindsight replay, checkpoints, and policy files."""
 
-from greenhouse_gym.learning.bc_then_ppo import FINE_TUNING, BcThenPpoSettings, train_bc_then_ppo
-from greenhouse_gym.learning.policies import load_into, save_policy
-from greenhouse_gym.learning.ppo import PpoSettings, load_ppo, train_ppo
-from greenhouse_gym.learning.ppo_sweep import sweep_ppo
-from greenhouse_gym.learning.sac import SacSettings, load_sac, train_sac
-from greenhouse_gym.learning.trained import TrainedAgent
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from greenhouse_gym.learning.bc_then_ppo import train_bc_then_ppo
+    from greenhouse_gym.learning.device_ppo import train_ppo_on_device
+    from greenhouse_gym.learning.policies import load_into, save_policy
+    from greenhouse_gym.learning.ppo import load_ppo, train_ppo
+    from greenhouse_gym.learning.ppo_sweep import sweep_ppo
+    from greenhouse_gym.learning.sac import load_sac, train_sac
+    from greenhouse_gym.learning.settings import (
+        FINE_TUNING,
+        BcThenPpoSettings,
+        DevicePpoSettings,
+        PpoSettings,
+        SacSettings,
+    )
+    from greenhouse_gym.learning.trained import TrainedAgent
+
+_MODULES = {
+    "bc_then_ppo": ("train_bc_then_ppo",),
+    "device_ppo": ("train_ppo_on_device",),
+    "policies": ("load_into", "save_policy"),
+    "ppo": ("load_ppo", "train_ppo"),
+    "ppo_sweep": ("sweep_ppo",),
+    "sac": ("load_sac", "train_sac"),
+    "settings": ("FINE_TUNING", "BcThenPpoSettings", "DevicePpoSettings", "PpoSettings", "SacSettings"),
+    "trained": ("TrainedAgent",),
+}
 
 __all__ = [
     "FINE_TUNING",
     "BcThenPpoSettings",
+    "DevicePpoSettings",
     "PpoSettings",
     "SacSettings",
     "TrainedAgent",
@@ -20,5 +44,14 @@ __all__ = [
     "sweep_ppo",
     "train_bc_then_ppo",
     "train_ppo",
+    "train_ppo_on_device",
     "train_sac",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is used: settings are checked before PyTorch is imported, which takes seconds."""
+    for module, names in _MODULES.items():
+        if name in names:
+            return getattr(import_module(f"{__name__}.{module}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -4,43 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from greenhouse_gym.common.files import exclusive
-from greenhouse_gym.common.setting_checks import check_numbers
 from greenhouse_gym.envs import make_vec_env
-from greenhouse_gym.learning.imitation import ImitationSettings, follow_waypoint, imitate
-from greenhouse_gym.learning.ppo import PpoSettings, train_ppo
+from greenhouse_gym.learning.imitation import follow_waypoint, imitate
+from greenhouse_gym.learning.ppo import train_ppo
+from greenhouse_gym.learning.settings import BcThenPpoSettings
 from greenhouse_gym.learning.training_run import as_json, check_start
 from greenhouse_gym.learning.variation import varied_bank
 from greenhouse_gym.scene import SceneBank
-
-FINE_TUNING = PpoSettings(
-    observation="roadmap", log_std=-2.5, learning_rate=5e-5, batch_size=4096, epochs=4, critic_rollouts=8
-)
-"""Settings of PPO for a policy that is already good: little noise, small steps, the critic first."""
-
-
-@dataclass(frozen=True)
-class BcThenPpoSettings:
-    """Settings of a training by imitation and PPO.
-
-    Attributes:
-        variations: Number of varied scenes to add to the bank's training scenes.
-        imitation: Settings of the imitation; with 0 steps it is skipped.
-        ppo: Settings of PPO and of the network; with 0 steps PPO is skipped.
-        from_rule: True to initialize the network as the rule that follows waypoints, False for random weights.
-    """
-
-    variations: int = 0
-    imitation: ImitationSettings = field(default_factory=ImitationSettings)
-    ppo: PpoSettings = FINE_TUNING
-    from_rule: bool = True
-
-    def __post_init__(self) -> None:
-        check_numbers(self)
 
 
 def train_bc_then_ppo(

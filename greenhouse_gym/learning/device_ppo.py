@@ -6,7 +6,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -18,8 +18,9 @@ from greenhouse_gym.common.extras import needs
 from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.common.progress import say
 from greenhouse_gym.envs.rewards import DenseReward
-from greenhouse_gym.envs.settings import EnvSettings, check_whole
-from greenhouse_gym.errors import InvalidValueError, require_seed
+from greenhouse_gym.envs.settings import EnvSettings
+from greenhouse_gym.errors import InvalidValueError, check_whole, require_seed
+from greenhouse_gym.learning.settings import DevicePpoSettings
 
 with needs("train"):
     import torch
@@ -34,56 +35,6 @@ COLUMNS = ("steps", "seconds", "success_rate", "collision_rate", "return", "leng
 _LOG_2PI = math.log(2 * math.pi)
 _LOWEST_RATE, _HIGHEST_RATE = 2e-5, 2e-3
 _SECONDS_BETWEEN_LINES = 10.0
-
-
-@dataclass(frozen=True)
-class DevicePpoSettings:
-    """Settings of a training by PPO on a device.
-
-    Attributes:
-        bank: Name or folder of the scene bank.
-        split: Split to train on.
-        robot: The arm.
-        action: "joint", "joint_velocity" or "tip_velocity".
-        difficulty: Difficulties of the targets.
-        device: "cpu" or "cuda".
-        total_steps: Steps of all simulations together.
-        num_envs: Number of simulations.
-        rollout_steps: Steps of each simulation between updates.
-        minibatches: Gradient steps per pass over a rollout.
-        epochs: Passes over a rollout.
-        learning_rate: Learning rate at the start. It follows the divergence of the policy from the one before the
-            update, and falls in the last quarter of the steps.
-        divergence: Desired Kullback-Leibler divergence.
-        discount: Discount of future rewards, per step.
-        gae_lambda: Lambda of the generalized advantage estimate.
-        clip_range: Largest deviation of the probability ratio from 1.
-        collision: Reward for a collision; the other terms are those of `DenseReward`.
-        log_std: Initial logarithm of the standard deviation of the action noise.
-        hidden: Sizes of the hidden layers of actor and critic.
-        seed: Seed of episodes, weights and noise.
-    """
-
-    bank: str = "default"
-    split: str = "train"
-    robot: str = "ur5e"
-    action: str = "joint"
-    difficulty: tuple[str, ...] = ("easy", "medium", "hard")
-    device: str = "cpu"
-    total_steps: int = 100_000_000
-    num_envs: int = 4096
-    rollout_steps: int = 24
-    minibatches: int = 8
-    epochs: int = 4
-    learning_rate: float = 5e-4
-    divergence: float = 0.012
-    discount: float = 0.99
-    gae_lambda: float = 0.95
-    clip_range: float = 0.2
-    collision: float = -5.0
-    log_std: float = -0.5
-    hidden: tuple[int, ...] = (256, 256)
-    seed: int = 0
 
 
 def train_ppo_on_device(
@@ -165,7 +116,7 @@ class DevicePpo:
             settings.num_envs,
             EnvSettings(
                 settings.bank, settings.split, settings.robot, action=settings.action, difficulty=settings.difficulty,
-                reward=DenseReward(collision=settings.collision),
+                reward=DenseReward(collision=settings.collision), scene=settings.scene, target=settings.target,
             ),
             device=settings.device, arrays="torch",
         )  # fmt: skip

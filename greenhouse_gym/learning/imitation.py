@@ -4,53 +4,22 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from greenhouse_gym.agents.agent import action_towards
-from greenhouse_gym.common.setting_checks import Fraction, PositiveCount, check_numbers
 from greenhouse_gym.envs import GreenhouseVectorEnv
 from greenhouse_gym.envs.observations import Observed
 from greenhouse_gym.envs.simulation import Simulation
-from greenhouse_gym.errors import InvalidValueError, MissingDependencyError
+from greenhouse_gym.errors import InvalidValueError, MissingDependencyError, require_seed
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.learning.training_settings import Rate, Simulations
+from greenhouse_gym.learning.settings import ImitationSettings
 
 try:
     import torch
 except ImportError as error:  # pragma: no cover - depends on the installation
     raise MissingDependencyError("torch", "train") from error
-
-
-@dataclass(frozen=True)
-class ImitationSettings:
-    """Settings of an imitation.
-
-    Attributes:
-        steps: Labeled steps of all simulations together.
-        num_envs: Number of simulations.
-        round_steps: Steps of each simulation between two trainings.
-        beta_fraction: Fraction of the steps over which DAgger's beta, the probability that the teacher acts in an
-            episode, falls from one to zero.
-        noise: Standard deviation of the noise on the actions taken; labels have none.
-        passes: Average number of times that training uses a label.
-        batch_size: Labels per gradient step.
-        learning_rate: Learning rate at the start; it falls to a tenth.
-    """
-
-    steps: int = 200_000
-    num_envs: Simulations = 64
-    round_steps: PositiveCount = 50
-    beta_fraction: Fraction = 0.3
-    noise: float = 0.1
-    passes: int = 24
-    batch_size: PositiveCount = 1024
-    learning_rate: Rate = 1e-3
-
-    def __post_init__(self) -> None:
-        check_numbers(self)
 
 
 def roadmap_labels(simulation: Simulation) -> Array:
@@ -120,6 +89,7 @@ def imitate(
         seed: Seed of episodes and noise.
         on_progress: Called with the steps so far and figures after each round.
     """
+    seed = require_seed(seed)
     rng = np.random.default_rng(seed)
     torch.manual_seed(seed)
     parameters = [*policy.mlp_extractor.policy_net.parameters(), *policy.action_net.parameters()]

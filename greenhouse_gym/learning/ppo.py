@@ -3,27 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from pydantic import Field
 
 from greenhouse_gym.common.extras import needs
-from greenhouse_gym.common.setting_checks import Fraction, PositiveCount
 from greenhouse_gym.envs.episodes import EpisodeSampler
-from greenhouse_gym.errors import InvalidValueError, require_choice
+from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.learning.sb3 import make_sb3_vec_env
+from greenhouse_gym.learning.settings import PpoSettings
 from greenhouse_gym.learning.training_settings import (
-    Choice,
-    Layers,
-    Rate,
-    SceneChoice,
-    Seed,
-    Simulations,
-    Threads,
-    check_settings,
     env_options,
 )
 from greenhouse_gym.robots import get_robot
@@ -46,85 +37,10 @@ with needs("train"):
         training_in,
     )
 
-ACTIVATIONS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
-"""Activation functions by name."""
+_ACTIVATIONS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
 
 VALIDATION_SPLIT = "validation"
 """Split whose rows are not trained on."""
-
-
-@dataclass(frozen=True)
-class PpoSettings:
-    """Settings of a training by PPO.
-
-    Attributes:
-        bank: Name or folder of the scene bank.
-        split: Split to train on.
-        sources: Sources of the rows to train on, such as "own" or "helios"; all if empty.
-        robot: The arm.
-        observation: Observation of the environment, by name or your own; "roadmap" has a planner in it.
-        action: Action of the environment, by name or your own.
-        reward: Reward of the environment, by name or your own; "path" has a planner in it.
-        task: Task of the environment, by name or your own.
-        difficulty: Difficulties of the targets.
-        scene: Name of the only scene to train on; all scenes of the split if None.
-        target: Index of its only tomato to train on; needs a scene.
-        total_steps: Steps of all simulations together.
-        num_envs: Number of simulations.
-        rollout_steps: Steps of each simulation between updates.
-        batch_size: Samples per gradient step.
-        epochs: Passes over a rollout.
-        learning_rate: Learning rate at the start; it falls linearly to zero.
-        discount: Discount of future rewards, per step.
-        gae_lambda: Lambda of the generalized advantage estimate.
-        clip_range: Largest deviation of the probability ratio from 1.
-        log_std: Initial logarithm of the standard deviation of the action noise.
-        hidden: Sizes of the hidden layers of actor and critic.
-        activation: Activation function between the layers, "tanh" or "relu".
-        critic_rollouts: Rollouts at the beginning that train the critic alone, so that an untrained critic does not
-            spoil a policy that is already good.
-        validation_steps: Steps between validations: episodes on rows not trained on, without the policy's noise; 0 for
-            none.
-        validation_episodes: Episodes of each validation, the same ones every time.
-        seed: Seed of scenes, weights and noise.
-        threads: Threads of the simulation; 0 uses all cores. The network has one: on a busy machine, more threads
-            mostly wait for each other.
-    """
-
-    bank: str = "default"
-    split: str = "train"
-    sources: tuple[str, ...] = ()
-    robot: str = "ur5e"
-    observation: Choice = "state"
-    action: Choice = "joint"
-    reward: Choice = "dense"
-    task: Choice = "reach"
-    difficulty: str | tuple[str, ...] | dict[str, float] = ("easy", "medium", "hard")
-    scene: SceneChoice = None
-    target: int | None = None
-    total_steps: Annotated[int, Field(ge=-(2**63))] = 2_000_000
-    num_envs: Simulations = 128
-    rollout_steps: PositiveCount = 64
-    batch_size: Annotated[int, Field(ge=2)] = 2048
-    epochs: PositiveCount = 6
-    learning_rate: Rate = 5e-4
-    discount: Fraction = 0.99
-    gae_lambda: Fraction = 0.95
-    clip_range: Rate = 0.2
-    log_std: Annotated[float, Field(ge=-20, le=2, allow_inf_nan=False)] = -1.0
-    hidden: Layers = (256, 256)
-    activation: str = "relu"
-    critic_rollouts: int = 0
-    validation_steps: int = 0
-    validation_episodes: PositiveCount = 100
-    seed: Seed = 0
-    threads: Threads = 0
-
-    def __post_init__(self) -> None:
-        check_settings(self)
-        require_choice("activation", self.activation, ACTIVATIONS)
-        if self.rollout_steps * self.num_envs < 2:
-            raise InvalidValueError("rollout_steps times num_envs must be at least 2, got 1")
 
 
 def train_ppo(
@@ -240,7 +156,7 @@ def make_ppo(settings: PpoSettings, env: Any) -> Any:
             clip_range=settings.clip_range,
             policy_kwargs={
                 "net_arch": list(settings.hidden),
-                "activation_fn": ACTIVATIONS[settings.activation],
+                "activation_fn": _ACTIVATIONS[settings.activation],
                 "log_std_init": settings.log_std,
                 **features,
             },

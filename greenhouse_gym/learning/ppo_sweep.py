@@ -18,7 +18,8 @@ from greenhouse_gym.common.executors import RayExecutor, WorkerLostError, comple
 from greenhouse_gym.common.files import exclusive, write_atomically
 from greenhouse_gym.common.settings_files import replaced
 from greenhouse_gym.errors import GreenhouseError, InvalidValueError
-from greenhouse_gym.learning.ppo import PpoSettings, train_ppo
+from greenhouse_gym.learning.ppo import train_ppo
+from greenhouse_gym.learning.settings import PpoSettings
 from greenhouse_gym.learning.training_files import CHECKPOINT, CURVE, read_curve
 
 Row = dict[str, Any]

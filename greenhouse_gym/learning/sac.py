@@ -2,28 +2,17 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
-
-from pydantic import Field
+from typing import Any
 
 from greenhouse_gym.common.extras import needs
-from greenhouse_gym.common.setting_checks import Count, Fraction, PositiveCount
 from greenhouse_gym.envs import EnvSettings
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.learning.sb3 import make_sb3_vec_env
+from greenhouse_gym.learning.settings import SacSettings
 from greenhouse_gym.learning.training_settings import (
-    Choice,
-    Layers,
-    Rate,
-    SceneChoice,
-    Seed,
-    Simulations,
-    Threads,
-    check_settings,
     env_options,
 )
 
@@ -44,81 +33,6 @@ with needs("train"):
         making_model,
         training_in,
     )
-
-
-@dataclass(frozen=True)
-class SacSettings:
-    """Settings of a training by SAC.
-
-    Attributes:
-        bank: Name or folder of the scene bank; its training split is trained on.
-        robot: The arm.
-        difficulty: Difficulties of the targets.
-        observation: "goal", or "goal_roadmap", which adds the next waypoint of a collision-free path, or your own with
-            goals.
-        action: Action of the environment, by name or your own.
-        reward: "dense", "sparse" or your own. With the sparse one a collision costs what a success pays, so arms that
-            still collide often learn to keep away from the plants; it learned little.
-        task: Task of the environment, by name or your own; one with goals.
-        scene: Name of the only scene to train on; all scenes of the split if None.
-        target: Index of its only tomato to train on; needs a scene.
-        num_envs: Number of simulations.
-        updates_per_step: Gradient steps per step of all simulations.
-        batch_size: Transitions per gradient step.
-        learning_rate: Learning rate of actor, critics and entropy coefficient.
-        discount: Discount of future rewards, per step.
-        target_rate: Fraction by which the target critics move towards the critics per gradient step.
-        entropy_coefficient: Initial value; it adapts. With a much higher one, acting at random pays more than a
-            success, which ends the episode.
-        hindsight_goals: Transitions with a goal in hindsight per real one.
-        memory: Number of transitions in the replay buffer.
-        random_steps: Steps with random actions before the first gradient step; at least one episode per simulation.
-        guided: True to follow the waypoint in these steps instead, exactly in the first simulation and with most noise
-            in the last, and to constrain the actor towards that rule.
-        guide_weight: Weight of that constraint against the critics; see `GuidedSAC`.
-        total_steps: Steps of all simulations together.
-        validation_steps: Steps between validations on rows that are trained on and on rows that are not, without the
-            policy's noise.
-        validation_episodes: Episodes of each validation and split, the same ones every time.
-        hidden: Sizes of the hidden layers of actor and critics.
-        seed: Seed of scenes, weights and noise.
-        threads: Threads of the simulation; 0 uses all cores. The network has one: on a busy machine, more threads
-            mostly wait for each other.
-    """
-
-    bank: str = "mini"
-    robot: str = "ur5e"
-    difficulty: str | tuple[str, ...] | dict[str, float] = ("easy",)
-    observation: Choice = "goal"
-    action: Choice = "joint"
-    reward: Choice = "dense"
-    task: Choice = "reach"
-    scene: SceneChoice = None
-    target: int | None = None
-    num_envs: Simulations = 32
-    updates_per_step: PositiveCount = 8
-    batch_size: PositiveCount = 256
-    learning_rate: Rate = 1e-3
-    discount: Fraction = 0.97
-    target_rate: Fraction = 0.02
-    entropy_coefficient: Rate = 0.05
-    hindsight_goals: Count = 2
-    memory: PositiveCount = 400_000
-    random_steps: int = 6_600
-    guided: bool = False
-    guide_weight: float = 2.0
-    total_steps: PositiveCount = 1_000_000
-    validation_steps: int = 20_000
-    validation_episodes: Annotated[int, Field(ge=1, le=1 << 16)] = 100
-    hidden: Layers = (256, 256)
-    seed: Seed = 0
-    threads: Threads = 0
-
-    def __post_init__(self) -> None:
-        weight = self.guide_weight
-        if not isinstance(weight, float | int) or not 0 <= weight <= sys.float_info.max:
-            raise InvalidValueError(f"guide_weight must be a finite number from 0 on, got {weight!r}")
-        check_settings(self)
 
 
 def make_sac(settings: SacSettings) -> Any:

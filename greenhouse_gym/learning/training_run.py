@@ -5,19 +5,20 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import fields
+from numbers import Real
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TimeRemainingColumn
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
 
 from greenhouse_gym.common.files import exclusive, write_atomically
 from greenhouse_gym.common.own_code import described
+from greenhouse_gym.common.progress import progress
+from greenhouse_gym.common.progress import report as say
 from greenhouse_gym.errors import FileWriteError, GreenhouseError, InvalidValueError
 from greenhouse_gym.evaluation import Evaluation, evaluate
 from greenhouse_gym.learning.policies import fits_policy_file, save_policy
@@ -45,8 +46,6 @@ COLUMNS = ("steps", "seconds", "success_rate", "collision_rate", "return", "leng
 
 VALIDATION_SEED = 10_000
 """Seed of the first validation episode."""
-
-_PRINT_SECONDS = 20.0  # between two printed lines where there is no progress bar
 
 
 class Validation(NamedTuple):
@@ -122,22 +121,14 @@ class TrainingReport(BaseCallback):  # type: ignore[misc]
         )
         self.last_step = done
         self.seconds_before = max((rows[-1]["seconds"] for rows in (self.rows, self.validations) if rows), default=0.0)
-        self.began = self.saved = self.printed = time.monotonic()
+        self.began = self.saved = time.monotonic()
         self.episodes: list[list[dict[str, Any]]] = [[]]
-        self.console = Console(stderr=True)
-        self.progress = Progress(
-            "training", BarColumn(), "{task.completed:,.0f} steps", TimeRemainingColumn(), "{task.fields[note]}",
-            console=self.console,
-        )  # fmt: skip
-        self.task = self.progress.add_task("", total=settings["total_steps"], note="")
-        if self.console.is_terminal:
-            self.progress.start()
-
-    def say(self, text: str) -> None:
-        """Print a line, above the progress bar if there is one."""
-        self.console.print(text, highlight=False)
+        self.note = ""
+        self.display = ExitStack()
+        self.show = self.display.enter_context(progress("steps of training", settings["total_steps"]))
 
     def _on_step(self) -> bool:
+        self.show(self.num_timesteps, self.note)
         for info in self.locals["infos"]:
             if "episode" in info:
                 self.episodes[-1].append(info)
@@ -175,12 +166,8 @@ class TrainingReport(BaseCallback):  # type: ignore[misc]
             "length": _mean([info["episode"]["l"] for info in infos]),
         }
         self.rows.append(row)
-        note = f"success {row['success_rate']:.0%}, collision {row['collision_rate']:.0%}"
-        if self.console.is_terminal:
-            self.progress.update(self.task, completed=self.num_timesteps, note=note)
-        elif time.monotonic() - self.printed > _PRINT_SECONDS:
-            self.printed = time.monotonic()
-            self.say(f"{self.num_timesteps:,} steps, {row['seconds']:.0f} s: {note}, return {row['return']:.2f}")
+        if infos:
+            self.note = f"success {row['success_rate']:.0%}, collision {row['collision_rate']:.0%}"
         self.on_progress(row)
         if has_diverged(self.model):
             self.save()
@@ -198,7 +185,7 @@ class TrainingReport(BaseCallback):  # type: ignore[misc]
         for name in list(row)[3:]:
             self.logger.record(f"validation/{name}", row[name])
         write_curve(self.out / VALIDATION, list(row), self.validations)
-        self.say(str(validation))
+        say(str(validation))
         self.on_validation(validation)
 
     def save(self) -> None:
@@ -224,7 +211,7 @@ class TrainingReport(BaseCallback):  # type: ignore[misc]
 
     def close(self) -> None:
         """Stop the progress display and close the log."""
-        self.progress.stop()
+        self.display.close()
         self.model.logger.close()
 
 
@@ -252,7 +239,7 @@ def check_start(
         InvalidValueError: Besides, a limit is not a number of seconds.
     """
     for name, value in (("time_limit", time_limit), ("checkpoint_seconds", checkpoint_seconds)):
-        number = isinstance(value, int | float) and not isinstance(value, bool)
+        number = isinstance(value, Real) and not isinstance(value, bool)
         if value is not None and not (number and value >= 0):
             raise InvalidValueError(f"{name} must be seconds from 0 up, got {value!r}")
     check_folder(out / CHECKPOINT, lambda: read_notes(out)["settings"], settings, "total_steps", resume)
@@ -325,7 +312,7 @@ def learn(model: Any, report: TrainingReport, resume: bool, callbacks: Sequence[
         report.save()
     except KeyboardInterrupt:
         report.save()
-        report.say(f"interrupted after {model.num_timesteps} steps; resume to continue from here")
+        say(f"interrupted after {model.num_timesteps} steps; resume to continue from here")
         report.save_policy()
         raise
     except Exception:

@@ -140,8 +140,15 @@ def smallest_clearance(compiled: CompiledScene, model: mujoco.MjModel, target: i
     set_margin(model, np.arange(compiled.obstacle_geoms.start, compiled.obstacle_geoms.stop), CLEARANCE_RANGE)
     _leave_out(compiled, model, ("fixture", "self"))
     model.geom_contype[compiled.tomato_geom(target)] = model.geom_conaffinity[compiled.tomato_geom(target)] = 0
-    checker = CollisionChecker(model)
-    return min(CLEARANCE_RANGE, *(checker.clearance(configuration) for configuration in configurations))
+    checker, smallest, safe = CollisionChecker(model), CLEARANCE_RANGE, 0.0
+    moved = np.abs(np.diff(configurations, axis=0, prepend=configurations[:1])) @ arm_reaches(compiled.robot)
+    for configuration, motion in zip(configurations, moved.tolist(), strict=True):
+        safe -= motion  # no point has moved farther
+        if safe <= 0:
+            clearance = min(CLEARANCE_RANGE, checker.clearance(configuration))
+            smallest = min(smallest, clearance)
+            safe = clearance - max(smallest, 0.0)
+    return smallest
 
 
 def set_margin(model: mujoco.MjModel, geoms: npt.NDArray[np.int64], margin: float) -> None:
@@ -245,11 +252,10 @@ class CollisionChecker:
         self._collide(configuration)
         return float(self._data.contact.dist.min(initial=np.inf))
 
-    def contacts(self, configuration: npt.ArrayLike) -> tuple[tuple[str, str], ...]:
-        """Return the names of the pairs of geoms in contact, or within the model's margin, in a configuration."""
+    def contacts(self, configuration: npt.ArrayLike) -> list[tuple[int, int]]:
+        """Return the pairs of geoms in contact, or within the model's margin, in a configuration."""
         self._collide(configuration)
-        pairs = self._data.contact.geom
-        return tuple((self.model.geom(int(a)).name, self.model.geom(int(b)).name) for a, b in pairs)
+        return [(int(a), int(b)) for a, b in self._data.contact.geom]
 
 
 @lru_cache(maxsize=4096)

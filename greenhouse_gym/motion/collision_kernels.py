@@ -246,7 +246,7 @@ def _frames(joints, q, frames):
 
 
 @inlined
-def _touches(joints, capsules, pairs, geoms, nodes, planes, q, frames, ends, stack):
+def _in_contact(joints, capsules, pairs, geoms, nodes, planes, q, frames, ends, stack):
     """Return whether a configuration is in collision; the last three arguments are memory."""
     _frames(joints, q, frames)
     for k in range(len(capsules)):
@@ -303,7 +303,7 @@ def first_contact(
     """Return the index of the first of some configurations (k, n) that is in collision, or -1."""
     frames, ends, stack = np.empty((len(joints), 18)), np.empty((len(capsules), 6)), np.empty(_STACK, np.int64)
     for k in range(len(configurations)):
-        if _touches(joints, capsules, pairs, geoms, nodes, planes, configurations[k], frames, ends, stack):
+        if _in_contact(joints, capsules, pairs, geoms, nodes, planes, configurations[k], frames, ends, stack):
             return k
     return -1
 
@@ -322,7 +322,7 @@ def contacts(
     """Write which of some configurations (k, n) are in collision, (k,)."""
     frames, ends, stack = np.empty((len(joints), 18)), np.empty((len(capsules), 6)), np.empty(_STACK, np.int64)
     for k in range(len(configurations)):
-        touching[k] = _touches(joints, capsules, pairs, geoms, nodes, planes, configurations[k], frames, ends, stack)
+        touching[k] = _in_contact(joints, capsules, pairs, geoms, nodes, planes, configurations[k], frames, ends, stack)
 
 
 @kernel(f"i8({_WORLD}, f8[::1], f8[::1], i8)")
@@ -340,7 +340,7 @@ def contact_along(
     """Check the inner points of a straight motion from a configuration, in `collision.halving_order`.
 
     Returns:
-        The number of checks up to the first collision; 0 if there is none.
+        Number of checks up to the first collision, or 0 without a collision.
     """
     frames, ends, stack = np.empty((len(joints), 18)), np.empty((len(capsules), 6)), np.empty(_STACK, np.int64)
     q, checks, bits = np.empty(len(start)), 0, 0
@@ -355,7 +355,7 @@ def contact_along(
             for j in range(len(q)):
                 q[j] = start[j] + fraction * motion[j]
             checks += 1
-            if _touches(joints, capsules, pairs, geoms, nodes, planes, q, frames, ends, stack):
+            if _in_contact(joints, capsules, pairs, geoms, nodes, planes, q, frames, ends, stack):
                 return checks
     return 0
 

@@ -75,7 +75,8 @@ def inverse_kinematics(
     q, done = np.array(guesses, dtype=np.float64, order="C"), np.empty(len(guesses), dtype=np.bool_)
     cone = np.array([0.0, 0.0, 0.0, -1.0] if approach is None else [*approach.direction, approach.half_angle])
     tried = bring_onto(
-        chain.table, chain.offsets[-1, :3].reshape(12), np.array(point, dtype=np.float64), cone, arm.lower, arm.upper,
-        np.array([ahead, TOLERANCE, _STEP, threshold]), np.array([_DAMPING, _TURN]), _ITERATIONS, q, done,
+        chain.table, chain.offsets[-1, :3].reshape(12), np.array(point, dtype=np.float64), cone, arm.lower.copy(),
+        arm.upper.copy(), np.array([ahead, TOLERANCE, _STEP, threshold]), np.array([_DAMPING, _TURN]), _ITERATIONS, q,
+        done,
     )  # fmt: skip
     return q[done], tried

@@ -22,7 +22,7 @@ from greenhouse_gym.motion.path import along_path
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.robots.kinematics import Chain, tool_chain, tool_state
 from greenhouse_gym.scene import Scene
-from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
+from greenhouse_gym.scene.mjcf import MAX_CAPACITY, CompiledScene, compile_scene
 from greenhouse_gym.scene.occupancy import (
     REACH,
     UNKNOWN,
@@ -39,6 +39,7 @@ UNKNOWN_RULES = ("free", "avoid", "forbid")
 DEPTHS = (0.0, 0.1, 0.15, 0.2, float("inf"))
 """Depths in unknown space that "avoid" tries in turn, metres; the last one is no limit."""
 
+_SLOTS = 100  # scenes of similar size share the model whose slots they fill
 _RESOLUTION = 0.02  # metres, at which the length of a path in unknown space is measured
 
 
@@ -134,10 +135,10 @@ class ByIdentity:
 @lru_cache(maxsize=16)
 def _guarded(key: ByIdentity, robot: Robot, start: tuple[float, ...], depth: float) -> CompiledScene:
     scene = key.scene
-    if np.isinf(depth):
-        return compile_scene(scene, robot)
-    boxes = unknown_boxes(scene, robot, start, depth)
-    return compile_scene(scene.model_copy(update={"clutter": (*scene.clutter, *boxes)}), robot)
+    if not np.isinf(depth):
+        boxes = unknown_boxes(scene, robot, start, depth)
+        scene = scene.model_copy(update={"clutter": (*scene.clutter, *boxes)})
+    return compile_scene(scene, robot, min(max(1, -_SLOTS * (-scene.count // _SLOTS)), MAX_CAPACITY))
 
 
 @lru_cache(maxsize=4)

@@ -22,9 +22,10 @@ import numpy as np
 
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, require_seed
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.motion.collision import COARSE, PROOF, CollisionChecker, path_clearance, planning_model
+from greenhouse_gym.motion.collision import PROOF, CollisionChecker, path_clearance, planning_model
 from greenhouse_gym.motion.goals import search_goals
 from greenhouse_gym.motion.joint_reaches import arm_reaches
+from greenhouse_gym.motion.kernel_checker import search_checker
 from greenhouse_gym.motion.proof import ProvingChecker
 from greenhouse_gym.motion.unknown_space import depths_of, guarded, unknown_lengths
 from greenhouse_gym.planning.own_planners import PlannerFailedError
@@ -182,9 +183,9 @@ class _Rating:
 
 def _straight(checker: CollisionChecker, robot: Robot, goals: Array) -> _Rating | None:
     """Rate by the shortest free straight motion to a goal; None without one."""
-    start = robot.rating_start
+    start, search = robot.rating_start, search_checker(checker.model, checker.reaches)
     for goal in sorted(goals, key=lambda end: float(np.linalg.norm(end - start))):
-        if checker.motion_is_free(start, goal, COARSE):
+        if search.motion_is_free(start, goal, PROOF):
             path = _rounded(robot, np.stack([start, goal]))
             if checker.path_is_free(path, PROOF):
                 return _Rating("easy", path)
@@ -299,4 +300,4 @@ def _start_contacts(compiled: CompiledScene) -> str:
     if not compiled.scene.tomatoes:
         return ""
     contacts = CollisionChecker(planning_model(compiled, 0)).contacts(compiled.robot.rating_start)
-    return ", ".join(f"{a} with {b}" for a, b in contacts[:1])
+    return ", ".join(f"{compiled.geom_name(a)} with {compiled.geom_name(b)}" for a, b in contacts[:1])

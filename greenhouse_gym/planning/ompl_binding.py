@@ -89,7 +89,7 @@ def planner_parameters(ompl: Ompl, name: str) -> dict[str, Parameter]:
 
 def set_seed(ompl: Ompl, seed: int) -> None:
     """Seed OMPL's random numbers; call this before any of its objects is made."""
-    ompl.util.RNG.setSeed(seed % (2**31) + 1)  # 0 is not allowed
+    ompl.util.RNG.setSeed(int(seed) % (2**31) + 1)  # 0 is not allowed
 
 
 class OmplProblem:

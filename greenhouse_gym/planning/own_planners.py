@@ -18,8 +18,8 @@ import numpy.typing as npt
 from greenhouse_gym.errors import GreenhouseError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.collision import PROOF
+from greenhouse_gym.motion.kernel_checker import search_checker
 from greenhouse_gym.motion.path import path_length
-from greenhouse_gym.motion.proof import ProvingChecker
 from greenhouse_gym.planning.worker import PlannerAnswer, PlannerQuery
 
 
@@ -51,7 +51,7 @@ class PlanningProblem:
         self.first_solution = not query.optimizing
         self.best: Array | None = None
         self.costs: list[tuple[float, float]] = []
-        self._checker = ProvingChecker(query.model, query.reaches)
+        self._checker = search_checker(query.model, query.reaches)
         self._max_checks = math.inf if query.max_checks is None else query.max_checks
         self._began = time.perf_counter()
         self._deadline = self._began + query.time_limit

@@ -6,6 +6,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from greenhouse_gym.errors import InvalidValueError, require_choice
 
 Value = bool | int | float
@@ -38,6 +40,7 @@ class Parameter:
 
     def allows(self, value: object) -> bool:
         """Return whether a value is valid; the default always is."""
+        value = value.item() if isinstance(value, np.generic) else value
         if self.default is None:
             return isinstance(value, Value)
         if isinstance(self.default, bool) or isinstance(value, bool):

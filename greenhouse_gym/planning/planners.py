@@ -12,6 +12,8 @@ from importlib.util import find_spec
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+
 from greenhouse_gym.errors import InvalidValueError, UnknownNameError
 from greenhouse_gym.planning.own_planners import Solve
 from greenhouse_gym.planning.parameters import Parameter, Value, require_valid
@@ -69,6 +71,7 @@ class PlannerInfo:
         """
         if not isinstance(values, Mapping):
             raise InvalidValueError(f"{self.name}: settings must map names to values, got {values!r}")
+        values = {name: value.item() if isinstance(value, np.generic) else value for name, value in values.items()}
         if values:
             require_valid(self.name, values, self.parameters)
         return {**self.settings, **values}

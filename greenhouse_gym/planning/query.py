@@ -24,6 +24,7 @@ from greenhouse_gym.motion.collision import (
 )
 from greenhouse_gym.motion.goals import Goals, sample_budget, search_goals
 from greenhouse_gym.motion.path import path_length
+from greenhouse_gym.motion.proof import ProvingChecker
 from greenhouse_gym.motion.unknown_space import depths_of, guarded, occupancy_of, unknown_length
 from greenhouse_gym.planning.own_planners import PlannerFailedError, run_own_planner
 from greenhouse_gym.planning.parameters import Value
@@ -43,6 +44,7 @@ from greenhouse_gym.scene.mjcf import CompiledScene
 
 _POOL = 240  # goal configurations, from which those outside unknown space are chosen
 _FRACTION = 1 / 8  # of the remaining time and checks, for each attempt to avoid unknown space except the last
+_SLACK = 5.0  # seconds: time of a planner that is to be ended by its checks, apart from these
 _SLOWEST = 0.001  # seconds: upper bound of the time for a check, a hundred times the usual
 _LONGEST = 1e6  # seconds; longer limits are cut to this because they exceed the range of system clocks
 
@@ -173,12 +175,13 @@ def plan_with(
     """
     info = PLANNERS[planner]
     chosen = info.with_settings(settings or {})
-    require_seed(seed)
+    seed = require_seed(seed)
     seconds = _seconds(time_limit, max_checks)
     arm = compiled.robot
     origin = _configurations("start", [arm.configuration(start)], arm)[0]
     if not checker.is_free(origin):
-        touching = ", ".join(f"{a} with {b}" for a, b in checker.contacts(origin))
+        pairs = [[compiled.geom_name(geom) for geom in pair] for pair in checker.contacts(origin)]
+        touching = ", ".join(f"{a} with {b}" for a, b in pairs)
         return PlanResult("start_in_collision", None, planner, message=f"at the start: {touching}")
     if not len(goals):
         return PlanResult("no_goal", None, planner)
@@ -209,7 +212,7 @@ def _seconds(time_limit: float | None, max_checks: int | None) -> float:
     if time_limit is None:
         if max_checks is None:
             raise InvalidValueError("time_limit is None: give max_checks, otherwise nothing ends the search")
-        return min(60.0 + _SLOWEST * max_checks, _LONGEST)
+        return min(_SLACK + _SLOWEST * max_checks, _LONGEST)
     if not (is_number(time_limit) and time_limit > 0):
         raise InvalidValueError(f"time_limit must be a positive, finite number of seconds, or None, got {time_limit!r}")
     return min(float(time_limit), _LONGEST)
@@ -266,7 +269,7 @@ def _flaw(checker: CollisionChecker, query: PlannerQuery, path: Array) -> str:
         return f"{query.planner}: the path ends at {path[-1].tolist()}, which is none of the goals"
     if ((path < query.lower) | (path > query.upper)).any():
         return f"{query.planner}: the path leaves the joint limits"
-    if not checker.path_is_free(path, PROOF):
+    if not ProvingChecker(checker.model, checker.reaches).path_is_free(path, PROOF):
         return f"{query.planner}: the path is not free"
     return ""
 

@@ -11,7 +11,9 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import numpy.typing as npt
 
+from greenhouse_gym.common.opengl_choice import opengl_choice, opengl_is_off
 from greenhouse_gym.errors import GreenhouseError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.rendering.renderer import (
@@ -31,7 +33,12 @@ from greenhouse_gym.rendering.renderer import (
     view_rays,
 )
 
+Float32 = npt.NDArray[np.float32]
+
 _MAX_GEOMS = 4000
+_QUALITY = {"offsamples": 0, "shadowsize": 1024, "numslices": 12, "numstacks": 8, "numquads": 1}
+"""Drawing quality: in software, MuJoCo's own (4 samples, 4096, 28, 16, 4) takes seven times as long per image."""
+
 _AT_THE_PLANTS = np.array([0.5, 0.0, 1.0])
 _processes: set[int] = set()  # ids of the processes that created a context
 _inherited: list[Any] = []  # contexts of the parent process of a fork, which must not be freed here
@@ -44,7 +51,8 @@ class OpenGLMissingError(GreenhouseError, RuntimeError):
 class OpenGLRenderer:
     """Off-screen renderer of models that share a layout. Several renderers coexist, each with its own context.
 
-    A renderer belongs to the thread that created it. Lights and background are those of `render_scene`.
+    A renderer belongs to the thread that created it. Lights and background are those of `render_scene`. The visual
+    settings of the models are changed.
 
     Args:
         model: Any model of that layout.
@@ -60,12 +68,15 @@ class OpenGLRenderer:
         if _processes - {self._process}:
             raise OpenGLMissingError(_FORKED)
         _processes.add(self._process)
+        for name, value in _QUALITY.items():
+            setattr(model.vis.quality, name, value)
+        model.vis.global_.offwidth, model.vis.global_.offheight = width, height
         try:
             self._gl = _context_class()(width, height)
             self._gl.make_current()
-            buffer = model.vis.global_
-            buffer.offwidth, buffer.offheight = max(buffer.offwidth, width), max(buffer.offheight, height)
             self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
+        except OpenGLMissingError:
+            raise
         except Exception as error:  # each backend raises its own kind
             raise OpenGLMissingError(
                 f"OpenGL is not available ({error}); on Debian and Ubuntu: apt install libegl1 libgl1"
@@ -92,9 +103,8 @@ class OpenGLRenderer:
         mujoco.mjr_readPixels(colors, depth, self._area, self._context)
         near, far = (model.stat.extent * end for end in (model.vis.map.znear, model.vis.map.zfar))
         sky, stretch = _background(camera, width, height)
-        fade = background_fade(np.flipud(near / (1.0 - depth * (1.0 - near / far))) * stretch)[..., None]
-        image = np.flipud(colors)
-        return np.asarray(image + fade * (sky - image) + 0.5, dtype=np.uint8)
+        fade = background_fade(near / (1.0 - depth * (1.0 - near / far)) * stretch)[..., None]
+        return np.asarray(np.flipud(colors + fade * (sky - colors) + np.float32(0.5)), dtype=np.uint8)
 
     def close(self) -> None:
         """Free the context."""
@@ -120,10 +130,10 @@ _FORKED = "OpenGL does not work in a process that was forked from one that used 
 
 
 @lru_cache(maxsize=8)
-def _background(camera: Viewpoint, width: int, height: int) -> tuple[Array, Array]:
-    """Return the sky (h, w, 3), 0 to 255, and the ray length per unit of depth (h, w)."""
+def _background(camera: Viewpoint, width: int, height: int) -> tuple[Float32, Float32]:
+    """Return the sky (h, w, 3), 0 to 255, and the ray length per unit of depth (h, w), from the bottom row up."""
     rays, stretch, _ = view_rays(camera, width, height)
-    return 255.0 * sky_colors(rays), stretch
+    return np.flipud(255.0 * sky_colors(rays)).astype(np.float32), np.flipud(stretch).astype(np.float32)
 
 
 def _set_lights(scene: mujoco.MjvScene) -> None:
@@ -176,9 +186,11 @@ def add_line(scene: mujoco.MjvScene, line: Line) -> None:
 
 
 def _context_class() -> type[Any]:
-    """Return EGL without a display unless MUJOCO_GL is set, whatever MuJoCo selected when it was imported."""
+    """Return EGL without a display unless the user chose otherwise, whatever MuJoCo selected when it was imported."""
+    if opengl_is_off():
+        raise OpenGLMissingError(f"OpenGL is switched off by MUJOCO_GL={opengl_choice()}")
     no_display = sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
-    if no_display and not os.environ.get("MUJOCO_GL"):
+    if no_display and not opengl_choice():
         from mujoco.egl import GLContext
     else:
         from mujoco.gl_context import GLContext

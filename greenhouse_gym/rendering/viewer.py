@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import threading
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -32,6 +33,10 @@ CAMERAS: Mapping[str, tuple[Sequence[float], Sequence[float]]] = {
 
 MAX_SIZE = 4096
 """Largest width and height of an image, pixels."""
+
+
+class RenderingWarning(UserWarning):
+    """Images are drawn by ray casting instead of OpenGL: more slowly, and a little different."""
 
 
 class NoDisplayError(GreenhouseError, RuntimeError):
@@ -67,9 +72,9 @@ class Picture:
         """Return the viewpoint in a scene with this placement of the arm."""
         if isinstance(self.camera, Viewpoint):
             return self.camera
-        position, look_at = CAMERAS[self.camera]
         turn = rotation_about([0.0, 0.0, 1.0], placement.yaw)
-        return Viewpoint(*(tuple((turn @ point + placement.position).tolist()) for point in (position, look_at)))
+        position, look_at = ((turn @ point + placement.position).tolist() for point in CAMERAS[self.camera])
+        return Viewpoint(tuple(position), tuple(look_at))
 
 
 class Viewer:
@@ -127,8 +132,9 @@ class Viewer:
                     self._of_thread.gl = OpenGLRenderer(model, *size)
                 assert self._gl is not None
                 return self._gl.picture(model, data, camera, lines)
-            except OpenGLMissingError:
+            except OpenGLMissingError as error:
                 self._gl_works = False
+                warnings.warn(f"images are drawn by ray casting from here on: {error}", RenderingWarning, stacklevel=3)
         return render_scene(model, data, camera, *size, lines, samples=1)
 
     def close(self) -> None:

@@ -8,12 +8,14 @@ from typing import Any
 
 from greenhouse_gym.agents import Agent
 from greenhouse_gym.agents.named import make_agent
+from greenhouse_gym.common.progress import progress
 from greenhouse_gym.errors import GreenhouseError, InvalidValueError
 from greenhouse_gym.evaluation import retrace
 from greenhouse_gym.evaluation.leaderboard import TRACKS, V1, Entry, Protocol, follows, is_current
 from greenhouse_gym.evaluation.records import Evaluation, Record
 from greenhouse_gym.reporting.comparison_figures import colors_of
 from greenhouse_gym.reporting.comparison_page import comparison_page
+from greenhouse_gym.reporting.outcomes import outcome
 from greenhouse_gym.reporting.scene_page import Motion, Replay, scene_page
 from greenhouse_gym.scene import SceneBank
 
@@ -115,7 +117,11 @@ def _episode_pages(
     chosen = dividing_episodes(evaluations)
     seeds = [record.seed for record in chosen]
     options |= {"bank": bank, **TRACKS[track]}
-    traces = {e.agent: retrace(agents[e.agent], seeds, split, **options) for e in evaluations}
+    traces = {}
+    with progress("agents whose episodes are run again for the report", len(evaluations)) as on_progress:
+        for e in evaluations:
+            traces[e.agent] = retrace(agents[e.agent], seeds, split, **options)
+            on_progress(len(traces))
     robot = next(iter(traces.values()))[0].robot
     before = {e.agent: {r.seed: r for r in e.records} for e in evaluations}
     pages = []
@@ -134,14 +140,7 @@ def _episode_pages(
 
 def _outcome(now: Record, before: Record) -> str:
     """Describe how an episode ended, and whether it ended differently before."""
-    if now.failure:
-        text = f"gave up after {now.steps} actions: {now.failure}"
-    elif now.success:
-        text = f"reached it after {now.steps} actions"
-    elif now.collision:
-        text = f"hit {now.contact[-1]} with its {now.contact[0]} after {now.steps} actions"
-    else:
-        text = f"ended {100 * now.distance:.0f} cm from it after {now.steps} actions"
+    text = outcome(now.success, now.collision, now.contact, now.steps, now.distance, now.failure)
     return text if now.success == before.success else f"{text}, unlike before"
 
 

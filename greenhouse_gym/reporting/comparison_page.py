@@ -51,7 +51,6 @@ def comparison_page(
 
 def _track(name: str, evaluations: Sequence[Evaluation], colors: Mapping[str, str]) -> dict[str, Any]:
     """Return everything that the page shows of one track."""
-    summary = comparison_rows(evaluations)
     used = {e.agent: colors[e.agent] for e in evaluations}
     groups = {"all": evaluations}
     groups |= {difficulty: [e.of(difficulty) for e in evaluations] for difficulty in difficulties_of(evaluations)}
@@ -62,7 +61,7 @@ def _track(name: str, evaluations: Sequence[Evaluation], colors: Mapping[str, st
     return {
         "name": name,
         "world": _WORLDS[name],
-        "summary": summary._replace(rows=[(agent, *map(_or_empty, cells)) for agent, *cells in summary.rows]),
+        "summary": comparison_rows(evaluations),
         "warnings": comparison_notes(evaluations),
         "colors": used,
         "plots": plots,
@@ -73,11 +72,6 @@ def _track(name: str, evaluations: Sequence[Evaluation], colors: Mapping[str, st
             figures.collision_table("part of the arm", evaluations, figures.arm_part),
         ),
     }
-
-
-def _or_empty(cell: str) -> str:
-    """Return a cell's text, or nothing if it has no number."""
-    return "" if "nan" in cell else cell
 
 
 def _plot(title: str, draw: Callable[..., None], data: Any, colors: Mapping[str, str]) -> str:

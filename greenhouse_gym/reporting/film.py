@@ -2,49 +2,149 @@
 
 from __future__ import annotations
 
-import tempfile
+from collections.abc import Callable, Iterator
+from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from gymnasium.wrappers import RecordVideo
+import numpy as np
 
 from greenhouse_gym.agents import Agent, Problem
+from greenhouse_gym.agents.agent import options_for
 from greenhouse_gym.agents.named import agent_of
-from greenhouse_gym.common.extras import require_extras
-from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.envs import make_env
+from greenhouse_gym.envs.actions import check_actions
+from greenhouse_gym.envs.contacts import NAME_SEPARATOR
+from greenhouse_gym.envs.environment import GreenhouseEnv
+from greenhouse_gym.errors import InvalidValueError, check_whole, require_seed
+from greenhouse_gym.evaluation.runner import never_acted
+from greenhouse_gym.geometry import Array
+from greenhouse_gym.rendering.picture_files import FILMS, require_picture, with_caption, write_film
+from greenhouse_gym.rendering.renderer import Image
+from greenhouse_gym.rendering.viewer import Picture, Viewer
+from greenhouse_gym.reporting.outcomes import outcome
+
+_HOLD = 1.0  # seconds for which the last image of an episode stays
 
 
-def film(agent: Agent | str, out: str | Path, seed: int = 0, **options: Any) -> bool:
-    """Film an episode of an agent as MP4.
+class FilmedEpisode(NamedTuple):
+    """An episode of a film.
+
+    Attributes:
+        title: Agent, scene and target.
+        success: The episode ended with success.
+        outcome: How it ended.
+    """
+
+    title: str
+    success: bool
+    outcome: str
+
+
+def film(
+    agent: Agent | str,
+    out: str | Path,
+    seed: int = 0,
+    *,
+    episodes: int = 1,
+    fps: float | None = None,
+    picture: Picture | None = None,
+    on_progress: Callable[[int], None] = lambda steps: None,
+    **options: Any,
+) -> list[FilmedEpisode]:
+    """Film episodes of an agent in real time, as MP4 or GIF; each ends with a caption of its outcome.
 
     Args:
         agent: The agent, or a name that `greenhouse_gym.agents.make_agent` takes; its ``env_options`` choose the
             environment.
-        out: The file.
-        seed: Seed of the episode, as in `greenhouse_gym.evaluation.evaluate`.
-        **options: Further keywords of the environment.
-
-    Returns:
-        True if the episode ended in success.
+        out: The file; its suffix, .mp4 or .gif, chooses the format.
+        seed: Seed of the first episode, as in `greenhouse_gym.evaluation.evaluate`; each further episode adds one.
+        episodes: Number of episodes.
+        fps: Images per second, at most one for each action, which is the default.
+        picture: Size and camera of the images.
+        on_progress: Called with the number of actions so far.
+        **options: Further keywords of the environment, such as ``scene`` and ``target``. They must agree with the
+            agent's ``env_options``.
 
     Raises:
-        MissingDependencyError: The extra ``viz`` is not installed.
+        InvalidValueError: An argument is invalid, or an option contradicts the agent's ``env_options``.
+        MissingDependencyError: The film is an MP4 file, and the extra ``viz`` is not installed.
+        AgentError: The agent failed before its first action.
     """
-    require_extras("viz")
+    require_picture(out, FILMS)
     agent = agent_of(agent)
-    env = make_env(render_mode="rgb_array", **{**options, **agent.env_options})
-    with tempfile.TemporaryDirectory() as folder:
-        recorder: Any = RecordVideo(env, str(Path(folder) / "films"), name_prefix="film", disable_logger=True)
+    require_seed(seed)
+    check_whole("episodes", episodes, 1)
+    env = make_env(**options_for(agent, options))
+    rate = 1.0 / env.simulation.interval
+    fps = rate if fps is None else fps
+    if not 0 < fps <= rate:
+        raise InvalidValueError(f"fps must be above 0 and at most {rate:g}, the number of actions a second, got {fps}")
+    viewer, filmed = Viewer("rgb_array", picture), list[FilmedEpisode]()
+    steps = count(1)
+
+    def images() -> Iterator[Image]:
+        for k in range(episodes):
+            yield from _Take(agent, env, viewer, fps, lambda: on_progress(next(steps))).images(seed + k, filmed)
+
+    try:
+        write_film(images(), out, fps)
+    finally:
+        viewer.close()
+        env.close()
+    return filmed
+
+
+class _Take(NamedTuple):
+    agent: Agent
+    env: GreenhouseEnv
+    viewer: Viewer
+    fps: float
+    on_step: Callable[[], None]
+
+    def images(self, seed: int, filmed: list[FilmedEpisode]) -> Iterator[Image]:
+        """Run an episode; yield its images, and append it to the filmed ones."""
+        env, simulation = self.env, self.env.simulation
+        observation, info = env.reset(seed=seed)
+        title = f"{self.agent.name}: {info['scene']}, tomato {info['target']} ({info['difficulty']})"
+        problem = Problem.of(simulation, 0, seed)
+        trace, failure, over = [simulation.tip(0)], "", False
+        yield self._image(trace, title)
         try:
-            observation, info = recorder.reset(seed=seed)
-            agent.reset(Problem.of(env.simulation, 0, seed))
-            over = False
-            while not over:
-                observation, _, terminated, truncated, info = recorder.step(agent.act(observation))
-                over = terminated or truncated
-        finally:
-            recorder.close()
-        [made] = Path(folder).rglob("*.mp4")
-        write_atomically(out, made.read_bytes())
-    return bool(info["is_success"])
+            self.agent.reset(problem)
+        except Exception as error:
+            raise never_acted(self.agent, seed, f"{type(error).__name__}: {error}") from error
+        while not over:
+            try:
+                answer = np.asarray(self.agent.act(observation))
+                action = check_actions(answer[None], 1, simulation.action_rule.space)[0]
+            except Exception as error:
+                failure = f"{type(error).__name__}: {error}"
+                if not info["steps"] and not filmed:
+                    raise never_acted(self.agent, seed, failure) from error
+                break
+            observation, _, terminated, truncated, info = env.step(action)
+            self.on_step()
+            trace.append(simulation.tip(0))
+            over = terminated or truncated
+            if not over and self._is_due(info["steps"]):
+                yield self._image(trace, title)
+        contact = info["contact"].split(NAME_SEPARATOR)
+        ended = outcome(info["is_success"], info["collision"], contact, info["steps"], info["distance"], failure)
+        last = self._image(trace, f"{title}\n{ended}")
+        for _ in range(max(1, round(self.fps * _HOLD))):
+            yield last
+        filmed.append(FilmedEpisode(title, bool(info["is_success"]) and not failure, ended))
+
+    def _is_due(self, steps: int) -> bool:
+        """Return whether an image is due after an action."""
+        per_step = self.fps * self.env.simulation.interval
+        return int(steps * per_step + 1e-6) > int((steps - 1) * per_step + 1e-6)
+
+    def _image(self, trace: list[Array], caption: str) -> Image:
+        env = self.env
+        image = self.viewer.draw(
+            *env.model_and_data(), env.scene.placement, trace[-1], env.simulation.goal(0), trace
+        )  # fmt: skip
+        assert image is not None
+        return with_caption(image, caption)

@@ -7,11 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from greenhouse_gym.capture import Recording
-from greenhouse_gym.capture.image_files import encode_png
-from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import Array, pose, transform
@@ -21,9 +18,9 @@ from greenhouse_gym.reconstruction.occupancy_carving import carve
 from greenhouse_gym.reconstruction.pair_registration import register_pair
 from greenhouse_gym.reconstruction.silhouette_shift import Shift, along, overlapping_parts
 from greenhouse_gym.reconstruction.station_views import Calibration, CameraView, station_view
+from greenhouse_gym.rendering.picture_files import write_picture
+from greenhouse_gym.rendering.renderer import Image
 from greenhouse_gym.scene.occupancy import UNKNOWN
-
-Image = npt.NDArray[np.uint8]
 
 FRONT = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
 """View from the aisle: -y is right, z is up, x points away."""
@@ -35,11 +32,6 @@ RED, BLUE = (0.85, 0.15, 0.12), (0.12, 0.25, 0.85)
 
 _SHEET_STATIONS, _SHEET_HEIGHT = 6, 180  # px of an image
 _FARTHEST = 1.5  # m, drawn darkest
-
-
-def save(image: Image, path: Path) -> Path:
-    """Write an image (height, width, 3) as a PNG file."""
-    return write_atomically(path, encode_png(image))
 
 
 def upright(image: Image) -> Image:
@@ -62,7 +54,7 @@ def save_pipeline(photograph: Image, cloud: Image, scene: Image, path: Path, hei
         cv2.resize(image, (image.shape[1] * height // image.shape[0], height), interpolation=cv2.INTER_AREA)
         for image in (photograph, cloud, scene)
     ]
-    return save(side_by_side([np.asarray(part, dtype=np.uint8) for part in parts]), path)
+    return write_picture(side_by_side([np.asarray(part, dtype=np.uint8) for part in parts]), path)
 
 
 def contact_sheet(recording: Recording) -> Image:
@@ -137,8 +129,8 @@ def registration_pictures(
     one, two = (station_view(recording[i], calibration, settings) for i in (first, second))
     views = (one.reference, two.reference)
     paths = [
-        save(side_by_side([upright(view.color) for view in views]), out / "1-two-images.png"),
-        save(
+        write_picture(side_by_side([upright(view.color) for view in views]), out / "1-two-images.png"),
+        write_picture(
             side_by_side([upright(black_out(view.color, view.foreground)) for view in views]),
             out / "2-foreground.png",
         ),
@@ -147,14 +139,14 @@ def registration_pictures(
     if found.shift is None or found.offset is None:
         return paths
     overlay = shifted_silhouettes(*views, found.shift)
-    paths.append(save(upright(overlay), out / "3-silhouettes-at-best-shift.png"))
+    paths.append(write_picture(upright(overlay), out / "3-silhouettes-at-best-shift.png"))
     here, there = (view.packed_cloud().transformed(np.eye(4)) for view in (one, two))
     pictures = []
     for first_from_second in (pose(translation=found.offset), found.first_from_second):
         everything = np.concatenate([here.points, transform(first_from_second, there.points)])
         colors = np.concatenate([np.tile(RED, (len(here), 1)), np.tile(BLUE, (len(there), 1))])
         pictures.append(splat(everything, colors, width=700, size=1))
-    paths.append(save(side_by_side(pictures), out / "4-before-and-after-icp.png"))
+    paths.append(write_picture(side_by_side(pictures), out / "4-before-and-after-icp.png"))
     return paths
 
 
@@ -175,10 +167,10 @@ def row_pictures(merged: RowCloud, row: RowCloud, mesh: TriangleMesh, out: Path)
     hue = np.random.default_rng(3).permutation(count) / count
     wheel = 0.5 + 0.45 * np.cos(2 * np.pi * (hue[:, None] + [0.0, 1 / 3, 2 / 3]))
     return [
-        save(splat(merged.points, wheel[merged.station]), out / "5-stations-before-outlier-removal.png"),
-        save(splat(row.points, wheel[row.station]), out / "6-stations-after-outlier-removal.png"),
-        save(splat(row.points, row.colors), out / "7-row.png"),
-        save(draw_mesh(mesh), out / "8-mesh.png"),
+        write_picture(splat(merged.points, wheel[merged.station]), out / "5-stations-before-outlier-removal.png"),
+        write_picture(splat(row.points, wheel[row.station]), out / "6-stations-after-outlier-removal.png"),
+        write_picture(splat(row.points, row.colors), out / "7-row.png"),
+        write_picture(draw_mesh(mesh), out / "8-mesh.png"),
     ]
 
 
@@ -204,4 +196,4 @@ def occupancy_picture(row: RowCloud, out: Path) -> tuple[Path, float]:
     centers = np.moveaxis(np.indices(carving.states.shape), 0, -1) * carving.voxel + carving.origin
     near = np.linalg.norm(centers - [middle[0], middle[1], 1.1], axis=-1) < reach[0]
     observed = float((carving.states[near] != UNKNOWN).mean())
-    return save(side_by_side(images), out / "9-occupancy.png"), observed
+    return write_picture(side_by_side(images), out / "9-occupancy.png"), observed

@@ -7,6 +7,7 @@ import weakref
 from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import lru_cache
+from numbers import Integral
 from pathlib import Path
 from typing import Any, overload
 
@@ -28,6 +29,11 @@ Choice = str | int | Iterable[str | int] | None
 
 SCENES_KEPT = 32
 """Number of recently used scenes of a bank kept in memory, in addition to those in use elsewhere."""
+
+
+def shipped_banks() -> dict[str, Path]:
+    """Return the folders of the shipped banks by name."""
+    return {path.parent.name: path.parent for path in sorted(data_path("scenes").glob(f"*/{MANIFEST}"))}
 
 
 class SceneBank(Sequence[Scene]):
@@ -56,7 +62,7 @@ class SceneBank(Sequence[Scene]):
         """
         if isinstance(bank, SceneBank):
             return bank
-        shipped = {path.parent.name: path.parent for path in sorted(data_path("scenes").glob(f"*/{MANIFEST}"))}
+        shipped = shipped_banks()
         folder = shipped.get(str(bank)) or Path(bank)
         if not folder.is_dir():
             raise UnknownNameError("scene bank", str(bank), [*shipped, "(or the path of a bank's folder)"])
@@ -149,7 +155,7 @@ class SceneBank(Sequence[Scene]):
         return (SceneBank, (self.path, self.manifest, self._homes)) if self._homes else (SceneBank.open, (self.path,))
 
     def __repr__(self) -> str:
-        splits = Counter(entry.split for entry in self.manifest.scenes)
+        splits = Counter(str(entry.split) for entry in self.manifest.scenes)
         counts = ", ".join(f"{splits[split]} {split}" for split in SPLITS if splits[split])
         return f"SceneBank({self.manifest.name!r}, {len(self)} scenes: {counts}, {str(self.path)!r})"
 
@@ -281,7 +287,9 @@ def _holds(path: Path, content: str) -> bool:
 
 
 def _several(choice: str | int | Iterable[str | int]) -> set[str]:
-    return {str(choice)} if isinstance(choice, str | int) else {str(value) for value in choice}
+    if isinstance(choice, str | int | Integral):  # NumPy's integers as well
+        return {str(choice)}
+    return {str(value) for value in choice}
 
 
 def _described(wanted: Mapping[str, set[str]]) -> str:

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
+from textwrap import wrap
 
 import numpy as np
 
-from greenhouse_gym.common.tables import Table
+from greenhouse_gym.common.tables import Table, number
 from greenhouse_gym.scene.bank import SceneBank
 from greenhouse_gym.scene.manifest import SPLITS
 from greenhouse_gym.scene.occupancy import REACH
 from greenhouse_gym.scene.scene import DIFFICULTIES, Scene
+
+_WIDTH = 62  # characters of a column of words
 
 
 @dataclass(frozen=True)
@@ -55,21 +59,30 @@ class BankStatistics:
     unknown: float
 
 
-def bank_statistics(bank: SceneBank) -> BankStatistics:
+def bank_statistics(bank: SceneBank, on_progress: Callable[[int], None] = lambda done: None) -> BankStatistics:
     """Compute the statistics of a bank; all scenes are read.
+
+    Args:
+        bank: The bank.
+        on_progress: Called with the number of scenes read so far.
 
     Raises:
         FileFormatError: A scene is missing or damaged, or its checksum differs from the manifest's.
     """
-    entries, scenes = bank.manifest.scenes, list(bank)
+    entries, scenes = bank.manifest.scenes, list[Scene]()
+    known, size = list[float](), 0
+    for scene in bank:
+        scenes.append(scene)
+        size += len(scene.model_dump_json()) + 1
+        known += [] if scene.occupancy is None else [_known_fraction(scene)]
+        on_progress(len(scenes))
     targets = [target for scene in scenes for target in scene.targets]
     kinds = ("style", "source", "protocol", "week")
     by_kind: dict[str, Counter[str]] = {}
     for scene in scenes:
         for kind in ("style", "source"):
-            name = getattr(scene.provenance, kind) or "unknown"
+            name = getattr(scene.provenance, kind) or f"unknown {kind}"
             by_kind.setdefault(name, Counter()).update(target.difficulty for target in scene.targets)
-    known = [_known_fraction(scene) for scene in scenes if scene.occupancy is not None]
     true = [scene.truth.count for scene in scenes if scene.truth is not None]
     return BankStatistics(
         name=bank.manifest.name,
@@ -77,7 +90,7 @@ def bank_statistics(bank: SceneBank) -> BankStatistics:
         scenes=len(scenes),
         rows=len({entry.row for entry in entries}),
         recordings=len({scene.provenance.recording or scene.name for scene in scenes}),
-        megabytes=sum(len(scene.model_dump_json()) + 1 for scene in scenes) / 1e6,
+        megabytes=size / 1e6,
         splits={
             split: (len(bank.names(split)), len({entry.row for entry in entries if entry.split == split}))
             for split in SPLITS
@@ -121,17 +134,16 @@ def as_markdown(found: BankStatistics) -> str:
     """Return the statistics as Markdown tables."""
     total = max(sum(found.difficulties.values()), 1)
     size = f"{found.scenes} scenes of {found.recordings} recordings of {found.rows} rows, {total} targets"
-    kinds = [(kind, ", ".join(f"{name} {count}" for name, count in of.items())) for kind, of in found.kinds.items()]
+    kinds = [line for kind, counts in found.kinds.items() for line in _wrapped(kind, counts)]
     figures = [
-        *((f"{name} in a scene, mean", f"{mean:.1f}") for name, mean in found.per_scene.items()),
-        ("scenes with truth; shapes in it, mean", f"{found.truth[0]}; {found.truth[1]:.0f}"),
-        (
-            "scenes with an occupancy grid; known fraction within reach, mean",
-            f"{found.known[0]}; {found.known[1]:.0%}",
-        ),
-        *((f"checks of RRTConnect, {name}, median", f"{value:.0f}") for name, value in found.checks.items()),
-        ("clearance of the witnesses, median", f"{1000 * found.clearance:.1f} mm"),
-        ("fraction of the witnesses' paths through unknown space, median", f"{found.unknown:.0%}"),
+        *((f"{name} in a scene, mean", number(mean, ".1f")) for name, mean in found.per_scene.items()),
+        ("scenes with truth", str(found.truth[0])),
+        ("shapes in it, mean", number(found.truth[1], ".0f")),
+        ("scenes with an occupancy grid", str(found.known[0])),
+        ("known fraction within reach, mean", number(found.known[1], ".0%")),
+        *((f"checks of RRTConnect, {name}, median", number(value, ".0f")) for name, value in found.checks.items()),
+        ("clearance of the witnesses, mm, median", number(1000 * found.clearance, ".1f")),
+        ("fraction of the witnesses' paths through unknown space, median", number(found.unknown, ".0%")),
     ]
     groups = {"all": found.difficulties, **found.difficulties_of}
     tables = (
@@ -142,6 +154,12 @@ def as_markdown(found: BankStatistics) -> str:
     )
     head = f"{size}, {found.megabytes:.1f} MB\n\nChecksum of the manifest (SHA-256): `{found.sha256}`\n"
     return "\n".join((head, *(table.as_markdown() for table in tables)))
+
+
+def _wrapped(kind: str, counts: dict[str, int]) -> list[tuple[str, str]]:
+    """Return the counts of a kind in lines that fit a terminal, the kind at the first of them."""
+    lines = wrap(", ".join(f"{name.replace(' ', '~')}~{count}" for name, count in counts.items()), _WIDTH)
+    return [("" if k else kind, line.replace("~", " ")) for k, line in enumerate(lines)]
 
 
 def _with_fractions(name: str, counts: dict[str, int]) -> list[str]:

@@ -94,7 +94,7 @@ class Scene(Surroundings):
         return self
 
     def _summary(self) -> list[str]:
-        ratings = Counter(target.difficulty for target in self.targets)
+        ratings = Counter(str(target.difficulty) for target in self.targets)
         rated = ", ".join(f"{ratings[name]} {name}" for name in DIFFICULTIES if ratings[name])
         targets = f"{len(self.targets)} targets{f' ({rated})' if rated else ''}"
         known = [name for name in ("truth", "occupancy") if getattr(self, name) is not None]

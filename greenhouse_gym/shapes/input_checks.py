@@ -76,7 +76,7 @@ def downsample(whole: Cloud, with_normals: bool, settings: ShapeSettings, log: W
     depth, height, length = np.sort(np.ptp(cloud.points, axis=0))
     if length > _MAX_LENGTH or height > _MAX_HEIGHT:
         raise InvalidValueError(
-            f"the cloud measures {length:.0f} by {height:.0f} by {depth:.0f} m, too large for a row of plants; "
+            f"the cloud measures {length:.4g} by {height:.4g} by {depth:.4g} m, too large for a row of plants; "
             "expected metres, not millimetres, and no outliers"
         )
     cloud, _ = voxel_means(cloud, settings.voxel)

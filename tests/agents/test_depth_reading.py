@@ -118,7 +118,9 @@ def test_nobody_looks_through_the_arm() -> None:
 
 
 def noisy_views(scene: Scene, agent: WatchfulAgent) -> tuple[GreenhouseEnv, dict[str, np.ndarray]]:
-    env = GreenhouseEnv(bank="mini", randomization=Randomization(depth_noise=True), **agent.env_options)
+    env = GreenhouseEnv(
+        bank="mini", start="upright", randomization=Randomization(depth_noise=True), **agent.env_options
+    )
     observation, _ = env.reset(seed=3, options={"scene": scene, "target": TARGET})
     return env, observation
 

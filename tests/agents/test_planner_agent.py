@@ -25,10 +25,11 @@ from greenhouse_gym.scene import Scene, SceneBank
 from greenhouse_gym.scene.mjcf import compile_scene
 
 ARM = get_robot("ur5e")
+START = ARM.starts["upright"]
 
 
 def problem(scene: Scene, target: int, seed: int = 0) -> Problem:
-    return Problem(scene, target, ARM, ARM.start, seed)
+    return Problem(scene, target, ARM, START, seed)
 
 
 @pytest.mark.parametrize("make", [PlannerAgent, RandomAgent, StillAgent, StraightLineAgent])
@@ -100,7 +101,7 @@ def test_it_begins_anew_from_other_seeds_until_there_is_a_path(scene: Scene, mon
 
 
 def test_it_starts_where_it_is_told(scene: Scene) -> None:
-    start = ARM.start + [0.4, 0.1, 0.3, 0.0, 0.2, 0.0]
+    start = START + [0.4, 0.1, 0.3, 0.0, 0.2, 0.0]
     agent = PlannerAgent()
     agent.reset(Problem(scene, 0, ARM, start))
     assert agent.result is not None

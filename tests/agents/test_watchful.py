@@ -33,6 +33,7 @@ from greenhouse_gym.scene import Scene, compile_scene
 from greenhouse_gym.scene.mjcf import base_position
 
 ARM = get_robot("ur5e")
+START = ARM.starts["upright"]
 TARGET = 4
 LEVELS = caution_levels(0.0, unexplained=False, depth=0.1)
 CAMERA = DepthCamera()
@@ -67,7 +68,7 @@ def hung(scene: Scene) -> Scene:
 
 def played(agent: Agent, told: Scene, true: Scene) -> tuple[str, np.ndarray]:
     """Run an agent that knows one scene in another; return the outcome and the positions (steps, 3) of its tip."""
-    env = GreenhouseEnv(bank="mini", **agent.env_options)
+    env = GreenhouseEnv(bank="mini", start="upright", **agent.env_options)
     observation, info = env.reset(options={"scene": true, "target": TARGET})
     agent.reset(Problem(told, TARGET, ARM, env.start))
     chain, base, tips = arm_spheres(ARM).chain, base_position(told, ARM), []
@@ -98,7 +99,7 @@ def test_it_looks_at_what_nobody_has_seen_before_it_goes_there(scene: Scene) -> 
 
 def test_its_images_may_be_of_another_size(scene: Scene, hung: Scene) -> None:
     agent = WatchfulAgent(image=(96, 72))
-    env = GreenhouseEnv(bank="mini", **agent.env_options)
+    env = GreenhouseEnv(bank="mini", start="upright", **agent.env_options)
     assert env.observation_space["depth"].shape == (1, 72, 96)  # type: ignore[index]
     env.close()
     assert played(agent, scene, hung)[0] == "reached"
@@ -149,20 +150,20 @@ def test_surfaces_without_a_shape_are_left_out_of_account_at_last(margin: float)
 def planned_way(scene: Scene, margin: float) -> list[np.ndarray]:
     """The configurations (j,) of the way that the agent finds at first."""
     episode = watchful._Episode(
-        Problem(scene, TARGET, ARM, ARM.start),
+        Problem(scene, TARGET, ARM, START),
         scene.tomatoes[TARGET].center,
         CAMERA,
         caution_levels(margin, unexplained=False, depth=0.1),
         False,
     )
-    level = episode._plan(ARM.start)[1]
+    level = episode._plan(START)[1]
     assert level == CautionLevel(margin, np.inf), "the scene does not say what was seen of it"
-    return [ARM.start, *episode._path]
+    return [START, *episode._path]
 
 
 def keeps(way: list[np.ndarray], scene: Scene, margin: float) -> bool:
     """Whether a way keeps a margin from the boxes of a scene, metres."""
-    around = compile_scene(with_margin(scene, ARM, ARM.start, margin), ARM)
+    around = compile_scene(with_margin(scene, ARM, START, margin), ARM)
     checker = CollisionChecker(planning_model(around, TARGET, margin=0.0), arm_reaches(ARM))
     return all(checker.motion_is_free(*ends, 0.005) for ends in itertools.pairwise(way))
 
@@ -180,18 +181,18 @@ def test_with_a_margin_its_way_keeps_from_what_the_scan_shows(scene: Scene) -> N
 def test_where_nothing_else_leads_on_it_goes_back_as_it_came(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """No straight motions lead to the target, and RRTConnect finds a path from the start alone."""
     asked: list[np.ndarray] = []
-    goal = ARM.start + [0.5, -0.2, 0.3, 0.0, 0.0, 0.0]
+    goal = START + [0.5, -0.2, 0.3, 0.0, 0.0, 0.0]
 
     def planned(*arguments: Any, start: np.ndarray, goals: np.ndarray, **keywords: Any) -> PlanResult:
         asked.append(start)
-        found = np.array_equal(start, ARM.start)
+        found = np.array_equal(start, START)
         path = np.array([start, goal]) if found else None
         return PlanResult("solved" if found else "approximate", path, "RRTConnect")
 
     monkeypatch.setattr(Roadmap, "path", lambda roadmap, joints: [])
     monkeypatch.setattr(watchful, "plan", planned)
     monkeypatch.setattr(watchful, "MAX_LOOKS", 0)
-    env = GreenhouseEnv(bank="mini", **WatchfulAgent().env_options)
+    env = GreenhouseEnv(bank="mini", start="upright", **WatchfulAgent().env_options)
     observation, _ = env.reset(options={"scene": scene, "target": TARGET})
     agent = WatchfulAgent()
     agent.reset(Problem(scene, TARGET, ARM, env.start))
@@ -203,10 +204,10 @@ def test_where_nothing_else_leads_on_it_goes_back_as_it_came(scene: Scene, monke
         assert not over, info
     env.close()
     here, back = asked
-    assert np.array_equal(back, ARM.start)
-    assert not np.array_equal(here, ARM.start)
+    assert np.array_equal(back, START)
+    assert not np.array_equal(here, START)
     ends = [np.abs(np.array(been) - place).max(axis=1).argmin() for place in (here, goal)]
-    between = np.abs(np.array(been[ends[0] : ends[1]]) - ARM.start).max(axis=1)
+    between = np.abs(np.array(been[ends[0] : ends[1]]) - START).max(axis=1)
     assert between.min() < 0.05, "it came by the start again"
     assert agent.status == "1, inf"
 
@@ -214,7 +215,7 @@ def test_where_nothing_else_leads_on_it_goes_back_as_it_came(scene: Scene, monke
 def test_where_it_would_stay_it_asks_again_but_not_for_ever(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """Other goals and another seed each time; unknown space is closed at first, free at last."""
     told, asked = known_where(scene, 0.0), []
-    goal = ARM.start + [0.3, -0.2, 0.3, 0.0, 0.0, 0.0]
+    goal = START + [0.3, -0.2, 0.3, 0.0, 0.0, 0.0]
 
     def planned(*arguments: Any, start: np.ndarray, **keywords: Any) -> PlanResult:
         asked.append(keywords)
@@ -230,10 +231,10 @@ def test_where_it_would_stay_it_asks_again_but_not_for_ever(scene: Scene, monkey
     for finds in (True, False):
         asked.clear()
         episode = watchful._Episode(
-            Problem(told, TARGET, ARM, ARM.start, 40), scene.tomatoes[TARGET].center, CAMERA, LEVELS, False
+            Problem(told, TARGET, ARM, START, 40), scene.tomatoes[TARGET].center, CAMERA, LEVELS, False
         )
         episode._path = []
-        acted = [episode.act(image, ARM.start, ARM.start) for _ in range(watchful.MAX_PLANS + watchful.EXTRA_PLANS + 3)]
+        acted = [episode.act(image, START, START) for _ in range(watchful.MAX_PLANS + watchful.EXTRA_PLANS + 3)]
         first, again = asked[:2], asked[2:]
         assert [each["seed"] for each in first] == [40, 40], "from where it is, and from the start"
         careful = watchful.MAX_PLANS - watchful.FREE_PLANS - 1
@@ -262,7 +263,7 @@ def test_a_box_of_the_scan_in_which_it_sees_nothing_is_no_obstacle_in_the_end(sc
 
 
 def test_the_camera_stands_for_boxes_that_it_has_looked_at_and_for_no_others(scene: Scene) -> None:
-    env = GreenhouseEnv(bank="mini", observation="depth")
+    env = GreenhouseEnv(bank="mini", start="upright", observation="depth")
     base = base_position(scene, ARM)
     target = scene.tomatoes[TARGET].center - base
     aims = first_viewpoint(target)
@@ -286,9 +287,9 @@ def test_the_camera_stands_for_boxes_that_it_has_looked_at_and_for_no_others(sce
 
 def test_what_it_went_back_on_is_forgotten(scene: Scene) -> None:
     episode = watchful._Episode(
-        Problem(scene, TARGET, ARM, ARM.start), scene.tomatoes[TARGET].center, CAMERA, LEVELS, False
+        Problem(scene, TARGET, ARM, START), scene.tomatoes[TARGET].center, CAMERA, LEVELS, False
     )
-    start, there, farther = ARM.start, ARM.start + 0.1, ARM.start + 0.2
+    start, there, farther = START, START + 0.1, START + 0.2
     episode._trail = [start]
     for place in (there, farther, there, start, farther):
         episode._arrive(place)
@@ -301,7 +302,7 @@ def test_it_must_be_reset_before_it_acts() -> None:
 
 
 def test_what_is_known_grows_with_the_images(scene: Scene, hung: Scene, arm: ArmSpheres) -> None:
-    env = GreenhouseEnv(bank="mini", observation="depth")
+    env = GreenhouseEnv(bank="mini", start="upright", observation="depth")
     base = base_position(scene, ARM)
     target = scene.tomatoes[TARGET].center - base
     leaf = hung.clutter[-1].center - base
@@ -334,7 +335,7 @@ def test_what_is_known_grows_with_the_images(scene: Scene, hung: Scene, arm: Arm
 
 
 def test_a_surface_without_a_shape_is_dark_until_the_camera_has_looked(scene: Scene, arm: ArmSpheres) -> None:
-    env = GreenhouseEnv(bank="mini", observation="depth")
+    env = GreenhouseEnv(bank="mini", start="upright", observation="depth")
     target = scene.tomatoes[TARGET].center - base_position(scene, ARM)
     space = known_where(scene, None).occupancy
     assert space is not None
@@ -356,7 +357,7 @@ def test_a_surface_without_a_shape_is_dark_until_the_camera_has_looked(scene: Sc
 
 def test_a_view_shows_what_is_before_the_camera_and_not_hidden(arm: ArmSpheres) -> None:
     places = np.random.default_rng(1).uniform([0.4, -0.3, 0.1], [0.7, 0.3, 0.6], (40, 3))
-    found = list(viewpoints(arm, ARM, ARM.start, places, lambda at: np.zeros(len(at), bool), np.random.default_rng(0)))
+    found = list(viewpoints(arm, ARM, START, places, lambda at: np.zeros(len(at), bool), np.random.default_rng(0)))
     assert len(found) > 10
     assert all(seen.mean() >= MIN_GAIN for _, seen in found)
     best = np.array([view for view, _ in found])
@@ -370,8 +371,8 @@ def test_a_view_shows_what_is_before_the_camera_and_not_hidden(arm: ArmSpheres) 
 
 def test_the_initial_view_moves_the_wrist_only(arm: ArmSpheres) -> None:
     target = np.array([0.5, 0.2, 0.3])
-    view = initial_view(arm, ARM, ARM.start, target)
-    assert set((view != ARM.start).nonzero()[0]) <= {3, 4}
+    view = initial_view(arm, ARM, START, target)
+    assert set((view != START).nonzero()[0]) <= {3, 4}
     state = tool_state(arm.chain, view[None])
     offset = (target - state.point)[0]
     assert float(state.axis[0] @ offset) > 0.7 * np.linalg.norm(offset)
@@ -380,4 +381,4 @@ def test_the_initial_view_moves_the_wrist_only(arm: ArmSpheres) -> None:
 def first_viewpoint(point: np.ndarray) -> np.ndarray:
     """The best configuration (j,) to look at a point (3,) that nothing occludes."""
     rng = np.random.default_rng(0)
-    return next(viewpoints(arm_spheres(ARM), ARM, ARM.start, point[None], lambda at: np.zeros(len(at), bool), rng))[0]
+    return next(viewpoints(arm_spheres(ARM), ARM, START, point[None], lambda at: np.zeros(len(at), bool), rng))[0]

@@ -119,6 +119,7 @@ HEADERS = {
     "ParaView": ('"Points:0","Points:1","Points:2","RGB:0","RGB:1","RGB:2"', "194 26 18", ",", True, False),
     "units": ("X [m]; Y [m]; Z [m]; Intensity", "7", ";", False, False),
     "intensity between": ("# x y z intensity red green blue", "0.5 194 26 18", "\t", True, False),
+    "infrared": ("x y z Infrared NaN_count name", "200 1 3", " ", False, False),
     "laser": ("//X Y Z Intensity ReturnNumber Classification", "200 1 3", " ", False, False),
     "normals": ("//X Y Z Nx Ny Nz", "0 0.6 0.8", " ", False, True),
     "no names, normals": ("", NORMAL, " ", False, True),
@@ -138,7 +139,9 @@ def test_columns_of_text_go_by_the_names_of_its_header(tmp_path: Path, name: str
         assert_red(cloud)
     if cloud.normals is not None:
         np.testing.assert_allclose(np.abs(cloud.normals[0]), [0, 0.6, 0.8])
-    assert any("not used" in note for note in cloud.notes) == ("ntensity" in header)
+    assert any("not used" in note for note in cloud.notes) == (
+        name in ("units", "intensity between", "laser", "infrared")
+    )
 
 
 @pytest.mark.parametrize(
@@ -159,6 +162,13 @@ def test_columns_of_text_go_by_the_names_of_its_header(tmp_path: Path, name: str
 def test_text_whose_columns_are_unclear_is_refused(tmp_path: Path, text: str, problem: str) -> None:
     with pytest.raises(FileFormatError, match=problem):
         read(tmp_path, ".txt", text)
+
+
+def test_comments_among_and_behind_the_rows(tmp_path: Path) -> None:
+    lines = rows_of(POINTS).splitlines()
+    lines[3] += " # the third row"
+    lines[7:7] = ["  # indented", "// another", "% one more", "\t"]
+    assert_points(read(tmp_path, ".xyz", "\n".join(lines)))
 
 
 def test_text_in_utf_16(tmp_path: Path) -> None:

@@ -296,6 +296,19 @@ def test_a_file_by_a_reference_writer_is_read_back(tmp_path: Path, suffix: str) 
         np.testing.assert_allclose(cloud.normals, normals, atol=1e-4)
 
 
+@pytest.mark.parametrize("options", [{"write_ascii": True}, {"compressed": True}])
+@pytest.mark.parametrize("suffix", [".ply", ".pcd"])
+def test_text_and_compressed_files_of_open3d(tmp_path: Path, suffix: str, options: dict[str, bool]) -> None:
+    points, colors, normals = plant()
+    with_open3d(tmp_path / f"c{suffix}", points, colors, normals)
+    cloud = open3d().io.read_point_cloud(str(tmp_path / f"c{suffix}"))
+    open3d().io.write_point_cloud(str(tmp_path / f"d{suffix}"), cloud, **options)
+    read = read_cloud(tmp_path / f"d{suffix}")
+    np.testing.assert_allclose(read.points, points, atol=1e-4)
+    np.testing.assert_allclose(read.colors, colors, atol=1 / 254)  # type: ignore[arg-type]
+    np.testing.assert_allclose(read.normals, normals, atol=1e-4)  # type: ignore[arg-type]
+
+
 def test_organized_clouds_and_rows_that_are_not_finite(tmp_path: Path) -> None:
     image = np.random.default_rng(0).random((20, 30, 3))
     image[3, 4] = np.nan

@@ -150,3 +150,26 @@ def test_cameras_that_a_rig_file_does_not_name_are_left_out() -> None:
     assert set(recording[0].frames) == set(recording.rig.cameras) == {"middle", "last"}
     with pytest.raises(InvalidValueError, match="has the camera other"):
         with_mounting(half_recording(), Mounting({"other": np.eye(4)}, "other"))
+
+
+@pytest.mark.parametrize(("columns", "rows"), [(8, 6), (6, 8), (5, 4), (7, 5)])
+@pytest.mark.parametrize("legacy", [False, True])
+def test_boards_of_both_layouts_are_found(columns: int, rows: int, legacy: bool) -> None:
+    board = Board(columns, rows)
+    picture = board.to_opencv(legacy).generateImage((60 * columns, 60 * rows), marginSize=20)
+    k = Intrinsics(picture.shape[1], picture.shape[0], 500.0, 500.0, picture.shape[1] / 2, picture.shape[0] / 2)
+    frame = RgbdFrame(np.dstack([picture] * 3), np.zeros(picture.shape, np.float32), k)
+    found = find_board(frame, board)
+    assert found is not None
+    assert len(found.pixels) == (columns - 1) * (rows - 1)
+    np.testing.assert_allclose(found.camera_from_board[:3, :3], np.eye(3), atol=0.02)
+
+
+@pytest.mark.parametrize("other", [Board(6, 8), Board(12, 9)])
+def test_markers_of_another_board_are_reported(other: Board) -> None:
+    picture = Board(8, 6).to_opencv().generateImage((480, 360), marginSize=20)
+    k = Intrinsics(480, 360, 500.0, 500.0, 240.0, 180.0)
+    frame = RgbdFrame(np.dstack([picture] * 3), np.zeros(picture.shape, np.float32), k)
+    rig = Rig({name: Camera(k, np.eye(4)) for name in ("a", "b")}, "a")
+    with pytest.raises(InvalidValueError, match=rf"2 images show its markers, .* {other.columns}x{other.rows} squares"):
+        calibrate_from_boards([Station({"a": frame, "b": frame})], rig, other)

@@ -95,9 +95,12 @@ def test_goals_that_are_not_what_counts_are_refused(bank: SceneBank) -> None:
 def test_an_info_without_the_collision_is_refused(bank: SceneBank) -> None:
     env = goal_env(bank)
     observation, info = env.reset(seed=0)
-    for incomplete in ({}, info):
+    for incomplete in (None, {}, [None], [{}], info):
         with pytest.raises(InvalidValueError, match="copy_info_dict"):
             env.compute_reward(observation["achieved_goal"], observation["desired_goal"], incomplete)
+    for count in (0, 2):
+        with pytest.raises(InvalidValueError, match=f"each of 1 goals, got {count}"):
+            env.compute_reward(observation["achieved_goal"], observation["desired_goal"], [info] * count)
 
 
 def test_hindsight_replay_relabels_with_collisions_kept(bank: SceneBank) -> None:

@@ -137,7 +137,9 @@ def test_processes_of_gymnasium_get_a_pickled_environment(bank: SceneBank) -> No
 
 
 @pytest.mark.parametrize(
-    "action", [[1j] * 6, ["0.1"] * 6, [None] * 6, [10**400] * 6, {"a": 1}, None, [object()] * 6], ids=str
+    "action",
+    [[1j] * 6, ["0.1"] * 6, [None] * 6, [10**400] * 6, {"a": 1}, None, [object()] * 6],
+    ids=["complex", "text", "nothing", "huge", "mapping", "none", "objects"],
 )
 def test_actions_that_are_no_real_numbers_are_refused(bank: SceneBank, action: Any) -> None:
     env = GreenhouseEnv(bank=bank)
@@ -150,7 +152,7 @@ def test_actions_that_are_no_real_numbers_are_refused(bank: SceneBank, action: A
     "wrong",
     [{"success_radius": 2**70}, {"success_radius": 10**400}, {"success_radius": 1j}, {"rate": 2**1100},
      {"start": ["1"] * 6}],
-    ids=str,
+    ids=["large", "huge", "complex", "rate", "text"],
 )  # fmt: skip
 def test_settings_that_no_float_holds_are_refused(bank: SceneBank, wrong: dict[str, Any]) -> None:
     with pytest.raises(InvalidValueError, match=next(iter(wrong))):

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -16,6 +18,8 @@ from greenhouse_gym.errors import GreenhouseError
 from greenhouse_gym.rendering import opengl, viewer
 from greenhouse_gym.rendering.renderer import default_camera, render_depth
 from greenhouse_gym.scene import SceneBank
+
+SMALL = {"width": 160, "height": 120}  # rays take their time
 
 
 def moved(bank: SceneBank, seed: int, **keywords: Any) -> GreenhouseEnv:
@@ -39,17 +43,16 @@ def without_opengl(monkeypatch: pytest.MonkeyPatch) -> None:
         raise ImportError("libEGL.so.1: cannot open shared object file")
 
     monkeypatch.setattr(opengl, "_context_class", missing)
-    monkeypatch.setattr(viewer, "WIDTH", 160)  # rays take their time
-    monkeypatch.setattr(viewer, "HEIGHT", 120)
 
 
 @pytest.mark.usefixtures("without_opengl")
 def test_without_opengl_rays_draw_the_picture(bank: SceneBank) -> None:
-    env = moved(bank, 0)
+    env = moved(bank, 0, **SMALL)
     model, _ = env.model_and_data()
     with pytest.raises(opengl.OpenGLMissingError, match=r"libEGL.*apt install"):
         opengl.OpenGLRenderer(model)
-    image = env.render()
+    with pytest.warns(viewer.RenderingWarning, match="libEGL"):
+        image = env.render()
     assert image.shape == (120, 160, 3)
     assert image.dtype == np.uint8
     assert image.std() > 20
@@ -59,13 +62,21 @@ def test_without_opengl_rays_draw_the_picture(bank: SceneBank) -> None:
     env.close()
 
 
+@pytest.mark.parametrize("choice", ["osmesa", "nonsense", " EGL ", "off", ""])
+def test_mujoco_can_be_imported_whatever_opengl_is_asked_for(choice: str) -> None:
+    code = "import greenhouse_gym, mujoco, greenhouse_gym.rendering.opengl"
+    environment = {**os.environ, "MUJOCO_GL": choice}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert choice != "nonsense" or "MUJOCO_GL=nonsense does not work here" in done.stderr
+
+
 @pytest.mark.usefixtures("without_opengl")
+@pytest.mark.filterwarnings("ignore:images are drawn by ray casting")
 def test_rays_and_opengl_see_the_same_scene(bank: SceneBank, monkeypatch: pytest.MonkeyPatch) -> None:
-    cast = moved(bank, 1).render()
+    cast = moved(bank, 1, **SMALL).render()
     monkeypatch.undo()
-    monkeypatch.setattr(viewer, "WIDTH", 160)
-    monkeypatch.setattr(viewer, "HEIGHT", 120)
-    env = moved(bank, 1)
+    env = moved(bank, 1, **SMALL)
     drawn = env.render()
     if env._viewer._gl is None:
         pytest.skip("no OpenGL here")
@@ -84,7 +95,7 @@ def test_rays_and_opengl_see_the_same_scene(bank: SceneBank, monkeypatch: pytest
 def moved_depth(bank: SceneBank, seed: int) -> np.ndarray:
     env = moved(bank, seed)
     model, data = env.model_and_data()
-    return render_depth(model, data, default_camera(env.scene.placement), viewer.WIDTH, viewer.HEIGHT)
+    return render_depth(model, data, default_camera(env.scene.placement), **SMALL)
 
 
 def test_every_thread_draws_the_same(bank: SceneBank) -> None:
@@ -126,7 +137,8 @@ def test_a_forked_process_steps_and_draws_or_says_why_not(bank: SceneBank) -> No
         env.reset()
         env.close()
         env.reset()
-        return str(env.render().shape)
+        with pytest.warns(viewer.RenderingWarning, match="forked"):
+            return str(env.render().shape)
 
     def vector() -> str:
         try:

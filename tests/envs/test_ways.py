@@ -77,15 +77,17 @@ def test_going_straight_to_the_waypoint_reaches_most_of_a_thin_row(bank: SceneBa
     assert result.collision_rate == 0.0
 
 
-def test_it_begins_as_the_state_does_and_says_the_same_of_the_truth(scene: Scene) -> None:
+def test_it_holds_the_state_without_the_tool_and_says_the_same_of_the_truth(scene: Scene) -> None:
     episode = {"scene": scene.model_copy(update={"truth": Shapes(tomatoes=scene.tomatoes)}), "target": TARGET}
     state, told, of_truth = (
         GreenhouseEnv(bank="mini", observation=kind, physics=physics).reset(options=episode)[0]
         for kind, physics in (("state", "reconstruction"), ("roadmap", "reconstruction"), ("roadmap", "truth"))
     )
-    np.testing.assert_array_equal(told[: len(state)], state)
-    assert len(told) == len(state) + 2 * JOINTS + 2
-    np.testing.assert_array_equal(told[len(state) :], of_truth[len(state) :])
+    tool = [*range(3 * JOINTS, 3 * JOINTS + 6), *range(3 * JOINTS + 12, 3 * JOINTS + 18)]  # its pose, then its turn
+    plain = np.delete(state, tool)
+    np.testing.assert_array_equal(told[: len(plain)], plain)
+    assert len(told) == len(plain) + 2 * JOINTS + 2
+    np.testing.assert_array_equal(told[len(plain) :], of_truth[len(plain) :])
     assert np.abs(told[-JOINTS - 2 : -2]).max() == 1.0, "the direction is an action at full speed"
 
 

@@ -161,8 +161,15 @@ def test_the_command_tries_each_value_given(bank: SceneBank, tmp_path: Path, mon
     assert [(row["seed"], row["steps"], row["success_rate"]) for row in rows] == [(2, 7.0, 0.2), (1, 7.0, 0.1)]
 
 
-def test_a_sweep_of_no_steps_says_so(bank: SceneBank, tmp_path: Path) -> None:
-    asked = ["sweep", "--try", "seed=0", "--bank", str(bank.path), "--steps", "-1", "--backend", "serial"]
-    result = CliRunner().invoke(app, [*asked, "--out", str(tmp_path)])
-    assert result.exit_code == 0, result.exception
-    assert "seed=0: no steps to train" in result.output
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--try", "seed=0", "--steps", "-1"], "total_steps: Input should be greater than or equal to 0, got -1"),
+        (["--try", "learning_rat=1e-4"], "Did you mean 'learning_rate'"),
+        (["--try", "epochs=0"], "epochs"),
+    ],
+)
+def test_a_sweep_checks_its_settings_first(bank: SceneBank, tmp_path: Path, arguments: list[str], message: str) -> None:
+    asked = ["sweep", *arguments, "--bank", str(bank.path), "--backend", "serial", "--out", str(tmp_path)]
+    assert message in str(CliRunner().invoke(app, asked).exception)
+    assert not list(tmp_path.iterdir())

@@ -9,14 +9,17 @@ from conftest import with_ellipsoids
 
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.motion.collision import (
+    CLEARANCE_RANGE,
     MARGIN,
     PROOF,
     CollisionChecker,
     halving_order,
+    path_clearance,
     planning_model,
     set_margin,
 )
-from greenhouse_gym.motion.joint_reaches import joint_reaches
+from greenhouse_gym.motion.joint_reaches import arm_reaches, joint_reaches
+from greenhouse_gym.motion.path import along_path
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
 
@@ -120,7 +123,7 @@ def test_clearance_is_the_distance_of_all_pairs(compiled: CompiledScene) -> None
     arm = [g for g in range(model.ngeom) if model.geom_bodyid[g] > 0]
     cup, target = compiled.cup_geom, compiled.tomato_geom(TARGET)
     pairs = [(a, int(o)) for a in arm for o in obstacles if (a, o) != (cup, target)]
-    start = compiled.robot.start
+    start = compiled.robot.rating_start
     compared = 0
     for q in start + np.random.default_rng(1).uniform(-1, 1, (60, 6)):
         data.qpos[:] = q
@@ -203,3 +206,20 @@ def test_halving_order_visits_every_inner_point_once_coarse_first(steps: int) ->
 def test_an_unknown_tomato_is_named(compiled: CompiledScene) -> None:
     with pytest.raises(InvalidValueError, match=r"target 12.*tomatoes 0 to 11"):
         planning_model(compiled, 12)
+
+
+def test_the_clearance_of_a_path_is_that_of_all_its_configurations(compiled: CompiledScene) -> None:
+    rng, start, reaches = np.random.default_rng(5), compiled.robot.rating_start, arm_reaches(compiled.robot)
+    model = planning_model(compiled, TARGET, margin=0.0, pairs=("tomatoes", "stems", "clutter"))
+    target = compiled.tomato_geom(TARGET)
+    model.geom_contype[target] = model.geom_conaffinity[target] = 0
+    obstacles = np.arange(compiled.obstacle_geoms.start, compiled.obstacle_geoms.stop)
+    set_margin(model, obstacles, CLEARANCE_RANGE)
+    checker, found = CollisionChecker(model), []
+    for _ in range(12):
+        path = np.array([start, start + rng.uniform(-1, 1, 6), start + rng.uniform(-1.5, 1.5, 6)])
+        along = along_path(path, reaches, 0.01)
+        expected = min(CLEARANCE_RANGE, *(checker.clearance(q) for q in along))
+        assert path_clearance(compiled, TARGET, path) == expected
+        found.append(expected)
+    assert min(found) < 0 < max(found)

@@ -67,32 +67,32 @@ def test_verdicts_are_mujocos(scene: Scene, robot: str) -> None:
     rng = np.random.default_rng(0)
     for each in (scene, with_ellipsoids(scene, 0), SceneBank.open("mini")[0]):
         model = planning_model(compile_scene(each, arm), 0)
-        judge, checker = CollisionChecker(model), search_checker(model)
+        exact, checker = CollisionChecker(model), search_checker(model)
         assert isinstance(checker, KernelChecker)
         near = np.clip(arm.start + rng.normal(0, 0.6, (500, len(arm.joints))), arm.lower, arm.upper)
         configurations = np.concatenate([rng.uniform(arm.lower, arm.upper, near.shape), near])
-        expected = np.array([judge.is_free(q) for q in configurations])
+        expected = np.array([exact.is_free(q) for q in configurations])
         assert 0.1 < expected.mean() < 0.95
         np.testing.assert_array_equal(checker.are_free(configurations), expected)
-        assert checker.checks == judge.checks
+        assert checker.checks == exact.checks
         np.testing.assert_array_equal([checker.is_free(q) for q in configurations[::7]], expected[::7])
 
 
 def test_motions_are_checked_alike_and_counted_alike(scene: Scene) -> None:
     arm = get_robot("ur5e")
-    judge = checker_of(compile_scene(scene, arm), 4)
-    checker, back = (search_checker(judge.model, judge.reaches) for _ in range(2))
+    exact = checker_of(compile_scene(scene, arm), 4)
+    checker, back = (search_checker(exact.model, exact.reaches) for _ in range(2))
     rng, verdicts = np.random.default_rng(3), []
     for _ in range(60):
         end = np.clip(arm.start + rng.uniform(-1.5, 1.5, 6), arm.lower, arm.upper)
         for resolution in (PROOF, 6 * PROOF, 100.0):
-            free = judge.motion_is_free(arm.start, end, resolution)
+            free = exact.motion_is_free(arm.start, end, resolution)
             assert checker.motion_is_free(arm.start, end, resolution) == free
             assert back.motion_is_free(end, arm.start, resolution) == free
             verdicts.append(free)
-    assert checker.checks == judge.checks
+    assert checker.checks == exact.checks
     assert 30 < sum(verdicts) < 170
-    assert checker.clearance(arm.start) == judge.clearance(arm.start)
+    assert checker.clearance(arm.start) == exact.clearance(arm.start)
     assert checker.are_free(np.empty((0, 6))).tolist() == []
 
 

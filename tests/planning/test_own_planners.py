@@ -195,7 +195,13 @@ def test_shortcut_connect_gets_shorter_with_more_checks(scene: Scene) -> None:
         np.mean(
             [
                 plan(
-                    scene, k, planner="ShortcutConnect", time_limit=None, max_checks=checks, first_solution=first
+                    scene,
+                    k,
+                    planner="ShortcutConnect",
+                    time_limit=None,
+                    max_checks=checks,
+                    first_solution=first,
+                    start="upright",
                 ).length
                 for k in (0, 4, 7)
             ]

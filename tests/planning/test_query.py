@@ -60,7 +60,7 @@ def test_same_seed_and_checks_same_path(scene: Scene) -> None:
 def test_optimizing_planners_report_their_cost_over_time(scene: Scene) -> None:
     if "RRTsharp" not in PLANNERS:
         pytest.skip("OMPL 2 does not tell Python")
-    result = plan(scene, 0, planner="BITstar", time_limit=1.0, seed=3)
+    result = plan(scene, 0, planner="BITstar", time_limit=1.0, seed=3, start="upright")
     seconds, costs = result.costs.T
     assert len(costs) > 1
     assert (np.diff(seconds) > 0).all()
@@ -250,3 +250,8 @@ def test_every_path_of_the_worker_is_verified(
     assert result.status == "invalid"
     assert result.path is None
     assert message in result.message
+
+
+def test_a_budget_of_checks_limits_the_time_of_planners_that_hardly_check() -> None:
+    assert query._seconds(None, 1_000) <= 10.0
+    assert query._seconds(None, 1_000_000) >= 100.0

@@ -14,7 +14,7 @@ from html_pages import HOSTILE, Page
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, RowReport, StationReport
 from greenhouse_gym.reconstruction.edge_fattening import EdgeFattening
 from greenhouse_gym.reconstruction.report import CalibrationReport
-from greenhouse_gym.reporting.pictures import save
+from greenhouse_gym.rendering.picture_files import write_picture
 from greenhouse_gym.reporting.plots import hover, limits_around, svg_plot
 from greenhouse_gym.reporting.reconstruction_results import typical_pair
 from greenhouse_gym.reporting.report_page import report_page
@@ -135,7 +135,7 @@ def test_the_page_needs_nothing_else(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     noise = rng.integers(0, 255, (90, 120, 3), dtype=np.uint8)
     flat = np.full((50, 400, 3), 200, dtype=np.uint8)
-    pictures = (save(noise, tmp_path / "1-two-images.png"), save(flat, tmp_path / "8-mesh.png"))
+    pictures = (write_picture(noise, tmp_path / "1-two-images.png"), write_picture(flat, tmp_path / "8-mesh.png"))
     parsed = Page(page(two_segments(), pictures=pictures))
     kinds = []
     for image, expected in zip(parsed.all("img"), (noise, flat), strict=True):

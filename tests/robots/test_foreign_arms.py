@@ -39,7 +39,7 @@ def test_a_mounted_arm_starts_free_before_the_plants(mounted: Robot) -> None:
     bank = SceneBank.open("mini")
     for scene in (bank[0], bank[-1]):
         checker = CollisionChecker(planning_model(compile_scene(scene, mounted), 0))
-        assert checker.contacts(mounted.start) == ()
+        assert checker.contacts(mounted.start) == []
 
 
 def test_a_mounted_arm_carries_the_tool_of_the_shipped_arms(mounted: Robot) -> None:

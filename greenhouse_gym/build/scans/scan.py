@@ -185,6 +185,7 @@ def _direction(up: Direction) -> Array:
     if isinstance(up, str):
         return np.asarray(_DIRECTIONS[require_choice("direction", up, _DIRECTIONS)])
     vector = _checked(up, "up")
+    vector = vector / max(float(np.abs(vector).max()), 1e-300)  # the squares of the given numbers may overflow
     if np.linalg.norm(vector) < 1e-9:
         raise InvalidValueError(f"up must have a direction, got {up!r}")
     return vector / np.linalg.norm(vector)

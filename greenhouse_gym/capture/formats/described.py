@@ -130,7 +130,7 @@ def open(path: Path) -> Recording:
     known: list[Array | None] = [None] * size
     if poses is not None:
         ids, matrices = read_poses(inside(path, poses, named_in=file))
-        matched = poses_by_id(path / poses, ids, matrices, images[reference][0])
+        matched = poses_by_id(path / poses, ids, list(matrices), images[reference][0])
         known = [station_pose(matrix) if alone else matrix for matrix in matched]
     files = (file, *(image for both in images.values() for found in both for image in found))
     load = partial(_station, pairs, images, tuple(known))

@@ -36,7 +36,7 @@ def _parts(stem: str) -> list[tuple[str, str]]:
 
 
 def numbers(files: Sequence[Path]) -> list[Number] | None:
-    """Return the number of each image; None if names do not tell the images apart by numbers."""
+    """Return the number of each image; None unless the numbers in their names are different."""
     found = [tuple(map(int, _DIGITS.findall(file.stem))) for file in files]
     if len(files) < 2 or len({len(each) for each in found}) != 1:
         return found if len(found) == 1 and len(found[0]) == 1 else None
@@ -56,7 +56,7 @@ def partners(color: Sequence[Path], depth: Sequence[Path]) -> list[Path | None]:
 
 
 def depth_partners(folder: Path, color: Sequence[Path]) -> list[Path]:
-    """Return the PNG image in a folder of depth images of each color image; the file that is missing if there is none.
+    """Return the PNG file with the depth of each color image, in a folder; a missing one by the color image's name.
 
     Raises:
         FileFormatError: The folder holds images of other kinds only.

@@ -72,8 +72,8 @@ def _intrinsics(path: Path) -> Intrinsics:
 def _poses(path: Path, images: Sequence[Path]) -> list[Array | None]:
     """Return world_from_camera of each image; None for those without one.
 
-    The first number of a header is the index of its image, or the image's own number; headers that do not tell the
-    images apart are ignored.
+    The first number of a header is the number in the name of its image, or else the index of the image. Other headers
+    are ignored.
     """
     with parsing(path, "trajectory with a header line and a 4x4 matrix per image"):
         lines = [line.split() for line in read_bytes(path, "trajectory").decode().splitlines() if line.strip()]
@@ -81,7 +81,7 @@ def _poses(path: Path, images: Sequence[Path]) -> list[Array | None]:
         found = [checked_pose(path, f"pose {i}", block) for i, block in enumerate(blocks)]
         ids = [int(line[0]) for line in lines[::5]]
     own = [number[-1] for number in numbers(images) or []]
-    for names in (list(range(len(images))), own):
+    for names in (own, list(range(len(images)))):
         if len(set(ids)) == len(ids) and set(ids) <= set(names):
             by_id = dict(zip(ids, found, strict=True))
             return [by_id.get(name) for name in names]

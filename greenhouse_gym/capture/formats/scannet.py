@@ -13,6 +13,7 @@ from greenhouse_gym.capture.formats.trajectories import read_numbers
 from greenhouse_gym.capture.image_files import read_any_color, read_any_depth
 from greenhouse_gym.capture.recordings import Recording, checked_pose
 from greenhouse_gym.capture.rig import Intrinsics
+from greenhouse_gym.common.files import read_bytes
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import Array, invert
 
@@ -58,6 +59,6 @@ def _matrix(file: Path) -> Array:
 
 def _pose(file: Path) -> Array | None:
     """Read the pose of an image; None where tracking was lost, which is written as -inf."""
-    if not file.exists() or "inf" in file.read_text():
+    if not file.exists() or b"inf" in read_bytes(file, "trajectory"):
         return None
     return checked_pose(file, "the pose", read_numbers(file, 4))

@@ -26,6 +26,7 @@ from contextlib import contextmanager
 from itertools import islice
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
+from numbers import Integral
 from typing import Any, TypeVar
 
 from greenhouse_gym.errors import GreenhouseError, InvalidValueError
@@ -150,9 +151,10 @@ def processes(count: int | None = None) -> Iterator[ProcessPoolExecutor]:
         InvalidValueError: The count is not a positive integer.
     """
     count = usable_cores() if count is None else count
-    if isinstance(count, bool) or not isinstance(count, int) or count < 1:
+    if isinstance(count, bool) or not isinstance(count, Integral) or count < 1:
         raise InvalidValueError(f"the number of processes must be a whole number from 1 up, got {count!r}")
     context = get_context("spawn")
+    count = int(count)
     theirs, ours = context.Pipe(duplex=False)
     with theirs, ours, ProcessPoolExecutor(count, context, _begin, (theirs,)) as executor:
         try:

@@ -23,7 +23,7 @@ class TomatoReach(GoalTask):
     | term | ``dense`` | ``path`` | ``sparse`` |
     |---|---|---|---|
     | ``success`` | +10 | +10 | +1 |
-    | ``collision`` | -1 | -1 | -1 |
+    | ``collision`` | -5 | -1 | -1 |
     | ``progress`` | 4 per metre the grasp point came nearer | 2 per radian of the path | |
     | ``time`` | -0.02 | -0.02 | |
     | ``effort`` | -0.003 times the sum of the action's squares | as ``dense`` | |

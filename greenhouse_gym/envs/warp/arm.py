@@ -52,7 +52,7 @@ class ArmArrays:
         part_start: (g, 3) start of the part's axis in the frame of its link.
         part_end: (g, 3) end of that axis.
         part_radius: (g,) radius.
-        part_touches: (g,) 0 if the part passes through the world, 1 if it may touch all of it, 2 all but the target.
+        part_mask: (g,) 0 if the part passes through the world, 1 if it may touch all of it, 2 all but the target.
         pairs: (p, 2) parts that may touch each other.
         probe_link: (k,) link of each probe point, ascending.
         probe_position: (k, 3) in the frame of its link.
@@ -86,7 +86,7 @@ class ArmArrays:
     part_start: Array
     part_end: Array
     part_radius: Array
-    part_touches: Ints
+    part_mask: Ints
     pairs: Ints
     probe_link: Ints
     probe_position: Array
@@ -172,7 +172,7 @@ def arm_arrays(compiled: CompiledScene, rule: ActionRule, timing: ControlTiming)
         part_start=np.array([start for _, start, _ in ends]),
         part_end=np.array([end for *_, end in ends]),
         part_radius=model.geom_size[parts, 0],
-        part_touches=np.array(
+        part_mask=np.array(
             [
                 0 if link < 0 or not _collide(model, geom, ARM_AND_CUP) else 1 if _collide(model, geom, ARM_ONLY) else 2
                 for (link, *_), geom in zip(ends, parts.tolist(), strict=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -114,6 +114,15 @@ class DrawTable:
     count: Ints
     row: Ints
 
+    @classmethod
+    def of(cls, chances: Sequence[float], rows: Sequence[Sequence[int]]) -> DrawTable:
+        """Return the table of entries with these probabilities and rows."""
+        count = np.array([len(entry) for entry in rows], dtype=np.int32)
+        cumulative = np.cumsum(chances).astype(np.float32)
+        cumulative[-1] = 1.0
+        together = np.array([row for entry in rows for row in entry], dtype=np.int32)
+        return cls(cumulative, (np.cumsum(count) - count).astype(np.int32), count, together)
+
 
 def bank_of(scenes: Sequence[Scene], sampler: EpisodeSampler, physics: str) -> Bank:
     """Return scenes as arrays.
@@ -128,7 +137,7 @@ def bank_of(scenes: Sequence[Scene], sampler: EpisodeSampler, physics: str) -> B
     """
     robot, truth = sampler.robot, physics == "truth"
     placements, tables = [], []
-    columns: dict[str, list[Array]] = {name: [] for name in ("scene", "tomato", "shape", "target", "goal", "radius")}
+    columns: dict[str, list[Any]] = {name: [] for name in ("scene", "tomato", "shape", "target", "goal", "radius")}
     ratings: list[int] = []
     fields = np.empty((len(scenes), *SHAPE), dtype=NODE)
     for s, scene in enumerate(scenes):
@@ -154,7 +163,7 @@ def bank_of(scenes: Sequence[Scene], sampler: EpisodeSampler, physics: str) -> B
         columns["radius"].append(goals[:, 3])
         rated = {target.tomato: sampler.rating(target) for target in sampler.fitting(scene, DIFFICULTIES)}
         ratings += [RATINGS.index(rated.get(k, UNRATED)) for k in range(len(targets))]
-    whole = {name: np.concatenate(parts) for name, parts in columns.items()}
+    whole: dict[str, Any] = {name: np.concatenate(parts) for name, parts in columns.items()}
     counts = np.bincount(whole["scene"].astype(np.int64), minlength=len(scenes))
     arrays = SceneArrays(
         base=np.array([p.scene_from_base[:3, 3] for p in placements]),
@@ -191,15 +200,7 @@ def draw_table(scenes: Sequence[Scene], sampler: EpisodeSampler, tomato_first: I
             raise InvalidValueError(sampler.nothing_fits(f"split {sampler.split!r} of bank {sampler.bank.path}", names))
         chances += [weight / len(fitting)] * len(fitting)
         rows += fitting
-    count = np.array([len(entry) for entry in rows], dtype=np.int32)
-    cumulative = np.cumsum(chances).astype(np.float32)
-    cumulative[-1] = 1.0
-    return DrawTable(
-        cumulative,
-        (np.cumsum(count) - count).astype(np.int32),
-        count,
-        np.array([row for entry in rows for row in entry], dtype=np.int32),
-    )
+    return DrawTable.of(chances, rows)
 
 
 class _Placement(NamedTuple):
@@ -226,7 +227,8 @@ class _Placement(NamedTuple):
 
 def _table(cart: ShapeArrays, shapes: ShapeArrays) -> ShapeTable:
     """Return the shapes of one scene after its cart."""
-    kinds, starts, ends, sizes, rotations = (np.concatenate(both) for both in zip(cart, shapes, strict=True))
+    both = ShapeArrays._make(np.concatenate([getattr(x, name) for x in (cart, shapes)]) for name in ShapeArrays._fields)
+    kinds, starts, ends, sizes, rotations = both
     axes = (ends - starts) / 2
     half = np.linalg.norm(axes, axis=1)
     kinds = np.where((kinds == CAPSULE) & (2 * half <= MIN_LENGTH), SPHERE, kinds)

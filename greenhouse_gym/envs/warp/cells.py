@@ -11,7 +11,7 @@ from greenhouse_gym.envs.warp.bank import ShapeTable
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.geometry.shape_arrays import BOX, CAPSULE
 
-CELL = 0.12
+CELL = 0.16
 """Size of a cell, metres."""
 
 

@@ -19,13 +19,13 @@ _LAST_STEP = 127  # later physics steps have this order in codes
 
 
 @lru_cache
-def collide_kernel(real: Any, lanes: int, share: int) -> wp.Kernel:
+def collide_kernel(real: Any, lanes: int, part_threads: int) -> wp.Kernel:
     """Return the kernel of a precision.
 
     Args:
         real: Type of real numbers.
         lanes: Number of threads of a simulation.
-        share: Number of threads that share the neighborhood of a part.
+        part_threads: Number of threads that divide the neighborhood of a part.
     """
     t = structs(real)
     vec3, Arm, Scenes, State, Shapes = t.vec3, t.Arm, t.Scenes, t.State, t.Shapes
@@ -59,9 +59,9 @@ def collide_kernel(real: Any, lanes: int, share: int) -> wp.Kernel:
         best = s.contact[w]
         none = best
         work = lane
-        while work < parts * share:
-            part = work // share
-            touches = arm.part_touches[part]
+        while work < parts * part_threads:
+            part = work // part_threads
+            mask = arm.part_mask[part]
             start = s.part_start[w, steps - 1, part]
             end = s.part_end[w, steps - 1, part]
             along = end - start
@@ -74,8 +74,8 @@ def collide_kernel(real: Any, lanes: int, share: int) -> wp.Kernel:
             last_x = wp.min(int(last_cell[0]), side - 1)
             last_y = wp.min(int(last_cell[1]), side - 1)
             last_z = wp.min(int(last_cell[2]), side - 1)
-            x = wp.max(int(first_cell[0]), 0) + work % share
-            if touches == 0:
+            x = wp.max(int(first_cell[0]), 0) + work % part_threads
+            if mask == 0:
                 x = side
             while x <= last_x:
                 y = wp.max(int(first_cell[1]), 0)
@@ -88,9 +88,7 @@ def collide_kernel(real: Any, lanes: int, share: int) -> wp.Kernel:
                         shape = cells.item[item]
                         bound = shapes.bound[first + shape]
                         offset = shapes.center[first + shape] - middle
-                        if wp.dot(offset, offset) < (ball + bound) * (ball + bound) and (
-                            touches == 1 or shape != target
-                        ):
+                        if wp.dot(offset, offset) < (ball + bound) * (ball + bound) and (mask == 1 or shape != target):
                             squared = to_point(start, along, shapes.center[first + shape])
                             if squared < (reach + bound) * (reach + bound) and (
                                 segment_distance(shapes, first + shape, start, along) < reach
@@ -105,20 +103,20 @@ def collide_kernel(real: Any, lanes: int, share: int) -> wp.Kernel:
                                     step += 1
                         item += 1
                     y += 1
-                x += share
+                x += part_threads
             work += lanes
         pair = lane
         while pair < arm.pairs.shape[0]:
             a = arm.pairs[pair][0]
             b = arm.pairs[pair][1]
-            touching = arm.part_radius[a] + arm.part_radius[b]
-            far = touching + s.travel[w, a] + s.travel[w, b]
+            contact_distance = arm.part_radius[a] + arm.part_radius[b]
+            far = contact_distance + s.travel[w, a] + s.travel[w, b]
             step = steps - 1
             while step >= 0:  # the last one first, which rules out most pairs
                 at_a = s.part_start[w, step, a]
                 at_b = s.part_start[w, step, b]
                 squared = to_segment(at_a, s.part_end[w, step, a] - at_a, at_b, s.part_end[w, step, b] - at_b)
-                if squared < touching * touching:
+                if squared < contact_distance * contact_distance:
                     best = wp.min(best, code(step, a, own + b))
                 if step == steps - 1 and squared >= far * far:
                     step = 0
@@ -127,9 +125,7 @@ def collide_kernel(real: Any, lanes: int, share: int) -> wp.Kernel:
         part = lane
         while part < parts:
             lowest = wp.min(s.part_start[w, steps - 1, part][2], s.part_end[w, steps - 1, part][2])
-            if arm.part_touches[part] != 0 and (
-                lowest - s.travel[w, part] - arm.part_radius[part] < scenes.floor[scene]
-            ):
+            if arm.part_mask[part] != 0 and (lowest - s.travel[w, part] - arm.part_radius[part] < scenes.floor[scene]):
                 step = int(0)
                 while step < steps:
                     lowest = wp.min(s.part_start[w, step, part][2], s.part_end[w, step, part][2])

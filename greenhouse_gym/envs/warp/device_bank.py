@@ -15,6 +15,7 @@ from greenhouse_gym.envs.warp.bank import SceneArrays, bank_of
 from greenhouse_gym.envs.warp.cells import cell_lists
 from greenhouse_gym.envs.warp.runtime import struct_of
 from greenhouse_gym.envs.warp.structs import Cells, Half4, structs
+from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.motion.distance_field import SHAPE
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import DIFFICULTIES, Scene, SceneBank
@@ -47,6 +48,21 @@ class DeviceBank:
     shapes: Any
     cells: Any
     fields: Any
+
+    def index_of(self, scene: str | Scene, split: str) -> int:
+        """Return the index of a scene.
+
+        Raises:
+            InvalidValueError: It does not belong to the split.
+        """
+        name = scene if isinstance(scene, str) else scene.name
+        index = self.index.get(name)
+        if index is None or not (isinstance(scene, str) or self.scenes[index] is scene):
+            raise InvalidValueError(
+                f'scene {name!r} is not in split {split!r}, whose scenes backend="warp" holds on the device: make the '
+                "environment with its bank and split"
+            )
+        return index
 
 
 def device_bank(sampler: EpisodeSampler, physics: str, reach: float, device: str, real: Any) -> DeviceBank:

@@ -91,7 +91,7 @@ def drive_kernel(real: Any, joints: int, substeps: int, moves_tip: bool, unrolle
 
     @wp.func
     def decompose(matrix: matn):
-        """Return the Cholesky factor of a symmetric matrix, of which the lower half is read."""
+        """Return the Cholesky factor of a symmetric matrix; only its lower half is read."""
         for j in range(n):
             x = matrix[j, j]
             for k in range(n):

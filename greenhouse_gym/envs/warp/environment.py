@@ -15,10 +15,10 @@ from gymnasium.vector.utils import batch_space
 from greenhouse_gym.common.extras import needs
 from greenhouse_gym.envs.actions import check_actions
 from greenhouse_gym.envs.episodes import DifficultyChoice
-from greenhouse_gym.envs.settings import EnvMixin, EnvSettings, check_whole, settings_with
+from greenhouse_gym.envs.settings import EnvMixin, EnvSettings, settings_with
 from greenhouse_gym.envs.vector import mode_of
 from greenhouse_gym.envs.warp.simulation import TERMS, WarpSimulation
-from greenhouse_gym.errors import InvalidValueError, NoEpisodeError, require_choice
+from greenhouse_gym.errors import InvalidValueError, NoEpisodeError, check_whole, require_choice
 
 ARRAYS = ("numpy", "torch")
 """Kinds of arrays that an environment returns."""
@@ -34,9 +34,10 @@ class WarpVectorEnv(EnvMixin, VectorEnv[Any, Any, Any]):  # type: ignore[misc]
     """``num_envs`` simulations as kernels: the numbers of `GreenhouseVectorEnv`, up to rounding, from another device.
 
     The scenes of the split, their distance fields, the draws of episodes and the resets are on the device, and a step
-    waits for nothing, so it can be captured in a CUDA graph. Supported are the task "reach", arms of hinges whose parts
-    are capsules or spheres, the observations "state" and "goal", all three kinds of actions, and the rewards "dense"
-    and "sparse"; other settings raise an error. All scenes of the split are drawn from, also of a large bank.
+    waits for nothing, so it can be captured in a CUDA graph. Contacts end episodes, and push nothing. Supported are the
+    task "reach", arms of hinges whose parts are capsules or spheres, the observations "state" and "goal", all three
+    kinds of actions, and the rewards "dense" and "sparse"; other settings raise an error. All scenes of the split are
+    drawn from, also of a large bank.
 
     With seed s, simulation i draws the episodes of a single simulation with seed s + i; the other backend draws others.
 
@@ -215,7 +216,7 @@ class WarpVectorEnv(EnvMixin, VectorEnv[Any, Any, Any]):  # type: ignore[misc]
     def _take(self, actions: Any) -> None:
         simulation = self.simulation
         if type(actions).__module__.partition(".")[0] == "torch":
-            shape = (self.num_envs, *self.single_action_space.shape)
+            shape = tuple(simulation.action.shape)
             if tuple(actions.shape) != shape:
                 raise InvalidValueError(f"an action must have shape {shape}, got {tuple(actions.shape)}")
             if self._torch is not None:
@@ -256,12 +257,7 @@ class WarpVectorEnv(EnvMixin, VectorEnv[Any, Any, Any]):  # type: ignore[misc]
         for i in ids:
             if options[i]:
                 episode = sampler.draw(self._rng, options[i])
-                index = simulation.bank.index.get(episode.scene.name)
-                if index is None or simulation.bank.scenes[index] is not episode.scene:
-                    raise InvalidValueError(
-                        f"scene {episode.scene.name!r} is not in split {self.settings.split!r}, whose scenes "
-                        'backend="warp" holds on the device: make the environment with its split and bank'
-                    )
+                index = simulation.bank.index_of(episode.scene, self.settings.split)
                 wanted[i], start[i] = first[index] + episode.targets[0], episode.start
         state.wanted.assign(wanted)
         state.start.assign(start)

@@ -14,7 +14,7 @@ def geometry(real: Any) -> SimpleNamespace:
     """Return types and functions of a precision: ``vec3``, ``mat3``, the struct ``Shapes`` and the distances."""
     vec3, mat3 = wp.types.vector(3, real), wp.types.matrix((3, 3), real)
     zero, one, half, two, tiny = (real(x) for x in (0.0, 1.0, 0.5, 2.0, 1e-12))
-    parallel, golden, least_axis, smallest_slope = real(1e-9), real(0.381966), real(1e-6), real(1e-20)
+    parallel, golden, min_axis, smallest_slope = real(1e-9), real(0.381966), real(1e-6), real(1e-20)
     sphere, capsule, box = SPHERE, CAPSULE, BOX
 
     @wp.struct
@@ -96,12 +96,12 @@ def geometry(real: Any) -> SimpleNamespace:
     @wp.func
     def ellipsoid_distance(point: vec3, axes: vec3):
         """Return the signed distance of a point to an ellipsoid at the origin, by Newton's method (Eberly, 2013)."""
-        least = wp.min(axes[0], wp.min(axes[1], axes[2]))
+        shortest = wp.min(axes[0], wp.min(axes[1], axes[2]))
         inside = real(0.0)
         t = real(-1e9)
         y = vec3()
         for i in range(3):
-            y[i] = wp.max(wp.abs(point[i]), least_axis * least)
+            y[i] = wp.max(wp.abs(point[i]), min_axis * shortest)
             inside += (y[i] / axes[i]) * (y[i] / axes[i])
             t = wp.max(t, axes[i] * y[i] - axes[i] * axes[i])
         steps = int(0)

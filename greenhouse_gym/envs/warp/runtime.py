@@ -12,12 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import warp as wp
 
-from greenhouse_gym.common.extras import needs
 from greenhouse_gym.errors import InvalidValueError, require_choice
-
-with needs("warp"):
-    import warp as wp
 
 DEVICES = ("cpu", "cuda")
 """Devices by name; "cuda:1" is the second GPU."""

@@ -19,7 +19,7 @@ from greenhouse_gym.envs.settings import EnvSettings
 from greenhouse_gym.envs.state import control_timing
 from greenhouse_gym.envs.tasks import TomatoReach
 from greenhouse_gym.envs.warp.arm import ArmArrays, arm_arrays, colliding_parts, unsupported
-from greenhouse_gym.envs.warp.bank import draw_table
+from greenhouse_gym.envs.warp.bank import DrawTable, draw_table
 from greenhouse_gym.envs.warp.cells import reach_of
 from greenhouse_gym.envs.warp.contacts import FLOOR, MAX_SHAPES, collide_kernel
 from greenhouse_gym.envs.warp.device_bank import BYTES_PER_SCENE, device_bank
@@ -72,8 +72,8 @@ class WarpSimulation:
         self.robot = robot = get_robot(settings.robot)
         self.sampler = EpisodeSampler(settings.bank, settings.split, robot, settings.difficulty, settings.start)
         timing = control_timing(settings.rate)
-        self.action_rule = make_action(settings.action, robot, timing.interval)
-        self.observe = make_observation(settings.observation, robot, TomatoReach(settings.success_radius))
+        self.action_rule = make_action(str(settings.action), robot, timing.interval)
+        self.observe = make_observation(str(settings.observation), robot, TomatoReach(settings.success_radius))
         self.structs = structs(real)
         names = self.sampler.bank.names(settings.split)
         first = compile_scene(self.sampler.bank.scene(names[0]), robot)
@@ -83,9 +83,9 @@ class WarpSimulation:
         self._check_memory(sizes, len(names))
         moves_tip = isinstance(self.action_rule, TipVelocity)
         unrolled = _GPU_UNROLLED if self.device.is_cuda else _CPU_UNROLLED
-        self._lanes, share = _LANES[self.device.is_cuda]
+        self._lanes, part_threads = _LANES[self.device.is_cuda]
         self._drive = drive_kernel(real, len(robot.joints), timing.substeps, moves_tip, unrolled)
-        self._collide, self._observe = collide_kernel(real, self._lanes, share), observe_kernel(real)
+        self._collide, self._observe = collide_kernel(real, self._lanes, part_threads), observe_kernel(real)
         load_kernels((self._drive, self._collide, self._observe), self.device)
         self.arm = struct_of(self.structs.Arm, self.arm_arrays, self.device)
         self.bank = device_bank(self.sampler, settings.physics, reach_of(self.arm_arrays), self.device.alias, real)
@@ -104,7 +104,16 @@ class WarpSimulation:
 
     def set_draws(self) -> None:
         """Take over the difficulties of the sampler, from the next episodes on."""
-        table = draw_table(self.bank.scenes, self.sampler, self.bank.arrays.tomato_first)
+        scene, target, bank = self.settings.scene, self.settings.target, self.bank
+        if scene is None:
+            table = draw_table(bank.scenes, self.sampler, bank.arrays.tomato_first)
+        else:
+            index = bank.index_of(scene, self.settings.split)
+            first = bank.arrays.tomato_first[index : index + 1]
+            table = draw_table([bank.scenes[index]], self.sampler, first)
+            if target is not None:
+                episode = self.sampler.draw(np.random.default_rng(), {"scene": bank.scenes[index], "target": target})
+                table = DrawTable.of([1.0], [[int(first[0]) + episode.targets[0]]])
         self.draws = struct_of(self.structs.Draws, table, self.device)
 
     def launch(self, resets_only: bool = False, stream: Any = None) -> None:
@@ -192,8 +201,6 @@ def check_settings(settings: EnvSettings) -> None:
         raise unsupported("reward", settings.reward, "dense, sparse, a DenseReward or SparseReward")
     if settings.task != "reach":
         raise unsupported("task", settings.task, '"reach"')
-    if settings.scene is not None:
-        raise unsupported("scene", settings.scene, "None, and the scene in the options of each reset")
     if settings.randomization != NO_RANDOMIZATION:
         raise unsupported("randomization", settings.randomization, "none")
 

@@ -60,7 +60,7 @@ def structs(real: Any) -> SimpleNamespace:
         part_start: wp.array(dtype=vec3)
         part_end: wp.array(dtype=vec3)
         part_radius: wp.array(dtype=real)
-        part_touches: wp.array(dtype=wp.int32)
+        part_mask: wp.array(dtype=wp.int32)
         pairs: wp.array(dtype=wp.vec2i)
         probe_link: wp.array(dtype=wp.int32)
         probe_position: wp.array(dtype=vec3)

@@ -74,14 +74,17 @@ def compare(count: int, steps: int, seed: int = 0, precision: str | None = None,
         if size == len(robot.joints):
             action[kind == 2] = np.clip((np.array(goals) - mujoco.simulation.command)[kind == 2] / 0.08, -1, 1)
         action = action.astype(np.float32)
-        theirs, r, te, tr, info = mujoco.step(action)
+        theirs, r, terminated, tr, info = mujoco.step(action)
         ours, r2, te2, tr2, info2 = warp.step(action)
-        going = alive & ~(te | tr | te2 | tr2)
+        going = alive & ~(terminated | tr | te2 | tr2)
         record(going)
         if going.any():
             reward_deviation = max(reward_deviation, float(np.abs(r - r2)[going].max()))
         for i in np.flatnonzero(alive & ~going):
-            results = _outcome(te[i], tr[i], info["is_success"][i]), _outcome(te2[i], tr2[i], info2["is_success"][i])
+            results = (
+                _outcome(terminated[i], tr[i], info["is_success"][i]),
+                _outcome(te2[i], tr2[i], info2["is_success"][i]),
+            )
             outcomes[results] += 1
             if results[0] != results[1]:
                 different.append((int(i), step, *results, info["contact"][i] or warp.contact_names(i)))

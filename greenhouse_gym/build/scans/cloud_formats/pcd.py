@@ -16,7 +16,7 @@ from greenhouse_gym.build.scans.cloud_formats.parts import Parts, every, read_re
 from greenhouse_gym.build.scans.cloud_formats.text_table import as_declared, lines_of, numbers
 from greenhouse_gym.errors import FileFormatError
 
-_MAX_HEADER = 2**20  # bytes
+_MAX_HEADER = 2**24  # bytes
 _SIZES = {"I": (1, 2, 4, 8), "U": (1, 2, 4, 8), "F": (4, 8)}
 _MAX_RATIO = 100  # of unpacked to packed bytes; LZF makes at most 264 bytes of 3
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,7 +25,7 @@ _MAX_HEADER = 1000  # lines
 _COMMENT = ("#", "/", "%")
 _MIN_ROW = 6  # characters of the shortest row: three digits, each with a separator
 _SHOWN = 60  # characters of a line in a message
-_NUMBER = re.compile(r"[-+]?\.?\d|[-+]?nan|[-+]?inf", re.IGNORECASE)  # its start
+_DIGIT = re.compile(r"[-+]?\.?\d")  # at the start of a number
 _NO_NUMBER = re.compile(r"[-+]?(nan(\(\w*\))?|1\.#(qnan|snan|ind|inf)0*)", re.IGNORECASE)
 """Other spellings of values that are not finite."""
 
@@ -49,7 +49,7 @@ def read_text(path: Path) -> Parts:
     layout = _layout(path)
 
     def rows(step: int = 1) -> Rows:
-        lines = ((n, line) for n, line in lines_of(path) if n >= layout.first and line[0] not in _COMMENT)
+        lines = ((n, row) for n, row in lines_of(path) if n >= layout.first and not row.lstrip().startswith(_COMMENT))
         for number, line in islice(lines, None, None, step):
             text = line.partition(" #")[0]  # a comment; not that of 1.#QNAN
             yield number, text.replace(layout.separator, " ") if layout.separator else text
@@ -102,7 +102,8 @@ def numbers(
                 str(path), comments=None, delimiter=separator, skiprows=first - 1, ndmin=2, encoding=encoding
             )
     except ValueError:
-        table = np.array([_row(path, number, line, width) for number, line in rows()])
+        values = chain.from_iterable(_row(path, number, line, width) for number, line in rows())
+        table = np.fromiter(values, np.float64).reshape(-1, width)
     if table.shape[1] != width and len(table):
         number, line = next(iter(rows()))
         _row(path, number, line, width)
@@ -150,7 +151,7 @@ def _layout(path: Path) -> _Layout:
         text = line.strip()
         separator = _separator(text)
         words = (text.replace(separator, " ") if separator else text).split()
-        if text.startswith(_COMMENT) or not any(_NUMBER.match(word) for word in words):
+        if text.startswith(_COMMENT) or not any(_DIGIT.match(word) or _number(word) is not None for word in words):
             header.append(text.lstrip("".join(_COMMENT)))
         elif not stated and len(words) == 1 and text.isdecimal() and len(text) < 12:
             stated = int(text)
