@@ -13,7 +13,7 @@ MODULES: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "reconstruct": ("open3d", "cv2", "libusb_package", "threadpoolctl", "yaml", "matplotlib"),
         "plan": ("ompl",),
-        "train": ("stable_baselines3", "torch", "safetensors", "tensorboard"),
+        "train": ("stable_baselines3", "torch", "safetensors", "tensorboard", "pandas"),
         "viz": ("matplotlib", "moviepy", "imageio_ffmpeg"),
         "cluster": ("ray",),
         "data": ("minari",),

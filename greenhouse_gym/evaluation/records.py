@@ -158,7 +158,7 @@ class Evaluations(tuple[Evaluation, ...]):
 
 def records_frame(evaluations: Sequence[Evaluation]) -> Any:
     """Return a pandas data frame with a row per record."""
-    with needs("data"):
+    with needs("train"):
         import pandas
     columns = ["agent", *(f.name for f in fields(Record))]
     rows = [[e.agent, *(getattr(r, name) for name in columns[1:])] for e in evaluations for r in e.records]

@@ -81,8 +81,8 @@ def train_ppo(
         DivergedError: The weights are no longer finite; the last checkpoint with finite ones is kept.
         KeyboardInterrupt: The training was interrupted; its results are written.
     """
-    if not settings.total_steps and prepare is None:
-        raise InvalidValueError("total_steps must be a whole number from 1 up, got 0")
+    if settings.total_steps < (1 if prepare is None else 0):
+        raise InvalidValueError(f"total_steps must be a whole number from 1 up, got {settings.total_steps}")
     _check_validation(settings)
     out, described = Path(out), as_json(settings)
     check_start(out, described, resume, time_limit, checkpoint_seconds)

@@ -150,6 +150,8 @@ def _train(
         before = read_curve(folder / CURVE)
         for line in before:  # Ray Tune may not know them
             on_progress(line, _row(training, before[-1]))
+        if training.settings.total_steps < 1:
+            return _row(training)
         try:
             resume = (folder / CHECKPOINT).is_file()
 

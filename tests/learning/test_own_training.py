@@ -221,7 +221,7 @@ def test_hindsight_needs_goals(bank: SceneBank, tmp_path: Path) -> None:
         {"seed": 2**32}, {"seed": -1}, {"seed": 1.5}, {"batch_size": 1}, {"rollout_steps": 0}, {"epochs": 0},
         {"learning_rate": float("nan")}, {"learning_rate": "fast"}, {"learning_rate": 0.0}, {"discount": 1.5},
         {"hidden": (-3,)}, {"hidden": 3}, {"hidden": ("8",)}, {"hidden": (10**9,)}, {"num_envs": 0},
-        {"num_envs": 2**70}, {"total_steps": -5}, {"log_std": float("inf")}, {"clip_range": 0}, {"activation": "none"},
+        {"num_envs": 2**70}, {"total_steps": 1.5}, {"log_std": float("inf")}, {"clip_range": 0}, {"activation": "none"},
         {"threads": -1}, {"validation_episodes": True}, {"difficulty": 3}, {"target": "1"},
         {"num_envs": 1, "rollout_steps": 1},
     ],
@@ -247,6 +247,8 @@ def test_settings_of_imitation_and_seconds_are_checked(settings: PpoSettings, tm
             train_ppo(settings, tmp_path / "run", **seconds)  # type: ignore[arg-type]
     with pytest.raises(InvalidValueError, match="total_steps"):
         train_ppo(replace(settings, total_steps=0), tmp_path / "run")
+    with pytest.raises(InvalidValueError, match="total_steps"):
+        train_ppo(replace(settings, total_steps=-5), tmp_path / "run", prepare=lambda model: None)
 
 
 def test_a_trained_model_goes_to_other_processes_by_its_folder(settings: PpoSettings, tmp_path: Path) -> None:
