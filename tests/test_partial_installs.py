@@ -129,7 +129,8 @@ def test_a_report_without_matplotlib_names_the_extra_before_the_episodes(tmp_pat
 # -- what is declared -------------------------------------------------------------------------------------------------
 
 IMPORTED_AS = {
-    "opencv-python-headless": "cv2", "pyhelios3d": "pyhelios", "pillow": "PIL", "pyyaml": "yaml", "openexr": "OpenEXR"
+    "opencv-python-headless": "cv2", "pyhelios3d": "pyhelios", "pillow": "PIL", "pyyaml": "yaml", "openexr": "OpenEXR",
+    "warp-lang": "warp",
 }  # fmt: skip
 NOT_IMPORTED = {"moviepy", "mujoco_menagerie"}
 """What gymnasium's RecordVideo asks for, and files of arms."""

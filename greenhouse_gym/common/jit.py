@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import inspect
 import logging
+import os
 import threading
 from collections.abc import Callable, Collection
+from pathlib import Path
 from typing import TypeVar
 
 import numba
@@ -22,12 +24,17 @@ _SLOW = 3.0  # seconds of compilation after which a message is shown
 _NOTICE = "compiling the numerical kernel %s; this takes some seconds, once on this machine"
 _logger = logging.getLogger(__name__)
 
+if not numba.config.CACHE_DIR:  # by default compiled code lies next to the sources, which a package should not touch
+    _caches = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")  # noqa: PTH111  works without a home
+    numba.config.CACHE_DIR = str(Path(_caches) / "greenhouse-gym" / "numba")
+
 
 def kernel(signature: str, writes: Collection[str] = ()) -> Callable[[Function], Function]:
     """Return a decorator that compiles a function for one signature, or loads it from the cache on disk.
 
-    The compiled function keeps the order of floating-point operations, checks no bounds and releases the GIL. Without a
-    writable cache folder (``NUMBA_CACHE_DIR``, the package's own, the user's) it is compiled in each process.
+    The compiled function keeps the order of floating-point operations, checks no bounds and releases the GIL. The cache
+    is in ``NUMBA_CACHE_DIR``, or in ``greenhouse-gym/numba`` in the user's cache folder; where that cannot be written,
+    each process compiles.
 
     Args:
         signature: Types in numba's notation, such as ``"f8(f8[::1], i8)"``.

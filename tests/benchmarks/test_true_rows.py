@@ -41,7 +41,7 @@ def figures() -> Any:
 
 def leaf_at_the_start(scene: Scene) -> Box:
     """A leaf inside the arm's wrist at its start."""
-    tip = tool_state(arm_spheres(ARM).chain, ARM.start[None]).point[0]
+    tip = tool_state(arm_spheres(ARM).chain, ARM.starts["upright"][None]).point[0]
     return Box(tip + base_position(scene, ARM), np.array([0.05, 0.05, 0.05]), np.eye(3))
 
 
@@ -58,7 +58,7 @@ def record(scene: str, success: bool, collision: bool, status: str = "", contact
 def test_a_scene_counts_only_if_the_scan_leaves_the_start_free(rows: Any, scene: Scene) -> None:
     grown = scene.model_copy(update={"clutter": (*scene.clutter, leaf_at_the_start(scene))})
     assert rows.start_is_free(scene, None)
-    assert rows.start_is_free(scene, "start")
+    assert rows.start_is_free(scene, "ready")
     assert not rows.start_is_free(grown, None)
 
 
@@ -121,7 +121,7 @@ def test_a_contact_point_lies_between_the_parts_that_touched(figures: Any, scene
     truth = Shapes(tomatoes=scene.tomatoes[:1], clutter=(Box(shoulder, [0.3, 0.3, 0.005], np.eye(3)),))
     true = scene.model_copy(update={"truth": truth})
     trace = SimpleNamespace(
-        robot=ARM, joints=ARM.start[None], record=SimpleNamespace(contact=("upper_arm", "clutter_0"))
+        robot=ARM, joints=ARM.starts["upright"][None], record=SimpleNamespace(contact=("upper_arm", "clutter_0"))
     )
     point = figures.contact_point(true, trace)
     assert abs(point[2] - shoulder[2]) < 0.1

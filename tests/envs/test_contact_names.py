@@ -11,7 +11,7 @@ from greenhouse_gym.scene import Scene, SceneBank
 
 
 def test_contacts_are_named_as_in_the_scene_of_the_episode(bank: SceneBank) -> None:
-    env = GreenhouseEnv(bank=bank)
+    env = GreenhouseEnv(bank=bank, start="upright")
     whole = bank.scene("made-up-0")
     leaf = Sphere([0.0, 0.0, 1.6], 0.05)  # where the upright arm is
     fewer = Scene(

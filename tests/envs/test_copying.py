@@ -74,7 +74,7 @@ def test_difficulties_of_a_copy_are_its_own(bank: SceneBank) -> None:
 
 @pytest.mark.parametrize("mode", ["SameStep", "NextStep"])
 def test_copies_of_vector_environments_go_on_too(mode: str, bank: SceneBank) -> None:
-    env = GreenhouseVectorEnv(3, bank=bank, autoreset_mode=mode)
+    env = GreenhouseVectorEnv(3, bank=bank, autoreset_mode=mode, start="upright")
     env.reset(seed=3)
     actions = towards_the_plants(60, (3, 6))
     for action in actions[:10]:

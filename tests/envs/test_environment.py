@@ -252,7 +252,7 @@ def test_the_rod_may_not_touch_the_target() -> None:
     _, reward, terminated, _, info = env.step(np.zeros(6))
     assert terminated
     assert info["contact"] == "rod, tomato_0"
-    assert info["reward_terms"]["collision"] == -1
+    assert info["reward_terms"]["collision"] == -5
     assert reward < -0.9
 
 

@@ -141,5 +141,5 @@ def test_of_the_scenes_drawn_from_those_asked_for_last_are_kept(
     sampler = GreenhouseEnv(bank=bank).simulation.sampler
     first, second, third = [bank.scene(name) for name in bank.names()[:3]]
     for scene in (first, second, first, third):
-        sampler._fitting(scene, ("easy",))
+        sampler.fitting(scene, ("easy",))
     assert [key[0] for key in sampler._cache] == [id(first), id(third)]

@@ -224,7 +224,7 @@ def test_changed_rules_are_recorded_and_shown(bent: tuple[Evaluation, ...], tmp_
 
 def test_agents_are_not_paired_under_different_rules(bent: tuple[Evaluation, ...]) -> None:
     liar, honest, other = bent
-    assert [(p.first, p.second) for p in pairings(bent)] == [("lies", "waypoint")]
+    assert [(p.first, p.second) for p in pairings(bent)] == [("lies", "roadmap")]
     assert len(pairs_table(bent).rows) == 1
     with pytest.raises(InvalidValueError, match="no episode in common"):
         pairing(liar, other)

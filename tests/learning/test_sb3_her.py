@@ -62,7 +62,7 @@ def test_hindsight_pays_and_ends_as_the_environment_would_have(bank: SceneBank, 
     effort = (samples.actions.numpy().astype(np.float64) ** 2).sum(axis=1)
     expected = {
         "sparse": 1.0 * reached - touched,
-        "dense": 10.0 * reached - touched + 4.0 * (before - after) - 0.02 - 0.003 * effort,
+        "dense": 10.0 * reached - 5.0 * touched + 4.0 * (before - after) - 0.02 - 0.003 * effort,
     }[reward]
     np.testing.assert_allclose(samples.rewards.numpy().ravel(), expected, atol=1e-5)
 

@@ -43,7 +43,7 @@ def test_verdicts_and_checks_are_those_of_all_configurations(shipped: Scene, rob
 
 def test_mujoco_is_asked_less_often(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     proving = ProvingChecker(planning_model(compile_scene(scene), 0))
-    start = get_robot("ur5e").start
+    start = get_robot("ur5e").starts["upright"]
     asked = []
     original = proving._free_radius
     monkeypatch.setattr(proving, "_free_radius", lambda q: (asked.append(1), original(q))[1])
