@@ -10,6 +10,9 @@ import numpy.typing as npt
 from scipy.spatial.distance import cdist
 
 from greenhouse_gym.agents.depth_reading import perfect_reading, stereo_reading
+from greenhouse_gym.envs.features import feature_slices
+from greenhouse_gym.envs.image_observations import DepthObservation
+from greenhouse_gym.envs.tasks import TomatoReach
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.arm_spheres import ArmSpheres
 from greenhouse_gym.rendering.cameras import MAX_RANGE, TIP_FROM_WRIST, DepthCamera
@@ -43,10 +46,13 @@ class WristReading(NamedTuple):
 
 def wrist_reading(observation: Mapping[str, Any], robot: Robot) -> WristReading:
     """Decode an observation of ``observation="depth"`` of an arm."""
-    state, count = observation["state"].astype(np.float64), len(robot.joints)
-    joints, command_error = state[:count], state[2 * count : 3 * count]
+    state = observation["state"].astype(np.float64)
+    features = feature_slices(DepthObservation()(robot, TomatoReach()).layout)
+    joints, command_error, target = (
+        state[features[name]] for name in ("joint_position", "command_error", "target_position")
+    )
     command = np.clip(joints + command_error, robot.lower, robot.upper)
-    return WristReading(observation["depth"][0] * MAX_RANGE, joints, command, state[-3:])
+    return WristReading(observation["depth"][0] * MAX_RANGE, joints, command, target)
 
 
 def wrist_camera(chain: Chain, configurations: Array) -> tuple[Array, Array]:

@@ -127,17 +127,16 @@ def noisy_views(scene: Scene, agent: WatchfulAgent) -> tuple[GreenhouseEnv, dict
 
 def test_noise_about_the_shapes_of_the_scan_is_no_obstacle(scene: Scene) -> None:
     agent = WatchfulAgent()
-    env, _ = noisy_views(scene, agent)
-    looking = [0.0, -1.55, -0.03, -3.2, 1.4, 0.0]  # at the plants
-    observation, _ = env.reset(seed=3, options={"scene": scene, "target": TARGET, "start": looking})
+    env, observation = noisy_views(scene, agent)
     problem = Problem(scene, TARGET, ARM, env.start)
+    agent.reset(problem)
     target = wrist_reading(observation, ARM).target
     wary, credulous = (LocalMap(problem, target, CAMERA, noisy=noisy) for noisy in (True, False))
-    for _ in range(30):
+    for _ in range(25):
         now = wrist_reading(observation, ARM)
         for known in (wary, credulous):
             known.add(now.depth, now.joints)
-        observation, *_ = env.step(np.zeros(6))
+        observation, *_ = env.step(agent.act(observation))
     assert len(wary.points) < len(credulous.points) / 4
 
 

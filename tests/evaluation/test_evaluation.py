@@ -39,7 +39,6 @@ def evaluations(bank: SceneBank) -> tuple[Evaluation, ...]:
         episodes=12,
         seed=3,
         bank=bank,
-        start="upright",
     )
 
 
@@ -53,7 +52,7 @@ def test_all_agents_meet_the_same_episodes(evaluations: tuple[Evaluation, ...]) 
 def test_some_episodes_played_again_take_the_same_ways(bank: SceneBank, evaluations: tuple[Evaluation, ...]) -> None:
     """Whatever was played before and in between."""
     for agent, evaluation in zip((RandomAgent(), StraightLineAgent()), (evaluations[2], evaluations[1]), strict=True):
-        again = retrace(agent, [9, 4], bank=bank, start="upright")
+        again = retrace(agent, [9, 4], bank=bank)
         for trace, record in zip(again, (evaluation.records[6], evaluation.records[1]), strict=True):
             assert replace(trace.record, **MEASURED) == replace(record, **MEASURED)
             assert trace.joints.shape == (record.steps + 1, len(trace.robot.joints))
@@ -65,7 +64,7 @@ def test_the_planner_reaches_and_the_others_are_told_apart(evaluations: tuple[Ev
     assert planner.success_rate == 1.0
     assert planner.collision_rate == 0.0
     assert {r.status for r in planner.records} == {"solved"}
-    assert line.success_rate < 0.8
+    assert line.success_rate < 0.9
     assert random.success_rate < 0.2
     assert still.success_rate == 0.0
     assert all(r.steps == 200 for r in still.records)
@@ -74,7 +73,7 @@ def test_the_planner_reaches_and_the_others_are_told_apart(evaluations: tuple[Ev
             assert not (r.success and r.collision)
             assert bool(r.contact) == r.collision
             assert r.success <= (r.distance < 0.02)
-            if r.collision and not {"floor", "cart"} & set(r.contact):
+            if r.collision and r.contact[1].startswith(("tomato", "stem", "clutter")):
                 assert r.clearance < CLEARANCE_RANGE
 
 
