@@ -276,6 +276,8 @@ def test_the_leaderboard_has_a_page_too(tmp_path: Path) -> None:
     assert isinstance(refused.exception, InvalidValueError), "a trial alone gives no page"
     entry = json.loads(trial.read_text())
     entry["protocol"]["episodes"] = V1.episodes  # as if there were so many
+    columns = {name: values * (V1.episodes // 2) for name, values in entry["tracks"]["reconstruction"].items()}
+    entry["tracks"]["reconstruction"] = columns | {"seed": list(range(V1.episodes))}
     for name in ("random", STILL, "gone.py:Agent"):  # who played does not matter here
         (tmp_path / f"{name[:5]}.json").write_text(json.dumps({**entry, "agent": name}))
     run("leaderboard", tmp_path, "--report", out)
@@ -283,4 +285,4 @@ def test_the_leaderboard_has_a_page_too(tmp_path: Path) -> None:
     assert "<h1>Leaderboard, protocol v1</h1>" in html
     assert "random: dice" in html
     assert "gone.py:Agent is not shown in 3-D: gone.py: there is no such file" in html
-    assert [[m["name"] for m in data_of(f)["motions"]] for f in frames(html)] == [["random", STILL]] * 2  # type: ignore[attr-defined]
+    assert [[m["name"] for m in data_of(f)["motions"]] for f in frames(html)] == [["random", STILL]] * 4  # type: ignore[attr-defined]
