@@ -74,7 +74,7 @@ class PpoSettings:
     difficulty: str | tuple[str, ...] | dict[str, float] = ("easy", "medium", "hard")
     scene: SceneChoice = None
     target: int | None = None
-    total_steps: Annotated[int, Field(ge=-(2**63))] = 2_000_000
+    total_steps: Count = 2_000_000
     num_envs: Simulations = 128
     rollout_steps: PositiveCount = 64
     batch_size: Annotated[int, Field(ge=2)] = 2048
