@@ -29,17 +29,14 @@ from greenhouse_gym.evaluation import (
 from greenhouse_gym.scene import SceneBank
 from greenhouse_gym.scene.bank import write_bank
 
+START = "upright"  # from where a straight line often fails
 MEASURED = {"planning_time": 0.0, "action_time": 0.0}
 
 
 @pytest.fixture(scope="module")
 def evaluations(bank: SceneBank) -> tuple[Evaluation, ...]:
-    return compare(
-        [PlannerAgent(), StraightLineAgent(), RandomAgent(), StillAgent()],
-        episodes=12,
-        seed=3,
-        bank=bank,
-    )
+    agents = [PlannerAgent(), StraightLineAgent(), RandomAgent(), StillAgent()]
+    return compare(agents, episodes=12, seed=3, bank=bank, start=START)
 
 
 def test_all_agents_meet_the_same_episodes(evaluations: tuple[Evaluation, ...]) -> None:
@@ -52,7 +49,7 @@ def test_all_agents_meet_the_same_episodes(evaluations: tuple[Evaluation, ...]) 
 def test_some_episodes_played_again_take_the_same_ways(bank: SceneBank, evaluations: tuple[Evaluation, ...]) -> None:
     """Whatever was played before and in between."""
     for agent, evaluation in zip((RandomAgent(), StraightLineAgent()), (evaluations[2], evaluations[1]), strict=True):
-        again = retrace(agent, [9, 4], bank=bank)
+        again = retrace(agent, [9, 4], bank=bank, start=START)
         for trace, record in zip(again, (evaluation.records[6], evaluation.records[1]), strict=True):
             assert replace(trace.record, **MEASURED) == replace(record, **MEASURED)
             assert trace.joints.shape == (record.steps + 1, len(trace.robot.joints))
@@ -64,7 +61,7 @@ def test_the_planner_reaches_and_the_others_are_told_apart(evaluations: tuple[Ev
     assert planner.success_rate == 1.0
     assert planner.collision_rate == 0.0
     assert {r.status for r in planner.records} == {"solved"}
-    assert line.success_rate < 0.9
+    assert line.success_rate < 0.8
     assert random.success_rate < 0.2
     assert still.success_rate == 0.0
     assert all(r.steps == 200 for r in still.records)
@@ -73,7 +70,7 @@ def test_the_planner_reaches_and_the_others_are_told_apart(evaluations: tuple[Ev
             assert not (r.success and r.collision)
             assert bool(r.contact) == r.collision
             assert r.success <= (r.distance < 0.02)
-            if r.collision and r.contact[1].startswith(("tomato", "stem", "clutter")):
+            if r.collision and not {"floor", "cart"} & set(r.contact):
                 assert r.clearance < CLEARANCE_RANGE
 
 
@@ -93,7 +90,7 @@ def test_the_numbers_of_an_episode(evaluations: tuple[Evaluation, ...]) -> None:
 
 
 def test_evaluating_again_gives_the_same(bank: SceneBank, evaluations: tuple[Evaluation, ...]) -> None:
-    again = evaluate(RandomAgent(), episodes=12, seed=3, bank=bank)
+    again = evaluate(RandomAgent(), episodes=12, seed=3, bank=bank, start=START)
     assert untimed(again) == untimed(evaluations[2])
 
 
@@ -103,7 +100,9 @@ def test_side_by_side_gives_the_same_records(
 ) -> None:
     agents = [PlannerAgent(), StraightLineAgent(), RandomAgent()]
     for agent, alone in zip(agents, evaluations, strict=False):
-        assert untimed(evaluate(agent, episodes=12, seed=3, bank=bank, num_envs=num_envs)) == untimed(alone)
+        assert untimed(evaluate(agent, episodes=12, seed=3, bank=bank, start=START, num_envs=num_envs)) == untimed(
+            alone
+        )
     problems = [("made-up-0", 3), ("made-up-6", 11), ("made-up-0", 3), ("made-up-1", 2)]
     one, many = (evaluate(RandomAgent(), bank=bank, problems=problems, num_envs=n) for n in (1, 3))
     assert untimed(one) == untimed(many)
@@ -112,7 +111,13 @@ def test_side_by_side_gives_the_same_records(
 def test_episodes_played_elsewhere_give_the_same_records(bank: SceneBank, evaluations: tuple[Evaluation, ...]) -> None:
     elsewhere = Elsewhere()
     there = compare(
-        [PlannerAgent(), StraightLineAgent()], episodes=12, seed=3, bank=bank, num_envs=2, executor=elsewhere
+        [PlannerAgent(), StraightLineAgent()],
+        episodes=12,
+        seed=3,
+        bank=bank,
+        start=START,
+        num_envs=2,
+        executor=elsewhere,
     )
     assert [untimed(evaluation) for evaluation in there] == [untimed(one) for one in evaluations[:2]]
     assert len(elsewhere.works) == 2 * 6
@@ -123,7 +128,7 @@ def test_episodes_played_elsewhere_give_the_same_records(bank: SceneBank, evalua
 
 def test_processes_play_the_same_episodes(bank: SceneBank, evaluations: tuple[Evaluation, ...]) -> None:
     with processes(1) as executor:
-        there = evaluate(RandomAgent(), episodes=12, seed=3, bank=bank, executor=executor)
+        there = evaluate(RandomAgent(), episodes=12, seed=3, bank=bank, start=START, executor=executor)
     assert untimed(there) == untimed(evaluations[2])
 
 

@@ -110,7 +110,7 @@ def test_a_bank_is_not_rated_onto_itself(few: SceneBank) -> None:
 
 
 def test_an_arm_that_starts_in_the_plants_is_named(few: SceneBank, tmp_path: Path) -> None:
-    with pytest.warns(UserWarning, match="at its start the arm reaches"):
+    with pytest.warns(UserWarning, match=r"at its start the arm reaches.*start=\"ready\""):
         arm = load_robot(write_arm("fr3", tmp_path))
     reach = make_scene(0).tomatoes[0].center
     scene = small(make_scene(0)).model_copy(
