@@ -1,7 +1,7 @@
 """Test and time the Warp environment on a GPU: equivalence with MuJoCo, steps per second, and PPO.
 
 python -m benchmarks.speed.gpu pack FOLDER          # anywhere: recorded episodes and a bank without the true rows
-python -m benchmarks.speed.gpu run FOLDER OUT       # on the GPU; takes 6 minutes
+python -m benchmarks.speed.gpu run FOLDER OUT       # on the GPU; takes 10 minutes
 
 ``pack`` plays episodes in MuJoCo and records actions, observations and outcomes. ``run`` plays them on the GPU, times
 random actions and a policy as CUDA graphs for several numbers of simulations, trains policies, and evaluates them on
@@ -15,6 +15,7 @@ import argparse
 import hashlib
 import json
 import time
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,14 @@ EPISODES, STEPS, SCENES = 256, 120, 24
 
 SIZES = (4096, 16_384, 65_536)
 """Numbers of simulations."""
+
+TRAININGS: dict[str, tuple[float, dict[str, Any]]] = {
+    **{f"2x256, joint actions, seed {seed}": (55.0, {"seed": seed}) for seed in range(3)},
+    "2x256, tip actions, seed 0": (27.5, {"action": "tip_velocity"}),
+    "3x512, joint actions, seed 0": (130.0, {"hidden": (512, 512, 512)}),
+    "3x512, tip actions, seed 0": (91.0, {"hidden": (512, 512, 512), "action": "tip_velocity"}),
+}
+"""Seconds and settings of the trainings."""
 
 
 def pack(folder: Path) -> None:
@@ -118,7 +127,7 @@ class Run:
 
         return gymnasium.make_vec(
             "TomatoReach-v0", num_envs=count, backend="warp", device=self.device, arrays="torch",
-            bank=str(self.folder / "bank"), **settings,
+            **{"bank": str(self.folder / "bank")} | settings,
         )  # fmt: skip
 
     def synchronize(self) -> None:
@@ -228,13 +237,15 @@ class Run:
         """Train a policy for some seconds, and evaluate it on all splits."""
         from greenhouse_gym.agents.policy import Policy
         from greenhouse_gym.learning import DevicePpoSettings, train_ppo_on_device
+        from greenhouse_gym.scene import SceneBank
 
         chosen = DevicePpoSettings(
             bank=str(self.folder / "bank"), device=self.device, num_envs=count, total_steps=10**12, **settings
         )
         rows: list[Any] = []
         began = time.monotonic()
-        path = train_ppo_on_device(chosen, self.out / name, time_limit=seconds, on_progress=rows.append)
+        folder = self.out / name.replace(", ", "-").replace(" ", "-")
+        path = train_ppo_on_device(chosen, folder, time_limit=seconds, on_progress=rows.append)
         last = rows[-1]
         self.note(
             f"PPO {name}", {
@@ -245,13 +256,18 @@ class Run:
             },
         )  # fmt: skip
         policy = Policy.load(path)
+        count, action = 2048 if self.device == "cuda" else 16, chosen.action
         for split in ("train", "validation", "test"):
-            self.note(f"PPO {name}, {split}", self._evaluate(policy, split, 2048 if self.device == "cuda" else 16))
+            self.note(f"PPO {name}, {split}", self._evaluate(policy, count, split=split, action=action))
+        bank = SceneBank.open(self.folder / "bank")
+        for source, difficulty in product(("own", "helios"), ("easy", "medium", "hard")):
+            where = {"bank": bank.select(source=source), "split": "test", "difficulty": difficulty, "action": action}
+            self.note(f"PPO {name}, test, {source} {difficulty}", self._evaluate(policy, count, **where))
 
-    def _evaluate(self, policy: Any, split: str, count: int) -> dict[str, Any]:
+    def _evaluate(self, policy: Any, count: int, **settings: Any) -> dict[str, Any]:
         """Play one episode in each simulation with the policy's mean action."""
         torch = self.torch
-        env = self.env(count, split=split)
+        env = self.env(count, **settings)
         observation, _ = env.reset(seed=10_000)
         on = observation.device
         weights = [
@@ -285,7 +301,7 @@ def main() -> None:
     command.add_argument("folder", type=Path)
     command.add_argument("out", type=Path, nargs="?", default=Path("runs/gpu"))
     command.add_argument("--device", default="cuda", choices=("cuda", "cpu"))
-    command.add_argument("--seconds", type=float, default=75.0, help="time of each training")
+    command.add_argument("--speed-up", type=float, default=1.0, help="divide the time of each training by this")
     a = command.parse_args()
     if a.what == "pack":
         pack(a.folder)
@@ -294,8 +310,8 @@ def main() -> None:
     run.equivalence()
     run.table(SIZES if a.device == "cuda" else (256,))
     count = 16_384 if a.device == "cuda" else 64
-    run.train("all", a.seconds, count)
-    run.train("easy", a.seconds / 2, count, difficulty=("easy",))
+    for name, (seconds, settings) in TRAININGS.items():
+        run.train(name, seconds / a.speed_up, count, **settings)
 
 
 if __name__ == "__main__":
