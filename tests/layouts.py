@@ -16,7 +16,7 @@ from greenhouse_gym.geometry import Array, invert
 
 
 class CameraTrack(NamedTuple):
-    """What one camera saw, and its poses (4, 4) in the world."""
+    """Images of one camera and its poses (4, 4) in the world."""
 
     frames: Sequence[RgbdFrame]
     world_from_camera: Sequence[Array]

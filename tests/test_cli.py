@@ -102,7 +102,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def reconstructed(recording: Path) -> Path:
-    """What an uninterrupted reconstruction leaves; ``printed`` lies beside it."""
+    """Files of an uninterrupted reconstruction, next to its output ``printed``."""
     out = recording.parent / "out"
     (recording.parent / "printed").write_text(run("reconstruct", recording, "--out", out, *SMALL))
     return out

@@ -1,4 +1,4 @@
-"""What README and the documentation tell a reader to type works: code runs, commands parse, files are valid."""
+"""Code of README and the documentation runs, commands parse, files are valid."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "SECURITY.md")]
 PAGES = [*filter(Path.exists, PAGES), *sorted((ROOT / "docs").rglob("*.md"))]
 SHORTER = {'SceneBank.open("default")': 'SceneBank.open("mini")', "learn(400_000)": "learn(8_192)"}
-"""What makes code of the pages too long for a test, and what stands for it."""
+"""Replacements that make code of the pages short enough for a test."""
 SHELL = ("sh", "bash", "console", "shell")
 
 

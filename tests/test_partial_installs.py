@@ -75,7 +75,7 @@ print(json.dumps(results))
 
 
 def outcomes(installed: str, out: Path) -> dict[str, tuple[int, str, str]]:
-    """How each command ends, in a process that finds the modules of one extra only."""
+    """Return the end of each command in a process that finds the modules of one extra only."""
     from greenhouse_gym.scene import SceneBank
 
     places = {"out": str(out), "scene": SceneBank.open("mini").names()[0]}
@@ -133,7 +133,7 @@ IMPORTED_AS = {
     "warp-lang": "warp",
 }  # fmt: skip
 NOT_IMPORTED = {"moviepy", "mujoco_menagerie"}
-"""What gymnasium's RecordVideo asks for, and files of arms."""
+"""Packages for Gymnasium's RecordVideo, and files of arms."""
 
 
 def modules_of(requirements: list[str]) -> set[str]:
@@ -155,7 +155,7 @@ def test_what_is_declared_is_imported_and_what_is_imported_is_declared() -> None
 
 
 def _installed(name: str) -> bool:
-    """Whether a word after "import" is a package; the words of docstrings are not."""
+    """Return whether a word after "import" is a package; the words of docstrings are not."""
     from importlib.util import find_spec
 
     return find_spec(name) is not None

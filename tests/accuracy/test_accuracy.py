@@ -44,7 +44,7 @@ def true_walk() -> Array:
 
 @cache
 def surface() -> Array:
-    """What the cameras saw of the row, in the world."""
+    """Return the parts of the row that the cameras observed, in the world."""
     return visible_surface(truth(), HALF, true_walk())
 
 

@@ -162,7 +162,7 @@ def planned_way(scene: Scene, margin: float) -> list[np.ndarray]:
 
 
 def keeps(way: list[np.ndarray], scene: Scene, margin: float) -> bool:
-    """Whether a way keeps a margin from the boxes of a scene, metres."""
+    """Return whether a path keeps a margin from the boxes of a scene, metres."""
     around = compile_scene(with_margin(scene, ARM, START, margin), ARM)
     checker = CollisionChecker(planning_model(around, TARGET, margin=0.0), arm_reaches(ARM))
     return all(checker.motion_is_free(*ends, 0.005) for ends in itertools.pairwise(way))

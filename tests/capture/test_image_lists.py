@@ -241,7 +241,7 @@ def test_a_huge_tiff_is_refused(tmp_path: Path) -> None:
         read_any_depth(tmp_path / "d.tif")
 
 
-# -- folders of which nothing can be read -----------------------------------------------------------------------------
+# -- folders without readable content ------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("count", [1, 2, 5])

@@ -57,7 +57,7 @@ def use_bag(path: Path) -> None:
 
 
 def folder_with(damaged: str, texts: Mapping[str, str], rgb: str, suffix: str) -> Callable[[Path], Path]:
-    """A folder of two images of color and depth with some files, of which one is damaged."""
+    """A folder of two images of color and depth with some files, one of them damaged."""
 
     def write(folder: Path) -> Path:
         for kind, image in ((rgb, np.zeros((12, 16, 3), np.uint8)), ("depth", np.full((12, 16), 500, np.uint16))):

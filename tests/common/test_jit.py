@@ -12,7 +12,7 @@ from greenhouse_gym.common.jit import inlined, kernel
 
 
 def made(source: str) -> dict[str, object]:
-    """What a source without a file defines: numba finds no folder in which it could cache its functions."""
+    """Return the definitions of a source without a file, for which numba finds no cache folder."""
     names: dict[str, object] = {"inlined": inlined, "kernel": kernel, "np": np}
     exec(compile(source, "<nowhere>", "exec"), names)
     return names

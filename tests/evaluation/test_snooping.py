@@ -63,7 +63,7 @@ def reachable(roots: Iterable[Any], limit: int = 60_000) -> list[Any]:
 
 
 def holds(array: Any, point: np.ndarray) -> bool:
-    """Whether a point is among the numbers of an array."""
+    """Return whether the coordinates of a point are among the numbers of an array."""
     if array.dtype.kind != "f" or array.size < len(point):
         return False
     windows = np.lib.stride_tricks.sliding_window_view(np.ravel(array), len(point))

@@ -153,7 +153,7 @@ def test_guided_steps_fill_the_memory_with_what_the_waypoint_says(settings: SacS
 
 @pytest.mark.parametrize("observation", ["goal", "goal_roadmap"])
 def test_what_it_learned_is_a_policy_file(settings: SacSettings, tmp_path: Path, observation: str) -> None:
-    """Which acts as the model does, alone and among others, and whose weights go into another model."""
+    """The policy acts as the model does, alone and in a batch, and its weights fit another model."""
     short = replace(settings, observation=observation, total_steps=940, validation_steps=NEVER)
     model = load_sac(train_sac(short, tmp_path).parent)
     agent = PolicyAgent.load(tmp_path / "policy.json")

@@ -1,4 +1,4 @@
-"""What the planner's checker calls free the simulator calls free, and the other way round."""
+"""The planner's checker and the simulator agree on free configurations."""
 
 from __future__ import annotations
 

@@ -196,7 +196,7 @@ def points_of_hand(row: RowCloud) -> int:
 
 
 def voxels_of_hand(name: str, share: float) -> int:
-    """How many points it would leave in the cloud if none of them contradicted it."""
+    """Return the number of points that it would leave in the cloud if none of them contradicted it."""
     frame = with_hand(half_recording()[2], {name: share}).frames[name]
     camera = half_recording().rig.cameras[name]
     points = transform(camera.rig_from_camera, frame.points((frame.color == HAND).all(axis=-1)))

@@ -16,7 +16,7 @@ from greenhouse_gym.scene import SceneBank
 
 
 class Comparison(NamedTuple):
-    """What two backends made of the same episodes.
+    """Outcomes of the same episodes on two backends.
 
     Attributes:
         outcomes: Number of episodes by their outcomes in MuJoCo and in Warp.
