@@ -185,7 +185,7 @@ def test_the_changelog_avoids_the_phrases() -> None:
 def test_violations_are_found() -> None:
     code = '''
 def ways_to(beside, few=1):
-    """Extent of the check.
+    """How far it goes.
 
     Looks anew.
     """
