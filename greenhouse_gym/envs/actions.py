@@ -140,6 +140,26 @@ class TipVelocity:
         return np.asarray((turned @ np.linalg.solve(square, twist))[..., 0])
 
 
+class ArmAndVacuum:
+    """Motion of the arm, then the vacuum of its cup: on above 0, off otherwise.
+
+    Args:
+        arm: The kind of action for the arm.
+
+    Attributes:
+        arm: The same.
+    """
+
+    def __init__(self, arm: ActionRule):
+        self.arm = arm
+        low, high = (np.append(side, end) for side, end in ((arm.space.low, -1.0), (arm.space.high, 1.0)))
+        self.space = spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
+
+    def __call__(self, action: Array, state: State, motion: ToolMotion) -> Array:
+        """Return the joint steps of the arm's part."""
+        return self.arm(action[:, :-1], state, motion)
+
+
 ACTIONS: dict[str, ActionFactory] = {
     "joint": JointIncrements,
     "joint_velocity": JointVelocities,

@@ -22,6 +22,7 @@ from greenhouse_gym.envs.randomization import NO_RANDOMIZATION, Randomization
 from greenhouse_gym.envs.rewards import Reward
 from greenhouse_gym.envs.state import RATE, STEP_LIMIT, control_timing
 from greenhouse_gym.envs.task import Task
+from greenhouse_gym.envs.tasks.harvest import SIZES, STEP_LIMITS
 from greenhouse_gym.errors import InvalidValueError, UnknownKeywordError, check_whole, is_number, require_choice
 from greenhouse_gym.motion.success import SUCCESS_RADIUS
 from greenhouse_gym.robots import ROBOTS, Robot, get_robot
@@ -34,6 +35,9 @@ INFOS = ("all", "numbers")
 
 PHYSICS = ("reconstruction", "truth")
 """Choices of the simulated world."""
+
+PLANTS = ("rigid", "compliant")
+"""Choices of plants."""
 
 
 @dataclass(frozen=True)
@@ -56,11 +60,13 @@ class EnvSettings:
             not rated for the arm, the ratings for other arms are used and reported as "unrated".
         physics: "reconstruction" simulates the scene; "truth" simulates the true row behind it, with the tomato nearest
             to the target as the goal, while observations still show the reconstruction.
+        plants: "rigid"; or "compliant", with ``physics="truth"``: trusses of the targets and the leaves around them
+            give way, other leaves let the arm pass, and the action has a last entry for the vacuum of the cup.
         randomization: Domain randomization; none by default.
         capacity: Maximum number of obstacles of a scene; if None, 600 or as many as the largest scene of the bank has.
         success_radius: Maximum distance of the grasp point from the target's center for a success, metres. It belongs
             to the task "reach"; your own task has its own settings.
-        step_limit: Steps after which an episode is truncated.
+        step_limit: Steps after which an episode is truncated; 0 for the task's own, 200 for reaching.
         start: Start configuration: the name of one of the arm's, "ready", "upright" or "folded", or a joint angle for
             each joint, radians; the arm's own if None, which is "ready". The options of a reset may choose another.
         rate: Actions per second; the time between two actions must be a multiple of 10 ms: 100, 50, 25, 20, 10 and so
@@ -70,6 +76,7 @@ class EnvSettings:
         target: Index of its only target tomato; if None, each episode draws one of the scene's.
         infos: "all", or "numbers" for libraries that read no texts and no nested infos, such as TorchRL: texts are left
             out, and keys are those of one level, such as "reward_terms.progress".
+        size: Size of the task "harvest": "pick", "truss" or "stand"; its default if None.
     """
 
     bank: str | Path | SceneBank = "default"
@@ -80,16 +87,18 @@ class EnvSettings:
     reward: str | Reward | Mapping[str, Any] = "dense"
     difficulty: DifficultyChoice = ("easy", "medium", "hard")
     physics: str = "reconstruction"
+    plants: str = "rigid"
     randomization: Randomization = field(default=NO_RANDOMIZATION)
     capacity: int | None = None
     success_radius: float = SUCCESS_RADIUS
-    step_limit: int = STEP_LIMIT
+    step_limit: int = 0
     rate: float = RATE
     start: str | Sequence[float] | None = None
     task: str | Task | type[Task] | Mapping[str, Any] = "reach"
     scene: str | Scene | None = None
     target: int | None = None
     infos: str = "all"
+    size: str | None = None
 
     def __post_init__(self) -> None:
         _check_kind("bank", self.bank, (str, Path, SceneBank), "a bank's name, folder or SceneBank")
@@ -102,7 +111,17 @@ class EnvSettings:
         parse_difficulty(self.difficulty)
         if self.capacity is not None:
             check_whole("capacity", self.capacity, 1, MAX_CAPACITY)
-        check_whole("step_limit", self.step_limit, 1)
+        require_choice("plants", self.plants, PLANTS)
+        if self.plants == "compliant" and self.physics != "truth":
+            raise InvalidValueError('plants="compliant" needs physics="truth", because only true plants have a topology')
+        if self.size is not None and (self.task != "harvest" or self.size not in SIZES):
+            raise InvalidValueError(
+                f'size belongs to task="harvest" and is one of {", ".join(SIZES)}, got {self.size!r} with task='
+                f"{self.task!r}"
+            )
+        if check_whole("step_limit", self.step_limit, 0) == 0:
+            limit = STEP_LIMITS[self.size or "pick"] if self.task == "harvest" else STEP_LIMIT
+            object.__setattr__(self, "step_limit", limit)
         kinds = (str, Task, Mapping)
         if not isinstance(self.task, kinds) and not (isinstance(self.task, type) and issubclass(self.task, Task)):
             raise InvalidValueError(f"task must be a name, a Task or a subclass of Task, got {self.task!r}")
@@ -131,6 +150,8 @@ class EnvSettings:
             options["rate"] = self.rate
         if self.task != "reach":
             options["task"] = self.task
+        if self.plants != "rigid":
+            options |= {"plants": self.plants, "physics": self.physics}
         return options
 
     def keywords(self) -> dict[str, Any]:

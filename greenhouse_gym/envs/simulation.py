@@ -11,13 +11,14 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.common.progress import progress
-from greenhouse_gym.envs.actions import CommandLimits, check_actions, squared_norm
+from greenhouse_gym.envs.actions import ArmAndVacuum, CommandLimits, check_actions, squared_norm
 from greenhouse_gym.envs.choices import is_of_user, make_action, make_observation, make_reward, make_task, outcome_check
 from greenhouse_gym.envs.contacts import NAME_SEPARATOR, NO_CONTACT, Contact, Contacts
 from greenhouse_gym.envs.episodes import Episode, EpisodeSampler
 from greenhouse_gym.envs.observations import Observed, check_goals
 from greenhouse_gym.envs.perception import Perception
-from greenhouse_gym.envs.physics import Physics, prepare
+from greenhouse_gym.envs.compliant_physics import CompliantPhysics
+from greenhouse_gym.envs.physics import AnyPhysics, Physics
 from greenhouse_gym.envs.rewards import StepResult, Transition, total_reward, with_contact_cost
 from greenhouse_gym.envs.settings import EnvSettings
 from greenhouse_gym.envs.setups import Setup, draw_setup
@@ -26,6 +27,7 @@ from greenhouse_gym.envs.task import GoalTask, Outcome
 from greenhouse_gym.envs.worlds import capacity_of, shared_worlds
 from greenhouse_gym.errors import InvalidValueError, NoEpisodeError
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.plants.layout import Layout
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import CompiledScene, Scene
 
@@ -52,7 +54,13 @@ class Simulation:
 
     def __init__(self, count: int, settings: EnvSettings, threads: int = 0):
         self.settings = settings
-        self.task = make_task(settings.task, settings.success_radius)
+        self.task = make_task(settings.task, settings.success_radius, settings.size)
+        compliant = settings.plants == "compliant"
+        if self.task.layout is not None and not compliant:
+            raise InvalidValueError(
+                f'task {type(self.task).__name__} needs plants="compliant" and physics="truth", got plants='
+                f"{settings.plants!r}"
+            )
         self._checked = outcome_check(self.task)
         self.robot = robot = get_robot(settings.robot)
         self.sampler = EpisodeSampler(
@@ -60,8 +68,9 @@ class Simulation:
         )
         self.observe = make_observation(settings.observation, robot, self.task)
         self._timing = control_timing(settings.rate)
-        self.action_rule = make_action(settings.action, robot, self._timing.interval)
-        self._limit = CommandLimits(robot, self.action_rule, self._timing)
+        arm_rule = make_action(settings.action, robot, self._timing.interval)
+        self.action_rule = ArmAndVacuum(arm_rule) if compliant else arm_rule
+        self._limit = CommandLimits(robot, arm_rule, self._timing)
         self.reward_terms = make_reward(settings.reward, self.task)
         self.randomization = settings.randomization
         if self.randomization.plants is not None and settings.physics != "truth":
@@ -73,11 +82,13 @@ class Simulation:
         self._hidden_goal = bool(hidden)
         self.env_options = settings.agent_options()
         capacity = settings.capacity or capacity_of(self.sampler.bank, settings.physics)
-        self.worlds = shared_worlds(robot, settings.physics, capacity, self._timing.substeps)
+        layout = (self.task.layout or Layout()) if compliant else None
+        self.worlds = shared_worlds(robot, settings.physics, capacity, self._timing.substeps, layout)
         self.count = count
         self.state: State | None = None
         self._threads = threads
-        self._physics: Physics | None = None
+        self._physics: AnyPhysics | None = None
+        self._reference: mujoco.MjModel | None = None
         self._setups: list[Setup | None] = [None] * count
         self._names = {key: np.full(count, "", dtype=object) for key in ("scene", "difficulty")}
         self._contact, self._self_collision = np.full(count, "", dtype=object), np.zeros(count, dtype=np.bool_)
@@ -89,7 +100,7 @@ class Simulation:
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Simulation:
         """Return an independent copy in the same state; immutable parts are shared."""
-        shared = [self.robot, self.settings, self.task, self.worlds, self.sampler.bank]
+        shared: list[Any] = [self.robot, self.settings, self.task, self.worlds, self.sampler.bank]
         shared += [part for setup in self._setups if setup is not None for part in (setup.episode, setup.world)]
         for part in shared:
             memo[id(part)] = part
@@ -116,12 +127,17 @@ class Simulation:
                     draw_setup(self.task, self.sampler, self.worlds, self.randomization, required, rng[i], options[i])
                 )
                 on_progress(len(setups))
-        physics = self._physics
+        physics, world = self._physics, setups[0].world
         if physics is None:
-            world = setups[0].world
-            physics = self._physics = Physics(self.count, world, self._threads, self._timing, self.task.ends_on)
+            self._reference = world.compiled.model
+            physics = self._physics = (
+                Physics(self.count, world, self._threads, self._timing, self.task.ends_on)
+                if self.worlds.layout is None
+                else CompliantPhysics(self.count, world, self._timing, self.task.ends_on, self.worlds.layout)
+            )
         for setup in setups:
-            setup.world.check_fits(physics.models[0])
+            assert self._reference is not None
+            setup.world.check_fits(self._reference)
         with progress("simulations begun", len(ids), shown=first) as on_progress:
             for done, (i, setup) in enumerate(zip(ids.tolist(), setups, strict=True), start=1):
                 physics.load(i, setup.world, setup.episode.targets, setup.disturbance)
@@ -159,7 +175,7 @@ class Simulation:
         shown = self._shown_to(self.action_rule, before)
         change = self.action_rule(action, shown, physics.motion(self._perception.heading))
         command = self._limit(physics.command, change, physics.qpos)
-        contacts = physics.advance(command.position)
+        contacts = physics.advance(command.position, action[:, -1] > 0)
         self._record_contacts(contacts)
         counts["steps"] += 1
         counts["speed_limited"] += command.speed_limited
@@ -289,13 +305,9 @@ class Simulation:
 
     def model_and_data(self, i: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
         """Return a copy of a simulation's model, in which the cup may touch the targets, and its state."""
-        episode, world, disturbance = self._setup(i)
+        episode, _, disturbance = self._setup(i)
         assert self._physics is not None
-        model = copy.copy(world.compiled.model)
-        prepare(model, world, episode.targets, disturbance)
-        data = mujoco.MjData(model)
-        self._physics.copy_state(i, model, data)
-        return model, data
+        return self._physics.model_and_data(i, episode.targets, disturbance)
 
     def _shown_to(self, part: object, state: State) -> State:
         """Return the state as an observation or action gets it; those of a user may not know all of it."""

@@ -19,6 +19,8 @@ from greenhouse_gym.envs.features import FEATURES, Feature
 from greenhouse_gym.envs.rewards import REWARDS, Reward
 from greenhouse_gym.envs.state import Bools, State
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.plants.layout import Layout
+from greenhouse_gym.plants.mechanics import PlantMechanics
 
 TARGET_FEATURES = ("grasp_offset", "target_position", "target_direction", "turn_to_target")
 """Features of a task with one target at a time, see `GreenhouseEnv`."""
@@ -55,6 +57,8 @@ class Task(ABC):
         rewards: Rewards by name, for the setting ``reward``.
         memory: Numbers that each simulation remembers from step to step, by name with their initial values. They are
             in `State.memory`, in ``info`` and in the records of an evaluation.
+        layout: Slots for plants that give way, for a task that needs them; None for one that works with any plants.
+        mechanics: Mechanics of plants that give way.
     """
 
     ends_on: Collection[str] = CONTACT_GROUPS
@@ -62,6 +66,8 @@ class Task(ABC):
     features: Mapping[str, Feature] = MappingProxyType({name: FEATURES[name] for name in TARGET_FEATURES})
     rewards: Mapping[str, Reward] = REWARDS
     memory: Mapping[str, float] = MappingProxyType({})
+    layout: Layout | None = None
+    mechanics: PlantMechanics = PlantMechanics()
 
     def sample(self, sampler: EpisodeSampler, rng: np.random.Generator, options: Mapping[str, Any] | None) -> Episode:
         """Draw an episode: a scene, one or several targets in order, and a start configuration.

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import copy
 import weakref
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, lru_cache
 
 import mujoco
 import numpy as np
@@ -20,6 +21,10 @@ from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, invert, pose, rotation_about, transform
 from greenhouse_gym.motion.distance_field import FieldStore
 from greenhouse_gym.motion.roadmap import SceneRoadmaps
+from greenhouse_gym.plants.layout import Layout
+from greenhouse_gym.plants.mechanics import PlantMechanics
+from greenhouse_gym.plants.slots import Planted, plant
+from greenhouse_gym.plants.topology import Topology, topology_of
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import CompiledScene, Scene, SceneBank, Shapes, compile_scene
 from greenhouse_gym.scene.geom_order import first_world_geom
@@ -31,6 +36,9 @@ _ROUND = 100
 
 CACHED = LARGEST_WHOLE
 """Number of cached worlds of one kind: each takes about 4 MB with its scene, a true row up to 26 MB."""
+
+PLANTED = 16
+"""Number of cached worlds with plants in their slots."""
 
 CACHED_KINDS = 8
 """Number of cached kinds of worlds (arm, physics, capacity, rate)."""
@@ -76,6 +84,7 @@ class World:
         goals: (t, 4) centers in the base frame and radii of the simulated counterparts of these tomatoes.
         bodies: (t,) indices of these counterparts in the simulated scene.
         before: World before the plants moved, which shares its distance field; None if they did not move.
+        planted: Organs in the slots of the model; None if plants are rigid.
     """
 
     scene: Scene
@@ -86,6 +95,7 @@ class World:
     goals: Array
     bodies: np.ndarray[tuple[int], np.dtype[np.int64]]
     before: World | None = None
+    planted: Planted | None = None
 
     def check_fits(self, model: mujoco.MjModel) -> None:
         """Check that a model has the same layout.
@@ -111,6 +121,11 @@ class World:
         if self.before is not None:
             return self.before.roadmaps
         return SceneRoadmaps(compile_scene(self.scene, self.compiled.robot, capacity_for(self.scene.count)))
+
+    @cached_property
+    def topology(self) -> Topology:
+        """Organs of the simulated scene."""
+        return topology_of(self.compiled.scene, self.scene.name)
 
     @cached_property
     def used(self) -> int:
@@ -163,18 +178,29 @@ class Worlds:
         physics: "reconstruction" or "truth".
         capacity: Number of obstacle slots of the models.
         substeps: Physics steps per action; the models record the contacts of as many.
+        layout: Layout of the slots for compliant plants; None if plants are rigid.
     """
 
-    def __init__(self, robot: Robot, physics: str, capacity: int, substeps: int = SUBSTEPS):
+    def __init__(
+        self, robot: Robot, physics: str, capacity: int, substeps: int = SUBSTEPS, layout: Layout | None = None
+    ):
         self.robot = robot
         self.physics = physics
         self.capacity = capacity
-        self._record = partial(drive_and_record, substeps=substeps)
+        self.layout = layout
         self.fields = FieldStore()
         # keys are ids of scenes: scenes are immutable, and a rewritten bank is read as new scenes; a world keeps its
         # scene alive, so an id is not reused before its world is freed
         self._alive: weakref.WeakValueDictionary[int, World] = weakref.WeakValueDictionary()
         self._kept: OrderedDict[int, World] = OrderedDict()
+        self._planted: OrderedDict[tuple[int, tuple[int, ...], PlantMechanics], tuple[World, World]] = OrderedDict()
+
+        def edit(spec: mujoco.MjSpec) -> None:
+            drive_and_record(spec, substeps)
+            if layout is not None:
+                layout.add(spec)
+
+        self._edit = edit
 
     def world(self, scene: Scene, keep: int | None = None) -> World:
         """Return the world of a scene.
@@ -207,10 +233,32 @@ class Worlds:
         scene_from_base = pose(rotation_about([0, 0, 1], scene.placement.yaw), base_position(scene, self.robot))
         return replace(
             world,
-            compiled=compile_scene(moved, self.robot, self.capacity, self._record),
+            compiled=compile_scene(moved, self.robot, self.capacity, self._edit),
             goals=spheres_in_base(moved, scene_from_base)[world.bodies],
             before=world,
         )
+
+    def planted(self, world: World, fruit: tuple[int, ...], mechanics: PlantMechanics) -> World:
+        """Return a world with compliant plants: the trusses of some fruit and the leaves around them in the slots.
+
+        Args:
+            world: The world.
+            fruit: Indices of the fruit to be picked, among the tomatoes of the simulated scene.
+            mechanics: Mechanical parameters.
+
+        Raises:
+            InvalidValueError: They do not fit into the slots, or the scene has no topology.
+        """
+        assert self.layout is not None
+        key = (id(world), fruit, mechanics)
+        if key not in self._planted:
+            compiled = replace(world.compiled, model=copy.copy(world.compiled.model))
+            planted = plant(compiled, world.topology, fruit, self.layout, mechanics)
+            self._planted[key] = (world, replace(world, compiled=compiled, planted=planted))
+        self._planted.move_to_end(key)
+        while len(self._planted) > PLANTED:
+            self._planted.popitem(last=False)
+        return self._planted[key][1]
 
     def _make(self, scene: Scene) -> World:
         physical = true_scene(scene) if self.physics == "truth" else scene
@@ -224,7 +272,7 @@ class Worlds:
         known: np.ndarray[tuple[int, int], np.dtype[np.float32]] = tomatoes.astype(np.float32)
         return World(
             scene=scene,
-            compiled=compile_scene(physical, self.robot, self.capacity, self._record),
+            compiled=compile_scene(physical, self.robot, self.capacity, self._edit),
             frame=np.array([*scene_from_base[:3, 3], *scene_from_base[:2, 0]]),
             tomatoes=known,
             field=self.fields.add(scene.arrays, len(tomatoes), scene_from_base),
@@ -251,10 +299,12 @@ def spheres_in_base(scene: Shapes, scene_from_base: Array) -> Array:
 
 
 @lru_cache(maxsize=CACHED_KINDS)
-def shared_worlds(robot: Robot, physics: str, capacity: int, substeps: int = SUBSTEPS) -> Worlds:
+def shared_worlds(
+    robot: Robot, physics: str, capacity: int, substeps: int = SUBSTEPS, layout: Layout | None = None
+) -> Worlds:
     """Return the cache that all environments of one kind share in this process.
 
     Robots are compared by identity: `get_robot` reads a shipped arm once, whereas every `load_robot` returns a new arm
     with its own worlds. A cache beyond the last `CACHED_KINDS` lives as long as an environment uses it.
     """
-    return Worlds(robot, physics, capacity, substeps)
+    return Worlds(robot, physics, capacity, substeps, layout)

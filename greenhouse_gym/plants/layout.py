@@ -88,7 +88,6 @@ class Layout:
             _hinged(world, f"leaf_{i}", self.trusses + i, PETIOLE + PLATES)
         for i in range(self.loose):
             loose = world.add_body(name=f"loose_{i}", pos=[0, 0, 2 * _PARKED_HEIGHT + i])
-            loose.sleep = mujoco.mjtSleepPolicy.mjSLEEP_INIT
             loose.add_freejoint()
             _fill_empty(loose, 1)
         crate = world.add_body(name="crate", pos=self.crate.position)
@@ -115,7 +114,6 @@ class Layout:
 def _hinged(world: mujoco.MjsBody, name: str, number: int, geoms: int) -> mujoco.MjsBody:
     """Add an organ on two hinges: it droops about the first and swings about the second."""
     body = world.add_body(name=name, pos=[0, 0, _PARKED_HEIGHT + number])
-    body.sleep = mujoco.mjtSleepPolicy.mjSLEEP_INIT
     for axis in ([0, 1, 0], [0, 0, 1]):
         body.add_joint(
             type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis, stiffness=[0.1, 0, 0], armature=HINGE_ARMATURE,

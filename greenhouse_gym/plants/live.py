@@ -143,6 +143,11 @@ class LivePlants:
         limit = self.planted.mechanics.cup_limit
         return 0.0 if self.held < 0 else max(0.0, 1.0 - float(np.linalg.norm(force)) / limit)
 
+    @property
+    def left(self) -> int:
+        """Number of fruit to be picked that are neither in the crate nor lost."""
+        return int(np.count_nonzero(self.wanted & ((self.state == HANGING) | (self.state == LOOSE))))
+
     def body_of(self, fruit: int) -> int:
         """Return the body of a fruit that is not at rest."""
         loose = np.flatnonzero(self._loose_of == fruit)
