@@ -14,12 +14,13 @@ from greenhouse_gym.common.own_code import described
 from greenhouse_gym.envs.actions import (
     INTERVAL,
     ActionRule,
+    ArmAndVacuum,
     JointIncrements,
     JointVelocities,
     TipVelocity,
     ToolMotion,
 )
-from greenhouse_gym.envs.choices import make_action
+from greenhouse_gym.envs.compliant_physics import CompliantSimulation
 from greenhouse_gym.envs.simulation import Simulation
 from greenhouse_gym.envs.state import STEP_LIMIT, State
 from greenhouse_gym.errors import InvalidValueError
@@ -41,6 +42,7 @@ class Problem:
         action: The environment's action rule; joint increments if None.
         interval: Seconds between two actions.
         step_limit: Number of actions after which the episode ends.
+        live: The simulation itself with its compliant plants, for agents with ``knows_truth`` alone.
     """
 
     scene: Scene
@@ -51,17 +53,20 @@ class Problem:
     action: ActionRule | None = None
     interval: float = INTERVAL
     step_limit: int = STEP_LIMIT
+    live: CompliantSimulation | None = None
 
     @classmethod
-    def of(cls, simulation: Simulation, i: int, seed: int) -> Problem:
+    def of(cls, simulation: Simulation, i: int, seed: int, agent: object = None) -> Problem:
         """Return the problem of the current episode of a simulation.
 
-        It shares no object with the simulation that an agent could read the truth from or change the rules by.
+        It shares no object with the simulation that an agent could read the truth from or change the rules by, unless
+        the agent declares that it ``knows_truth``.
         """
         settings, robot, interval = simulation.settings, simulation.robot, simulation.interval
         return cls(
             simulation.known_scene(i), simulation.target(i), robot, simulation.episode(i).start.copy(), seed,
-            make_action(settings.action, robot, interval), interval, settings.step_limit,
+            simulation.fresh_rule(), interval, settings.step_limit,
+            simulation.live(i) if getattr(agent, "knows_truth", False) else None,
         )  # fmt: skip
 
     @property
@@ -76,7 +81,7 @@ class Problem:
         Raises:
             InvalidValueError: The environment's actions do not move the joints.
         """
-        rule = self.rule
+        rule = self.rule.arm if isinstance(self.rule, ArmAndVacuum) else self.rule
         if not isinstance(rule, JointIncrements | JointVelocities):
             raise InvalidValueError(
                 f"a joint path can be followed with action='joint' or 'joint_velocity' only, got {type(rule).__name__}"

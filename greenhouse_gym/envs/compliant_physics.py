@@ -25,8 +25,8 @@ _FRUIT, _STEM, _LEAF, _FIXTURE, _SELF = range(len(CONTACT_GROUPS))
 _PRESSED = (_FRUIT, _STEM)  # groups that a pressing force damages
 
 
-class _Simulation(NamedTuple):
-    """One simulation.
+class CompliantSimulation(NamedTuple):
+    """One simulation with compliant plants.
 
     Attributes:
         model: Its own model.
@@ -63,7 +63,7 @@ class CompliantPhysics:
         joints = len(robot.joints)
         self._timing, self._layout, self._joints = timing, layout, joints
         self._ends = np.isin(CONTACT_GROUPS, list(ends_on))
-        self._sims: list[_Simulation | None] = [None] * count
+        self._sims: list[CompliantSimulation | None] = [None] * count
         self._scratch = mujoco.MjData(model)
         self._tip = world.compiled.tip_site
         self._points = np.array([world.compiled.tip_site, *world.compiled.probe_sites])
@@ -83,7 +83,7 @@ class CompliantPhysics:
         """The model of each simulation, the geoms of moving bodies first."""
         return [self.simulation(i).model for i in range(len(self._sims))]
 
-    def simulation(self, i: int) -> _Simulation:
+    def simulation(self, i: int) -> CompliantSimulation:
         """Return a simulation that has been loaded."""
         sim = self._sims[i]
         assert sim is not None
@@ -102,7 +102,7 @@ class CompliantPhysics:
         old = self._sims[i]
         data = mujoco.MjData(model) if old is None else old.data
         plants = LivePlants(model, data, self._scratch, world.planted, self._layout)
-        self._sims[i] = _Simulation(model, data, plants, groups, ShortGeomLists([model]), world)
+        self._sims[i] = CompliantSimulation(model, data, plants, groups, ShortGeomLists([model]), world)
         self._felt[i] = Felt(np.zeros(3))
 
     def place(self, ids: Ids, configurations: Array) -> Contacts:
@@ -195,12 +195,12 @@ class CompliantPhysics:
         mujoco.mj_forward(sim.model, sim.data)
         return sim.model, sim.data
 
-    def _read(self, i: int, sim: _Simulation) -> None:
+    def _read(self, i: int, sim: CompliantSimulation) -> None:
         joints = self._joints
         self.qpos[i], self.qvel[i] = sim.data.qpos[:joints], sim.data.qvel[:joints]
         self.command[i] = sim.data.act
 
-    def _contacts(self, sim: _Simulation) -> tuple[npt.NDArray[np.int64], Contact | None, dict[int, float]]:
+    def _contacts(self, sim: CompliantSimulation) -> tuple[npt.NDArray[np.int64], Contact | None, dict[int, float]]:
         """Return the arm's contacts by group, the deepest that ends the episode, and its forces by pressed geom."""
         model, data = sim.model, sim.data
         geoms = data.contact.geom
@@ -220,14 +220,14 @@ class CompliantPhysics:
         return counts, None if ending < 0 else _named(sim, geoms[ending]), pressed
 
 
-def _named(sim: _Simulation, geoms: npt.NDArray[np.integer]) -> Contact:
+def _named(sim: CompliantSimulation, geoms: npt.NDArray[np.integer]) -> Contact:
     """Return a contact by the names of its geoms, the arm's first."""
     arm_first = sorted(geoms.tolist(), key=lambda g: -int(sim.groups[g]))
     names = tuple(sim.world.compiled.geom_name(compiled_geom_id(sim.model, g)) for g in arm_first)
     return Contact(names, self_collision=bool((sim.groups[geoms] == _SELF).all()))
 
 
-def _check_crate(sim: _Simulation) -> None:
+def _check_crate(sim: CompliantSimulation) -> None:
     """Check that an arm does not start in its crate."""
     ids, data = sim.plants.planted.ids, sim.data
     for k, geoms in enumerate(data.contact.geom):
@@ -258,7 +258,7 @@ def geom_groups(world: World, ids: SlotIds) -> npt.NDArray[np.int8]:
     return groups
 
 
-def _copied(sim: _Simulation) -> _Simulation:
+def _copied(sim: CompliantSimulation) -> CompliantSimulation:
     model = copy.copy(sim.model)
     data = mujoco.MjData(model)
     mujoco.mj_copyData(data, model, sim.data)

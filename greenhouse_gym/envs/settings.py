@@ -120,8 +120,7 @@ class EnvSettings:
                 f"{self.task!r}"
             )
         if check_whole("step_limit", self.step_limit, 0) == 0:
-            limit = STEP_LIMITS[self.size or "pick"] if self.task == "harvest" else STEP_LIMIT
-            object.__setattr__(self, "step_limit", limit)
+            object.__setattr__(self, "step_limit", self._own_step_limit())
         kinds = (str, Task, Mapping)
         if not isinstance(self.task, kinds) and not (isinstance(self.task, type) and issubclass(self.task, Task)):
             raise InvalidValueError(f"task must be a name, a Task or a subclass of Task, got {self.task!r}")
@@ -138,6 +137,14 @@ class EnvSettings:
                 f"rate must be {1 / TIMESTEP:g} actions per second divided by a whole number (100, 50, 25, 20, ...), "
                 f"got {self.rate!r}"
             )
+
+    def _own_step_limit(self) -> int:
+        return STEP_LIMITS[self.size or "pick"] if self.task == "harvest" else STEP_LIMIT
+
+    def with_fields(self, keywords: Mapping[str, Any]) -> EnvSettings:
+        """Return the settings with other values; the task's own step limit follows the task."""
+        kept = {} if self.step_limit != self._own_step_limit() else {"step_limit": 0}
+        return replace(self, **(kept | dict(keywords)))
 
     def agent_options(self) -> dict[str, Any]:
         """Return the keywords of an environment with the same arm (its name or file), spaces and task."""
@@ -158,6 +165,8 @@ class EnvSettings:
         """Return the keywords of ``gymnasium.make`` that differ from the defaults, as JSON holds them where it can."""
         plain = EnvSettings()
         given = {f.name: getattr(self, f.name) for f in fields(self)}
+        if self.step_limit == self._own_step_limit():
+            given["step_limit"] = plain.step_limit
         changed = {name: _as_json(value) for name, value in given.items() if value != getattr(plain, name)}
         return {**changed, "scene": self._scene_by_name()} if self.scene is not None else changed
 
@@ -266,7 +275,7 @@ def settings_with(callee: str, settings: EnvSettings | None, keywords: Mapping[s
             )
     if settings is not None:
         _check_kind("settings", settings, EnvSettings, "an EnvSettings")
-    return replace(settings or EnvSettings(), **keywords)
+    return (settings or EnvSettings()).with_fields(keywords)
 
 
 def _check_kind(name: str, value: Any, kinds: type | tuple[type, ...], expected: str) -> None:

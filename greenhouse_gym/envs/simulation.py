@@ -11,13 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.common.progress import progress
-from greenhouse_gym.envs.actions import ArmAndVacuum, CommandLimits, check_actions, squared_norm
+from greenhouse_gym.envs.actions import ActionRule, ArmAndVacuum, CommandLimits, check_actions, squared_norm
 from greenhouse_gym.envs.choices import is_of_user, make_action, make_observation, make_reward, make_task, outcome_check
 from greenhouse_gym.envs.contacts import NAME_SEPARATOR, NO_CONTACT, Contact, Contacts
 from greenhouse_gym.envs.episodes import Episode, EpisodeSampler
 from greenhouse_gym.envs.observations import Observed, check_goals
 from greenhouse_gym.envs.perception import Perception
-from greenhouse_gym.envs.compliant_physics import CompliantPhysics
+from greenhouse_gym.envs.compliant_physics import CompliantPhysics, CompliantSimulation
 from greenhouse_gym.envs.physics import AnyPhysics, Physics
 from greenhouse_gym.envs.rewards import StepResult, Transition, total_reward, with_contact_cost
 from greenhouse_gym.envs.settings import EnvSettings
@@ -68,8 +68,8 @@ class Simulation:
         )
         self.observe = make_observation(settings.observation, robot, self.task)
         self._timing = control_timing(settings.rate)
-        arm_rule = make_action(settings.action, robot, self._timing.interval)
-        self.action_rule = ArmAndVacuum(arm_rule) if compliant else arm_rule
+        self.action_rule = self.fresh_rule()
+        arm_rule = self.action_rule.arm if isinstance(self.action_rule, ArmAndVacuum) else self.action_rule
         self._limit = CommandLimits(robot, arm_rule, self._timing)
         self.reward_terms = make_reward(settings.reward, self.task)
         self.randomization = settings.randomization
@@ -272,6 +272,11 @@ class Simulation:
         self._current_state()
         return int(self._counts["target"][i])
 
+    def fresh_rule(self) -> ActionRule:
+        """Return a new object with the rule of actions, for an agent to keep."""
+        rule = make_action(self.settings.action, self.robot, self._timing.interval)
+        return ArmAndVacuum(rule) if self.settings.plants == "compliant" else rule
+
     @property
     def command(self) -> Array:
         """(n, j) commanded joint positions, radians, live."""
@@ -308,6 +313,16 @@ class Simulation:
         episode, _, disturbance = self._setup(i)
         assert self._physics is not None
         return self._physics.model_and_data(i, episode.targets, disturbance)
+
+    def live(self, i: int) -> CompliantSimulation:
+        """Return the compliant plants of a simulation as they are, for agents that may know everything.
+
+        Raises:
+            InvalidValueError: The plants are rigid.
+        """
+        if not isinstance(self._physics, CompliantPhysics):
+            raise InvalidValueError('only plants="compliant" live, got rigid ones; use task="harvest"')
+        return self._physics.simulation(i)
 
     def _shown_to(self, part: object, state: State) -> State:
         """Return the state as an observation or action gets it; those of a user may not know all of it."""

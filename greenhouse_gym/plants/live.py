@@ -20,7 +20,7 @@ from greenhouse_gym.plants.detachment import (
     stress,
     weld,
 )
-from greenhouse_gym.plants.layout import Layout
+from greenhouse_gym.plants.layout import Crate, Layout
 from greenhouse_gym.plants.slots import Planted
 
 EMPTY, HANGING, LOOSE, CRATED, LOST = -1, 0, 1, 2, 3
@@ -142,6 +142,11 @@ class LivePlants:
         """Return the reading of the vacuum: 1 at rest on a fruit, falling to 0 at the cup's limit; 0 without a fruit."""
         limit = self.planted.mechanics.cup_limit
         return 0.0 if self.held < 0 else max(0.0, 1.0 - float(np.linalg.norm(force)) / limit)
+
+    @property
+    def crate(self) -> Crate:
+        """The crate."""
+        return self._layout.crate
 
     @property
     def left(self) -> int:

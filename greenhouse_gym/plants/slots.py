@@ -23,7 +23,7 @@ from greenhouse_gym.plants.layout import (
     SlotIds,
 )
 from greenhouse_gym.plants.mechanics import PlantMechanics, mass_properties
-from greenhouse_gym.plants.topology import MAX_PLATE, Branch, Fruit, Leaf, Topology, Truss
+from greenhouse_gym.plants.topology import Branch, Fruit, Leaf, Topology, Truss
 from greenhouse_gym.scene import CompiledScene
 from greenhouse_gym.scene.mjcf import colors_of
 from greenhouse_gym.scene.obstacle_slots import build_tree, write_geoms
@@ -44,6 +44,7 @@ class Planted:
         fruit: (trusses, fruit) indices of the fruit that can come off, among the scene's tomatoes; -1 if empty.
         wanted: (trusses, fruit) whether they are to be picked.
         mechanics: Mechanical parameters.
+        topology: Organs of the whole scene.
     """
 
     ids: SlotIds
@@ -52,6 +53,7 @@ class Planted:
     fruit: npt.NDArray[np.int64]
     wanted: npt.NDArray[np.bool_]
     mechanics: PlantMechanics
+    topology: Topology
 
 
 def check_fits(topology: Topology, wanted: Sequence[int], layout: Layout, name: str) -> list[Truss]:
@@ -113,7 +115,7 @@ def plant(
     model.body_pos[ids.crate] = placement.position + [cosine * x - sine * y, sine * x + cosine * y, z]
     model.body_quat[ids.crate] = [np.cos(turn / 2), 0.0, 0.0, np.sin(turn / 2)]
     filler.finish(ids)
-    return Planted(ids, tuple(trusses), tuple(leaves), fruit, np.isin(fruit, list(wanted)), mechanics)
+    return Planted(ids, tuple(trusses), tuple(leaves), fruit, np.isin(fruit, list(wanted)), mechanics, topology)
 
 
 def _nearest_leaves(topology: Topology, arrays: ShapeArrays, wanted: Sequence[int], count: int) -> list[Leaf]:
@@ -133,9 +135,8 @@ def _make_static(compiled: CompiledScene, topology: Topology) -> None:
     model, slots = compiled.model, compiled.obstacle_geoms
     world = slice(0, int(model.body_geomnum[0]))
     model.geom_contype[world], model.geom_conaffinity[world] = 0, ALL
-    clutter = np.array(topology.clutter)
-    leafy = compiled.scene.arrays.sizes[clutter].max(axis=1) <= MAX_PLATE
-    model.geom_conaffinity[slots.start + clutter[leafy]] = 0
+    leafy = np.setdiff1d(np.array(topology.clutter), topology.fixed)
+    model.geom_conaffinity[slots.start + leafy] = 0
 
 
 class _Filler:

@@ -93,12 +93,14 @@ class Topology:
         trusses: Trusses with at least one fruit.
         leaves: Leaves.
         clutter: Rows of all clutter.
+        fixed: Rows of the clutter that is no leaf, such as gutters.
         without_pedicel: Number of fruit for which no pedicel was found; they hang on the nearest rachis.
     """
 
     trusses: tuple[Truss, ...]
     leaves: tuple[Leaf, ...]
     clutter: range
+    fixed: Rows
     without_pedicel: int
 
     def truss_of(self, fruit: int) -> Truss:
@@ -137,9 +139,10 @@ def topology_of(shapes: Shapes, name: str) -> Topology:
         row, _ = rachis.nearest(one.joint[None])
         hanging[owner[int(row[0])]].append(one)
     trusses = [Truss(b.root, b.tip, b.rows, tuple(own)) for b, own in zip(branches, hanging, strict=True) if own]
-    return Topology(
-        tuple(trusses), _leaves(arrays, petioles, plates, main), range(tomatoes + stems, len(arrays.kinds)), missing
-    )
+    fixed = clutter[(arrays.kinds[clutter] == BOX) & (arrays.sizes[clutter].max(axis=1) > MAX_PLATE)]
+    leaves = _leaves(arrays, petioles, plates, main)
+    everything = range(tomatoes + stems, len(arrays.kinds))
+    return Topology(tuple(trusses), leaves, everything, tuple(fixed.tolist()), missing)
 
 
 @dataclass(frozen=True, eq=False)
