@@ -83,6 +83,7 @@ class _Harvest:
         self._chain = tool_chain(live.world.compiled.model, live.world.compiled.tip_site)
         self._tried: dict[int, int] = {}
         self._scene: LiveScene
+        self._failure = ""
 
     def run(self) -> Iterator[Action]:
         """Yield the actions of the episode."""
@@ -139,7 +140,8 @@ class _Harvest:
             if best is not None:
                 self._scene = scene
                 return best[1:]
-        self._agent.status = "no plan" if order else "done"
+        if order:
+            self._agent.status = f"no plan: {self._failure}"
         self._tried.update(dict.fromkeys(order, TRIES))
         return None
 
@@ -149,6 +151,7 @@ class _Harvest:
             scene.scene, target, self._robot, self._agent.planner, time_limit=None, max_checks=_CHECKS,
             goals=30 if goals is None else goals, seed=self._seed, start=start,
         )  # fmt: skip
+        self._failure = f"{result.status} {result.message}".strip()
         return result.path
 
     def _follow(self, scene: Scene, target: int, path: Array) -> Iterator[Action]:

@@ -119,7 +119,6 @@ class CompliantPhysics:
             model, data = sim.model, sim.data
             mujoco.mj_resetData(model, data)
             data.qpos[:joints], data.act[:] = configurations[k], configurations[k]
-            data.tree_asleep[1:] = np.arange(1, model.ntree)
             mujoco.mj_forward(model, data)
             _check_crate(sim)
             counts[k], contact, _ = self._contacts(sim)

@@ -63,6 +63,7 @@ def detach(
     mujoco.mju_mat2Quat(quat, data.geom_xmat[old])
     shape_loose(model, old, new)
     model.body_mass[loose], model.body_inertia[loose] = _mass_of(model, old, density)
+    model.body_gravcomp[loose] = 0.0
     joint = int(model.body_jntadr[loose])
     at, dof = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
     data.qpos[at : at + 3], data.qpos[at + 3 : at + 7] = data.geom_xpos[old], quat
@@ -135,8 +136,7 @@ def park(model: mujoco.MjModel, data: mujoco.MjData, loose: int) -> None:
     model.geom_rgba[geom, 3] = 0.0
     at, dof = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
     data.qpos[at : at + 7], data.qvel[dof : dof + 6] = model.qpos0[at : at + 7], 0.0
-    tree = int(model.body_treeid[loose])
-    data.tree_asleep[tree] = tree
+    model.body_gravcomp[loose] = 1.0
 
 
 def weld(model: mujoco.MjModel, data: mujoco.MjData, ids: SlotIds, body: int) -> None:

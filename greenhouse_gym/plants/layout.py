@@ -88,6 +88,7 @@ class Layout:
             _hinged(world, f"leaf_{i}", self.trusses + i, PETIOLE + PLATES)
         for i in range(self.loose):
             loose = world.add_body(name=f"loose_{i}", pos=[0, 0, 2 * _PARKED_HEIGHT + i])
+            loose.gravcomp = 1.0  # it waits without falling
             loose.add_freejoint()
             _fill_empty(loose, 1)
         crate = world.add_body(name="crate", pos=self.crate.position)
