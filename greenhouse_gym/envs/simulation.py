@@ -71,7 +71,6 @@ class Simulation:
         hidden = hidden or ("target_position" if self.randomization.target_position else "")
         check_goals(self.observe, hidden, reward_requires_roadmap)
         self._hidden_goal = bool(hidden)
-        self.env_options = settings.agent_options()
         capacity = settings.capacity or capacity_of(self.sampler.bank, settings.physics)
         self.worlds = shared_worlds(robot, settings.physics, capacity, self._timing.substeps)
         self.count = count

@@ -51,6 +51,36 @@ def test_episodes_end_with_everything_stable_baselines_reads(bank: SceneBank) ->
     assert ended > 5
 
 
+def test_warp_ends_episodes_as_mujoco_does(bank: SceneBank) -> None:
+    pytest.importorskip("warp")
+    envs = [make_sb3_vec_env(3, bank=bank, backend=backend, action="joint") for backend in ("warp", "mujoco")]
+    warp, mujoco = envs
+    names = warp.get_attr("scene_names")[0]
+    warp.seed(1)
+    first = warp.reset()
+    mujoco.set_options(
+        [{"scene": names[info["scene"]], "target": info["target"]} for info in warp.venv.reset_infos]
+    )  # the same episodes, since the backends draw others
+    np.testing.assert_allclose(first, mujoco.reset(), atol=1e-4)
+    actions = np.zeros((3, 6), dtype=np.float32)
+    actions[1:, 1] = 1.0  # the first stands still until truncated, the others fall into the plants
+    running = np.ones(3, dtype=np.bool_)
+    for _ in range(200):
+        steps = [env.step(actions) for env in envs]
+        assert (steps[0][2][running] == steps[1][2][running]).all()
+        for i in np.flatnonzero(running & steps[0][2]):
+            one, other = (step[3][i] for step in steps)
+            accuracy = 0.2 if one["collision"] else 1e-3  # contacts push the arm in MuJoCo alone
+            if not one["collision"]:
+                np.testing.assert_allclose(one["terminal_observation"], other["terminal_observation"], atol=1e-4)
+            assert one["episode_terms"] == pytest.approx(other["episode_terms"], abs=accuracy)
+            assert one["reward_terms"] == pytest.approx(other["reward_terms"], abs=accuracy)
+            for key in ("TimeLimit.truncated", "is_success", "collision", "steps"):
+                assert one[key] == other[key]
+        running &= ~steps[0][2]
+    assert not running.any()
+
+
 def test_seeding_again_repeats_the_episodes(bank: SceneBank) -> None:
     env = make_sb3_vec_env(3, bank=bank, seed=5)
     first = env.reset()
