@@ -88,7 +88,7 @@ class Simulation:
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Simulation:
         """Return an independent copy in the same state; immutable parts are shared."""
-        shared = [self.robot, self.settings, self.task, self.worlds, self.sampler.bank]
+        shared = [self.robot, self.settings, self.task, self.worlds, self.worlds.fields, self.sampler.bank]
         shared += [part for setup in self._setups if setup is not None for part in (setup.episode, setup.world)]
         for part in shared:
             memo[id(part)] = part
