@@ -48,7 +48,7 @@ def move_plants(shapes: Shapes, motion: PlantMotion, rng: np.random.Generator) -
     hanging = [k for k, stem in enumerate(stems) if stem.kind in ("peduncle", "pedicel")]
     trusses = sorted({tomato.truss for tomato in shapes.tomatoes})
     rotations = {truss: _sample_rotation(motion, rng) for truss in trusses}
-    owners = dict(zip(hanging, _nearest_truss([stems[k] for k in hanging], shapes.tomatoes), strict=True))
+    owners = dict(zip(hanging, nearest_truss([stems[k] for k in hanging], shapes.tomatoes), strict=True))
     roots = {
         truss: _root([stems[k] for k in hanging if owners[k] == truss], stems, shapes.tomatoes, truss)
         for truss in trusses
@@ -96,7 +96,12 @@ def _sample_rotation(motion: PlantMotion, rng: np.random.Generator) -> Array:
     return np.asarray(swing @ rotation_about([0.0, 0.0, 1.0], float(about)))
 
 
-def _nearest_truss(stems: list[Stem], tomatoes: tuple[Tomato, ...]) -> list[int]:
+def is_fixed(shape: Sphere | Capsule | Box) -> bool:
+    """Return whether a piece of clutter is a fixed gutter and no leaf."""
+    return isinstance(shape, Box) and bool(shape.half_extents.max() > _FIXED)
+
+
+def nearest_truss(stems: list[Stem], tomatoes: tuple[Tomato, ...]) -> list[int]:
     """Return the truss of the tomato nearest to the middle of each stem, or -1 without tomatoes."""
     if not stems or not tomatoes:
         return [-1] * len(stems)
@@ -134,8 +139,6 @@ def _move_leaves(shapes: Sequence[Sphere | Capsule | Box], field: Field) -> tupl
     def move(shape: Sphere | Capsule | Box, start: Array, end: Array) -> Sphere | Capsule | Box:
         if isinstance(shape, Capsule):
             return replace(shape, start=start, end=end)
-        if isinstance(shape, Box) and shape.half_extents.max() > _FIXED:
-            return shape
-        return centered_at(shape, start)
+        return shape if is_fixed(shape) else centered_at(shape, start)
 
     return tuple(move(shape, *after) for shape, after in zip(shapes, ends_after, strict=True))
