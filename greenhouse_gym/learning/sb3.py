@@ -76,7 +76,7 @@ class Sb3Agent(NamedAgent):
 
 
 def simulation_of(model: Any) -> Any:
-    """Return the simulation (`Simulation` or `WarpSimulation`) of a Stable-Baselines3 model's environment; None if that is not of this package."""
+    """Return the simulation of a Stable-Baselines3 model's environment; None if that is not of this package."""
     env = model.get_env()
     try:
         return None if env is None else env.get_attr("simulation")[0]

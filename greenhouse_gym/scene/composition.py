@@ -31,8 +31,8 @@ _SPACING = 0.5  # between plants beyond those of the scene, metres
 def composed_scene(base: Scene, draw: Callable[[], Scene], rng: np.random.Generator, name: str) -> Scene:
     """Compose a stand: the placement, fixtures and spacing of a scene, with plants of others.
 
-    The row is shifted along y, each plant is mirrored at random, turned and shifted, and all plants move a little. Pipes,
-    gutters and the arm stay where they are. The result has no targets, truth or occupancy grid.
+    The row is shifted along y, each plant is mirrored at random, turned and shifted, and all plants move a little.
+    Pipes, gutters and the arm stay where they are. The result has no targets, truth or occupancy grid.
 
     Args:
         base: Scene of the stand.
@@ -44,12 +44,12 @@ def composed_scene(base: Scene, draw: Callable[[], Scene], rng: np.random.Genera
     if not len(feet):
         feet = np.array([[0.6, 0.0]])
     shift = rng.uniform(-_SPACING / 2, _SPACING / 2)
-    places = [*feet]
-    while places[0][1] + shift > -HALF_WIDTH - ROOM:
-        places.insert(0, places[0] - [0.0, _SPACING])
-    while places[-1][1] + shift < HALF_WIDTH + ROOM:
-        places.append(places[-1] + [0.0, _SPACING])
-    grown = [_placed(foot + [SHIFT * rng.normal(), shift], _drawn(draw, rng), rng) for foot in places]
+    slots = [*feet]
+    while slots[0][1] + shift > -HALF_WIDTH - ROOM:
+        slots.insert(0, slots[0] - [0.0, _SPACING])
+    while slots[-1][1] + shift < HALF_WIDTH + ROOM:
+        slots.append(slots[-1] + [0.0, _SPACING])
+    grown = [_placed(foot + [SHIFT * rng.normal(), shift], _drawn(draw, rng), rng) for foot in slots]
     trusses = np.cumsum([0, *(1 + max((t.truss for t in plant.tomatoes), default=-1) for plant in grown)])
     whole = Shapes(
         tomatoes=tuple(
@@ -98,7 +98,9 @@ def _stands(scene: Scene) -> list[tuple[Array, Shapes]]:
     of_tomato = nearest([tomato.shape for tomato in scene.tomatoes])
     # a truss hangs on one plant, that of most of its tomatoes
     of_truss = {
-        truss: int(np.bincount([k for k, t in zip(of_tomato, scene.tomatoes, strict=True) if t.truss == truss]).argmax())
+        truss: int(
+            np.bincount([k for k, t in zip(of_tomato, scene.tomatoes, strict=True) if t.truss == truss]).argmax()
+        )
         for truss in {tomato.truss for tomato in scene.tomatoes}
     }
     owners = [of_truss.get(truss, 0) for truss in nearest_truss(hanging, scene.tomatoes)]
