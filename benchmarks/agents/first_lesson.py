@@ -11,6 +11,7 @@ made on test rows. A training takes about four minutes of processor time.
 from __future__ import annotations
 
 import time
+from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -24,6 +25,7 @@ from benchmarks.common import RESULTS, parser, read_entry, write_entry
 from greenhouse_gym.agents import ShieldedAgent
 from greenhouse_gym.envs import DenseReward
 from greenhouse_gym.evaluation import evaluate
+from greenhouse_gym.learning.policies import save_policy
 from greenhouse_gym.learning.sb3 import Sb3Agent, make_sb3_vec_env
 from greenhouse_gym.scene import SceneBank
 
@@ -49,6 +51,7 @@ def main() -> None:
     command.add_argument("--split", choices=("train", "test"), default="test", help="split of the rows to play on")
     command.add_argument("--episodes", type=int, default=500)
     command.add_argument("--shielded", action="store_true", help="play behind the shield, too")
+    command.add_argument("--policies", type=Path, help="folder for the policies, none by default")
     command.add_argument("--name", default="ten lines", help="of the entry in the file of results")
     a = command.parse_args()
     torch.set_num_threads(1)
@@ -65,6 +68,8 @@ def main() -> None:
     figures = about | {"seeds": {}} | read_entry(RESULT, a.name, about)
     for seed in a.seeds:
         model, entry = trained(bank, a.steps, seed, a.action, DenseReward(collision=a.collision), world)
+        if a.policies:
+            save_policy(model, a.policies / f"{a.name.replace(' ', '-')}-{seed}")
         policy = Sb3Agent(model)
         for agent in (policy, ShieldedAgent(policy)) if a.shielded else (policy,):
             for source, difficulty in EVALUATED:

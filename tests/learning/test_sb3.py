@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import copy
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -12,10 +13,11 @@ pytest.importorskip("stable_baselines3")
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.vec_env import VecNormalize
 
-from greenhouse_gym.agents import Agent, Problem
+from greenhouse_gym.agents import Agent, PolicyAgent, Problem
 from greenhouse_gym.envs import GreenhouseEnv
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.evaluation import evaluate
+from greenhouse_gym.learning.policies import save_policy
 from greenhouse_gym.learning.sb3 import Sb3Agent, make_sb3_vec_env
 from greenhouse_gym.scene import SceneBank
 
@@ -79,6 +81,16 @@ def test_warp_ends_episodes_as_mujoco_does(bank: SceneBank) -> None:
                 assert one[key] == other[key]
         running &= ~steps[0][2]
     assert not running.any()
+
+
+def test_a_model_of_warp_becomes_a_policy(bank: SceneBank, tmp_path: Path) -> None:
+    pytest.importorskip("warp")
+    env = make_sb3_vec_env(4, bank=bank, backend="warp", action="tip_velocity", seed=0)
+    model = PPO("MlpPolicy", env, n_steps=4, batch_size=16, n_epochs=1, seed=0).learn(16)
+    agents = [PolicyAgent.load(save_policy(model, tmp_path / "policy")), Sb3Agent(model)]
+    assert all(agent.env_options["action"] == "tip_velocity" for agent in agents)
+    one, other = (evaluate(agent, episodes=2, bank=bank, progress=False) for agent in agents)
+    assert [record.steps for record in one.records] == [record.steps for record in other.records]
 
 
 def test_seeding_again_repeats_the_episodes(bank: SceneBank) -> None:
