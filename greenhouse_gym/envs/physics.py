@@ -113,7 +113,7 @@ class Physics:
         counts, leaf_steps = contacts.counts.copy(), contacts.leaf_steps.copy()
         counts[~pushed, LEAF], leaf_steps[~pushed] = found[~pushed].sum(axis=1), (found[~pushed] > 0).sum(axis=1)
         for i in np.flatnonzero(found[:, -1]).tolist():
-            self.brushed[i].update(self._leaf_contacts[i].touched(stepper.qpos[i : i + 1]).tolist())
+            self.brushed[i].update(self._leaf_contacts[i].at(stepper.qpos[i : i + 1]).tolist())
         return contacts._replace(counts=counts, leaf_steps=leaf_steps)
 
     def sites(self, ids: Ids | slice) -> tuple[Array, Array]:

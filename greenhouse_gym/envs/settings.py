@@ -59,9 +59,9 @@ class EnvSettings:
             not rated for the arm, the ratings for other arms are used and reported as "unrated".
         physics: "reconstruction" simulates the scene; "truth" simulates the true row behind it, with the tomato nearest
             to the target as the goal, while observations still show the reconstruction.
-        plants: "rigid", or "brush" for leaves that give way: they are felt, but neither stop the arm nor end the episode;
-            see `GreenhouseEnv`. Leaves are all clutter except gutters (`greenhouse_gym.crops.parts.is_leaf`); fruit,
-            stems, fixtures and the arm itself stay rigid.
+        plants: "rigid", or "brush" for leaves that give way: contacts with them are found and counted, but neither stop
+            the arm nor end the episode; see `GreenhouseEnv`. Leaves are all clutter except gutters, see
+            `greenhouse_gym.crops.parts.is_leaf`; fruit, stems, fixtures and the arm itself stay rigid.
         randomization: Domain randomization; none by default.
         capacity: Maximum number of obstacles of a scene; if None, 600 or as many as the largest scene of the bank has.
         success_radius: Maximum distance of the grasp point from the target's center for a success, metres. It belongs

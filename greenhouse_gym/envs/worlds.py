@@ -25,7 +25,7 @@ from greenhouse_gym.motion.roadmap import SceneRoadmaps
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import CompiledScene, Scene, SceneBank, Shapes, compile_scene
 from greenhouse_gym.scene.geom_order import first_world_geom
-from greenhouse_gym.scene.mjcf import DEFAULT_CAPACITY, MAX_CAPACITY, base_position, let_give_way
+from greenhouse_gym.scene.mjcf import DEFAULT_CAPACITY, MAX_CAPACITY, base_position, make_yielding
 from greenhouse_gym.scene.plant_motion import move_plants
 from greenhouse_gym.scene.truth import known_scene, true_scene
 
@@ -227,7 +227,7 @@ class Worlds:
     def _compile(self, scene: Scene) -> CompiledScene:
         compiled = compile_scene(scene, self.robot, self.capacity, self._record)
         if self.leaves == "brush":
-            let_give_way(compiled.model, compiled.leaf_geoms)
+            make_yielding(compiled.model, compiled.leaf_geoms)
         return compiled
 
     def _make(self, scene: Scene) -> World:

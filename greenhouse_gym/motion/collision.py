@@ -133,8 +133,8 @@ def _leave_out(compiled: CompiledScene, model: mujoco.MjModel, pairs: Collection
 def path_clearance(compiled: CompiledScene, target: int, path: npt.ArrayLike, leaves: str = LEAVES[0]) -> float:
     """Return the smallest distance of the arm from obstacles along a path (k, joints), up to `CLEARANCE_RANGE`, metres.
 
-    The target, the floor, the cart, and leaves that give way (``leaves="brush"``) do not count. It is measured at configurations between which no point of the arm
-    moves farther than 1 cm; negative inside an obstacle.
+    The target, the floor, the cart, and leaves that give way (``leaves="brush"``) do not count. It is measured at
+    configurations between which no point of the arm moves farther than 1 cm; negative inside an obstacle.
     """
     configurations = along_path(np.asarray(path, dtype=np.float64), arm_reaches(compiled.robot), _CLEARANCE_STEP)
     return smallest_clearance(compiled, compiled.model, target, configurations, leaves)

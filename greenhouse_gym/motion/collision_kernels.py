@@ -331,8 +331,8 @@ def contacts(
         touching[k] = _in_contact(joints, capsules, pairs, geoms, nodes, planes, configurations[k], frames, ends, stack)
 
 
-@kernel(f"void({_WORLD}, f8[:, ::1], b1[::1])", writes=("touched",))
-def touched_geoms(
+@kernel(f"void({_WORLD}, f8[:, ::1], b1[::1])", writes=("hit",))
+def geoms_in_contact(
     joints: Array,
     capsules: Array,
     pairs: Pairs,
@@ -340,7 +340,7 @@ def touched_geoms(
     nodes: Array,
     planes: Array,
     configurations: Array,
-    touched: npt.NDArray[np.bool_],
+    hit: npt.NDArray[np.bool_],
 ) -> None:
     """Mark the geoms (g,), except planes, that the arm touches in some of the configurations (k, n)."""
     frames, ends, stack = np.empty((len(joints), 18)), np.empty((len(capsules), 6)), np.empty(_STACK, np.int64)
@@ -365,8 +365,8 @@ def touched_geoms(
                     size += 2
                     continue
                 g, leaf = geoms[int(n[8])], int(n[8])
-                if not touched[leaf] and (int(g[17]) & offered or int(g[16]) & accepted):
-                    touched[leaf] = _near(g, a, b, radius + g[18])
+                if not hit[leaf] and (int(g[17]) & offered or int(g[16]) & accepted):
+                    hit[leaf] = _near(g, a, b, radius + g[18])
 
 
 @kernel(f"i8({_WORLD}, f8[::1], f8[::1], i8)")

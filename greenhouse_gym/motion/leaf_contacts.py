@@ -36,25 +36,25 @@ class LeafContacts:
     def __deepcopy__(self, memo: dict[int, Any]) -> LeafContacts:
         return self
 
-    def touched(self, configurations: Array) -> npt.NDArray[np.int64]:
+    def at(self, configurations: Array) -> npt.NDArray[np.int64]:
         """Return the leaves touched in some of the configurations (k, joints): indices into `Shapes.leaves`."""
-        touched = np.zeros(self._checker.model.ngeom, dtype=np.bool_)
+        hit = np.zeros(self._checker.model.ngeom, dtype=np.bool_)
         if self._world is not None:
-            from greenhouse_gym.motion.collision_kernels import touched_geoms
+            from greenhouse_gym.motion.collision_kernels import geoms_in_contact
 
-            touched_geoms(*self._world, np.ascontiguousarray(configurations, dtype=np.float64), touched)
+            geoms_in_contact(*self._world, np.ascontiguousarray(configurations, dtype=np.float64), hit)
         else:
             with self._lock:
                 for configuration in configurations:
-                    touched[[geom for pair in self._checker.contacts(configuration) for geom in pair]] = True
-        return np.flatnonzero(touched[self._leaves])
+                    hit[[geom for pair in self._checker.contacts(configuration) for geom in pair]] = True
+        return np.flatnonzero(hit[self._leaves])
 
     def brushed(self, path: npt.ArrayLike) -> npt.NDArray[np.int64]:
-        """Return the leaves that are touched along a path (k, joints), as `touched` does.
+        """Return the leaves that are touched along a path (k, joints), as `at` does.
 
         It is checked at configurations between which no point of the arm moves farther than 1 cm.
         """
-        return self.touched(along_path(np.asarray(path, dtype=np.float64), self._reaches, _STEP))
+        return self.at(along_path(np.asarray(path, dtype=np.float64), self._reaches, _STEP))
 
 
 def leaves_alone(model: mujoco.MjModel, leaves: npt.NDArray[np.int64]) -> mujoco.MjModel:

@@ -96,7 +96,7 @@ class CompiledScene:
         model.geom_conaffinity[geom] = mask
 
 
-def let_give_way(model: mujoco.MjModel, geoms: np.ndarray[tuple[int], np.dtype[np.int64]]) -> None:
+def make_yielding(model: mujoco.MjModel, geoms: np.ndarray[tuple[int], np.dtype[np.int64]]) -> None:
     """Let geoms of the world body give way: MuJoCo finds contacts with them, which exert no force.
 
     MuJoCo finds the contacts of two geoms that are nearer than the sums of their margins and gaps, and lets those

@@ -20,7 +20,7 @@ from greenhouse_gym.motion.collision import planning_model
 from greenhouse_gym.motion.leaf_contacts import LeafContacts
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene, SceneBank, compile_scene
-from greenhouse_gym.scene.mjcf import YIELDING, let_give_way
+from greenhouse_gym.scene.mjcf import YIELDING, make_yielding
 from greenhouse_gym.scene.occupancy import boxes_covering
 from greenhouse_gym.scene.truth import true_scene
 from tests.envs.reach_helpers import REACH, scene_of, tool_at
@@ -185,12 +185,12 @@ def test_touched_leaves_are_those_of_mujoco() -> None:
     configurations = get_robot("ur5e").start + rng.normal(0, 0.4, (200, 6))
     differences, found = 0, 0
     for configuration in configurations[:, None]:
-        one, two = set(finder.touched(configuration).tolist()), set(slow.touched(configuration).tolist())
+        one, two = set(finder.at(configuration).tolist()), set(slow.at(configuration).tolist())
         differences, found = differences + len(one ^ two), found + len(two)
     assert found > 50
     assert differences <= 0.01 * found
-    together = set(finder.touched(configurations).tolist())
-    assert together == set().union(*(finder.touched(one).tolist() for one in configurations[:, None]))
+    together = set(finder.at(configurations).tolist())
+    assert together == set().union(*(finder.at(one).tolist() for one in configurations[:, None]))
 
 
 def test_a_displaced_arm_touches_the_leaves_where_it_is() -> None:
@@ -213,7 +213,7 @@ def test_a_model_for_planning_ignores_what_gave_way_in_the_simulation() -> None:
     tip, frame = tool_at(REACH)
     scene = scene_with(Box(tip, [0.05, 0.05, 0.002], frame), tip=tip)
     compiled = compile_scene(scene, "ur5e")
-    let_give_way(compiled.model, compiled.leaf_geoms)
+    make_yielding(compiled.model, compiled.leaf_geoms)
     for leaves, contacts in (("rigid", True), ("brush", False)):
         model = planning_model(compiled, 0, leaves=leaves)
         data = mujoco.MjData(model)
