@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from greenhouse_gym.crops.crop import PlantMotion
-from greenhouse_gym.crops.parts import Stem, Tomato
+from greenhouse_gym.crops.parts import Stem, Tomato, is_leaf
 from greenhouse_gym.geometry import Array, Box, Capsule, Sphere, distance_to_capsules, pose, rotation_about
 from greenhouse_gym.geometry.shapes import AnyShape, mirrored, transformed
 from greenhouse_gym.scene.obstacles import Shapes
-from greenhouse_gym.scene.plant_motion import is_fixed, move_plants, nearest_truss
+from greenhouse_gym.scene.plant_motion import move_plants, nearest_truss
 from greenhouse_gym.scene.scene import Provenance, Scene
 
 HALF_WIDTH = 0.8
@@ -63,7 +63,7 @@ def composed_scene(base: Scene, draw: Callable[[], Scene], rng: np.random.Genera
             *(stem for plant in grown for stem in plant.stems if _inside(stem)),
         ),
         clutter=(
-            *(piece for piece in base.clutter if is_fixed(piece)),
+            *(piece for piece in base.clutter if not is_leaf(piece)),
             *(piece for plant in grown for piece in plant.clutter if _inside(piece)),
         ),
     )
@@ -94,7 +94,7 @@ def _stands(scene: Scene) -> list[tuple[Array, Shapes]]:
 
     hanging = [stem for stem in scene.stems if stem.kind in ("peduncle", "pedicel")]
     others = [stem for stem in scene.stems if stem.kind not in ("peduncle", "pedicel", "pipe")]
-    leaves = [piece for piece in scene.clutter if not is_fixed(piece)]
+    leaves = [piece for piece in scene.clutter if is_leaf(piece)]
     of_tomato = nearest([tomato.shape for tomato in scene.tomatoes])
     # a truss hangs on one plant, that of most of its tomatoes
     of_truss = {
