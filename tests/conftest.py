@@ -18,6 +18,13 @@ from greenhouse_gym.scene.bank import write_bank
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Give the tests of a file to one process of xdist, which makes the fixtures and caches of the file once."""
+    for item in items:
+        if item.get_closest_marker("xdist_group") is None:
+            item.add_marker(pytest.mark.xdist_group(str(item.path)))
+
+
 def make_scene(seed: int, stems: int = 4, row: str | None = None) -> Scene:
     """A small made-up scene: vertical stems 0.6 m from the arm, a truss in front of each, a leaf beside."""
     rng = np.random.default_rng(seed)
