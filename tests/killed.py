@@ -15,10 +15,8 @@ from typing import NamedTuple
 _SERVER = """
 import contextlib, json, os, resource, signal, sys, time
 sys.path[:] = json.loads(sys.argv[1])
-import cv2, mujoco, numba, torch, stable_baselines3, safetensors.torch, minari
 from greenhouse_gym.cli.main import main
-from greenhouse_gym.common.open3d_loader import open3d
-open3d()
+exec(sys.argv[3])
 for line in sys.stdin:
     arguments, seconds = json.loads(line)
     pid = os.fork()
@@ -36,7 +34,12 @@ for line in sys.stdin:
     _, status, used = os.wait4(pid, 0)
     print(json.dumps([os.waitstatus_to_exitcode(status), used.ru_utime + used.ru_stime]), flush=True)
 """
-_VOLATILE = re.compile(r'"(seconds|\w*_time|created|\w*_seconds)": [^,}\]]*|"seconds": \{[^}]*\}')
+_ALL = """
+import cv2, mujoco, numba, torch, stable_baselines3, safetensors.torch, minari
+from greenhouse_gym.common.open3d_loader import open3d
+open3d()
+"""
+_TIMES = re.compile(r'"(seconds|created|\w*_time|\w*_seconds)": (\[[^\]]*\]|\{[^}]*\}|[^,}\]]*)')
 
 
 class Ended(NamedTuple):
@@ -48,11 +51,16 @@ class Ended(NamedTuple):
 
 
 class Commands:
-    """Runs commands; use it in a ``with`` block."""
+    """Runs commands; use it in a ``with`` block.
 
-    def __init__(self, folder: Path):
+    Args:
+        folder: Working folder.
+        imported: Code that imports what commands take long to import.
+    """
+
+    def __init__(self, folder: Path, imported: str = _ALL):
         self._log = folder / "printed.txt"
-        arguments = [sys.executable, "-c", _SERVER, json.dumps(sys.path), str(self._log)]
+        arguments = [sys.executable, "-c", _SERVER, json.dumps(sys.path), str(self._log), imported]
         self._server = subprocess.Popen(arguments, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=folder)
 
     def __enter__(self) -> Commands:
@@ -72,12 +80,12 @@ class Commands:
 
 
 def contents(folder: Path, but: Sequence[str] = ()) -> dict[str, str]:
-    """Return the checksum of each file below a folder without times, by its path; ``but`` are suffixes left out."""
+    """Return checksums of the files below a folder by their paths, without times; ``but`` are parts of names left out."""
     found = {}
     for path in sorted(folder.rglob("*")):
-        if path.is_file() and not str(path).endswith(tuple(but)):
+        if path.is_file() and not any(part in path.name for part in but):
             content = path.read_bytes()
             if path.suffix in (".json", ".jsonl"):
-                content = _VOLATILE.sub("", content.decode()).encode()
+                content = _TIMES.sub("", content.decode()).encode()
             found[os.fspath(path.relative_to(folder))] = hashlib.sha256(content).hexdigest()
     return found
