@@ -12,6 +12,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 _SERVER = """
 import contextlib, json, os, resource, signal, sys, time
 sys.path[:] = json.loads(sys.argv[1])
@@ -80,11 +82,19 @@ class Commands:
 
 
 def contents(folder: Path, but: Sequence[str] = ()) -> dict[str, str]:
-    """Return checksums of the files below a folder by their paths, without times; ``but`` are parts of names left out."""
+    """Return checksums of the files below a folder by their paths, without times.
+
+    Args:
+        folder: The folder.
+        but: Parts of the names of files that are left out.
+    """
     found = {}
     for path in sorted(folder.rglob("*")):
         if path.is_file() and not any(part in path.name for part in but):
             content = path.read_bytes()
+            if path.suffix == ".npz":
+                with np.load(path) as arrays:
+                    content = b"".join(arrays[name].tobytes() for name in arrays.files if name != "report")
             if path.suffix in (".json", ".jsonl"):
                 content = _TIMES.sub("", content.decode()).encode()
             found[os.fspath(path.relative_to(folder))] = hashlib.sha256(content).hexdigest()

@@ -444,7 +444,8 @@ def test_compare_on_tracks() -> None:
 
 @pytest.mark.timeout(600)
 def test_the_demo_runs_whole(tmp_path: Path) -> None:
-    run("demo", "--quick", "--out", tmp_path / "demo")
+    done = command("demo", "--quick", "--out", tmp_path / "demo")
+    assert done.returncode == 0, done.stdout + done.stderr
     out = tmp_path / "demo"
     assert {path.name for path in out.glob("*.png")} == PICTURES
     for path in out.glob("*.png"):

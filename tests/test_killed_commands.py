@@ -23,7 +23,7 @@ COMMANDS: Mapping[str, str] = MappingProxyType(
         "build": "build RECORDING --out OUT --name b --set max_targets=3",
         "rate": "rate mini --robot iiwa14 --out OUT",
         "train": f"train ppo --out OUT --steps 1024 {PPO}",
-        "sweep": f"sweep --out OUT --try seed=[0,1] --set total_steps=256 {PPO}",
+        "sweep": f"sweep --out OUT --try seed=0 --try seed=1 --set total_steps=256 {PPO}",
         "demonstrations": "demonstrations roadmap --bank mini --out OUT --episodes 8",
         "submit": "submit random --out OUT --episodes 6 --track reconstruction",
         "compare": "compare random straight-line --bank mini --episodes 4 --report OUT/report.html",

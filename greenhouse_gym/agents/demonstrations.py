@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import tempfile
 import time
@@ -159,7 +160,8 @@ def _add(out: Path, name: str, buffers: list[Any], kept: int, env: GreenhouseEnv
                     target.parent.mkdir(parents=True, exist_ok=True)
                     path.replace(target)
     except (OSError, RuntimeError) as error:  # HDF5 raises either on a full disk
-        problem = getattr(error, "strerror", None) or str(error).splitlines()[0]
+        named = re.search(r"error message = '([^']+)'", str(error))  # by HDF5, among much else
+        problem = getattr(error, "strerror", None) or (named[1] if named else str(error).splitlines()[0])
         raise FileWriteError(out / name, OSError(f"{problem}; it keeps its first {kept} episodes")) from error
     return kept + len(buffers)
 

@@ -170,6 +170,8 @@ def parsing(path: object, kind: str) -> Iterator[None]:
         raise
     except ValidationError as error:
         raise FileFormatError(path, f"not a valid {kind}: {first_fault(error)}") from error
+    except MemoryError as error:
+        raise FileFormatError(path, f"more memory than there is would be needed to read this {kind}") from error
     except Exception as error:
         what = str(error).splitlines()[0][:200] if str(error) else type(error).__name__
         raise FileFormatError(path, f"not a valid {kind}: {what}") from error
