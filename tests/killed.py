@@ -41,7 +41,7 @@ import cv2, mujoco, numba, torch, stable_baselines3, safetensors.torch, minari
 from greenhouse_gym.common.open3d_loader import open3d
 open3d()
 """
-_TIMES = re.compile(r'"(seconds|created|\w*_time|\w*_seconds)": (\[[^\]]*\]|\{[^}]*\}|[^,}\]]*)')
+_TIMES = re.compile(r'"(seconds|created|\w*_time|\w*_seconds)": ?(\[[^\]]*\]|\{[^}]*\}|[^,}\]]*)')
 
 
 class Ended(NamedTuple):
