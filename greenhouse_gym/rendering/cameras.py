@@ -131,6 +131,7 @@ class CameraRig:
         self._renders_arm, self._renders_color = renders_arm, renders_color
         self._rays = [camera.rays for camera in self.cameras]
         self._lengths = [np.linalg.norm(rays, axis=1) for rays in self._rays]
+        self._first_of_arm = compiled.obstacle_geoms.stop
         self._casters = [RayCaster(compiled) for _ in range(max(1, threads))]
         self._pool = ThreadPoolExecutor(len(self._casters)) if len(self._casters) > 1 else None
 
@@ -199,7 +200,9 @@ class CameraRig:
         return caster.cast(model, joints, view[:3, 3].copy(), directions, reach, self._renders_color), directions
 
     def _depth(self, hits: Hits, camera: int) -> Array:
-        visible = hits.distance >= 0 if self._renders_arm else (hits.distance >= 0) & ~hits.on_arm
+        visible = hits.distance >= 0
+        if not self._renders_arm:
+            visible &= hits.geom < self._first_of_arm
         depth = np.where(visible, hits.distance / self._lengths[camera], 0.0)
         depth[depth > MAX_RANGE] = 0.0
         return depth
