@@ -143,7 +143,8 @@ class GreenhouseEnv(EnvMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]]):
     | ``reward_terms`` | on step only: the terms by name |
     | ``previous_goal``, ``effort`` | on step of ``goal``: achieved goal before it, sum of the action's squares |
 
-    Numbers that the task remembers (`Task.memory`) follow under their own names.
+    Numbers that the task remembers (`Task.memory`) follow under their own names. A task may add entries to the action
+    (`Task.controls`).
 
     **Reset options**
 
@@ -195,7 +196,7 @@ class GreenhouseEnv(EnvMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]]):
         self.metadata = {"render_modes": available_modes(), "render_fps": self.settings.rate}
         self.simulation = Simulation(1, self.settings, threads=1)
         self.observation_space = self.simulation.observe.space
-        self.action_space: spaces.Box = self.simulation.action_rule.space  # type: ignore[assignment]
+        self.action_space: spaces.Box = self.simulation.action_space  # type: ignore[assignment]
         add_goal_functions(self)
         self._tip_trace: list[Array] = []
         self._over = False

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.agents import Problem
-from greenhouse_gym.agents.depth_reading import MAX_UNCERTAINTY, perfect_reading, stereo_reading
+from greenhouse_gym.rendering.depth_reading import MAX_UNCERTAINTY, perfect_reading, stereo_reading
 from greenhouse_gym.agents.local_map import LocalMap
 from greenhouse_gym.agents.occupancy_map import OccupancyMap, wrist_camera, wrist_reading
 from greenhouse_gym.agents.watchful import WatchfulAgent
