@@ -27,6 +27,7 @@ from greenhouse_gym.envs.observations import (
     ObservationSpec,
     Observed,
     StateObservation,
+    TaskObservation,
 )
 from greenhouse_gym.envs.rewards import DenseReward, PathReward, Reward, SparseReward, Transition
 from greenhouse_gym.envs.state import State
@@ -41,6 +42,7 @@ OBSERVATIONS: Mapping[str, Callable[[Robot, Task], ObservationSpec]] = {
     "state_occupancy": partial(StateObservation, extra=("unknown",)),
     "clearance_rays": partial(StateObservation, extra=("clearance_rays",)),
     "roadmap": partial(StateObservation, extra=PATH_FEATURES, without=TOOL_FEATURES),
+    "task": TaskObservation,
     "goal": GoalObservation,
     "goal_roadmap": partial(GoalObservation, path=True),
     "depth": DepthObservation(),
@@ -87,7 +89,7 @@ def make_observation(kind: ObservationChoice | Mapping[str, Any], robot: Robot, 
     """
     kind = _loaded("observation", kind)
     if isinstance(kind, str):
-        return _named("observation", kind, {**OBSERVATIONS, **task.observations})(robot, task)
+        return _named("observation", kind, OBSERVATIONS)(robot, task)
     if isinstance(kind, _OWN_SETTINGS):
         return kind(robot, task)
     own = _made("observation", kind, robot)

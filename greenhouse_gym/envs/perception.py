@@ -208,7 +208,8 @@ class Perception:
         setups = [self._setups[i] for i in np.arange(self._count)[ids]]
         if self._rig is None:
             compiled = self._setups[0].world.compiled
-            self._rig = CameraRig(cameras, compiled, self._threads, self._observe.renders_arm, self._observe.renders_color)
+            shows = self._observe.renders_arm, self._observe.renders_color
+            self._rig = CameraRig(cameras, compiled, self._threads, *shows)
         noises = [setup.disturbance.noise for setup in setups]
         models = [physics.models[i] for i in np.arange(self._count)[ids]]
         return self._rig.render(models, physics.qpos[ids], frame, tip, tool, noises)

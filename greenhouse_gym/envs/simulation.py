@@ -9,11 +9,18 @@ from typing import Any
 import mujoco
 import numpy as np
 import numpy.typing as npt
-from gymnasium import spaces
 
 from greenhouse_gym.common.progress import progress
 from greenhouse_gym.envs.actions import CommandLimits, check_actions, squared_norm, with_controls
-from greenhouse_gym.envs.choices import is_of_user, make_action, make_observation, make_reward, make_task, outcome_check, remembered
+from greenhouse_gym.envs.choices import (
+    is_of_user,
+    make_action,
+    make_observation,
+    make_reward,
+    make_task,
+    outcome_check,
+    remembered,
+)
 from greenhouse_gym.envs.contacts import NAME_SEPARATOR, NO_CONTACT, Contact, Contacts
 from greenhouse_gym.envs.episodes import Episode, EpisodeSampler
 from greenhouse_gym.envs.observations import Observed, check_goals
@@ -89,7 +96,9 @@ class Simulation:
         counted = ("steps", "speed_limited", "position_limited", "index", "target")
         self._counts = {key: np.zeros(count, dtype=np.int64) for key in counted}
         requires_roadmap = self.observe.requires_roadmap or reward_requires_roadmap
-        self._perception = Perception(count, robot, self.observe, self.worlds, requires_roadmap, threads, self.task.camera)
+        self._perception = Perception(
+            count, robot, self.observe, self.worlds, requires_roadmap, threads, self.task.camera
+        )
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Simulation:
         """Return an independent copy in the same state; immutable parts are shared."""

@@ -7,12 +7,13 @@ of arrays over n simulations, so the vector environment and single environments 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from gymnasium import spaces
 
 from greenhouse_gym.envs.contacts import CONTACT_GROUPS
 from greenhouse_gym.envs.episodes import Episode, EpisodeSampler
@@ -23,10 +24,8 @@ from greenhouse_gym.geometry import Array
 from greenhouse_gym.rendering.cameras import DepthCamera
 
 if TYPE_CHECKING:
-    from greenhouse_gym.envs.observations import ObservationSpec
     from greenhouse_gym.envs.views import View
     from greenhouse_gym.envs.worlds import World
-    from greenhouse_gym.robots import Robot
 
 TARGET_FEATURES = ("grasp_offset", "target_position", "target_direction", "turn_to_target")
 """Features of a task with one target at a time, see `GreenhouseEnv`."""
@@ -61,10 +60,10 @@ class Task(ABC):
             ``contact``.
         features: Groups of numbers that observations contain about the task, by name.
         rewards: Rewards by name, for the setting ``reward``.
-        observations: Observations that only this task has, by name: functions of the arm and the task.
         memory: Numbers and arrays that each simulation remembers from step to step, by name with their initial values.
             They are in `State.memory`; numbers are also in ``info`` and in the records of an evaluation. A name that
             begins with an underscore is known to the task and its rewards alone.
+        arrays: Spaces of arrays in `memory` that ``observation="task"`` contains, by name.
         controls: Names of the entries, from -1 to 1, that an action has after those that move the arm.
         camera: Camera of which `see` gets views; None for none.
         touches_targets: The cup may touch the targets of the episode.
@@ -75,8 +74,8 @@ class Task(ABC):
     costs: Mapping[str, float] = MappingProxyType({})
     features: Mapping[str, Feature] = MappingProxyType({name: FEATURES[name] for name in TARGET_FEATURES})
     rewards: Mapping[str, Reward] = REWARDS
-    observations: Mapping[str, Callable[[Robot, Task], ObservationSpec]] = MappingProxyType({})
     memory: Mapping[str, npt.ArrayLike] = MappingProxyType({})
+    arrays: Mapping[str, spaces.Box] = MappingProxyType({})
     controls: tuple[str, ...] = ()
     camera: DepthCamera | None = None
     touches_targets: bool = True

@@ -173,7 +173,9 @@ class CameraRig:
                     own[c] = _with_noise(own[c], camera, noise)
         return Images(depth, color, geom, views)
 
-    def _render_clean(self, models: Sequence[mujoco.MjModel], qpos: Array, views: Array) -> tuple[Float32, Bytes, Geoms]:
+    def _render_clean(
+        self, models: Sequence[mujoco.MjModel], qpos: Array, views: Array
+    ) -> tuple[Float32, Bytes, Geoms]:
         """Return noise-free depth, color and geoms from camera poses scene_from_camera (n, c, 4, 4)."""
         first = self.cameras[0]
         shape = (len(models), len(self.cameras), first.height, first.width)

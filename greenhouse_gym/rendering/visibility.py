@@ -37,8 +37,8 @@ def visible_fractions(
     (near, far), edge = depths, np.array([camera.width, camera.height]) / (2 * camera.focal)
     center, radius = spheres[:, :3], spheres[:, 3]
     depth = np.maximum(center[:, 2], 1e-9)
-    within = (center[:, 2] > near) & (center[:, 2] < far) & (np.abs(center[:, :2]) < (edge * depth[:, None])).all(axis=1)
-    chosen = np.flatnonzero(within)
+    in_image = (np.abs(center[:, :2]) < edge * depth[:, None]).all(axis=1)
+    chosen = np.flatnonzero(in_image & (center[:, 2] > near) & (center[:, 2] < far))
     if not len(chosen):
         return result
     center, radius = center[chosen], radius[chosen]
