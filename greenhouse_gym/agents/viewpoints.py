@@ -42,6 +42,7 @@ def viewpoints(
     occluder: Callable[[Array], Seen],
     rng: np.random.Generator,
     depths: tuple[float, float] = DEPTHS,
+    min_gain: float = MIN_GAIN,
 ) -> Iterator[tuple[Array, Seen]]:
     """Yield configurations (j,) from which the camera sees many points, and which points it sees, best first.
 
@@ -53,6 +54,7 @@ def viewpoints(
         occluder: Returns which points (n, 3) lie in something that occludes what is behind it, (n,).
         rng: Samples the configurations.
         depths: Range of depths within which points are seen well, metres.
+        min_gain: Fraction of the points that a viewpoint must show.
     """
     spreads = np.linspace(*SPREADS, VIEWPOINTS)[:, None]
     samples = np.clip(command + spreads * rng.normal(size=(VIEWPOINTS, len(command))), robot.lower, robot.upper)
@@ -60,7 +62,7 @@ def viewpoints(
     batches = np.split(samples, _BATCHES)
     seen = np.concatenate([visible(arm, batch, points, occluder, depths) for batch in batches])
     gains = seen.mean(axis=1)
-    costs = np.where(gains < MIN_GAIN, np.inf, _MOTION_COST * np.abs(samples - command).max(axis=1) - gains)
+    costs = np.where(gains < min_gain, np.inf, _MOTION_COST * np.abs(samples - command).max(axis=1) - gains)
     for k in costs.argsort(kind="stable")[: np.isfinite(costs).sum()]:
         yield samples[k], seen[k]
 

@@ -29,8 +29,9 @@ _ONLY = np.array([0])
 
 
 class GreenhouseEnv(EnvMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]]):  # type: ignore[misc]
-    """Environment of an arm in front of tomato plants with a task, see ``task``; ``TomatoReach-v0`` has `TomatoReach` and
-    ``TomatoLook-v0`` `TomatoLook`.
+    """Environment of an arm in front of tomato plants with a task, see ``task``.
+
+    ``TomatoReach-v0`` has the task `TomatoReach`, and ``TomatoLook-v0`` `TomatoLook`.
 
     An episode takes place in one scene of a bank, with one or several of its tomatoes as targets. The arm carries a
     slender suction gripper; its *tip* is the center of the cup, and the *grasp point* lies one target radius ahead of

@@ -79,8 +79,8 @@ class TomatoLook(Task):
     **View.** The last entry of an action, ``look``, takes a view if it is above 0: a depth image at the end of the
     action, in which every fruit is recognized. Other actions only move the arm.
 
-    **Found.** A ripe fruit is found once at least 10 % of its silhouette (``min_visible``) is in the image and hidden by
-    nothing, at a depth of 0.1 to 1.2 m (``max_range``). Ten percent is the visibility from which the BOP benchmark
+    **Found.** A ripe fruit is found once at least 10 % of its silhouette (``min_visible``) is in the image and hidden
+    by nothing, at a depth of 0.1 to 1.2 m (``max_range``). Ten percent is the visibility from which the BOP benchmark
     expects an object to be detected (Hodaň et al., 2020). Fruit is ripe from a ripeness of 0.7 on (``ripe``), or if
     its ripeness is unknown.
 
@@ -157,8 +157,8 @@ class TomatoLook(Task):
         ripe = self._is_ripe(world.compiled.scene)
         if len(ripe) > MAX_TOMATOES:
             raise InvalidValueError(
-                f"scene {world.scene.name!r} has {len(ripe)} tomatoes, more than the {MAX_TOMATOES} of a map: use a part "
-                "of the stand"
+                f"scene {world.scene.name!r} has {len(ripe)} tomatoes, more than the {MAX_TOMATOES} that the task "
+                "remembers: use a part of the stand"
             )
         return {"ripe": ripe.sum(), "_ripe": np.pad(ripe, (0, MAX_TOMATOES - len(ripe)))}
 

@@ -1,0 +1,199 @@
+"""Agents that find fruit from one view to the next: planned views, fixed views and random views."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping
+from itertools import islice
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import binary_dilation, distance_transform_edt
+from scipy.spatial.distance import cdist
+
+from greenhouse_gym.agents.agent import NamedAgent, Problem, action_towards
+from greenhouse_gym.agents.viewpoints import viewpoints
+from greenhouse_gym.envs.features import feature_slices
+from greenhouse_gym.envs.observations import TaskObservation
+from greenhouse_gym.envs.tasks.look import MAP, TomatoLook
+from greenhouse_gym.geometry import Array
+from greenhouse_gym.motion.arm_spheres import ArmSpheres, arm_spheres
+from greenhouse_gym.motion.roadmap import RESOLUTION
+from greenhouse_gym.scene.occupancy import FREE, OCCUPIED, UNKNOWN
+
+ZONE = ((0.42, -1.2, -0.48), (0.95, 1.2, 0.08))
+"""Corners of the space in which ripe fruit hang, in the base frame, metres: 98 % of it on the training rows."""
+
+_GAP = 0.03  # metres between the arm and the centers of cells that are not known to be free
+_ARRIVED, _SETTLED = 0.01, 0.03  # radians from a viewpoint, and between command and joints, for a view
+_TRIED = 80  # viewpoints whose motions are checked
+_NEAR = 2  # cells from known ones within which unknown ones are worth a view
+_POINTS = 700  # unknown cells that are sampled for a view
+_MIN_GAIN = 0.02
+_FACING = 0.15  # fraction of the zone that random views show
+
+
+class Surroundings:
+    """The carved map, and the space that the arm has already been in.
+
+    Args:
+        arm: The spheres of the arm.
+        start: (j,) its first configuration, radians.
+    """
+
+    def __init__(self, arm: ArmSpheres, start: Array):
+        self._arm = arm
+        near = cdist(MAP.centers, arm.centers(start[None])[0]) - arm.radius
+        self._swept = (near.min(axis=1) < MAP.cell + _GAP).reshape(MAP.shape)
+        low, high = np.array(ZONE)
+        self._in_zone = ((MAP.centers > low) & (MAP.centers < high)).all(axis=1).reshape(MAP.shape)
+        self.update(np.full(MAP.shape, UNKNOWN, dtype=np.uint8))
+
+    def update(self, states: npt.NDArray[np.uint8]) -> None:
+        """Take over the states of the cells, `MAP.shape`."""
+        self.states = states
+        free = (states == FREE) | (self._swept & (states == UNKNOWN))
+        self._distance = np.asarray(distance_transform_edt(free)).reshape(-1) * MAP.cell
+
+    def hides(self, points: Array) -> npt.NDArray[np.bool_]:
+        """Return which points (n, 3) lie in cells with surfaces."""
+        cells = MAP.indices(points)
+        return np.asarray((cells >= 0) & (self.states.reshape(-1)[cells] >= OCCUPIED))
+
+    def admits(self, configurations: Array) -> bool:
+        """Return whether an arm in configurations (m, j) is in free space, or in the aisle in front of the map."""
+        moving = self._arm.moving
+        centers, radius = self._arm.centers(configurations)[:, moving], self._arm.radius[moving]
+        cells = MAP.indices(centers.reshape(-1, 3)).reshape(centers.shape[:2])
+        in_aisle = centers[..., 0] < MAP.low[0]
+        distance = np.where(cells >= 0, self._distance[cells], np.where(in_aisle, np.inf, 0.0))
+        return bool((distance > radius + _GAP).all())
+
+    def unknown(self) -> Array:
+        """Return (k, 3) centers of unknown cells of the zone near known ones; of all of them if none is known."""
+        unknown = self._in_zone & (self.states == UNKNOWN)
+        known = self.states != UNKNOWN
+        if known.any():
+            unknown &= binary_dilation(known, iterations=_NEAR)
+        return np.asarray(MAP.centers[unknown.reshape(-1)])
+
+    def zone(self) -> Array:
+        """Return (k, 3) centers of the cells of the zone."""
+        return np.asarray(MAP.centers[self._in_zone.reshape(-1)])
+
+
+class LookingAgent(NamedAgent, ABC):
+    """Move from one viewpoint to the next through observed space, and take a view at each; the first at the start.
+
+    It knows the carved map alone. Subclasses choose the viewpoints.
+
+    Attributes:
+        env_options: Puts the map into the observation.
+    """
+
+    env_options: Mapping[str, Any] = MappingProxyType({"observation": "task"})
+
+    def __init__(self) -> None:
+        self._problem: Problem | None = None
+
+    def reset(self, problem: Problem) -> None:
+        """Forget the last episode."""
+        self._problem, self._arm = problem, arm_spheres(problem.robot)
+        self._rng = np.random.default_rng(problem.seed)
+        layout = TaskObservation(problem.robot, TomatoLook()).layout
+        self._features = feature_slices(layout)
+        self._surroundings = Surroundings(self._arm, problem.start)
+        self._goal: Array | None = problem.start
+        self._trail: list[Array] = []
+        self._views = 0
+
+    def act(self, observation: Any) -> npt.NDArray[np.float32]:
+        """Return the next action, (joints + 1,)."""
+        if self._problem is None:
+            raise RuntimeError("reset the agent before it acts")
+        joints, error = (
+            observation["state"][self._features[name]].astype(np.float64)
+            for name in ("joint_position", "command_error")
+        )
+        command = np.clip(joints + error, self._problem.robot.lower, self._problem.robot.upper)
+        if self._goal is None:
+            self._surroundings.update(observation["map"])
+            self._goal = self._next(command)
+        move = action_towards(self._goal, command, self._problem.joint_steps)
+        arrived = np.abs(self._goal - command).max() < _ARRIVED and np.abs(error).max() < _SETTLED
+        if arrived:
+            self._trail.append(self._goal)
+            self._goal = None
+            self._views += 1
+        return np.append(move, float(arrived)).astype(np.float32)
+
+    def _next(self, command: Array) -> Array:
+        """Return the next viewpoint that a free motion leads to; else the one before the last."""
+        for viewpoint in islice(self._viewpoints(command), _TRIED):
+            if self._is_free(command, viewpoint):
+                return viewpoint
+        if len(self._trail) > 1:
+            self._trail.pop()
+            return self._trail.pop()
+        return command
+
+    def _is_free(self, command: Array, viewpoint: Array) -> bool:
+        steps = 1 + int(np.abs(viewpoint - command).max() / 0.05)
+        path = command + np.linspace(0, 1, steps + 1)[:, None] * (viewpoint - command)
+        return self._surroundings.admits(path) and self._arm.checker.motion_is_free(command, viewpoint, RESOLUTION)
+
+    @abstractmethod
+    def _viewpoints(self, command: Array) -> Iterator[Array]:
+        """Yield viewpoints (j,) for the next view, the best first."""
+
+    def _showing(self, command: Array, points: Array, min_gain: float, hidden: bool = True) -> Iterator[Array]:
+        """Yield configurations that show many of some points (k, 3), best first.
+
+        Args:
+            command: (j,) current configuration, radians.
+            points: The points.
+            min_gain: Fraction of the points that must be shown.
+            hidden: Whether surfaces in the map hide what is behind them.
+        """
+        assert self._problem is not None
+        hides = self._surroundings.hides if hidden else lambda points: np.zeros(len(points), dtype=np.bool_)
+        found = viewpoints(self._arm, self._problem.robot, command, points, hides, self._rng, min_gain=min_gain)
+        return (viewpoint for viewpoint, _ in found)
+
+
+class NextBestViewAgent(LookingAgent):
+    """Take the view that shows most unknown cells near known ones where fruit hang (next best view; Connolly, 1985)."""
+
+    name = "next-best-view"
+
+    def _viewpoints(self, command: Array) -> Iterator[Array]:
+        points = self._surroundings.unknown()
+        points = points[self._rng.permutation(len(points))[:_POINTS]]
+        return self._showing(command, points, _MIN_GAIN)
+
+
+class FixedViewsAgent(LookingAgent):
+    """Take views of ten parts of the zone in a fixed order: five columns, each low and high, from the middle out."""
+
+    name = "fixed-views"
+
+    def _viewpoints(self, command: Array) -> Iterator[Array]:
+        points, k = self._surroundings.zone(), (self._views - 1) % 10
+        column, row = (0.0, 0.4, -0.4, 0.8, -0.8)[k // 2], k % 2
+        height = (points[:, 2] > np.mean([ZONE[0][2], ZONE[1][2]])) == row
+        part = points[height & (np.abs(points[:, 1] - column) < 0.2)]
+        return self._showing(command, part, 0.5, hidden=False)
+
+
+class RandomViewsAgent(LookingAgent):
+    """Take random views that show a part of the zone."""
+
+    name = "random-views"
+
+    def _viewpoints(self, command: Array) -> Iterator[Array]:
+        points = self._surroundings.zone()
+        points = points[self._rng.permutation(len(points))[:_POINTS]]
+        found = list(self._showing(command, points, _FACING, hidden=False))
+        return (found[k] for k in self._rng.permutation(len(found)))
