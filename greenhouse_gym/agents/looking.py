@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
+from functools import partial
 from itertools import islice
 from types import MappingProxyType
 from typing import Any
@@ -14,17 +15,22 @@ from scipy.ndimage import binary_dilation, distance_transform_edt
 from scipy.spatial.distance import cdist
 
 from greenhouse_gym.agents.agent import NamedAgent, Problem, action_towards
-from greenhouse_gym.agents.viewpoints import viewpoints
+from greenhouse_gym.agents.occupancy_map import wrist_camera
+from greenhouse_gym.agents.viewpoints import DEPTHS, viewpoints
 from greenhouse_gym.envs.features import feature_slices
 from greenhouse_gym.envs.observations import TaskObservation
 from greenhouse_gym.envs.tasks.look import MAP, TomatoLook
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.arm_spheres import ArmSpheres, arm_spheres
 from greenhouse_gym.motion.roadmap import RESOLUTION
-from greenhouse_gym.scene.occupancy import FREE, OCCUPIED, UNKNOWN
+from greenhouse_gym.rendering.cameras import DepthCamera
+from greenhouse_gym.scene.occupancy import FREE, UNKNOWN
 
 ZONE = ((0.42, -1.2, -0.48), (0.95, 1.2, 0.08))
 """Corners of the space in which ripe fruit hang, in the base frame, metres: 98 % of it on the training rows."""
+
+NOTHING, OPACITY = np.zeros(4), np.array([0.1, 0.0, 1.0, 1.0])
+"""Fractions of light that are lost in a cell by its state: none at all, and as the planner of views expects it."""
 
 _GAP = 0.03  # metres between the arm and the centers of cells that are not known to be free
 _ARRIVED, _SETTLED = 0.01, 0.03  # radians from a viewpoint, and between command and joints, for a view
@@ -57,10 +63,24 @@ class Surroundings:
         free = (states == FREE) | (self._swept & (states == UNKNOWN))
         self._distance = np.asarray(distance_transform_edt(free)).reshape(-1) * MAP.cell
 
-    def hides(self, points: Array) -> npt.NDArray[np.bool_]:
-        """Return which points (n, 3) lie in cells with surfaces."""
-        cells = MAP.indices(points)
-        return np.asarray((cells >= 0) & (self.states.reshape(-1)[cells] >= OCCUPIED))
+    def shown(self, configurations: Array, points: Array, opacity: Array) -> Array:
+        """Return how much of points (k, 3) the camera sees in configurations (m, j): (m, k), 0 to 1.
+
+        Args:
+            configurations: Radians.
+            points: Metres.
+            opacity: Fraction of light that is lost in a cell, by its state.
+        """
+        from greenhouse_gym.motion.sight_kernels import lines_of_sight  # loads numba
+
+        turns, origins = wrist_camera(self._arm.chain, configurations)
+        camera, result = DepthCamera(), np.empty((len(configurations), len(points)))
+        limits = np.array([*DEPTHS, camera.width / 2 / camera.focal, camera.height / 2 / camera.focal])
+        lines_of_sight(
+            np.ascontiguousarray(turns), np.ascontiguousarray(origins), points, opacity[self.states.reshape(-1)],
+            np.array(MAP.low), np.array(MAP.shape), MAP.cell, limits, result,
+        )  # fmt: skip
+        return result
 
     def admits(self, configurations: Array) -> bool:
         """Return whether an arm in configurations (m, j) is in free space, or in the aisle in front of the map."""
@@ -148,19 +168,18 @@ class LookingAgent(NamedAgent, ABC):
     def _viewpoints(self, command: Array) -> Iterator[Array]:
         """Yield viewpoints (j,) for the next view, the best first."""
 
-    def _showing(self, command: Array, points: Array, min_gain: float, hidden: bool = True) -> Iterator[Array]:
+    def _showing(self, command: Array, points: Array, min_gain: float, opacity: Array = NOTHING) -> Iterator[Array]:
         """Yield configurations that show many of some points (k, 3), best first.
 
         Args:
             command: (j,) current configuration, radians.
             points: The points.
             min_gain: Fraction of the points that must be shown.
-            hidden: Whether surfaces in the map hide what is behind them.
+            opacity: Fraction of light that is lost in a cell, by its state.
         """
         assert self._problem is not None
-        hides = self._surroundings.hides if hidden else lambda points: np.zeros(len(points), dtype=np.bool_)
-        found = viewpoints(self._arm, self._problem.robot, command, points, hides, self._rng, min_gain=min_gain)
-        return (viewpoint for viewpoint, _ in found)
+        sees = partial(self._surroundings.shown, points=points, opacity=opacity)
+        return (viewpoint for viewpoint, _ in viewpoints(self._problem.robot, command, sees, self._rng, min_gain))
 
 
 class NextBestViewAgent(LookingAgent):
@@ -171,7 +190,7 @@ class NextBestViewAgent(LookingAgent):
     def _viewpoints(self, command: Array) -> Iterator[Array]:
         points = self._surroundings.unknown()
         points = points[self._rng.permutation(len(points))[:_POINTS]]
-        return self._showing(command, points, _MIN_GAIN)
+        return self._showing(command, points, _MIN_GAIN, OPACITY)
 
 
 class FixedViewsAgent(LookingAgent):
@@ -184,7 +203,7 @@ class FixedViewsAgent(LookingAgent):
         column, row = (0.0, 0.4, -0.4, 0.8, -0.8)[k // 2], k % 2
         height = (points[:, 2] > np.mean([ZONE[0][2], ZONE[1][2]])) == row
         part = points[height & (np.abs(points[:, 1] - column) < 0.2)]
-        return self._showing(command, part, 0.5, hidden=False)
+        return self._showing(command, part, 0.5)
 
 
 class RandomViewsAgent(LookingAgent):
@@ -195,5 +214,5 @@ class RandomViewsAgent(LookingAgent):
     def _viewpoints(self, command: Array) -> Iterator[Array]:
         points = self._surroundings.zone()
         points = points[self._rng.permutation(len(points))[:_POINTS]]
-        found = list(self._showing(command, points, _FACING, hidden=False))
+        found = list(self._showing(command, points, _FACING))
         return (found[k] for k in self._rng.permutation(len(found)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -31,7 +32,7 @@ class VoxelBox:
         """Number of cells."""
         return int(np.prod(self.shape))
 
-    @property
+    @cached_property
     def centers(self) -> Array:
         """(size, 3) centers of the cells in the order of their indices, metres."""
         return (np.indices(self.shape).reshape(3, -1).T + 0.5) * self.cell + self.low

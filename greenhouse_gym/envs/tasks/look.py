@@ -20,7 +20,7 @@ from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, transform
 from greenhouse_gym.motion.voxel_map import VoxelBox
 from greenhouse_gym.rendering.cameras import DepthCamera
-from greenhouse_gym.scene.obstacles import Shapes
+from greenhouse_gym.scene.obstacles import MAX_TOMATOES, Shapes
 from greenhouse_gym.scene.occupancy import FREE, OCCUPIED, UNKNOWN
 
 if TYPE_CHECKING:
@@ -32,9 +32,6 @@ RIPE = 3
 
 MAP = VoxelBox((0.1, -1.2, -0.76), (25, 60, 40), 0.04)
 """The carved map: the plants within an arm's reach."""
-
-MAX_TOMATOES = 2048
-"""Largest number of tomatoes of a simulated stand."""
 
 MIN_DEPTH = 0.1
 """Smallest depth at which fruit is recognized, metres."""
@@ -155,11 +152,6 @@ class TomatoLook(Task):
     def begin(self, world: World) -> Mapping[str, npt.ArrayLike]:
         """Return the ripe fruit of a simulated world."""
         ripe = self._is_ripe(world.compiled.scene)
-        if len(ripe) > MAX_TOMATOES:
-            raise InvalidValueError(
-                f"scene {world.scene.name!r} has {len(ripe)} tomatoes, more than the {MAX_TOMATOES} that the task "
-                "remembers: use a part of the stand"
-            )
         return {"ripe": ripe.sum(), "_ripe": np.pad(ripe, (0, MAX_TOMATOES - len(ripe)))}
 
     def looks(self, controls: Array) -> Bools:
