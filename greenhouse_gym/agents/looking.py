@@ -20,6 +20,7 @@ from greenhouse_gym.agents.viewpoints import DEPTHS, viewpoints
 from greenhouse_gym.envs.features import feature_slices
 from greenhouse_gym.envs.observations import TaskObservation
 from greenhouse_gym.envs.tasks.look import MAP, TomatoLook
+from greenhouse_gym.errors import InvalidValueError, check_whole
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.arm_spheres import ArmSpheres, arm_spheres
 from greenhouse_gym.motion.roadmap import RESOLUTION
@@ -41,7 +42,7 @@ _MIN_GAIN = 0.02
 _FACING = 0.15  # fraction of the zone that random views show
 
 
-class Surroundings:
+class CarvedSpace:
     """The carved map, and the space that the arm has already been in.
 
     Args:
@@ -109,22 +110,32 @@ class LookingAgent(NamedAgent, ABC):
 
     It knows the carved map alone. Subclasses choose the viewpoints.
 
+    Args:
+        max_views: Number of views after which it holds still; None for no limit.
+
     Attributes:
         env_options: Puts the map into the observation.
     """
 
     env_options: Mapping[str, Any] = MappingProxyType({"observation": "task"})
 
-    def __init__(self) -> None:
+    def __init__(self, max_views: int | None = None) -> None:
+        self._max_views = np.inf if max_views is None else check_whole("max_views", max_views, 1)
         self._problem: Problem | None = None
 
     def reset(self, problem: Problem) -> None:
-        """Forget the last episode."""
+        """Forget the last episode.
+
+        Raises:
+            InvalidValueError: The environment has another task.
+        """
+        if problem.controls != TomatoLook.controls:
+            raise InvalidValueError(f"agent {self.name!r} looks for fruit: it needs task='look'")
         self._problem, self._arm = problem, arm_spheres(problem.robot)
         self._rng = np.random.default_rng(problem.seed)
         layout = TaskObservation(problem.robot, TomatoLook()).layout
         self._features = feature_slices(layout)
-        self._surroundings = Surroundings(self._arm, problem.start)
+        self._space = CarvedSpace(self._arm, problem.start)
         self._goal: Array | None = problem.start
         self._trail: list[Array] = []
         self._views = 0
@@ -137,9 +148,11 @@ class LookingAgent(NamedAgent, ABC):
             observation["state"][self._features[name]].astype(np.float64)
             for name in ("joint_position", "command_error")
         )
+        if self._views >= self._max_views:
+            return np.zeros(len(joints) + 1, dtype=np.float32)
         command = np.clip(joints + error, self._problem.robot.lower, self._problem.robot.upper)
         if self._goal is None:
-            self._surroundings.update(observation["map"])
+            self._space.update(observation["map"])
             self._goal = self._next(command)
         move = action_towards(self._goal, command, self._problem.joint_steps)
         arrived = np.abs(self._goal - command).max() < _ARRIVED and np.abs(error).max() < _SETTLED
@@ -162,7 +175,7 @@ class LookingAgent(NamedAgent, ABC):
     def _is_free(self, command: Array, viewpoint: Array) -> bool:
         steps = 1 + int(np.abs(viewpoint - command).max() / 0.05)
         path = command + np.linspace(0, 1, steps + 1)[:, None] * (viewpoint - command)
-        return self._surroundings.admits(path) and self._arm.checker.motion_is_free(command, viewpoint, RESOLUTION)
+        return self._space.admits(path) and self._arm.checker.motion_is_free(command, viewpoint, RESOLUTION)
 
     @abstractmethod
     def _viewpoints(self, command: Array) -> Iterator[Array]:
@@ -178,7 +191,7 @@ class LookingAgent(NamedAgent, ABC):
             opacity: Fraction of light that is lost in a cell, by its state.
         """
         assert self._problem is not None
-        sees = partial(self._surroundings.shown, points=points, opacity=opacity)
+        sees = partial(self._space.shown, points=points, opacity=opacity)
         return (viewpoint for viewpoint, _ in viewpoints(self._problem.robot, command, sees, self._rng, min_gain))
 
 
@@ -188,7 +201,7 @@ class NextBestViewAgent(LookingAgent):
     name = "next-best-view"
 
     def _viewpoints(self, command: Array) -> Iterator[Array]:
-        points = self._surroundings.unknown()
+        points = self._space.unknown()
         points = points[self._rng.permutation(len(points))[:_POINTS]]
         return self._showing(command, points, _MIN_GAIN, OPACITY)
 
@@ -199,7 +212,7 @@ class FixedViewsAgent(LookingAgent):
     name = "fixed-views"
 
     def _viewpoints(self, command: Array) -> Iterator[Array]:
-        points, k = self._surroundings.zone(), (self._views - 1) % 10
+        points, k = self._space.zone(), (self._views - 1) % 10
         column, row = (0.0, 0.4, -0.4, 0.8, -0.8)[k // 2], k % 2
         height = (points[:, 2] > np.mean([ZONE[0][2], ZONE[1][2]])) == row
         part = points[height & (np.abs(points[:, 1] - column) < 0.2)]
@@ -212,7 +225,7 @@ class RandomViewsAgent(LookingAgent):
     name = "random-views"
 
     def _viewpoints(self, command: Array) -> Iterator[Array]:
-        points = self._surroundings.zone()
+        points = self._space.zone()
         points = points[self._rng.permutation(len(points))[:_POINTS]]
         found = list(self._showing(command, points, _FACING))
         return (found[k] for k in self._rng.permutation(len(found)))
