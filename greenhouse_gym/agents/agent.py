@@ -14,12 +14,13 @@ from greenhouse_gym.common.own_code import described
 from greenhouse_gym.envs.actions import (
     INTERVAL,
     ActionRule,
-    ArmAndVacuum,
     JointIncrements,
     JointVelocities,
     TipVelocity,
     ToolMotion,
+    with_controls,
 )
+from greenhouse_gym.envs.choices import make_action
 from greenhouse_gym.envs.compliant_physics import CompliantSimulation
 from greenhouse_gym.envs.simulation import Simulation
 from greenhouse_gym.envs.state import STEP_LIMIT, State
@@ -42,6 +43,7 @@ class Problem:
         action: The environment's action rule; joint increments if None.
         interval: Seconds between two actions.
         step_limit: Number of actions after which the episode ends.
+        controls: Names of the entries that an action has after those that move the arm, see `Task.controls`.
         live: The simulation itself with its compliant plants, for agents with ``knows_truth`` alone.
     """
 
@@ -53,6 +55,7 @@ class Problem:
     action: ActionRule | None = None
     interval: float = INTERVAL
     step_limit: int = STEP_LIMIT
+    controls: tuple[str, ...] = ()
     live: CompliantSimulation | None = None
 
     @classmethod
@@ -65,14 +68,14 @@ class Problem:
         settings, robot, interval = simulation.settings, simulation.robot, simulation.interval
         return cls(
             simulation.known_scene(i), simulation.target(i), robot, simulation.episode(i).start.copy(), seed,
-            simulation.fresh_rule(), interval, settings.step_limit,
+            make_action(settings.action, robot, interval), interval, settings.step_limit, simulation.task.controls,
             simulation.live(i) if getattr(agent, "knows_truth", False) else None,
         )  # fmt: skip
 
     @property
     def action_space(self) -> spaces.Box:
         """Space of an action; it has one axis."""
-        return self.rule.space
+        return with_controls(self.rule.space, self.controls)
 
     @property
     def joint_steps(self) -> Array:
@@ -81,7 +84,7 @@ class Problem:
         Raises:
             InvalidValueError: The environment's actions do not move the joints.
         """
-        rule = self.rule.arm if isinstance(self.rule, ArmAndVacuum) else self.rule
+        rule = self.rule
         if not isinstance(rule, JointIncrements | JointVelocities):
             raise InvalidValueError(
                 f"a joint path can be followed with action='joint' or 'joint_velocity' only, got {type(rule).__name__}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
@@ -140,32 +140,20 @@ class TipVelocity:
         return np.asarray((turned @ np.linalg.solve(square, twist))[..., 0])
 
 
-class ArmAndVacuum:
-    """Motion of the arm, then the vacuum of its cup: on above 0, off otherwise.
-
-    Args:
-        arm: The kind of action for the arm.
-
-    Attributes:
-        arm: The same.
-    """
-
-    def __init__(self, arm: ActionRule):
-        self.arm = arm
-        low, high = (np.append(side, end) for side, end in ((arm.space.low, -1.0), (arm.space.high, 1.0)))
-        self.space = spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
-
-    def __call__(self, action: Array, state: State, motion: ToolMotion) -> Array:
-        """Return the joint steps of the arm's part."""
-        return self.arm(action[:, :-1], state, motion)
-
-
 ACTIONS: dict[str, ActionFactory] = {
     "joint": JointIncrements,
     "joint_velocity": JointVelocities,
     "tip_velocity": TipVelocity,
 }
 """Kinds of actions by name."""
+
+
+def with_controls(space: spaces.Box, controls: Sequence[str]) -> spaces.Box:
+    """Return the space of actions with further entries from -1 to 1."""
+    if not controls:
+        return space
+    more = np.ones(len(controls), dtype=space.low.dtype)
+    return spaces.Box(np.concatenate([space.low, -more]), np.concatenate([space.high, more]), dtype=space.dtype)  # type: ignore[arg-type]
 
 
 class Command(NamedTuple):

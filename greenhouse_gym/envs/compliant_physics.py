@@ -114,6 +114,7 @@ class CompliantPhysics:
         joints = self._joints
         counts = np.zeros((len(ids), len(CONTACT_GROUPS)), dtype=np.int64)
         collided, first = np.zeros(len(ids), dtype=np.bool_), {}
+        leaf_steps = np.zeros(len(ids), dtype=np.int64)
         for k, i in enumerate(ids.tolist()):
             sim = self.simulation(i)
             model, data = sim.model, sim.data
@@ -125,13 +126,14 @@ class CompliantPhysics:
             if contact is not None:
                 collided[k], first[i] = True, contact
             self._read(i, sim)
-        return Contacts(counts, collided, first)
+        return Contacts(counts, leaf_steps, collided, first)
 
     def advance(self, command: Array, vacuum: npt.NDArray[np.bool_]) -> Contacts:
         """Run one action: commands move at constant speed to new ones (n, j), and the vacuum is on or off (n,)."""
         count = len(self._sims)
         counts = np.zeros((count, len(CONTACT_GROUPS)), dtype=np.int64)
         collided, first = np.zeros(count, dtype=np.bool_), {}
+        leaf_steps = np.zeros(count, dtype=np.int64)
         for i in range(count):
             sim = self.simulation(i)
             sim.data.ctrl[:] = (command[i] - self.command[i]) / self._timing.interval
@@ -143,6 +145,7 @@ class CompliantPhysics:
                 if sim.data.ncon:
                     present, contact, pressed = self._contacts(sim)
                     counts[i] += present
+                    leaf_steps[i] += present[_LEAF] > 0
                     if contact is not None:
                         collided[i] = True
                         first.setdefault(i, contact)
@@ -151,7 +154,7 @@ class CompliantPhysics:
             mujoco.mj_comPos(sim.model, sim.data)
             self._felt[i] = sim.plants.finish_action()
             self._read(i, sim)
-        return Contacts(counts, collided, first)
+        return Contacts(counts, leaf_steps, collided, first)
 
     def sites(self, ids: Ids | slice) -> tuple[Array, Array]:
         """Return tip and probe points (m, 1 + k, 3) and tool frames (m, 3, 3) of some simulations in their scenes."""

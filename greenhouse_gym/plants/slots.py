@@ -14,7 +14,9 @@ from greenhouse_gym.geometry import Array, ShapeArrays
 from greenhouse_gym.geometry.shape_arrays import BOX, CAPSULE
 from greenhouse_gym.plants.layout import (
     ALL,
+    ARM,
     ATTACHED,
+    CUP,
     PEDICEL,
     PETIOLE,
     PLATES,
@@ -131,12 +133,12 @@ def _nearest_leaves(topology: Topology, arrays: ShapeArrays, wanted: Sequence[in
 
 
 def _make_static(compiled: CompiledScene, topology: Topology) -> None:
-    """Let the arm and loose fruit collide with the static scene except its leaves."""
+    """Let the arm and loose fruit collide with the static scene; loose fruit passes through its leaves."""
     model, slots = compiled.model, compiled.obstacle_geoms
     world = slice(0, int(model.body_geomnum[0]))
     model.geom_contype[world], model.geom_conaffinity[world] = 0, ALL
     leafy = np.setdiff1d(np.array(topology.clutter), topology.fixed)
-    model.geom_conaffinity[slots.start + leafy] = 0
+    model.geom_conaffinity[slots.start + leafy] = ARM | CUP
 
 
 class _Filler:

@@ -13,7 +13,7 @@ import numpy as np
 from greenhouse_gym.envs.episodes import Episode, EpisodeSampler
 from greenhouse_gym.envs.features import FEATURES, MAX_OFFSET, Feature
 from greenhouse_gym.envs.rewards import Reward, Transition
-from greenhouse_gym.envs.state import State, lengths
+from greenhouse_gym.envs.state import Bools, State, lengths
 from greenhouse_gym.envs.task import TARGET_FEATURES, Outcome, Task
 from greenhouse_gym.errors import InvalidValueError, require_choice
 from greenhouse_gym.geometry import Array
@@ -142,6 +142,8 @@ class TomatoHarvest(Task):
     )
     memory: ClassVar[Mapping[str, float]] = MappingProxyType(dict.fromkeys(("wanted", *COUNTED), 0.0))
 
+    controls: ClassVar[tuple[str, ...]] = ("vacuum",)  # type: ignore[misc]
+
     size: str = "pick"
     ripe: float = RIPE
     max_damage: int = 3
@@ -152,6 +154,10 @@ class TomatoHarvest(Task):
         require_choice("size", self.size, SIZES)
         if self.layout is None:
             object.__setattr__(self, "layout", SIZES[self.size])
+
+    def holds(self, controls: Array) -> Bools:
+        """Return (n,) where the vacuum is on."""
+        return np.asarray(controls[:, 0] > 0)
 
     def sample(self, sampler: EpisodeSampler, rng: np.random.Generator, options: Mapping[str, Any] | None) -> Episode:
         """Draw a scene and the fruit to be picked; reset options may fix the scene and one of the fruit.
