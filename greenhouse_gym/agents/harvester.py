@@ -127,7 +127,9 @@ class _Harvest:
         plants = self._plants
         left = [k for k in np.flatnonzero(plants.wanted & (plants.state == HANGING)) if self._tried.get(k, 0) < TRIES]
         tip, _ = self._tip
-        order = sorted(map(int, left), key=lambda k: (self._tried.get(k, 0), float(np.linalg.norm(plants.center(k) - tip))))
+        order = sorted(
+            map(int, left), key=lambda k: (self._tried.get(k, 0), float(np.linalg.norm(plants.center(k) - tip)))
+        )
         for leaves in (True, False):
             scene = live_scene(plants, self._live.world.compiled, leaves)
             best: tuple[float, int, Array] | None = None
@@ -246,4 +248,3 @@ class _Harvest:
         square = jacobian @ jacobian.T + _DAMPING**2 * np.eye(6)
         change = jacobian.T @ np.linalg.solve(square, wanted)
         return self._action(change / max(1.0, float((np.abs(change) / self._problem.joint_steps).max())))
-

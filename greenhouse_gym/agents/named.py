@@ -25,9 +25,7 @@ _NAMED: tuple[type[Agent], ...] = (
     RandomAgent, StraightLineAgent, WaypointAgent, HybridAgent, ShieldedAgent, WatchfulAgent,
     NextBestViewAgent, FixedViewsAgent, RandomViewsAgent,
 )  # fmt: skip
-SIMPLE: dict[str, Callable[[], Agent]] = {
-    **{agent.name: agent for agent in _NAMED}, "harvest-oracle": OracleHarvester
-}
+SIMPLE: dict[str, Callable[[], Agent]] = {**{agent.name: agent for agent in _NAMED}, "harvest-oracle": OracleHarvester}
 """Agents by name that are made without arguments."""
 
 _CHECKPOINT = "checkpoint.safetensors"

@@ -56,9 +56,7 @@ class CompliantPhysics:
         layout: Layout of the slots.
     """
 
-    def __init__(
-        self, count: int, world: World, timing: ControlTiming, ends_on: Collection[str], layout: Layout
-    ):
+    def __init__(self, count: int, world: World, timing: ControlTiming, ends_on: Collection[str], layout: Layout):
         robot, model = world.compiled.robot, world.compiled.model
         joints = len(robot.joints)
         self._timing, self._layout, self._joints = timing, layout, joints
@@ -186,7 +184,8 @@ class CompliantPhysics:
             )  # fmt: skip
         names = ("work", "fruit", "radius", "held", "vacuum", "force", "left", "wanted", *Felt._fields[1:], "crate")
         return {
-            name: np.array(column, dtype=np.float64) for name, column in zip(names, zip(*rows, strict=True), strict=True)
+            name: np.array(column, dtype=np.float64)
+            for name, column in zip(names, zip(*rows, strict=True), strict=True)
         }
 
     def model_and_data(
@@ -264,6 +263,4 @@ def _copied(sim: CompliantSimulation) -> CompliantSimulation:
     model = copy.copy(sim.model)
     data = mujoco.MjData(model)
     mujoco.mj_copyData(data, model, sim.data)
-    return sim._replace(
-        model=model, data=data, plants=sim.plants.twin(model, data), listed=ShortGeomLists([model])
-    )
+    return sim._replace(model=model, data=data, plants=sim.plants.twin(model, data), listed=ShortGeomLists([model]))

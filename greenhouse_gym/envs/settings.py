@@ -117,7 +117,9 @@ class EnvSettings:
         if self.capacity is not None:
             check_whole("capacity", self.capacity, 1, MAX_CAPACITY)
         if self.plants == "compliant" and self.physics != "truth":
-            raise InvalidValueError('plants="compliant" needs physics="truth", because only true plants have a topology')
+            raise InvalidValueError(
+                'plants="compliant" needs physics="truth", because only true plants have a topology'
+            )
         if self.size is not None and (self.task != "harvest" or self.size not in SIZES):
             raise InvalidValueError(
                 f'size belongs to task="harvest" and is one of {", ".join(SIZES)}, got {self.size!r} with task='

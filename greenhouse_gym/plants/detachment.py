@@ -165,7 +165,5 @@ def let_go(model: mujoco.MjModel, data: mujoco.MjData, ids: SlotIds) -> None:
 
 def held_force(data: mujoco.MjData, ids: SlotIds) -> Array:
     """Return the force (3,) of a held fruit on the cup in the last step, N, in the scene."""
-    rows = np.flatnonzero(
-        (data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)) & (data.efc_id == ids.weld)
-    )
+    rows = np.flatnonzero((data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)) & (data.efc_id == ids.weld))
     return data.efc_force[rows[:3]].copy() if len(rows) else np.zeros(3)

@@ -156,9 +156,7 @@ class SlotIds:
             return int(model.body(name).id)
 
         self.truss = np.array([body(f"truss_{i}") for i in range(layout.trusses)])
-        self.fruit = np.array(
-            [[body(f"fruit_{i}_{k}") for k in range(layout.fruit)] for i in range(layout.trusses)]
-        )
+        self.fruit = np.array([[body(f"fruit_{i}_{k}") for k in range(layout.fruit)] for i in range(layout.trusses)])
         self.leaf = np.array([body(f"leaf_{i}") for i in range(layout.leaves)], dtype=np.int64)
         self.loose = np.array([body(f"loose_{i}") for i in range(layout.loose)])
         self.crate = body("crate")

@@ -205,7 +205,9 @@ class _Filler:
                 torque = bias[dofs]
                 above = data.subtree_com[body][2] - data.xanchor[joint][2]
                 stiffness = float(model.jnt_stiffness[joint])
-                stiffness += _UPRIGHT_MARGIN * max(0.0, float(-model.opt.gravity[2] * model.body_subtreemass[body] * above))
+                stiffness += _UPRIGHT_MARGIN * max(
+                    0.0, float(-model.opt.gravity[2] * model.body_subtreemass[body] * above)
+                )
                 stiffness = max(stiffness, float(np.linalg.norm(torque)) / mechanics.max_sag)
                 model.jnt_stiffness[joint] = stiffness
                 damping = 2 * mechanics.damping_ratio * np.sqrt(stiffness * model.dof_M0[dofs])

@@ -40,9 +40,7 @@ def fill_slots(model: mujoco.MjModel, first: int, shapes: ShapeArrays, colors: S
     build_tree(model)
 
 
-def write_geoms(
-    model: mujoco.MjModel, slots: slice, shapes: ShapeArrays, colors: Sequence[Sequence[float]]
-) -> None:
+def write_geoms(model: mujoco.MjModel, slots: slice, shapes: ShapeArrays, colors: Sequence[Sequence[float]]) -> None:
     """Turn geoms into shapes, given in the frame of their body; `build_tree` has to follow.
 
     Args:

@@ -181,7 +181,10 @@ class TomatoHarvest(Task):
         anchor = ripe.get(episode.targets[0])
         if anchor is None:
             where = f"scene {scene.name!r}, tomato {episode.targets[0]}"
-            return (), f"{where} is not ripe (from {self.ripe}) in the truth, or not within {1000 * MATCHED:.0f} mm of it"
+            return (
+                (),
+                f"{where} is not ripe (from {self.ripe}) in the truth, or not within {1000 * MATCHED:.0f} mm of it",
+            )
         if self.size == "pick":
             return (anchor,), ""
         assert self.layout is not None and scene.truth is not None
