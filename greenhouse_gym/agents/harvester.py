@@ -127,9 +127,11 @@ class _Harvest:
         plants = self._plants
         left = [k for k in np.flatnonzero(plants.wanted & (plants.state == HANGING)) if self._tried.get(k, 0) < TRIES]
         tip, _ = self._tip
-        order = sorted(
-            map(int, left), key=lambda k: (self._tried.get(k, 0), float(np.linalg.norm(plants.center(k) - tip)))
-        )
+
+        def rank(fruit: int) -> tuple[int, float]:
+            return self._tried.get(fruit, 0), float(np.linalg.norm(plants.center(fruit) - tip))
+
+        order = sorted(map(int, left), key=rank)
         for leaves in (True, False):
             scene = live_scene(plants, self._live.world.compiled, leaves)
             best: tuple[float, int, Array] | None = None

@@ -75,7 +75,8 @@ class EnvSettings:
             each joint, radians; the arm's own if None, which is "ready". The options of a reset may choose another.
         rate: Actions per second; the time between two actions must be a multiple of 10 ms: 100, 50, 25, 20, 10 and so
             on. Joint actions have the same maximum speed at every rate.
-        task: Task: "reach", "look", "harvest", your own as ``"file.py:Name"`` or ``"module:Name"``, a `Task` or a subclass of it.
+        task: Task: "reach", "look", "harvest", your own as ``"file.py:Name"`` or ``"module:Name"``, a `Task` or a
+            subclass of it.
         scene: The only scene of all episodes: its name, of any split, or a `Scene`; if None, each episode draws one.
         target: Index of its only target tomato; if None, each episode draws one of the scene's.
         infos: "all", or "numbers" for libraries that read no texts and no nested infos, such as TorchRL: texts are left

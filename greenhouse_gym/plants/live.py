@@ -38,7 +38,7 @@ FLOOR_HEIGHT = 0.02
 
 
 class Felt(NamedTuple):
-    """What happened to the plants of a simulation in an action.
+    """Events among the plants of a simulation in an action.
 
     Attributes:
         force: (3,) mean force of the held fruit on the cup, N, in the scene.
@@ -139,7 +139,7 @@ class LivePlants:
         return Felt(force, detached, knocked, crated, dropped, damaged)
 
     def vacuum(self, force: Array) -> float:
-        """Return the reading of the vacuum: 1 at rest on a fruit, falling to 0 at the cup's limit; 0 without a fruit."""
+        """Return the reading of the vacuum: 1 at rest on a fruit, down to 0 at the cup's limit; 0 without one."""
         limit = self.planted.mechanics.cup_limit
         return 0.0 if self.held < 0 else max(0.0, 1.0 - float(np.linalg.norm(force)) / limit)
 

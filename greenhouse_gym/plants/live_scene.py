@@ -53,7 +53,7 @@ def live_scene(plants: LivePlants, compiled: CompiledScene, leaves: bool) -> Liv
                 move((fruit.row, *fruit.pedicel), int(planted.ids.fruit.ravel()[slot]), fruit.joint)
             else:
                 gone.update((fruit.row, *fruit.pedicel))
-    kept = {row for row in planted.topology.fixed}
+    kept = set(planted.topology.fixed)
     for i, leaf in enumerate(planted.leaves if leaves else ()):
         move((*leaf.rows, *leaf.plates), int(planted.ids.leaf[i]), leaf.root)
         kept.update((*leaf.rows, *leaf.plates))

@@ -70,7 +70,8 @@ def check_fits(topology: Topology, wanted: Sequence[int], layout: Layout, name: 
     if len(trusses) > layout.trusses or largest > layout.fruit or crowded:
         raise InvalidValueError(
             f"scene {name!r}: {len(wanted)} fruit on {len(trusses)} trusses, up to {largest} on one, do not fit into "
-            f"{layout.trusses} slots of {layout.fruit} fruit to pick and {ATTACHED} others; pick fewer fruit, or give the task a larger Layout"
+            f"{layout.trusses} slots of {layout.fruit} fruit to pick and {ATTACHED} others; pick fewer fruit, or give "
+            "the task a larger Layout"
         )
     return trusses
 
@@ -205,9 +206,8 @@ class _Filler:
                 torque = bias[dofs]
                 above = data.subtree_com[body][2] - data.xanchor[joint][2]
                 stiffness = float(model.jnt_stiffness[joint])
-                stiffness += _UPRIGHT_MARGIN * max(
-                    0.0, float(-model.opt.gravity[2] * model.body_subtreemass[body] * above)
-                )
+                tipping = float(-model.opt.gravity[2] * model.body_subtreemass[body] * above)
+                stiffness += _UPRIGHT_MARGIN * max(0.0, tipping)
                 stiffness = max(stiffness, float(np.linalg.norm(torque)) / mechanics.max_sag)
                 model.jnt_stiffness[joint] = stiffness
                 damping = 2 * mechanics.damping_ratio * np.sqrt(stiffness * model.dof_M0[dofs])

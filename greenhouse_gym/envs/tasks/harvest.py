@@ -187,7 +187,8 @@ class TomatoHarvest(Task):
             )
         if self.size == "pick":
             return (anchor,), ""
-        assert self.layout is not None and scene.truth is not None
+        assert self.layout is not None
+        assert scene.truth is not None
         tomatoes = scene.truth.tomatoes
         if self.size == "truss":
             chosen = [tomatoes[anchor].truss]
