@@ -8,6 +8,7 @@ import re
 import types
 import typing
 from collections.abc import Callable, Iterator
+from textwrap import indent
 from typing import Any
 
 import numpy as np
@@ -95,7 +96,7 @@ TABLES: dict[str, Callable[[], str]] = {
 
 def insert_tables(markdown: str) -> str:
     """Replace the comments that name a table by the table."""
-    return re.sub(r"<!-- generated: (\w+) -->", lambda found: TABLES[found[1]](), markdown)
+    return re.sub(r"( *)<!-- generated: (\w+) -->", lambda found: indent(TABLES[found[2]](), found[1]), markdown)
 
 
 def _table(heads: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
