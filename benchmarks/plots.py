@@ -31,7 +31,15 @@ THEMES = {"light": ("#24292f", "#d0d7de"), "dark": ("#e6e6e6", "#4a4f57")}
 COLORS = ("#2e9e5b", "#e8704a", "#4f8fd9", "#c9a227", "#a56cc1", "#7f8c8d")
 """Colors that are readable on both, and distinct for the color-blind."""
 
-AGENTS = ("watchful", "RRTConnect", "hybrid", "shielded", "ppo-roadmap-ur5e", "ppo-roadmap-scratch-ur5e", "straight-line")
+AGENTS = (
+    "watchful",
+    "RRTConnect",
+    "hybrid",
+    "shielded",
+    "ppo-roadmap-ur5e",
+    "ppo-roadmap-scratch-ur5e",
+    "straight-line",
+)
 TRACKS = ("reconstruction", "truth", "moved")
 DIFFICULTIES = ("easy", "medium", "hard")
 
@@ -93,7 +101,9 @@ def difficulty() -> Figure:
     figure, axes = plt.subplots(figsize=(8, 4))
     entries = agent_entries()
     chosen = [agent for agent in AGENTS[:-1] if f"{agent}, truth" in entries]
-    series = {agent: [counted(entries[f"{agent}, truth"]["by_difficulty"][d]) for d in DIFFICULTIES] for agent in chosen}
+    series = {
+        agent: [counted(entries[f"{agent}, truth"]["by_difficulty"][d]) for d in DIFFICULTIES] for agent in chosen
+    }
     bars(axes, DIFFICULTIES, series)
     below(axes, 3)
     return figure
@@ -222,7 +232,10 @@ def throughput() -> Figure:
 def unknown() -> Figure:
     """Draw slices through the occupancy grids of a row of each source, seen along the row."""
     figure, panels = plt.subplots(1, 2, figsize=(8, 4.2), sharey=True)
-    scenes = {"own row, upright beam": "own-cluster-2000-w00-02", "Helios row, upright beam": "helios-dense-2003-w03-02"}
+    scenes = {
+        "own row, upright beam": "own-cluster-2000-w00-02",
+        "Helios row, upright beam": "helios-dense-2003-w03-02",
+    }
     colors = ListedColormap(["#8b8f94", "#f4f1e8", "#2e9e5b"])
     for axes, (title, name) in zip(panels, scenes.items(), strict=True):
         grid = SceneBank.open("mini").scene(name).occupancy

@@ -138,7 +138,12 @@ def _observation(name: str) -> Iterator[str]:
     yield f"## {name}\n"
     if isinstance(made[0].space, spaces.Dict):
         rows = [
-            (f"`{key}`", f"`{made[0].space[key].shape}`", f"`{made[1].space[key].shape}`", f"{made[0].space[key].dtype}")
+            (
+                f"`{key}`",
+                f"`{made[0].space[key].shape}`",
+                f"`{made[1].space[key].shape}`",
+                f"{made[0].space[key].dtype}",
+            )
             for key in made[0].space
         ]
         yield _table(("key", *(f"shape, {arm}" for arm in ARMS), "type"), rows)
@@ -214,9 +219,7 @@ def _default(value: Any) -> str:
 
 def _fields(model: type) -> list[tuple[str, ...]]:
     meanings, defaults = _meanings(model), _defaults(model)
-    return [
-        (f"`{name}`", _type(hint), defaults[name], meanings.get(name, "")) for name, hint in _hints(model).items()
-    ]
+    return [(f"`{name}`", _type(hint), defaults[name], meanings.get(name, "")) for name, hint in _hints(model).items()]
 
 
 def _meanings(model: type) -> dict[str, str]:

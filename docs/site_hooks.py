@@ -32,7 +32,7 @@ STYLES = re.compile(
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the files of benchmark results, to which pages refer by their paths in the repository, and the 3-D scenes."""
     for path in sorted((ROOT / RESULTS).rglob("*")):
-        if path.suffix in (".png", ".jpg", ".gif", ".json"):
+        if path.suffix in (".png", ".jpg", ".json"):
             name = path.relative_to(ROOT).as_posix()
             files.append(File(name, str(ROOT), config.site_dir, config.use_directory_urls))
     for name, scene in SCENES.items():
