@@ -196,8 +196,9 @@ def waits() -> Figure:
     for k, agent in enumerate(("ppo-roadmap-ur5e", "hybrid", "watchful")):
         records = json.loads((LEADERBOARD / f"{agent}.json").read_text())["tracks"]["truth"]
         steps = np.maximum(np.array(records["steps"]), 1)
-        seconds = np.sort(np.array(records["planning_time"]) + steps * np.array(records["action_time"]))
-        axes.plot(seconds, 100 * np.arange(1, len(seconds) + 1) / len(seconds), color=COLORS[k], label=agent)
+        seconds = np.array(records["planning_time"]) + steps * np.array(records["action_time"])
+        quantiles = np.linspace(0, 100, 101)
+        axes.plot(np.percentile(seconds, quantiles), quantiles, color=COLORS[k], label=agent)
     axes.set_xscale("log")
     axes.set_xlabel("seconds of planning and acting in an episode")
     axes.set_ylabel("episodes (%)")
@@ -290,7 +291,7 @@ def drawn(theme: str) -> Iterator[tuple[str, bytes]]:
     style = {
         "text.color": text, "axes.labelcolor": text, "xtick.color": text, "ytick.color": text, "axes.edgecolor": grid,
         "grid.color": grid, "axes.grid": True, "axes.axisbelow": True, "grid.linewidth": 0.6, "font.size": 10,
-        "axes.spines.top": False, "axes.spines.right": False, "svg.hashsalt": "plots", "svg.fonttype": "path",
+        "axes.spines.top": False, "axes.spines.right": False, "svg.hashsalt": "plots", "svg.fonttype": "none", "font.family": "sans-serif",
     }  # fmt: skip
     with mpl.rc_context(style):
         for function in DRAWN:

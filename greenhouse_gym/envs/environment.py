@@ -122,8 +122,15 @@ class GreenhouseEnv(EnvMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]]):
     ``copy_info_dict=True``).
 
     **Contacts.** Contacts of the arm are counted by group after every physics step, until one ends the episode: fruit,
-    stem, leaf, fixture (floor, cart, pipes, strings) and self. The task decides which groups end the episode; by
-    default all do. The cup may touch the targets, which is not counted.
+    stem, leaf, fixture (floor, cart, pipes, strings, gutters) and self. The task decides which groups end the episode;
+    by default all do. The cup may touch the targets, which is not counted.
+
+    **Leaves that give way.** With ``plants="brush"``, leaves exert no force: the arm moves exactly as it would without
+    them, contacts with them end no episode, and each second in which one is touched costs 0.4 (`Task.brush_cost`, the
+    reward term ``brush``). Clearances, rays and the directions to obstacles ignore leaves; images still show them, and
+    paths of ``roadmap`` lead through leaves only where no path leads around them. Leaves are leaf blades, petioles,
+    calyces and flowers in the true row, and all boxes but gutters in a reconstruction, see
+    `greenhouse_gym.crops.parts.is_leaf`; a leaf counts as several, because it consists of several shapes.
 
     **Info**, on reset and step:
 
@@ -140,6 +147,9 @@ class GreenhouseEnv(EnvMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]]):
     | ``steps`` | steps of this episode |
     | ``speed_limited`` | steps of this episode that were scaled down to the speed limits |
     | ``position_limited`` | number of times that a joint's command stopped at its limit in this episode |
+    | ``brushing`` | with ``plants="brush"``: time in the last action in which a leaf was touched, s |
+    | ``brushed_time`` | likewise: that time in the episode, s |
+    | ``brushed_leaves`` | likewise: different shapes of leaves touched at the ends of actions of the episode |
     | ``reward_terms`` | on step only: the terms by name |
     | ``previous_goal``, ``effort`` | on step of ``goal``: achieved goal before it, sum of the action's squares |
 

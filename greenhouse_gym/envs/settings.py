@@ -35,6 +35,9 @@ INFOS = ("all", "numbers")
 PHYSICS = ("reconstruction", "truth")
 """Choices of the simulated world."""
 
+PLANTS = ("rigid", "brush")
+"""Choices of the mechanics of plants."""
+
 
 @dataclass(frozen=True)
 class EnvSettings:
@@ -56,6 +59,9 @@ class EnvSettings:
             not rated for the arm, the ratings for other arms are used and reported as "unrated".
         physics: "reconstruction" simulates the scene; "truth" simulates the true row behind it, with the tomato nearest
             to the target as the goal, while observations still show the reconstruction.
+        plants: "rigid", or "brush" for leaves that give way: contacts with them are found and counted, but neither stop
+            the arm nor end the episode; see `GreenhouseEnv`. Leaves are all clutter except gutters, see
+            `greenhouse_gym.crops.parts.is_leaf`; fruit, stems, fixtures and the arm itself stay rigid.
         randomization: Domain randomization; none by default.
         capacity: Maximum number of obstacles of a scene; if None, 600 or as many as the largest scene of the bank has.
         success_radius: Maximum distance of the grasp point from the target's center for a success, metres. It belongs
@@ -80,6 +86,7 @@ class EnvSettings:
     reward: str | Reward | Mapping[str, Any] = "dense"
     difficulty: DifficultyChoice = ("easy", "medium", "hard")
     physics: str = "reconstruction"
+    plants: str = "rigid"
     randomization: Randomization = field(default=NO_RANDOMIZATION)
     capacity: int | None = None
     success_radius: float = SUCCESS_RADIUS
@@ -98,6 +105,7 @@ class EnvSettings:
         _check_kind("randomization", self.randomization, Randomization, "a Randomization")
         require_choice("split", self.split, SPLITS)
         require_choice("physics", self.physics, PHYSICS)
+        require_choice("plants", self.plants, PLANTS)
         require_choice("infos", self.infos, INFOS)
         parse_difficulty(self.difficulty)
         if self.capacity is not None:

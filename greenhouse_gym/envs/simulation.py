@@ -18,7 +18,7 @@ from greenhouse_gym.envs.episodes import Episode, EpisodeSampler
 from greenhouse_gym.envs.observations import Observed, check_goals
 from greenhouse_gym.envs.perception import Perception
 from greenhouse_gym.envs.physics import Physics, prepare
-from greenhouse_gym.envs.rewards import StepResult, Transition, total_reward, with_contact_cost
+from greenhouse_gym.envs.rewards import StepResult, Transition, total_reward, with_brush_cost, with_contact_cost
 from greenhouse_gym.envs.settings import EnvSettings
 from greenhouse_gym.envs.setups import Setup, draw_setup
 from greenhouse_gym.envs.state import Ids, State, control_timing
@@ -28,9 +28,13 @@ from greenhouse_gym.errors import InvalidValueError, NoEpisodeError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import CompiledScene, Scene
+from greenhouse_gym.scene.mjcf import TIMESTEP
 
 STEP_INFOS = ("previous_goal", "effort")
 """Keys of the info of a step that the info of a reset lacks, besides the reward terms."""
+
+BRUSH_MEASURES = ("brushed_leaves", "brushed_time")
+"""Keys of the info that describe how an episode treated leaves that give way."""
 
 
 class Simulation:
@@ -47,6 +51,8 @@ class Simulation:
         robot: The arm.
         sampler: Draws the episodes.
         observe: The observation.
+        brush_cost: Reward per second in which a leaf is touched; None if leaves are rigid.
+        measures: Keys of the numbers in the info that describe an episode in its record.
         state: State of the simulations; None before the first reset.
     """
 
@@ -73,7 +79,9 @@ class Simulation:
         self._hidden_goal = bool(hidden)
         self.env_options = settings.agent_options()
         capacity = settings.capacity or capacity_of(self.sampler.bank, settings.physics)
-        self.worlds = shared_worlds(robot, settings.physics, capacity, self._timing.substeps)
+        self.worlds = shared_worlds(robot, settings.physics, capacity, self._timing.substeps, settings.plants)
+        self.brush_cost = self.task.brush_cost if settings.plants == "brush" else None
+        self.measures = (*self.task.memory, *(BRUSH_MEASURES if settings.plants == "brush" else ()))
         self.count = count
         self.state: State | None = None
         self._threads = threads
@@ -82,7 +90,7 @@ class Simulation:
         self._names = {key: np.full(count, "", dtype=object) for key in ("scene", "difficulty")}
         self._contact, self._self_collision = np.full(count, "", dtype=object), np.zeros(count, dtype=np.bool_)
         # counts of the episode so far, and the current target as an index into the episode's targets and as a tomato
-        counted = ("steps", "speed_limited", "position_limited", "index", "target")
+        counted = ("steps", "speed_limited", "position_limited", "index", "target", "brushed_steps", "brushing")
         self._counts = {key: np.zeros(count, dtype=np.int64) for key in counted}
         requires_roadmap = self.observe.requires_roadmap or reward_requires_roadmap
         self._perception = Perception(count, robot, self.observe, self.worlds, requires_roadmap, threads)
@@ -119,7 +127,8 @@ class Simulation:
         physics = self._physics
         if physics is None:
             world = setups[0].world
-            physics = self._physics = Physics(self.count, world, self._threads, self._timing, self.task.ends_on)
+            ends_on = set(self.task.ends_on) - (set() if self.brush_cost is None else {"leaf"})
+            physics = self._physics = Physics(self.count, world, self._threads, self._timing, ends_on)
         for setup in setups:
             setup.world.check_fits(physics.models[0])
         with progress("simulations begun", len(ids), shown=first) as on_progress:
@@ -164,6 +173,8 @@ class Simulation:
         counts["steps"] += 1
         counts["speed_limited"] += command.speed_limited
         counts["position_limited"] += command.position_limited
+        counts["brushed_steps"] += contacts.leaf_steps
+        counts["brushing"][:] = contacts.leaf_steps
         after, outcome = self._look(slice(None), contacts, counts["steps"], before.memory)
         self.state = after
         transition = Transition(
@@ -173,6 +184,8 @@ class Simulation:
         terms = self.reward_terms(transition)
         if self.task.costs:
             terms = with_contact_cost(terms, self.task.costs, contacts.counts)
+        if self.brush_cost is not None:
+            terms = with_brush_cost(terms, self.brush_cost, TIMESTEP * contacts.leaf_steps)
         terminated = after.success | after.failure
         if outcome.next_target is not None:
             self._advance_targets(np.flatnonzero(outcome.next_target & ~terminated & (after.remaining > 1)))
@@ -197,7 +210,7 @@ class Simulation:
         for i in ids.tolist():
             counts["target"][i] = self.episode(i).targets[counts["index"][i]]
             self._perception.set_target(i, counts["index"][i], self.command[i].copy())
-        contacts = Contacts(state.contacts[ids], state.collided[ids], {})
+        contacts = Contacts(state.contacts[ids], np.zeros_like(ids), state.collided[ids], {})
         memory = {name: values[ids] for name, values in state.memory.items()}
         fresh, _ = self._look(ids, contacts, np.zeros_like(counts["steps"]), memory)
         done = np.zeros(len(ids), dtype=np.bool_)
@@ -237,6 +250,10 @@ class Simulation:
             "position_limited": counts["position_limited"],
             **state.memory,
         }
+        if self.brush_cost is not None:
+            result["brushing"] = TIMESTEP * counts["brushing"]
+            result["brushed_time"] = TIMESTEP * counts["brushed_steps"]
+            result["brushed_leaves"] = np.array([len(leaves) for leaves in self._physics.brushed])
         if step is not None and self.observe.has_goals:
             assert isinstance(self.task, GoalTask)
             result["previous_goal"], _ = self.task.goals(step.transition.start)

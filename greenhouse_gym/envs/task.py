@@ -51,6 +51,8 @@ class Task(ABC):
             other groups are counted in ``info["contacts"]`` and `State.contacts`.
         costs: Reward per contact and physics step by group, such as ``{"leaf": -0.02}``; the sum is the reward term
             ``contact``.
+        brush_cost: Reward per second in which a leaf is touched, the reward term ``brush``, with ``plants="brush"``.
+            Leaves then end no episode, whatever ``ends_on`` says.
         features: Groups of numbers that observations contain about the task, by name.
         rewards: Rewards by name, for the setting ``reward``.
         memory: Numbers that each simulation remembers from step to step, by name with their initial values. They are
@@ -59,6 +61,7 @@ class Task(ABC):
 
     ends_on: Collection[str] = CONTACT_GROUPS
     costs: Mapping[str, float] = MappingProxyType({})
+    brush_cost: float = -0.4
     features: Mapping[str, Feature] = MappingProxyType({name: FEATURES[name] for name in TARGET_FEATURES})
     rewards: Mapping[str, Reward] = REWARDS
     memory: Mapping[str, float] = MappingProxyType({})

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from greenhouse_gym.crops.crop import PlantMotion
-from greenhouse_gym.crops.parts import Stem, Tomato
+from greenhouse_gym.crops.parts import Stem, Tomato, is_leaf
 from greenhouse_gym.geometry import (
     Array,
     Box,
@@ -29,7 +29,6 @@ from greenhouse_gym.scene.obstacles import Shapes
 
 _WAVELENGTHS = (0.4, 1.2)  # range of the wavelengths of the displacement fields, metres
 _WAVES = 6
-_FIXED = 0.15  # minimum half length of a box that is a fixed gutter and not a leaf, metres
 
 Field = Callable[[Array], Array]
 
@@ -132,10 +131,8 @@ def _move_leaves(shapes: Sequence[Sphere | Capsule | Box], field: Field) -> tupl
     ends_after = field(ends.reshape(-1, 3)).reshape(-1, 2, 3)
 
     def move(shape: Sphere | Capsule | Box, start: Array, end: Array) -> Sphere | Capsule | Box:
-        if isinstance(shape, Capsule):
-            return replace(shape, start=start, end=end)
-        if isinstance(shape, Box) and shape.half_extents.max() > _FIXED:
+        if not is_leaf(shape):
             return shape
-        return centered_at(shape, start)
+        return replace(shape, start=start, end=end) if isinstance(shape, Capsule) else centered_at(shape, start)
 
     return tuple(move(shape, *after) for shape, after in zip(shapes, ends_after, strict=True))
