@@ -291,7 +291,7 @@ def drawn(theme: str) -> Iterator[tuple[str, bytes]]:
     style = {
         "text.color": text, "axes.labelcolor": text, "xtick.color": text, "ytick.color": text, "axes.edgecolor": grid,
         "grid.color": grid, "axes.grid": True, "axes.axisbelow": True, "grid.linewidth": 0.6, "font.size": 10,
-        "axes.spines.top": False, "axes.spines.right": False, "svg.hashsalt": "plots", "svg.fonttype": "none", "font.family": "sans-serif",
+        "axes.spines.top": False, "axes.spines.right": False, "svg.hashsalt": "plots", "svg.fonttype": "none",
     }  # fmt: skip
     with mpl.rc_context(style):
         for function in DRAWN:
