@@ -110,13 +110,13 @@ def difficulty() -> Figure:
 
 
 def learning() -> Figure:
-    """Draw the learning curves of the ten lines of README, and of some minutes."""
+    """Draw the learning curves of the first lesson, and of some minutes."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.6), sharey=True)
     lesson = read("first_lesson.json")["entries"]["ten lines"]["seeds"]
     for k, (seed, entry) in enumerate(lesson.items()):
         _, seconds, reached = np.array(entry["curve"]).T
         left.plot(seconds, 100 * reached, color=COLORS[k], label=f"seed {seed}")
-    left.set_title("the ten lines of README", fontsize=10)
+    left.set_title("the first lesson", fontsize=10)
     kinds = {"joint": "joint, collision -5", "tip_velocity": "tip_velocity, collision -5"}
     for training in read("first_lesson_long.json")["trainings"]:
         for k, (action, start) in enumerate(kinds.items()):

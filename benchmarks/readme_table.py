@@ -79,8 +79,11 @@ def main() -> None:
         ("[drift](docs/results/drift.md) of a reconstructed row of 5 m", drift()),
         ("[reached in the true row](docs/results/agents.md), trusting the scan (`hybrid`)", reached("hybrid")),
         ("[reached in the true row](docs/results/agents.md), looking first (`watchful`)", reached("watchful")),
-        ("[learned in 89 s on one core](docs/results/learning.md), easy own targets, row as scanned", lesson()),
-        ("[learned in 91 s on a GPU](docs/results/learning.md), all targets, rows as scanned", gpu()),
+        (
+            "[learned in 89 s on one core](docs/results/learning.md) (`ppo-ur5e`), easy own targets, as scanned",
+            lesson(),
+        ),
+        ("[learned in 91 s on a GPU](docs/results/learning.md) (`ppo-warp-ur5e`), all targets, as scanned", gpu()),
         ("[steps per second](docs/results/speed.md), 256 simulations on two cores", speed()),
     ]
     text = table(("what", "figure"), rows, "---")
