@@ -48,9 +48,10 @@ class EnvSettings:
             drawn from a few scenes at a time (`SceneWindow`); the seed of a reset restarts their order.
         split: "train", "validation" or "test".
         robot: Name of a shipped arm ("ur5e", "iiwa14"), an MJCF file, or a `Robot` of `load_robot`.
-        observation: "state", "state_occupancy", "clearance_rays", "roadmap", "goal", "goal_roadmap", "depth",
-            "points", "rgb", "rgbd", settings of the last four, or your own `Observation`. Everything of your own is an
-            object, ``"file.py:Name"``, ``"module:Name"``, or a mapping with such a name as ``class`` and its fields.
+        observation: "state", "state_occupancy", "clearance_rays", "roadmap", "task", "goal", "goal_roadmap",
+            "depth", "points", "rgb", "rgbd", settings of the last four, or your own `Observation`. Everything of your
+            own is an object, ``"file.py:Name"``, ``"module:Name"``, or a mapping with such a name as ``class`` and its
+            fields.
         action: "joint", "joint_velocity", "tip_velocity", or your own `ActionRule`.
         reward: "dense", "sparse", "path", a `DenseReward`, `SparseReward` or `PathReward` with other values, or your
             own function from a `Transition` to terms.
@@ -71,7 +72,7 @@ class EnvSettings:
             each joint, radians; the arm's own if None, which is "ready". The options of a reset may choose another.
         rate: Actions per second; the time between two actions must be a multiple of 10 ms: 100, 50, 25, 20, 10 and so
             on. Joint actions have the same maximum speed at every rate.
-        task: Task: "reach", your own as ``"file.py:Name"`` or ``"module:Name"``, a `Task` or a subclass of it.
+        task: Task: "reach", "look", your own as ``"file.py:Name"`` or ``"module:Name"``, a `Task` or a subclass of it.
         scene: The only scene of all episodes: its name, of any split, or a `Scene`; if None, each episode draws one.
         target: Index of its only target tomato; if None, each episode draws one of the scene's.
         infos: "all", or "numbers" for libraries that read no texts and no nested infos, such as TorchRL: texts are left

@@ -41,6 +41,10 @@ At full speed the arm lags 0.1 rad behind its commands.
 """
 
 
+HIDDEN = "_"
+"""Beginning of the names in `State.memory` that only the task and its rewards know."""
+
+
 class ControlTiming(NamedTuple):
     """Timing of actions and physics steps.
 
@@ -94,7 +98,7 @@ class State(NamedTuple):
         distance: (n,) remaining distance to the goal as the task measures it.
         success: (n,) whether the task is solved.
         failure: (n,) whether the task has failed.
-        memory: Numbers (n,) of the task by name, see `Task.memory`.
+        memory: Numbers (n,) and arrays (n, ...) of the task by name, see `Task.memory`.
     """
 
     joints: Array
@@ -157,7 +161,7 @@ class State(NamedTuple):
         Args:
             hidden: The true goal differs from the target. The outcome, which depends on it, is then left out as well.
         """
-        memory = {name: values.copy() for name, values in self.memory.items()}
+        memory = {name: values.copy() for name, values in self.memory.items() if not name.startswith(HIDDEN)}
         seen = self._replace(goal=self.target.copy(), contacts=self.contacts.copy(), collided=self.collided.copy())
         if not hidden:
             return seen.with_outcome(self.distance.copy(), self.success.copy(), self.failure.copy(), memory)

@@ -114,7 +114,7 @@ class EpisodeRunner:
     ):
         self._agent, self._env, self._chosen, self._seed = agent, env, chosen, seed
         self._simulation: Simulation = env.simulation
-        self._space = env.simulation.action_rule.space
+        self._space = env.simulation.action_space
         self._shared = hasattr(agent, "act_many")
         self._seconds, self._replaced = timeout, 0
         self._players = [_Player(agent, Deadline(timeout))] * env.num_envs
