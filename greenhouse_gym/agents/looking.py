@@ -39,6 +39,7 @@ _TRIED = 80  # viewpoints whose motions are checked
 _NEAR = 2  # cells from known ones within which unknown ones are worth a view
 _POINTS = 700  # unknown cells that are sampled for a view
 _MIN_GAIN = 0.02
+_COLUMNS = (0.0, 0.4, -0.4, 0.8, -0.8)  # metres along the row: centers of the parts of fixed views
 _FACING = 0.15  # fraction of the zone that random views show
 
 
@@ -72,12 +73,12 @@ class CarvedSpace:
             points: Metres.
             opacity: Fraction of light that is lost in a cell, by its state.
         """
-        from greenhouse_gym.motion.sight_kernels import lines_of_sight  # loads numba
+        from greenhouse_gym.motion.visibility_kernels import transmittances  # loads numba
 
         turns, origins = wrist_camera(self._arm.chain, configurations)
         camera, result = DepthCamera(), np.empty((len(configurations), len(points)))
         limits = np.array([*DEPTHS, camera.width / 2 / camera.focal, camera.height / 2 / camera.focal])
-        lines_of_sight(
+        transmittances(
             np.ascontiguousarray(turns), np.ascontiguousarray(origins), points, opacity[self.states.reshape(-1)],
             np.array(MAP.low), np.array(MAP.shape), MAP.cell, limits, result,
         )  # fmt: skip
@@ -164,7 +165,7 @@ class LookingAgent(NamedAgent, ABC):
 
     def _next(self, command: Array) -> Array:
         """Return the next viewpoint that a free motion leads to; else the one before the last."""
-        for viewpoint in islice(self._viewpoints(command), _TRIED):
+        for viewpoint in islice(self._viewpoints(command), 2 * _TRIED):
             if self._is_free(command, viewpoint):
                 return viewpoint
         if len(self._trail) > 1:
@@ -207,16 +208,26 @@ class NextBestViewAgent(LookingAgent):
 
 
 class FixedViewsAgent(LookingAgent):
-    """Take views of ten parts of the zone in a fixed order: five columns, each low and high, from the middle out."""
+    """Take views of ten parts of the zone in a fixed order: five columns, each low and high, from the middle out.
+
+    A part that no free motion leads to yet is left out.
+    """
 
     name = "fixed-views"
 
+    def reset(self, problem: Problem) -> None:
+        """Begin with the first part."""
+        super().reset(problem)
+        self._part = 0
+
     def _viewpoints(self, command: Array) -> Iterator[Array]:
-        points, k = self._space.zone(), (self._views - 1) % 10
-        column, row = (0.0, 0.4, -0.4, 0.8, -0.8)[k // 2], k % 2
-        height = (points[:, 2] > np.mean([ZONE[0][2], ZONE[1][2]])) == row
-        part = points[height & (np.abs(points[:, 1] - column) < 0.2)]
-        return self._showing(command, part, 0.5)
+        points = self._space.zone()
+        upper = points[:, 2] > np.mean([ZONE[0][2], ZONE[1][2]])
+        for _ in range(2 * len(_COLUMNS)):
+            column, row = divmod(self._part, 2)
+            self._part = (self._part + 1) % (2 * len(_COLUMNS))
+            part = points[(upper == row) & (np.abs(points[:, 1] - _COLUMNS[column]) < 0.2)]
+            yield from islice(self._showing(command, part, 0.5), _TRIED // len(_COLUMNS))
 
 
 class RandomViewsAgent(LookingAgent):

@@ -1,4 +1,4 @@
-"""Kernel of lines of sight from many cameras to many points through a voxel map."""
+"""Kernel of the light that gets from many cameras to many points through a voxel map."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SHORT = 2
 
 
 @kernel("void(f8[:,:,::1], f8[:,::1], f8[:,::1], f8[::1], f8[::1], i8[::1], f8, f8[::1], f8[:,::1])", writes=("out",))
-def lines_of_sight(
+def transmittances(
     turns: Floats,
     origins: Floats,
     points: Floats,
