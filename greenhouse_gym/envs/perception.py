@@ -19,7 +19,7 @@ from greenhouse_gym.envs.state import Bools, Ids, State
 from greenhouse_gym.envs.views import TaskCamera, View
 from greenhouse_gym.envs.worlds import Worlds
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.motion.distance_field import NO_TOMATO
+from greenhouse_gym.motion.distance_field import NO_TOMATO, FieldsOfSimulations
 from greenhouse_gym.motion.goals import GoalSampler
 from greenhouse_gym.motion.waypoints import WaypointTracker
 from greenhouse_gym.rendering.cameras import CameraRig, DepthCamera, Images, no_images
@@ -141,7 +141,8 @@ class Perception:
         sites, tool = physics.sites(ids)
         vectors = np.concatenate([sites - frame[:, None, :3], tool[:, None, :, 2]], axis=1) @ self._axes[ids]
         points, axis = vectors[:, :-1], vectors[:, -1]
-        distance, direction = self._worlds.fields.lookup(self._field[ids], self._ignored[ids], points[:, 1:])
+        fields = FieldsOfSimulations(self._worlds.fields, self._field[ids].copy(), self._ignored[ids].copy())
+        distance, direction = fields.lookup(points[:, 1:])
         joints = physics.qpos[ids]
         command_error = physics.command[ids] - joints
         waypoint, path_length, path_free = self._paths(ids, physics.command, steps)
@@ -166,6 +167,7 @@ class Perception:
             depth=images.depth,
             color=images.color,
             views=images.views,
+            fields=fields,
             contacts=contacts.counts,
             collided=contacts.collided,
             distance=self._unset[: len(points)],

@@ -88,7 +88,6 @@ class Simulation:
         hidden = hidden or ("target_position" if self.randomization.target_position else "")
         check_goals(self.observe, hidden, reward_requires_roadmap)
         self._hidden_goal = bool(hidden)
-        self.env_options = settings.agent_options()
         capacity = settings.capacity or capacity_of(self.sampler.bank, settings.physics)
         self.worlds = shared_worlds(robot, settings.physics, capacity, self._timing.substeps, settings.plants)
         self.brush_cost = self.task.brush_cost if settings.plants == "brush" else None
@@ -112,7 +111,7 @@ class Simulation:
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Simulation:
         """Return an independent copy in the same state; immutable parts are shared."""
-        shared = [self.robot, self.settings, self.task, self.worlds, self.sampler.bank]
+        shared = [self.robot, self.settings, self.task, self.worlds, self.worlds.fields, self.sampler.bank]
         shared += [part for setup in self._setups if setup is not None for part in (setup.episode, setup.world)]
         for part in shared:
             memo[id(part)] = part
