@@ -30,7 +30,7 @@ from greenhouse_gym.scene.occupancy import FREE, UNKNOWN
 ZONE = ((0.42, -1.2, -0.48), (0.95, 1.2, 0.08))
 """Corners of the space in which ripe fruit hang, in the base frame, metres: 98 % of it on the training rows."""
 
-NOTHING, OPACITY = np.zeros(4), np.array([0.1, 0.0, 1.0, 1.0])
+NOTHING, OPACITY = np.zeros(4), np.array([0.0, 0.0, 1.0, 1.0])
 """Fractions of light that are lost in a cell by its state: none at all, and as the planner of views expects it."""
 
 _GAP = 0.03  # metres between the arm and the centers of cells that are not known to be free
@@ -38,7 +38,7 @@ _ARRIVED, _SETTLED = 0.01, 0.03  # radians from a viewpoint, and between command
 _TRIED = 80  # viewpoints whose motions are checked
 _NEAR = 2  # cells from known ones within which unknown ones are worth a view
 _POINTS = 700  # unknown cells that are sampled for a view
-_MIN_GAIN = 0.02
+_MIN_GAIN, _MOTION_COST = 0.02, 0.02  # fractions of the points: that a view shows, and that a radian is worth
 _COLUMNS = (0.0, 0.4, -0.4, 0.8, -0.8)  # metres along the row: centers of the parts of fixed views
 _FACING = 0.15  # fraction of the zone that random views show
 
@@ -75,12 +75,13 @@ class CarvedSpace:
         """
         from greenhouse_gym.motion.visibility_kernels import transmittances  # loads numba
 
-        turns, origins = wrist_camera(self._arm.chain, configurations)
+        turns, origins = map(np.ascontiguousarray, wrist_camera(self._arm.chain, configurations))
+        centers = np.ascontiguousarray(self._arm.centers(configurations))
         camera, result = DepthCamera(), np.empty((len(configurations), len(points)))
         limits = np.array([*DEPTHS, camera.width / 2 / camera.focal, camera.height / 2 / camera.focal])
         transmittances(
-            np.ascontiguousarray(turns), np.ascontiguousarray(origins), points, opacity[self.states.reshape(-1)],
-            np.array(MAP.low), np.array(MAP.shape), MAP.cell, limits, result,
+            turns, origins, centers, self._arm.radius, points, opacity[self.states.reshape(-1)], np.array(MAP.low),
+            np.array(MAP.shape), MAP.cell, limits, result,
         )  # fmt: skip
         return result
 
@@ -193,7 +194,8 @@ class LookingAgent(NamedAgent, ABC):
         """
         assert self._problem is not None
         sees = partial(self._space.shown, points=points, opacity=opacity)
-        return (viewpoint for viewpoint, _ in viewpoints(self._problem.robot, command, sees, self._rng, min_gain))
+        found = viewpoints(self._problem.robot, command, sees, self._rng, min_gain, _MOTION_COST)
+        return (viewpoint for viewpoint, _ in found)
 
 
 class NextBestViewAgent(LookingAgent):
