@@ -22,13 +22,11 @@ VIEWPOINTS, SPREADS = 400, (0.24, 1.2)
 MIN_GAIN = 0.2
 """Fraction of the points that a viewpoint must show."""
 
-MOTION_COST = 0.1
-"""Fraction of the points that is worth a motion of a radian."""
-
 DEPTHS, NOISY_DEPTHS = (0.1, 1.2), (0.2, 1.0)
 """Depths within which points are seen well, by a perfect camera and by one with the noise of a D435, metres."""
 
 _BATCHES = 10  # into which the samples are split, to save memory
+_MOTION_COST = 0.1  # fraction of the points that is worth a motion of a radian
 _EDGE = 0.95  # fraction of the image that counts as its inside
 _STEP, _SHORT = 0.04, 0.08  # metres between samples along a ray, and before its end, where it may be occluded
 _WRIST_ANGLES = 25  # tried for each wrist joint in an initial view
@@ -43,7 +41,6 @@ def viewpoints(
     sees: Callable[[Array], npt.NDArray[Any]],
     rng: np.random.Generator,
     min_gain: float = MIN_GAIN,
-    motion_cost: float = MOTION_COST,
 ) -> Iterator[tuple[Array, npt.NDArray[Any]]]:
     """Yield configurations (j,) from which the camera sees many points, and which points it sees, best first.
 
@@ -53,7 +50,6 @@ def viewpoints(
         sees: Returns which of k points, or how much of each, the camera sees in configurations (m, j): (m, k).
         rng: Samples the configurations.
         min_gain: Fraction of the points that a viewpoint must show.
-        motion_cost: Fraction of the points that is worth a motion of a radian.
     """
     spreads = np.linspace(*SPREADS, VIEWPOINTS)[:, None]
     samples = np.clip(command + spreads * rng.normal(size=(VIEWPOINTS, len(command))), robot.lower, robot.upper)
@@ -61,7 +57,7 @@ def viewpoints(
     batches = np.split(samples, _BATCHES)
     seen = np.concatenate([sees(batch) for batch in batches])
     gains = seen.mean(axis=1)
-    costs = np.where(gains < min_gain, np.inf, motion_cost * np.abs(samples - command).max(axis=1) - gains)
+    costs = np.where(gains < min_gain, np.inf, _MOTION_COST * np.abs(samples - command).max(axis=1) - gains)
     for k in costs.argsort(kind="stable")[: np.isfinite(costs).sum()]:
         yield samples[k], seen[k]
 

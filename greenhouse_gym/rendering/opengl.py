@@ -35,7 +35,7 @@ from greenhouse_gym.rendering.renderer import (
 
 Float32 = npt.NDArray[np.float32]
 
-_MAX_LINES = 2000  # drawn besides the geoms of the model
+_MAX_LINES = 2000  # pieces of lines that a picture holds in addition to the geoms of its model
 _QUALITY = {"offsamples": 0, "shadowsize": 1024, "numslices": 12, "numstacks": 8, "numquads": 1}
 """Drawing quality: in software, MuJoCo's own (4 samples, 4096, 28, 16, 4) takes seven times as long per image."""
 

@@ -94,12 +94,18 @@ def test_transmittances_end_at_surfaces(space: CarvedSpace) -> None:
 
 
 def test_unknown_cells_that_are_worth_a_view(space: CarvedSpace) -> None:
-    assert len(space.unknown()) == len(space.zone())
+    assert len(space.unknown()[0]) == len(space.zone())
     states = np.full(MAP.shape, UNKNOWN, dtype=np.uint8)
     states[:10] = FREE
     space.update(states)
-    assert 0 < len(space.unknown()) < len(space.zone())
-    assert space.unknown()[:, 0].max() < MAP.low[0] + 12 * MAP.cell
+    points, likely = space.unknown()
+    assert 0 < len(points) < len(space.zone())
+    assert points[:, 0].max() < MAP.low[0] + 12 * MAP.cell
+    assert likely.sum() == pytest.approx(1.0)
+    states[9, 30, 14] = RIPE
+    space.update(states)
+    near = np.linalg.norm(points - MAP.centers.reshape(*MAP.shape, 3)[9, 30, 14], axis=1) < 0.06
+    assert (space.unknown()[1][near] > likely[near]).all(), "fruit hang in trusses"
 
 
 def test_the_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
