@@ -4,9 +4,9 @@ python -m benchmarks.agents.look --episodes 308 --workdir /tmp/look
 python -m benchmarks.agents.look --split train --episodes 20 --agents next-best-view --results /tmp/look.json
 
 The stands are those of a split of a bank, in the true rows. They are looked at in a shuffled order, each as often as
-any other. Further rounds repeat them with other random choices of the agents, or with ``--moved`` after the plants moved.
-Intervals are 95 % bootstrap intervals over the stands. Records are kept below ``--workdir``, so an interrupted run
-resumes. An episode of ten views takes one to two seconds of processor time.
+any other. Further rounds repeat them with other random choices of the agents, or with ``--moved`` after the plants
+moved. Intervals are 95 % bootstrap intervals over the stands. Records are kept below ``--workdir``, so an interrupted
+run resumes. An episode of ten views takes one to two seconds of processor time.
 """
 
 from __future__ import annotations

@@ -268,7 +268,7 @@ def watch(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="File to write, .mp4 or .gif; episode.mp4 by default, or episode.gif without the extra viz.",
+            help="File to write, .mp4, .gif or .webp; episode.mp4 by default, or episode.gif without the extra viz.",
             show_default=False,
         ),
     ] = None,
