@@ -36,7 +36,7 @@ TIMED = (".html", ".png", "curve.csv", ".hdf5", "events.out.tfevents")
 
 
 def arguments(name: str, folder: Path, out: Path) -> list[str]:
-    places = {"OUT": out, "RECORDING": folder / "recording", "CLOUD": folder / "reconstruct" / "row.ply"}
+    places = {"OUT": out, "RECORDING": folder / "recording", "CLOUD": folder / "reconstruct" / "out" / "row.ply"}
     words = COMMANDS[name].split()
     return ["/".join(str(places.get(part, part)) for part in word.split("/")) for word in words]
 
@@ -46,9 +46,10 @@ class Whole:
 
     def __init__(self, commands: Commands, name: str, folder: Path):
         self.commands, self.name, self.folder = commands, name, folder
-        ended = commands.run(*arguments(name, folder, folder / name))
+        out = folder / name / "out"  # a bank has its folder's name
+        ended = commands.run(*arguments(name, folder, out))
         assert ended.status == 0, ended.printed
-        self.seconds, self.files = ended.seconds, contents(folder / name, TIMED)
+        self.seconds, self.files = ended.seconds, contents(out, TIMED)
 
     def assert_it_resumes(self, out: Path) -> None:
         words = arguments(self.name, self.folder, out)
@@ -62,12 +63,13 @@ class Whole:
             assert contents(out, TIMED) == self.files, self.name
 
     def kill(self, moment: float) -> None:
-        out = self.folder / f"{self.name}-killed-{moment:.6f}"
+        out = self.folder / f"{self.name}-killed-{moment:.6f}" / "out"
         self.commands.run(*arguments(self.name, self.folder, out), killed_after=moment * self.seconds)
-        self.assert_it_resumes(out)
+        if contents(out, TIMED) != self.files:  # else it had just ended
+            self.assert_it_resumes(out)
 
     def fill_disk(self, room: int) -> None:
-        out = self.folder / f"{self.name}-full-{room}"
+        out = self.folder / f"{self.name}-full-{room}" / "out"
         ended = self.commands.run(*arguments(self.name, self.folder, out), room=room)
         if ended.status:  # there may be fewer files
             assert ended.status == 1, ended.printed
