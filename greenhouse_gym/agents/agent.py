@@ -41,6 +41,7 @@ class Problem:
         action: The environment's action rule; joint increments if None.
         interval: Seconds between two actions.
         step_limit: Number of actions after which the episode ends.
+        plants: "rigid", or "brush" if leaves give way, see `greenhouse_gym.envs.EnvSettings`.
     """
 
     scene: Scene
@@ -51,6 +52,7 @@ class Problem:
     action: ActionRule | None = None
     interval: float = INTERVAL
     step_limit: int = STEP_LIMIT
+    plants: str = "rigid"
 
     @classmethod
     def of(cls, simulation: Simulation, i: int, seed: int) -> Problem:
@@ -61,7 +63,7 @@ class Problem:
         settings, robot, interval = simulation.settings, simulation.robot, simulation.interval
         return cls(
             simulation.known_scene(i), simulation.target(i), robot, simulation.episode(i).start.copy(), seed,
-            make_action(settings.action, robot, interval), interval, settings.step_limit,
+            make_action(settings.action, robot, interval), interval, settings.step_limit, settings.plants,
         )  # fmt: skip
 
     @property
