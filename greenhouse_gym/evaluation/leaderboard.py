@@ -25,7 +25,7 @@ from greenhouse_gym.evaluation.entry import V1, Entry, Protocol, columns_of, fol
 from greenhouse_gym.evaluation.journal import RecordJournal
 from greenhouse_gym.evaluation.records import Evaluation, Record
 from greenhouse_gym.evaluation.rollouts import AGENTS_CHOICE, changed_rules, evaluate, shown_rules
-from greenhouse_gym.scene import SceneBank
+from greenhouse_gym.scene import DIFFICULTIES, SceneBank
 
 __all__ = [
     "TRACKS", "V1", "Entry", "Protocol", "follows", "is_current", "leaderboard_table", "read_entry", "replay", "submit",
@@ -36,9 +36,11 @@ TRACKS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
         "reconstruction": {},
         "truth": {"physics": "truth"},
         "moved": {"physics": "truth", "randomization": Randomization(plants=PlantMotion())},
+        "brush": {"physics": "truth", "plants": "brush", "difficulty": DIFFICULTIES},
     }
 )
-"""Simulated world of each track: the reconstruction itself, the true row, or the true row after the plants moved.
+"""Rules of each track: the simulated world is the reconstruction itself, the true row, the true row after the plants
+moved, or the true row with leaves that give way, whose targets include those rated unreachable with rigid leaves.
 
 Agents always observe the reconstruction.
 """

@@ -81,9 +81,7 @@ def cautious_roadmap(
     return next((each for each in map(search, more[:-1]) if each[0].nodes.connected), last)
 
 
-def with_margin(
-    scene: Scene, robot: Robot, start: npt.ArrayLike, margin: float, leaves: str = LEAVES[0]
-) -> Scene:
+def with_margin(scene: Scene, robot: Robot, start: npt.ArrayLike, margin: float, leaves: str = LEAVES[0]) -> Scene:
     """Return a scene whose boxes are enlarged on every side, except those that would then touch the arm at its start.
 
     Stereo cameras measure the rims of leaves worst: in rows of organ meshes most leaves that planned paths hit in
@@ -121,7 +119,9 @@ def _with_margin(key: ByIdentity, robot: Robot, start: tuple[float, ...], margin
     scene = key.scene
     kept = is_leaf if leaves == "brush" else (lambda shape: False)
     enlarged = [
-        replace(shape, half_extents=shape.half_extents + margin) if isinstance(shape, Box) and not kept(shape) else shape
+        replace(shape, half_extents=shape.half_extents + margin)
+        if isinstance(shape, Box) and not kept(shape)
+        else shape
         for shape in scene.clutter
     ]
     compiled = compile_scene(scene.model_copy(update={"clutter": tuple(enlarged)}), robot)

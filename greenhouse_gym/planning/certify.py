@@ -22,20 +22,21 @@ import numpy as np
 
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, require_seed
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.motion.collision import PROOF, CollisionChecker, path_clearance, planning_model
+from greenhouse_gym.motion.collision import LEAVES, PROOF, CollisionChecker, path_clearance, planning_model
 from greenhouse_gym.motion.goals import search_goals
 from greenhouse_gym.motion.joint_reaches import arm_reaches
 from greenhouse_gym.motion.kernel_checker import search_checker
+from greenhouse_gym.motion.leaf_contacts import LeafContacts
 from greenhouse_gym.motion.proof import ProvingChecker
 from greenhouse_gym.motion.unknown_space import depths_of, guarded, unknown_lengths
 from greenhouse_gym.planning.own_planners import PlannerFailedError
-from greenhouse_gym.planning.query import plan_with
+from greenhouse_gym.planning.query import plan, plan_with
 from greenhouse_gym.planning.result import PlanResult
 from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.scene import Scene, SceneBank, Target
 from greenhouse_gym.scene.bank import write_bank
 from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
-from greenhouse_gym.scene.scene import Difficulty
+from greenhouse_gym.scene.scene import BrushCertificate, Difficulty
 
 GOALS, SAMPLES = 30, 10_000
 """Goal configurations to find, and random configurations after which the search for them ends."""
@@ -54,6 +55,9 @@ SEEDS = 3
 
 RATING = "rating"
 """Key in the provenance settings of a rated scene: the arm's name and checksum, the seed and the scene's checksum."""
+
+BRUSH_RATING = "brush_rating"
+"""Key of the same for a rating with leaves that give way."""
 
 _ATTEMPTS = 3  # at a search whose planning process dies
 _DECIMALS = 6  # to which a witness is rounded, radians
@@ -98,9 +102,12 @@ def certify_targets(
     return _with_unknown_fractions(scene, arm, [targets[tomato] for tomato in chosen])
 
 
-def certify_target(compiled: CompiledScene, tomato: int, seed: int = 0) -> Target:
-    """Rate one tomato as `certify_targets` does, without the fraction in unknown space."""
-    checker = ProvingChecker(planning_model(compiled, tomato), arm_reaches(compiled.robot))
+def certify_target(compiled: CompiledScene, tomato: int, seed: int = 0, leaves: str = LEAVES[0]) -> Target:
+    """Rate one tomato as `certify_targets` does, without the fraction in unknown space.
+
+    With ``leaves="brush"``, the arm passes through leaves as if there were none.
+    """
+    checker = ProvingChecker(planning_model(compiled, tomato, leaves=leaves), arm_reaches(compiled.robot))
     goals = search_goals(compiled, checker, tomato, GOALS, seed=seed, budget=SAMPLES).configurations
     rating = _straight(checker, compiled.robot, goals) or _planned(checker, compiled, tomato, goals, seed)
     target = Target(tomato=tomato, difficulty=rating.difficulty, robot=compiled.robot.name, goals=len(goals))
@@ -110,9 +117,99 @@ def certify_target(compiled: CompiledScene, tomato: int, seed: int = 0) -> Targe
         update={
             "witness": tuple(tuple(configuration) for configuration in rating.path.tolist()),
             "checks": rating.checks,
-            "clearance": round(path_clearance(compiled, tomato, rating.path), 4),
+            "clearance": round(path_clearance(compiled, tomato, rating.path, leaves), 4),
         }
     )
+
+
+def with_brush_certificates(scene: Scene, robot: str | Robot = "ur5e", seed: int = 0) -> Scene:
+    """Return a scene whose targets for an arm are also rated with leaves that give way, see `Target.brush`.
+
+    A target that is reached without touching a leaf keeps its rating. For the others, the rule of this module applies
+    without the leaves, and the witness is a path through few of them.
+
+    Args:
+        scene: A scene with targets; those for other arms stay as they are.
+        robot: Name or file of the arm, or a `Robot`.
+        seed: Same seed, same result.
+    """
+    arm = get_robot(robot)
+    compiled = compile_scene(scene, arm)
+    targets = [
+        target
+        if target.robot != arm.name
+        else target.model_copy(update={"brush": _brush_rating(compiled, target, seed)})
+        for target in scene.targets
+    ]
+    return scene.model_copy(update={"targets": tuple(targets)})
+
+
+def _brush_rating(compiled: CompiledScene, target: Target, seed: int) -> BrushCertificate:
+    if target.witness is not None:
+        return BrushCertificate(difficulty=target.difficulty)
+    free = certify_target(compiled, target.tomato, seed, "brush")
+    if free.witness is None:
+        return BrushCertificate(difficulty=free.difficulty)
+    robot, start, contacts = compiled.robot, compiled.robot.rating_start, LeafContacts(compiled)
+    planned = plan(
+        compiled.scene,
+        target.tomato,
+        robot,
+        time_limit=None,
+        max_checks=MAX_CHECKS,
+        seed=seed,
+        start=start,
+        leaves="brush",
+    )
+    checker = ProvingChecker(planning_model(compiled, target.tomato, leaves="brush"), arm_reaches(robot))
+    few = _shortest(checker, robot, [planned])
+    paths = [path for path in (few, np.array(free.witness)) if path is not None]
+    leaves = [len(contacts.brushed(path)) for path in paths]
+    best = int(np.argmin(leaves))
+    witness = tuple(tuple(configuration) for configuration in paths[best].tolist())
+    return BrushCertificate(difficulty=free.difficulty, witness=witness, leaves=leaves[best])
+
+
+def brush_bank(
+    bank: str | Path | SceneBank,
+    out: str | Path,
+    robot: str | Path | Robot = "ur5e",
+    seed: int = 0,
+    on_progress: Callable[[int], None] | None = None,
+) -> SceneBank:
+    """Write a copy of a bank whose targets for an arm are also rated with leaves that give way.
+
+    Args:
+        bank: The bank.
+        out: Folder of the new bank; not that of the old one. Scenes that are there already are not rated again, so an
+            interrupted run resumes.
+        robot: Name or file of the arm, or a `Robot`.
+        seed: Same seed, same ratings.
+        on_progress: Called with the number of finished scenes.
+
+    Raises:
+        InvalidValueError: ``out`` is the bank's own folder.
+    """
+    opened, arm, folder = SceneBank.open(bank), get_robot(robot), _folder_of_its_own(bank, out)
+    rated: list[tuple[Scene, str]] = []
+    for name in opened.names():
+        scene, path = opened.scene(name), folder / f"{name}.json"
+        source = {"robot": arm.name, "seed": seed, "scene_sha256": sha256(scene.model_dump_json().encode()).hexdigest()}
+        result = _load_rated(path, source, BRUSH_RATING)
+        if result is None:
+            result = _with_source(with_brush_certificates(scene, arm, seed), source, BRUSH_RATING)
+            result.save(path)
+        rated.append((result, opened.split_of(name)))
+        if on_progress is not None:
+            on_progress(len(rated))
+    return write_bank(folder, rated, folder.name, f"{opened.manifest.name}, rated with leaves that give way")
+
+
+def _folder_of_its_own(bank: str | Path | SceneBank, out: str | Path) -> Path:
+    folder = Path(out).resolve()
+    if folder == SceneBank.open(bank).path.resolve():
+        raise InvalidValueError(f"{folder}: the rated bank needs another folder than the bank it is made from")
+    return folder
 
 
 def rate_bank(
@@ -139,9 +236,7 @@ def rate_bank(
     Raises:
         InvalidValueError: ``out`` is the bank's own folder, or the arm's start is in collision in every scene.
     """
-    opened, arm, folder = SceneBank.open(bank), get_robot(robot), Path(out).resolve()
-    if folder == opened.path.resolve():
-        raise InvalidValueError(f"{folder}: the rated bank needs another folder than the bank it is made from")
+    opened, arm, folder = SceneBank.open(bank), get_robot(robot), _folder_of_its_own(bank, out)
     if per_scene is not None and per_scene < 1:
         raise InvalidValueError(f"per_scene must be at least 1 or None, got {per_scene!r}")
     checksum = sha256(arm.path.read_bytes()).hexdigest()
@@ -279,20 +374,23 @@ def _spread(scene: Scene, count: int | None, min_radius: float) -> list[int]:
     return sorted(by_distance[np.linspace(0, len(rows) - 1, count).round().astype(int)].tolist())
 
 
-def _load_rated(path: Path, source: dict[str, Any]) -> Scene | None:
+def _load_rated(path: Path, source: dict[str, Any], key: str = RATING) -> Scene | None:
     """Load a scene if it exists and was rated from this source."""
     try:
         scene = Scene.load(path)
     except FileFormatError:
         return None
-    return scene if scene.provenance.settings.get(RATING) == source else None
+    return scene if scene.provenance.settings.get(key) == source else None
 
 
 def _with_targets(scene: Scene, targets: list[Target], source: dict[str, Any]) -> Scene:
     others = [target for target in scene.targets if target.robot != source["robot"]]
-    settings = {**scene.provenance.settings, RATING: source}
-    provenance = scene.provenance.model_copy(update={"settings": settings})
-    return scene.model_copy(update={"targets": (*others, *targets), "provenance": provenance})
+    return _with_source(scene.model_copy(update={"targets": (*others, *targets)}), source, RATING)
+
+
+def _with_source(scene: Scene, source: dict[str, Any], key: str) -> Scene:
+    settings = {**scene.provenance.settings, key: source}
+    return scene.model_copy(update={"provenance": scene.provenance.model_copy(update={"settings": settings})})
 
 
 def _start_contacts(compiled: CompiledScene) -> str:
