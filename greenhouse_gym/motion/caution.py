@@ -117,13 +117,12 @@ def check_margin(margin: float) -> float:
 @lru_cache(maxsize=4)
 def _with_margin(key: ByIdentity, robot: Robot, start: tuple[float, ...], margin: float, leaves: str) -> Scene:
     scene = key.scene
-    kept = is_leaf if leaves == "brush" else (lambda shape: False)
+    brush = leaves == "brush"
     enlarged = [
-        replace(shape, half_extents=shape.half_extents + margin)
-        if isinstance(shape, Box) and not kept(shape)
-        else shape
+        shape if not isinstance(shape, Box) or (brush and is_leaf(shape))
+        else replace(shape, half_extents=shape.half_extents + margin)
         for shape in scene.clutter
-    ]
+    ]  # fmt: skip
     compiled = compile_scene(scene.model_copy(update={"clutter": tuple(enlarged)}), robot)
     model = planning_model(compiled, 0)
     data = mujoco.MjData(model)

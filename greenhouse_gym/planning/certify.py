@@ -26,17 +26,16 @@ from greenhouse_gym.motion.collision import LEAVES, PROOF, CollisionChecker, pat
 from greenhouse_gym.motion.goals import search_goals
 from greenhouse_gym.motion.joint_reaches import arm_reaches
 from greenhouse_gym.motion.kernel_checker import search_checker
-from greenhouse_gym.motion.leaf_contacts import LeafContacts
 from greenhouse_gym.motion.proof import ProvingChecker
 from greenhouse_gym.motion.unknown_space import depths_of, guarded, unknown_lengths
 from greenhouse_gym.planning.own_planners import PlannerFailedError
-from greenhouse_gym.planning.query import plan, plan_with
+from greenhouse_gym.planning.query import plan_with
 from greenhouse_gym.planning.result import PlanResult
 from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.scene import Scene, SceneBank, Target
 from greenhouse_gym.scene.bank import write_bank
 from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
-from greenhouse_gym.scene.scene import BrushCertificate, Difficulty
+from greenhouse_gym.scene.scene import Difficulty
 
 GOALS, SAMPLES = 30, 10_000
 """Goal configurations to find, and random configurations after which the search for them ends."""
@@ -55,9 +54,6 @@ SEEDS = 3
 
 RATING = "rating"
 """Key in the provenance settings of a rated scene: the arm's name and checksum, the seed and the scene's checksum."""
-
-BRUSH_RATING = "brush_rating"
-"""Key of the same for a rating with leaves that give way."""
 
 _ATTEMPTS = 3  # at a search whose planning process dies
 _DECIMALS = 6  # to which a witness is rounded, radians
@@ -122,90 +118,12 @@ def certify_target(compiled: CompiledScene, tomato: int, seed: int = 0, leaves: 
     )
 
 
-def with_brush_certificates(scene: Scene, robot: str | Robot = "ur5e", seed: int = 0) -> Scene:
-    """Return a scene whose targets for an arm are also rated with leaves that give way, see `Target.brush`.
-
-    A target that is reached without touching a leaf keeps its rating. For the others, the rule of this module applies
-    without the leaves, and the witness is a path through few of them.
-
-    Args:
-        scene: A scene with targets; those for other arms stay as they are.
-        robot: Name or file of the arm, or a `Robot`.
-        seed: Same seed, same result.
-    """
-    arm = get_robot(robot)
-    compiled = compile_scene(scene, arm)
-    targets = [
-        target
-        if target.robot != arm.name
-        else target.model_copy(update={"brush": _brush_rating(compiled, target, seed)})
-        for target in scene.targets
-    ]
-    return scene.model_copy(update={"targets": tuple(targets)})
-
-
-def _brush_rating(compiled: CompiledScene, target: Target, seed: int) -> BrushCertificate:
-    if target.witness is not None:
-        return BrushCertificate(difficulty=target.difficulty)
-    free = certify_target(compiled, target.tomato, seed, "brush")
-    if free.witness is None:
-        return BrushCertificate(difficulty=free.difficulty)
-    robot, start, contacts = compiled.robot, compiled.robot.rating_start, LeafContacts(compiled)
-    planned = plan(
-        compiled.scene,
-        target.tomato,
-        robot,
-        time_limit=None,
-        max_checks=MAX_CHECKS,
-        seed=seed,
-        start=start,
-        leaves="brush",
-    )
-    checker = ProvingChecker(planning_model(compiled, target.tomato, leaves="brush"), arm_reaches(robot))
-    few = _shortest(checker, robot, [planned])
-    paths = [path for path in (few, np.array(free.witness)) if path is not None]
-    leaves = [len(contacts.brushed(path)) for path in paths]
-    best = int(np.argmin(leaves))
-    witness = tuple(tuple(configuration) for configuration in paths[best].tolist())
-    return BrushCertificate(difficulty=free.difficulty, witness=witness, leaves=leaves[best])
-
-
-def brush_bank(
-    bank: str | Path | SceneBank,
-    out: str | Path,
-    robot: str | Path | Robot = "ur5e",
-    seed: int = 0,
-    on_progress: Callable[[int], None] | None = None,
-) -> SceneBank:
-    """Write a copy of a bank whose targets for an arm are also rated with leaves that give way.
-
-    Args:
-        bank: The bank.
-        out: Folder of the new bank; not that of the old one. Scenes that are there already are not rated again, so an
-            interrupted run resumes.
-        robot: Name or file of the arm, or a `Robot`.
-        seed: Same seed, same ratings.
-        on_progress: Called with the number of finished scenes.
+def new_folder(bank: str | Path | SceneBank, out: str | Path) -> Path:
+    """Return the folder of a bank that is made from another one.
 
     Raises:
-        InvalidValueError: ``out`` is the bank's own folder.
+        InvalidValueError: It is the folder of that bank.
     """
-    opened, arm, folder = SceneBank.open(bank), get_robot(robot), _folder_of_its_own(bank, out)
-    rated: list[tuple[Scene, str]] = []
-    for name in opened.names():
-        scene, path = opened.scene(name), folder / f"{name}.json"
-        source = {"robot": arm.name, "seed": seed, "scene_sha256": sha256(scene.model_dump_json().encode()).hexdigest()}
-        result = _load_rated(path, source, BRUSH_RATING)
-        if result is None:
-            result = _with_source(with_brush_certificates(scene, arm, seed), source, BRUSH_RATING)
-            result.save(path)
-        rated.append((result, opened.split_of(name)))
-        if on_progress is not None:
-            on_progress(len(rated))
-    return write_bank(folder, rated, folder.name, f"{opened.manifest.name}, rated with leaves that give way")
-
-
-def _folder_of_its_own(bank: str | Path | SceneBank, out: str | Path) -> Path:
     folder = Path(out).resolve()
     if folder == SceneBank.open(bank).path.resolve():
         raise InvalidValueError(f"{folder}: the rated bank needs another folder than the bank it is made from")
@@ -236,7 +154,7 @@ def rate_bank(
     Raises:
         InvalidValueError: ``out`` is the bank's own folder, or the arm's start is in collision in every scene.
     """
-    opened, arm, folder = SceneBank.open(bank), get_robot(robot), _folder_of_its_own(bank, out)
+    opened, arm, folder = SceneBank.open(bank), get_robot(robot), new_folder(bank, out)
     if per_scene is not None and per_scene < 1:
         raise InvalidValueError(f"per_scene must be at least 1 or None, got {per_scene!r}")
     checksum = sha256(arm.path.read_bytes()).hexdigest()
@@ -247,7 +165,7 @@ def rate_bank(
     for name in opened.names():
         scene = opened.scene(name)
         source = {**rating, "scene_sha256": sha256(scene.model_dump_json().encode()).hexdigest()}
-        result = _load_rated(folder / f"{name}.json", source)
+        result = load_rated(folder / f"{name}.json", source)
         if result is None:
             compiled = compile_scene(scene, arm)
             contacts = _start_contacts(compiled)
@@ -294,19 +212,19 @@ def _planned(checker: CollisionChecker, compiled: CompiledScene, tomato: int, go
     results: list[PlanResult] = []
     while len(results) < SEEDS and not _decided(results):
         results.append(_search(checker, compiled, tomato, goals, seed + len(results), MAX_CHECKS))
-    path = _shortest(checker, compiled.robot, results)
+    path = shortest_free(checker, compiled.robot, results)
     if path is not None:
         needed = sorted(map(_needed, results))[len(results) // 2]
         return _Rating("hard" if needed > HARD else "medium", path, None if math.isinf(needed) else int(needed))
     for run in range(SEEDS):
         last = _search(checker, compiled, tomato, goals, seed + run, LAST_CHECKS)
-        path = _shortest(checker, compiled.robot, [last])
+        path = shortest_free(checker, compiled.robot, [last])
         if path is not None:
             return _Rating("hard", path)
     return _Rating("unreachable")
 
 
-def _shortest(checker: CollisionChecker, robot: Robot, results: Sequence[PlanResult]) -> Array | None:
+def shortest_free(checker: CollisionChecker, robot: Robot, results: Sequence[PlanResult]) -> Array | None:
     """Return the shortest path that is still free after rounding, or None."""
     for result in sorted(results, key=lambda r: r.length if r.path is not None else math.inf):
         if result.path is not None:
@@ -374,8 +292,8 @@ def _spread(scene: Scene, count: int | None, min_radius: float) -> list[int]:
     return sorted(by_distance[np.linspace(0, len(rows) - 1, count).round().astype(int)].tolist())
 
 
-def _load_rated(path: Path, source: dict[str, Any], key: str = RATING) -> Scene | None:
-    """Load a scene if it exists and was rated from this source."""
+def load_rated(path: Path, source: dict[str, Any], key: str = RATING) -> Scene | None:
+    """Load a scene if it exists and was rated from this source; ``key`` is that of the rating."""
     try:
         scene = Scene.load(path)
     except FileFormatError:
@@ -385,10 +303,11 @@ def _load_rated(path: Path, source: dict[str, Any], key: str = RATING) -> Scene 
 
 def _with_targets(scene: Scene, targets: list[Target], source: dict[str, Any]) -> Scene:
     others = [target for target in scene.targets if target.robot != source["robot"]]
-    return _with_source(scene.model_copy(update={"targets": (*others, *targets)}), source, RATING)
+    return with_source(scene.model_copy(update={"targets": (*others, *targets)}), source, RATING)
 
 
-def _with_source(scene: Scene, source: dict[str, Any], key: str) -> Scene:
+def with_source(scene: Scene, source: dict[str, Any], key: str) -> Scene:
+    """Return a scene whose provenance holds the source of a rating."""
     settings = {**scene.provenance.settings, key: source}
     return scene.model_copy(update={"provenance": scene.provenance.model_copy(update={"settings": settings})})
 
