@@ -35,8 +35,8 @@ BRUSH_RATING = "brush_rating"
 def with_brush_certificates(scene: Scene, robot: str | Robot = "ur5e", seed: int = 0) -> Scene:
     """Return a scene whose targets for an arm are also rated with leaves that give way, see `Target.brush`.
 
-    A target that is reached without touching a leaf keeps its rating. For the others, the rule of `greenhouse_gym.planning.certify` applies
-    without the leaves, and the witness is a path through few of them.
+    A target that is reached without touching a leaf keeps its rating. For the others, the rule of
+    `greenhouse_gym.planning.certify` applies without the leaves, and the witness is a path through few of them.
 
     Args:
         scene: A scene with targets; those for other arms stay as they are.
