@@ -36,14 +36,19 @@ TRACKS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
         "reconstruction": {},
         "truth": {"physics": "truth"},
         "moved": {"physics": "truth", "randomization": Randomization(plants=PlantMotion())},
-        "brush": {"physics": "truth", "plants": "brush", "difficulty": DIFFICULTIES},
+        "brush": {"physics": "truth", "plants": "brush"},
     }
 )
-"""Rules of each track: the simulated world is the reconstruction itself, the true row, the true row after the plants
-moved, or the true row with leaves that give way, whose targets include those rated unreachable with rigid leaves.
+"""Simulated world of each track: the reconstruction itself, the true row, the true row after the plants moved, or the
+true row with leaves that give way.
 
 Agents always observe the reconstruction.
 """
+
+
+def difficulty_of(protocol: Protocol, track: str) -> tuple[str, ...]:
+    """Return the difficulties of a track's targets: on "brush", also those that are unreachable with rigid leaves."""
+    return DIFFICULTIES if track == "brush" else protocol.difficulty
 
 
 def submit(
@@ -210,8 +215,8 @@ def _run(
 
 
 def _settings(protocol: Protocol, track: str) -> dict[str, Any]:
-    rules = {name: getattr(protocol, name) for name in ("bank", "split", "difficulty", "start")}
-    return {**rules, **TRACKS[track]}
+    rules = {name: getattr(protocol, name) for name in ("bank", "split", "start")}
+    return {**rules, "difficulty": difficulty_of(protocol, track), **TRACKS[track]}
 
 
 def _check_rules(agent: str, changed: str) -> None:

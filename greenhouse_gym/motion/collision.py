@@ -86,11 +86,26 @@ def planning_model(
     for pair in pairs:
         require_choice("collision pair", pair, COLLISION_PAIRS)
     _leave_out(compiled, model, set(COLLISION_PAIRS) - set(pairs))
-    if not isinstance(leaves, str):
-        pass_through(model, compiled.leaf_geoms[leaves])
-    elif require_choice("leaves", leaves, LEAVES) == "brush":
-        pass_through(model, compiled.leaf_geoms)
+    pass_through(model, _yielding_geoms(compiled, leaves))
     return model
+
+
+def _yielding_geoms(compiled: CompiledScene, leaves: Leaves) -> npt.NDArray[np.int64]:
+    """Return the ids of the leaves that give way.
+
+    Raises:
+        InvalidValueError: There is no such leaf.
+        UnknownNameError: No such treatment of leaves.
+    """
+    geoms = compiled.leaf_geoms
+    if isinstance(leaves, str):
+        return geoms if require_choice("leaves", leaves, LEAVES) == "brush" else geoms[:0]
+    chosen = np.asarray(leaves)
+    wrong = chosen[(chosen < 0) | (chosen >= len(geoms))] if chosen.dtype.kind in "iu" else chosen
+    if chosen.ndim != 1 or (len(wrong) and len(chosen)):
+        expected = f"scene {compiled.scene.name!r} has leaves 0 to {len(geoms) - 1}"
+        raise InvalidValueError(f"leaves {', '.join(map(str, wrong.ravel()))}: {expected}")
+    return geoms[chosen.astype(np.int64)]
 
 
 def checker_of(
