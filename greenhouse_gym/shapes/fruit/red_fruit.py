@@ -26,7 +26,7 @@ from greenhouse_gym.shapes.surface_cloud import SurfaceCloud
 RED = 0.22
 """(R - G) / (R + G) above which skin is red: about half way from leaves to ripe fruit."""
 
-_NOISE_REACH = 8.0  # radius of the smallest fruit, and of the patch that noise may fake, in standard deviations
+_NOISE_REACH = 7.0  # radius of the smallest fruit, and of the patch that noise may fake, in standard deviations
 _RADIUS_STEP = 1.28  # ratio of the radii tried
 _CELL = 1 / 6  # side of the cells in which the cloud is compared with a ball, in radii
 _SPACING = 0.6  # distance between the points at which balls are laid, in radii
