@@ -208,10 +208,11 @@ class PlannerAgent(NamedAgent):
 
     def _plan(self, problem: Problem, level: Level, seed: int) -> PlanResult:
         margin, unknown = level
+        leaves = self.leaves or ("rigid" if problem.plants == "rigid" else "brush")
         return plan(
             problem.scene, problem.target, problem.robot, self.planner, self.time_limit, self.max_checks, self.goals,
             seed=seed, start=problem.start, settings=self.settings, unknown=unknown, margin=margin,
-            unexplained=self.unexplained and problem.scene.occupancy is not None, leaves=self.leaves or ("rigid" if problem.plants == "rigid" else "brush"),
+            unexplained=self.unexplained and problem.scene.occupancy is not None, leaves=leaves,
         )  # fmt: skip
 
     def act(self, observation: Any) -> npt.NDArray[np.float32]:
