@@ -45,6 +45,7 @@ class Problem:
         step_limit: Number of actions after which the episode ends.
         controls: Names of the entries that an action has after those that move the arm, see `Task.controls`.
         live: The simulation itself with its compliant plants, for agents with ``knows_truth`` alone.
+        plants: "rigid", or "brush" if leaves give way, see `greenhouse_gym.envs.EnvSettings`.
     """
 
     scene: Scene
@@ -57,6 +58,7 @@ class Problem:
     step_limit: int = STEP_LIMIT
     controls: tuple[str, ...] = ()
     live: CompliantSimulation | None = None
+    plants: str = "rigid"
 
     @classmethod
     def of(cls, simulation: Simulation, i: int, seed: int, agent: object = None) -> Problem:
@@ -69,7 +71,7 @@ class Problem:
         return cls(
             simulation.known_scene(i), simulation.target(i), robot, simulation.episode(i).start.copy(), seed,
             make_action(settings.action, robot, interval), interval, settings.step_limit, simulation.task.controls,
-            simulation.live(i) if getattr(agent, "knows_truth", False) else None,
+            simulation.live(i) if getattr(agent, "knows_truth", False) else None, settings.plants,
         )  # fmt: skip
 
     @property

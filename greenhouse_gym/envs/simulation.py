@@ -251,7 +251,7 @@ class Simulation:
 
     def _touchable(self, episode: Episode) -> tuple[int, ...]:
         """Return the tomatoes that the cup may touch."""
-        return episode.targets if self.task.touches_targets else ()
+        return episode.targets if self.task.allows_cup_contact else ()
 
     def _advance_targets(self, ids: Ids) -> None:
         """Make the next target of some simulations the current one, which affects the next observation."""

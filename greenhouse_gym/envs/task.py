@@ -69,8 +69,8 @@ class Task(ABC):
             begins with an underscore is known to the task and its rewards alone.
         arrays: Spaces of arrays in `memory` that ``observation="task"`` contains, by name.
         controls: Names of the entries, from -1 to 1, that an action has after those that move the arm.
-        camera: Camera of which `see` gets views; None for none.
-        touches_targets: The cup may touch the targets of the episode.
+        camera: Camera that takes the views for `see`; None for no views.
+        allows_cup_contact: The cup may touch the targets of the episode.
         layout: Slots for plants that give way, for a task that needs them; None for one that works with any plants.
         mechanics: Mechanics of plants that give way.
         knows_scan: Agents know the scanned scene at the start of an episode; otherwise only where the arm stands.
@@ -85,7 +85,7 @@ class Task(ABC):
     arrays: Mapping[str, spaces.Box] = MappingProxyType({})
     controls: tuple[str, ...] = ()
     camera: DepthCamera | None = None
-    touches_targets: bool = True
+    allows_cup_contact: bool = True
     layout: Layout | None = None
     mechanics: PlantMechanics = PlantMechanics()
     knows_scan: bool = True
