@@ -35,6 +35,7 @@ _GUESSES = 400  # configurations from which inverse kinematics starts above the 
 _CLOSING, _PULLING = 0.12, 0.12  # m/s
 _TURNING = 1.6  # rad/s
 _REACHES, _PULLS, _DROPS = 24, 40, 3  # actions at most to close the gap, to part the pedicel, to let go
+_AROUND = 0.04  # metres: distance from the crate that paths to fruit keep where they can
 _RETREAT, _BACK, _RETREATS = 0.05, 0.25, 16  # metres and m/s by which the tip withdraws, and actions at most
 _DAMPING = 0.05
 _ABOVE, _SPREAD = 0.02, 0.07  # metres: height of the tip above the rim, and spread of the fruit in the crate
@@ -132,8 +133,8 @@ class _Harvest:
             return self._tried.get(fruit, 0), float(np.linalg.norm(plants.center(fruit) - tip))
 
         order = sorted(map(int, left), key=rank)
-        for leaves in (True, False):
-            scene = live_scene(plants, self._live.world.compiled, leaves)
+        for leaves, around in ((True, _AROUND), (True, 0.0), (False, 0.0)):
+            scene = live_scene(plants, self._live.world.compiled, leaves, around)
             best: tuple[float, int, Array] | None = None
             for count, fruit in enumerate(order, start=1):
                 path = self._plan(scene, scene.tomatoes[fruit], None)
