@@ -16,6 +16,7 @@ from greenhouse_gym.plants.mechanics import GRAVITY, HINGE_ARMATURE, PlantMechan
 from greenhouse_gym.plants.slots import merged, plant
 from greenhouse_gym.plants.topology import topology_of
 from greenhouse_gym.scene import SceneBank, compile_scene
+from greenhouse_gym.scene.obstacle_slots import TYPES, geoms_of
 from greenhouse_gym.scene.truth import true_scene
 
 SCENE = "own-cluster-2000-w00-02"
@@ -68,10 +69,7 @@ def test_mass_properties_equal_those_of_the_compiler():
     spec = mujoco.MjSpec()
     body = spec.worldbody.add_body()
     body.add_freejoint()
-    arrays = arrays_of(shapes)
-    from greenhouse_gym.scene.obstacle_slots import TYPES, geoms_of
-
-    for kind, position, size, quat in zip(*geoms_of(arrays), strict=True):
+    for kind, position, size, quat in zip(*geoms_of(arrays_of(shapes)), strict=True):
         body.add_geom(type=TYPES[kind], pos=position, size=size, quat=quat, density=950)
     expected = spec.compile()
     assert found.mass == pytest.approx(expected.body_mass[1])
@@ -83,13 +81,12 @@ def test_merged_plates_cover_those_of_the_leaf():
     rng = np.random.default_rng(0)
     boxes = arrays_of([Box(rng.normal(size=3) * 0.1, np.array([0.02, 0.01, 0.001]), np.eye(3)) for _ in range(40)])
     few = merged(boxes, 5)
-    inside = [
-        (np.abs((center - few.starts) @ few.rotations[0]) >= 0).all() and
-        any((np.abs((center - s) @ r) <= h + 1e-9).all() for s, h, r in zip(few.starts, few.sizes, few.rotations, strict=True))
-        for center in boxes.starts
-    ]  # fmt: skip
+
+    def covers(k, center):
+        return (np.abs((center - few.starts[k]) @ few.rotations[k]) <= few.sizes[k] + 1e-9).all()
+
     assert len(few.kinds) == 5
-    assert all(inside)
+    assert all(any(covers(k, center) for k in range(5)) for center in boxes.starts)
 
 
 def test_plants_rest_where_they_were_scanned(model):
