@@ -98,8 +98,8 @@ def plant(
     ids = SlotIds(model, layout)
     if ids.cup_geom < 0:
         raise InvalidValueError(
-            f"robot {compiled.robot.name!r} has no gripper that can hold: its file needs a geom {CUP_GEOM!r} at the tip, "
-            "such as greenhouse_gym.robots.tool.mount_tool adds"
+            f"robot {compiled.robot.name!r} has no gripper that can hold: its file needs a geom {CUP_GEOM!r} at the "
+            "tip, such as greenhouse_gym.robots.tool.mount_tool adds"
         )
     filler = _Filler(compiled, mechanics)
     fruit = np.full((layout.trusses, layout.fruit), -1)
