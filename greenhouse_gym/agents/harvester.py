@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
+import mujoco
 import numpy as np
 import numpy.typing as npt
 
@@ -14,13 +16,16 @@ from greenhouse_gym.agents.planner_agent import safe_commands
 from greenhouse_gym.envs.compliant_physics import CompliantSimulation
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.motion.collision import CollisionChecker, checker_of
 from greenhouse_gym.motion.inverse_kinematics import Approach, inverse_kinematics
 from greenhouse_gym.motion.path import path_length
 from greenhouse_gym.planning import plan
 from greenhouse_gym.plants.live import HANGING
 from greenhouse_gym.plants.live_scene import LiveScene, live_scene
+from greenhouse_gym.robots import Robot
 from greenhouse_gym.robots.kinematics import tool_chain
-from greenhouse_gym.scene import Scene
+from greenhouse_gym.robots.robot import TIP_SITE
+from greenhouse_gym.scene import Scene, compile_scene
 
 Action = npt.NDArray[np.float32]
 
@@ -37,7 +42,7 @@ _TURNING = 1.6  # rad/s
 _REACHES, _PULLS, _DROPS = 24, 40, 3  # actions at most to close the gap, to part the pedicel, to let go
 _AROUND = 0.04  # metres: distance from the crate that paths to fruit keep where they can
 _RETREAT, _BACK, _RETREATS = 0.05, 0.25, 16  # metres and m/s by which the tip withdraws, and actions at most
-_DAMPING = 0.05
+_DAMPING, _SHRUNK = 0.05, 0.9  # of the inverse kinematics; radius of a held fruit in plans over its own
 _ABOVE, _SPREAD = 0.02, 0.07  # metres: height of the tip above the rim, and spread of the fruit in the crate
 
 
@@ -83,6 +88,7 @@ class _Harvest:
         self._vacuum, self._seed, self._picked = -1.0, problem.seed, 0
         self._chain = tool_chain(live.world.compiled.model, live.world.compiled.tip_site)
         self._tried: dict[int, int] = {}
+        self._guard = self._fixtures()
         self._scene: LiveScene
         self._failure = ""
 
@@ -105,6 +111,13 @@ class _Harvest:
             if off:
                 yield from self._deliver()
                 self._picked += 1
+
+    def _fixtures(self) -> CollisionChecker:
+        """Return the checker for motions among the plants, which must not touch fixtures, main stems and the crate."""
+        scene = live_scene(self._live.plants, self._live.world.compiled, leaves=False, around_crate=_AROUND / 2).scene
+        rigid = tuple(stem for stem in scene.stems if stem.kind not in ("peduncle", "pedicel"))
+        scene = scene.model_copy(update={"tomatoes": scene.tomatoes[:1], "stems": rigid})
+        return checker_of(compile_scene(scene, self._robot), 0)
 
     @property
     def _plants(self) -> Any:
@@ -150,10 +163,10 @@ class _Harvest:
         self._tried.update(dict.fromkeys(order, TRIES))
         return None
 
-    def _plan(self, scene: LiveScene, target: int, goals: Array | None) -> Array | None:
+    def _plan(self, scene: LiveScene, target: int, goals: Array | None, robot: Robot | None = None) -> Array | None:
         start = np.clip(self._command, self._robot.lower, self._robot.upper)
         result = plan(
-            scene.scene, target, self._robot, self._agent.planner, time_limit=None, max_checks=_CHECKS,
+            scene.scene, target, robot or self._robot, self._agent.planner, time_limit=None, max_checks=_CHECKS,
             goals=30 if goals is None else goals, seed=self._seed, start=start,
         )  # fmt: skip
         self._failure = f"{result.status} {result.message}".strip()
@@ -210,12 +223,13 @@ class _Harvest:
 
     def _deliver(self) -> Iterator[Action]:
         """Carry the held fruit to the crate and let go."""
-        scene = live_scene(self._plants, self._live.world.compiled, leaves=True)
-        goals = self._above_crate()
-        path = self._plan(scene, 0, goals) if len(goals) else None
-        if path is None:
-            scene = live_scene(self._plants, self._live.world.compiled, leaves=False)
-            path = self._plan(scene, 0, goals) if len(goals) else None
+        goals, path = self._above_crate(), None
+        loaded = with_fruit(self._robot, self._plants.radius(self._plants.held)) if self._plants.held >= 0 else None
+        for leaves, robot in ((True, loaded), (False, loaded), (False, self._robot)):
+            scene = live_scene(self._plants, self._live.world.compiled, leaves)
+            path = self._plan(scene, 0, goals, robot) if len(goals) else None
+            if path is not None:
+                break
         if path is None:
             self._agent.status = "no path to the crate"
         else:
@@ -251,4 +265,20 @@ class _Harvest:
         wanted = np.concatenate([velocity, spin]) * self._problem.interval
         square = jacobian @ jacobian.T + _DAMPING**2 * np.eye(6)
         change = jacobian.T @ np.linalg.solve(square, wanted)
-        return self._action(change / max(1.0, float((np.abs(change) / self._problem.joint_steps).max())))
+        change /= max(1.0, float((np.abs(change) / self._problem.joint_steps).max()))
+        command = self._command
+        blocked = self._guard.is_free(command) and not self._guard.is_free(command + change)
+        return self._action(change * 0.0 if blocked else change)
+
+
+def with_fruit(robot: Robot, radius: float) -> Robot:
+    """Return an arm with a fruit at its cup, for planning."""
+    spec = robot.spec()
+    tip = spec.site(TIP_SITE)
+    middle = np.empty(3)
+    mujoco.mju_rotVecQuat(middle, np.array([0.0, 0.0, radius]), np.array(tip.quat))
+    tip.parent.add_geom(
+        name="held_fruit", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[_SHRUNK * radius, 0, 0], pos=tip.pos + middle,
+        mass=0, contype=1, conaffinity=3,
+    )  # fmt: skip
+    return replace(robot, specification=spec)
