@@ -35,6 +35,7 @@ CANDIDATES = 3
 TRIES = 2
 """Number of attempts to pick a fruit."""
 
+_ATTEMPTS = 4  # withdrawals with a fruit before it is given up
 _CHECKS = 60_000  # collision checks of a plan
 _GUESSES = 400  # configurations from which inverse kinematics starts above the crate
 _CLOSING, _PULLING = 0.12, 0.12  # m/s
@@ -223,20 +224,30 @@ class _Harvest:
 
     def _deliver(self) -> Iterator[Action]:
         """Carry the held fruit to the crate and let go."""
-        goals, path = self._above_crate(), None
-        loaded = with_fruit(self._robot, self._plants.radius(self._plants.held)) if self._plants.held >= 0 else None
+        found = None
+        for _ in range(_ATTEMPTS):
+            found = self._path_to_crate()
+            if found is not None or self._plants.held < 0:
+                break
+            yield from self._withdraw()  # the fruit is still too close to others
+        if found is not None:
+            yield from self._follow(found[0], 0, found[1])
+        elif self._plants.held >= 0:
+            self._agent.status = f"no path to the crate: {self._failure}"
+        self._vacuum = -1.0
+        for _ in range(_DROPS):
+            yield self._action(np.zeros(len(self._robot.joints)))
+
+    def _path_to_crate(self) -> tuple[Scene, Array] | None:
+        """Return a path to the crate, with the held fruit clear of everything where one exists, and its scene."""
+        goals = self._above_crate()
+        loaded = with_fruit(self._robot, self._plants.radius(max(self._plants.held, 0)))
         for leaves, robot in ((True, loaded), (False, loaded), (False, self._robot)):
             scene = live_scene(self._plants, self._live.world.compiled, leaves)
             path = self._plan(scene, 0, goals, robot) if len(goals) else None
             if path is not None:
-                break
-        if path is None:
-            self._agent.status = "no path to the crate"
-        else:
-            yield from self._follow(scene.scene, 0, path)
-        self._vacuum = -1.0
-        for _ in range(_DROPS):
-            yield self._action(np.zeros(len(self._robot.joints)))
+                return scene.scene, path
+        return None
 
     def _above_crate(self) -> Array:
         """Return configurations with the tool pointing down into the crate."""
