@@ -30,10 +30,10 @@ AGENTS = {"ShortcutConnect": "plans on the scan alone", "watchful": "looks befor
 VIEW = Viewpoint((-1.0, -1.55, 1.75), (0.3, 0.0, 1.2), 50.0)
 WIDTH, HEIGHT, TITLE = 400, 420, 26
 REACHED, COLLIDED, TEXT = (46, 158, 91), (214, 66, 50), (60, 60, 60)
-EVERY, FPS, HOLD = 2, 10, 18  # actions between two images, images a second, images for which the end stays
+EVERY, HOLD = 2, 18  # actions between two images, and images for which the end stays
 
-TILE, TILES = (108, 88), 8
-"""Size of one of the simulations, pixels, and the number of them along each side."""
+TILE, TILES, EVERY_OF_TILES = (72, 60), 8, 4
+"""Size of one of the simulations, pixels; number of them along each side; actions between two images."""
 
 
 def episode(name: str, title: str) -> Iterator[Image.Image]:
@@ -51,7 +51,7 @@ def episode(name: str, title: str) -> Iterator[Image.Image]:
         observation, _, terminated, truncated, info = env.step(agent.act(observation))
         over = terminated or truncated
         if over:
-            ended = "reaches the tomato" if info["is_success"] else "hits a leaf missing from the scan"
+            ended = "reaches the tomato" if info["is_success"] else "hits a leaf"
             yield titled(env.render(), f"{title}: {ended}", REACHED if info["is_success"] else COLLIDED)
         elif info["steps"] % EVERY == 0:
             yield titled(env.render(), title, TEXT)
@@ -90,19 +90,21 @@ def vector() -> Iterator[Any]:
     observations, infos = env.reset(seed=0)
     tiles = list(env.render())
     ended = np.zeros(count, dtype=bool)
+    yield mosaic(tiles)
     for step in range(1, 121):
-        yield mosaic(tiles)
         observations, _, terminated, truncated, infos = env.step(agent.act_many(observations))
-        images = env.render() if step % EVERY == 0 or (terminated | truncated).any() else None
+        images = env.render() if step % EVERY_OF_TILES == 0 or (terminated | truncated).any() else None
         for k in np.flatnonzero(~ended):
             if images is not None:
                 tiles[k] = images[k]
             if terminated[k] or truncated[k]:
                 tiles[k] = framed(tiles[k], REACHED if infos["is_success"][k] else COLLIDED)
         ended |= terminated | truncated
+        if step % EVERY_OF_TILES == 0:
+            yield mosaic(tiles)
         if ended.all():
             break
-    for _ in range(HOLD):
+    for _ in range(HOLD // 2):
         yield mosaic(tiles)
 
 
@@ -118,7 +120,8 @@ def mosaic(tiles: list[Any]) -> Any:
     return np.concatenate([np.concatenate(tiles[k : k + TILES], axis=1) for k in range(0, len(tiles), TILES)])
 
 
-PICTURES = {"two-agents": two_agents, "vector": vector}
+PICTURES = {"two-agents": (two_agents, 20 / EVERY), "vector": (vector, 20 / EVERY_OF_TILES)}
+"""Pictures by name, and their images per second, which show the motion as fast as it is."""
 
 
 def main() -> None:
@@ -126,7 +129,8 @@ def main() -> None:
     command = parser(__doc__)
     command.add_argument("--picture", choices=PICTURES, default="two-agents")
     name = command.parse_args().picture
-    written = write_film(PICTURES[name](), GALLERY / f"{name}.webp", FPS)
+    images, fps = PICTURES[name]
+    written = write_film(images(), GALLERY / f"{name}.webp", fps)
     print(f"{written}: {written.stat().st_size / 1e6:.2f} MB")
 
 

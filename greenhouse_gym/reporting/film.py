@@ -107,7 +107,7 @@ class _Take(NamedTuple):
         env, simulation = self.env, self.env.simulation
         observation, info = env.reset(seed=seed)
         title = f"{self.agent.name}: {info['scene']}, tomato {info['target']} ({info['difficulty']})"
-        problem = Problem.of(simulation, 0, seed)
+        problem = Problem.of(simulation, 0, seed, self.agent)
         trace, failure, over = [simulation.tip(0)], "", False
         yield self._image(trace, title)
         try:
