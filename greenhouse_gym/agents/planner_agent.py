@@ -55,6 +55,27 @@ def fallback_levels(scene: Scene) -> list[Level]:
     return list(dict.fromkeys([(margin, unknown), (margin, "free"), (margin / 2, "free"), (0.0, "free")]))
 
 
+def path_commands(path: Array, problem: Problem) -> Array:
+    """Return the commands (steps, joints) along a path from the current configuration, within the arm's limits.
+
+    Raises:
+        InvalidValueError: The environment's actions do not move the joints.
+    """
+    return follow_path(*_limits(path, problem), lag=problem.robot.lag)
+
+
+def safe_commands(scene: Scene, target: int, path: Array, problem: Problem, leaves: str = LEAVES[0]) -> Array:
+    """Return the commands along a path that was planned in a scene, proven free between them; see `path_commands`."""
+    return free_commands(compile_scene(scene, problem.robot), target, *_limits(path, problem), leaves=leaves)
+
+
+def _limits(path: Array, problem: Problem) -> tuple[Array, Array, Array, float]:
+    """Return a path with limits on speed and acceleration, and the time between commands."""
+    robot, steps, interval = problem.robot, problem.joint_steps, problem.interval
+    speed = np.minimum(np.minimum(robot.velocity_limits, steps / interval), joint_steps(robot) / INTERVAL)
+    return path, speed, robot.acceleration_limits, interval
+
+
 class PathFollower:
     """Turns a joint path into the environment's actions, followed by zero actions.
 
@@ -72,13 +93,12 @@ class PathFollower:
     """
 
     def __init__(self, path: Array, problem: Problem, proven: bool = False, leaves: str = LEAVES[0]):
-        robot, steps, interval = problem.robot, problem.joint_steps, problem.interval
-        speed = np.minimum(np.minimum(robot.velocity_limits, steps / interval), joint_steps(robot) / INTERVAL)
-        limits = (path, speed, robot.acceleration_limits, interval)
-        if proven:
-            self.commands = free_commands(compile_scene(problem.scene, robot), problem.target, *limits, leaves=leaves)
-        else:
-            self.commands = follow_path(*limits, lag=robot.lag)
+        steps = problem.joint_steps
+        self.commands = (
+            safe_commands(problem.scene, problem.target, path, problem, leaves)
+            if proven
+            else path_commands(path, problem)
+        )
         self._actions = iter(np.diff(self.commands, axis=0, prepend=path[:1]) / steps)
         self._zero = np.zeros(len(steps))
 
@@ -188,10 +208,11 @@ class PlannerAgent(NamedAgent):
 
     def _plan(self, problem: Problem, level: Level, seed: int) -> PlanResult:
         margin, unknown = level
+        leaves = self.leaves or ("rigid" if problem.plants == "rigid" else "brush")
         return plan(
             problem.scene, problem.target, problem.robot, self.planner, self.time_limit, self.max_checks, self.goals,
             seed=seed, start=problem.start, settings=self.settings, unknown=unknown, margin=margin,
-            unexplained=self.unexplained and problem.scene.occupancy is not None, leaves=self.leaves or problem.plants,
+            unexplained=self.unexplained and problem.scene.occupancy is not None, leaves=leaves,
         )  # fmt: skip
 
     def act(self, observation: Any) -> npt.NDArray[np.float32]:

@@ -46,7 +46,7 @@ MAX_TRIES, ENOUGH_PATHS = 1500, 4
 NEAREST = 8
 """Number of goals nearest to the start that are kept even if no path leads to them."""
 
-_CACHE_SIZE = 10_000  # roadmaps kept per scene
+_CACHE_SIZE = 256  # roadmaps kept per scene, about 6 KB each; random starts make a new one in every episode
 _MAX_MOTIONS = 30  # of a path
 
 
@@ -146,6 +146,7 @@ class SceneRoadmaps:
         if key not in self._nodes:
             if len(self._nodes) >= _CACHE_SIZE:
                 self._nodes.clear()
+                self._postures.clear()
             free, postures = nearest_free_goals(checker, goals), self._postures_around(checker, goals.start, leaves)
             self._nodes[key] = search_nodes(checker, free, postures, goals.start, self.compiled.robot)
         return Roadmap(self._nodes[key], checker, goals.start)

@@ -47,7 +47,7 @@ def move_plants(shapes: Shapes, motion: PlantMotion, rng: np.random.Generator) -
     hanging = [k for k, stem in enumerate(stems) if stem.kind in ("peduncle", "pedicel")]
     trusses = sorted({tomato.truss for tomato in shapes.tomatoes})
     rotations = {truss: _sample_rotation(motion, rng) for truss in trusses}
-    owners = dict(zip(hanging, _nearest_truss([stems[k] for k in hanging], shapes.tomatoes), strict=True))
+    owners = dict(zip(hanging, nearest_truss([stems[k] for k in hanging], shapes.tomatoes), strict=True))
     roots = {
         truss: _root([stems[k] for k in hanging if owners[k] == truss], stems, shapes.tomatoes, truss)
         for truss in trusses
@@ -95,7 +95,7 @@ def _sample_rotation(motion: PlantMotion, rng: np.random.Generator) -> Array:
     return np.asarray(swing @ rotation_about([0.0, 0.0, 1.0], float(about)))
 
 
-def _nearest_truss(stems: list[Stem], tomatoes: tuple[Tomato, ...]) -> list[int]:
+def nearest_truss(stems: list[Stem], tomatoes: tuple[Tomato, ...]) -> list[int]:
     """Return the truss of the tomato nearest to the middle of each stem, or -1 without tomatoes."""
     if not stems or not tomatoes:
         return [-1] * len(stems)
