@@ -273,7 +273,7 @@ class Worlds:
             self._planted.popitem(last=False)
         return self._planted[key][1]
 
-    def _compile(self, scene: Scene) -> CompiledScene:
+    def _compile(self, scene: Surroundings) -> CompiledScene:
         compiled = compile_scene(scene, self.robot, self.capacity, self._edit)
         if self.leaves == "brush":
             make_yielding(compiled.model, compiled.leaf_geoms)
