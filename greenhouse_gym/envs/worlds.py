@@ -31,6 +31,7 @@ from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import CompiledScene, Scene, SceneBank, Shapes, compile_scene
 from greenhouse_gym.scene.geom_order import first_world_geom
 from greenhouse_gym.scene.mjcf import DEFAULT_CAPACITY, MAX_CAPACITY, base_position, make_yielding
+from greenhouse_gym.scene.obstacles import Surroundings
 from greenhouse_gym.scene.plant_motion import move_plants
 from greenhouse_gym.scene.truth import known_scene, true_scene
 
