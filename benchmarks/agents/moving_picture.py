@@ -51,7 +51,7 @@ def episode(name: str, title: str) -> Iterator[Image.Image]:
         observation, _, terminated, truncated, info = env.step(agent.act(observation))
         over = terminated or truncated
         if over:
-            ended = "reaches the tomato" if info["is_success"] else "hits a leaf missing from the scan"
+            ended = "reaches the tomato" if info["is_success"] else "hits a leaf"
             yield titled(env.render(), f"{title}: {ended}", REACHED if info["is_success"] else COLLIDED)
         elif info["steps"] % EVERY == 0:
             yield titled(env.render(), title, TEXT)
