@@ -130,10 +130,10 @@ def plan(
     origin = _configurations("start", [arm.configuration(start)], arm)[0]
     if isinstance(leaves, str) and leaves == "brush":
 
-        def search(some: Leaves, ends: Array | None, seconds: float | None, checks: int | None) -> PlanResult:
+        def search(passable: Leaves, ends: Array | None, seconds: float | None, checks: int | None) -> PlanResult:
             return plan(
                 scene, target, arm, planner, seconds, checks, goals if ends is None else ends, seed, origin, settings,
-                first_solution, pairs, unknown, margin, unexplained, some,
+                first_solution, pairs, unknown, margin, unexplained, passable,
             )  # fmt: skip
 
         def find_goals() -> Array:
