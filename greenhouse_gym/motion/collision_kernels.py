@@ -173,6 +173,8 @@ def _local(p, g):
 @inlined
 def _near(g, a, b, radius):
     """Return whether the segment from a to b is nearer to a geom than a radius."""
+    if radius <= 0.0:
+        return False
     kind, size = int(g[0]), (g[13], g[14], g[15])
     if kind == _SPHERE:
         center, limit = (g[1], g[2], g[3]), radius + size[0]
@@ -190,6 +192,22 @@ def _near(g, a, b, radius):
     if apart >= radius + max(size[0], max(size[1], size[2])):
         return False
     return apart < radius + min(size[0], min(size[1], size[2])) or segment_to_ellipsoid(u, v, size) < radius
+
+
+@inlined
+def _distance(g, a, b):
+    """Return the distance of the segment from a to b to a geom; inside a box it is 0."""
+    kind, size, origin = int(g[0]), (g[13], g[14], g[15]), (0.0, 0.0, 0.0)
+    u, v = _local(a, g), _local(b, g)
+    if kind == _SPHERE:
+        return math.sqrt(segments_apart(u, v, origin, origin)) - size[0]
+    if kind == _CAPSULE:
+        return math.sqrt(segments_apart(u, v, (0.0, 0.0, -size[1]), (0.0, 0.0, size[1]))) - size[0]
+    if kind == _PLANE:
+        return min(u[2], v[2])
+    if kind == _BOX:
+        return math.sqrt(segment_to_box(u, v, size))
+    return segment_to_ellipsoid(u, v, size)
 
 
 @inlined
@@ -246,8 +264,11 @@ def _frames(joints, q, frames):
 
 
 @inlined
-def _in_contact(joints, capsules, pairs, geoms, nodes, planes, q, frames, ends, stack):
-    """Return whether a configuration is in collision; the last three arguments are memory."""
+def _gap(joints, capsules, pairs, geoms, nodes, planes, q, limit, first, frames, ends, stack):
+    """Return the smallest distance beyond the margins in a configuration if it is below a limit, else the limit.
+
+    With ``first``, the search ends with -1 at any distance below the limit. The last three arguments are memory.
+    """
     _frames(joints, q, frames)
     for k in range(len(capsules)):
         c, j = capsules[k], int(capsules[k, 0])
@@ -265,9 +286,12 @@ def _in_contact(joints, capsules, pairs, geoms, nodes, planes, q, frames, ends, 
         i, k = pairs[p, 0], pairs[p, 1]
         a, b = (ends[i, 0], ends[i, 1], ends[i, 2]), (ends[i, 3], ends[i, 4], ends[i, 5])
         c, d = (ends[k, 0], ends[k, 1], ends[k, 2]), (ends[k, 3], ends[k, 4], ends[k, 5])
-        limit = capsules[i, 7] + capsules[k, 7] + capsules[i, 8] + capsules[k, 8]
-        if segments_apart(a, b, c, d) < limit * limit:
-            return True
+        radius = capsules[i, 7] + capsules[k, 7] + capsules[i, 8] + capsules[k, 8]
+        reach, squared = radius + limit, segments_apart(a, b, c, d)
+        if reach > 0.0 and squared < reach * reach:
+            if first:
+                return -1.0
+            limit = math.sqrt(squared) - radius
     for k in range(len(capsules) - 1, -1, -1):  # the tool first: most collisions are its
         if capsules[k, 0] < 0 or len(nodes) == 0:
             continue
@@ -277,23 +301,31 @@ def _in_contact(joints, capsules, pairs, geoms, nodes, planes, q, frames, ends, 
         hx, hy, hz = abs(a[0] - b[0]) / 2 + radius, abs(a[1] - b[1]) / 2 + radius, abs(a[2] - b[2]) / 2 + radius
         for p in range(len(planes)):
             g = planes[p]
-            if (int(g[17]) & offered or int(g[16]) & accepted) and _near(g, a, b, radius + g[18]):
-                return True
+            if (int(g[17]) & offered or int(g[16]) & accepted) and _near(g, a, b, radius + g[18] + limit):
+                if first:
+                    return -1.0
+                limit = _distance(g, a, b) - radius - g[18]
         stack[0] = 0
         size = 1
         while size > 0:
             size -= 1
             n = nodes[stack[size]]
-            if abs(n[0] - mx) > n[3] + hx or abs(n[1] - my) > n[4] + hy or abs(n[2] - mz) > n[5] + hz:
+            if (
+                abs(n[0] - mx) > n[3] + hx + limit
+                or abs(n[1] - my) > n[4] + hy + limit
+                or abs(n[2] - mz) > n[5] + hz + limit
+            ):
                 continue
             if n[8] < 0:
                 stack[size], stack[size + 1] = int(n[6]), int(n[7])
                 size += 2
                 continue
             g = geoms[int(n[8])]
-            if (int(g[17]) & offered or int(g[16]) & accepted) and _near(g, a, b, radius + g[18]):
-                return True
-    return False
+            if (int(g[17]) & offered or int(g[16]) & accepted) and _near(g, a, b, radius + g[18] + limit):
+                if first:
+                    return -1.0
+                limit = _distance(g, a, b) - radius - g[18]
+    return limit
 
 
 @kernel(f"i8({_WORLD}, f8[:, ::1])")
@@ -303,7 +335,7 @@ def first_contact(
     """Return the index of the first of some configurations (k, n) that is in collision, or -1."""
     frames, ends, stack = np.empty((len(joints), 18)), np.empty((len(capsules), 6)), np.empty(_STACK, np.int64)
     for k in range(len(configurations)):
-        if _in_contact(joints, capsules, pairs, geoms, nodes, planes, configurations[k], frames, ends, stack):
+        if _gap(joints, capsules, pairs, geoms, nodes, planes, configurations[k], 0.0, True, frames, ends, stack) < 0.0:
             return k
     return -1
 
@@ -322,7 +354,35 @@ def contacts(
     """Write which of some configurations (k, n) are in collision, (k,)."""
     frames, ends, stack = np.empty((len(joints), 18)), np.empty((len(capsules), 6)), np.empty(_STACK, np.int64)
     for k in range(len(configurations)):
-        touching[k] = _in_contact(joints, capsules, pairs, geoms, nodes, planes, configurations[k], frames, ends, stack)
+        q = configurations[k]
+        touching[k] = _gap(joints, capsules, pairs, geoms, nodes, planes, q, 0.0, True, frames, ends, stack) < 0.0
+
+
+@kernel(f"void({_WORLD}, f8[:, ::1], f8, f8, f8[::1])", writes=("gaps",))
+def smallest_gaps(
+    joints: Array,
+    capsules: Array,
+    pairs: Pairs,
+    geoms: Array,
+    nodes: Array,
+    planes: Array,
+    configurations: Array,
+    slack: float,
+    floor: float,
+    gaps: Array,
+) -> None:
+    """Write the smallest distances beyond the margins in some configurations (k, n), (k,).
+
+    They are at most 0. Those that exceed the smallest one before them, or ``floor`` if that is larger, by more than
+    ``slack`` may be written as 0.
+    """
+    frames, ends, stack = np.empty((len(joints), 18)), np.empty((len(capsules), 6)), np.empty(_STACK, np.int64)
+    smallest = 0.0
+    for k in range(len(configurations)):
+        limit, q = min(smallest + slack, 0.0), configurations[k]
+        gap = _gap(joints, capsules, pairs, geoms, nodes, planes, q, limit, False, frames, ends, stack)
+        gaps[k] = gap if gap < limit else 0.0
+        smallest = max(min(smallest, gap), floor)
 
 
 @kernel(f"i8({_WORLD}, f8[::1], f8[::1], i8)")
@@ -355,7 +415,7 @@ def contact_along(
             for j in range(len(q)):
                 q[j] = start[j] + fraction * motion[j]
             checks += 1
-            if _in_contact(joints, capsules, pairs, geoms, nodes, planes, q, frames, ends, stack):
+            if _gap(joints, capsules, pairs, geoms, nodes, planes, q, 0.0, True, frames, ends, stack) < 0.0:
                 return checks
     return 0
 

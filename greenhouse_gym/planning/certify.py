@@ -22,7 +22,8 @@ import numpy as np
 
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, require_seed
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.motion.collision import PROOF, CollisionChecker, path_clearance, planning_model
+from greenhouse_gym.motion.clearance import path_clearance
+from greenhouse_gym.motion.collision import PROOF, CollisionChecker, planning_model
 from greenhouse_gym.motion.goals import search_goals
 from greenhouse_gym.motion.joint_reaches import arm_reaches
 from greenhouse_gym.motion.kernel_checker import search_checker

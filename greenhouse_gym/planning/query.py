@@ -14,13 +14,13 @@ import numpy.typing as npt
 from greenhouse_gym.errors import InvalidValueError, check_whole, is_number, require_seed
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.caution import with_margin, with_unexplained_cells
+from greenhouse_gym.motion.clearance import path_clearance
 from greenhouse_gym.motion.collision import (
     COARSE,
     COLLISION_PAIRS,
     PROOF,
     CollisionChecker,
     checker_of,
-    path_clearance,
 )
 from greenhouse_gym.motion.goals import Goals, sample_budget, search_goals
 from greenhouse_gym.motion.path import path_length

@@ -7,7 +7,7 @@ import pytest
 
 from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.geometry import Sphere
-from greenhouse_gym.motion.collision import path_clearance
+from greenhouse_gym.motion.clearance import path_clearance
 from greenhouse_gym.planning import CollisionChecker, PlanResult, certify, certify_targets, planning_model
 from greenhouse_gym.planning.own_planners import PlannerFailedError
 from greenhouse_gym.planning.result import Status
