@@ -21,6 +21,12 @@ from greenhouse_gym.robots.robot import TIP_SITE
 
 _PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
 _ARM_TYPES = (int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM_CAPSULE))
+_ARM_FIELDS = (
+    "body_parentid", "body_weldid", "body_pos", "body_quat", "body_jntadr", "body_jntnum", "jnt_type", "jnt_pos",
+    "jnt_axis", "site_bodyid", "site_pos", "site_quat", "exclude_signature",
+)  # fmt: skip
+_GEOM_FIELDS = ("bodyid", "type", "pos", "quat", "size", "contype", "conaffinity", "margin")
+_CACHE_SIZE = 256  # arms, about 2 MB
 _WORLD_TYPES = (*_ARM_TYPES, _PLANE, int(mujoco.mjtGeom.mjGEOM_ELLIPSOID), int(mujoco.mjtGeom.mjGEOM_BOX))
 
 
@@ -83,8 +89,8 @@ def kernel_world(model: mujoco.MjModel) -> KernelWorld | None:
     simple = np.isin(model.geom_type[arm], _ARM_TYPES).all() and np.isin(model.geom_type[:count], _WORLD_TYPES).all()
     if tip < 0 or not simple or model.npair or model.body_geomadr[0] != 0:
         return None
-    chain = tool_chain(model, tip)
-    if not len(chain.axes) == model.njnt == model.nq:
+    own_arm = _arm_of(model, arm, tip)
+    if own_arm is None:
         return None
     geoms = np.column_stack(
         [
@@ -98,7 +104,28 @@ def kernel_world(model: mujoco.MjModel) -> KernelWorld | None:
     own = slice(int(model.body_bvhadr[0]), int(model.body_bvhadr[0]) + int(model.body_bvhnum[0]))
     nodes = np.column_stack([model.bvh_aabb[own], model.bvh_child[own], model.bvh_nodeid[own]])
     nodes[:, 3:6] += model.geom_margin[:count].max(initial=0.0)
-    return KernelWorld(chain.table, _capsules(model, chain, arm), _pairs(model, arm), geoms, nodes, planes)
+    return KernelWorld(*own_arm, geoms, nodes, planes)
+
+
+_Arm = tuple[Array, Array, npt.NDArray[np.int32]]
+_arms: dict[bytes, _Arm | None] = {}
+
+
+def _arm_of(model: mujoco.MjModel, arm: npt.NDArray[np.int64], tip: int) -> _Arm | None:
+    """Return the joints, capsules and pairs of a model, or None if a joint does not move the tip.
+
+    Few arms are used with many scenes, so the results are cached by all that they depend on.
+    """
+    fields = [np.ravel(getattr(model, name)).view(np.uint8) for name in _ARM_FIELDS]
+    fields += [np.ravel(getattr(model, f"geom_{name}")[arm]).view(np.uint8) for name in _GEOM_FIELDS]
+    key = np.concatenate(fields).tobytes()
+    if key not in _arms:
+        if len(_arms) >= _CACHE_SIZE:
+            _arms.clear()
+        chain = tool_chain(model, tip)
+        reached = len(chain.axes) == model.njnt == model.nq
+        _arms[key] = (chain.table, _capsules(model, chain, arm), _pairs(model, arm)) if reached else None
+    return _arms[key]
 
 
 def _capsules(model: mujoco.MjModel, chain: Chain, arm: npt.NDArray[np.int64]) -> Array:
