@@ -62,10 +62,10 @@ def _nearest(model: mujoco.MjModel, configurations: Array) -> Array:
     world = kernel_world(model)
     if world is None:
         return configurations
-    from greenhouse_gym.motion.collision_kernels import smallest_gaps
+    from greenhouse_gym.motion.clearance_kernels import smallest_gaps
 
     gaps = np.empty(len(configurations))
     floor = -CLEARANCE_RANGE  # the depth inside an obstacle is left to MuJoCo
-    smallest_gaps(*world, np.ascontiguousarray(configurations, dtype=np.float64), _SLACK, floor, gaps)
+    smallest_gaps(world, np.ascontiguousarray(configurations, dtype=np.float64), _SLACK, floor, gaps)
     limit = max(gaps.min(initial=0.0), floor)
     return configurations[(gaps < 0.0) & (gaps <= limit + _SLACK)]

@@ -1,8 +1,8 @@
 """Kernels of collision checks and inverse kinematics: an arm of capsules among the shapes of a scene.
 
 The arm is a chain of joints with capsules; spheres are capsules without length. The world is a tree of boxes over
-spheres, capsules, ellipsoids, boxes and planes. Both are a few arrays, so that a single call takes a microsecond; the
-kernels share their first arguments:
+spheres, capsules, ellipsoids, boxes and planes. Both are a few arrays, so that a single call takes a microsecond. The
+first argument of most kernels is a tuple of:
 
 - joints (n, 16): fixed pose before each joint as 3x4 by rows, unit axis in the frame after it, 1 for slides;
 - capsules (c, 11): index of the last joint before the capsule or -1, both ends in that joint's frame, radius, margin,
@@ -26,13 +26,14 @@ from greenhouse_gym.common.jit import inlined, kernel
 
 Array = npt.NDArray[np.float64]
 Pairs = npt.NDArray[np.int32]
+World = tuple[Array, Array, Pairs, Array, Array, Array]
 
 _PLANE, _SPHERE = int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_SPHERE)
 _CAPSULE, _BOX = int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_BOX)
 _STACK = 128  # deeper than any tree with a median split
 _GOLDEN, _SEARCHES = (math.sqrt(5.0) - 1) / 2, 24
 _NEWTON_STEPS = 9
-_WORLD = "f8[:, ::1], f8[:, ::1], i4[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1]"
+WORLD = "Tuple((f8[:, ::1], f8[:, ::1], i4[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1]))"
 
 
 @inlined
@@ -264,11 +265,20 @@ def _frames(joints, q, frames):
 
 
 @inlined
-def _gap(joints, capsules, pairs, geoms, nodes, planes, q, limit, first, frames, ends, stack):
+def memory_for(world):
+    """Return the memory that checks need: joint frames, ends of capsules, a stack, a configuration and a motion."""
+    n, frames, ends = len(world[0]), np.empty((len(world[0]), 18)), np.empty((len(world[1]), 6))
+    return frames, ends, np.empty(_STACK, np.int64), np.empty(n), np.empty(n)
+
+
+@inlined
+def gap(world, q, limit, first, memory):
     """Return the smallest distance beyond the margins in a configuration if it is below a limit, else the limit.
 
-    With ``first``, the search ends with -1 at any distance below the limit. The last three arguments are memory.
+    With ``first``, the search ends with -1 at any distance below the limit. ``memory`` is that of `memory_for`.
     """
+    joints, capsules, pairs, geoms, nodes, planes = world
+    frames, ends, stack = memory[0], memory[1], memory[2]
     _frames(joints, q, frames)
     for k in range(len(capsules)):
         c, j = capsules[k], int(capsules[k, 0])
@@ -328,82 +338,28 @@ def _gap(joints, capsules, pairs, geoms, nodes, planes, q, limit, first, frames,
     return limit
 
 
-@kernel(f"i8({_WORLD}, f8[:, ::1])")
-def first_contact(
-    joints: Array, capsules: Array, pairs: Pairs, geoms: Array, nodes: Array, planes: Array, configurations: Array
-) -> int:
+@kernel(f"i8({WORLD}, f8[:, ::1])")
+def first_contact(world: World, configurations: Array) -> int:
     """Return the index of the first of some configurations (k, n) that is in collision, or -1."""
-    frames, ends, stack = np.empty((len(joints), 18)), np.empty((len(capsules), 6)), np.empty(_STACK, np.int64)
+    memory = memory_for(world)
     for k in range(len(configurations)):
-        if _gap(joints, capsules, pairs, geoms, nodes, planes, configurations[k], 0.0, True, frames, ends, stack) < 0.0:
+        if gap(world, configurations[k], 0.0, True, memory) < 0.0:
             return k
     return -1
 
 
-@kernel(f"void({_WORLD}, f8[:, ::1], b1[::1])", writes=("touching",))
-def contacts(
-    joints: Array,
-    capsules: Array,
-    pairs: Pairs,
-    geoms: Array,
-    nodes: Array,
-    planes: Array,
-    configurations: Array,
-    touching: npt.NDArray[np.bool_],
-) -> None:
+@kernel(f"void({WORLD}, f8[:, ::1], b1[::1])", writes=("touching",))
+def contacts(world: World, configurations: Array, touching: npt.NDArray[np.bool_]) -> None:
     """Write which of some configurations (k, n) are in collision, (k,)."""
-    frames, ends, stack = np.empty((len(joints), 18)), np.empty((len(capsules), 6)), np.empty(_STACK, np.int64)
+    memory = memory_for(world)
     for k in range(len(configurations)):
-        q = configurations[k]
-        touching[k] = _gap(joints, capsules, pairs, geoms, nodes, planes, q, 0.0, True, frames, ends, stack) < 0.0
+        touching[k] = gap(world, configurations[k], 0.0, True, memory) < 0.0
 
 
-@kernel(f"void({_WORLD}, f8[:, ::1], f8, f8, f8[::1])", writes=("gaps",))
-def smallest_gaps(
-    joints: Array,
-    capsules: Array,
-    pairs: Pairs,
-    geoms: Array,
-    nodes: Array,
-    planes: Array,
-    configurations: Array,
-    slack: float,
-    floor: float,
-    gaps: Array,
-) -> None:
-    """Write the smallest distances beyond the margins in some configurations (k, n), (k,).
-
-    They are at most 0. Those that exceed the smallest one before them, or ``floor`` if that is larger, by more than
-    ``slack`` may be written as 0.
-    """
-    frames, ends, stack = np.empty((len(joints), 18)), np.empty((len(capsules), 6)), np.empty(_STACK, np.int64)
-    smallest = 0.0
-    for k in range(len(configurations)):
-        limit, q = min(smallest + slack, 0.0), configurations[k]
-        gap = _gap(joints, capsules, pairs, geoms, nodes, planes, q, limit, False, frames, ends, stack)
-        gaps[k] = gap if gap < limit else 0.0
-        smallest = max(min(smallest, gap), floor)
-
-
-@kernel(f"i8({_WORLD}, f8[::1], f8[::1], i8)")
-def contact_along(
-    joints: Array,
-    capsules: Array,
-    pairs: Pairs,
-    geoms: Array,
-    nodes: Array,
-    planes: Array,
-    start: Array,
-    motion: Array,
-    steps: int,
-) -> int:
-    """Check the inner points of a straight motion from a configuration, in `collision.halving_order`.
-
-    Returns:
-        Number of checks up to the first collision, or 0 without a collision.
-    """
-    frames, ends, stack = np.empty((len(joints), 18)), np.empty((len(capsules), 6)), np.empty(_STACK, np.int64)
-    q, checks, bits = np.empty(len(start)), 0, 0
+@inlined
+def contacts_along(world, start, motion, steps, memory):
+    """Check the inner points of a motion; see `contact_along`."""
+    q, checks, bits = memory[3], 0, 0
     while (1 << bits) <= steps - 1:
         bits += 1
     for index in range(1, 1 << bits):
@@ -415,9 +371,19 @@ def contact_along(
             for j in range(len(q)):
                 q[j] = start[j] + fraction * motion[j]
             checks += 1
-            if _gap(joints, capsules, pairs, geoms, nodes, planes, q, 0.0, True, frames, ends, stack) < 0.0:
+            if gap(world, q, 0.0, True, memory) < 0.0:
                 return checks
     return 0
+
+
+@kernel(f"i8({WORLD}, f8[::1], f8[::1], i8)")
+def contact_along(world: World, start: Array, motion: Array, steps: int) -> int:
+    """Check the inner points of a straight motion from a configuration, in `collision.halving_order`.
+
+    Returns:
+        Number of checks up to the first collision, or 0 without a collision.
+    """
+    return contacts_along(world, start, motion, steps, memory_for(world))
 
 
 @inlined

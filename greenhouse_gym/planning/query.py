@@ -26,6 +26,7 @@ from greenhouse_gym.motion.goals import Goals, sample_budget, search_goals
 from greenhouse_gym.motion.path import path_length
 from greenhouse_gym.motion.proof import ProvingChecker
 from greenhouse_gym.motion.unknown_space import depths_of, guarded, occupancy_of, unknown_length
+from greenhouse_gym.planning.connect import compiled_checker, rrt_connect
 from greenhouse_gym.planning.own_planners import PlannerFailedError, run_own_planner
 from greenhouse_gym.planning.parameters import Value
 from greenhouse_gym.planning.planners import PLANNERS, PlannerInfo
@@ -71,9 +72,10 @@ def plan(
 ) -> PlanResult:
     """Plan a path that brings the tool to a tomato without touching anything else.
 
-    OMPL's planners run in a process of its own; any failure there ends in a status. Their path is shortened; the path
-    of a planner of `register_planner` is not. A path counts only after every motion has been proven free in the
-    caller's process.
+    OMPL's planners run in a process of its own; any failure there ends in a status. RRTConnect is compiled and runs in
+    the caller's process if the arm is made of capsules and spheres. The paths of all these are shortened; the path of a
+    planner of `register_planner` is not. A path counts only after every motion has been proven free in the caller's
+    process.
 
     Args:
         scene: The scene.
@@ -219,7 +221,7 @@ def _seconds(time_limit: float | None, max_checks: int | None) -> float:
 
 
 def _run_planner(info: PlannerInfo, checker: CollisionChecker, query: PlannerQuery) -> PlanResult:
-    """Run a planner, OMPL's in the planning process, and verify its path."""
+    """Run a planner, here or in the planning process, and verify its path."""
     began = time.perf_counter()
 
     def failed(status: Status, error: Exception) -> PlanResult:
@@ -229,8 +231,11 @@ def _run_planner(info: PlannerInfo, checker: CollisionChecker, query: PlannerQue
 
     answer: PlannerAnswer
     try:
+        search = compiled_checker(query)
         if info.solve is not None:
             answer = run_own_planner(info.solve, query)
+        elif search is not None:
+            answer = rrt_connect(query, search)
         else:
             answer = shared_worker().call("solve", query, query.time_limit + GRACE)
     except WorkerTimeoutError as error:

@@ -242,7 +242,7 @@ def test_queries_leave_no_memory_behind(scene: Scene) -> None:
     def megabytes_after(queries: int, kind: str) -> list[float]:
         found = []
         for seed in range(queries):
-            assert plan(scene, 0, goals=goals, seed=seed).status == "solved"
+            assert plan(scene, 0, planner="SBL", goals=goals, seed=seed).status == "solved"
             status = Path(f"/proc/{shared_worker().pid}/status").read_text()
             found.append(int(status.split(f"{kind}:")[1].split()[0]) / 1024)
         return found
