@@ -166,7 +166,7 @@ def submit(
     workers: Workers = None,
     address: Address = "local",
 ) -> None:
-    """Run the episodes of protocol v1 and write an entry of the leaderboard (docs/leaderboard.md).
+    """Run the episodes of protocol v1 and write an entry of the leaderboard (docs/results/leaderboard.md).
 
     Tracks of an existing entry of the same agent, bank and versions are kept. A trial has its own file,
     AGENT.trial.json. An interrupted run resumes from AGENT.TRACK.jsonl, which holds the records of a track until all
