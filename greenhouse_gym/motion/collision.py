@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from greenhouse_gym.errors import InvalidValueError, require_choice
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.motion.joint_reaches import arm_reaches, joint_reaches
+from greenhouse_gym.motion.joint_reaches import joint_reaches
 from greenhouse_gym.scene.mjcf import CompiledScene
 
 MARGIN = 0.005
@@ -68,11 +68,6 @@ def planning_model(
         require_choice("collision pair", pair, COLLISION_PAIRS)
     _leave_out(compiled, model, set(COLLISION_PAIRS) - set(pairs))
     return model
-
-
-def checker_of(compiled: CompiledScene, target: int, pairs: Collection[str] = COLLISION_PAIRS) -> CollisionChecker:
-    """Return the checker for planning a path to a target, with the usual margin."""
-    return CollisionChecker(planning_model(compiled, target, pairs=pairs), arm_reaches(compiled.robot))
 
 
 def _with_world_at_rest(model: mujoco.MjModel) -> mujoco.MjModel:

@@ -25,9 +25,7 @@ from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.clearance import path_clearance
 from greenhouse_gym.motion.collision import PROOF, CollisionChecker, planning_model
 from greenhouse_gym.motion.goals import search_goals
-from greenhouse_gym.motion.joint_reaches import arm_reaches
-from greenhouse_gym.motion.kernel_checker import search_checker
-from greenhouse_gym.motion.proof import ProvingChecker
+from greenhouse_gym.motion.proof import ProvingChecker, checker_of
 from greenhouse_gym.motion.unknown_space import depths_of, guarded, unknown_lengths
 from greenhouse_gym.planning.own_planners import PlannerFailedError
 from greenhouse_gym.planning.query import plan_with
@@ -101,7 +99,7 @@ def certify_targets(
 
 def certify_target(compiled: CompiledScene, tomato: int, seed: int = 0) -> Target:
     """Rate one tomato as `certify_targets` does, without the fraction in unknown space."""
-    checker = ProvingChecker(planning_model(compiled, tomato), arm_reaches(compiled.robot))
+    checker = checker_of(compiled, tomato)
     goals = search_goals(compiled, checker, tomato, GOALS, seed=seed, budget=SAMPLES).configurations
     rating = _straight(checker, compiled.robot, goals) or _planned(checker, compiled, tomato, goals, seed)
     target = Target(tomato=tomato, difficulty=rating.difficulty, robot=compiled.robot.name, goals=len(goals))
@@ -182,9 +180,9 @@ class _Rating:
     checks: int | None = None
 
 
-def _straight(checker: CollisionChecker, robot: Robot, goals: Array) -> _Rating | None:
+def _straight(checker: ProvingChecker, robot: Robot, goals: Array) -> _Rating | None:
     """Rate by the shortest free straight motion to a goal; None without one."""
-    start, search = robot.rating_start, search_checker(checker.model, checker.reaches)
+    start, search = robot.rating_start, checker.search
     for goal in sorted(goals, key=lambda end: float(np.linalg.norm(end - start))):
         if search.motion_is_free(start, goal, PROOF):
             path = _rounded(robot, np.stack([start, goal]))
@@ -193,7 +191,7 @@ def _straight(checker: CollisionChecker, robot: Robot, goals: Array) -> _Rating 
     return None
 
 
-def _planned(checker: CollisionChecker, compiled: CompiledScene, tomato: int, goals: Array, seed: int) -> _Rating:
+def _planned(checker: ProvingChecker, compiled: CompiledScene, tomato: int, goals: Array, seed: int) -> _Rating:
     """Rate by runs of RRTConnect."""
     if not len(goals):
         return _Rating("unreachable")
@@ -223,7 +221,7 @@ def _shortest(checker: CollisionChecker, robot: Robot, results: Sequence[PlanRes
 
 
 def _search(
-    checker: CollisionChecker, compiled: CompiledScene, tomato: int, goals: Array, seed: int, checks: int
+    checker: ProvingChecker, compiled: CompiledScene, tomato: int, goals: Array, seed: int, checks: int
 ) -> PlanResult:
     """Run RRTConnect once, limited by the number of checks alone."""
     for _ in range(_ATTEMPTS):

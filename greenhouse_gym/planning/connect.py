@@ -13,8 +13,8 @@ import time
 import numpy as np
 
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.motion.collision import PROOF, RESOLUTIONS
-from greenhouse_gym.motion.kernel_checker import KernelChecker, search_checker
+from greenhouse_gym.motion.collision import PROOF, RESOLUTIONS, CollisionChecker
+from greenhouse_gym.motion.kernel_checker import KernelChecker
 from greenhouse_gym.motion.path import path_length
 from greenhouse_gym.planning.worker import Outcome, PlannerAnswer, PlannerQuery
 
@@ -23,11 +23,10 @@ _NODES = 1024  # for which the trees have room at first
 _DRAWS, _IDLE = 80, 30  # attempts to shorten a path, and those in a row without success after which it ends
 
 
-def compiled_checker(query: PlannerQuery) -> KernelChecker | None:
-    """Return the checker for `rrt_connect`; None for other planners, and for settings and arms that need OMPL."""
+def compiled_checker(query: PlannerQuery, checker: CollisionChecker) -> KernelChecker | None:
+    """Return the checker if `rrt_connect` can answer a query; None if the planner, settings or arm need OMPL."""
     if query.planner != "RRTConnect" or query.settings.get("intermediate_states"):
         return None
-    checker = search_checker(query.model, query.reaches)
     return checker if isinstance(checker, KernelChecker) else None
 
 

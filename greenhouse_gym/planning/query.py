@@ -19,12 +19,10 @@ from greenhouse_gym.motion.collision import (
     COARSE,
     COLLISION_PAIRS,
     PROOF,
-    CollisionChecker,
-    checker_of,
 )
 from greenhouse_gym.motion.goals import Goals, sample_budget, search_goals
 from greenhouse_gym.motion.path import path_length
-from greenhouse_gym.motion.proof import ProvingChecker
+from greenhouse_gym.motion.proof import ProvingChecker, checker_of
 from greenhouse_gym.motion.unknown_space import depths_of, guarded, occupancy_of, unknown_length
 from greenhouse_gym.planning.connect import compiled_checker, rrt_connect
 from greenhouse_gym.planning.own_planners import PlannerFailedError, run_own_planner
@@ -124,12 +122,12 @@ def plan(
     scene = with_margin(scene, arm, origin, margin)
     scene = with_unexplained_cells(scene, arm, origin) if unexplained else scene
     began = time.perf_counter()
-    statistics = None
+    statistics, goal_checker = None, None
     if isinstance(goals, int | np.integer):
         count, widest = check_whole("count of goals", goals, 1), guarded(scene, arm, origin, depths[-1])
-        checker = checker_of(widest, target, pairs)
+        goal_checker = checker_of(widest, target, pairs)
         pool = max(count, _POOL) if len(depths) > 1 else count
-        searched = search_goals(widest, checker, target, pool, seed=seed, budget=sample_budget(depths[-1]))
+        searched = search_goals(widest, goal_checker, target, pool, seed=seed, budget=sample_budget(depths[-1]))
         ends, statistics = searched.configurations, searched.statistics
     else:
         ends = _configurations("goals", goals.configurations if isinstance(goals, Goals) else goals, arm)
@@ -137,8 +135,11 @@ def plan(
     goal_time = time.perf_counter() - began
     for depth in depths:
         around = guarded(scene, arm, origin, depth)
-        checker = checker_of(around, target, pairs)
-        free = ends[[checker.is_free(end) for end in ends]][:count]
+        if goal_checker is not None and depth == depths[-1]:
+            checker, free = goal_checker, ends[:count]
+        else:
+            checker = checker_of(around, target, pairs)
+            free = ends[[checker.is_free(end) for end in ends]][:count]
         fraction = 1.0 if depth == depths[-1] else _FRACTION
         seconds = None if time_limit is None else time_limit * fraction
         checks = None if max_checks is None else max(1, int(max_checks * fraction))
@@ -161,7 +162,7 @@ def plan(
 
 def plan_with(
     compiled: CompiledScene,
-    checker: CollisionChecker,
+    checker: ProvingChecker,
     goals: Array,
     planner: str = "RRTConnect",
     time_limit: float | None = 5.0,
@@ -220,7 +221,7 @@ def _seconds(time_limit: float | None, max_checks: int | None) -> float:
     return min(float(time_limit), _LONGEST)
 
 
-def _run_planner(info: PlannerInfo, checker: CollisionChecker, query: PlannerQuery) -> PlanResult:
+def _run_planner(info: PlannerInfo, checker: ProvingChecker, query: PlannerQuery) -> PlanResult:
     """Run a planner, here or in the planning process, and verify its path."""
     began = time.perf_counter()
 
@@ -231,7 +232,7 @@ def _run_planner(info: PlannerInfo, checker: CollisionChecker, query: PlannerQue
 
     answer: PlannerAnswer
     try:
-        search = compiled_checker(query)
+        search = compiled_checker(query, checker.search)
         if info.solve is not None:
             answer = run_own_planner(info.solve, query)
         elif search is not None:
@@ -264,7 +265,7 @@ def _run_planner(info: PlannerInfo, checker: CollisionChecker, query: PlannerQue
     )
 
 
-def _flaw(checker: CollisionChecker, query: PlannerQuery, path: Array) -> str:
+def _flaw(checker: ProvingChecker, query: PlannerQuery, path: Array) -> str:
     """Return a description of a path's first flaw, or an empty text."""
     if path.ndim != 2 or path.shape[1:] != query.start.shape or not len(path) or not np.isfinite(path).all():
         return f"{query.planner}: the path has the shape {path.shape} or entries that are not numbers"
@@ -274,7 +275,7 @@ def _flaw(checker: CollisionChecker, query: PlannerQuery, path: Array) -> str:
         return f"{query.planner}: the path ends at {path[-1].tolist()}, which is none of the goals"
     if ((path < query.lower) | (path > query.upper)).any():
         return f"{query.planner}: the path leaves the joint limits"
-    if not ProvingChecker(checker.model, checker.reaches).path_is_free(path, PROOF):
+    if not checker.path_is_free(path, PROOF):
         return f"{query.planner}: the path is not free"
     return ""
 
