@@ -223,10 +223,15 @@ def _shortest(checker: CollisionChecker, robot: Robot, results: Sequence[PlanRes
 def _search(
     checker: ProvingChecker, compiled: CompiledScene, tomato: int, goals: Array, seed: int, checks: int
 ) -> PlanResult:
-    """Run RRTConnect once, limited by the number of checks alone."""
+    """Run RRTConnect once, limited by the number of checks alone.
+
+    Up to `MAX_CHECKS`, which rate a target, it takes up the goals one by one, so that ratings stay comparable.
+    """
     for _ in range(_ATTEMPTS):
         start = compiled.robot.rating_start
-        result = plan_with(compiled, checker, goals, "RRTConnect", None, checks, seed, start)
+        result = plan_with(
+            compiled, checker, goals, "RRTConnect", None, checks, seed, start, gradual_goals=checks <= MAX_CHECKS
+        )
         if result.status not in ("crashed", "timeout"):
             return result
     raise PlannerFailedError(f"{compiled.scene.name}, tomato {tomato}: it cannot be rated. {result.message}")

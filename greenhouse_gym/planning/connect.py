@@ -1,8 +1,8 @@
 """RRTConnect (Kuffner and LaValle: RRT-Connect, 2000), compiled, for arms that `kernel_world` can compute.
 
-It searches as OMPL's does: the tree from the goals begins with one of them and gets the next one whenever its number of
-nodes has doubled; motions are checked from their new end, then in halving order. Hence it needs as many checks, but a
-tenth of the time, and no other process.
+It searches as OMPL's does, with one exception: the tree from the goals begins with all of them, which halves the number
+of checks. OMPL's begins with one and gets the next whenever its number of nodes has doubled; so does this one with
+`PlannerQuery.gradual_goals`, and then needs as many checks as OMPL's.
 """
 
 from __future__ import annotations
@@ -65,9 +65,11 @@ def _search(
     from greenhouse_gym.planning.connect_kernels import FULL, MET, grow_trees
 
     step = float(query.settings["range"]) or math.inf
-    points, parents = np.empty((2, _NODES, len(query.start))), np.empty((2, _NODES), dtype=np.int64)
-    points[0, 0], parents[0, 0] = query.start, -1
-    sizes, state = np.array([1, 0]), np.zeros(6, dtype=np.int64)
+    given = 0 if query.gradual_goals else len(query.goals)
+    points = np.empty((2, _NODES + given, len(query.start)))
+    parents = np.full(points.shape[:2], -1)
+    points[0, 0], points[1, :given] = query.start, query.goals[:given]
+    sizes, state = np.array([1, given]), np.array([0, 0, given, 0, 0, 0])
     limit, samples = int(min(max_checks, 1 << 62)), np.empty((0, len(query.start)))
     result = 0
     while result != MET and state[1] < limit and time.perf_counter() < deadline:

@@ -171,10 +171,12 @@ def plan_with(
     start: str | npt.ArrayLike | None = None,
     settings: Mapping[str, Value] | None = None,
     first_solution: bool = False,
+    gradual_goals: bool = False,
 ) -> PlanResult:
     """Plan to collision-free goals (k, joints) with a compiled scene and its checker, as `plan` does.
 
-    The path's clearance is not measured.
+    The path's clearance is not measured. With ``gradual_goals``, RRTConnect needs as many checks as OMPL's, see
+    `PlannerQuery`.
     """
     info = PLANNERS[planner]
     chosen = info.with_settings(settings or {})
@@ -204,6 +206,7 @@ def plan_with(
         max_checks=max_checks,
         optimizing=info.optimizing and not first_solution,
         seed=seed,
+        gradual_goals=gradual_goals,
     )
     return _run_planner(info, checker, query)
 
