@@ -34,7 +34,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """Redirect links to the site's copies of benchmark results, and insert the commands."""
     markdown = re.sub(rf"\]\(\.\./((?:\.\./)*{RESULTS}/)", r"](\1", markdown)
-    return markdown.replace("<!-- commands -->", commands()) if page.file.src_uri == "reference/commands.md" else markdown
+    return (
+        markdown.replace("<!-- commands -->", commands()) if page.file.src_uri == "reference/commands.md" else markdown
+    )
 
 
 def commands() -> str:

@@ -9,14 +9,16 @@ from greenhouse_gym.common.opengl_choice import drop_broken_opengl_choice
 
 __version__ = "0.1.0"
 
-ENV_IDS: tuple[str, ...] = ("TomatoReach-v0",)
+ENV_IDS: tuple[str, ...] = ("TomatoReach-v0", "TomatoLook-v0")
 """Ids of the environments this package registers."""
 
 drop_broken_opengl_choice()
-gymnasium.register(
-    id="TomatoReach-v0",
-    entry_point="greenhouse_gym.envs.environment:GreenhouseEnv",
-    vector_entry_point="greenhouse_gym.envs.factory:make_vec",
-)
+for _id, _keywords in zip(ENV_IDS, ({}, {"task": "look", "observation": "task"}), strict=True):
+    gymnasium.register(
+        id=_id,
+        entry_point="greenhouse_gym.envs.environment:GreenhouseEnv",
+        vector_entry_point="greenhouse_gym.envs.factory:make_vec",
+        kwargs=_keywords,
+    )
 
 __all__ = ["ENV_IDS", "__version__"]

@@ -24,7 +24,7 @@ from greenhouse_gym.scene.manifest import Manifest
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "SECURITY.md")]
 PAGES = [*filter(Path.exists, PAGES), *sorted((ROOT / "docs").rglob("*.md"))]
-SHORTER = {'SceneBank.open("default")': 'SceneBank.open("mini")', "learn(400_000)": "learn(8_192)"}
+SHORTER = {'backend="warp", difficulty': 'backend="warp", bank="mini", difficulty', "learn(5_000_000)": "learn(16_384)"}
 """Replacements that make code of the pages short enough for a test."""
 SHELL = ("sh", "bash", "console", "shell")
 

@@ -40,7 +40,7 @@ def test_examples_are_short(name: str) -> None:
     assert re.search(rf"\| {lines} \|[^\n]*`examples/{name}\.py`", table), lines
 
 
-@pytest.mark.parametrize("name", ["own_action", "own_observation", "own_reward"])
+@pytest.mark.parametrize("name", ["own_action", "own_distances", "own_observation", "own_reward"])
 def test_own_parts_of_an_environment_run(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
     assert re.search(r"\d\.\d", capsys.readouterr().out)

@@ -18,6 +18,7 @@ from greenhouse_gym.envs.actions import (
     JointVelocities,
     TipVelocity,
     ToolMotion,
+    with_controls,
 )
 from greenhouse_gym.envs.choices import make_action
 from greenhouse_gym.envs.simulation import Simulation
@@ -41,6 +42,7 @@ class Problem:
         action: The environment's action rule; joint increments if None.
         interval: Seconds between two actions.
         step_limit: Number of actions after which the episode ends.
+        controls: Names of the entries that an action has after those that move the arm, see `Task.controls`.
     """
 
     scene: Scene
@@ -51,6 +53,7 @@ class Problem:
     action: ActionRule | None = None
     interval: float = INTERVAL
     step_limit: int = STEP_LIMIT
+    controls: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, simulation: Simulation, i: int, seed: int) -> Problem:
@@ -61,13 +64,13 @@ class Problem:
         settings, robot, interval = simulation.settings, simulation.robot, simulation.interval
         return cls(
             simulation.known_scene(i), simulation.target(i), robot, simulation.episode(i).start.copy(), seed,
-            make_action(settings.action, robot, interval), interval, settings.step_limit,
+            make_action(settings.action, robot, interval), interval, settings.step_limit, simulation.task.controls,
         )  # fmt: skip
 
     @property
     def action_space(self) -> spaces.Box:
         """Space of an action; it has one axis."""
-        return self.rule.space
+        return with_controls(self.rule.space, self.controls)
 
     @property
     def joint_steps(self) -> Array:

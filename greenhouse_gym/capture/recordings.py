@@ -21,7 +21,7 @@ from greenhouse_gym.capture.frames import RgbdFrame, Station, size_text
 from greenhouse_gym.capture.image_files import encode_png, read_color, read_depth
 from greenhouse_gym.capture.rig import Camera, Intrinsics, Rig
 from greenhouse_gym.capture.truth_file import TRUTH, load_truth, save_truth
-from greenhouse_gym.common.files import inside, parsing, read_bytes, write_atomically
+from greenhouse_gym.common.files import exclusive, inside, parsing, read_bytes, write_atomically
 from greenhouse_gym.crops.plant_row import PlantRow
 from greenhouse_gym.errors import FileFormatError, GreenhouseError, InvalidValueError
 from greenhouse_gym.geometry import Array, is_rotation
@@ -214,13 +214,14 @@ def write_recording(recording: Recording, path: str | Path, on_station: Callable
         FileFormatError: The folder already holds a finished recording.
     """
     writer = RecordingWriter(path, recording.name, recording.rig, recording.protocol, recording.passes)
-    for i in range(len(recording)):
-        writer.add(recording[i])
-        if on_station:
-            on_station(i)
-    if recording.truth is not None:
-        save_truth(recording.truth, writer.folder / TRUTH)
-    writer.save_index()
+    with exclusive(writer.folder, "*/*/"):  # kinds of images of each camera
+        for i in range(len(recording)):
+            writer.add(recording[i])
+            if on_station:
+                on_station(i)
+        if recording.truth is not None:
+            save_truth(recording.truth, writer.folder / TRUTH)
+        writer.save_index()
     return writer.folder
 
 

@@ -59,7 +59,9 @@ def compare(
     episodes: Annotated[int, typer.Option(help="Episodes of each agent.")] = 100,
     seed: Seed = 0,
     robot: AgentRobot = "",
-    task: Annotated[str, typer.Option(help="Your own task as file.py:Class or module:Class; reach by default.")] = "",
+    task: Annotated[
+        str, typer.Option(help="Task: look, or your own as file.py:Class or module:Class; reach by default.")
+    ] = "",
     scene: OneScene = None,
     target: OneTarget = None,
     difficulty: Difficulty = "",
@@ -280,6 +282,7 @@ def watch(
     track: Annotated[
         str, typer.Option(help="World of the contacts and of the film: reconstruction, truth or moved.")
     ] = "reconstruction",
+    task: Annotated[str, typer.Option(help="Task: look, or your own as file.py:Class or module:Class.")] = "",
     robot: AgentRobot = "",
     fps: Annotated[
         float | None, typer.Option(help="Images per second; one for each action by default.", show_default=False)
@@ -301,7 +304,7 @@ def watch(
         out = Path("episode.mp4" if find_spec("imageio_ffmpeg") else "episode.gif")
     require_picture(out, FILMS)
     options = {"bank": bank, "split": split, **TRACKS[require_choice("track", track, TRACKS)]}
-    options |= given(robot=robot, difficulty=comma_separated(difficulty), scene=scene, target=target)
+    options |= given(robot=robot, task=task, difficulty=comma_separated(difficulty), scene=scene, target=target)
     picture = Picture(*whole_pair("--size", size, "640x480"), camera)
     with progress("actions") as on_progress:
         filmed = film(

@@ -35,6 +35,9 @@ INFOS = ("all", "numbers")
 PHYSICS = ("reconstruction", "truth")
 """Choices of the simulated world."""
 
+PLANTS = ("rigid", "brush")
+"""Choices of the mechanics of plants."""
+
 
 @dataclass(frozen=True)
 class EnvSettings:
@@ -45,9 +48,10 @@ class EnvSettings:
             drawn from a few scenes at a time (`SceneWindow`); the seed of a reset restarts their order.
         split: "train", "validation" or "test".
         robot: Name of a shipped arm ("ur5e", "iiwa14"), an MJCF file, or a `Robot` of `load_robot`.
-        observation: "state", "state_occupancy", "clearance_rays", "roadmap", "goal", "goal_roadmap", "depth",
-            "points", "rgb", "rgbd", settings of the last four, or your own `Observation`. Everything of your own is an
-            object, ``"file.py:Name"``, ``"module:Name"``, or a mapping with such a name as ``class`` and its fields.
+        observation: "state", "state_occupancy", "clearance_rays", "roadmap", "task", "goal", "goal_roadmap",
+            "depth", "points", "rgb", "rgbd", settings of the last four, or your own `Observation`. Everything of your
+            own is an object, ``"file.py:Name"``, ``"module:Name"``, or a mapping with such a name as ``class`` and its
+            fields.
         action: "joint", "joint_velocity", "tip_velocity", or your own `ActionRule`.
         reward: "dense", "sparse", "path", a `DenseReward`, `SparseReward` or `PathReward` with other values, or your
             own function from a `Transition` to terms.
@@ -56,6 +60,9 @@ class EnvSettings:
             not rated for the arm, the ratings for other arms are used and reported as "unrated".
         physics: "reconstruction" simulates the scene; "truth" simulates the true row behind it, with the tomato nearest
             to the target as the goal, while observations still show the reconstruction.
+        plants: "rigid", or "brush" for leaves that give way: contacts with them are found and counted, but neither stop
+            the arm nor end the episode; see `GreenhouseEnv`. Leaves are all clutter except gutters, see
+            `greenhouse_gym.crops.parts.is_leaf`; fruit, stems, fixtures and the arm itself stay rigid.
         randomization: Domain randomization; none by default.
         capacity: Maximum number of obstacles of a scene; if None, 600 or as many as the largest scene of the bank has.
         success_radius: Maximum distance of the grasp point from the target's center for a success, metres. It belongs
@@ -65,7 +72,7 @@ class EnvSettings:
             each joint, radians; the arm's own if None, which is "ready". The options of a reset may choose another.
         rate: Actions per second; the time between two actions must be a multiple of 10 ms: 100, 50, 25, 20, 10 and so
             on. Joint actions have the same maximum speed at every rate.
-        task: Task: "reach", your own as ``"file.py:Name"`` or ``"module:Name"``, a `Task` or a subclass of it.
+        task: Task: "reach", "look", your own as ``"file.py:Name"`` or ``"module:Name"``, a `Task` or a subclass of it.
         scene: The only scene of all episodes: its name, of any split, or a `Scene`; if None, each episode draws one.
         target: Index of its only target tomato; if None, each episode draws one of the scene's.
         infos: "all", or "numbers" for libraries that read no texts and no nested infos, such as TorchRL: texts are left
@@ -80,6 +87,7 @@ class EnvSettings:
     reward: str | Reward | Mapping[str, Any] = "dense"
     difficulty: DifficultyChoice = ("easy", "medium", "hard")
     physics: str = "reconstruction"
+    plants: str = "rigid"
     randomization: Randomization = field(default=NO_RANDOMIZATION)
     capacity: int | None = None
     success_radius: float = SUCCESS_RADIUS
@@ -98,6 +106,7 @@ class EnvSettings:
         _check_kind("randomization", self.randomization, Randomization, "a Randomization")
         require_choice("split", self.split, SPLITS)
         require_choice("physics", self.physics, PHYSICS)
+        require_choice("plants", self.plants, PLANTS)
         require_choice("infos", self.infos, INFOS)
         parse_difficulty(self.difficulty)
         if self.capacity is not None:

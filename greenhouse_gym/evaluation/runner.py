@@ -114,7 +114,7 @@ class EpisodeRunner:
     ):
         self._agent, self._env, self._chosen, self._seed = agent, env, chosen, seed
         self._simulation: Simulation = env.simulation
-        self._space = env.simulation.action_rule.space
+        self._space = env.simulation.action_space
         self._shared = hasattr(agent, "act_many")
         self._seconds, self._replaced = timeout, 0
         self._players = [_Player(agent, Deadline(timeout))] * env.num_envs
@@ -257,13 +257,13 @@ class EpisodeRunner:
             action_time=run.action_time / max(1, steps),
             joint_length=path_length(path),
             tip_length=path_length(tips),
-            clearance=smallest_clearance(compiled, model, target, path),
+            clearance=smallest_clearance(compiled, model, target, path, simulation.worlds.leaves),
             roughness=float(np.linalg.norm(np.diff(path, n=2, axis=0), axis=-1).mean()) if steps > 1 else 0.0,
             total_reward=run.total_reward,
             distance=float(info["distance"]),
             status=_status(run.player),
             failure=run.failure,
-            measures={name: float(info[name]) for name in simulation.task.memory},
+            measures={name: float(info[name]) for name in simulation.measures},
         )
         return EpisodeResult(run.index, record, path)
 

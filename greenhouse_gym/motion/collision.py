@@ -43,8 +43,16 @@ COLLISION_PAIRS = ("tomatoes", "stems", "clutter", "fixture", "self")
 """Groups of geoms that an arm can be checked against; the fixture is the floor and the cart."""
 
 
+LEAVES = ("rigid", "brush")
+"""Treatments of leaves: they are obstacles, or give way to an arm that brushes them."""
+
+
 def planning_model(
-    compiled: CompiledScene, target: int, margin: float = MARGIN, pairs: Collection[str] = COLLISION_PAIRS
+    compiled: CompiledScene,
+    target: int,
+    margin: float = MARGIN,
+    pairs: Collection[str] = COLLISION_PAIRS,
+    leaves: str = LEAVES[0],
 ) -> mujoco.MjModel:
     """Copy a scene's model for planning: the cup may touch the target, and obstacles have a margin.
 
@@ -53,24 +61,27 @@ def planning_model(
         target: Index of the target tomato.
         margin: Metres; 0 gives the same contacts as the simulator.
         pairs: Groups of `COLLISION_PAIRS` to check the arm against. The simulator checks all.
+        leaves: "rigid", or "brush" to let the arm pass through the pieces of leaves among the clutter.
 
     Raises:
         InvalidValueError: The scene has no such tomato.
-        UnknownNameError: No such pair.
+        UnknownNameError: No such pair, or no such treatment of leaves.
     """
     count = len(compiled.scene.tomatoes)
     if not isinstance(target, int | np.integer) or isinstance(target, bool) or not 0 <= target < count:
         raise InvalidValueError(f"target {target!r}: scene {compiled.scene.name!r} has tomatoes 0 to {count - 1}")
-    model = _with_world_at_rest(compiled.model)
+    model = with_world_at_rest(compiled.model)
     compiled.allow_cup_on(model, target)
     set_margin(model, np.flatnonzero(model.geom_bodyid == 0), margin)
     for pair in pairs:
         require_choice("collision pair", pair, COLLISION_PAIRS)
     _leave_out(compiled, model, set(COLLISION_PAIRS) - set(pairs))
+    if require_choice("leaves", leaves, LEAVES) == "brush":
+        pass_through(model, compiled.leaf_geoms)
     return model
 
 
-def _with_world_at_rest(model: mujoco.MjModel) -> mujoco.MjModel:
+def with_world_at_rest(model: mujoco.MjModel) -> mujoco.MjModel:
     """Copy a model so that its kinematics skip the geoms of the world body, which MuJoCo places once per `MjData`.
 
     This is part of MuJoCo's sleeping, which affects nothing else as long as nothing is stepped. Checks of a scene with
@@ -79,6 +90,11 @@ def _with_world_at_rest(model: mujoco.MjModel) -> mujoco.MjModel:
     copied = copy.copy(model)
     copied.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
     return copied
+
+
+def pass_through(model: mujoco.MjModel, geoms: npt.NDArray[np.int64]) -> None:
+    """Let the arm pass through some geoms of the world body."""
+    model.geom_contype[geoms] = model.geom_conaffinity[geoms] = 0
 
 
 def _leave_out(compiled: CompiledScene, model: mujoco.MjModel, pairs: Collection[str]) -> None:
@@ -94,24 +110,30 @@ def _leave_out(compiled: CompiledScene, model: mujoco.MjModel, pairs: Collection
         "self": np.empty(0, dtype=np.int64),
     }
     for pair in pairs:
-        model.geom_contype[geoms[pair]] = model.geom_conaffinity[geoms[pair]] = 0
+        pass_through(model, geoms[pair])
     if "self" in pairs:
         # obstacles offer contacts to the arm's affinity, and the arm offers none to itself
         model.geom_contype[model.geom_bodyid > 0] = 0
 
 
-def clearance_model(compiled: CompiledScene, model: mujoco.MjModel, target: int, margin: float) -> mujoco.MjModel:
-    """Copy a model so that only contacts of the arm with obstacles other than a target count, with a margin."""
-    model = _with_world_at_rest(model)
+def clearance_model(
+    compiled: CompiledScene, model: mujoco.MjModel, target: int, margin: float, leaves: str = LEAVES[0]
+) -> mujoco.MjModel:
+    """Copy a model so that only contacts of the arm with obstacles other than a target count, with a margin.
+
+    With ``leaves="brush"``, leaves do not count either.
+    """
+    model = with_world_at_rest(model)
     set_margin(model, np.arange(compiled.obstacle_geoms.start, compiled.obstacle_geoms.stop), margin)
     _leave_out(compiled, model, ("fixture", "self"))
-    model.geom_contype[compiled.tomato_geom(target)] = model.geom_conaffinity[compiled.tomato_geom(target)] = 0
+    ignored = [compiled.tomato_geom(target), *(compiled.leaf_geoms if leaves == "brush" else ())]
+    pass_through(model, np.array(ignored))
     return model
 
 
 def set_margin(model: mujoco.MjModel, geoms: npt.NDArray[np.int64], margin: float) -> None:
-    """Set the margin of some geoms of the world body, metres."""
-    model.geom_margin[geoms] = margin
+    """Set the distance at which contacts with some geoms of the world body are found and push, metres."""
+    model.geom_margin[geoms], model.geom_gap[geoms] = margin, 0.0
     # the broad phase uses the compiler's maximum over a body's geoms
     model.body_margin[0] = model.geom_margin[model.geom_bodyid == 0].max()
 

@@ -172,7 +172,7 @@ def _local(p, g):
 
 
 @inlined
-def _near(g, a, b, radius):
+def near(g, a, b, radius):
     """Return whether the segment from a to b is nearer to a geom than a radius."""
     if radius <= 0.0:
         return False
@@ -272,13 +272,8 @@ def memory_for(world):
 
 
 @inlined
-def gap(world, q, limit, first, memory):
-    """Return the smallest distance beyond the margins in a configuration if it is below a limit, else the limit.
-
-    With ``first``, the search ends with -1 at any distance below the limit. ``memory`` is that of `memory_for`.
-    """
-    joints, capsules, pairs, geoms, nodes, planes = world
-    frames, ends, stack = memory[0], memory[1], memory[2]
+def place(joints, capsules, q, frames, ends):
+    """Write both ends of each capsule in a configuration; the frames are memory."""
     _frames(joints, q, frames)
     for k in range(len(capsules)):
         c, j = capsules[k], int(capsules[k, 0])
@@ -292,6 +287,17 @@ def gap(world, q, limit, first, memory):
                     f[11] + (f[6] * x + f[7] * y + f[8] * z),
                 )
             ends[k, 3 * end], ends[k, 3 * end + 1], ends[k, 3 * end + 2] = x, y, z
+
+
+@inlined
+def gap(world, q, limit, first, memory):
+    """Return the smallest distance beyond the margins in a configuration if it is below a limit, else the limit.
+
+    With ``first``, the search ends with -1 at any distance below the limit. ``memory`` is that of `memory_for`.
+    """
+    joints, capsules, pairs, geoms, nodes, planes = world
+    frames, ends, stack = memory[0], memory[1], memory[2]
+    place(joints, capsules, q, frames, ends)
     for p in range(len(pairs)):
         i, k = pairs[p, 0], pairs[p, 1]
         a, b = (ends[i, 0], ends[i, 1], ends[i, 2]), (ends[i, 3], ends[i, 4], ends[i, 5])
@@ -311,7 +317,7 @@ def gap(world, q, limit, first, memory):
         hx, hy, hz = abs(a[0] - b[0]) / 2 + radius, abs(a[1] - b[1]) / 2 + radius, abs(a[2] - b[2]) / 2 + radius
         for p in range(len(planes)):
             g = planes[p]
-            if (int(g[17]) & offered or int(g[16]) & accepted) and _near(g, a, b, radius + g[18] + limit):
+            if (int(g[17]) & offered or int(g[16]) & accepted) and near(g, a, b, radius + g[18] + limit):
                 if first:
                     return -1.0
                 limit = _distance(g, a, b) - radius - g[18]
@@ -331,7 +337,7 @@ def gap(world, q, limit, first, memory):
                 size += 2
                 continue
             g = geoms[int(n[8])]
-            if (int(g[17]) & offered or int(g[16]) & accepted) and _near(g, a, b, radius + g[18] + limit):
+            if (int(g[17]) & offered or int(g[16]) & accepted) and near(g, a, b, radius + g[18] + limit):
                 if first:
                     return -1.0
                 limit = _distance(g, a, b) - radius - g[18]

@@ -117,7 +117,7 @@ class _Take(NamedTuple):
         while not over:
             try:
                 answer = np.asarray(self.agent.act(observation))
-                action = check_actions(answer[None], 1, simulation.action_rule.space)[0]
+                action = check_actions(answer[None], 1, simulation.action_space)[0]
             except Exception as error:
                 failure = f"{type(error).__name__}: {error}"
                 if not info["steps"] and not filmed:

@@ -31,6 +31,9 @@ MAX_CAPACITY = 30_000
 ARM_AND_CUP, ARM_ONLY = 3, 1
 """Collision masks of an obstacle, and of the target (which the cup may touch)."""
 
+YIELDING = 1.0
+"""Depth up to which a geom that gives way exerts no force, metres: more than an arm can enter a leaf."""
+
 TIMESTEP = 0.01
 _PARKED = (0.0, 0.0, -50.0)
 _STEM_COLORS = {
@@ -65,6 +68,11 @@ class CompiledScene:
     obstacle_geoms: slice
     cup_geom: int
 
+    @property
+    def leaf_geoms(self) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+        """(k,) ids of the geoms of leaves."""
+        return np.asarray(self.obstacle_geoms.start + self.scene.leaves)
+
     def tomato_geom(self, tomato: int) -> int:
         """Return the geom id of a tomato, by its index in the scene."""
         return int(self.obstacle_geoms.start) + tomato
@@ -86,6 +94,15 @@ class CompiledScene:
         geom = int(model.body_geomadr[0]) + self.tomato_geom(tomato)
         model.geom_contype[geom] = mask
         model.geom_conaffinity[geom] = mask
+
+
+def make_yielding(model: mujoco.MjModel, geoms: np.ndarray[tuple[int], np.dtype[np.int64]]) -> None:
+    """Let geoms of the world body give way: MuJoCo finds contacts with them, which exert no force.
+
+    MuJoCo finds the contacts of two geoms that are nearer than the sums of their margins and gaps, and lets those
+    push that are nearer than the sum of their margins.
+    """
+    model.geom_margin[geoms], model.geom_gap[geoms] = -YIELDING, YIELDING
 
 
 def scene_spec(

@@ -13,8 +13,9 @@ from greenhouse_gym.geometry import Box, Shape
 from greenhouse_gym.geometry.point_clouds import Cloud
 from greenhouse_gym.shapes.clutter.boxes import box_budget, cover_with_boxes
 from greenhouse_gym.shapes.colors import colorful_mask, redness
+from greenhouse_gym.shapes.domain import outside_domain
 from greenhouse_gym.shapes.evidence import SHELL, Evidence, nearest_shapes
-from greenhouse_gym.shapes.fruit.detection import find_tomatoes
+from greenhouse_gym.shapes.fruit.detection import find_red_tomatoes, find_tomatoes
 from greenhouse_gym.shapes.fruit.skin import noisy_skin_mask, skin_mask
 from greenhouse_gym.shapes.input_checks import WarningLog, downsample, validated_cloud
 from greenhouse_gym.shapes.settings import ShapeSettings
@@ -32,6 +33,7 @@ EXPLAINED = 0.008
 MIN_PEDUNCLE, MIN_BARE_PEDUNCLE = 0.2, 0.5
 """Probability of points through which peduncles with and without detected fruit are traced."""
 
+_WITHOUT_NETWORKS = "only red fruit is reported, found by its outline, and no peduncles or pedicels"
 _MIN_LYING = 0.5  # metres of main stems that show that a cloud lies on its side
 
 
@@ -91,7 +93,12 @@ def extract_shapes(
     cloud = measure_surface(thin)
     pipes = find_pipes(cloud.select(pipe_mask(cloud)), settings.pipe_radii)
     surface = _without(cloud, pipes, SHELL)
-    tomatoes, confidence = find_tomatoes(surface, fine_surface(whole, surface, settings), settings)
+    unlike = outside_domain(cloud)
+    if unlike:
+        log.warn(f"the cloud is unlike those the networks were fitted to: {unlike}; {_WITHOUT_NETWORKS}")
+        tomatoes, confidence = find_red_tomatoes(surface, settings)
+    else:
+        tomatoes, confidence = find_tomatoes(surface, fine_surface(whole, surface, settings), settings)
     fruits = [tomato.shape for tomato in tomatoes]
     cloud = _without(surface, fruits, SHELL)
     colorful = colorful_mask(cloud.colors)
@@ -100,7 +107,7 @@ def extract_shapes(
     if not main:
         _warn_if_lying(woody, settings, log)
     upright = [*main, *find_strings(pale.points, pale.normals, settings)]
-    peduncles = _peduncles(peduncle_candidates(surface, tomatoes, main), tomatoes, main, settings)
+    peduncles = [] if unlike else _peduncles(peduncle_candidates(surface, tomatoes, main), tomatoes, main, settings)
     stems = (*upright, *peduncles, *pipes)
     cloud = _without(_without(cloud, upright, STEM_MARGIN), peduncles, SHELL)
     cloud = cloud.select(~noisy_skin_mask(cloud.points, cloud.normals, tomatoes))

@@ -29,6 +29,7 @@ _CELL = 0.005  # metres: size of the surface pieces that are measured
 _REACH = 0.011  # metres: radius of the neighborhood of a piece
 _MIN_VARIANCE = 3e-6  # square metres, added to the extent of a piece so that a speck has no curvature
 _FLAT = 10.0  # 1/m: a piece is flat if both curvatures are smaller
+_FLATTEST = 0.1  # fraction of the pieces that are taken as flat whatever the noise
 _MIN_FLAT = 200  # flat pieces needed to estimate the color of leaves
 _MAX_HUE_SPREAD = 0.06  # of leaves: that between reflected and transmitted light
 _LEAF_CONTRAST = 0.07  # points redder than leaves by this are no leaf
@@ -47,6 +48,9 @@ class SurfaceCloud(Cloud):
         hues: (n,) redness, smoothed over neighbors.
         leaf_hue: Median redness of the leaves, or `NO_LEAF`.
         leaf_hue_spread: Standard deviation of the leaves' redness, estimated from its quartiles.
+        noise: Median over the cloud of the points' root mean square distance from a plane through a neighborhood, m.
+        coherence: Median length of the mean of the unit normals in a neighborhood: 1 on a flat surface without noise.
+        density: Median number of surface pieces in a neighborhood.
     """
 
     curvatures: Array
@@ -54,6 +58,9 @@ class SurfaceCloud(Cloud):
     hues: Array
     leaf_hue: float
     leaf_hue_spread: float
+    noise: float = 0.0
+    coherence: float = 1.0
+    density: float = np.inf
 
     def select(self, rows: npt.NDArray[np.generic]) -> SurfaceCloud:
         """Return the points at ``rows``: indices or a mask."""
@@ -79,7 +86,8 @@ def measure_surface(cloud: Cloud) -> SurfaceCloud:
     symmetric = (operator + operator.transpose(0, 2, 1)) / 2
     curvatures = np.asarray(np.linalg.eigvalsh(symmetric), dtype=np.float64)
     hues = near.mean(redness(cells.colors)[:, None])[:, 0]
-    flat = (np.abs(curvatures).max(axis=1) < _FLAT) & colorful_mask(cells.colors)
+    bent = np.abs(curvatures).max(axis=1)
+    flat = (bent < max(_FLAT, np.quantile(bent, _FLATTEST))) & colorful_mask(cells.colors)
     elongations = variances[:, 2] / (variances[:, 1] + _MIN_VARIANCE)
     return SurfaceCloud(
         cloud.points,
@@ -89,6 +97,9 @@ def measure_surface(cloud: Cloud) -> SurfaceCloud:
         elongations[cell],
         hues[cell],
         *_leaf_hue(hues[flat]),
+        noise=float(np.median(np.sqrt(np.maximum(variances[:, 0], 0.0)))),
+        coherence=float(np.median(np.linalg.norm(near.mean(cells.normals), axis=1))),
+        density=float(np.median(near.count)),
     )
 
 

@@ -72,7 +72,7 @@ def completed(
             if not running:
                 return
             done, running = wait(running, return_when=FIRST_COMPLETED)
-            for future in done:
+            for future in sorted(done, key=_failed):  # what was finished is not lost with a worker
                 yield _result(future)
     finally:
         for future in running:
@@ -124,6 +124,10 @@ def _result(future: Future[Result]) -> Result:
         return future.result()
     except (BrokenExecutor, CancelledError) as error:
         raise _lost(error) from error
+
+
+def _failed(future: Future[Any]) -> bool:
+    return future.cancelled() or future.exception() is not None
 
 
 def _lost(error: BaseException) -> WorkerLostError:

@@ -4,9 +4,10 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from greenhouse_gym.envs.task import Task
+from greenhouse_gym.envs.tasks.look import LookReward, TomatoLook
 from greenhouse_gym.envs.tasks.reach import TomatoReach
 
-TASKS: Mapping[str, type[Task]] = MappingProxyType({"reach": TomatoReach})
+TASKS: Mapping[str, type[Task]] = MappingProxyType({"reach": TomatoReach, "look": TomatoLook})
 """Tasks by name."""
 
-__all__ = ["TASKS", "TomatoReach"]
+__all__ = ["TASKS", "LookReward", "TomatoLook", "TomatoReach"]

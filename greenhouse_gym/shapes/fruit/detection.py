@@ -1,4 +1,4 @@
-"""Detection of tomatoes: large fruit, small fruit, their shape and their trusses."""
+"""Detection of tomatoes: large fruit, small fruit, red fruit that both miss, their shape and their trusses."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ import numpy as np
 from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.geometry import Array, Ellipsoid, Sphere
 from greenhouse_gym.shapes.colors import redness
-from greenhouse_gym.shapes.fruit.large_fruit import fit_candidates, large_fruit, row_order
+from greenhouse_gym.shapes.fruit.large_fruit import ScoredFruit, fit_candidates, large_fruit, row_order
+from greenhouse_gym.shapes.fruit.red_fruit import RedFruit, find_red, sits_on
 from greenhouse_gym.shapes.fruit.small_fruit import find_small
 from greenhouse_gym.shapes.fruit.spheres import SphereFit, is_separate
 from greenhouse_gym.shapes.fruit.spheroids import Spheroid, fit_spheroids
@@ -20,6 +21,8 @@ from greenhouse_gym.shapes.surface_cloud import SurfaceCloud
 
 _REDNESS = np.array([-0.12, 0.07, 0.34, 0.77])
 """(R - G) / (R + G) of the skin at ripeness 0, 1/3, 2/3, 1: green, turning, orange, red."""
+
+_CLEAR = 0.8  # confidence of red fruit that the networks missed
 
 
 class FoundTomatoes(NamedTuple):
@@ -38,7 +41,7 @@ class _Fruit(NamedTuple):
 
 
 def find_tomatoes(surface: SurfaceCloud, fine: SurfaceCloud, settings: ShapeSettings) -> FoundTomatoes:
-    """Find the tomatoes in a cloud.
+    """Find the tomatoes in a cloud that resembles those to which the networks were fitted.
 
     Args:
         surface: The cloud with a point per voxel of ``settings.voxel``.
@@ -48,11 +51,10 @@ def find_tomatoes(surface: SurfaceCloud, fine: SurfaceCloud, settings: ShapeSett
     candidates = fit_candidates(surface, settings)
     large = large_fruit(candidates, settings)
     small = find_small(fine, large, settings)
-    fruits = [
-        _Fruit(fit, confidence, ripeness_of(cloud.colors[fit.points]))
-        for found, cloud in ((large, candidates.skin), (small, fine))
-        for fit, confidence in zip(found.fits, found.confidence.tolist(), strict=True)
-    ]
+    fruits = [*_fruits(large, candidates.skin), *_fruits(small, fine)]
+    missed = _red_fruits(surface, fruits, _CLEAR, settings)
+    large_red = [fruit.sphere for fruit in missed]
+    fruits = [*(fruit for fruit in fruits if not sits_on(fruit.sphere, large_red)), *missed]
     fruits = [fruits[k] for k in row_order([fruit.sphere for fruit in fruits])]
     spheroids = fit_spheroids([fruit.sphere for fruit in fruits], candidates.skin)
     if spheroids is not None:
@@ -62,6 +64,29 @@ def find_tomatoes(surface: SurfaceCloud, fine: SurfaceCloud, settings: ShapeSett
             spheroids = fit_spheroids([fruit.sphere for fruit in fruits], candidates.skin)
     tomatoes = tuple(_tomatoes(fruits, spheroids, settings))
     return FoundTomatoes(tomatoes, tuple(fruit.confidence for fruit in fruits))
+
+
+def find_red_tomatoes(surface: SurfaceCloud, settings: ShapeSettings) -> FoundTomatoes:
+    """Find the red tomatoes in any cloud by geometry and redness alone; all are taken as round."""
+    fruits = _red_fruits(surface, [], settings.min_confidence, settings)
+    fruits = [fruits[k] for k in row_order([fruit.sphere for fruit in fruits])]
+    return FoundTomatoes(tuple(_tomatoes(fruits, None, settings)), tuple(fruit.confidence for fruit in fruits))
+
+
+def _red_fruits(
+    surface: SurfaceCloud, found: Sequence[_Fruit], min_confidence: float, settings: ShapeSettings
+) -> list[_Fruit]:
+    """Return the red fruits that those found before do not explain."""
+    red = find_red(surface, [fruit.sphere for fruit in found], settings)
+    return [fruit for fruit in _fruits(red, surface) if fruit.confidence >= min_confidence]
+
+
+def _fruits(found: ScoredFruit | RedFruit, cloud: SurfaceCloud) -> list[_Fruit]:
+    """Return spheres among the points of a cloud with their ripeness."""
+    return [
+        _Fruit(fit, confidence, ripeness_of(cloud.colors[fit.points]))
+        for fit, confidence in zip(found.fits, found.confidence.tolist(), strict=True)
+    ]
 
 
 def separate_spheroids(spheroids: Sequence[Spheroid], confidence: Array) -> list[int]:

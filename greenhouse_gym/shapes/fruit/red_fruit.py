@@ -1,0 +1,256 @@
+"""Red fruit of any size from its skin and outline alone, without learned scores, for clouds of any sensor.
+
+The depth of a noisy sensor shows neither the curvature of a small fruit nor the size of a large one, but the outline
+of red skin shows both. So balls of every radius are laid behind the red points, and each is compared with the cloud as
+its viewer saw it: the area where red skin lies on the ball counts for it; the area where something else or nothing was
+measured, and red skin that continues outside, count against it. What hides a ball counts little. A small ball on the
+skin of a large one explains less and loses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from greenhouse_gym.geometry import Array, Sphere
+from greenhouse_gym.geometry.point_clouds import Cloud, group_sizes, voxel_means
+from greenhouse_gym.shapes.colors import redness
+from greenhouse_gym.shapes.evidence import SHELL, nearest_shapes
+from greenhouse_gym.shapes.fruit.spheres import SphereFit
+from greenhouse_gym.shapes.settings import ShapeSettings
+from greenhouse_gym.shapes.surface_cloud import SurfaceCloud
+
+RED = 0.22
+"""(R - G) / (R + G) above which skin is red: about half way from leaves to ripe fruit."""
+
+_NOISE_REACH = 8.0  # radius of the smallest fruit, and of the patch that noise may fake, in standard deviations
+_RADIUS_STEP = 1.28  # ratio of the radii tried
+_CELL = 1 / 6  # side of the cells in which the cloud is compared with a ball, in radii
+_SPACING = 0.6  # distance between the points at which balls are laid, in radii
+_GRID, _REACH = 13, 1.25  # cells across a ball's picture, and half its width in radii
+_SHELL, _SHELL_BOUNDS = 0.2, (0.003, 0.009)  # distance from a ball at which points are its skin: radii, metres
+_HIDDEN, _OUTSIDE = 0.3, 0.3  # weights of hidden area and of skin that continues, against that of area on the ball
+_MIN_FILLED, _MIN_PURITY = 0.25, 0.6  # fraction of a ball's picture that is skin, and of what is not hidden
+_SEPARATION = 0.8  # distance of two balls' centers, as a fraction of the sum of their radii
+_MAX_OWNED = 0.4  # fraction of a ball's skin that may belong to others
+_SHIFTS = 0.15 * np.array([[0, 0, 0], *np.eye(3), *-np.eye(3)])  # moves tried in refinement, in radii
+_SCALES = np.array([-0.12, -0.06, 0.0, 0.06, 0.12])  # changes of the radius tried in refinement
+_ROUNDS = 3
+_VIEW_CELL, _VIEW_REACH = 0.1, 0.25  # metres: normals are averaged over these to learn from where a part was seen
+_BATCH = 400
+
+_TICKS = (np.arange(_GRID) + 0.5) / _GRID * 2 * _REACH - _REACH
+_FROM_CENTER = np.hypot(*np.meshgrid(_TICKS, _TICKS)).ravel()
+_DISC, _RING = _FROM_CENTER < 1.0, (_FROM_CENTER >= 1.05) & (_FROM_CENTER < 1.3)
+
+
+class RedFruit(NamedTuple):
+    """Balls of red skin (k,) among the points of a surface, and the confidence of each, 0 to 1."""
+
+    fits: list[SphereFit]
+    confidence: Array
+
+
+class _Balls(NamedTuple):
+    """Balls (k,) and what the cloud shows of them.
+
+    Attributes:
+        centers: (k, 3) metres.
+        radii: (k,) metres.
+        skin: (k,) fraction of a ball's picture that is red skin at the right depth.
+        other: (k,) fraction where something else, or nothing, was measured.
+        hidden: (k,) fraction hidden by something in front.
+        outside: (k,) fraction of a ring around it where red skin continues.
+        off: (k,) mean distance of the skin from the ball, in radii.
+    """
+
+    centers: Array
+    radii: Array
+    skin: Array
+    other: Array
+    hidden: Array
+    outside: Array
+    off: Array
+
+    @property
+    def gain(self) -> Array:
+        """Area (k,) for a ball less that against it, square metres."""
+        net = self.skin - self.other - _HIDDEN * self.hidden - _OUTSIDE * self.outside
+        return np.asarray(np.pi * self.radii**2 * net * (1 - self.off))
+
+    def confidence(self, noise: float) -> Array:
+        """Return the fraction (k,) of the area seen that is skin, if as much as noise may fake counts against it."""
+        area, faked = np.pi * self.radii**2, np.pi * (_NOISE_REACH * noise) ** 2
+        return np.asarray(area * self.skin / (area * (self.skin + self.other) + faked))
+
+    def select(self, rows: Sequence[int] | Array) -> _Balls:
+        return _Balls(*(values[rows] for values in self))
+
+
+def find_red(surface: SurfaceCloud, found: Sequence[Sphere], settings: ShapeSettings) -> RedFruit:
+    """Find balls of red skin that fruit found before does not explain.
+
+    Args:
+        surface: The cloud with a point per voxel of ``settings.voxel``.
+        found: Fruit found before. A ball may cover smaller ones, which `sits_on` then tells apart from real fruit.
+        settings: All settings.
+    """
+    smallest = max(settings.radii[0], _NOISE_REACH * surface.noise)
+    red = redness(surface.colors) > RED
+    explained = nearest_shapes(surface.points, [f for f in found if f.radius > smallest], SHELL).owner >= 0
+    left = np.flatnonzero(red & ~explained)
+    if len(left):
+        left = left[group_sizes(surface.points[left], 2 * settings.voxel) * settings.voxel**2 > smallest**2]
+    if not len(left) or smallest >= settings.radii[1]:
+        return RedFruit([], np.zeros(0))
+    seen_from = _Views(surface)
+    near = cKDTree(surface.points[left]).query(surface.points, distance_upper_bound=3 * settings.radii[1])[0]
+    around = np.flatnonzero(np.isfinite(near))
+    scene, is_red, unexplained = surface.select(around), red[around], np.isin(around, left)
+    steps = 1 + int(np.log(settings.radii[1] / smallest) / np.log(_RADIUS_STEP))
+    radii = np.geomspace(smallest, settings.radii[1], steps)
+    laid = [_lay(scene, is_red, unexplained, float(radius), seen_from) for radius in radii]
+    balls = _Balls(*map(np.concatenate, zip(*laid, strict=True)))
+    tree = cKDTree(scene.points[is_red])
+    owned = ~unexplained[is_red]
+    chosen = _select(balls, tree, owned)
+    if not len(chosen.radii):
+        return RedFruit([], np.zeros(0))
+    refined = [_refine(scene, is_red, ball, seen_from) for ball in np.column_stack([chosen.centers, chosen.radii])]
+    chosen = _select(_Balls(*map(np.concatenate, zip(*refined, strict=True))), tree, owned)
+    rows = around[is_red]
+    fits = [_as_fit(chosen, k, tree, rows, scene.normals[is_red]) for k in range(len(chosen.radii))]
+    return RedFruit(fits, chosen.confidence(surface.noise))
+
+
+def sits_on(small: Sphere, balls: Sequence[Sphere]) -> bool:
+    """Return whether a sphere is a bump on a much larger ball."""
+    gaps = [
+        np.linalg.norm(small.center - ball.center) - ball.radius for ball in balls if ball.radius > 2 * small.radius
+    ]
+    return bool(gaps) and min(gaps) < small.radius
+
+
+class _Views:
+    """Directions from which the parts of a cloud were seen: the means of the normals around them."""
+
+    def __init__(self, cloud: Cloud):
+        cells, _ = voxel_means(Cloud(cloud.points, cloud.colors, cloud.normals), _VIEW_CELL)
+        self._tree = cKDTree(cells.points)
+        near = self._tree.query_ball_point(cells.points, _VIEW_REACH)
+        means = np.array([cells.normals[rows].mean(axis=0) for rows in near])
+        self._views = means / np.maximum(np.linalg.norm(means, axis=1, keepdims=True), 1e-9)
+
+    def __call__(self, points: Array) -> Array:
+        """Return unit vectors (n, 3) toward the viewer at points (n, 3)."""
+        return np.asarray(self._views[self._tree.query(points)[1]])
+
+
+def _cells(cloud: Cloud, red: Array, size: float) -> Cloud:
+    """Return the cloud's mean points per cell, with the fraction of red points as color."""
+    return voxel_means(Cloud(cloud.points, np.repeat(red[:, None], 3, axis=1).astype(float), cloud.normals), size)[0]
+
+
+def _lay(cloud: Cloud, red: Array, start: Array, radius: float, seen_from: _Views) -> _Balls:
+    """Lay balls behind the red points at ``start``: against the view, and half way to their normals."""
+    poles = _cells(cloud.select(start), red[start], _SPACING * radius)
+    views = seen_from(poles.points)
+    turned = views + poles.normals
+    turned /= np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-9)
+    centers = np.concatenate([poles.points - radius * views, poles.points - radius * turned])
+    return _compare(_cells(cloud, red, _CELL * radius), centers, np.concatenate([views, views]), radius)
+
+
+def _refine(cloud: Cloud, red: Array, ball: Array, seen_from: _Views) -> _Balls:
+    """Move and scale a ball (4,) as long as the area for it grows."""
+    view = seen_from(ball[None, :3])
+    near = np.flatnonzero(np.linalg.norm(cloud.points - ball[:3], axis=1) < 4 * ball[3])
+    cells = _cells(cloud.select(near), red[near], _CELL * ball[3])
+    for k in range(_ROUNDS):
+        tried = []
+        for scale in 1 + 0.8**k * _SCALES:
+            centers = ball[:3] + 0.7**k * ball[3] * _SHIFTS @ _picture_axes(view)[:, 0]
+            tried.append(_compare(cells, centers, np.repeat(view, len(centers), axis=0), ball[3] * scale))
+        balls = _Balls(*map(np.concatenate, zip(*tried, strict=True)))
+        best = balls.select([int(np.argmax(balls.gain))])
+        ball = np.append(best.centers[0], best.radii[0])
+    return best
+
+
+def _picture_axes(views: Array) -> Array:
+    """Return two axes across each of the views (k, 3), and the view: (3, k, 3)."""
+    right = np.cross(views, [0.0, 0.0, 1.0]) + 1e-9 * np.array([0.0, 1.0, 0.0])
+    right /= np.linalg.norm(right, axis=1, keepdims=True)
+    return np.stack([right, np.cross(views, right), views])
+
+
+def _compare(cells: Cloud, centers: Array, views: Array, radius: float) -> _Balls:
+    """Compare balls of one radius with a cloud's cells as seen along their views (k, 3)."""
+    tree = cKDTree(cells.points)
+    parts = [
+        _pictures(cells, tree, centers[k : k + _BATCH], views[k : k + _BATCH], radius)
+        for k in range(0, len(centers), _BATCH)
+    ]
+    return _Balls(centers, np.full(len(centers), radius), *np.concatenate([np.zeros((0, 5)), *parts]).T)
+
+
+def _pictures(cells: Cloud, tree: cKDTree, centers: Array, views: Array, radius: float) -> Array:
+    """Return the last five columns of `_Balls` for balls (k,), from a picture of each in `_GRID` squared cells."""
+    around = tree.query_ball_point(centers, 1.4 * radius)
+    ahead = tree.query_ball_point(centers + 1.9 * radius * views, 1.6 * radius)
+    lists = [*around, *ahead]
+    owner = np.repeat(np.tile(np.arange(len(centers)), 2), [len(rows) for rows in lists])
+    rows = np.concatenate(lists).astype(np.int64)
+    offset = (cells.points[rows] - centers[owner]) / radius
+    x, y, depth = ((offset * axis[owner]).sum(axis=1) for axis in _picture_axes(views))
+    column, line = (np.floor((v + _REACH) / (2 * _REACH) * _GRID).astype(np.int64) for v in (x, y))
+    inside = (np.minimum(column, line) >= 0) & (np.maximum(column, line) < _GRID)
+    owner, x, y, depth = owner[inside], x[inside], y[inside], depth[inside]
+    pixel = (owner * _GRID + column[inside]) * _GRID + line[inside]
+    red, distance = cells.colors[rows[inside], 0] > 0.5, np.linalg.norm(offset[inside], axis=1)
+    shell = float(np.clip(_SHELL * radius, *_SHELL_BOUNDS)) / radius
+    skin = red & (np.abs(distance - 1) < shell) & (depth > -0.3)
+    ahead_of = (distance > 1 + shell) & (depth**2 > 1 - x**2 - y**2) & (depth > 0)
+    other = ~skin & ~ahead_of & (depth > -1.4) & ((depth > -0.2) | (distance < 1 - shell))
+
+    def counts(mask: Array) -> Array:
+        return np.bincount(pixel[mask], minlength=len(centers) * _GRID**2).reshape(len(centers), -1)
+
+    skins, others, hiding = counts(skin), counts(other), counts(ahead_of) > 0
+    filled = (skins > 0) & (skins >= others)
+    hidden = ~filled & hiding
+    continues = (counts(red & (np.abs(depth) < 0.6)) > 0) & ~hidden
+    off = np.bincount(owner[skin], np.abs(distance[skin] - 1), len(centers)) / np.maximum(skins.sum(axis=1), 1)
+    fractions = [picture[:, part].mean(axis=1) for picture, part in (
+        (filled, _DISC), (~filled & ~hiding, _DISC), (hidden, _DISC), (continues, _RING),
+    )]  # fmt: skip
+    return np.column_stack([*fractions, off])
+
+
+def _select(balls: _Balls, tree: cKDTree, owned: Array) -> _Balls:
+    """Select balls greedily by their gain, separate from each other and with most of their skin to themselves."""
+    purity = balls.skin / np.maximum(balls.skin + balls.other, 1e-9)
+    balls = balls.select(np.flatnonzero((balls.skin > _MIN_FILLED) & (purity > _MIN_PURITY) & (balls.gain > 0)))
+    owned, chosen = owned.copy(), list[int]()
+    for k in np.argsort(-balls.gain, kind="stable").tolist():
+        apart = np.linalg.norm(balls.centers[chosen] - balls.centers[k], axis=1)
+        skin = tree.query_ball_point(balls.centers[k], 1.15 * balls.radii[k])
+        if (apart > _SEPARATION * (balls.radii[chosen] + balls.radii[k])).all() and owned[skin].mean() < _MAX_OWNED:
+            owned[tree.query_ball_point(balls.centers[k], 1.3 * balls.radii[k])] = True
+            chosen.append(k)
+    return balls.select(np.array(chosen, dtype=np.int64))
+
+
+def _as_fit(balls: _Balls, k: int, tree: cKDTree, rows: Array, normals: Array) -> SphereFit:
+    """Return a ball with its points among ``rows``, the red points in the tree, with normals."""
+    center, radius = balls.centers[k], float(balls.radii[k])
+    near = np.array(tree.query_ball_point(center, 1.2 * radius), dtype=np.int64)
+    offset = np.asarray(tree.data)[near] - center
+    distance = np.linalg.norm(offset, axis=1)
+    on = np.abs(distance - radius) < _SHELL * radius
+    cosine = (offset[on] * normals[near[on]]).sum(axis=1) / distance[on]
+    rmse = float(np.sqrt(np.mean((distance[on] - radius) ** 2)))
+    return SphereFit(center, radius, rows[near[on]], float(balls.skin[k] / 2), rmse, float(cosine.mean()))
