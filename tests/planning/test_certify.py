@@ -121,8 +121,8 @@ def test_a_planner_that_dies_rates_nothing(small: Scene, monkeypatch: pytest.Mon
     deaths: list[Status] = ["crashed", "timeout"]
     planned = certify.plan_with
 
-    def dying(*given: Any) -> PlanResult:
-        return PlanResult(deaths.pop(), None, "RRTConnect", message="it died") if deaths else planned(*given)
+    def dying(*given: Any, **named: Any) -> PlanResult:
+        return PlanResult(deaths.pop(), None, "RRTConnect", message="it died") if deaths else planned(*given, **named)
 
     monkeypatch.setattr(certify, "plan_with", dying)
     assert certify.certify_target(compiled, 0) == expected
