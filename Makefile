@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 EXTRAS := all,dev
 # the last two need real recordings, in the folder that GREENHOUSE_GYM_REAL_DATA names
 BENCHMARKS := sensing.reconstruction sensing.shapes sensing.paper_figures planning.planners speed.throughput \
-	$(if $(GREENHOUSE_GYM_REAL_DATA),sensing.orbit sensing.shapes_real)
+	$(if $(GREENHOUSE_GYM_REAL_DATA),sensing.orbit sensing.real_data)
 
 .PHONY: demo test test-ompl-2 test-rllib lint bench docs clean
 

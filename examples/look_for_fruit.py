@@ -16,4 +16,4 @@ if __name__ == "__main__":
     print(f"found {info['found']} of {info['ripe']}, {np.mean(observation['map'] > 0):.0%} of the map is known")
     agents = [NextBestViewAgent(max_views=5), FixedViewsAgent(max_views=5)]
     for found in compare(agents, "train", episodes=2, bank="mini", task="look"):
-        print(found.agent, [round(record.measures["share_5"], 2) for record in found.records])
+        print(found.agent, [round(record.measures["fraction_5"], 2) for record in found.records])

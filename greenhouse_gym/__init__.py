@@ -9,11 +9,16 @@ from greenhouse_gym.common.opengl_choice import drop_broken_opengl_choice
 
 __version__ = "0.1.0"
 
-ENV_IDS: tuple[str, ...] = ("TomatoReach-v0", "TomatoLook-v0")
+ENV_IDS: tuple[str, ...] = ("TomatoReach-v0", "TomatoLook-v0", "TomatoHarvest-v0")
 """Ids of the environments this package registers."""
 
 drop_broken_opengl_choice()
-for _id, _keywords in zip(ENV_IDS, ({}, {"task": "look", "observation": "task"}), strict=True):
+_TASKS = (
+    {},
+    {"task": "look", "observation": "task"},
+    {"task": "harvest", "plants": "compliant", "physics": "truth"},
+)
+for _id, _keywords in zip(ENV_IDS, _TASKS, strict=True):
     gymnasium.register(
         id=_id,
         entry_point="greenhouse_gym.envs.environment:GreenhouseEnv",

@@ -15,17 +15,29 @@ from typing import NamedTuple
 import numpy as np
 
 _SERVER = """
-import contextlib, json, os, resource, signal, sys, time
+import json, os, signal, sys, tempfile
 sys.path[:] = json.loads(sys.argv[1])
 from greenhouse_gym.cli.main import main
 exec(sys.argv[3])
+
+def fill_disk_after(files):
+    make, left = tempfile.mkstemp, [files]
+    def mkstemp(*given):
+        left[0] -= 1
+        if left[0] < 0:
+            raise OSError(28, "No space left on device")
+        return make(*given)
+    tempfile.mkstemp = mkstemp
+
 for line in sys.stdin:
-    arguments, seconds = json.loads(line)
+    arguments, seconds, files = json.loads(line)
     pid = os.fork()
     if not pid:
         log = os.open("/dev/null" if seconds else sys.argv[2], os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
         os.dup2(log, 1), os.dup2(log, 2), os.dup2(os.open("/dev/null", os.O_RDONLY), 0)
         sys.argv[1:] = arguments
+        if files is not None:
+            fill_disk_after(files)
         signal.setitimer(signal.ITIMER_PROF, seconds)  # unhandled, its signal ends the process at once
         code = 0
         try:
@@ -71,11 +83,17 @@ class Commands:
     def __exit__(self, *_: object) -> None:
         self._server.communicate()
 
-    def run(self, *arguments: object, killed_after: float = 0.0) -> Ended:
-        """Run a command; kill it after some processor time, seconds, if that is not zero."""
+    def run(self, *arguments: object, killed_after: float = 0.0, room: int | None = None) -> Ended:
+        """Run a command.
+
+        Args:
+            *arguments: Its words.
+            killed_after: Processor time, seconds, after which it is killed; zero for never.
+            room: Number of files after which the disk is full.
+        """
         assert self._server.stdin
         assert self._server.stdout
-        self._server.stdin.write(json.dumps([[str(each) for each in arguments], killed_after]) + "\n")
+        self._server.stdin.write(json.dumps([[str(each) for each in arguments], killed_after, room]) + "\n")
         self._server.stdin.flush()
         status, seconds = json.loads(self._server.stdout.readline())
         return Ended(status, seconds, self._log.read_text() if self._log.exists() else "")

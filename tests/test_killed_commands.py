@@ -1,8 +1,9 @@
-"""A command that is killed at any moment, and repeated, ends with the files of one that was left alone."""
+"""A command that is killed or meets a full disk, and is repeated, ends with the files of one that was left alone."""
 
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -35,38 +36,63 @@ TIMED = (".html", ".png", "curve.csv", ".hdf5", "events.out.tfevents")
 
 
 def arguments(name: str, folder: Path, out: Path) -> list[str]:
-    places = {"OUT": out, "RECORDING": folder / "recording", "CLOUD": folder / "reconstruct" / "row.ply"}
+    places = {"OUT": out, "RECORDING": folder / "recording", "CLOUD": folder / "reconstruct" / "out" / "row.ply"}
     words = COMMANDS[name].split()
     return ["/".join(str(places.get(part, part)) for part in word.split("/")) for word in words]
 
 
-def assert_it_resumes(commands: Commands, name: str, folder: Path, kills: int) -> None:
-    whole = commands.run(*arguments(name, folder, folder / name))
-    assert whole.status == 0, whole.printed
-    expected = contents(folder / name, TIMED)
-    rng = np.random.default_rng(0)
-    for k, moment in enumerate(rng.uniform(0.02, 0.95, kills)):
-        out = folder / f"{name}-{k}"
-        commands.run(*arguments(name, folder, out), killed_after=moment * whole.seconds)
-        again = commands.run(*arguments(name, folder, out))
-        from_checkpoint = name == "train" and again.status != 0  # which is never overwritten unasked
+class Whole:
+    """What a command writes that is left alone."""
+
+    def __init__(self, commands: Commands, name: str, folder: Path):
+        self.commands, self.name, self.folder = commands, name, folder
+        out = folder / name / "out"  # a bank has its folder's name
+        ended = commands.run(*arguments(name, folder, out))
+        assert ended.status == 0, ended.printed
+        self.seconds, self.files = ended.seconds, contents(out, TIMED)
+
+    def assert_it_resumes(self, out: Path) -> None:
+        words = arguments(self.name, self.folder, out)
+        again = self.commands.run(*words)
+        from_checkpoint = self.name == "train" and again.status != 0  # which is never overwritten unasked
         if from_checkpoint:
-            again = commands.run(*arguments(name, folder, out), "--resume")
+            again = self.commands.run(*words, "--resume")
         assert again.status == 0, again.printed
-        assert contents(out, TIMED).keys() == expected.keys(), (name, moment)
+        assert contents(out, TIMED).keys() == self.files.keys(), self.name
         if not from_checkpoint:
-            assert contents(out, TIMED) == expected, (name, moment)
+            assert contents(out, TIMED) == self.files, self.name
+
+    def kill(self, moment: float) -> None:
+        out = self.folder / f"{self.name}-killed-{moment:.6f}" / "out"
+        self.commands.run(*arguments(self.name, self.folder, out), killed_after=moment * self.seconds)
+        if contents(out, TIMED) != self.files:  # else it had just ended
+            self.assert_it_resumes(out)
+
+    def fill_disk(self, room: int) -> None:
+        out = self.folder / f"{self.name}-full-{room}" / "out"
+        ended = self.commands.run(*arguments(self.name, self.folder, out), room=room)
+        if ended.status:  # there may be fewer files
+            assert ended.status == 1, ended.printed
+            assert re.search(rf"error: {out}.*: cannot be written .*No space left", ended.printed.replace("\n", " "))
+            assert not list(out.rglob("*.part"))
+        self.assert_it_resumes(out)
 
 
-def test_a_killed_simulation_is_repeated(tmp_path: Path) -> None:
+def test_a_simulation_is_repeated(tmp_path: Path) -> None:
     with Commands(tmp_path, imported="") as commands:
-        assert_it_resumes(commands, "simulate", tmp_path, 1)
+        whole = Whole(commands, "simulate", tmp_path)
+        whole.kill(0.6)
+        whole.fill_disk(3)
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(7200)
-def test_every_command_killed_at_ten_moments(tmp_path: Path) -> None:
+def test_every_command_killed_at_ten_moments_and_on_full_disks(tmp_path: Path) -> None:
     with Commands(tmp_path) as commands:
         assert commands.run("simulate", tmp_path / "recording", "--length", "0.2").status == 0
         for name in COMMANDS:
-            assert_it_resumes(commands, name, tmp_path, 10)
+            whole = Whole(commands, name, tmp_path)
+            for moment in np.random.default_rng(0).uniform(0.02, 0.95, 10):
+                whole.kill(moment)
+            for room in (0, 1, 3):
+                whole.fill_disk(room)

@@ -1,4 +1,4 @@
-"""Measure the ten lines of README: train, evaluate on held-out rows, and plot the learning curve.
+"""Measure the ten lines of README: train, and evaluate on held-out rows; benchmarks/plots.py draws the curve.
 
 python -m benchmarks.agents.first_lesson --seeds 0 1 2
 python -m benchmarks.agents.first_lesson --action joint --split train --name "joint actions"
@@ -14,7 +14,6 @@ import time
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 import torch
 from stable_baselines3 import PPO
@@ -35,11 +34,11 @@ EVALUATED = (("own", "easy"), ("own", "medium"), ("helios", "easy"))
 STEPS = 5_000_000
 """Environment steps of a training."""
 
-RESULT, PICTURE = RESULTS / "first_lesson.json", RESULTS / "first_lesson.png"
+RESULT = RESULTS / "first_lesson.json"
 
 
 def main() -> None:
-    """Train, play, write the figures and the picture."""
+    """Train, play and write the figures."""
     command = parser(__doc__)
     command.add_argument("--seeds", type=int, nargs="+", default=[0])
     command.add_argument("--steps", type=int, default=STEPS)
@@ -83,8 +82,6 @@ def main() -> None:
                 print(seed, kind, entry[kind], flush=True)
         figures["seeds"][str(seed)] = entry
         write_entry(RESULT, a.name, figures)
-    if a.name == command.get_default("name"):
-        draw(figures)
 
 
 class Curve(BaseCallback):  # type: ignore[misc]
@@ -115,18 +112,6 @@ def trained(
     curve = Curve()
     model.learn(steps, callback=curve)
     return model, {"steps": model.num_timesteps, "curve": curve.lines}
-
-
-def draw(figures: dict[str, Any]) -> None:
-    """Draw the training curves of all seeds."""
-    figure, axes = plt.subplots(figsize=(7, 3.2), layout="constrained")
-    for seed, entry in figures["seeds"].items():
-        steps, _, success = np.array(entry["curve"]).T
-        axes.plot(steps / 1e6, 100 * success, label=f"seed {seed}")
-    axes.set(xlabel="environment steps (millions)", ylabel="tomatoes reached in training (%)", ylim=(0, 100))
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(frameon=False)
-    figure.savefig(PICTURE, dpi=110)
 
 
 if __name__ == "__main__":

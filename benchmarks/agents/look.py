@@ -4,9 +4,9 @@ python -m benchmarks.agents.look --episodes 308 --workdir /tmp/look
 python -m benchmarks.agents.look --split train --episodes 20 --agents next-best-view --results /tmp/look.json
 
 The stands are those of a split of a bank, in the true rows. They are looked at in a shuffled order, each as often as
-any other. Further rounds repeat them with other random choices of the agents, or with ``--moved`` after the plants moved.
-Intervals are 95 % bootstrap intervals over the stands. Records are kept below ``--workdir``, so an interrupted run
-resumes. An episode of ten views takes one to two seconds of processor time.
+any other. Further rounds repeat them with other random choices of the agents, or with ``--moved`` after the plants
+moved. Intervals are 95 % bootstrap intervals over the stands. Records are kept below ``--workdir``, so an interrupted
+run resumes. An episode of ten views takes one to two seconds of processor time.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def main() -> None:
             figures = settings | summary(found.records, lambda scene: bank.scene(scene).provenance.source or "?")
             write_entry(given.results, f"{given.split}, {track}, {name}", figures)
             every = figures["all"]
-            rows.append([name, every["episodes"], *(shown(every[f"share_{k}"]) for k in REPORTED_VIEWS)])
+            rows.append([name, every["episodes"], *(shown(every[f"fraction_{k}"]) for k in REPORTED_VIEWS)])
     print(table(["agent", "episodes", *(f"{k} views" for k in REPORTED_VIEWS)], rows))
 
 
@@ -74,19 +74,19 @@ def summary(records: Sequence[Record], source: Any) -> dict[str, Any]:
 
 
 def figures(records: Sequence[Record]) -> dict[str, Any]:
-    """Return shares with intervals, rates and times of episodes."""
+    """Return fractions with intervals, rates and times of episodes."""
     stands = sorted({record.scene for record in records})
-    found = np.array([[record.measures[f"share_{k}"] for k in REPORTED_VIEWS] for record in records])
+    found = np.array([[record.measures[f"fraction_{k}"] for k in REPORTED_VIEWS] for record in records])
     means = np.array([found[[record.scene == stand for record in records]].mean(axis=0) for stand in stands])
     picks = np.random.default_rng(0).integers(len(stands), size=(RESAMPLES, len(stands)))
     low, high = np.percentile(means[picks].mean(axis=1), [2.5, 97.5], axis=0)
-    shares = {
-        f"share_{k}": [round(float(value), 4) for value in (means[:, i].mean(), low[i], high[i])]
+    fractions = {
+        f"fraction_{k}": [round(float(value), 4) for value in (means[:, i].mean(), low[i], high[i])]
         for i, k in enumerate(REPORTED_VIEWS)
     }
     collisions = sum(record.collision for record in records)
     return {
-        "episodes": len(records), "stands": len(stands), **shares,
+        "episodes": len(records), "stands": len(stands), **fractions,
         "all_found_within_10": rate(sum(record.success for record in records), len(records)),
         "collisions": rate(collisions, len(records)),
         "ripe": round(float(np.mean([record.measures["ripe"] for record in records])), 1),
@@ -95,7 +95,7 @@ def figures(records: Sequence[Record]) -> dict[str, Any]:
 
 
 def shown(values: Sequence[float]) -> str:
-    """Return a share with its interval as text."""
+    """Return a fraction with its interval as text."""
     return f"{values[0]:.1%} [{values[1]:.1%}, {values[2]:.1%}]"
 
 

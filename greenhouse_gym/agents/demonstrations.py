@@ -183,7 +183,7 @@ def _datasets_in(folder: str) -> Iterator[None]:
 def _run(agent: Agent, env: GreenhouseEnv, seed: int) -> dict[str, Any]:
     """Run an episode and return its columns."""
     observation, info = env.reset(seed=seed)
-    agent.reset(Problem.of(env.simulation, 0, seed))
+    agent.reset(Problem.of(env.simulation, 0, seed, agent))
     columns: dict[str, list[Any]] = {
         "observations": [observation], "actions": [], "rewards": [], "terminations": [], "truncations": [],
     }  # fmt: skip

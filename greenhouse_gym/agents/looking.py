@@ -19,7 +19,7 @@ from greenhouse_gym.agents.occupancy_map import wrist_camera
 from greenhouse_gym.agents.viewpoints import DEPTHS, viewpoints
 from greenhouse_gym.envs.features import feature_slices
 from greenhouse_gym.envs.observations import TaskObservation
-from greenhouse_gym.envs.tasks.look import MAP, TomatoLook
+from greenhouse_gym.envs.tasks.look import MAP, RIPE, TomatoLook
 from greenhouse_gym.errors import InvalidValueError, check_whole
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.arm_spheres import ArmSpheres, arm_spheres
@@ -30,15 +30,20 @@ from greenhouse_gym.scene.occupancy import FREE, UNKNOWN
 ZONE = ((0.42, -1.2, -0.48), (0.95, 1.2, 0.08))
 """Corners of the space in which ripe fruit hang, in the base frame, metres: 98 % of it on the training rows."""
 
-NOTHING, OPACITY = np.zeros(4), np.array([0.1, 0.0, 1.0, 1.0])
-"""Fractions of light that are lost in a cell by its state: none at all, and as the planner of views expects it."""
+FRUIT_AT, FRUIT_SPREAD = (0.55, 0.0, -0.23), (0.15, 0.6, 0.12)
+"""Center and standard deviations of the places of ripe fruit, metres, on the training rows."""
 
-_GAP = 0.03  # metres between the arm and the centers of cells that are not known to be free
+NOTHING, OPACITY = np.zeros(4), np.array([0.0, 0.0, 1.0, 1.0])
+"""Fraction of light that is lost in a cell by its state: none at all, and as surfaces hide what is behind them."""
+
+_GAP = 0.045  # metres between the arm and the centers of cells that are not known to be free
 _ARRIVED, _SETTLED = 0.01, 0.03  # radians from a viewpoint, and between command and joints, for a view
 _TRIED = 80  # viewpoints whose motions are checked
 _NEAR = 2  # cells from known ones within which unknown ones are worth a view
+_TRUSS, _IN_TRUSS = 2, 3.0  # cells from ripe skin within which fruit is so much more likely
 _POINTS = 700  # unknown cells that are sampled for a view
-_MIN_GAIN = 0.02
+_MIN_GAIN = 0.02  # fraction of the points that a view shows
+_COLUMNS = (0.0, 0.4, -0.4, 0.8, -0.8)  # metres along the row: centers of the parts of fixed views
 _FACING = 0.15  # fraction of the zone that random views show
 
 
@@ -56,6 +61,7 @@ class CarvedSpace:
         self._swept = (near.min(axis=1) < MAP.cell + _GAP).reshape(MAP.shape)
         low, high = np.array(ZONE)
         self._in_zone = ((MAP.centers > low) & (MAP.centers < high)).all(axis=1).reshape(MAP.shape)
+        self._likely = np.exp(-0.5 * (((MAP.centers - FRUIT_AT) / FRUIT_SPREAD) ** 2).sum(axis=1))
         self.update(np.full(MAP.shape, UNKNOWN, dtype=np.uint8))
 
     def update(self, states: npt.NDArray[np.uint8]) -> None:
@@ -72,14 +78,15 @@ class CarvedSpace:
             points: Metres.
             opacity: Fraction of light that is lost in a cell, by its state.
         """
-        from greenhouse_gym.motion.sight_kernels import lines_of_sight  # loads numba
+        from greenhouse_gym.motion.visibility_kernels import transmittances  # loads numba
 
-        turns, origins = wrist_camera(self._arm.chain, configurations)
+        turns, origins = map(np.ascontiguousarray, wrist_camera(self._arm.chain, configurations))
+        centers = np.ascontiguousarray(self._arm.centers(configurations))
         camera, result = DepthCamera(), np.empty((len(configurations), len(points)))
         limits = np.array([*DEPTHS, camera.width / 2 / camera.focal, camera.height / 2 / camera.focal])
-        lines_of_sight(
-            np.ascontiguousarray(turns), np.ascontiguousarray(origins), points, opacity[self.states.reshape(-1)],
-            np.array(MAP.low), np.array(MAP.shape), MAP.cell, limits, result,
+        transmittances(
+            turns, origins, centers, self._arm.radius, points, opacity[self.states.reshape(-1)], np.array(MAP.low),
+            np.array(MAP.shape), MAP.cell, limits, result,
         )  # fmt: skip
         return result
 
@@ -92,13 +99,19 @@ class CarvedSpace:
         distance = np.where(cells >= 0, self._distance[cells], np.where(in_aisle, np.inf, 0.0))
         return bool((distance > radius + _GAP).all())
 
-    def unknown(self) -> Array:
-        """Return (k, 3) centers of unknown cells of the zone near known ones; of all of them if none is known."""
+    def unknown(self) -> tuple[Array, Array]:
+        """Return unknown cells of the zone near known ones, or all of them if none is known.
+
+        Returns:
+            Their centers (k, 3), metres, and the probabilities (k,) that the next fruit is there.
+        """
         unknown = self._in_zone & (self.states == UNKNOWN)
         known = self.states != UNKNOWN
         if known.any():
             unknown &= binary_dilation(known, iterations=_NEAR)
-        return np.asarray(MAP.centers[unknown.reshape(-1)])
+        weight = np.where(binary_dilation(self.states == RIPE, iterations=_TRUSS), _IN_TRUSS, 1.0)
+        weight = (weight.reshape(-1) * self._likely)[unknown.reshape(-1)]
+        return MAP.centers[unknown.reshape(-1)], weight / max(weight.sum(), 1e-12)
 
     def zone(self) -> Array:
         """Return (k, 3) centers of the cells of the zone."""
@@ -164,7 +177,7 @@ class LookingAgent(NamedAgent, ABC):
 
     def _next(self, command: Array) -> Array:
         """Return the next viewpoint that a free motion leads to; else the one before the last."""
-        for viewpoint in islice(self._viewpoints(command), _TRIED):
+        for viewpoint in islice(self._viewpoints(command), 2 * _TRIED):
             if self._is_free(command, viewpoint):
                 return viewpoint
         if len(self._trail) > 1:
@@ -196,27 +209,41 @@ class LookingAgent(NamedAgent, ABC):
 
 
 class NextBestViewAgent(LookingAgent):
-    """Take the view that shows most unknown cells near known ones where fruit hang (next best view; Connolly, 1985)."""
+    """Take the view that shows most unknown cells near known ones, where fruit hang (next best view; Connolly, 1985).
+
+    Cells count by the probability of fruit: by the places of ripe fruit on the training rows, and more near ripe skin,
+    because fruit hang in trusses.
+    """
 
     name = "next-best-view"
 
     def _viewpoints(self, command: Array) -> Iterator[Array]:
-        points = self._space.unknown()
-        points = points[self._rng.permutation(len(points))[:_POINTS]]
+        points, likely = self._space.unknown()
+        points = points[self._rng.choice(len(points), _POINTS, p=likely)] if len(points) else self._space.zone()
         return self._showing(command, points, _MIN_GAIN, OPACITY)
 
 
 class FixedViewsAgent(LookingAgent):
-    """Take views of ten parts of the zone in a fixed order: five columns, each low and high, from the middle out."""
+    """Take views of ten parts of the zone in a fixed order: five columns, each low and high, from the middle out.
+
+    A part that no free motion leads to yet is left out.
+    """
 
     name = "fixed-views"
 
+    def reset(self, problem: Problem) -> None:
+        """Begin with the first part."""
+        super().reset(problem)
+        self._part = 0
+
     def _viewpoints(self, command: Array) -> Iterator[Array]:
-        points, k = self._space.zone(), (self._views - 1) % 10
-        column, row = (0.0, 0.4, -0.4, 0.8, -0.8)[k // 2], k % 2
-        height = (points[:, 2] > np.mean([ZONE[0][2], ZONE[1][2]])) == row
-        part = points[height & (np.abs(points[:, 1] - column) < 0.2)]
-        return self._showing(command, part, 0.5)
+        points = self._space.zone()
+        upper = points[:, 2] > np.mean([ZONE[0][2], ZONE[1][2]])
+        for _ in range(2 * len(_COLUMNS)):
+            column, row = divmod(self._part, 2)
+            self._part = (self._part + 1) % (2 * len(_COLUMNS))
+            part = points[(upper == row) & (np.abs(points[:, 1] - _COLUMNS[column]) < 0.2)]
+            yield from islice(self._showing(command, part, 0.5), _TRIED // len(_COLUMNS))
 
 
 class RandomViewsAgent(LookingAgent):

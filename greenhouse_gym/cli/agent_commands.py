@@ -66,7 +66,7 @@ def compare(
     target: OneTarget = None,
     difficulty: Difficulty = "",
     track: Annotated[
-        str, typer.Option(help="Worlds of the contacts, separated by commas: reconstruction, truth, moved.")
+        str, typer.Option(help="Worlds of the contacts, separated by commas: reconstruction, truth, moved, brush.")
     ] = "reconstruction",
     num_envs: NumEnvs = 1,
     timeout: Annotated[float, typer.Option(help="Timeout of one answer of an agent, seconds.")] = 120.0,
@@ -108,7 +108,7 @@ def compare(
             try:
                 with executor_of(backend, workers, address) as executor:
                     for label, agent in chosen.items():
-                        options = {**shared, "bank": bank, "num_envs": num_envs, **TRACKS[name]}
+                        options = {"bank": bank, "num_envs": num_envs, **TRACKS[name], **shared}
                         (found,) = run([agent], split, episodes, seed, executor=executor, **options)
                         evaluations.append(replace(found, agent=label))
             finally:
@@ -158,7 +158,7 @@ def _by_name(requested: Sequence[str], agents: Sequence[Agent]) -> dict[str, Age
 def submit(
     agent: AgentArgument,
     out: EntryFolder = None,
-    track: Annotated[str, typer.Option(help="Tracks, separated by commas.")] = "reconstruction,truth,moved",
+    track: Annotated[str, typer.Option(help="Tracks, separated by commas.")] = "reconstruction,truth,moved,brush",
     episodes: Annotated[
         int, typer.Option(min=1, help="A number other than the protocol's makes a trial, which is not ranked.")
     ] = 1000,
@@ -268,7 +268,7 @@ def watch(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="File to write, .mp4 or .gif; episode.mp4 by default, or episode.gif without the extra viz.",
+            help="File to write, .mp4, .gif or .webp; episode.mp4 by default, or episode.gif without the extra viz.",
             show_default=False,
         ),
     ] = None,
@@ -280,7 +280,7 @@ def watch(
     seed: Seed = 0,
     difficulty: Difficulty = "",
     track: Annotated[
-        str, typer.Option(help="World of the contacts and of the film: reconstruction, truth or moved.")
+        str, typer.Option(help="World of the contacts and of the film: reconstruction, truth, moved or brush.")
     ] = "reconstruction",
     task: Annotated[str, typer.Option(help="Task: look, or your own as file.py:Class or module:Class.")] = "",
     robot: AgentRobot = "",

@@ -55,12 +55,15 @@ OBSERVATIONS: Mapping[str, Callable[[Robot, Task], ObservationSpec]] = {
 _OWN_SETTINGS = (DepthObservation, PointsObservation, RgbObservation)
 
 
-def make_task(choice: str | Task | type[Task] | Mapping[str, Any], success_radius: float) -> Task:
+def make_task(
+    choice: str | Task | type[Task] | Mapping[str, Any], success_radius: float, size: str | None = None
+) -> Task:
     """Return a task by name, by file or module, or as the user's own object.
 
     Args:
         choice: See `EnvSettings.task`.
         success_radius: Setting of the task "reach".
+        size: Setting of the task "harvest"; None for its default.
 
     Raises:
         UnknownNameError: The task or one of its contact groups does not exist.
@@ -70,7 +73,7 @@ def make_task(choice: str | Task | type[Task] | Mapping[str, Any], success_radiu
     own = load_own(choice, "task", lambda value: isinstance(value, type) and issubclass(value, Task))
     if isinstance(own, str):
         kind = _named("task", own, TASKS)
-        task = TomatoReach(success_radius) if kind is TomatoReach else kind()
+        task = TomatoReach(success_radius) if kind is TomatoReach else kind(**({} if size is None else {"size": size}))
     else:
         task = make(own, f"task {_name(own)}", {}) if isinstance(own, type) else own
     if not isinstance(task, Task):

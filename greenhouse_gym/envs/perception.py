@@ -13,7 +13,7 @@ from greenhouse_gym.common.executors import usable_cores
 from greenhouse_gym.envs.clearance_rays import NUM_CLEARANCES, clearance_rays
 from greenhouse_gym.envs.contacts import Contacts
 from greenhouse_gym.envs.observations import ObservationSpec
-from greenhouse_gym.envs.physics import Physics
+from greenhouse_gym.envs.physics import AnyPhysics
 from greenhouse_gym.envs.setups import Setup
 from greenhouse_gym.envs.state import Bools, Ids, State
 from greenhouse_gym.envs.views import TaskCamera, View
@@ -123,7 +123,7 @@ class Perception:
     def look(
         self,
         ids: Ids | slice,
-        physics: Physics,
+        physics: AnyPhysics,
         contacts: Contacts,
         steps: npt.NDArray[np.int64],
         memory: Mapping[str, Array],
@@ -146,6 +146,14 @@ class Perception:
         joints = physics.qpos[ids]
         command_error = physics.command[ids] - joints
         waypoint, path_length, path_free = self._paths(ids, physics.command, steps)
+        target, goal, radius = self._target[ids].copy(), self._goal[ids].copy(), self._radius[ids]
+        plants = dict(physics.felt(ids))
+        if plants:  # the fruit in work is the target, wherever it hangs now
+            origin, axes = frame[:, None, :3], self._axes[ids]
+            for name in ("fruit", "crate"):
+                plants[name] = ((plants[name][:, None] - origin) @ axes)[:, 0]
+            plants["force"] = (plants["force"][:, None] @ axes)[:, 0]
+            target, goal, radius = plants["fruit"].copy(), plants["fruit"].copy(), plants["radius"][:, None]
         images = self._render_images(ids, physics, frame, sites[:, 0], tool)
         return State(
             joints=joints + self._joint_offset[ids],
@@ -153,9 +161,9 @@ class Perception:
             command_error=command_error,
             tip=points[:, 0],
             axis=axis,
-            grasp=points[:, 0] + self._radius[ids] * axis,
-            target=self._target[ids].copy(),
-            goal=self._goal[ids].copy(),
+            grasp=points[:, 0] + radius * axis,
+            target=target,
+            goal=goal,
             remaining=self._remaining[ids].copy(),
             clearance=distance - self._probe_radii,
             obstacle=direction,
@@ -168,6 +176,7 @@ class Perception:
             color=images.color,
             views=images.views,
             fields=fields,
+            plants=plants,
             contacts=contacts.counts,
             collided=contacts.collided,
             distance=self._unset[: len(points)],
@@ -202,7 +211,7 @@ class Perception:
             unknown[k] = ~occupancy.is_known(probes[k])
         return unknown
 
-    def _render_images(self, ids: Ids | slice, physics: Physics, frame: Array, tip: Array, tool: Array) -> Images:
+    def _render_images(self, ids: Ids | slice, physics: AnyPhysics, frame: Array, tip: Array, tool: Array) -> Images:
         """Return the images of the cameras of some simulations."""
         cameras = self._observe.cameras
         if not cameras:
@@ -216,7 +225,7 @@ class Perception:
         models = [physics.models[i] for i in np.arange(self._count)[ids]]
         return self._rig.render(models, physics.qpos[ids], frame, tip, tool, noises)
 
-    def take_views(self, ids: Ids, physics: Physics) -> list[View]:
+    def take_views(self, ids: Ids, physics: AnyPhysics) -> list[View]:
         """Take a view with the camera of the task in some simulations."""
         setups = [self._setups[i] for i in ids]
         if self._task_camera is None:

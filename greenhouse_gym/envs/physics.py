@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Collection, Sequence
-from typing import NamedTuple
+from collections.abc import Collection, Mapping, Sequence
+from typing import NamedTuple, Protocol
 
 import mujoco
 import numpy as np
@@ -21,6 +21,49 @@ from greenhouse_gym.motion.leaf_contacts import LeafContacts
 from greenhouse_gym.scene.geom_order import compiled_geom_id, put_arm_first
 
 _SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
+
+
+class AnyPhysics(Protocol):
+    """Physics of n simulations, with rigid plants (`Physics`) or compliant ones.
+
+    Attributes:
+        models: The model of each simulation.
+        qpos: (n, j) joint positions, radians.
+        qvel: (n, j) joint velocities, rad/s.
+        command: (n, j) commanded joint positions, radians.
+    """
+
+    @property
+    def models(self) -> list[mujoco.MjModel]: ...  # noqa: D102
+    @property
+    def qpos(self) -> Array: ...  # noqa: D102
+    @property
+    def qvel(self) -> Array: ...  # noqa: D102
+    @property
+    def command(self) -> Array: ...  # noqa: D102
+
+    def load(self, i: int, world: World, targets: Sequence[int], disturbance: Disturbance) -> None:
+        """Copy a world into the model of a simulation."""
+
+    def place(self, ids: Ids, configurations: Array) -> Contacts:
+        """Place some arms at rest and return their contacts there."""
+
+    def advance(self, command: Array, vacuum: Bools) -> Contacts:
+        """Run one action."""
+
+    def sites(self, ids: Ids | slice) -> tuple[Array, Array]:
+        """Return tip and probe points and tool frames of some simulations."""
+
+    def motion(self, heading: Array) -> ToolMotion:
+        """Return the tools' motions with the joints."""
+
+    def felt(self, ids: Ids | slice) -> Mapping[str, Array]:
+        """Return the numbers on compliant plants, see `greenhouse_gym.envs.state.PLANTS`."""
+
+    def model_and_data(
+        self, i: int, targets: Sequence[int], disturbance: Disturbance
+    ) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        """Return copies of the model and the state of a simulation."""
 
 
 class _Start(NamedTuple):
@@ -99,8 +142,11 @@ class Physics:
         rest = np.zeros(configurations.shape)
         return self._contacts(ids, touching, _Start(configurations, rest, rest, configurations), 0)
 
-    def advance(self, command: Array) -> Contacts:
-        """Run one action, during which the servos' commands move at constant speed to the new ones (n, j)."""
+    def advance(self, command: Array, vacuum: Bools) -> Contacts:
+        """Run one action, during which the servos' commands move at constant speed to the new ones (n, j).
+
+        The vacuum holds nothing: no fruit comes off rigid plants.
+        """
         stepper = self._stepper
         before = [array.copy() for array in (stepper.qpos, stepper.qvel, stepper.warmstart, stepper.command)]
         stepper.speed[:] = (command - stepper.command) / self._timing.interval
@@ -126,11 +172,21 @@ class Physics:
         stepper = self._stepper
         return ToolMotion(stepper.xanchor, stepper.xaxis, stepper.site_xpos[:, self._tip], heading)
 
-    def copy_state(self, i: int, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Copy the state of a simulation into the ``data`` of its ``model`` and run the forward computation."""
-        stepper = self._stepper
+    def felt(self, ids: Ids | slice) -> Mapping[str, Array]:
+        """Return no numbers: rigid plants feel nothing."""
+        return {}
+
+    def model_and_data(
+        self, i: int, targets: Sequence[int], disturbance: Disturbance
+    ) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        """Return a copy of the compiled model of a simulation, prepared for an episode, and its state."""
+        world, stepper = self._worlds[i], self._stepper
+        model = copy.copy(world.compiled.model)
+        prepare(model, world, targets, disturbance)
+        data = mujoco.MjData(model)
         data.qpos[:], data.qvel[:], data.act[:] = stepper.qpos[i], stepper.qvel[i], stepper.command[i]
         mujoco.mj_forward(model, data)
+        return model, data
 
     def _contacts(self, ids: Ids, touching: Bools, start: _Start, substeps: int) -> Contacts:
         """Classify the contacts of the few simulations that have any by repeating their action."""

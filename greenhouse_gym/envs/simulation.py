@@ -21,11 +21,12 @@ from greenhouse_gym.envs.choices import (
     outcome_check,
     remembered,
 )
+from greenhouse_gym.envs.compliant_physics import CompliantPhysics, CompliantSimulation
 from greenhouse_gym.envs.contacts import NAME_SEPARATOR, NO_CONTACT, Contact, Contacts
 from greenhouse_gym.envs.episodes import Episode, EpisodeSampler
 from greenhouse_gym.envs.observations import Observed, check_goals
 from greenhouse_gym.envs.perception import Perception
-from greenhouse_gym.envs.physics import Physics, prepare
+from greenhouse_gym.envs.physics import AnyPhysics, Physics
 from greenhouse_gym.envs.rewards import StepResult, Transition, total_reward, with_brush_cost, with_contact_cost
 from greenhouse_gym.envs.settings import EnvSettings
 from greenhouse_gym.envs.setups import Setup, draw_setup
@@ -34,6 +35,7 @@ from greenhouse_gym.envs.task import GoalTask, Outcome
 from greenhouse_gym.envs.worlds import capacity_of, shared_worlds
 from greenhouse_gym.errors import InvalidValueError, NoEpisodeError
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.plants.layout import Layout
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import CompiledScene, Scene
 from greenhouse_gym.scene.mjcf import TIMESTEP
@@ -68,13 +70,21 @@ class Simulation:
 
     def __init__(self, count: int, settings: EnvSettings, threads: int = 0):
         self.settings = settings
-        self.task = make_task(settings.task, settings.success_radius)
+        self.task = make_task(settings.task, settings.success_radius, settings.size)
+        compliant = settings.plants == "compliant"
+        if self.task.layout is not None and not compliant:
+            raise InvalidValueError(
+                f'task {type(self.task).__name__} needs plants="compliant" and physics="truth", got plants='
+                f"{settings.plants!r}"
+            )
         self._checked = outcome_check(self.task)
         self.robot = robot = get_robot(settings.robot)
         self.sampler = EpisodeSampler(
             settings.bank, settings.split, robot, settings.difficulty, settings.start, settings.scene, settings.target
         )
         self.observe = make_observation(settings.observation, robot, self.task)
+        if compliant and (self.observe.cameras or self.task.camera):
+            raise InvalidValueError('cameras do not see plants that move: choose observation="state", or other plants')
         self._timing = control_timing(settings.rate)
         self.action_rule = make_action(settings.action, robot, self._timing.interval)
         self.action_space = with_controls(self.action_rule.space, self.task.controls)
@@ -89,7 +99,9 @@ class Simulation:
         check_goals(self.observe, hidden, reward_requires_roadmap)
         self._hidden_goal = bool(hidden)
         capacity = settings.capacity or capacity_of(self.sampler.bank, settings.physics)
-        self.worlds = shared_worlds(robot, settings.physics, capacity, self._timing.substeps, settings.plants)
+        layout = (self.task.layout or Layout()) if compliant else None
+        leaves = "rigid" if settings.plants == "rigid" else "brush"
+        self.worlds = shared_worlds(robot, settings.physics, capacity, self._timing.substeps, leaves, layout)
         self.brush_cost = self.task.brush_cost if settings.plants == "brush" else None
         memory = self.task.memory.items()
         self._numbers = tuple(name for name, v in memory if np.ndim(v) == 0 and not name.startswith(HIDDEN))
@@ -97,7 +109,8 @@ class Simulation:
         self.count = count
         self.state: State | None = None
         self._threads = threads
-        self._physics: Physics | None = None
+        self._physics: AnyPhysics | None = None
+        self._reference: mujoco.MjModel | None = None
         self._setups: list[Setup | None] = [None] * count
         self._names = {key: np.full(count, "", dtype=object) for key in ("scene", "difficulty")}
         self._contact, self._self_collision = np.full(count, "", dtype=object), np.zeros(count, dtype=np.bool_)
@@ -141,10 +154,16 @@ class Simulation:
         physics = self._physics
         if physics is None:
             world = setups[0].world
+            self._reference = world.compiled.model
             ends_on = set(self.task.ends_on) - (set() if self.brush_cost is None else {"leaf"})
-            physics = self._physics = Physics(self.count, world, self._threads, self._timing, ends_on)
+            physics = self._physics = (
+                Physics(self.count, world, self._threads, self._timing, ends_on)
+                if self.worlds.layout is None
+                else CompliantPhysics(self.count, world, self._timing, ends_on, self.worlds.layout)
+            )
         for setup in setups:
-            setup.world.check_fits(physics.models[0])
+            assert self._reference is not None
+            setup.world.check_fits(self._reference)
         with progress("simulations begun", len(ids), shown=first) as on_progress:
             for done, (i, setup) in enumerate(zip(ids.tolist(), setups, strict=True), start=1):
                 physics.load(i, setup.world, self._touchable(setup.episode), setup.disturbance)
@@ -184,7 +203,7 @@ class Simulation:
         shown = self._shown_to(self.action_rule, before)
         change = self.action_rule(arm, shown, physics.motion(self._perception.heading))
         command = self._limit(physics.command, change, physics.qpos)
-        contacts = physics.advance(command.position)
+        contacts = physics.advance(command.position, self.task.holds(controls))
         self._record_contacts(contacts)
         counts["steps"] += 1
         counts["speed_limited"] += command.speed_limited
@@ -232,7 +251,7 @@ class Simulation:
 
     def _touchable(self, episode: Episode) -> tuple[int, ...]:
         """Return the tomatoes that the cup may touch."""
-        return episode.targets if self.task.touches_targets else ()
+        return episode.targets if self.task.allows_cup_contact else ()
 
     def _advance_targets(self, ids: Ids) -> None:
         """Make the next target of some simulations the current one, which affects the next observation."""
@@ -286,6 +305,7 @@ class Simulation:
         if self.brush_cost is not None:
             result["brushing"] = TIMESTEP * counts["brushing"]
             result["brushed_time"] = TIMESTEP * counts["brushed_steps"]
+            assert isinstance(self._physics, Physics)
             result["brushed_leaves"] = np.array([len(leaves) for leaves in self._physics.brushed])
         if step is not None and self.observe.has_goals:
             assert isinstance(self.task, GoalTask)
@@ -340,13 +360,19 @@ class Simulation:
 
     def model_and_data(self, i: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
         """Return a copy of a simulation's model, in which the cup may touch the targets, and its state."""
-        episode, world, disturbance = self._setup(i)
+        episode, _, disturbance = self._setup(i)
         assert self._physics is not None
-        model = copy.copy(world.compiled.model)
-        prepare(model, world, self._touchable(episode), disturbance)
-        data = mujoco.MjData(model)
-        self._physics.copy_state(i, model, data)
-        return model, data
+        return self._physics.model_and_data(i, self._touchable(episode), disturbance)
+
+    def live(self, i: int) -> CompliantSimulation:
+        """Return the compliant plants of a simulation as they are, for agents that may know everything.
+
+        Raises:
+            InvalidValueError: The plants are rigid.
+        """
+        if not isinstance(self._physics, CompliantPhysics):
+            raise InvalidValueError('plants hang live with plants="compliant" alone; use task="harvest"')
+        return self._physics.simulation(i)
 
     def _shown_to(self, part: object, state: State) -> State:
         """Return the state as an observation or action gets it; those of a user may not know all of it."""

@@ -7,6 +7,7 @@ Points and directions are in the base frame: x forward to the plants, z up, orig
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -68,6 +69,27 @@ def control_timing(rate: float) -> ControlTiming:
     return ControlTiming(substeps, substeps * TIMESTEP, ACTION_STEP * (substeps / SUBSTEPS))
 
 
+PLANTS: Mapping[str, str] = MappingProxyType(
+    {
+        "work": "number of the fruit in work: the held one, else the nearest one to be picked; -1 without one",
+        "fruit": "(3,) its middle in the base frame, metres; the tip without one",
+        "radius": "its radius, metres",
+        "held": "1 while the cup holds a fruit",
+        "vacuum": "reading of the vacuum: 1 at rest on a fruit, falling to 0 at the force at which the cup lets go",
+        "force": "(3,) mean force of the held fruit on the cup in the last action, N",
+        "left": "fruit to be picked that are neither in the crate nor lost",
+        "wanted": "fruit to be picked in the episode",
+        "detached": "fruit to be picked that came off in the cup in the last action",
+        "knocked": "fruit that came off otherwise",
+        "crated": "fruit to be picked that came to rest in the crate",
+        "dropped": "fruit that came off in the cup and were lost",
+        "damaged": "organs damaged for the first time",
+        "crate": "(3,) middle of the crate's rim, metres",
+    }
+)
+"""Numbers on compliant plants and the gripper in `State.plants`, by name with their meanings."""
+
+
 class State(NamedTuple):
     """State of n simulations at one moment.
 
@@ -93,6 +115,8 @@ class State(NamedTuple):
         color: (n, c, h, w, 3) color images, 0 to 255; c is 0 unless requested.
         views: (n, c, 4, 4) camera poses, base_from_camera.
         fields: Distance fields of the known scenes, for `distances_at`.
+        plants: Numbers on compliant plants and the gripper by name, (n,) or (n, 3), see `PLANTS`; empty if plants are
+            rigid.
         contacts: (n, `len(CONTACT_GROUPS)`) contacts by group, summed over the physics steps of the last action.
         collided: (n,) whether a contact ended the episode.
         distance: (n,) remaining distance to the goal as the task measures it.
@@ -121,6 +145,7 @@ class State(NamedTuple):
     color: Bytes
     views: Array
     fields: FieldsOfSimulations
+    plants: Mapping[str, Array]
     contacts: npt.NDArray[np.int64]
     collided: Bools
     distance: Array

@@ -21,6 +21,8 @@ from greenhouse_gym.envs.features import FEATURES, Feature
 from greenhouse_gym.envs.rewards import REWARDS, Reward
 from greenhouse_gym.envs.state import Bools, State
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.plants.layout import Layout
+from greenhouse_gym.plants.mechanics import PlantMechanics
 from greenhouse_gym.rendering.cameras import DepthCamera
 
 if TYPE_CHECKING:
@@ -67,8 +69,10 @@ class Task(ABC):
             begins with an underscore is known to the task and its rewards alone.
         arrays: Spaces of arrays in `memory` that ``observation="task"`` contains, by name.
         controls: Names of the entries, from -1 to 1, that an action has after those that move the arm.
-        camera: Camera of which `see` gets views; None for none.
-        touches_targets: The cup may touch the targets of the episode.
+        camera: Camera that takes the views for `see`; None for no views.
+        allows_cup_contact: The cup may touch the targets of the episode.
+        layout: Slots for plants that give way, for a task that needs them; None for one that works with any plants.
+        mechanics: Mechanics of plants that give way.
         knows_scan: Agents know the scanned scene at the start of an episode; otherwise only where the arm stands.
     """
 
@@ -81,7 +85,9 @@ class Task(ABC):
     arrays: Mapping[str, spaces.Box] = MappingProxyType({})
     controls: tuple[str, ...] = ()
     camera: DepthCamera | None = None
-    touches_targets: bool = True
+    allows_cup_contact: bool = True
+    layout: Layout | None = None
+    mechanics: PlantMechanics = PlantMechanics()
     knows_scan: bool = True
 
     def sample(self, sampler: EpisodeSampler, rng: np.random.Generator, options: Mapping[str, Any] | None) -> Episode:
@@ -100,6 +106,10 @@ class Task(ABC):
 
     def looks(self, controls: Array) -> Bools:
         """Return (n,) which simulations take a view after an action with these entries of `controls` (n, c)."""
+        return np.zeros(len(controls), dtype=np.bool_)
+
+    def holds(self, controls: Array) -> Bools:
+        """Return (n,) in which simulations the vacuum is on during an action with these entries of `controls`."""
         return np.zeros(len(controls), dtype=np.bool_)
 
     def see(self, view: View, memory: Mapping[str, Any]) -> Mapping[str, npt.ArrayLike]:

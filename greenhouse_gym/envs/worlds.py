@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import weakref
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 
@@ -22,6 +23,10 @@ from greenhouse_gym.motion.collision import LEAVES
 from greenhouse_gym.motion.distance_field import FieldStore
 from greenhouse_gym.motion.leaf_contacts import LeafContacts
 from greenhouse_gym.motion.roadmap import SceneRoadmaps
+from greenhouse_gym.plants.layout import Layout
+from greenhouse_gym.plants.mechanics import PlantMechanics
+from greenhouse_gym.plants.slots import Planted, plant
+from greenhouse_gym.plants.topology import Topology, topology_of
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import CompiledScene, Scene, SceneBank, Shapes, compile_scene
 from greenhouse_gym.scene.geom_order import first_world_geom
@@ -33,6 +38,9 @@ _ROUND = 100
 
 CACHED = LARGEST_WHOLE
 """Number of cached worlds of one kind: each takes about 4 MB with its scene, a true row up to 26 MB."""
+
+PLANTED = 16
+"""Number of cached worlds with plants in their slots."""
 
 CACHED_KINDS = 8
 """Number of cached kinds of worlds (arm, physics, capacity, rate)."""
@@ -79,6 +87,7 @@ class World:
         bodies: (t,) indices of these counterparts in the simulated scene.
         leaves: "rigid" or "brush", see `Worlds`.
         before: World before the plants moved, which shares its distance field; None if they did not move.
+        planted: Organs in the slots of the model; None if none give way.
     """
 
     scene: Scene
@@ -90,6 +99,7 @@ class World:
     bodies: np.ndarray[tuple[int], np.dtype[np.int64]]
     leaves: str = "rigid"
     before: World | None = None
+    planted: Planted | None = None
 
     def check_fits(self, model: mujoco.MjModel) -> None:
         """Check that a model has the same layout.
@@ -121,6 +131,11 @@ class World:
     def leaf_contacts(self) -> LeafContacts:
         """Finds the leaves of the simulated scene that the arm touches."""
         return LeafContacts(self.compiled)
+
+    @cached_property
+    def topology(self) -> Topology:
+        """Organs of the simulated scene."""
+        return topology_of(self.compiled.scene, self.scene.name)
 
     @cached_property
     def used(self) -> int:
@@ -174,19 +189,31 @@ class Worlds:
         capacity: Number of obstacle slots of the models.
         substeps: Physics steps per action; the models record the contacts of as many.
         leaves: "rigid", or "brush" for leaves that give way: they exert no force, and distances ignore them.
+        layout: Layout of the slots for organs that give way and push back; None for none.
     """
 
-    def __init__(self, robot: Robot, physics: str, capacity: int, substeps: int = SUBSTEPS, leaves: str = LEAVES[0]):
+    def __init__(
+        self,
+        robot: Robot,
+        physics: str,
+        capacity: int,
+        substeps: int = SUBSTEPS,
+        leaves: str = LEAVES[0],
+        layout: Layout | None = None,
+    ):
         self.robot = robot
         self.physics = physics
         self.capacity = capacity
         self.leaves = leaves
-        self._record = partial(drive_and_record, substeps=substeps, forces=leaves != "rigid")
+        self.layout = layout
+        record = partial(drive_and_record, substeps=substeps, forces=leaves != "rigid")
+        self._edit = record if layout is None else partial(_with_slots, layout=layout, record=record)
         self.fields = FieldStore()
         # keys are ids of scenes: scenes are immutable, and a rewritten bank is read as new scenes; a world keeps its
         # scene alive, so an id is not reused before its world is freed
         self._alive: weakref.WeakValueDictionary[int, World] = weakref.WeakValueDictionary()
         self._kept: OrderedDict[int, World] = OrderedDict()
+        self._planted: OrderedDict[tuple[int, tuple[int, ...], PlantMechanics], tuple[World, World]] = OrderedDict()
 
     def world(self, scene: Scene, keep: int | None = None) -> World:
         """Return the world of a scene.
@@ -224,8 +251,30 @@ class Worlds:
             before=world,
         )
 
+    def planted(self, world: World, fruit: tuple[int, ...], mechanics: PlantMechanics) -> World:
+        """Return a world with organs that give way: the trusses of some fruit and the leaves around them in the slots.
+
+        Args:
+            world: The world.
+            fruit: Indices of the fruit to be picked, among the tomatoes of the simulated scene.
+            mechanics: Mechanical parameters.
+
+        Raises:
+            InvalidValueError: They do not fit into the slots, or the scene has no topology.
+        """
+        assert self.layout is not None
+        key = (id(world), fruit, mechanics)
+        if key not in self._planted:
+            compiled = replace(world.compiled, model=copy.copy(world.compiled.model))
+            planted = plant(compiled, world.topology, fruit, self.layout, mechanics)
+            self._planted[key] = (world, replace(world, compiled=compiled, planted=planted))
+        self._planted.move_to_end(key)
+        while len(self._planted) > PLANTED:
+            self._planted.popitem(last=False)
+        return self._planted[key][1]
+
     def _compile(self, scene: Scene) -> CompiledScene:
-        compiled = compile_scene(scene, self.robot, self.capacity, self._record)
+        compiled = compile_scene(scene, self.robot, self.capacity, self._edit)
         if self.leaves == "brush":
             make_yielding(compiled.model, compiled.leaf_geoms)
         return compiled
@@ -265,6 +314,11 @@ class Worlds:
             raise InvalidValueError(problem)
 
 
+def _with_slots(spec: mujoco.MjSpec, layout: Layout, record: Callable[[mujoco.MjSpec], None]) -> None:
+    record(spec)
+    layout.add(spec)
+
+
 def spheres_in_base(scene: Shapes, scene_from_base: Array) -> Array:
     """Return (t, 4) centers in the base frame and radii of the tomatoes, metres."""
     centers = np.array([tomato.center for tomato in scene.tomatoes]).reshape(-1, 3)
@@ -274,11 +328,16 @@ def spheres_in_base(scene: Shapes, scene_from_base: Array) -> Array:
 
 @lru_cache(maxsize=CACHED_KINDS)
 def shared_worlds(
-    robot: Robot, physics: str, capacity: int, substeps: int = SUBSTEPS, leaves: str = LEAVES[0]
+    robot: Robot,
+    physics: str,
+    capacity: int,
+    substeps: int = SUBSTEPS,
+    leaves: str = LEAVES[0],
+    layout: Layout | None = None,
 ) -> Worlds:
     """Return the cache that all environments of one kind share in this process.
 
     Robots are compared by identity: `get_robot` reads a shipped arm once, whereas every `load_robot` returns a new arm
     with its own worlds. A cache beyond the last `CACHED_KINDS` lives as long as an environment uses it.
     """
-    return Worlds(robot, physics, capacity, substeps, leaves)
+    return Worlds(robot, physics, capacity, substeps, leaves, layout)

@@ -163,8 +163,9 @@ class EpisodeRunner:
         env, seed = self._env, self._seed + index
         alone = np.arange(env.num_envs) == i
         env.reset(seed=[seed if mine else None for mine in alone], options={**where, "reset_mask": alone})
-        problem = Problem.of(self._simulation, i, seed)
-        run = _Run(index, problem, self._player(i), joints=[self._simulation.joints[i].copy()])
+        player = self._player(i)
+        problem = Problem.of(self._simulation, i, seed, player.agent)
+        run = _Run(index, problem, player, joints=[self._simulation.joints[i].copy()])
         began = time.perf_counter()
         try:
             run.player.deadline.call(run.player.agent.reset, problem)

@@ -38,6 +38,7 @@ class PpoSettings:
         action: Action of the environment, by name or your own.
         reward: Reward of the environment, by name or your own; "path" has a planner in it.
         task: Task of the environment, by name or your own.
+        plants: "rigid", or "brush" for leaves that give way.
         difficulty: Difficulties of the targets.
         scene: Name of the only scene to train on; all scenes of the split if None.
         target: Index of its only tomato to train on; needs a scene.
@@ -71,6 +72,7 @@ class PpoSettings:
     action: Choice = "joint"
     reward: Choice = "dense"
     task: Choice = "reach"
+    plants: str = "rigid"
     difficulty: str | tuple[str, ...] | dict[str, float] = ("easy", "medium", "hard")
     scene: SceneChoice = None
     target: int | None = None
@@ -174,6 +176,7 @@ class SacSettings:
         reward: "dense", "sparse" or your own. With the sparse one a collision costs what a success pays, so arms that
             still collide often learn to keep away from the plants; it learned little.
         task: Task of the environment, by name or your own; one with goals.
+        plants: As for PPO.
         scene: Name of the only scene to train on; all scenes of the split if None.
         target: Index of its only tomato to train on; needs a scene.
         num_envs: Number of simulations.
@@ -207,6 +210,7 @@ class SacSettings:
     action: Choice = "joint"
     reward: Choice = "dense"
     task: Choice = "reach"
+    plants: str = "rigid"
     scene: SceneChoice = None
     target: int | None = None
     num_envs: Simulations = 32

@@ -14,6 +14,7 @@ import math
 from collections.abc import Collection, Iterable
 from functools import cached_property, lru_cache
 from itertools import pairwise
+from typing import TypeAlias
 
 import mujoco
 import numpy as np
@@ -47,12 +48,16 @@ LEAVES = ("rigid", "brush")
 """Treatments of leaves: they are obstacles, or give way to an arm that brushes them."""
 
 
+Leaves: TypeAlias = str | npt.NDArray[np.int64]
+"""One of `LEAVES`, or indices (k,) into the leaves of a scene of those that give way."""
+
+
 def planning_model(
     compiled: CompiledScene,
     target: int,
     margin: float = MARGIN,
     pairs: Collection[str] = COLLISION_PAIRS,
-    leaves: str = LEAVES[0],
+    leaves: Leaves = LEAVES[0],
 ) -> mujoco.MjModel:
     """Copy a scene's model for planning: the cup may touch the target, and obstacles have a margin.
 
@@ -61,7 +66,7 @@ def planning_model(
         target: Index of the target tomato.
         margin: Metres; 0 gives the same contacts as the simulator.
         pairs: Groups of `COLLISION_PAIRS` to check the arm against. The simulator checks all.
-        leaves: "rigid", or "brush" to let the arm pass through the pieces of leaves among the clutter.
+        leaves: "rigid"; "brush" to let the arm pass through all leaves; or indices (k,) of the leaves that it may pass.
 
     Raises:
         InvalidValueError: The scene has no such tomato.
@@ -76,9 +81,26 @@ def planning_model(
     for pair in pairs:
         require_choice("collision pair", pair, COLLISION_PAIRS)
     _leave_out(compiled, model, set(COLLISION_PAIRS) - set(pairs))
-    if require_choice("leaves", leaves, LEAVES) == "brush":
-        pass_through(model, compiled.leaf_geoms)
+    pass_through(model, _yielding_geoms(compiled, leaves))
     return model
+
+
+def _yielding_geoms(compiled: CompiledScene, leaves: Leaves) -> npt.NDArray[np.int64]:
+    """Return the ids of the leaves that give way.
+
+    Raises:
+        InvalidValueError: There is no such leaf.
+        UnknownNameError: No such treatment of leaves.
+    """
+    geoms = compiled.leaf_geoms
+    if isinstance(leaves, str):
+        return geoms if require_choice("leaves", leaves, LEAVES) == "brush" else geoms[:0]
+    chosen = np.asarray(leaves)
+    wrong = chosen[(chosen < 0) | (chosen >= len(geoms))] if chosen.dtype.kind in "iu" else chosen
+    if chosen.ndim != 1 or (len(wrong) and len(chosen)):
+        expected = f"scene {compiled.scene.name!r} has leaves 0 to {len(geoms) - 1}"
+        raise InvalidValueError(f"leaves {', '.join(map(str, wrong.ravel()))}: {expected}")
+    return geoms[chosen.astype(np.int64)]
 
 
 def with_world_at_rest(model: mujoco.MjModel) -> mujoco.MjModel:

@@ -25,11 +25,15 @@ class LeafContacts:
     Args:
         compiled: The scene with its arm.
         model: Its model, or a copy with the arm at another position.
+
+    Attributes:
+        count: Number of leaves of the scene.
     """
 
     def __init__(self, compiled: CompiledScene, model: mujoco.MjModel | None = None):
         model = compiled.model if model is None else model
         self._leaves, self._reaches, self._lock = compiled.leaf_geoms, arm_reaches(compiled.robot), threading.Lock()
+        self.count = len(self._leaves)
         self._checker = CollisionChecker(leaves_alone(model, self._leaves), self._reaches)
         self._world = kernel_world(self._checker.model)
 

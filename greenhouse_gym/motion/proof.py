@@ -16,7 +16,14 @@ import mujoco
 import numpy as np
 
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.motion.collision import COLLISION_PAIRS, LEAVES, CollisionChecker, halving_order, planning_model
+from greenhouse_gym.motion.collision import (
+    COLLISION_PAIRS,
+    LEAVES,
+    CollisionChecker,
+    Leaves,
+    halving_order,
+    planning_model,
+)
 from greenhouse_gym.motion.joint_reaches import arm_reaches
 from greenhouse_gym.scene.mjcf import CompiledScene
 
@@ -27,9 +34,9 @@ _TOLERANCE = 1e-4  # metres: distances closer to the margin than this are decide
 
 
 def checker_of(
-    compiled: CompiledScene, target: int, pairs: Collection[str] = COLLISION_PAIRS, leaves: str = LEAVES[0]
+    compiled: CompiledScene, target: int, pairs: Collection[str] = COLLISION_PAIRS, leaves: Leaves = LEAVES[0]
 ) -> ProvingChecker:
-    """Return the checker for planning a path to a target, with the usual margin."""
+    """Return the checker for planning a path to a target, with the usual margin; arguments as for `planning_model`."""
     model = planning_model(compiled, target, pairs=pairs, leaves=leaves)
     return ProvingChecker(model, arm_reaches(compiled.robot))
 

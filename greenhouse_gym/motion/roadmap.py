@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from greenhouse_gym.errors import require_choice
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.collision import LEAVES, CollisionChecker, planning_model
 from greenhouse_gym.motion.goals import GoalSampler, nearest_free_goals
@@ -126,7 +127,7 @@ class SceneRoadmaps:
     """
 
     def __init__(self, compiled: CompiledScene, leaves: str = LEAVES[0]):
-        self.compiled, self._leaves = compiled, LEAVES[: LEAVES.index(leaves) + 1]
+        self.compiled, self._leaves = compiled, LEAVES[: LEAVES.index(require_choice("leaves", leaves, LEAVES)) + 1]
         self._postures: dict[bytes, Array] = {}  # by treatment of leaves and start
         self._nodes: dict[bytes, RoadmapNodes] = {}  # likewise, and by target and its center
 

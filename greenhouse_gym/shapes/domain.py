@@ -10,9 +10,14 @@ _MIN_COHERENCE = 0.91
 _MIN_DENSITY = 10.0
 """Least `SurfaceCloud.density`; rows that the networks were fitted to have 20 to 24."""
 
+_MIN_POINTS = 20_000
+"""Points below which a cloud is too small to be judged: the normals of a single fruit vary as much as noisy ones."""
+
 
 def outside_domain(surface: SurfaceCloud) -> str:
     """Return a phrase on the property in which a cloud differs from those the networks were fitted to, or ""."""
+    if len(surface) < _MIN_POINTS:
+        return ""
     if surface.coherence < _MIN_COHERENCE:
         return f"its normals vary too much within a centimetre (mean length {surface.coherence:.2f}, not 0.94 or more)"
     if surface.density < _MIN_DENSITY:

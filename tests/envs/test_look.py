@@ -64,7 +64,7 @@ def test_fruit_counts_once_it_is_ripe_near_and_not_hidden(bank: SceneBank) -> No
     assert (same["map"] == UNKNOWN).all()
     assert (info["views"], reward) == (0, -0.02)
     observation, reward, terminated, _, info = env.step(LOOK)
-    assert (info["found"], info["views"], info["share"], info["share_1"]) == (2, 1, 0.5, 0.5)
+    assert (info["found"], info["views"], info["fraction"], info["fraction_1"]) == (2, 1, 0.5, 0.5)
     assert info["reward_terms"] == {"found": 5.0, "view": -0.02, "time": -0.02, "collision": 0.0}
     assert not terminated
     assert not any(name.startswith("_") or name == "map" for name in info)
@@ -142,7 +142,16 @@ def test_agents_know_where_the_arm_stands_alone(bank: SceneBank) -> None:
     assert all(not p.scene.obstacles and p.scene.occupancy is None for p in problems)
     assert problems[0].action_space.shape == (7,)
     measures = found.records[0].measures
-    assert measures.keys() == {"ripe", "found", "share", "views", "share_1", "share_3", "share_5", "share_10"}
+    assert measures.keys() == {
+        "ripe",
+        "found",
+        "fraction",
+        "views",
+        "fraction_1",
+        "fraction_3",
+        "fraction_5",
+        "fraction_10",
+    }
     assert measures["views"] <= 4
 
 

@@ -37,7 +37,7 @@ MIN_DEPTH = 0.1
 """Smallest depth at which fruit is recognized, metres."""
 
 REPORTED_VIEWS = (1, 3, 5, 10)
-"""Numbers of views after which the share of the ripe fruit found is reported."""
+"""Numbers of views after which the fraction of the ripe fruit found is reported."""
 
 _DRAWS, _MANY = 64, 1000.0
 
@@ -47,7 +47,7 @@ class LookReward:
     """Reward ``dense`` of `TomatoLook`.
 
     Attributes:
-        found: Reward for all ripe fruit of the stand, in proportion to the share found in a step.
+        found: Reward for all ripe fruit of the stand, in proportion to the fraction found in a step.
         view: Reward per view: by default it costs as much as a step, the time to take and read it.
         time: Reward per step.
         collision: Reward for a collision.
@@ -62,7 +62,7 @@ class LookReward:
         """Return the terms of n steps."""
         before, after = step.start.memory, step.end.memory
         return {
-            "found": self.found * (after["share"] - before["share"]),
+            "found": self.found * (after["fraction"] - before["fraction"]),
             "view": self.view * (after["views"] - before["views"]),
             "time": np.full(len(step.after), self.time),
             "collision": np.where(step.collided, self.collision, 0.0),
@@ -88,11 +88,11 @@ class TomatoLook(Task):
 
     **End.** Success is all ripe fruit found. Every contact is a collision, which ends the episode as a failure.
 
-    **Reward** ``dense``: +10 for all ripe fruit, in proportion to the share found in the step (``found``), -0.02 per
+    **Reward** ``dense``: +10 for all ripe fruit, in proportion to the fraction found in the step (``found``), -0.02 per
     view (``view``) and per step (``time``), -5 for a collision (``collision``). ``sparse``: +1 and -1.
 
-    **Info**: ``ripe``, ``found``, ``share`` of the ripe fruit found, ``views``, and ``share_1``, ``share_3``,
-    ``share_5`` and ``share_10`` after that many views, or so far. ``distance`` is the share that is left.
+    **Info**: ``ripe``, ``found``, ``fraction`` of the ripe fruit found, ``views``, and ``fraction_1``, ``fraction_3``,
+    ``fraction_5`` and ``fraction_10`` after that many views, or so far. ``distance`` is the fraction that is left.
 
     Attributes:
         min_visible: Smallest visible fraction of a fruit's silhouette at which it is found.
@@ -107,7 +107,7 @@ class TomatoLook(Task):
     camera: DepthCamera = field(default_factory=DepthCamera)
 
     controls: ClassVar[tuple[str, ...]] = ("look",)
-    touches_targets: ClassVar[bool] = False
+    allows_cup_contact: ClassVar[bool] = False
     knows_scan: ClassVar[bool] = False
     features: ClassVar[Mapping[str, Feature]] = MappingProxyType(
         {
@@ -121,7 +121,7 @@ class TomatoLook(Task):
     )
     memory: ClassVar[Mapping[str, npt.ArrayLike]] = MappingProxyType(
         {
-            "ripe": 0, "found": 0, "share": 0.0, "views": 0, **{f"share_{k}": 0.0 for k in REPORTED_VIEWS},
+            "ripe": 0, "found": 0, "fraction": 0.0, "views": 0, **{f"fraction_{k}": 0.0 for k in REPORTED_VIEWS},
             "map": np.full(MAP.shape, UNKNOWN, dtype=np.uint8),
             "_ripe": np.zeros(MAX_TOMATOES, dtype=np.bool_), "_found": np.zeros(MAX_TOMATOES, dtype=np.bool_),
         }
@@ -162,15 +162,15 @@ class TomatoLook(Task):
         """Return what a view finds, and the map carved by it."""
         ripe, found = np.flatnonzero(memory["_ripe"]), memory["_found"].copy()
         found[ripe] |= view.visible_fractions(ripe, (MIN_DEPTH, self.max_range)) >= self.min_visible
-        share, views = found.sum() / len(ripe), memory["views"] + 1
-        shares = {f"share_{k}": share for k in REPORTED_VIEWS if views <= k}
+        fraction, views = found.sum() / len(ripe), memory["views"] + 1
+        fractions = {f"fraction_{k}": fraction for k in REPORTED_VIEWS if views <= k}
         chart = carved(memory["map"], view, memory["_ripe"])
-        return {"_found": found, "found": found.sum(), "share": share, "views": views, "map": chart, **shares}
+        return {"_found": found, "found": found.sum(), "fraction": fraction, "views": views, "map": chart, **fractions}
 
     def evaluate(self, state: State) -> Outcome:
-        """Return the share of the ripe fruit that is left, success and collisions."""
-        share = state.memory["share"]
-        return Outcome(1.0 - share, (share >= 1.0) & ~state.collided, state.collided.copy())
+        """Return the fraction of the ripe fruit that is left, success and collisions."""
+        fraction = state.memory["fraction"]
+        return Outcome(1.0 - fraction, (fraction >= 1.0) & ~state.collided, state.collided.copy())
 
 
 def carved(chart: npt.NDArray[np.uint8], view: View, ripe: Bools) -> npt.NDArray[np.uint8]:

@@ -26,7 +26,7 @@ from greenhouse_gym.shapes.surface_cloud import SurfaceCloud
 RED = 0.22
 """(R - G) / (R + G) above which skin is red: about half way from leaves to ripe fruit."""
 
-_NOISE_REACH = 8.0  # radius of the smallest fruit, and of the patch that noise may fake, in standard deviations
+_NOISE_REACH = 7.0  # radius of the smallest fruit, and of the patch that noise may fake, in standard deviations
 _RADIUS_STEP = 1.28  # ratio of the radii tried
 _CELL = 1 / 6  # side of the cells in which the cloud is compared with a ball, in radii
 _SPACING = 0.6  # distance between the points at which balls are laid, in radii
@@ -36,6 +36,7 @@ _HIDDEN, _OUTSIDE = 0.3, 0.3  # weights of hidden area and of skin that continue
 _MIN_FILLED, _MIN_PURITY = 0.25, 0.6  # fraction of a ball's picture that is skin, and of what is not hidden
 _SEPARATION = 0.8  # distance of two balls' centers, as a fraction of the sum of their radii
 _MAX_OWNED = 0.4  # fraction of a ball's skin that may belong to others
+_SIZE_SPREAD = 0.35  # standard deviation of the logarithm of a row's radii
 _SHIFTS = 0.15 * np.array([[0, 0, 0], *np.eye(3), *-np.eye(3)])  # moves tried in refinement, in radii
 _SCALES = np.array([-0.12, -0.06, 0.0, 0.06, 0.12])  # changes of the radius tried in refinement
 _ROUNDS = 3
@@ -81,6 +82,12 @@ class _Balls(NamedTuple):
         net = self.skin - self.other - _HIDDEN * self.hidden - _OUTSIDE * self.outside
         return np.asarray(np.pi * self.radii**2 * net * (1 - self.off))
 
+    def rank(self, usual: float | None) -> Array:
+        """Return the gain (k,), less for radii unlike the usual one: it decides where several balls explain a patch."""
+        if usual is None:
+            return self.gain
+        return np.asarray(self.gain * np.exp(-(np.log(self.radii / usual) ** 2) / (2 * _SIZE_SPREAD**2)))
+
     def confidence(self, noise: float) -> Array:
         """Return the fraction (k,) of the area seen that is skin, if as much as noise may fake counts against it."""
         area, faked = np.pi * self.radii**2, np.pi * (_NOISE_REACH * noise) ** 2
@@ -119,8 +126,11 @@ def find_red(surface: SurfaceCloud, found: Sequence[Sphere], settings: ShapeSett
     chosen = _select(balls, tree, owned)
     if not len(chosen.radii):
         return RedFruit([], np.zeros(0))
-    refined = [_refine(scene, is_red, ball, seen_from) for ball in np.column_stack([chosen.centers, chosen.radii])]
-    chosen = _select(_Balls(*map(np.concatenate, zip(*refined, strict=True))), tree, owned)
+    usual = _usual_radius(chosen)
+    chosen = _select(balls, tree, owned, usual)
+    spheres = np.column_stack([chosen.centers, chosen.radii])
+    refined = [_refine(scene, is_red, sphere, seen_from, usual) for sphere in spheres]
+    chosen = _select(_Balls(*map(np.concatenate, zip(*refined, strict=True))), tree, owned, usual)
     rows = around[is_red]
     fits = [_as_fit(chosen, k, tree, rows, scene.normals[is_red]) for k in range(len(chosen.radii))]
     return RedFruit(fits, chosen.confidence(surface.noise))
@@ -164,8 +174,8 @@ def _lay(cloud: Cloud, red: Array, start: Array, radius: float, seen_from: _View
     return _compare(_cells(cloud, red, _CELL * radius), centers, np.concatenate([views, views]), radius)
 
 
-def _refine(cloud: Cloud, red: Array, ball: Array, seen_from: _Views) -> _Balls:
-    """Move and scale a ball (4,) as long as the area for it grows."""
+def _refine(cloud: Cloud, red: Array, ball: Array, seen_from: _Views, usual: float) -> _Balls:
+    """Move and scale a ball (4,) to where its rank is highest."""
     view = seen_from(ball[None, :3])
     near = np.flatnonzero(np.linalg.norm(cloud.points - ball[:3], axis=1) < 4 * ball[3])
     cells = _cells(cloud.select(near), red[near], _CELL * ball[3])
@@ -175,7 +185,7 @@ def _refine(cloud: Cloud, red: Array, ball: Array, seen_from: _Views) -> _Balls:
             centers = ball[:3] + 0.7**k * ball[3] * _SHIFTS @ _picture_axes(view)[:, 0]
             tried.append(_compare(cells, centers, np.repeat(view, len(centers), axis=0), ball[3] * scale))
         balls = _Balls(*map(np.concatenate, zip(*tried, strict=True)))
-        best = balls.select([int(np.argmax(balls.gain))])
+        best = balls.select([int(np.argmax(balls.rank(usual)))])
         ball = np.append(best.centers[0], best.radii[0])
     return best
 
@@ -230,12 +240,19 @@ def _pictures(cells: Cloud, tree: cKDTree, centers: Array, views: Array, radius:
     return np.column_stack([*fractions, off])
 
 
-def _select(balls: _Balls, tree: cKDTree, owned: Array) -> _Balls:
-    """Select balls greedily by their gain, separate from each other and with most of their skin to themselves."""
+def _usual_radius(balls: _Balls) -> float:
+    """Return the median radius of balls, weighted by their gain."""
+    order = np.argsort(balls.radii)
+    total = np.cumsum(balls.gain[order])
+    return float(balls.radii[order[np.searchsorted(total, total[-1] / 2)]])
+
+
+def _select(balls: _Balls, tree: cKDTree, owned: Array, usual: float | None = None) -> _Balls:
+    """Select balls greedily by their rank, separate from each other and with most of their skin to themselves."""
     purity = balls.skin / np.maximum(balls.skin + balls.other, 1e-9)
     balls = balls.select(np.flatnonzero((balls.skin > _MIN_FILLED) & (purity > _MIN_PURITY) & (balls.gain > 0)))
     owned, chosen = owned.copy(), list[int]()
-    for k in np.argsort(-balls.gain, kind="stable").tolist():
+    for k in np.argsort(-balls.rank(usual), kind="stable").tolist():
         apart = np.linalg.norm(balls.centers[chosen] - balls.centers[k], axis=1)
         skin = tree.query_ball_point(balls.centers[k], 1.15 * balls.radii[k])
         if (apart > _SEPARATION * (balls.radii[chosen] + balls.radii[k])).all() and owned[skin].mean() < _MAX_OWNED:

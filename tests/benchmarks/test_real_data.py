@@ -9,6 +9,8 @@ import pytest
 
 from greenhouse_gym.crops.parts import Stem
 from greenhouse_gym.geometry import Array, rotation_about
+from greenhouse_gym.shapes import extract_shapes
+from greenhouse_gym.shapes.input_checks import ShapeWarning
 
 FOLDER = Path(os.environ.get("GREENHOUSE_GYM_REAL_DATA", "/nonexistent"))
 needs_data = pytest.mark.skipif(not FOLDER.is_dir(), reason="GREENHOUSE_GYM_REAL_DATA names no folder with real clouds")
@@ -18,9 +20,9 @@ needs_data = pytest.mark.skipif(not FOLDER.is_dir(), reason="GREENHOUSE_GYM_REAL
 def real(monkeypatch: pytest.MonkeyPatch) -> Any:
     """The benchmark's module."""
     monkeypatch.syspath_prepend(str(Path(__file__).parents[2]))
-    from benchmarks.sensing import shapes_real
+    from benchmarks.sensing import real_data
 
-    return shapes_real
+    return real_data
 
 
 def half_can(radius: float = 0.035) -> Array:
@@ -101,3 +103,18 @@ def test_the_main_stem_of_a_scanned_seedling_is_found(real: Any) -> None:
         compared, figures = real.measure_seedling(plant)
         assert compared.visible > 0.2
         assert figures["recall"] == compared.recall > 0.5
+
+
+@needs_data
+def test_apples_under_the_noise_of_a_real_sensor_are_found_in_their_size(real: Any) -> None:
+    frame = real.read_orchard(FOLDER)
+    part = (np.abs(frame.cloud.points[:, 1] - 0.5) < 0.25) & (np.abs(frame.cloud.points[:, 2] - 0.3) < 0.35)
+    cloud = frame.cloud.select(part)  # holds four labeled apples
+    with pytest.warns(ShapeWarning, match="unlike those the networks were fitted to: its normals vary"):
+        shapes = extract_shapes(cloud.points, cloud.colors, cloud.normals)
+    assert not [stem for stem in shapes.stems if stem.kind in ("peduncle", "pedicel")]
+    figures = real.measure_orchard(frame, shapes)
+    assert figures["hit"] >= 3
+    assert figures["right_size"] >= 3
+    assert figures["red"] >= 0.85
+    assert figures["spheres"] <= 12

@@ -1,4 +1,4 @@
-"""Kernel of lines of sight from many cameras to many points through a voxel map."""
+"""Kernel of the light that gets from many cameras to many points through a voxel map."""
 
 from __future__ import annotations
 
@@ -15,10 +15,15 @@ SHORT = 2
 """Last cells before a point, in which nothing hides it."""
 
 
-@kernel("void(f8[:,:,::1], f8[:,::1], f8[:,::1], f8[::1], f8[::1], i8[::1], f8, f8[::1], f8[:,::1])", writes=("out",))
-def lines_of_sight(
+@kernel(
+    "void(f8[:,:,::1], f8[:,::1], f8[:,:,::1], f8[::1], f8[:,::1], f8[::1], f8[::1], i8[::1], f8, f8[::1], f8[:,::1])",
+    writes=("out",),
+)
+def transmittances(
     turns: Floats,
     origins: Floats,
+    centers: Floats,
+    radii: Floats,
     points: Floats,
     opacity: Floats,
     low: Floats,
@@ -32,6 +37,8 @@ def lines_of_sight(
     Args:
         turns: (m, 3, 3) rotations base_from_camera.
         origins: (m, 3) positions of the cameras, metres.
+        centers: (m, b, 3) centers of spheres around the links of the arm, metres.
+        radii: (b,) their radii, metres. Spheres that contain the camera hide nothing.
         points: (k, 3) metres.
         opacity: (size,) fraction of light that is lost in each cell of the map, see `VoxelBox`; 0 outside of it.
         low: (3,) lower corner of the map, metres.
@@ -53,6 +60,18 @@ def lines_of_sight(
                 continue
             length = sqrt(dx * dx + dy * dy + dz * dz)
             light = 1.0
+            for b in range(len(radii)):
+                ax = centers[m, b, 0] - origins[m, 0]
+                ay = centers[m, b, 1] - origins[m, 1]
+                az = centers[m, b, 2] - origins[m, 2]
+                along = (ax * dx + ay * dy + az * dz) / length
+                squared = ax * ax + ay * ay + az * az
+                radius = radii[b] * radii[b]
+                if 0.0 < along < length and squared > radius and squared - along * along < radius:
+                    light = 0.0
+                    break
+            if light == 0.0:
+                continue
             for step in range(1, int(length / cell) - SHORT + 1):
                 part = step * cell / length
                 i = floor((origins[m, 0] + part * dx - low[0]) / cell)
