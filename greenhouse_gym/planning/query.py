@@ -88,7 +88,8 @@ def plan(
         time_limit: Seconds the planner may search; with None, ``max_checks`` alone ends the search.
         max_checks: Number of collision checks after which the search ends. If this and not the time ends it, the same
             seed gives the same path (for planners that are reproducible, such as RRTConnect).
-        goals: Number of goal configurations to find, or the configurations (k, joints) themselves, radians.
+        goals: Number of goal configurations to find, or the configurations (k, joints) themselves, radians; RRTConnect
+            takes up given ones one by one, in their order.
         seed: Seed of the goal search and of the planner.
         start: (joints,) start configuration, radians, or its name in `Robot.starts`; None for the arm's own.
         settings: Parameters to change, such as ``{"range": 0.5}``; ``PLANNERS[planner].parameters`` lists them with
@@ -171,7 +172,10 @@ def plan(
         fraction = 1.0 if depth == depths[-1] else _FRACTION
         seconds = None if time_limit is None else time_limit * fraction
         checks = None if max_checks is None else max(1, int(max_checks * fraction))
-        result = plan_with(around, checker, free, planner, seconds, checks, seed, origin, settings, first_solution)
+        result = plan_with(
+            around, checker, free, planner, seconds, checks, seed, origin, settings, first_solution,
+            gradual_goals=goal_checker is None or treatment == "brush",  # those that touch few leaves come first
+        )  # fmt: skip
         if result.path is not None:
             break
         time_limit = None if time_limit is None else time_limit - min(time_limit / 2, result.planning_time)
