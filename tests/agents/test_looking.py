@@ -93,19 +93,25 @@ def test_transmittances_end_at_surfaces(space: CarvedSpace) -> None:
     assert 0 < dim.max() < 0.7, "unknown space may hide points"
 
 
-def test_unknown_cells_that_are_worth_a_view(space: CarvedSpace) -> None:
-    assert len(space.unknown()[0]) == len(space.zone())
+def test_cells_that_are_worth_a_view(space: CarvedSpace) -> None:
+    assert len(space.hiding()[0]) == len(space.zone())
     states = np.full(MAP.shape, UNKNOWN, dtype=np.uint8)
     states[:10] = FREE
     space.update(states)
-    points, likely = space.unknown()
+    points, likely = space.hiding()
     assert 0 < len(points) < len(space.zone())
     assert points[:, 0].max() < MAP.low[0] + 12 * MAP.cell
     assert likely.sum() == pytest.approx(1.0)
     states[9, 30, 14] = RIPE
     space.update(states)
+    points, boosted = space.hiding()
     near = np.linalg.norm(points - MAP.centers.reshape(*MAP.shape, 3)[9, 30, 14], axis=1) < 0.06
-    assert (space.unknown()[1][near] > likely[near]).all(), "fruit hang in trusses"
+    assert boosted[near].min() > 2 * np.median(boosted[(np.abs(points[:, 1]) < 0.1) & ~near]), "fruit hang in trusses"
+    space.note_view(ARM.start)
+    seen = space.shown(ARM.start[None], points, OPACITY)[0] > 0.5
+    assert seen.any()
+    again = space.hiding()[1] / boosted
+    assert again[seen].max() < again[~seen].min(), "cells that a view has shown count less"
 
 
 def test_the_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
