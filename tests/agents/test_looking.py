@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import runpy
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -64,8 +65,9 @@ def test_the_arm_moves_through_free_space_alone(space: CarvedSpace) -> None:
     assert space.admits(path[:2])
 
 
-def test_transmittances_end_at_surfaces(space: CarvedSpace) -> None:
+def test_surfaces_and_the_arm_hide_what_is_behind_them() -> None:
     arm, rng = arm_spheres(ARM), np.random.default_rng(0)
+    space = CarvedSpace(replace(arm, radius=np.zeros_like(arm.radius)), ARM.start)
     states = np.full(MAP.shape, FREE, dtype=np.uint8)
     states[10, 20:40, 5:30] = OCCUPIED
     states[12, :20] = RIPE
@@ -81,6 +83,11 @@ def test_transmittances_end_at_surfaces(space: CarvedSpace) -> None:
     expected = visible(arm, configurations, points, lambda at: np.zeros(len(at), dtype=bool))
     assert ((free > 0) & expected).sum() == expected.sum()  # that one leaves out the edge of the image
     assert (free > 0).mean() < 1.2 * expected.mean()
+    with_arm = CarvedSpace(arm, ARM.start)
+    with_arm.update(states)
+    unblocked = with_arm.shown(configurations, points, np.zeros(4))
+    assert 0.1 < unblocked.sum() / free.sum() < 1.0
+    assert (unblocked <= free).all()
     behind = visible(arm, configurations, points, opaque)
     in_both = expected & (free > 0)
     assert 0.1 < (behind & in_both).sum() / in_both.sum() < 0.9
