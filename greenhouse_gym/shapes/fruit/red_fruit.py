@@ -34,9 +34,10 @@ _GRID, _REACH = 13, 1.25  # cells across a ball's picture, and half its width in
 _SHELL, _SHELL_BOUNDS = 0.2, (0.003, 0.009)  # distance from a ball at which points are its skin: radii, metres
 _HIDDEN, _OUTSIDE = 0.3, 0.3  # weights of hidden area and of skin that continues, against that of area on the ball
 _MIN_FILLED, _MIN_PURITY = 0.25, 0.6  # fraction of a ball's picture that is skin, and of what is not hidden
+_MAX_OUTSIDE, _MIN_BULGE = 0.5, 0.2  # skin that continues, and curvature: a red wall has 1 and 0
 _SEPARATION = 0.8  # distance of two balls' centers, as a fraction of the sum of their radii
 _MAX_OWNED = 0.4  # fraction of a ball's skin that may belong to others
-_SIZE_SPREAD = 0.35  # standard deviation of the logarithm of a row's radii
+_SIZE_SPREAD = 0.25  # standard deviation of the logarithm of a row's radii
 _SHIFTS = 0.15 * np.array([[0, 0, 0], *np.eye(3), *-np.eye(3)])  # moves tried in refinement, in radii
 _SCALES = np.array([-0.12, -0.06, 0.0, 0.06, 0.12])  # changes of the radius tried in refinement
 _ROUNDS = 3
@@ -66,6 +67,7 @@ class _Balls(NamedTuple):
         hidden: (k,) fraction hidden by something in front.
         outside: (k,) fraction of a ring around it where red skin continues.
         off: (k,) mean distance of the skin from the ball, in radii.
+        bulge: (k,) by how much the skin recedes toward the outline: 0 for a plane, 0.5 and more for a ball.
     """
 
     centers: Array
@@ -75,6 +77,7 @@ class _Balls(NamedTuple):
     hidden: Array
     outside: Array
     off: Array
+    bulge: Array
 
     @property
     def gain(self) -> Array:
@@ -83,10 +86,11 @@ class _Balls(NamedTuple):
         return np.asarray(np.pi * self.radii**2 * net * (1 - self.off))
 
     def rank(self, usual: float | None) -> Array:
-        """Return the gain (k,), less for radii unlike the usual one: it decides where several balls explain a patch."""
+        """Return the gain (k,), less for radii unlike the usual one as far as a ball does not show its own size."""
         if usual is None:
             return self.gain
-        return np.asarray(self.gain * np.exp(-(np.log(self.radii / usual) ** 2) / (2 * _SIZE_SPREAD**2)))
+        unlike = np.log(self.radii / usual) ** 2 / (2 * _SIZE_SPREAD**2)
+        return np.asarray(self.gain * np.exp(-(1 - self.skin) * unlike))
 
     def confidence(self, noise: float) -> Array:
         """Return the fraction (k,) of the area seen that is skin, if as much as noise may fake counts against it."""
@@ -129,8 +133,10 @@ def find_red(surface: SurfaceCloud, found: Sequence[Sphere], settings: ShapeSett
     usual = _usual_radius(chosen)
     chosen = _select(balls, tree, owned, usual)
     spheres = np.column_stack([chosen.centers, chosen.radii])
-    refined = [_refine(scene, is_red, sphere, seen_from, usual) for sphere in spheres]
+    largest = 1.1 * settings.radii[1]
+    refined = [_refine(scene, is_red, sphere, seen_from, usual, largest) for sphere in spheres]
     chosen = _select(_Balls(*map(np.concatenate, zip(*refined, strict=True))), tree, owned, usual)
+    chosen = chosen.select(np.flatnonzero(chosen.radii < 0.99 * largest))  # the others would have grown on
     rows = around[is_red]
     fits = [_as_fit(chosen, k, tree, rows, scene.normals[is_red]) for k in range(len(chosen.radii))]
     return RedFruit(fits, chosen.confidence(surface.noise))
@@ -174,7 +180,7 @@ def _lay(cloud: Cloud, red: Array, start: Array, radius: float, seen_from: _View
     return _compare(_cells(cloud, red, _CELL * radius), centers, np.concatenate([views, views]), radius)
 
 
-def _refine(cloud: Cloud, red: Array, ball: Array, seen_from: _Views, usual: float) -> _Balls:
+def _refine(cloud: Cloud, red: Array, ball: Array, seen_from: _Views, usual: float, largest: float) -> _Balls:
     """Move and scale a ball (4,) to where its rank is highest."""
     view = seen_from(ball[None, :3])
     near = np.flatnonzero(np.linalg.norm(cloud.points - ball[:3], axis=1) < 4 * ball[3])
@@ -183,7 +189,8 @@ def _refine(cloud: Cloud, red: Array, ball: Array, seen_from: _Views, usual: flo
         tried = []
         for scale in 1 + 0.8**k * _SCALES:
             centers = ball[:3] + 0.7**k * ball[3] * _SHIFTS @ _picture_axes(view)[:, 0]
-            tried.append(_compare(cells, centers, np.repeat(view, len(centers), axis=0), ball[3] * scale))
+            radius = min(float(ball[3] * scale), largest)
+            tried.append(_compare(cells, centers, np.repeat(view, len(centers), axis=0), radius))
         balls = _Balls(*map(np.concatenate, zip(*tried, strict=True)))
         best = balls.select([int(np.argmax(balls.rank(usual)))])
         ball = np.append(best.centers[0], best.radii[0])
@@ -204,11 +211,11 @@ def _compare(cells: Cloud, centers: Array, views: Array, radius: float) -> _Ball
         _pictures(cells, tree, centers[k : k + _BATCH], views[k : k + _BATCH], radius)
         for k in range(0, len(centers), _BATCH)
     ]
-    return _Balls(centers, np.full(len(centers), radius), *np.concatenate([np.zeros((0, 5)), *parts]).T)
+    return _Balls(centers, np.full(len(centers), radius), *np.concatenate([np.zeros((0, 6)), *parts]).T)
 
 
 def _pictures(cells: Cloud, tree: cKDTree, centers: Array, views: Array, radius: float) -> Array:
-    """Return the last five columns of `_Balls` for balls (k,), from a picture of each in `_GRID` squared cells."""
+    """Return the last six columns of `_Balls` for balls (k,), from a picture of each in `_GRID` squared cells."""
     around = tree.query_ball_point(centers, 1.4 * radius)
     ahead = tree.query_ball_point(centers + 1.9 * radius * views, 1.6 * radius)
     lists = [*around, *ahead]
@@ -233,11 +240,20 @@ def _pictures(cells: Cloud, tree: cKDTree, centers: Array, views: Array, radius:
     filled = (skins > 0) & (skins >= others)
     hidden = ~filled & hiding
     continues = (counts(red & (np.abs(depth) < 0.6)) > 0) & ~hidden
-    off = np.bincount(owner[skin], np.abs(distance[skin] - 1), len(centers)) / np.maximum(skins.sum(axis=1), 1)
+
+    def mean(mask: Array, values: Array) -> Array:
+        count = np.bincount(owner[mask], minlength=len(centers))
+        return np.bincount(owner[mask], values[mask], len(centers)) / np.maximum(count, 1)
+
+    aside = x**2 + y**2
+    patch = red & (aside < 1) & (np.abs(depth - 0.5) < 0.8)  # skin and, on a wall, what is no skin
+    far, spread = mean(patch, aside), mean(patch, aside**2) - mean(patch, aside) ** 2
+    bulge = (far * mean(patch, depth) - mean(patch, aside * depth)) / np.maximum(spread, 1e-3)
+    off = mean(skin, np.abs(distance - 1))
     fractions = [picture[:, part].mean(axis=1) for picture, part in (
         (filled, _DISC), (~filled & ~hiding, _DISC), (hidden, _DISC), (continues, _RING),
     )]  # fmt: skip
-    return np.column_stack([*fractions, off])
+    return np.column_stack([*fractions, off, bulge])
 
 
 def _usual_radius(balls: _Balls) -> float:
@@ -250,7 +266,9 @@ def _usual_radius(balls: _Balls) -> float:
 def _select(balls: _Balls, tree: cKDTree, owned: Array, usual: float | None = None) -> _Balls:
     """Select balls greedily by their rank, separate from each other and with most of their skin to themselves."""
     purity = balls.skin / np.maximum(balls.skin + balls.other, 1e-9)
-    balls = balls.select(np.flatnonzero((balls.skin > _MIN_FILLED) & (purity > _MIN_PURITY) & (balls.gain > 0)))
+    is_ball = (balls.outside < _MAX_OUTSIDE) & (balls.bulge > _MIN_BULGE)
+    is_ball &= (balls.skin > _MIN_FILLED) & (purity > _MIN_PURITY) & (balls.gain > 0)
+    balls = balls.select(np.flatnonzero(is_ball))
     owned, chosen = owned.copy(), list[int]()
     for k in np.argsort(-balls.rank(usual), kind="stable").tolist():
         apart = np.linalg.norm(balls.centers[chosen] - balls.centers[k], axis=1)
