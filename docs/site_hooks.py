@@ -1,20 +1,27 @@
-"""Hooks of the documentation site: pictures of the benchmarks, the page of commands, and a check of foreign links."""
+"""Hooks of the documentation site: pictures of the benchmarks, generated tables, scenes in 3-D, checks of links."""
 
 from __future__ import annotations
 
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
-from typer.main import get_command
 
-from greenhouse_gym.cli import app
+from greenhouse_gym.reporting.scene_page import scene_page
+from greenhouse_gym.robots import get_robot
+from greenhouse_gym.scene import SceneBank
 
 ROOT = Path(__file__).parent.parent
+sys.path.insert(0, str(ROOT / "docs"))
+from generated import insert_tables  # noqa: E402
+
 RESULTS = "benchmarks/results"
+SCENES = {"own": "own-cherry-2002-w10-01", "dense": "helios-dense-2003-w03-02"}
+"""Scenes of the bank `mini` that the gallery shows in 3-D, by the name of their page."""
 
 FOREIGN = re.compile(r"<(?:script|img|iframe|source|video)[^>]*\ssrc=[\"']?(?:https?:)?//[^\s>]*")
 STYLES = re.compile(
@@ -23,43 +30,20 @@ STYLES = re.compile(
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add the files of benchmark results, to which pages refer by their paths in the repository."""
+    """Add the files of benchmark results, to which pages refer by their paths in the repository, and the 3-D scenes."""
     for path in sorted((ROOT / RESULTS).rglob("*")):
-        if path.suffix in (".png", ".jpg", ".gif", ".json"):
+        if path.suffix in (".png", ".jpg", ".json"):
             name = path.relative_to(ROOT).as_posix()
             files.append(File(name, str(ROOT), config.site_dir, config.use_directory_urls))
+    for name, scene in SCENES.items():
+        page = scene_page(SceneBank.open("mini").scene(scene), get_robot("ur5e"))
+        files.append(File.generated(config, f"gallery/scene-{name}.html", content=page))
     return files
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Redirect links to the site's copies of benchmark results, and insert the commands."""
-    markdown = re.sub(rf"\]\(\.\./((?:\.\./)*{RESULTS}/)", r"](\1", markdown)
-    return markdown.replace("<!-- commands -->", commands()) if page.file.src_uri == "commands.md" else markdown
-
-
-def commands() -> str:
-    """Return all commands with their arguments and options, as ``--help`` prints them."""
-    return "\n".join(_command(get_command(app), "greenhouse-gym"))
-
-
-def _command(command: Any, name: str) -> list[str]:
-    """Return the lines of a command, or of the commands in a group."""
-    if subcommands := getattr(command, "commands", None):
-        shown = {key: child for key, child in subcommands.items() if not child.hidden}
-        return [line for key, child in shown.items() for line in _command(child, f"{name} {key}")]
-    context = command.make_context(name, [], resilient_parsing=True)
-    usage = " ".join(command.collect_usage_pieces(context))
-    lines = [f"## {name.removeprefix('greenhouse-gym ')}", "", f"`{name} {usage}`", "", command.help or "", ""]
-    rows = [_row(parameter) for parameter in command.params if parameter.name != "help"]
-    return [*lines, "| | | default |", "|---|---|---|", *rows, ""] if rows else lines
-
-
-def _row(parameter: Any) -> str:
-    shown = ", ".join(parameter.opts) if parameter.opts[0].startswith("-") else parameter.metavar or parameter.name
-    default = parameter.default
-    default = "" if default in (None, "", False, ...) or parameter.required or callable(default) else f"`{default}`"
-    text = (getattr(parameter, "help", None) or "").replace("|", "\\|")
-    return f"| `{shown}` | {text} | {default} |"
+    """Redirect links to the site's copies of benchmark results, and insert the generated tables."""
+    return insert_tables(re.sub(rf"\]\(\.\./((?:\.\./)*{RESULTS}/)", r"](\1", markdown))
 
 
 def on_post_build(config: MkDocsConfig) -> None:

@@ -1,4 +1,4 @@
-"""Your own agent: `greenhouse-gym compare --agents examples/own_agent.py:ReachForIt,random`."""
+"""Your own agent: `greenhouse-gym compare examples/own_agent.py:ReachForIt random`."""
 
 import numpy as np
 
@@ -16,5 +16,5 @@ class ReachForIt:
 
     def act(self, observation: np.ndarray) -> np.ndarray:
         """Return the next action in [-1, 1]; `help(GreenhouseEnv)` lists the entries of the observation."""
-        turn = np.arctan2(observation[22], observation[21]) - observation[0]
+        turn = np.arctan2(observation[28], observation[27]) - observation[0]
         return np.clip([5 * turn, 0.5, 0.5, 0, 0, 0], -1, 1)

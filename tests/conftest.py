@@ -1,6 +1,9 @@
 from __future__ import annotations
 
+import ctypes
+import gc
 import signal
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -10,12 +13,22 @@ import pytest
 
 from greenhouse_gym.common.executors import RayExecutor
 from greenhouse_gym.crops.parts import Stem, Tomato
+from greenhouse_gym.envs.worlds import shared_worlds
 from greenhouse_gym.geometry import Box, Ellipsoid, Sphere, rotation_about
+from greenhouse_gym.motion.unknown_space import _guarded
 from greenhouse_gym.scene import Provenance, Scene, SceneBank, Target
-from greenhouse_gym.scene.bank import write_bank
+from greenhouse_gym.scene.bank import _opened, write_bank
+from greenhouse_gym.scene.mjcf import _without_obstacles
 
 # a shell that runs the tests in the background has them ignore Ctrl-C, and so would what they start
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Give the tests of a file to one process of xdist, which makes the fixtures and caches of the file once."""
+    for item in items:
+        if item.get_closest_marker("xdist_group") is None:
+            item.add_marker(pytest.mark.xdist_group(str(item.path)))
 
 
 def make_scene(seed: int, stems: int = 4, row: str | None = None) -> Scene:
@@ -54,6 +67,17 @@ def with_ellipsoids(scene: Scene, seed: int) -> Scene:
         turn = rotation_about(rng.normal(size=3), rng.uniform(0, 3))
         tomatoes[k] = replace(tomatoes[k], shape=Ellipsoid(tomatoes[k].center, axes, turn))
     return scene.model_copy(update={"tomatoes": tuple(tomatoes), "name": f"{scene.name}-ellipsoids"})
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _caches_end_with_their_file() -> Iterator[None]:
+    """Free what the package keeps for later calls, so that a process takes no more memory the more files it runs."""
+    yield
+    for cached in (shared_worlds, _opened, _without_obstacles, _guarded):
+        cached.cache_clear()
+    gc.collect()
+    if sys.platform == "linux":
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 @pytest.fixture(scope="session")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import runpy
 import shlex
 import tomllib
 from collections.abc import Iterator
@@ -24,7 +25,7 @@ from greenhouse_gym.scene.manifest import Manifest
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "SECURITY.md")]
 PAGES = [*filter(Path.exists, PAGES), *sorted((ROOT / "docs").rglob("*.md"))]
-SHORTER = {'SceneBank.open("default")': 'SceneBank.open("mini")', "learn(400_000)": "learn(8_192)"}
+SHORTER = {'backend="warp", difficulty': 'backend="warp", bank="mini", difficulty', "learn(5_000_000)": "learn(16_384)"}
 """Replacements that make code of the pages short enough for a test."""
 SHELL = ("sh", "bash", "console", "shell")
 
@@ -166,6 +167,16 @@ def test_links_lead_to_files() -> None:
             if not re.match(r"https?:|mailto:", link) and not (page.parent / link).exists():
                 dead.append(f"{name(page)}: {link}")
     assert dead == []
+
+
+def test_generated_tables_are_made() -> None:
+    """Each page names tables that exist, and none is empty or left out."""
+    tables = runpy.run_path(str(ROOT / "docs" / "generated.py"))["TABLES"]
+    named = [found for page in PAGES for found in re.findall(r"<!-- generated: (\w+) -->", page.read_text())]
+    assert sorted(set(named)) == sorted(tables)
+    for name_, table in tables.items():
+        assert table().count("\n|") > 4, name_
+    assert "| `joint_position` | 0 to 5 | 0 to 6 |" in tables["observations"]()
 
 
 def test_the_sites_navigation_leads_to_pages() -> None:

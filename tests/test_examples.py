@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import json
 import re
 import runpy
 from pathlib import Path
@@ -36,11 +37,11 @@ def test_examples_are_short(name: str) -> None:
             node.body = node.body[1:] or [ast.Pass()]
     lines = len([line for line in ast.unparse(tree).splitlines() if line.strip()])
     assert lines <= LONGER.get(name, 20)
-    table = (EXAMPLES.parent / "docs" / "extending.md").read_text()
+    table = (EXAMPLES.parent / "docs" / "how-to" / "bring-your-own.md").read_text()
     assert re.search(rf"\| {lines} \|[^\n]*`examples/{name}\.py`", table), lines
 
 
-@pytest.mark.parametrize("name", ["own_action", "own_observation", "own_reward"])
+@pytest.mark.parametrize("name", ["own_action", "own_distances", "own_observation", "own_reward"])
 def test_own_parts_of_an_environment_run(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
     assert re.search(r"\d\.\d", capsys.readouterr().out)
@@ -104,3 +105,17 @@ def test_own_reader_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsy
     monkeypatch.setattr("sys.argv", ["own_reader.py", str(tmp_path)])
     runpy.run_path(str(EXAMPLES / "own_reader.py"), run_name="__main__")
     assert capsys.readouterr().out == "2 stations, 12 points at the first, 0.50 m away\n"
+
+
+def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its cells run in their order, and it is kept without outputs."""
+    cells = json.loads((EXAMPLES / "quickstart.ipynb").read_text())["cells"]
+    code = [cell for cell in cells if cell["cell_type"] == "code"]
+    assert not any(cell["outputs"] for cell in code)
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
+    for cell in code:
+        text = "".join(cell["source"]).replace("STEPS = 4_096", "STEPS = 1_024")
+        exec(compile(text, "quickstart.ipynb", "exec"), names)
+    assert "solved" in capsys.readouterr().out
+    assert (tmp_path / "quickstart.gif").is_file()

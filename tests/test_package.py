@@ -36,7 +36,8 @@ def unpacked(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def run(code: str, unpacked: Path, cwd: Path) -> str:
     """Run code that finds the package in the unpacked wheel only, from a folder that has nothing to do with it."""
-    environment = {**os.environ, "PYTHONPATH": str(unpacked), "PYTHONDONTWRITEBYTECODE": "1"}
+    cache = {"NUMBA_CACHE_DIR": str(unpacked.parent / "numba")}  # starts empty, and goes with the test
+    environment = {**os.environ, **cache, "PYTHONPATH": str(unpacked), "PYTHONDONTWRITEBYTECODE": "1"}
     command = [sys.executable, "-c", code]
     done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, env=environment, check=False)
     assert done.returncode == 0, done.stderr

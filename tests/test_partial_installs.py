@@ -49,7 +49,7 @@ NEEDED = {
     "sweep": {"train"},
     "compare planners": {"plan"},
     "policy": {"onnx"},
-    "demo": {"reconstruct", "plan", "train", "viz"},
+    "demo": {"reconstruct", "plan", "train", "viz", "warp"},
 }
 
 RUN = """

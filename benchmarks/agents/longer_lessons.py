@@ -2,7 +2,7 @@
 
 python -m benchmarks.agents.longer_lessons --seconds 270 --processes 16
 
-Trains as README's ten lines do, with ReLU networks, on easy targets of the training split without three own rows, for a
+Trains by PPO, most with ReLU networks, on easy targets of the training split without three own rows, for a
 given time. Then it evaluates on these rows and on the Helios rows of the validation split, in the reconstruction and
 with the policy's mean action. Compare times only between machines of equal speed; steps are in the results.
 """
@@ -46,6 +46,8 @@ class Lesson:
         collision: Reward for a collision.
         world: Further keywords of the environment.
         num_envs: Number of simulations.
+        backend: Backend of the environment.
+        activation: Activation function of the networks, of ``torch.nn``.
         ppo: Keywords of PPO.
         policy: Keywords of its policy.
         scaled: True to scale the features of the observation to about one.
@@ -58,6 +60,8 @@ class Lesson:
     collision: float = -5.0
     world: dict[str, Any] = field(default_factory=dict)
     num_envs: int = 128
+    backend: str = "mujoco"
+    activation: str = "ReLU"
     ppo: dict[str, Any] = field(default_factory=dict)
     policy: dict[str, Any] = field(default_factory=dict)
     scaled: bool = False
@@ -76,8 +80,15 @@ def lessons() -> list[Lesson]:
         Lesson(f"{action}, all rows, seed {seed}", False, action, seed=seed)
         for seed, action in product((0, 1), ("joint", tip))
     ]
+    plain: dict[str, Any] = {"num_envs": 256, "backend": "warp", "activation": "Tanh"}
+    readme = {"n_steps": 32, "batch_size": 4096, "n_epochs": 5, "learning_rate": 1e-3}
+    kernels = [
+        Lesson("warp, joint, collision -5", **plain),
+        Lesson("warp, tip, collision -5", action=tip, **plain),
+        Lesson("warp, ten lines of README", False, tip, **{**plain, "num_envs": 512}, ppo=readme),
+    ]
     return [
-        *pairs, *everywhere, Lesson("joint, collision -5, seed 2", seed=2),
+        *pairs, *everywhere, *kernels, Lesson("joint, collision -5, seed 2", seed=2),
         Lesson("tip, 2x256", action=tip, policy=big),
         Lesson("tip, 2x256, less noise, rate 5e-4", action=tip, policy=quiet, ppo=rate),
         Lesson("tip, scaled", action=tip, scaled=True),
@@ -122,9 +133,10 @@ def measured(lesson: Lesson, seconds: float, episodes: int) -> dict[str, Any]:
     rows = sorted({entry.row for entry in training.manifest.scenes} - set(left_out))
     world = {"action": lesson.action, "reward": DenseReward(collision=lesson.collision), **lesson.world}
     env = make_sb3_vec_env(
-        lesson.num_envs, bank=training.select(row=rows), difficulty="easy", threads=1, seed=lesson.seed, **world
-    )
-    policy = {"activation_fn": torch.nn.ReLU, **lesson.policy}
+        lesson.num_envs, backend=lesson.backend, bank=training.select(row=rows), difficulty="easy", threads=1,
+        seed=lesson.seed, **world,
+    )  # fmt: skip
+    policy = {"activation_fn": getattr(torch.nn, lesson.activation), **lesson.policy}
     if lesson.scaled:
         layout = env.get_attr("simulation")[0].observe.layout
         policy |= {"features_extractor_class": ScaledObservation, "features_extractor_kwargs": {"layout": layout}}

@@ -127,7 +127,8 @@ def measure(a: argparse.Namespace) -> dict[str, list[float]]:
 
     def take_images() -> None:
         steps = np.zeros(SMALL, dtype=int)
-        contacts = Contacts(np.zeros((SMALL, len(CONTACT_GROUPS)), dtype=int), np.zeros(SMALL, dtype=bool), {})
+        counts = np.zeros((SMALL, len(CONTACT_GROUPS)), dtype=int)
+        contacts = Contacts(counts, counts[:, 0], np.zeros(SMALL, dtype=bool), {})
         for _ in range(3):
             depth.simulation._perception.look(slice(None), depth.simulation._physics, contacts, steps, {})
 

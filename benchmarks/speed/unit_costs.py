@@ -1,4 +1,4 @@
-"""Measure the cost of single pieces of work, on which the estimate of docs/cluster.md is based.
+"""Measure the cost of single pieces of work, on which the estimate of docs/how-to/cluster.md is based.
 
 python -m benchmarks.speed.unit_costs --recordings own-cherry-2018-w09
 

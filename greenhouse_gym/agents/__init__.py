@@ -11,6 +11,7 @@ from greenhouse_gym.agents.planner_agent import PlannerAgent
 
 if TYPE_CHECKING:
     from greenhouse_gym.agents.hybrid import HybridAgent
+    from greenhouse_gym.agents.looking import FixedViewsAgent, NextBestViewAgent, RandomViewsAgent
     from greenhouse_gym.agents.named import make_agent
     from greenhouse_gym.agents.policy_agent import PolicyAgent
     from greenhouse_gym.agents.shield import ShieldedAgent
@@ -18,11 +19,14 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Agent",
+    "FixedViewsAgent",
     "HybridAgent",
+    "NextBestViewAgent",
     "PlannerAgent",
     "PolicyAgent",
     "Problem",
     "RandomAgent",
+    "RandomViewsAgent",
     "ShieldedAgent",
     "StraightLineAgent",
     "WatchfulAgent",
@@ -33,8 +37,11 @@ __all__ = [
 
 # imported on first use, because their dependencies take long to import
 _LAZY = {
+    "FixedViewsAgent": "looking",
     "HybridAgent": "hybrid",
+    "NextBestViewAgent": "looking",
     "PolicyAgent": "policy_agent",
+    "RandomViewsAgent": "looking",
     "ShieldedAgent": "shield",
     "WatchfulAgent": "watchful",
     "make_agent": "named",

@@ -18,8 +18,10 @@ from greenhouse_gym.envs.actions import (
     JointVelocities,
     TipVelocity,
     ToolMotion,
+    with_controls,
 )
 from greenhouse_gym.envs.choices import make_action
+from greenhouse_gym.envs.compliant_physics import CompliantSimulation
 from greenhouse_gym.envs.simulation import Simulation
 from greenhouse_gym.envs.state import STEP_LIMIT, State
 from greenhouse_gym.errors import InvalidValueError
@@ -41,6 +43,9 @@ class Problem:
         action: The environment's action rule; joint increments if None.
         interval: Seconds between two actions.
         step_limit: Number of actions after which the episode ends.
+        controls: Names of the entries that an action has after those that move the arm, see `Task.controls`.
+        live: The simulation itself with its compliant plants, for agents with ``knows_truth`` alone.
+        plants: "rigid", or "brush" if leaves give way, see `greenhouse_gym.envs.EnvSettings`.
     """
 
     scene: Scene
@@ -51,23 +56,28 @@ class Problem:
     action: ActionRule | None = None
     interval: float = INTERVAL
     step_limit: int = STEP_LIMIT
+    controls: tuple[str, ...] = ()
+    live: CompliantSimulation | None = None
+    plants: str = "rigid"
 
     @classmethod
-    def of(cls, simulation: Simulation, i: int, seed: int) -> Problem:
+    def of(cls, simulation: Simulation, i: int, seed: int, agent: object = None) -> Problem:
         """Return the problem of the current episode of a simulation.
 
-        It shares no object with the simulation that an agent could read the truth from or change the rules by.
+        It shares no object with the simulation that an agent could read the truth from or change the rules by, unless
+        the agent declares that it ``knows_truth``.
         """
         settings, robot, interval = simulation.settings, simulation.robot, simulation.interval
         return cls(
             simulation.known_scene(i), simulation.target(i), robot, simulation.episode(i).start.copy(), seed,
-            make_action(settings.action, robot, interval), interval, settings.step_limit,
+            make_action(settings.action, robot, interval), interval, settings.step_limit, simulation.task.controls,
+            simulation.live(i) if getattr(agent, "knows_truth", False) else None, settings.plants,
         )  # fmt: skip
 
     @property
     def action_space(self) -> spaces.Box:
         """Space of an action; it has one axis."""
-        return self.rule.space
+        return with_controls(self.rule.space, self.controls)
 
     @property
     def joint_steps(self) -> Array:

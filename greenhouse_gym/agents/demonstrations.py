@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import tempfile
 import time
@@ -17,7 +18,7 @@ import numpy as np
 from greenhouse_gym.agents.agent import Agent, Problem
 from greenhouse_gym.agents.named import agent_of
 from greenhouse_gym.common.extras import needs
-from greenhouse_gym.common.files import require_writable
+from greenhouse_gym.common.files import exclusive, parsing
 from greenhouse_gym.envs import GreenhouseEnv, make_env
 from greenhouse_gym.errors import FileWriteError, InvalidValueError, check_whole, require_seed
 from greenhouse_gym.scene import SceneBank
@@ -42,7 +43,7 @@ def record_demonstrations(
     """Record episodes of an agent, with rewards and infos, as a Minari data set.
 
     The episodes are written every minute, and at the end, also after an interruption. If one writing fails, for example
-    on a full disk, the data set keeps the episodes that it holds.
+    on a full disk, the data set keeps the episodes that it holds. The same call resumes after the last of them.
 
     Args:
         agent: The agent, or a name that `make_agent` takes; its ``env_options`` choose the environment.
@@ -58,8 +59,9 @@ def record_demonstrations(
         The data set's name, as ``minari.load_dataset`` takes it; its ``recover_environment`` makes the environment.
 
     Raises:
-        InvalidValueError: The split is "test", no episode succeeded, or the data set exists already.
-        FileWriteError: The folder cannot be written.
+        InvalidValueError: The split is "test", no episode succeeded, or the folder holds the agent's data set of other
+            settings.
+        FileWriteError: The folder cannot be written, or another process records the data set.
         MissingDependencyError: Minari is not installed.
     """
     with needs("data"):
@@ -68,44 +70,75 @@ def record_demonstrations(
     if split == "test":
         raise InvalidValueError("split 'test' is reserved for the final evaluation: choose train or validation")
     name = DATA_SET.format(agent="".join(c if c.isalnum() else "-" for c in agent.name.lower()))
-    if (Path(out) / name).exists():
-        raise InvalidValueError(f"{out} already holds a data set {name}: choose another folder")
-    require_writable(Path(out) / name)
     env = make_env(split=split, **{**options, **agent.env_options})
-    buffers: list[Any] = []
-    kept, saved = 0, time.monotonic()
+    bank = SceneBank.open(env.settings.bank)
+    about = {
+        "env_spec": env.settings.spec(),
+        "algorithm_name": agent.name,
+        "description": f"TomatoReach-v0, split {env.settings.split} of bank {bank.manifest.name}, manifest sha256 "
+        f"{bank.sha256}, {'successful' if successes_only else 'all'} episodes from seed {seed} on",
+    }
+    folder, buffers, saved = Path(out) / name, list[Any](), time.monotonic()
     try:
-        for i in range(episodes):
-            buffer = EpisodeBuffer(id=kept + len(buffers), seed=seed + i, **_run(agent, env, seed + i))
-            if buffer.infos["is_success"][-1] or not successes_only:  # type: ignore[index]
-                buffers.append(buffer)
-            on_progress(i + 1)
-            if buffers and time.monotonic() - saved > SAVE_SECONDS:
-                kept, buffers, saved = _add(Path(out), name, buffers, kept, env, agent.name), [], time.monotonic()
+        with exclusive(folder):
+            kept, done = _resumed(Path(out), name, about, seed)
+            try:
+                for i in range(done, episodes):
+                    buffer = EpisodeBuffer(id=kept + len(buffers), seed=seed + i, **_run(agent, env, seed + i))
+                    if buffer.infos["is_success"][-1] or not successes_only:  # type: ignore[index]
+                        buffers.append(buffer)
+                    on_progress(i + 1)
+                    if buffers and time.monotonic() - saved > SAVE_SECONDS:
+                        kept, buffers, saved = _add(Path(out), name, buffers, kept, env, about), [], time.monotonic()
+            finally:
+                if buffers:
+                    kept = _add(Path(out), name, buffers, kept, env, about)
     finally:
-        if buffers:
-            kept = _add(Path(out), name, buffers, kept, env, agent.name)
         env.close()
     if not kept:
+        folder.rmdir()
         raise InvalidValueError(
             f"agent {agent.name!r} reached no target in {episodes} episodes: there is nothing to record"
         )
     return name
 
 
-def _add(out: Path, name: str, buffers: list[Any], kept: int, env: GreenhouseEnv, algorithm: str) -> int:
+def _resumed(out: Path, name: str, about: Mapping[str, Any], seed: int) -> tuple[int, int]:
+    """Return the number of episodes in a data set, and of those that were run for them.
+
+    Raises:
+        InvalidValueError: The data set is about something else.
+    """
+    import minari
+
+    if not (out / name / "data" / "metadata.json").is_file():
+        return 0, 0
+    with _datasets_in(str(out)), parsing(out / name, "Minari data set"):
+        data = minari.load_dataset(name)
+        there = data.storage.metadata
+        last = next(iter(data.storage.get_episode_metadata([data.total_episodes - 1])))
+        done = int(last["seed"]) + 1 - seed
+    if any(there[key] != (value.to_json() if key == "env_spec" else value) for key, value in about.items()):
+        raise InvalidValueError(f"{out} already holds a data set {name} of other settings: choose another folder")
+    return data.total_episodes, done
+
+
+def _add(out: Path, name: str, buffers: list[Any], kept: int, env: GreenhouseEnv, about: Mapping[str, Any]) -> int:
     """Add episodes to a data set of ``kept`` episodes and return their new number.
 
     They are added to a copy, which then replaces the data set.
     """
+    import h5py
     import minari
 
-    bank = SceneBank.open(env.settings.bank)
-    about = f"TomatoReach-v0, split {env.settings.split} of bank {bank.manifest.name}, manifest sha256 {bank.sha256}"
+    copied = {"suffix": ".part", "prefix": ".", "dir": out / name, "ignore_cleanup_errors": True}
     try:
-        with tempfile.TemporaryDirectory(dir=out, prefix=".", ignore_cleanup_errors=True) as copy, _datasets_in(copy):
+        with tempfile.TemporaryDirectory(**copied) as copy, _datasets_in(copy):  # type: ignore[call-overload]
             if kept:
-                shutil.copytree(out / name, Path(copy) / name)
+                shutil.copytree(out / name / "data", Path(copy) / name / "data")
+                with h5py.File(Path(copy) / name / "data" / "main_data.hdf5", "a") as file:
+                    for extra in range(kept, len(file)):  # of a process that was killed before it wrote their number
+                        del file[f"episode_{extra}"]
                 minari.load_dataset(name).update_dataset_from_buffer(buffers)
             else:
                 with warnings.catch_warnings():
@@ -113,11 +146,11 @@ def _add(out: Path, name: str, buffers: list[Any], kept: int, env: GreenhouseEnv
                     minari.create_dataset_from_buffers(
                         name,
                         buffers,
-                        env=env.settings.spec(),
+                        env=about["env_spec"],
                         observation_space=env.observation_space,
                         action_space=env.action_space,
-                        algorithm_name=algorithm,
-                        description=about,
+                        algorithm_name=about["algorithm_name"],
+                        description=about["description"],
                         requirements=["greenhouse-gym"],
                         code_permalink=None, author=None, author_email=None,
                     )  # fmt: skip
@@ -127,7 +160,8 @@ def _add(out: Path, name: str, buffers: list[Any], kept: int, env: GreenhouseEnv
                     target.parent.mkdir(parents=True, exist_ok=True)
                     path.replace(target)
     except (OSError, RuntimeError) as error:  # HDF5 raises either on a full disk
-        problem = getattr(error, "strerror", None) or str(error).splitlines()[0]
+        named = re.search(r"error message = '([^']+)'", str(error))  # by HDF5, among much else
+        problem = getattr(error, "strerror", None) or (named[1] if named else str(error).splitlines()[0])
         raise FileWriteError(out / name, OSError(f"{problem}; it keeps its first {kept} episodes")) from error
     return kept + len(buffers)
 
@@ -149,7 +183,7 @@ def _datasets_in(folder: str) -> Iterator[None]:
 def _run(agent: Agent, env: GreenhouseEnv, seed: int) -> dict[str, Any]:
     """Run an episode and return its columns."""
     observation, info = env.reset(seed=seed)
-    agent.reset(Problem.of(env.simulation, 0, seed))
+    agent.reset(Problem.of(env.simulation, 0, seed, agent))
     columns: dict[str, list[Any]] = {
         "observations": [observation], "actions": [], "rewards": [], "terminations": [], "truncations": [],
     }  # fmt: skip

@@ -9,7 +9,9 @@ from typing import Any
 
 from greenhouse_gym.agents.agent import Agent, check_agent
 from greenhouse_gym.agents.baselines import RandomAgent, StraightLineAgent, WaypointAgent
+from greenhouse_gym.agents.harvester import OracleHarvester
 from greenhouse_gym.agents.hybrid import HybridAgent
+from greenhouse_gym.agents.looking import FixedViewsAgent, NextBestViewAgent, RandomViewsAgent
 from greenhouse_gym.agents.planner_agent import PlannerAgent
 from greenhouse_gym.agents.policy import Policy, description_path
 from greenhouse_gym.agents.policy_agent import PolicyAgent, shipped_policies
@@ -21,8 +23,9 @@ from greenhouse_gym.planning import PAPER_PLANNERS, PLANNERS
 
 _NAMED: tuple[type[Agent], ...] = (
     RandomAgent, StraightLineAgent, WaypointAgent, HybridAgent, ShieldedAgent, WatchfulAgent,
+    NextBestViewAgent, FixedViewsAgent, RandomViewsAgent,
 )  # fmt: skip
-SIMPLE = {agent.name: agent for agent in _NAMED}
+SIMPLE: dict[str, Callable[[], Agent]] = {**{agent.name: agent for agent in _NAMED}, "harvest-oracle": OracleHarvester}
 """Agents by name that are made without arguments."""
 
 _CHECKPOINT = "checkpoint.safetensors"

@@ -9,19 +9,18 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.distance import cdist
 
-from greenhouse_gym.agents.depth_reading import perfect_reading, stereo_reading
 from greenhouse_gym.envs.features import feature_slices
 from greenhouse_gym.envs.image_observations import DepthObservation
 from greenhouse_gym.envs.tasks import TomatoReach
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.arm_spheres import ArmSpheres
+from greenhouse_gym.motion.voxel_map import VoxelBox
 from greenhouse_gym.rendering.cameras import MAX_RANGE, TIP_FROM_WRIST, DepthCamera
+from greenhouse_gym.rendering.depth_reading import perfect_reading, stereo_reading
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.robots.kinematics import Chain, joint_frames
 
-_LOW, _HIGH = np.array([-0.4, -1.1, -0.8]), np.array([1.1, 1.1, 1.1])  # corners of the mapped space, metres
-_CELL = 0.04  # metres: side of the cells that are observed or not
-_SHAPE = np.ceil((_HIGH - _LOW) / _CELL).astype(np.int64)
+_BOX = VoxelBox((-0.4, -1.1, -0.8), (38, 55, 48), 0.04)  # cells that are observed or not
 _POINT = 0.012  # metres: side of the cells that keep one point each
 _ARM, _TARGET = 0.008, 0.006  # metres: points so near to the surface of the arm or the target belong to it
 _STAND, _BASE = 0.25, 0.12  # metres: radius and height of the arm's stand and base
@@ -81,12 +80,12 @@ class OccupancyMap:
         self.points: Array = np.empty((0, 3))
         self.uncertainty: Array = np.empty(0)
         self._keys = np.empty(0, dtype=np.int64)
-        self._observed = np.zeros(int(_SHAPE.prod()), dtype=np.bool_)
+        self._observed = np.zeros(_BOX.size, dtype=np.bool_)
 
     def observed(self, points: Array) -> npt.NDArray[np.bool_]:
         """Return which points (n, 3) the camera has looked at or through; false outside of the mapped space."""
-        inside = ((points > _LOW) & (points < _HIGH)).all(axis=1)
-        return np.asarray(inside & self._observed[_cells(points)])
+        cells = _BOX.indices(points)
+        return np.asarray((cells >= 0) & self._observed[cells])
 
     def add(self, depth: npt.NDArray[np.float32], joints: Array) -> None:
         """Add a depth image (h, w), metres along the view, 0 without a reading, taken in a configuration (j,)."""
@@ -97,9 +96,7 @@ class OccupancyMap:
         subset, free = rays[::_EVERY_RAY], reading.free.reshape(-1)[::_EVERY_RAY]
         if self._noisy:  # the arm is too near for a reading
             free = np.where(self._meets_arm(origin, subset, joints), 0.0, free)
-        depths = np.arange(0.5, MAX_RANGE / _CELL) * _CELL
-        ray, step = np.nonzero(depths < free[:, None])
-        self._observed[_cells(origin + depths[step, None] * subset[ray])] = True
+        self._observed[_BOX.looked_through(origin, subset, free)] = True
         points, uncertainty = origin + z[z > 0, None] * rays[z > 0], uncertainty[z > 0]
         foreign = self._foreign(points, uncertainty, joints)
         self._keep(points[foreign], uncertainty[foreign])
@@ -113,7 +110,7 @@ class OccupancyMap:
 
     def _foreign(self, points: Array, uncertainty: Array, joints: Array) -> npt.NDArray[np.bool_]:
         """Return which points (k, 3) lie in the mapped space and on neither the arm, its stand nor the target."""
-        inside = ((points > _LOW) & (points < _HIGH)).all(axis=1)
+        inside = _BOX.indices(points) >= 0
         stand = (points[:, 2] < _BASE) & ((points[:, :2] ** 2).sum(axis=1) < _STAND**2)
         target = ((points - self._target) ** 2).sum(axis=1) < (self._radius + _TARGET + uncertainty) ** 2
         foreign = inside & ~stand & ~target
@@ -124,16 +121,10 @@ class OccupancyMap:
 
     def _keep(self, points: Array, uncertainty: Array) -> None:
         """Keep the first point of each cell that has none yet."""
-        cells = np.floor((points - _LOW) / _POINT).astype(np.int64)
+        cells = np.floor((points - np.asarray(_BOX.low)) / _POINT).astype(np.int64)
         keys = (cells[:, 0] << 40) | (cells[:, 1] << 20) | cells[:, 2]
         keys, first = np.unique(keys, return_index=True)
         first = first[~np.isin(keys, self._keys, assume_unique=True)]
         self._keys = np.union1d(self._keys, keys)
         self.points = np.concatenate([self.points, points[first]])
         self.uncertainty = np.concatenate([self.uncertainty, uncertainty[first]])
-
-
-def _cells(points: Array) -> npt.NDArray[np.int64]:
-    """Return the flat indices of the cells of points (k, 3); points outside are assigned to cells at the edge."""
-    cells = np.clip(((points - _LOW) / _CELL).astype(np.int64), 0, _SHAPE - 1)
-    return np.asarray((cells[:, 0] * _SHAPE[1] + cells[:, 1]) * _SHAPE[2] + cells[:, 2])

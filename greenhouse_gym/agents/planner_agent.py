@@ -11,8 +11,9 @@ import numpy.typing as npt
 
 from greenhouse_gym.agents.agent import NamedAgent, Problem
 from greenhouse_gym.envs.actions import INTERVAL, joint_steps
-from greenhouse_gym.errors import check_whole
+from greenhouse_gym.errors import check_whole, require_choice
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.motion.collision import LEAVES
 from greenhouse_gym.planning import PLANNERS, PlanResult, follow_path, free_commands, plan
 from greenhouse_gym.scene import Scene, compile_scene
 
@@ -54,6 +55,27 @@ def fallback_levels(scene: Scene) -> list[Level]:
     return list(dict.fromkeys([(margin, unknown), (margin, "free"), (margin / 2, "free"), (0.0, "free")]))
 
 
+def path_commands(path: Array, problem: Problem) -> Array:
+    """Return the commands (steps, joints) along a path from the current configuration, within the arm's limits.
+
+    Raises:
+        InvalidValueError: The environment's actions do not move the joints.
+    """
+    return follow_path(*_limits(path, problem), lag=problem.robot.lag)
+
+
+def safe_commands(scene: Scene, target: int, path: Array, problem: Problem, leaves: str = LEAVES[0]) -> Array:
+    """Return the commands along a path that was planned in a scene, proven free between them; see `path_commands`."""
+    return free_commands(compile_scene(scene, problem.robot), target, *_limits(path, problem), leaves=leaves)
+
+
+def _limits(path: Array, problem: Problem) -> tuple[Array, Array, Array, float]:
+    """Return a path with limits on speed and acceleration, and the time between commands."""
+    robot, steps, interval = problem.robot, problem.joint_steps, problem.interval
+    speed = np.minimum(np.minimum(robot.velocity_limits, steps / interval), joint_steps(robot) / INTERVAL)
+    return path, speed, robot.acceleration_limits, interval
+
+
 class PathFollower:
     """Turns a joint path into the environment's actions, followed by zero actions.
 
@@ -61,6 +83,7 @@ class PathFollower:
         path: (k, joints) radians, from the current configuration.
         problem: The episode; its arm's limits on speed and acceleration apply, and its action rule.
         proven: Whether the path is proven free, and the commands must be as well; see `free_commands`.
+        leaves: "brush" if the path may touch leaves.
 
     Attributes:
         commands: (steps, joints) command after each action, radians.
@@ -69,14 +92,13 @@ class PathFollower:
         InvalidValueError: The environment's actions do not move the joints.
     """
 
-    def __init__(self, path: Array, problem: Problem, proven: bool = False):
-        robot, steps, interval = problem.robot, problem.joint_steps, problem.interval
-        speed = np.minimum(np.minimum(robot.velocity_limits, steps / interval), joint_steps(robot) / INTERVAL)
-        limits = (path, speed, robot.acceleration_limits, interval)
-        if proven:
-            self.commands = free_commands(compile_scene(problem.scene, robot), problem.target, *limits)
-        else:
-            self.commands = follow_path(*limits, lag=robot.lag)
+    def __init__(self, path: Array, problem: Problem, proven: bool = False, leaves: str = LEAVES[0]):
+        steps = problem.joint_steps
+        self.commands = (
+            safe_commands(problem.scene, problem.target, path, problem, leaves)
+            if proven
+            else path_commands(path, problem)
+        )
         self._actions = iter(np.diff(self.commands, axis=0, prepend=path[:1]) / steps)
         self._zero = np.zeros(len(steps))
 
@@ -112,6 +134,8 @@ class PlannerAgent(NamedAgent):
             `greenhouse_gym.motion.caution.with_unexplained_cells`.
         fallback: Whether it becomes less cautious where it must. Without, it holds still there. A margin or a rule for
             unknown space that is given never changes.
+        leaves: "rigid", or "brush" to plan through leaves where no path leads around them, as
+            `greenhouse_gym.planning.plan` takes it. When left out, it brushes leaves where the episode lets them yield.
 
     Attributes:
         result: The last episode's plan; None before the first.
@@ -137,10 +161,12 @@ class PlannerAgent(NamedAgent):
         attempts: int = ATTEMPTS,
         unexplained: bool = False,
         fallback: bool = True,
+        leaves: str | None = None,
     ):
         self.planner, self.unknown, self.margin = PLANNERS[planner].name, unknown, margin
         self.settings = PLANNERS[planner].with_settings(settings or {})
         self.unexplained, self.fallback = unexplained, fallback
+        self.leaves = leaves if leaves is None else require_choice("leaves", leaves, LEAVES)
         self.time_limit, self.max_checks, self.goals = time_limit, max_checks, goals
         self.name, self.attempts = name or planner, check_whole("attempts", attempts, 1)
         self.result: PlanResult | None = None
@@ -163,7 +189,8 @@ class PlannerAgent(NamedAgent):
         tries = [(level, 0) for level in levels[:-1]] + [(levels[-1], k) for k in range(self.attempts)]
         for level, attempt in tries:
             result = self._plan(problem, level, problem.seed + attempt)
-            follower = None if result.path is None else PathFollower(result.path, problem, proven=True)
+            leaves = "brush" if result.brushed_leaves else "rigid"
+            follower = None if result.path is None else PathFollower(result.path, problem, proven=True, leaves=leaves)
             if self._follower is None or (follower and len(follower.commands) < len(self._follower.commands)):
                 self.result, self.level, self._follower = result, level, follower
             if follower and len(follower.commands) <= problem.step_limit:
@@ -181,10 +208,11 @@ class PlannerAgent(NamedAgent):
 
     def _plan(self, problem: Problem, level: Level, seed: int) -> PlanResult:
         margin, unknown = level
+        leaves = self.leaves or ("rigid" if problem.plants == "rigid" else "brush")
         return plan(
             problem.scene, problem.target, problem.robot, self.planner, self.time_limit, self.max_checks, self.goals,
             seed=seed, start=problem.start, settings=self.settings, unknown=unknown, margin=margin,
-            unexplained=self.unexplained and problem.scene.occupancy is not None,
+            unexplained=self.unexplained and problem.scene.occupancy is not None, leaves=leaves,
         )  # fmt: skip
 
     def act(self, observation: Any) -> npt.NDArray[np.float32]:

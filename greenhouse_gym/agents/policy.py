@@ -55,7 +55,7 @@ class _EnvOptions(_Part):
     task: _Choice = None
 
 
-class _Description(_Part):
+class Description(_Part):
     """Content of a policy's JSON file."""
 
     schema_version: Literal[2] = 2
@@ -92,7 +92,7 @@ class Policy(Mlp):
             arrays[f"layer_{i}.weight"], arrays[f"layer_{i}.bias"] = weight, bias
         content = _safetensors().save({k: np.ascontiguousarray(a, dtype=np.float32) for k, a in arrays.items()})
         try:
-            description = _Description(
+            description = Description(
                 network=_Network(
                     sizes=_sizes(self.weights),
                     activation=self.activation,  # type: ignore[arg-type]
@@ -126,7 +126,7 @@ class Policy(Mlp):
         description_file = description_path(path)
         weights_file = description_file.with_suffix(".safetensors")
         with parsing(description_file, "policy's description"):
-            description = _Description.model_validate_json(read_bytes(description_file, "settings"))
+            description = Description.model_validate_json(read_bytes(description_file, "settings"))
         content = read_bytes(weights_file, "policy")
         if hashlib.sha256(content).hexdigest() != description.weights_sha256:
             raise FileFormatError(weights_file, f"checksum differs from the one in {description_file.name}")
@@ -150,7 +150,7 @@ class Policy(Mlp):
         )
 
 
-def _flaw(arrays: Mapping[str, npt.NDArray[Any]], description: _Description) -> str:
+def _flaw(arrays: Mapping[str, npt.NDArray[Any]], description: Description) -> str:
     """Return why weights do not fit the described network; empty if they do."""
     sizes = description.network.sizes
     if max(sizes) > MAX_WIDTH:

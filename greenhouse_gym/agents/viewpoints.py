@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -35,32 +36,28 @@ Seen = npt.NDArray[np.bool_]
 
 
 def viewpoints(
-    arm: ArmSpheres,
     robot: Robot,
     command: Array,
-    points: Array,
-    occluder: Callable[[Array], Seen],
+    sees: Callable[[Array], npt.NDArray[Any]],
     rng: np.random.Generator,
-    depths: tuple[float, float] = DEPTHS,
-) -> Iterator[tuple[Array, Seen]]:
+    min_gain: float = MIN_GAIN,
+) -> Iterator[tuple[Array, npt.NDArray[Any]]]:
     """Yield configurations (j,) from which the camera sees many points, and which points it sees, best first.
 
     Args:
-        arm: The spheres of the arm.
         robot: The arm.
         command: (j,) current configuration, radians.
-        points: (k, 3) what is to be seen, in the frame of the arm's base, metres.
-        occluder: Returns which points (n, 3) lie in something that occludes what is behind it, (n,).
+        sees: Returns which of k points, or how much of each, the camera sees in configurations (m, j): (m, k).
         rng: Samples the configurations.
-        depths: Range of depths within which points are seen well, metres.
+        min_gain: Fraction of the points that a viewpoint must show.
     """
     spreads = np.linspace(*SPREADS, VIEWPOINTS)[:, None]
     samples = np.clip(command + spreads * rng.normal(size=(VIEWPOINTS, len(command))), robot.lower, robot.upper)
     robot.keep_tool_roll(samples, command)
     batches = np.split(samples, _BATCHES)
-    seen = np.concatenate([visible(arm, batch, points, occluder, depths) for batch in batches])
+    seen = np.concatenate([sees(batch) for batch in batches])
     gains = seen.mean(axis=1)
-    costs = np.where(gains < MIN_GAIN, np.inf, _MOTION_COST * np.abs(samples - command).max(axis=1) - gains)
+    costs = np.where(gains < min_gain, np.inf, _MOTION_COST * np.abs(samples - command).max(axis=1) - gains)
     for k in costs.argsort(kind="stable")[: np.isfinite(costs).sum()]:
         yield samples[k], seen[k]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from itertools import islice, pairwise
 from typing import Any
 
@@ -13,7 +14,7 @@ from scipy.spatial import cKDTree
 from greenhouse_gym.agents.agent import NamedAgent, Problem, action_towards
 from greenhouse_gym.agents.local_map import LocalMap
 from greenhouse_gym.agents.occupancy_map import wrist_reading
-from greenhouse_gym.agents.viewpoints import DEPTHS, NOISY_DEPTHS, initial_view, viewpoints
+from greenhouse_gym.agents.viewpoints import DEPTHS, NOISY_DEPTHS, initial_view, viewpoints, visible
 from greenhouse_gym.envs.image_observations import DepthObservation
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
@@ -259,7 +260,8 @@ class _Episode:
         robot = self._problem.robot
         self._looks += 1
         checker = self._checker(apply_caution(scene, robot, command, self._levels[0]))
-        found = viewpoints(self._arm, robot, command, points, self._map.occupied, self._rng, self._depths)
+        sees = partial(visible, self._arm, points=points, occluder=self._map.occupied, depths=self._depths)
+        found = viewpoints(robot, command, sees, self._rng)
         for viewpoint, seen in islice(found, _MAX_VIEWPOINTS):
             if checker.is_free(viewpoint) and checker.inside_is_free(command, viewpoint, RESOLUTION):
                 self._path, self._looking = [viewpoint], True

@@ -16,7 +16,7 @@ from greenhouse_gym.build.scenes import BuildSettings, cut_scenes, occupancy_sum
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.common.executors import completed, require_portable
 from greenhouse_gym.common.extras import require_extras
-from greenhouse_gym.common.files import checked_name, exclusive, parsing, read_bytes, remove_leftovers, write_atomically
+from greenhouse_gym.common.files import checked_name, exclusive, parsing, read_bytes, write_atomically
 from greenhouse_gym.common.progress import say
 from greenhouse_gym.errors import FileFormatError, GreenhouseError, InvalidValueError
 from greenhouse_gym.planning import certify_targets
@@ -102,7 +102,6 @@ def build_bank(
             description,
         )
         shutil.rmtree(folder / UNFINISHED, ignore_errors=True)
-        remove_leftovers(folder, ".json")
     return bank
 
 

@@ -21,7 +21,7 @@ from greenhouse_gym.capture.frames import RgbdFrame, Station, size_text
 from greenhouse_gym.capture.image_files import encode_png, read_color, read_depth
 from greenhouse_gym.capture.rig import Camera, Intrinsics, Rig
 from greenhouse_gym.capture.truth_file import TRUTH, load_truth, save_truth
-from greenhouse_gym.common.files import inside, parsing, read_bytes, write_atomically
+from greenhouse_gym.common.files import exclusive, inside, parsing, read_bytes, write_atomically
 from greenhouse_gym.crops.plant_row import PlantRow
 from greenhouse_gym.errors import FileFormatError, GreenhouseError, InvalidValueError
 from greenhouse_gym.geometry import Array, is_rotation
@@ -32,7 +32,12 @@ _COARSEST = 0.001  # m, largest unit of depth that is written
 
 @dataclass(frozen=True)
 class Pass:
-    """One pass along the row: number of its first station, and lift of the rig above that of the first pass, metres."""
+    """One pass along the row.
+
+    Attributes:
+        first: Number of its first station.
+        lift: Lift of the rig above that of the first pass, metres.
+    """
 
     first: Annotated[int, Field(ge=0)]
     lift: FiniteFloat
@@ -93,7 +98,18 @@ class _Model(BaseModel):
 
 
 class CameraRecord(_Model):
-    """A camera in ``recording.json``."""
+    """A camera in ``recording.json``.
+
+    Attributes:
+        width: Pixels.
+        height: Pixels.
+        fx: Focal length along the rows of the image, pixels.
+        fy: Focal length along its columns, pixels.
+        cx: Principal point, pixels.
+        cy: Principal point, pixels.
+        rig_from_camera: 4x4 pose of the camera on the tripod.
+        depth_scale: Metres per unit of the depth images.
+    """
 
     width: int
     height: int
@@ -111,7 +127,13 @@ class CameraRecord(_Model):
 
 
 class StationRecord(_Model):
-    """A station in ``recording.json``: image files per camera, relative to the folder."""
+    """A station in ``recording.json``.
+
+    Attributes:
+        color: Color image of each camera, relative to the folder.
+        depth: Depth image of each camera, aligned to the color image.
+        world_from_station: 4x4 pose of the station, if known.
+    """
 
     color: dict[str, str]
     depth: dict[str, str]
@@ -119,7 +141,16 @@ class StationRecord(_Model):
 
 
 class RecordingIndex(_Model):
-    """Content of ``recording.json``."""
+    """Content of ``recording.json``.
+
+    Attributes:
+        name: Name of the row.
+        reference: Camera whose silhouettes align the stations.
+        cameras: Cameras by name.
+        stations: Stations in their order along the row.
+        protocol: Capture protocol, which sets the default settings.
+        passes: Passes along the row.
+    """
 
     schema_version: Literal[1] = 1
     name: str
@@ -214,13 +245,14 @@ def write_recording(recording: Recording, path: str | Path, on_station: Callable
         FileFormatError: The folder already holds a finished recording.
     """
     writer = RecordingWriter(path, recording.name, recording.rig, recording.protocol, recording.passes)
-    for i in range(len(recording)):
-        writer.add(recording[i])
-        if on_station:
-            on_station(i)
-    if recording.truth is not None:
-        save_truth(recording.truth, writer.folder / TRUTH)
-    writer.save_index()
+    with exclusive(writer.folder, "*/*/"):  # kinds of images of each camera
+        for i in range(len(recording)):
+            writer.add(recording[i])
+            if on_station:
+                on_station(i)
+        if recording.truth is not None:
+            save_truth(recording.truth, writer.folder / TRUTH)
+        writer.save_index()
     return writer.folder
 
 

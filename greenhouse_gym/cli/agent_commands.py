@@ -59,12 +59,14 @@ def compare(
     episodes: Annotated[int, typer.Option(help="Episodes of each agent.")] = 100,
     seed: Seed = 0,
     robot: AgentRobot = "",
-    task: Annotated[str, typer.Option(help="Your own task as file.py:Class or module:Class; reach by default.")] = "",
+    task: Annotated[
+        str, typer.Option(help="Task: look, or your own as file.py:Class or module:Class; reach by default.")
+    ] = "",
     scene: OneScene = None,
     target: OneTarget = None,
     difficulty: Difficulty = "",
     track: Annotated[
-        str, typer.Option(help="Worlds of the contacts, separated by commas: reconstruction, truth, moved.")
+        str, typer.Option(help="Worlds of the contacts, separated by commas: reconstruction, truth, moved, brush.")
     ] = "reconstruction",
     num_envs: NumEnvs = 1,
     timeout: Annotated[float, typer.Option(help="Timeout of one answer of an agent, seconds.")] = 120.0,
@@ -106,7 +108,7 @@ def compare(
             try:
                 with executor_of(backend, workers, address) as executor:
                     for label, agent in chosen.items():
-                        options = {**shared, "bank": bank, "num_envs": num_envs, **TRACKS[name]}
+                        options = {"bank": bank, "num_envs": num_envs, **TRACKS[name], **shared}
                         (found,) = run([agent], split, episodes, seed, executor=executor, **options)
                         evaluations.append(replace(found, agent=label))
             finally:
@@ -156,7 +158,7 @@ def _by_name(requested: Sequence[str], agents: Sequence[Agent]) -> dict[str, Age
 def submit(
     agent: AgentArgument,
     out: EntryFolder = None,
-    track: Annotated[str, typer.Option(help="Tracks, separated by commas.")] = "reconstruction,truth,moved",
+    track: Annotated[str, typer.Option(help="Tracks, separated by commas.")] = "reconstruction,truth,moved,brush",
     episodes: Annotated[
         int, typer.Option(min=1, help="A number other than the protocol's makes a trial, which is not ranked.")
     ] = 1000,
@@ -166,7 +168,7 @@ def submit(
     workers: Workers = None,
     address: Address = "local",
 ) -> None:
-    """Run the episodes of protocol v1 and write an entry of the leaderboard (docs/leaderboard.md).
+    """Run the episodes of protocol v1 and write an entry of the leaderboard (docs/results/leaderboard.md).
 
     Tracks of an existing entry of the same agent, bank and versions are kept. A trial has its own file,
     AGENT.trial.json. An interrupted run resumes from AGENT.TRACK.jsonl, which holds the records of a track until all
@@ -266,7 +268,7 @@ def watch(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="File to write, .mp4 or .gif; episode.mp4 by default, or episode.gif without the extra viz.",
+            help="File to write, .mp4, .gif or .webp; episode.mp4 by default, or episode.gif without the extra viz.",
             show_default=False,
         ),
     ] = None,
@@ -278,8 +280,9 @@ def watch(
     seed: Seed = 0,
     difficulty: Difficulty = "",
     track: Annotated[
-        str, typer.Option(help="World of the contacts and of the film: reconstruction, truth or moved.")
+        str, typer.Option(help="World of the contacts and of the film: reconstruction, truth, moved or brush.")
     ] = "reconstruction",
+    task: Annotated[str, typer.Option(help="Task: look, or your own as file.py:Class or module:Class.")] = "",
     robot: AgentRobot = "",
     fps: Annotated[
         float | None, typer.Option(help="Images per second; one for each action by default.", show_default=False)
@@ -301,7 +304,7 @@ def watch(
         out = Path("episode.mp4" if find_spec("imageio_ffmpeg") else "episode.gif")
     require_picture(out, FILMS)
     options = {"bank": bank, "split": split, **TRACKS[require_choice("track", track, TRACKS)]}
-    options |= given(robot=robot, difficulty=comma_separated(difficulty), scene=scene, target=target)
+    options |= given(robot=robot, task=task, difficulty=comma_separated(difficulty), scene=scene, target=target)
     picture = Picture(*whole_pair("--size", size, "640x480"), camera)
     with progress("actions") as on_progress:
         filmed = film(

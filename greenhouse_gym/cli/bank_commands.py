@@ -1,4 +1,4 @@
-"""Commands on banks of scenes: info, check, show, filter, export."""
+"""Commands on banks of scenes: info, check, show, filter, compose, export."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def _several(kind: str) -> Any:
     return typer.Option(help=f"{kind} of the scenes to take; may be given several times; all by default.")
 
 
-app = typer.Typer(help="List, inspect, check, filter and export banks of scenes.", no_args_is_help=True)
+app = typer.Typer(help="List, inspect, check, filter, compose and export banks of scenes.", no_args_is_help=True)
 
 
 @app.command("list")
@@ -109,6 +109,33 @@ def filter_(
         scenes = [(scene, chosen.split_of(scene.name)) for scene in chosen]
         made = write_bank(out, scenes, name or out.resolve().name, chosen.manifest.description)
     say(f"{len(made)} of {len(opened)} scenes in {out}")
+
+
+@app.command()
+def compose(
+    bank: BankArgument,
+    out: Annotated[Path, typer.Option(help="Folder of the new bank.")],
+    scenes: Annotated[int, typer.Option(min=1, help="Number of scenes; each takes about a second.")] = 200,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the scenes.")] = 0,
+    robot: Robot = "ur5e",
+) -> None:
+    """Write a bank of new training scenes, composed of the plants of a bank's training scenes."""
+    from greenhouse_gym.common.files import exclusive
+    from greenhouse_gym.errors import InvalidValueError
+    from greenhouse_gym.planning import ComposedBank
+    from greenhouse_gym.planning.composed_bank import SPLIT
+    from greenhouse_gym.scene.bank import write_bank
+
+    composed = ComposedBank(bank, scenes, seed, robot)
+    if out.resolve() == composed.path:
+        raise InvalidValueError(f"{out}: the new bank needs its own folder, not that of its source")
+    made = []
+    with exclusive(out), progress("scenes", scenes) as on_progress:
+        for scene in composed:
+            made.append((scene, SPLIT))
+            on_progress(len(made))
+        write_bank(out, made, out.resolve().name, composed.manifest.description)
+    say(f"{len(made)} scenes in {out}")
 
 
 @app.command()

@@ -42,7 +42,7 @@ def shapes(
     transform of the file's points, times its unit, into that frame).
     """
     from greenhouse_gym.build.scans import extract_from_scan
-    from greenhouse_gym.common.files import write_atomically
+    from greenhouse_gym.common.files import exclusive, write_atomically
     from greenhouse_gym.common.settings_files import resolve
     from greenhouse_gym.reconstruction.row_files import save_points
     from greenhouse_gym.scene import Shapes
@@ -59,10 +59,11 @@ def shapes(
         say(note)
     notes = [*scan.notes, *found.warnings]
     parts = Shapes(tomatoes=found.tomatoes, stems=found.stems, clutter=found.clutter)
-    write_atomically(out / "shapes.json", parts.model_dump_json(indent=1) + "\n")
     report = {"unit": scan.unit, "row_from_file": scan.row_from_file.tolist(), "notes": notes}
-    write_atomically(out / "report.json", json.dumps(report | {"confidence": found.confidence}, indent=1) + "\n")
-    save_points(scan.cloud, out / "cloud.ply")
+    with exclusive(out):
+        write_atomically(out / "shapes.json", parts.model_dump_json(indent=1) + "\n")
+        write_atomically(out / "report.json", json.dumps(report | {"confidence": found.confidence}, indent=1) + "\n")
+        save_points(scan.cloud, out / "cloud.ply")
     say(f"{len(found.tomatoes)} tomatoes, {len(found.stems)} pieces of stem, {len(found.clutter)} boxes: {out}")
 
 

@@ -34,7 +34,7 @@ def demo(
 
 def run_demo(out: Path, seed: int, settings: DemoSettings) -> DemoReport:
     """Run the demo; pictures and ``results.json`` go to ``out``."""
-    require_extras("reconstruct", "plan", "train", "viz")
+    require_extras("reconstruct", "plan", "train", "viz", "warp")
     with exclusive(out):
         return _run(out, seed, settings)
 

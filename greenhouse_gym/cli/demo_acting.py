@@ -116,16 +116,16 @@ def _showpiece(bank: SceneBank) -> tuple[Scene, int]:
 
 def train(out: Path, seed: int, settings: DemoSettings, report: DemoReport) -> list[dict[str, str]]:
     """Train a policy from nothing on shipped rows, the demo's row excepted; return the rows of its learning curve."""
-    from greenhouse_gym.learning import PpoSettings, train_ppo
+    from greenhouse_gym.learning import DevicePpoSettings, train_ppo_on_device
 
     with report.stage("train a policy from random weights with PPO, on shipped rows") as results:
         shutil.rmtree(out / "ppo", ignore_errors=True)  # of an earlier demo
         # limited by steps, not seconds, so that a busy machine trains the same policy
-        ppo = PpoSettings(
-            bank=settings.training_bank, sources=("own",), difficulty=("easy",), total_steps=settings.training_steps,
-            seed=seed,
+        ppo = DevicePpoSettings(
+            bank=settings.training_bank, sources=("own",), action="tip_velocity", difficulty=("easy",),
+            total_steps=settings.training_steps, seed=seed,
         )  # fmt: skip
-        train_ppo(ppo, out / "ppo")
+        train_ppo_on_device(ppo, out / "ppo")
         curve = list(csv.DictReader((out / "ppo" / "curve.csv").read_text().splitlines()))
         results.append(f"{int(float(curve[-1]['steps'])):,} steps")
         report.figures["training_steps"] = int(float(curve[-1]["steps"]))

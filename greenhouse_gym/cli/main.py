@@ -57,6 +57,7 @@ _COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
     "Banks and policies": {
         "bank": bank_commands.app,
         "rate": planning_commands.rate,
+        "brush": planning_commands.brush,
         "policy": agent_commands.policy_app,
     },
     "Help": {

@@ -30,13 +30,17 @@ def plan(
         float | None, typer.Option(help="Seconds per planner; 5 unless --max-checks is given.")
     ] = None,
     max_checks: Annotated[int | None, typer.Option(help="Collision checks after which a planner stops.")] = None,
+    leaves: Annotated[
+        str, typer.Option(help="rigid, or brush to plan through leaves where no path leads around them.")
+    ] = "rigid",
     setting: Annotated[list[str] | None, set_option("range=0.5")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the goal search and the planner.")] = 0,
     picture: Annotated[Path | None, typer.Option(help="PNG or JPEG file for a picture of the shortest path.")] = None,
 ) -> None:
     """Plan a path to a tomato with one planner, or with all planners and the same goals, and print a table.
 
-    The table holds the planning time, the collision checks, and the length and clearance of the shortened path. BiTRRT,
+    The table holds the planning time, the collision checks, the length and clearance of the shortened path, and the
+    number of shapes of leaves that it brushes. BiTRRT,
     CForest, pRRT and pSBL have no Python bindings in OMPL 1.7.0 and are called by the memory layout of that wheel; with
     another build they may end as "crashed".
     """
@@ -59,15 +63,18 @@ def plan(
     if not all_planners:
         PLANNERS[planner].with_settings(settings)  # raises before the goals are searched
     with progress("searching goals"):
-        goals = goal_configurations(chosen, target, robot, seed=seed)
+        goals = goal_configurations(chosen, target, robot, seed=seed, leaves=leaves)
     names = list(PLANNERS) if all_planners else [planner]
     results: list[PlanResult] = []
     with progress("planners", len(names)) as on_progress:
         for name in names:
             on_progress(len(results), name)
             results.append(
-                plan_path(chosen, target, robot, name, time_limit, max_checks, goals, seed=seed, settings=settings)
-            )
+                plan_path(
+                    chosen, target, robot, name, time_limit, max_checks, goals, seed=seed, settings=settings,
+                    leaves=leaves,
+                )
+            )  # fmt: skip
     _plan_table(results).show()
     for result in results:
         if result.message:
@@ -88,9 +95,11 @@ def _plan_table(results: Sequence[PlanResult]) -> Table:
 
     rows = []
     for r in results:
-        found = ("", "") if r.path is None else (f"{r.length:.2f}", f"{1000 * r.clearance:.0f}")
+        found = ("",) * 3
+        if r.path is not None:
+            found = (f"{r.length:.2f}", f"{1000 * r.clearance:.0f}", str(r.brushed_leaves))
         rows.append((r.planner, r.status, f"{r.planning_time:.3f}", f"{r.checks:,}", *found))
-    return Table(("planner", "status", "seconds", "checks", "path rad", "clearance mm"), rows, words=(0, 1))
+    return Table(("planner", "status", "seconds", "checks", "path rad", "clearance mm", "leaves"), rows, words=(0, 1))
 
 
 def render(
@@ -150,3 +159,24 @@ def rate(
     counts = Counter(t.difficulty for scene in rated for t in scene.targets if t.robot == arm.name)
     found = ", ".join(f"{count} {difficulty}" for difficulty, count in counts.most_common())
     say(f"{len(rated)} scenes in {out}, targets for {arm.name}: {found}")
+
+
+def brush(
+    bank: BankArgument,
+    out: Annotated[Path, typer.Option(help="Folder of the new bank.")],
+    robot: Robot = "ur5e",
+    seed: Annotated[int, typer.Option(help="Seed of the goal searches and planners.")] = 0,
+) -> None:
+    """Rate the targets of a bank with leaves that give way too, and write a new bank; resumes an interrupted run."""
+    from greenhouse_gym.planning.brush_ratings import brush_bank
+    from greenhouse_gym.robots import get_robot
+    from greenhouse_gym.scene import SceneBank
+
+    opened, arm = SceneBank.open(bank), get_robot(robot)
+    with progress("scenes", len(opened)) as on_progress:
+        rated = brush_bank(opened, out, arm, seed, on_progress)
+    certificates = [t.brush for scene in rated for t in scene.targets if t.robot == arm.name and t.brush is not None]
+    counts = Counter(certificate.difficulty for certificate in certificates)
+    found = ", ".join(f"{count} {difficulty}" for difficulty, count in counts.most_common())
+    through = sum(certificate.witness is not None for certificate in certificates)
+    say(f"{len(rated)} scenes in {out}, where leaves give way: {found}; {through} are reached through leaves alone")

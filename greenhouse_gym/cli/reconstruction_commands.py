@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -65,6 +64,7 @@ def reconstruct(
 def _reconstruct(
     opened: Recording, settings: ReconstructionSettings, out: Path, method: str, points: int, faces: int
 ) -> None:
+    from greenhouse_gym.common.files import remove_folder
     from greenhouse_gym.errors import FileFormatError, ReconstructionError
     from greenhouse_gym.reconstruction import simplify_points, triangulate
     from greenhouse_gym.reconstruction.station_journal import StationJournal, station_file
@@ -85,14 +85,14 @@ def _reconstruct(
                 stations, opened, settings, lambda row: triangulate(simplify_points(row, points), method, faces),
                 out, work=work / "results",
             )  # fmt: skip
-        shutil.rmtree(work)
+        remove_folder(work)
     except KeyboardInterrupt:
         finished = len(StationJournal.open(work, opened, settings).entries)
         kept = f"{finished} of {len(opened)} stations are kept in {work}"
         say(f"interrupted: {kept}; repeat the command to resume")
         raise typer.Exit(130) from None
     except ReconstructionError:
-        shutil.rmtree(work)
+        remove_folder(work)
         raise
     for station in rows[0].report.stations:
         if station.reason:

@@ -11,6 +11,7 @@ import errno
 import os
 import re
 import reprlib
+import shutil
 import stat
 import sys
 import tempfile
@@ -51,6 +52,7 @@ MAX_BYTES = MappingProxyType(
 _TEXTS = ("scene", "bank manifest", "recording index", "calibration", "trajectory", "settings", "leaderboard entry",
           "record journal")  # fmt: skip
 _UNSAFE = re.compile(r'[/\\:*?"<>|\x00-\x1f\x7f\ud800-\udfff]')
+_TEMPORARY = ".part"  # suffix of names that begin with a dot
 _MAX_NAME_BYTES = 200  # file systems allow 255, suffixes and temporary names take some
 
 
@@ -168,6 +170,8 @@ def parsing(path: object, kind: str) -> Iterator[None]:
         raise
     except ValidationError as error:
         raise FileFormatError(path, f"not a valid {kind}: {first_fault(error)}") from error
+    except MemoryError as error:
+        raise FileFormatError(path, f"more memory than there is would be needed to read this {kind}") from error
     except Exception as error:
         what = str(error).splitlines()[0][:200] if str(error) else type(error).__name__
         raise FileFormatError(path, f"not a valid {kind}: {what}") from error
@@ -183,11 +187,15 @@ def first_fault(error: ValidationError) -> str:
 
 
 @contextmanager
-def exclusive(folder: str | Path) -> Iterator[None]:
+def exclusive(folder: str | Path, parts: str = "") -> Iterator[None]:
     """Hold a folder for this process alone; it is created if missing.
 
     The file ``.lock`` in it holds the number of the process and is locked meanwhile; the lock ends with the process,
-    however that ends.
+    however that ends. Temporary files that a killed process left behind are removed.
+
+    Args:
+        folder: The folder.
+        parts: Pattern of the subfolders that belong to it, such as ``"*/*/"``; others may have holders of their own.
 
     Raises:
         FileWriteError: The folder cannot be created or written, or another process holds it.
@@ -212,6 +220,8 @@ def exclusive(folder: str | Path) -> Iterator[None]:
             file.truncate(0)
             file.write(f"process {os.getpid()}")
             file.flush()
+            for leftover in (*path.parent.glob(f".*{_TEMPORARY}"), *path.parent.glob(f"{parts}.*{_TEMPORARY}")):
+                shutil.rmtree(leftover) if leftover.is_dir() else leftover.unlink(missing_ok=True)
             yield
         finally:
             path.unlink(missing_ok=True)
@@ -251,7 +261,7 @@ def write_atomically(path: str | Path, content: str | bytes) -> Path:
     data = content.encode() if isinstance(content, str) else content
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        handle, temporary = tempfile.mkstemp(_TEMPORARY, f".{path.name}.", path.parent)
     except OSError as error:
         raise FileWriteError(path, error) from error
     try:
@@ -269,7 +279,8 @@ def write_atomically(path: str | Path, content: str | bytes) -> Path:
     return path
 
 
-def remove_leftovers(folder: Path, suffix: str) -> None:
-    """Remove temporary files that `write_atomically` left in a folder when its process was killed."""
-    for path in folder.glob(f".*{suffix}.{'[a-z0-9_]' * 8}"):  # as `tempfile` names them
-        path.unlink(missing_ok=True)
+def remove_folder(folder: Path) -> None:
+    """Remove a folder such that no part of it remains under its name if the process is killed meanwhile."""
+    renamed = folder.with_name(f".{folder.name}{_TEMPORARY}")
+    folder.rename(renamed)
+    shutil.rmtree(renamed)

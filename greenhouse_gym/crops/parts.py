@@ -6,10 +6,13 @@ from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 from greenhouse_gym.errors import InvalidValueError, require_choice
-from greenhouse_gym.geometry import Array, Capsule, Ellipsoid, Sphere, transformed
+from greenhouse_gym.geometry import Array, Box, Capsule, Ellipsoid, Shape, Sphere, transformed
 
 StemKind = Literal["main", "peduncle", "pedicel", "string", "pipe"]
 STEM_KINDS: tuple[str, ...] = get_args(StemKind)
+
+MAX_LEAF = 0.15
+"""Largest half extent of a box that is a piece of a leaf, metres. Longer boxes among the clutter are gutters."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,3 +59,16 @@ class Stem(Capsule):
     def __post_init__(self) -> None:
         super().__post_init__()
         require_choice("stem kind", self.kind, STEM_KINDS)
+
+
+class SpaceBox(Box):
+    """A box over cells of space that count as solid, such as unknown ones; it is no piece of a plant."""
+
+
+def is_leaf(shape: Shape) -> bool:
+    """Return whether a piece of clutter belongs to a leaf and gives way when an arm brushes it.
+
+    Leaves, petioles, calyces and flowers do: in the ground truth thin boxes and capsules, in a reconstruction boxes.
+    Boxes with a half extent above `MAX_LEAF`, which are gutters, and a `SpaceBox` do not.
+    """
+    return not isinstance(shape, SpaceBox) and not (isinstance(shape, Box) and shape.half_extents.max() > MAX_LEAF)

@@ -14,7 +14,7 @@ from greenhouse_gym.envs.rewards import DenseReward, PathReward, SparseReward, T
 from greenhouse_gym.envs.settings import EnvSettings
 from greenhouse_gym.envs.state import State
 from greenhouse_gym.envs.task import GoalTask, Outcome, Task
-from greenhouse_gym.envs.tasks import TomatoReach
+from greenhouse_gym.envs.tasks import LookReward, TomatoLook, TomatoReach
 from greenhouse_gym.envs.vector import GreenhouseVectorEnv
 from greenhouse_gym.rendering.cameras import DepthCamera
 
@@ -32,6 +32,7 @@ __all__ = [
     "GoalTask",
     "GreenhouseEnv",
     "GreenhouseVectorEnv",
+    "LookReward",
     "Observation",
     "Outcome",
     "PathReward",
@@ -42,6 +43,7 @@ __all__ = [
     "SparseReward",
     "State",
     "Task",
+    "TomatoLook",
     "TomatoReach",
     "ToolMotion",
     "Transition",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
@@ -146,6 +146,14 @@ ACTIONS: dict[str, ActionFactory] = {
     "tip_velocity": TipVelocity,
 }
 """Kinds of actions by name."""
+
+
+def with_controls(space: spaces.Box, controls: Sequence[str]) -> spaces.Box:
+    """Return the space of actions with further entries from -1 to 1."""
+    if not controls:
+        return space
+    more = np.ones(len(controls), dtype=space.low.dtype)
+    return spaces.Box(np.concatenate([space.low, -more]), np.concatenate([space.high, more]), dtype=space.dtype)  # type: ignore[arg-type]
 
 
 class Command(NamedTuple):

@@ -27,6 +27,7 @@ from greenhouse_gym.envs.observations import (
     ObservationSpec,
     Observed,
     StateObservation,
+    TaskObservation,
 )
 from greenhouse_gym.envs.rewards import DenseReward, PathReward, Reward, SparseReward, Transition
 from greenhouse_gym.envs.state import State
@@ -41,6 +42,7 @@ OBSERVATIONS: Mapping[str, Callable[[Robot, Task], ObservationSpec]] = {
     "state_occupancy": partial(StateObservation, extra=("unknown",)),
     "clearance_rays": partial(StateObservation, extra=("clearance_rays",)),
     "roadmap": partial(StateObservation, extra=PATH_FEATURES, without=TOOL_FEATURES),
+    "task": TaskObservation,
     "goal": GoalObservation,
     "goal_roadmap": partial(GoalObservation, path=True),
     "depth": DepthObservation(),
@@ -53,12 +55,15 @@ OBSERVATIONS: Mapping[str, Callable[[Robot, Task], ObservationSpec]] = {
 _OWN_SETTINGS = (DepthObservation, PointsObservation, RgbObservation)
 
 
-def make_task(choice: str | Task | type[Task] | Mapping[str, Any], success_radius: float) -> Task:
+def make_task(
+    choice: str | Task | type[Task] | Mapping[str, Any], success_radius: float, size: str | None = None
+) -> Task:
     """Return a task by name, by file or module, or as the user's own object.
 
     Args:
         choice: See `EnvSettings.task`.
         success_radius: Setting of the task "reach".
+        size: Setting of the task "harvest"; None for its default.
 
     Raises:
         UnknownNameError: The task or one of its contact groups does not exist.
@@ -68,7 +73,7 @@ def make_task(choice: str | Task | type[Task] | Mapping[str, Any], success_radiu
     own = load_own(choice, "task", lambda value: isinstance(value, type) and issubclass(value, Task))
     if isinstance(own, str):
         kind = _named("task", own, TASKS)
-        task = TomatoReach(success_radius) if kind is TomatoReach else kind()
+        task = TomatoReach(success_radius) if kind is TomatoReach else kind(**({} if size is None else {"size": size}))
     else:
         task = make(own, f"task {_name(own)}", {}) if isinstance(own, type) else own
     if not isinstance(task, Task):
@@ -133,6 +138,19 @@ def outcome_check(task: Task) -> Callable[[Outcome, int], Outcome]:
     return (lambda outcome, count: outcome) if _is_ours(task) else partial(_checked_outcome, task)
 
 
+def remembered(task: Task, values: Mapping[str, npt.ArrayLike]) -> dict[str, npt.NDArray[Any]]:
+    """Return new values of the memory of a task in one simulation as arrays.
+
+    Raises:
+        InvalidValueError: The task does not declare them, or with another shape.
+    """
+    where = f"task {_name(task)}"
+    for name in values:
+        if name not in task.memory:
+            raise InvalidValueError(f"{where}: memory must be one of {_listed(task.memory)}, got {name!r}")
+    return {name: _array(f"{where}, memory {name!r}", v, np.shape(task.memory[name])) for name, v in values.items()}
+
+
 def _checked_outcome(task: Task, outcome: Outcome, count: int) -> Outcome:
     where = f"task {_name(task)}"
     if not isinstance(outcome, Outcome):
@@ -146,7 +164,10 @@ def _checked_outcome(task: Task, outcome: Outcome, count: int) -> Outcome:
             raise InvalidValueError(f"{where}, {name} must be bool, got {values.dtype}")
     if outcome.memory and outcome.memory.keys() != task.memory.keys():
         raise InvalidValueError(f"{where}, memory must have {_listed(task.memory)}, got {_listed(outcome.memory)}")
-    memory = {name: _array(f"{where}, memory {name!r}", values, (count,)) for name, values in outcome.memory.items()}
+    memory = {
+        name: _array(f"{where}, memory {name!r}", values, (count, *np.shape(task.memory[name])))
+        for name, values in outcome.memory.items()
+    }
     return Outcome(distance.astype(np.float64), memory=memory, **checked)
 
 
@@ -287,7 +308,7 @@ def _array(where: str, values: Any, shape: tuple[int, ...]) -> npt.NDArray[Any]:
         raise InvalidValueError(f"{where} must return an array of shape {shape}, got {values!r}") from error
     if array.shape != shape or array.dtype.kind not in "buif":
         raise InvalidValueError(
-            f"{where} must return numbers of shape {shape} for {shape[0]} simulations, got {array.dtype} of "
+            f"{where} must return numbers of shape {shape}, one row for each simulation, got {array.dtype} of "
             f"{array.shape}"
         )
     return array

@@ -13,10 +13,14 @@ from greenhouse_gym.scene import CompiledScene
 from greenhouse_gym.scene.geom_order import first_world_geom
 
 CONTACT_GROUPS = ("fruit", "stem", "leaf", "fixture", "self")
-"""Groups of contacts by the arm's counterpart. Leaves are the clutter of a scene; fixtures are floor, cart, pipes and
-strings; "self" is a contact between two parts of the arm."""
+"""Groups of contacts by the arm's counterpart. Leaves are all clutter that gives way, see
+`greenhouse_gym.crops.parts.is_leaf`; fixtures are floor, cart, pipes, strings and gutters; "self" is a contact between
+two parts of the arm."""
 
 _FIXTURES = ("pipe", "string")
+LEAF = CONTACT_GROUPS.index("leaf")
+"""Index of the group of leaves."""
+
 _FIXTURE, _SELF = CONTACT_GROUPS.index("fixture"), CONTACT_GROUPS.index("self")
 
 Groups = npt.NDArray[np.int8]
@@ -45,11 +49,13 @@ class Contacts(NamedTuple):
 
     Attributes:
         counts: (n, groups) contacts summed over the physics steps, until one ends the episode.
+        leaf_steps: (n,) physics steps with a contact of a leaf, likewise.
         collided: (n,) whether a contact ended the episode.
         first: First contact of each simulation that collided, by its index.
     """
 
     counts: npt.NDArray[np.int64]
+    leaf_steps: npt.NDArray[np.int64]
     collided: Bools
     first: dict[int, Contact]
 
@@ -61,8 +67,8 @@ def geom_groups(compiled: CompiledScene) -> Groups:
     groups[:world] = _FIXTURE
     kinds = ["fruit"] * len(scene.tomatoes)
     kinds += ["fixture" if stem.kind in _FIXTURES else "stem" for stem in scene.stems]
-    kinds += ["leaf"] * len(scene.clutter)
     groups[slots.start : slots.start + len(kinds)] = [CONTACT_GROUPS.index(kind) for kind in kinds]
+    groups[compiled.leaf_geoms] = LEAF
     return groups
 
 

@@ -29,7 +29,9 @@ _ONLY = np.array([0])
 
 
 class GreenhouseEnv(EnvMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]]):  # type: ignore[misc]
-    """Environment of an arm in front of tomato plants with a task, see ``task``; ``TomatoReach-v0`` has `TomatoReach`.
+    """Environment of an arm in front of tomato plants with a task, see ``task``.
+
+    ``TomatoReach-v0`` has the task `TomatoReach`, and ``TomatoLook-v0`` `TomatoLook`.
 
     An episode takes place in one scene of a bank, with one or several of its tomatoes as targets. The arm carries a
     slender suction gripper; its *tip* is the center of the cup, and the *grasp point* lies one target radius ahead of
@@ -83,6 +85,8 @@ class GreenhouseEnv(EnvMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]]):
     | ``state_occupancy`` | (a vector) | (3 j + 18 + 5 k,) float32 | ``state``, then 1 per probe in unknown space |
     | ``clearance_rays`` | (a vector) | (3 j + 18 + 4 k + 48,) float32 | ``state``, then clearances on rays, m |
     | ``roadmap`` | (a vector) | (5 j + 8 + 4 k,) float32 | part of ``state``, then waypoint and path, rad |
+    | ``task`` | ``state`` | (3 j + 18,) float32 | ``state`` without its last two features |
+    | | names of the task | | arrays that the task remembers, such as ``map`` of `TomatoLook` |
     | ``goal`` | ``achieved_goal`` | (3,) float64 | grasp point, m |
     | | ``desired_goal`` | (3,) float64 | the target's center, m |
     | | ``observation`` | (3 j + 6 + 4 k,) float32 | ``state`` without the features of the task, but see below |
@@ -122,8 +126,15 @@ class GreenhouseEnv(EnvMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]]):
     ``copy_info_dict=True``).
 
     **Contacts.** Contacts of the arm are counted by group after every physics step, until one ends the episode: fruit,
-    stem, leaf, fixture (floor, cart, pipes, strings) and self. The task decides which groups end the episode; by
-    default all do. The cup may touch the targets, which is not counted.
+    stem, leaf, fixture (floor, cart, pipes, strings, gutters) and self. The task decides which groups end the episode;
+    by default all do. The cup may touch the targets, which is not counted.
+
+    **Leaves that give way.** With ``plants="brush"``, leaves exert no force: the arm moves exactly as it would without
+    them, contacts with them end no episode, and each second in which one is touched costs 0.4 (`Task.brush_cost`, the
+    reward term ``brush``). Clearances, rays and the directions to obstacles ignore leaves; images still show them, and
+    paths of ``roadmap`` lead through leaves only where no path leads around them. Leaves are leaf blades, petioles,
+    calyces and flowers in the true row, and all boxes but gutters in a reconstruction, see
+    `greenhouse_gym.crops.parts.is_leaf`; a leaf counts as several, because it consists of several shapes.
 
     **Info**, on reset and step:
 
@@ -140,10 +151,14 @@ class GreenhouseEnv(EnvMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]]):
     | ``steps`` | steps of this episode |
     | ``speed_limited`` | steps of this episode that were scaled down to the speed limits |
     | ``position_limited`` | number of times that a joint's command stopped at its limit in this episode |
+    | ``brushing`` | with ``plants="brush"``: time in the last action in which a leaf was touched, s |
+    | ``brushed_time`` | likewise: that time in the episode, s |
+    | ``brushed_leaves`` | likewise: different shapes of leaves touched at the ends of actions of the episode |
     | ``reward_terms`` | on step only: the terms by name |
     | ``previous_goal``, ``effort`` | on step of ``goal``: achieved goal before it, sum of the action's squares |
 
-    Numbers that the task remembers (`Task.memory`) follow under their own names.
+    Numbers that the task remembers (`Task.memory`) follow under their own names. A task may add entries to the action
+    (`Task.controls`).
 
     **Reset options**
 
@@ -195,7 +210,7 @@ class GreenhouseEnv(EnvMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]]):
         self.metadata = {"render_modes": available_modes(), "render_fps": self.settings.rate}
         self.simulation = Simulation(1, self.settings, threads=1)
         self.observation_space = self.simulation.observe.space
-        self.action_space: spaces.Box = self.simulation.action_rule.space  # type: ignore[assignment]
+        self.action_space: spaces.Box = self.simulation.action_space  # type: ignore[assignment]
         add_goal_functions(self)
         self._tip_trace: list[Array] = []
         self._over = False

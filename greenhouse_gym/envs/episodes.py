@@ -47,12 +47,15 @@ class Episode:
         targets: Indices of the target tomatoes in the scene, in the order in which they become the target.
         difficulty: Rating of the first target, one of `DIFFICULTIES`, or `UNRATED`.
         start: (joints,) start configuration, radians.
+        fruit: Indices of the fruit to be picked among the tomatoes of the scene's truth; by default the counterparts
+            of the targets. Only compliant plants have fruit that comes off.
     """
 
     scene: Scene
     targets: tuple[int, ...]
     difficulty: str
     start: Array
+    fruit: tuple[int, ...] = ()
 
 
 class SceneWindow:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.envs.contacts import CONTACT_GROUPS
-from greenhouse_gym.envs.rewards import Reward, Transition, total_reward, with_contact_cost
+from greenhouse_gym.envs.rewards import Reward, Transition, total_reward, with_brush_cost, with_contact_cost
 from greenhouse_gym.envs.state import Bools
 from greenhouse_gym.envs.task import GoalTask
 from greenhouse_gym.errors import InvalidValueError
@@ -33,7 +33,13 @@ class Relabeled(NamedTuple):
 
 
 def relabel(
-    achieved: npt.ArrayLike, desired: npt.ArrayLike, info: Info, task: GoalTask, reward: Reward, step_limit: int
+    achieved: npt.ArrayLike,
+    desired: npt.ArrayLike,
+    info: Info,
+    task: GoalTask,
+    reward: Reward,
+    step_limit: int,
+    brush_cost: float | None = None,
 ) -> Relabeled:
     """Evaluate steps with other goals; everything else is read from their infos.
 
@@ -44,6 +50,7 @@ def relabel(
         task: The task.
         reward: The reward.
         step_limit: Steps after which an episode is truncated.
+        brush_cost: Reward per second in which a leaf is touched; None if leaves are rigid.
 
     Raises:
         InvalidValueError: An info lacks a key that the steps of a goal environment have.
@@ -78,6 +85,8 @@ def relabel(
     if task.costs:
         contacts = np.array([[counts[group] for group in CONTACT_GROUPS] for counts in from_info("contacts")])
         terms = with_contact_cost(terms, task.costs, contacts)
+    if brush_cost is not None:
+        terms = with_brush_cost(terms, brush_cost, from_info("brushing"))
     terminated = outcome.success | outcome.failure
     return Relabeled(total_reward(terms), terminated, (steps >= step_limit) & ~terminated)
 
@@ -90,11 +99,12 @@ def add_goal_functions(env: Any) -> None:
     """
     if not env.simulation.observe.has_goals:
         return
-    task, reward, step_limit = env.simulation.task, env.simulation.reward_terms, env.settings.step_limit
+    simulation = env.simulation
+    rules = simulation.task, simulation.reward_terms, env.settings.step_limit, simulation.brush_cost
 
     def function(part: str) -> Callable[[npt.ArrayLike, npt.ArrayLike, Info], Any]:
         def compute(achieved_goal: npt.ArrayLike, desired_goal: npt.ArrayLike, info: Info) -> Any:
-            values = getattr(relabel(achieved_goal, desired_goal, info, task, reward, step_limit), part)
+            values = getattr(relabel(achieved_goal, desired_goal, info, *rules), part)
             return values.item() if np.ndim(achieved_goal) == 1 else values
 
         return compute

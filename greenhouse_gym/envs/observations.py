@@ -123,6 +123,25 @@ class StateObservation(ObservationSpec):
         return self._vector(state)
 
 
+class TaskObservation(ObservationSpec):
+    """Features of arm and task, without what the scan shows, and the arrays that the task remembers.
+
+    Args:
+        robot: The arm.
+        task: The task.
+    """
+
+    def __init__(self, robot: Robot, task: Task = REACH):
+        self._vector = FeatureVector(robot, body_features(task))
+        self.layout = self._vector.layout
+        self._arrays = tuple(task.arrays)
+        self.space = spaces.Dict({**task.arrays, "state": self._vector.space})
+
+    def __call__(self, state: State) -> Observed:
+        """Return the vectors (n, size), and the arrays (n, ...)."""
+        return {name: state.memory[name].copy() for name in self._arrays} | {"state": self._vector(state)}
+
+
 class GoalObservation(ObservationSpec):
     """Observation of a goal environment; its part ``observation`` does not depend on the target.
 

@@ -13,15 +13,16 @@ from greenhouse_gym.common.executors import usable_cores
 from greenhouse_gym.envs.clearance_rays import NUM_CLEARANCES, clearance_rays
 from greenhouse_gym.envs.contacts import Contacts
 from greenhouse_gym.envs.observations import ObservationSpec
-from greenhouse_gym.envs.physics import Physics
+from greenhouse_gym.envs.physics import AnyPhysics
 from greenhouse_gym.envs.setups import Setup
 from greenhouse_gym.envs.state import Bools, Ids, State
+from greenhouse_gym.envs.views import TaskCamera, View
 from greenhouse_gym.envs.worlds import Worlds
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.motion.distance_field import NO_TOMATO
+from greenhouse_gym.motion.distance_field import NO_TOMATO, FieldsOfSimulations
 from greenhouse_gym.motion.goals import GoalSampler
 from greenhouse_gym.motion.waypoints import WaypointTracker
-from greenhouse_gym.rendering.cameras import CameraRig, Images, no_images
+from greenhouse_gym.rendering.cameras import CameraRig, DepthCamera, Images, no_images
 from greenhouse_gym.robots import Robot
 
 
@@ -35,14 +36,24 @@ class Perception:
         worlds: The worlds of the episodes.
         requires_roadmap: Compute waypoints and paths.
         threads: Number of threads of the cameras; 0 uses all cores.
+        camera: Camera of the task, if it has one.
     """
 
     def __init__(
-        self, count: int, robot: Robot, observe: ObservationSpec, worlds: Worlds, requires_roadmap: bool, threads: int
+        self,
+        count: int,
+        robot: Robot,
+        observe: ObservationSpec,
+        worlds: Worlds,
+        requires_roadmap: bool,
+        threads: int,
+        camera: DepthCamera | None = None,
     ):
         self._count, self._robot, self._observe, self._worlds = count, robot, observe, worlds
-        self._threads = threads
+        self._threads = 1 if count == 1 else threads or usable_cores()
         self._rig: CameraRig | None = None
+        self._camera = camera
+        self._task_camera: TaskCamera | None = None
         self._no_images = no_images(count)
         self._probe_radii = robot.probe_radii.astype(np.float32)
         self._setups: dict[int, Setup] = {}
@@ -62,7 +73,7 @@ class Perception:
     def __deepcopy__(self, memo: dict[int, Any]) -> Perception:
         """Return a copy, without cameras until they are needed."""
         twin = memo[id(self)] = object.__new__(Perception)
-        twin.__dict__ = copy.deepcopy({**self.__dict__, "_rig": None}, memo)
+        twin.__dict__ = copy.deepcopy({**self.__dict__, "_rig": None, "_task_camera": None}, memo)
         return twin
 
     @property
@@ -104,14 +115,15 @@ class Perception:
 
     def close(self) -> None:
         """Free the cameras."""
-        if self._rig is not None:
-            self._rig.close()
-        self._rig = None
+        for part in (self._rig, self._task_camera):
+            if part is not None:
+                part.close()
+        self._rig = self._task_camera = None
 
     def look(
         self,
         ids: Ids | slice,
-        physics: Physics,
+        physics: AnyPhysics,
         contacts: Contacts,
         steps: npt.NDArray[np.int64],
         memory: Mapping[str, Array],
@@ -129,10 +141,19 @@ class Perception:
         sites, tool = physics.sites(ids)
         vectors = np.concatenate([sites - frame[:, None, :3], tool[:, None, :, 2]], axis=1) @ self._axes[ids]
         points, axis = vectors[:, :-1], vectors[:, -1]
-        distance, direction = self._worlds.fields.lookup(self._field[ids], self._ignored[ids], points[:, 1:])
+        fields = FieldsOfSimulations(self._worlds.fields, self._field[ids].copy(), self._ignored[ids].copy())
+        distance, direction = fields.lookup(points[:, 1:])
         joints = physics.qpos[ids]
         command_error = physics.command[ids] - joints
         waypoint, path_length, path_free = self._paths(ids, physics.command, steps)
+        target, goal, radius = self._target[ids].copy(), self._goal[ids].copy(), self._radius[ids]
+        plants = dict(physics.felt(ids))
+        if plants:  # the fruit in work is the target, wherever it hangs now
+            origin, axes = frame[:, None, :3], self._axes[ids]
+            for name in ("fruit", "crate"):
+                plants[name] = ((plants[name][:, None] - origin) @ axes)[:, 0]
+            plants["force"] = (plants["force"][:, None] @ axes)[:, 0]
+            target, goal, radius = plants["fruit"].copy(), plants["fruit"].copy(), plants["radius"][:, None]
         images = self._render_images(ids, physics, frame, sites[:, 0], tool)
         return State(
             joints=joints + self._joint_offset[ids],
@@ -140,9 +161,9 @@ class Perception:
             command_error=command_error,
             tip=points[:, 0],
             axis=axis,
-            grasp=points[:, 0] + self._radius[ids] * axis,
-            target=self._target[ids].copy(),
-            goal=self._goal[ids].copy(),
+            grasp=points[:, 0] + radius * axis,
+            target=target,
+            goal=goal,
             remaining=self._remaining[ids].copy(),
             clearance=distance - self._probe_radii,
             obstacle=direction,
@@ -154,6 +175,8 @@ class Perception:
             depth=images.depth,
             color=images.color,
             views=images.views,
+            fields=fields,
+            plants=plants,
             contacts=contacts.counts,
             collided=contacts.collided,
             distance=self._unset[: len(points)],
@@ -188,16 +211,26 @@ class Perception:
             unknown[k] = ~occupancy.is_known(probes[k])
         return unknown
 
-    def _render_images(self, ids: Ids | slice, physics: Physics, frame: Array, tip: Array, tool: Array) -> Images:
+    def _render_images(self, ids: Ids | slice, physics: AnyPhysics, frame: Array, tip: Array, tool: Array) -> Images:
         """Return the images of the cameras of some simulations."""
         cameras = self._observe.cameras
         if not cameras:
             return self._no_images.first(len(tip))
         setups = [self._setups[i] for i in np.arange(self._count)[ids]]
         if self._rig is None:
-            threads = 1 if self._count == 1 else self._threads or usable_cores()
             compiled = self._setups[0].world.compiled
-            self._rig = CameraRig(cameras, compiled, threads, self._observe.renders_arm, self._observe.renders_color)
+            shows = self._observe.renders_arm, self._observe.renders_color
+            self._rig = CameraRig(cameras, compiled, self._threads, *shows)
         noises = [setup.disturbance.noise for setup in setups]
         models = [physics.models[i] for i in np.arange(self._count)[ids]]
         return self._rig.render(models, physics.qpos[ids], frame, tip, tool, noises)
+
+    def take_views(self, ids: Ids, physics: AnyPhysics) -> list[View]:
+        """Take a view with the camera of the task in some simulations."""
+        setups = [self._setups[i] for i in ids]
+        if self._task_camera is None:
+            assert self._camera is not None
+            self._task_camera = TaskCamera(self._camera, setups[0], self._threads)
+        sites, tool = physics.sites(ids)
+        models = [physics.models[i] for i in ids]
+        return self._task_camera.take(models, physics.qpos[ids], self._frame[ids], sites[:, 0], tool, setups)

@@ -200,6 +200,11 @@ def with_contact_cost(terms: Terms, costs: Mapping[str, float], contacts: npt.ND
     return {**terms, "contact": (contacts * weights).sum(axis=1)}
 
 
+def with_brush_cost(terms: Terms, cost: float, seconds: Array) -> Terms:
+    """Return the terms with a further term ``brush`` for the seconds (n,) in which a leaf was touched."""
+    return {**terms, "brush": cost * seconds}
+
+
 def _check_finite(reward: Any) -> None:
     for field in fields(reward):
         value = getattr(reward, field.name)

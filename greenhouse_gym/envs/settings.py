@@ -22,6 +22,7 @@ from greenhouse_gym.envs.randomization import NO_RANDOMIZATION, Randomization
 from greenhouse_gym.envs.rewards import Reward
 from greenhouse_gym.envs.state import RATE, STEP_LIMIT, control_timing
 from greenhouse_gym.envs.task import Task
+from greenhouse_gym.envs.tasks.harvest import SIZES, STEP_LIMITS
 from greenhouse_gym.errors import InvalidValueError, UnknownKeywordError, check_whole, is_number, require_choice
 from greenhouse_gym.motion.success import SUCCESS_RADIUS
 from greenhouse_gym.robots import ROBOTS, Robot, get_robot
@@ -35,6 +36,9 @@ INFOS = ("all", "numbers")
 PHYSICS = ("reconstruction", "truth")
 """Choices of the simulated world."""
 
+PLANTS = ("rigid", "brush", "compliant")
+"""Choices of the mechanics of plants."""
+
 
 @dataclass(frozen=True)
 class EnvSettings:
@@ -45,9 +49,10 @@ class EnvSettings:
             drawn from a few scenes at a time (`SceneWindow`); the seed of a reset restarts their order.
         split: "train", "validation" or "test".
         robot: Name of a shipped arm ("ur5e", "iiwa14"), an MJCF file, or a `Robot` of `load_robot`.
-        observation: "state", "state_occupancy", "clearance_rays", "roadmap", "goal", "goal_roadmap", "depth",
-            "points", "rgb", "rgbd", settings of the last four, or your own `Observation`. Everything of your own is an
-            object, ``"file.py:Name"``, ``"module:Name"``, or a mapping with such a name as ``class`` and its fields.
+        observation: "state", "state_occupancy", "clearance_rays", "roadmap", "task", "goal", "goal_roadmap",
+            "depth", "points", "rgb", "rgbd", settings of the last four, or your own `Observation`. Everything of your
+            own is an object, ``"file.py:Name"``, ``"module:Name"``, or a mapping with such a name as ``class`` and its
+            fields.
         action: "joint", "joint_velocity", "tip_velocity", or your own `ActionRule`.
         reward: "dense", "sparse", "path", a `DenseReward`, `SparseReward` or `PathReward` with other values, or your
             own function from a `Transition` to terms.
@@ -56,20 +61,27 @@ class EnvSettings:
             not rated for the arm, the ratings for other arms are used and reported as "unrated".
         physics: "reconstruction" simulates the scene; "truth" simulates the true row behind it, with the tomato nearest
             to the target as the goal, while observations still show the reconstruction.
+        plants: "rigid", or "brush" for leaves that give way: contacts with them are found and counted, but neither stop
+            the arm nor end the episode; see `GreenhouseEnv`. Leaves are all clutter except gutters, see
+            `greenhouse_gym.crops.parts.is_leaf`; fruit, stems, fixtures and the arm itself stay rigid. "compliant",
+            with ``physics="truth"``: trusses of the targets and the leaves around them give way and push back, other
+            leaves are as with "brush".
         randomization: Domain randomization; none by default.
         capacity: Maximum number of obstacles of a scene; if None, 600 or as many as the largest scene of the bank has.
         success_radius: Maximum distance of the grasp point from the target's center for a success, metres. It belongs
             to the task "reach"; your own task has its own settings.
-        step_limit: Steps after which an episode is truncated.
+        step_limit: Steps after which an episode is truncated; 0 for the task's own, 200 except for harvests.
         start: Start configuration: the name of one of the arm's, "ready", "upright" or "folded", or a joint angle for
             each joint, radians; the arm's own if None, which is "ready". The options of a reset may choose another.
         rate: Actions per second; the time between two actions must be a multiple of 10 ms: 100, 50, 25, 20, 10 and so
             on. Joint actions have the same maximum speed at every rate.
-        task: Task: "reach", your own as ``"file.py:Name"`` or ``"module:Name"``, a `Task` or a subclass of it.
+        task: Task: "reach", "look", "harvest", your own as ``"file.py:Name"`` or ``"module:Name"``, a `Task` or a
+            subclass of it.
         scene: The only scene of all episodes: its name, of any split, or a `Scene`; if None, each episode draws one.
         target: Index of its only target tomato; if None, each episode draws one of the scene's.
         infos: "all", or "numbers" for libraries that read no texts and no nested infos, such as TorchRL: texts are left
             out, and keys are those of one level, such as "reward_terms.progress".
+        size: Size of the task "harvest": "pick", "truss" or "stand"; its default if None.
     """
 
     bank: str | Path | SceneBank = "default"
@@ -80,16 +92,18 @@ class EnvSettings:
     reward: str | Reward | Mapping[str, Any] = "dense"
     difficulty: DifficultyChoice = ("easy", "medium", "hard")
     physics: str = "reconstruction"
+    plants: str = "rigid"
     randomization: Randomization = field(default=NO_RANDOMIZATION)
     capacity: int | None = None
     success_radius: float = SUCCESS_RADIUS
-    step_limit: int = STEP_LIMIT
+    step_limit: int = 0
     rate: float = RATE
     start: str | Sequence[float] | None = None
     task: str | Task | type[Task] | Mapping[str, Any] = "reach"
     scene: str | Scene | None = None
     target: int | None = None
     infos: str = "all"
+    size: str | None = None
 
     def __post_init__(self) -> None:
         _check_kind("bank", self.bank, (str, Path, SceneBank), "a bank's name, folder or SceneBank")
@@ -98,11 +112,22 @@ class EnvSettings:
         _check_kind("randomization", self.randomization, Randomization, "a Randomization")
         require_choice("split", self.split, SPLITS)
         require_choice("physics", self.physics, PHYSICS)
+        require_choice("plants", self.plants, PLANTS)
         require_choice("infos", self.infos, INFOS)
         parse_difficulty(self.difficulty)
         if self.capacity is not None:
             check_whole("capacity", self.capacity, 1, MAX_CAPACITY)
-        check_whole("step_limit", self.step_limit, 1)
+        if self.plants == "compliant" and self.physics != "truth":
+            raise InvalidValueError(
+                'plants="compliant" needs physics="truth", because only true plants have a topology'
+            )
+        if self.size is not None and (self.task != "harvest" or self.size not in SIZES):
+            raise InvalidValueError(
+                f'size belongs to task="harvest" and is one of {", ".join(SIZES)}, got {self.size!r} with task='
+                f"{self.task!r}"
+            )
+        if check_whole("step_limit", self.step_limit, 0) == 0:
+            object.__setattr__(self, "step_limit", self._own_step_limit())
         kinds = (str, Task, Mapping)
         if not isinstance(self.task, kinds) and not (isinstance(self.task, type) and issubclass(self.task, Task)):
             raise InvalidValueError(f"task must be a name, a Task or a subclass of Task, got {self.task!r}")
@@ -120,6 +145,14 @@ class EnvSettings:
                 f"got {self.rate!r}"
             )
 
+    def _own_step_limit(self) -> int:
+        return STEP_LIMITS[self.size or "pick"] if self.task == "harvest" else STEP_LIMIT
+
+    def with_fields(self, keywords: Mapping[str, Any]) -> EnvSettings:
+        """Return the settings with other values; the task's own step limit follows the task."""
+        kept = {} if self.step_limit != self._own_step_limit() else {"step_limit": 0}
+        return replace(self, **(kept | dict(keywords)))
+
     def agent_options(self) -> dict[str, Any]:
         """Return the keywords of an environment with the same arm (its name or file), spaces and task."""
         options: dict[str, Any] = {
@@ -131,12 +164,16 @@ class EnvSettings:
             options["rate"] = self.rate
         if self.task != "reach":
             options["task"] = self.task
+        if self.plants == "compliant":
+            options |= {"plants": self.plants, "physics": self.physics}
         return options
 
     def keywords(self) -> dict[str, Any]:
         """Return the keywords of ``gymnasium.make`` that differ from the defaults, as JSON holds them where it can."""
         plain = EnvSettings()
         given = {f.name: getattr(self, f.name) for f in fields(self)}
+        if self.step_limit == self._own_step_limit():
+            given["step_limit"] = plain.step_limit
         changed = {name: _as_json(value) for name, value in given.items() if value != getattr(plain, name)}
         return {**changed, "scene": self._scene_by_name()} if self.scene is not None else changed
 
@@ -245,7 +282,7 @@ def settings_with(callee: str, settings: EnvSettings | None, keywords: Mapping[s
             )
     if settings is not None:
         _check_kind("settings", settings, EnvSettings, "an EnvSettings")
-    return replace(settings or EnvSettings(), **keywords)
+    return (settings or EnvSettings()).with_fields(keywords)
 
 
 def _check_kind(name: str, value: Any, kinds: type | tuple[type, ...], expected: str) -> None:

@@ -56,4 +56,7 @@ def draw_setup(
     world = worlds.world(scene, sampler.at_a_time)
     if randomization.plants is not None and disturbance.plants is not None:
         world = worlds.moved(world, randomization.plants, disturbance.plants)
+    if worlds.layout is not None:
+        fruit = episode.fruit or tuple(dict.fromkeys(world.bodies[list(episode.targets)].tolist()))
+        world = worlds.planted(world, fruit, task.mechanics)
     return Setup(episode, world, disturbance)

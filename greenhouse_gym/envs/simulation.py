@@ -11,26 +11,41 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.common.progress import progress
-from greenhouse_gym.envs.actions import CommandLimits, check_actions, squared_norm
-from greenhouse_gym.envs.choices import is_of_user, make_action, make_observation, make_reward, make_task, outcome_check
+from greenhouse_gym.envs.actions import CommandLimits, check_actions, squared_norm, with_controls
+from greenhouse_gym.envs.choices import (
+    is_of_user,
+    make_action,
+    make_observation,
+    make_reward,
+    make_task,
+    outcome_check,
+    remembered,
+)
+from greenhouse_gym.envs.compliant_physics import CompliantPhysics, CompliantSimulation
 from greenhouse_gym.envs.contacts import NAME_SEPARATOR, NO_CONTACT, Contact, Contacts
 from greenhouse_gym.envs.episodes import Episode, EpisodeSampler
 from greenhouse_gym.envs.observations import Observed, check_goals
 from greenhouse_gym.envs.perception import Perception
-from greenhouse_gym.envs.physics import Physics, prepare
-from greenhouse_gym.envs.rewards import StepResult, Transition, total_reward, with_contact_cost
+from greenhouse_gym.envs.physics import AnyPhysics, Physics
+from greenhouse_gym.envs.rewards import StepResult, Transition, total_reward, with_brush_cost, with_contact_cost
 from greenhouse_gym.envs.settings import EnvSettings
 from greenhouse_gym.envs.setups import Setup, draw_setup
-from greenhouse_gym.envs.state import Ids, State, control_timing
+from greenhouse_gym.envs.state import HIDDEN, Ids, State, control_timing
 from greenhouse_gym.envs.task import GoalTask, Outcome
 from greenhouse_gym.envs.worlds import capacity_of, shared_worlds
 from greenhouse_gym.errors import InvalidValueError, NoEpisodeError
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.plants.layout import Layout
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import CompiledScene, Scene
+from greenhouse_gym.scene.mjcf import TIMESTEP
+from greenhouse_gym.scene.truth import without_plants
 
 STEP_INFOS = ("previous_goal", "effort")
 """Keys of the info of a step that the info of a reset lacks, besides the reward terms."""
+
+BRUSH_MEASURES = ("brushed_leaves", "brushed_time")
+"""Keys of the info that describe how an episode treated leaves that give way."""
 
 
 class Simulation:
@@ -47,12 +62,21 @@ class Simulation:
         robot: The arm.
         sampler: Draws the episodes.
         observe: The observation.
+        action_space: Space of an action: entries that move the arm, then those of `Task.controls`.
+        brush_cost: Reward per second in which a leaf is touched; None if leaves are rigid.
+        measures: Keys of the numbers in the info that describe an episode in its record.
         state: State of the simulations; None before the first reset.
     """
 
     def __init__(self, count: int, settings: EnvSettings, threads: int = 0):
         self.settings = settings
-        self.task = make_task(settings.task, settings.success_radius)
+        self.task = make_task(settings.task, settings.success_radius, settings.size)
+        compliant = settings.plants == "compliant"
+        if self.task.layout is not None and not compliant:
+            raise InvalidValueError(
+                f'task {type(self.task).__name__} needs plants="compliant" and physics="truth", got plants='
+                f"{settings.plants!r}"
+            )
         self._checked = outcome_check(self.task)
         self.robot = robot = get_robot(settings.robot)
         self.sampler = EpisodeSampler(
@@ -61,6 +85,7 @@ class Simulation:
         self.observe = make_observation(settings.observation, robot, self.task)
         self._timing = control_timing(settings.rate)
         self.action_rule = make_action(settings.action, robot, self._timing.interval)
+        self.action_space = with_controls(self.action_rule.space, self.task.controls)
         self._limit = CommandLimits(robot, self.action_rule, self._timing)
         self.reward_terms = make_reward(settings.reward, self.task)
         self.randomization = settings.randomization
@@ -71,25 +96,33 @@ class Simulation:
         hidden = hidden or ("target_position" if self.randomization.target_position else "")
         check_goals(self.observe, hidden, reward_requires_roadmap)
         self._hidden_goal = bool(hidden)
-        self.env_options = settings.agent_options()
         capacity = settings.capacity or capacity_of(self.sampler.bank, settings.physics)
-        self.worlds = shared_worlds(robot, settings.physics, capacity, self._timing.substeps)
+        layout = (self.task.layout or Layout()) if compliant else None
+        leaves = "rigid" if settings.plants == "rigid" else "brush"
+        self.worlds = shared_worlds(robot, settings.physics, capacity, self._timing.substeps, leaves, layout)
+        self.brush_cost = self.task.brush_cost if settings.plants == "brush" else None
+        memory = self.task.memory.items()
+        self._numbers = tuple(name for name, v in memory if np.ndim(v) == 0 and not name.startswith(HIDDEN))
+        self.measures = (*self._numbers, *(BRUSH_MEASURES if settings.plants == "brush" else ()))
         self.count = count
         self.state: State | None = None
         self._threads = threads
-        self._physics: Physics | None = None
+        self._physics: AnyPhysics | None = None
+        self._reference: mujoco.MjModel | None = None
         self._setups: list[Setup | None] = [None] * count
         self._names = {key: np.full(count, "", dtype=object) for key in ("scene", "difficulty")}
         self._contact, self._self_collision = np.full(count, "", dtype=object), np.zeros(count, dtype=np.bool_)
         # counts of the episode so far, and the current target as an index into the episode's targets and as a tomato
-        counted = ("steps", "speed_limited", "position_limited", "index", "target")
+        counted = ("steps", "speed_limited", "position_limited", "index", "target", "brushed_steps", "brushing")
         self._counts = {key: np.zeros(count, dtype=np.int64) for key in counted}
         requires_roadmap = self.observe.requires_roadmap or reward_requires_roadmap
-        self._perception = Perception(count, robot, self.observe, self.worlds, requires_roadmap, threads)
+        self._perception = Perception(
+            count, robot, self.observe, self.worlds, requires_roadmap, threads, self.task.camera
+        )
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Simulation:
         """Return an independent copy in the same state; immutable parts are shared."""
-        shared = [self.robot, self.settings, self.task, self.worlds, self.sampler.bank]
+        shared = [self.robot, self.settings, self.task, self.worlds, self.worlds.fields, self.sampler.bank]
         shared += [part for setup in self._setups if setup is not None for part in (setup.episode, setup.world)]
         for part in shared:
             memo[id(part)] = part
@@ -119,17 +152,25 @@ class Simulation:
         physics = self._physics
         if physics is None:
             world = setups[0].world
-            physics = self._physics = Physics(self.count, world, self._threads, self._timing, self.task.ends_on)
+            self._reference = world.compiled.model
+            ends_on = set(self.task.ends_on) - (set() if self.brush_cost is None else {"leaf"})
+            physics = self._physics = (
+                Physics(self.count, world, self._threads, self._timing, ends_on)
+                if self.worlds.layout is None
+                else CompliantPhysics(self.count, world, self._timing, ends_on, self.worlds.layout)
+            )
         for setup in setups:
-            setup.world.check_fits(physics.models[0])
+            assert self._reference is not None
+            setup.world.check_fits(self._reference)
         with progress("simulations begun", len(ids), shown=first) as on_progress:
             for done, (i, setup) in enumerate(zip(ids.tolist(), setups, strict=True), start=1):
-                physics.load(i, setup.world, setup.episode.targets, setup.disturbance)
+                physics.load(i, setup.world, self._touchable(setup.episode), setup.disturbance)
                 self._begin(i, setup)
                 on_progress(done)
         contacts = physics.place(ids, np.array([setup.episode.start for setup in setups]))
         self._record_contacts(contacts)
-        memory = {name: np.full(len(ids), value) for name, value in self.task.memory.items()}
+        begun = [remembered(self.task, {**self.task.memory, **self.task.begin(setup.world)}) for setup in setups]
+        memory = {name: np.stack([values[name] for values in begun]) for name in self.task.memory}
         fresh, _ = self._look(ids, contacts, self._counts["steps"], memory)
         self.state = fresh if len(ids) == self.count else self._current_state().replaced(ids, fresh)
 
@@ -154,17 +195,21 @@ class Simulation:
             InvalidValueError: The actions have the wrong shape or are not finite.
         """
         before, physics, counts = self._current_state(), self._physics, self._counts
-        action = check_actions(actions, self.count, self.action_rule.space)
+        action = check_actions(actions, self.count, self.action_space)
+        arm, controls = np.split(action, self.action_rule.space.shape, axis=1)
         assert physics is not None
         shown = self._shown_to(self.action_rule, before)
-        change = self.action_rule(action, shown, physics.motion(self._perception.heading))
+        change = self.action_rule(arm, shown, physics.motion(self._perception.heading))
         command = self._limit(physics.command, change, physics.qpos)
-        contacts = physics.advance(command.position)
+        contacts = physics.advance(command.position, self.task.holds(controls))
         self._record_contacts(contacts)
         counts["steps"] += 1
         counts["speed_limited"] += command.speed_limited
         counts["position_limited"] += command.position_limited
-        after, outcome = self._look(slice(None), contacts, counts["steps"], before.memory)
+        counts["brushed_steps"] += contacts.leaf_steps
+        counts["brushing"][:] = contacts.leaf_steps
+        memory = self._with_views(before.memory, np.flatnonzero(self.task.looks(controls)))
+        after, outcome = self._look(slice(None), contacts, counts["steps"], memory)
         self.state = after
         transition = Transition(
             before.distance, after.distance, after.collided, after.success, squared_norm(action), counts["steps"],
@@ -173,6 +218,8 @@ class Simulation:
         terms = self.reward_terms(transition)
         if self.task.costs:
             terms = with_contact_cost(terms, self.task.costs, contacts.counts)
+        if self.brush_cost is not None:
+            terms = with_brush_cost(terms, self.brush_cost, TIMESTEP * contacts.leaf_steps)
         terminated = after.success | after.failure
         if outcome.next_target is not None:
             self._advance_targets(np.flatnonzero(outcome.next_target & ~terminated & (after.remaining > 1)))
@@ -188,6 +235,22 @@ class Simulation:
         outcome = self._checked(self.task.evaluate(state), len(state.joints))
         return state.with_outcome(*outcome[:3], {**memory, **outcome.memory} if memory else memory), outcome
 
+    def _with_views(self, memory: Mapping[str, Array], ids: Ids) -> Mapping[str, Array]:
+        """Return the task's memory after some simulations have taken a view."""
+        if not len(ids):
+            return memory
+        assert self._physics is not None
+        memory = {name: values.copy() for name, values in memory.items()}
+        for i, view in zip(ids, self._perception.take_views(ids, self._physics), strict=True):
+            seen = self.task.see(view, {name: values[i] for name, values in memory.items()})
+            for name, value in remembered(self.task, seen).items():
+                memory[name][i] = value
+        return memory
+
+    def _touchable(self, episode: Episode) -> tuple[int, ...]:
+        """Return the tomatoes that the cup may touch."""
+        return episode.targets if self.task.allows_cup_contact else ()
+
     def _advance_targets(self, ids: Ids) -> None:
         """Make the next target of some simulations the current one, which affects the next observation."""
         if not len(ids):
@@ -197,7 +260,7 @@ class Simulation:
         for i in ids.tolist():
             counts["target"][i] = self.episode(i).targets[counts["index"][i]]
             self._perception.set_target(i, counts["index"][i], self.command[i].copy())
-        contacts = Contacts(state.contacts[ids], state.collided[ids], {})
+        contacts = Contacts(state.contacts[ids], np.zeros_like(ids), state.collided[ids], {})
         memory = {name: values[ids] for name, values in state.memory.items()}
         fresh, _ = self._look(ids, contacts, np.zeros_like(counts["steps"]), memory)
         done = np.zeros(len(ids), dtype=np.bool_)
@@ -235,8 +298,13 @@ class Simulation:
             "steps": counts["steps"],
             "speed_limited": counts["speed_limited"],
             "position_limited": counts["position_limited"],
-            **state.memory,
+            **{name: state.memory[name] for name in self._numbers},
         }
+        if self.brush_cost is not None:
+            result["brushing"] = TIMESTEP * counts["brushing"]
+            result["brushed_time"] = TIMESTEP * counts["brushed_steps"]
+            assert isinstance(self._physics, Physics)
+            result["brushed_leaves"] = np.array([len(leaves) for leaves in self._physics.brushed])
         if step is not None and self.observe.has_goals:
             assert isinstance(self.task, GoalTask)
             result["previous_goal"], _ = self.task.goals(step.transition.start)
@@ -248,8 +316,9 @@ class Simulation:
         return self._setup(i).episode
 
     def known_scene(self, i: int) -> Scene:
-        """Return the current scene of a simulation as agents know it, see `greenhouse_gym.scene.truth.known_scene`."""
-        return self._setup(i).world.known
+        """Return the current scene of a simulation as agents know it, see `known_scene` and `Task.knows_scan`."""
+        known = self._setup(i).world.known
+        return known if self.task.knows_scan else without_plants(known)
 
     def target(self, i: int) -> int:
         """Return the current target of a simulation, an index into the tomatoes of its scene."""
@@ -289,13 +358,19 @@ class Simulation:
 
     def model_and_data(self, i: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
         """Return a copy of a simulation's model, in which the cup may touch the targets, and its state."""
-        episode, world, disturbance = self._setup(i)
+        episode, _, disturbance = self._setup(i)
         assert self._physics is not None
-        model = copy.copy(world.compiled.model)
-        prepare(model, world, episode.targets, disturbance)
-        data = mujoco.MjData(model)
-        self._physics.copy_state(i, model, data)
-        return model, data
+        return self._physics.model_and_data(i, self._touchable(episode), disturbance)
+
+    def live(self, i: int) -> CompliantSimulation:
+        """Return the compliant plants of a simulation as they are, for agents that may know everything.
+
+        Raises:
+            InvalidValueError: The plants are rigid.
+        """
+        if not isinstance(self._physics, CompliantPhysics):
+            raise InvalidValueError('plants hang live with plants="compliant" alone; use task="harvest"')
+        return self._physics.simulation(i)
 
     def _shown_to(self, part: object, state: State) -> State:
         """Return the state as an observation or action gets it; those of a user may not know all of it."""

@@ -7,12 +7,15 @@ Points and directions are in the base frame: x forward to the plants, z up, orig
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
+from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.motion.distance_field import FieldsOfSimulations
 from greenhouse_gym.scene.mjcf import TIMESTEP
 
 Float32: TypeAlias = npt.NDArray[np.float32]
@@ -39,6 +42,10 @@ At full speed the arm lags 0.1 rad behind its commands.
 """
 
 
+HIDDEN = "_"
+"""Beginning of the names in `State.memory` that only the task and its rewards know."""
+
+
 class ControlTiming(NamedTuple):
     """Timing of actions and physics steps.
 
@@ -60,6 +67,27 @@ def control_timing(rate: float) -> ControlTiming:
     """Return the timing for a number of actions per second; the maximum joint speed is the same at every rate."""
     substeps = round(1 / (rate * TIMESTEP))
     return ControlTiming(substeps, substeps * TIMESTEP, ACTION_STEP * (substeps / SUBSTEPS))
+
+
+PLANTS: Mapping[str, str] = MappingProxyType(
+    {
+        "work": "number of the fruit in work: the held one, else the nearest one to be picked; -1 if there is none",
+        "fruit": "(3,) its middle in the base frame, metres; the tip if there is none",
+        "radius": "its radius, metres",
+        "held": "1 while the cup holds a fruit",
+        "vacuum": "reading of the vacuum: 1 at rest on a fruit, falling to 0 at the force at which the cup lets go",
+        "force": "(3,) mean force of the held fruit on the cup in the last action, N",
+        "left": "fruit to be picked that are neither in the crate nor lost",
+        "wanted": "fruit to be picked in the episode",
+        "detached": "fruit to be picked that came off in the cup in the last action",
+        "knocked": "fruit that came off otherwise",
+        "crated": "fruit to be picked that came to rest in the crate",
+        "dropped": "fruit that came off in the cup and were lost",
+        "damaged": "organs damaged for the first time",
+        "crate": "(3,) middle of the crate's rim, metres",
+    }
+)
+"""Numbers on compliant plants and the gripper in `State.plants`, by name with their meanings."""
 
 
 class State(NamedTuple):
@@ -86,12 +114,15 @@ class State(NamedTuple):
         depth: (n, c, h, w) depth images of c cameras, metres; 0 without a reading.
         color: (n, c, h, w, 3) color images, 0 to 255; c is 0 unless requested.
         views: (n, c, 4, 4) camera poses, base_from_camera.
+        fields: Distance fields of the known scenes, for `distances_at`.
+        plants: Numbers on compliant plants and the gripper by name, (n,) or (n, 3), see `PLANTS`; empty if plants are
+            rigid.
         contacts: (n, `len(CONTACT_GROUPS)`) contacts by group, summed over the physics steps of the last action.
         collided: (n,) whether a contact ended the episode.
         distance: (n,) remaining distance to the goal as the task measures it.
         success: (n,) whether the task is solved.
         failure: (n,) whether the task has failed.
-        memory: Numbers (n,) of the task by name, see `Task.memory`.
+        memory: Numbers (n,) and arrays (n, ...) of the task by name, see `Task.memory`.
     """
 
     joints: Array
@@ -113,12 +144,37 @@ class State(NamedTuple):
     depth: Float32
     color: Bytes
     views: Array
+    fields: FieldsOfSimulations
+    plants: Mapping[str, Array]
     contacts: npt.NDArray[np.int64]
     collided: Bools
     distance: Array
     success: Bools
     failure: Bools
     memory: Mapping[str, Array]
+
+    def distances_at(self, points: Array) -> tuple[Float32, Float32]:
+        """Return distances and directions from points to the nearest obstacle of the known scenes.
+
+        The target is no obstacle unless the observation has a true ``target_is_obstacle``. The distances come from a
+        grid (`greenhouse_gym.motion.distance_field`), and are valid until a simulation's next episode.
+
+        Args:
+            points: (n, k, 3) points in the base frame, metres.
+
+        Returns:
+            Distances (n, k), metres, at most `MAX_DISTANCE`, and unit vectors (n, k, 3) toward the obstacle, zero where
+            the distance is capped.
+
+        Raises:
+            InvalidValueError: The points have another shape or are not finite.
+        """
+        array = np.asarray(points, dtype=np.float64)
+        if array.ndim != 3 or array.shape[::2] != (len(self.joints), 3) or not np.isfinite(array).all():
+            raise InvalidValueError(
+                f"points must be finite numbers of shape ({len(self.joints)}, k, 3), got shape {array.shape}"
+            )
+        return self.fields.lookup(array)
 
     def with_outcome(self, distance: Array, success: Bools, failure: Bools, memory: Mapping[str, Array]) -> State:
         """Return the state with the outcome of the task, its last four fields (faster than ``_replace``)."""
@@ -130,7 +186,7 @@ class State(NamedTuple):
         Args:
             hidden: The true goal differs from the target. The outcome, which depends on it, is then left out as well.
         """
-        memory = {name: values.copy() for name, values in self.memory.items()}
+        memory = {name: values.copy() for name, values in self.memory.items() if not name.startswith(HIDDEN)}
         seen = self._replace(goal=self.target.copy(), contacts=self.contacts.copy(), collided=self.collided.copy())
         if not hidden:
             return seen.with_outcome(self.distance.copy(), self.success.copy(), self.failure.copy(), memory)
@@ -139,16 +195,18 @@ class State(NamedTuple):
 
     def select(self, ids: Ids) -> State:
         """Return the state of some simulations."""
-        return State._make(_mapped(values, lambda array: array[ids]) for values in self)
+        taken = (v if v is self.fields else _mapped(v, lambda array: array[ids]) for v in self)
+        return State._make(taken)._replace(fields=self.fields.select(ids))
 
     def replaced(self, ids: Ids, fresh: State) -> State:
         """Return a copy with the ``fresh`` state of some simulations."""
-        result = State._make(_mapped(values, np.copy) for values in self)
+        result = State._make(v if v is self.fields else _mapped(v, np.copy) for v in self)
         old: Any
         new: Any
         for old, new in zip(result, fresh, strict=True):
-            _replace(old, ids, new)
-        return result
+            if old is not self.fields:
+                _replace(old, ids, new)
+        return result._replace(fields=self.fields.replaced(ids, fresh.fields))
 
 
 def _replace(old: Any, ids: Ids, new: Any) -> None:

@@ -14,6 +14,7 @@ from typing import Any, Protocol
 
 import mujoco
 import numpy as np
+import numpy.typing as npt
 from mujoco.batch import Batch
 
 from greenhouse_gym.envs.state import Bools, Ids
@@ -22,6 +23,7 @@ from greenhouse_gym.geometry import Array
 from greenhouse_gym.scene.geom_order import ShortGeomLists
 
 _VELOCITIES = mujoco.mjtStage.mjSTAGE_VEL
+_LARGEST_FORCE = 2  # of the ways to reduce the contacts of a sensor to one
 _STATE = ("time", "qpos", "qvel", "act", "ctrl", "qacc_warmstart", "history")
 _CHUNK = 32
 
@@ -30,16 +32,37 @@ class ForkedError(GreenhouseError, RuntimeError):
     """Raised if an object with threads is used in a process that was forked after its creation."""
 
 
-def drive_and_record(spec: mujoco.MjSpec, substeps: int) -> None:
+def drive_and_record(spec: mujoco.MjSpec, substeps: int, forces: bool = False) -> None:
     """Prepare the servos and a contact sensor of an arm for the steppers.
 
     The position servos follow the integral of their controls: ``act`` is the commanded position (rad) and ``ctrl`` its
-    speed (rad/s). A sensor counts all contacts, and its history holds the last ``substeps`` counts.
+    speed (rad/s). A sensor counts all contacts, and its history holds the last ``substeps`` counts, each with the
+    largest force (3,) of a contact (N, along its normal first) if ``forces`` is true.
     """
     for servo in spec.actuators:
         servo.dyntype, servo.actearly, servo.ctrllimited = mujoco.mjtDyn.mjDYN_INTEGRATOR, True, False
     sensor = spec.add_sensor(name="contacts", type=mujoco.mjtSensor.mjSENS_CONTACT, nsample=substeps)
-    sensor.intprm[:3] = [1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND), 0, 1]
+    fields = [mujoco.mjtConDataField.mjCONDATA_FOUND, *([mujoco.mjtConDataField.mjCONDATA_FORCE] if forces else [])]
+    sensor.intprm[:3] = [sum(1 << int(field) for field in fields), _LARGEST_FORCE if forces else 0, 1]
+
+
+def _records(history: Array, substeps: int, model: mujoco.MjModel) -> Array:
+    """Return a view (n, substeps, 1 or 4) of the contact sensor's records at the end of a history (n, k)."""
+    width = int(model.sensor("contacts").dim[0])
+    return history[:, -width * substeps :].reshape(-1, substeps, width)
+
+
+_ROWS = ("nefc", "ne", "nf", "nl")  # all rows of constraints, and those that are no contacts
+
+
+def _found(records: Array, last: npt.NDArray[np.integer]) -> npt.NDArray[np.int64]:
+    """Return contacts (n, substeps) after each physics step: recorded before the next one, or ``last`` (n,)."""
+    return np.column_stack([records[:, 1:, 0], last]).astype(np.int64)
+
+
+def _pushed(records: Array, rows: npt.NDArray[np.integer]) -> Bools:
+    """See `Stepper.pushed`; ``rows`` (4, n) are the numbers of `_ROWS` at the end."""
+    return np.asarray((records[..., 1] > 0).any(axis=1) | (rows[0] > rows[1:].sum(axis=0)))
 
 
 class Stepper(Protocol):
@@ -73,6 +96,15 @@ class Stepper(Protocol):
     def run(self) -> Bools:
         """Run the physics steps of an action and return (n,) which had contacts before, between or after them."""
 
+    def found(self) -> npt.NDArray[np.int64]:
+        """Return the numbers (n, substeps) of contacts after each physics step of the last action."""
+
+    def pushed(self) -> Bools:
+        """Return (n,) which simulations had a contact in the last action that does not give way.
+
+        It must have pushed before a physics step or be present at the end.
+        """
+
 
 class OneStepper:
     """Stepper of a single simulation, without the overhead of a batch.
@@ -89,7 +121,7 @@ class OneStepper:
         self.command, self.speed = data.act[None], data.ctrl[None]
         self.site_xpos, self.site_xmat = data.site_xpos[None], data.site_xmat[None]
         self.xanchor, self.xaxis = data.xanchor[None], data.xaxis[None]
-        self._counts, self._listed = data.history[None, -substeps:], ShortGeomLists([model])
+        self._records, self._listed = _records(data.history[None], substeps, model), ShortGeomLists([model])
 
     def __deepcopy__(self, memo: dict[int, Any]) -> OneStepper:
         twin = OneStepper(copy.deepcopy(self._model, memo), self._substeps)
@@ -110,7 +142,15 @@ class OneStepper:
             mujoco.mj_step2(model, data)
             mujoco.mj_step(model, data, self._substeps - 1)
             mujoco.mj_step1(model, data)
-        return np.array([data.ncon > 0 or self._counts.any()])
+        return np.array([data.ncon > 0 or self._records[..., 0].any()])
+
+    def found(self) -> npt.NDArray[np.int64]:
+        """See `Stepper.found`."""
+        return _found(self._records, np.array([self._data.ncon]))
+
+    def pushed(self) -> Bools:
+        """See `Stepper.pushed`."""
+        return _pushed(self._records, np.array([[getattr(self._data, name)] for name in _ROWS]))
 
 
 class ManyStepper:
@@ -133,7 +173,8 @@ class ManyStepper:
         self.command, self.speed = batch.bind("act"), batch.bind("ctrl")
         self.site_xpos, self.site_xmat = batch.bind("site_xpos"), batch.bind("site_xmat")
         self.xanchor, self.xaxis = batch.bind("xanchor"), batch.bind("xaxis")
-        self._counts, self._ncon = batch.bind("history")[:, -substeps:], batch.bind("ncon")
+        self._records, self._ncon = _records(batch.bind("history"), substeps, models[0]), batch.bind("ncon")
+        self._rows = [batch.bind(name) for name in _ROWS] if self._records.shape[2] > 1 else []
         self._listed = ShortGeomLists(models)
         size = _CHUNK * batch.nthread
         starts = range(0, count, size)
@@ -163,7 +204,15 @@ class ManyStepper:
         with self._listed:
             for ids in self._chunks:
                 self._batch.step(ids, nstep=self._substeps, stage=_VELOCITIES)
-        return self._counts.any(axis=1) | (self._ncon > 0)
+        return self._records[..., 0].any(axis=1) | (self._ncon > 0)
+
+    def found(self) -> npt.NDArray[np.int64]:
+        """See `Stepper.found`."""
+        return _found(self._records, self._ncon)
+
+    def pushed(self) -> Bools:
+        """See `Stepper.pushed`."""
+        return _pushed(self._records, np.stack(self._rows))
 
     def _check_process(self) -> None:
         if os.getpid() != self._process:

@@ -9,9 +9,11 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
 
 from greenhouse_gym.envs.contacts import CONTACT_GROUPS
 from greenhouse_gym.envs.episodes import Episode, EpisodeSampler
@@ -19,6 +21,13 @@ from greenhouse_gym.envs.features import FEATURES, Feature
 from greenhouse_gym.envs.rewards import REWARDS, Reward
 from greenhouse_gym.envs.state import Bools, State
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.plants.layout import Layout
+from greenhouse_gym.plants.mechanics import PlantMechanics
+from greenhouse_gym.rendering.cameras import DepthCamera
+
+if TYPE_CHECKING:
+    from greenhouse_gym.envs.views import View
+    from greenhouse_gym.envs.worlds import World
 
 TARGET_FEATURES = ("grasp_offset", "target_position", "target_direction", "turn_to_target")
 """Features of a task with one target at a time, see `GreenhouseEnv`."""
@@ -33,7 +42,7 @@ class Outcome(NamedTuple):
         failure: (n,) whether the task has failed, which ends the episode.
         next_target: (n,) whether the current target is done and the next one of the episode follows; None for tasks
             with one target.
-        memory: New values (n,) of `Task.memory`.
+        memory: New values (n, ...) of `Task.memory`.
     """
 
     distance: Array
@@ -51,17 +60,35 @@ class Task(ABC):
             other groups are counted in ``info["contacts"]`` and `State.contacts`.
         costs: Reward per contact and physics step by group, such as ``{"leaf": -0.02}``; the sum is the reward term
             ``contact``.
+        brush_cost: Reward per second in which a leaf is touched, the reward term ``brush``, with ``plants="brush"``.
+            Leaves then end no episode, whatever ``ends_on`` says.
         features: Groups of numbers that observations contain about the task, by name.
         rewards: Rewards by name, for the setting ``reward``.
-        memory: Numbers that each simulation remembers from step to step, by name with their initial values. They are
-            in `State.memory`, in ``info`` and in the records of an evaluation.
+        memory: Numbers and arrays that each simulation remembers from step to step, by name with their initial values.
+            They are in `State.memory`; numbers are also in ``info`` and in the records of an evaluation. A name that
+            begins with an underscore is known to the task and its rewards alone.
+        arrays: Spaces of arrays in `memory` that ``observation="task"`` contains, by name.
+        controls: Names of the entries, from -1 to 1, that an action has after those that move the arm.
+        camera: Camera that takes the views for `see`; None for no views.
+        allows_cup_contact: The cup may touch the targets of the episode.
+        layout: Slots for plants that give way, for a task that needs them; None for one that works with any plants.
+        mechanics: Mechanics of plants that give way.
+        knows_scan: Agents know the scanned scene at the start of an episode; otherwise only where the arm stands.
     """
 
     ends_on: Collection[str] = CONTACT_GROUPS
     costs: Mapping[str, float] = MappingProxyType({})
+    brush_cost: float = -0.4
     features: Mapping[str, Feature] = MappingProxyType({name: FEATURES[name] for name in TARGET_FEATURES})
     rewards: Mapping[str, Reward] = REWARDS
-    memory: Mapping[str, float] = MappingProxyType({})
+    memory: Mapping[str, npt.ArrayLike] = MappingProxyType({})
+    arrays: Mapping[str, spaces.Box] = MappingProxyType({})
+    controls: tuple[str, ...] = ()
+    camera: DepthCamera | None = None
+    allows_cup_contact: bool = True
+    layout: Layout | None = None
+    mechanics: PlantMechanics = PlantMechanics()
+    knows_scan: bool = True
 
     def sample(self, sampler: EpisodeSampler, rng: np.random.Generator, options: Mapping[str, Any] | None) -> Episode:
         """Draw an episode: a scene, one or several targets in order, and a start configuration.
@@ -72,6 +99,22 @@ class Task(ABC):
             options: Options of the reset.
         """
         return sampler.draw(rng, options)
+
+    def begin(self, world: World) -> Mapping[str, npt.ArrayLike]:
+        """Return the initial values of `memory` in a simulated world, with the shapes of those in `memory`."""
+        return self.memory
+
+    def looks(self, controls: Array) -> Bools:
+        """Return (n,) which simulations take a view after an action with these entries of `controls` (n, c)."""
+        return np.zeros(len(controls), dtype=np.bool_)
+
+    def holds(self, controls: Array) -> Bools:
+        """Return (n,) in which simulations the vacuum is on during an action with these entries of `controls`."""
+        return np.zeros(len(controls), dtype=np.bool_)
+
+    def see(self, view: View, memory: Mapping[str, Any]) -> Mapping[str, npt.ArrayLike]:
+        """Return the values of `memory` that a view of one simulation changes, given all of its values."""
+        return {}
 
     @abstractmethod
     def evaluate(self, state: State) -> Outcome:

@@ -101,7 +101,7 @@ class GreenhouseVectorEnv(  # type: ignore[misc]
         }  # fmt: skip
         self.simulation = Simulation(num_envs, self.settings, threads)
         self.single_observation_space = self.simulation.observe.space
-        self.single_action_space = self.simulation.action_rule.space
+        self.single_action_space = self.simulation.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         add_goal_functions(self)

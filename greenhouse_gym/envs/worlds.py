@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import weakref
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 
@@ -18,12 +19,18 @@ from greenhouse_gym.envs.state import SUBSTEPS
 from greenhouse_gym.envs.stepping import drive_and_record
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, invert, pose, rotation_about, transform
+from greenhouse_gym.motion.collision import LEAVES
 from greenhouse_gym.motion.distance_field import FieldStore
+from greenhouse_gym.motion.leaf_contacts import LeafContacts
 from greenhouse_gym.motion.roadmap import SceneRoadmaps
+from greenhouse_gym.plants.layout import Layout
+from greenhouse_gym.plants.mechanics import PlantMechanics
+from greenhouse_gym.plants.slots import Planted, plant
+from greenhouse_gym.plants.topology import Topology, topology_of
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import CompiledScene, Scene, SceneBank, Shapes, compile_scene
 from greenhouse_gym.scene.geom_order import first_world_geom
-from greenhouse_gym.scene.mjcf import DEFAULT_CAPACITY, MAX_CAPACITY, base_position
+from greenhouse_gym.scene.mjcf import DEFAULT_CAPACITY, MAX_CAPACITY, base_position, make_yielding
 from greenhouse_gym.scene.plant_motion import move_plants
 from greenhouse_gym.scene.truth import known_scene, true_scene
 
@@ -32,12 +39,15 @@ _ROUND = 100
 CACHED = LARGEST_WHOLE
 """Number of cached worlds of one kind: each takes about 4 MB with its scene, a true row up to 26 MB."""
 
+PLANTED = 16
+"""Number of cached worlds with plants in their slots."""
+
 CACHED_KINDS = 8
 """Number of cached kinds of worlds (arm, physics, capacity, rate)."""
 
 _GEOM_FIELDS = (
     "geom_type", "geom_contype", "geom_conaffinity", "geom_size", "geom_pos", "geom_quat", "geom_aabb", "geom_rbound",
-    "geom_sameframe", "geom_rgba",
+    "geom_sameframe", "geom_rgba", "geom_margin", "geom_gap",
 )  # fmt: skip
 _SCENE_FIELDS = (
     # the bounding-volume tree belongs to the geoms: with a stale tree MuJoCo misses contacts
@@ -75,7 +85,9 @@ class World:
         field: Slot of the scene's distance field in the store.
         goals: (t, 4) centers in the base frame and radii of the simulated counterparts of these tomatoes.
         bodies: (t,) indices of these counterparts in the simulated scene.
+        leaves: "rigid" or "brush", see `Worlds`.
         before: World before the plants moved, which shares its distance field; None if they did not move.
+        planted: Organs in the slots of the model; None if none give way.
     """
 
     scene: Scene
@@ -85,7 +97,9 @@ class World:
     field: int
     goals: Array
     bodies: np.ndarray[tuple[int], np.dtype[np.int64]]
+    leaves: str = "rigid"
     before: World | None = None
+    planted: Planted | None = None
 
     def check_fits(self, model: mujoco.MjModel) -> None:
         """Check that a model has the same layout.
@@ -110,7 +124,18 @@ class World:
         """Roadmaps of the scene as agents know it; a world with moved plants shares those of the world before."""
         if self.before is not None:
             return self.before.roadmaps
-        return SceneRoadmaps(compile_scene(self.scene, self.compiled.robot, capacity_for(self.scene.count)))
+        compiled = compile_scene(self.scene, self.compiled.robot, capacity_for(self.scene.count))
+        return SceneRoadmaps(compiled, self.leaves)
+
+    @cached_property
+    def leaf_contacts(self) -> LeafContacts:
+        """Finds the leaves of the simulated scene that the arm touches."""
+        return LeafContacts(self.compiled)
+
+    @cached_property
+    def topology(self) -> Topology:
+        """Organs of the simulated scene."""
+        return topology_of(self.compiled.scene, self.scene.name)
 
     @cached_property
     def used(self) -> int:
@@ -163,18 +188,32 @@ class Worlds:
         physics: "reconstruction" or "truth".
         capacity: Number of obstacle slots of the models.
         substeps: Physics steps per action; the models record the contacts of as many.
+        leaves: "rigid", or "brush" for leaves that give way: they exert no force, and distances ignore them.
+        layout: Layout of the slots for organs that give way and push back; None for none.
     """
 
-    def __init__(self, robot: Robot, physics: str, capacity: int, substeps: int = SUBSTEPS):
+    def __init__(
+        self,
+        robot: Robot,
+        physics: str,
+        capacity: int,
+        substeps: int = SUBSTEPS,
+        leaves: str = LEAVES[0],
+        layout: Layout | None = None,
+    ):
         self.robot = robot
         self.physics = physics
         self.capacity = capacity
-        self._record = partial(drive_and_record, substeps=substeps)
+        self.leaves = leaves
+        self.layout = layout
+        record = partial(drive_and_record, substeps=substeps, forces=leaves != "rigid")
+        self._edit = record if layout is None else partial(_with_slots, layout=layout, record=record)
         self.fields = FieldStore()
         # keys are ids of scenes: scenes are immutable, and a rewritten bank is read as new scenes; a world keeps its
         # scene alive, so an id is not reused before its world is freed
         self._alive: weakref.WeakValueDictionary[int, World] = weakref.WeakValueDictionary()
         self._kept: OrderedDict[int, World] = OrderedDict()
+        self._planted: OrderedDict[tuple[int, tuple[int, ...], PlantMechanics], tuple[World, World]] = OrderedDict()
 
     def world(self, scene: Scene, keep: int | None = None) -> World:
         """Return the world of a scene.
@@ -207,10 +246,38 @@ class Worlds:
         scene_from_base = pose(rotation_about([0, 0, 1], scene.placement.yaw), base_position(scene, self.robot))
         return replace(
             world,
-            compiled=compile_scene(moved, self.robot, self.capacity, self._record),
+            compiled=self._compile(moved),
             goals=spheres_in_base(moved, scene_from_base)[world.bodies],
             before=world,
         )
+
+    def planted(self, world: World, fruit: tuple[int, ...], mechanics: PlantMechanics) -> World:
+        """Return a world with organs that give way: the trusses of some fruit and the leaves around them in the slots.
+
+        Args:
+            world: The world.
+            fruit: Indices of the fruit to be picked, among the tomatoes of the simulated scene.
+            mechanics: Mechanical parameters.
+
+        Raises:
+            InvalidValueError: They do not fit into the slots, or the scene has no topology.
+        """
+        assert self.layout is not None
+        key = (id(world), fruit, mechanics)
+        if key not in self._planted:
+            compiled = replace(world.compiled, model=copy.copy(world.compiled.model))
+            planted = plant(compiled, world.topology, fruit, self.layout, mechanics)
+            self._planted[key] = (world, replace(world, compiled=compiled, planted=planted))
+        self._planted.move_to_end(key)
+        while len(self._planted) > PLANTED:
+            self._planted.popitem(last=False)
+        return self._planted[key][1]
+
+    def _compile(self, scene: Scene) -> CompiledScene:
+        compiled = compile_scene(scene, self.robot, self.capacity, self._edit)
+        if self.leaves == "brush":
+            make_yielding(compiled.model, compiled.leaf_geoms)
+        return compiled
 
     def _make(self, scene: Scene) -> World:
         physical = true_scene(scene) if self.physics == "truth" else scene
@@ -222,15 +289,19 @@ class Worlds:
         else:
             bodies = np.linalg.norm(tomatoes[:, None, :3] - bodies_there[None, :, :3], axis=-1).argmin(axis=1)
         known: np.ndarray[tuple[int, int], np.dtype[np.float32]] = tomatoes.astype(np.float32)
+        solid = scene.arrays
+        if self.leaves == "brush":
+            solid = solid.select(np.delete(np.arange(scene.count), scene.leaves))
         return World(
             scene=scene,
-            compiled=compile_scene(physical, self.robot, self.capacity, self._record),
+            compiled=self._compile(physical),
             frame=np.array([*scene_from_base[:3, 3], *scene_from_base[:2, 0]]),
             tomatoes=known,
-            field=self.fields.add(scene.arrays, len(tomatoes), scene_from_base),
+            field=self.fields.add(solid, len(tomatoes), scene_from_base),
             # the same numbers as observed if the scene itself is simulated
             goals=known.astype(np.float64) if physical is scene else bodies_there[bodies],
             bodies=bodies,
+            leaves=self.leaves,
         )
 
     def _check_size(self, scene: Scene) -> None:
@@ -243,6 +314,11 @@ class Worlds:
             raise InvalidValueError(problem)
 
 
+def _with_slots(spec: mujoco.MjSpec, layout: Layout, record: Callable[[mujoco.MjSpec], None]) -> None:
+    record(spec)
+    layout.add(spec)
+
+
 def spheres_in_base(scene: Shapes, scene_from_base: Array) -> Array:
     """Return (t, 4) centers in the base frame and radii of the tomatoes, metres."""
     centers = np.array([tomato.center for tomato in scene.tomatoes]).reshape(-1, 3)
@@ -251,10 +327,17 @@ def spheres_in_base(scene: Shapes, scene_from_base: Array) -> Array:
 
 
 @lru_cache(maxsize=CACHED_KINDS)
-def shared_worlds(robot: Robot, physics: str, capacity: int, substeps: int = SUBSTEPS) -> Worlds:
+def shared_worlds(
+    robot: Robot,
+    physics: str,
+    capacity: int,
+    substeps: int = SUBSTEPS,
+    leaves: str = LEAVES[0],
+    layout: Layout | None = None,
+) -> Worlds:
     """Return the cache that all environments of one kind share in this process.
 
     Robots are compared by identity: `get_robot` reads a shipped arm once, whereas every `load_robot` returns a new arm
     with its own worlds. A cache beyond the last `CACHED_KINDS` lives as long as an environment uses it.
     """
-    return Worlds(robot, physics, capacity, substeps)
+    return Worlds(robot, physics, capacity, substeps, leaves, layout)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from queue import Empty, SimpleQueue
 from threading import TIMEOUT_MAX, Thread
@@ -22,7 +23,8 @@ class Deadline:
     Each call runs in a thread of its own. A thread cannot be killed, so a call that hangs keeps running: discard the
     object that it works on.
 
-    A call that tries to end the process, as `sys.exit` does, fails instead.
+    A call that tries to end the process, as `sys.exit` does, fails instead. If a call forks, the copies of the process
+    end where it returns.
 
     Args:
         seconds: Time limit of a call; None for no limit.
@@ -51,6 +53,7 @@ class Deadline:
             TimeoutError: This call or an earlier one timed out.
             RuntimeError: The call raised something else than an `Exception`, such as `SystemExit`.
         """
+        process = os.getpid()
 
         def work() -> T:
             try:
@@ -59,6 +62,9 @@ class Deadline:
                 raise
             except BaseException as error:
                 raise RuntimeError(describe(error)) from error
+            finally:
+                if os.getpid() != process:
+                    os._exit(1)
 
         if self._seconds is None:
             return work()

@@ -25,7 +25,7 @@ from greenhouse_gym.evaluation.entry import V1, Entry, Protocol, columns_of, fol
 from greenhouse_gym.evaluation.journal import RecordJournal
 from greenhouse_gym.evaluation.records import Evaluation, Record
 from greenhouse_gym.evaluation.rollouts import AGENTS_CHOICE, changed_rules, evaluate, shown_rules
-from greenhouse_gym.scene import SceneBank
+from greenhouse_gym.scene import DIFFICULTIES, SceneBank
 
 __all__ = [
     "TRACKS", "V1", "Entry", "Protocol", "follows", "is_current", "leaderboard_table", "read_entry", "replay", "submit",
@@ -36,12 +36,19 @@ TRACKS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
         "reconstruction": {},
         "truth": {"physics": "truth"},
         "moved": {"physics": "truth", "randomization": Randomization(plants=PlantMotion())},
+        "brush": {"physics": "truth", "plants": "brush"},
     }
 )
-"""Simulated world of each track: the reconstruction itself, the true row, or the true row after the plants moved.
+"""Simulated world of each track: the reconstruction itself, the true row, the true row after the plants moved, or the
+true row with leaves that give way.
 
 Agents always observe the reconstruction.
 """
+
+
+def difficulty_of(protocol: Protocol, track: str) -> tuple[str, ...]:
+    """Return the difficulties of a track's targets: on "brush", also those that are unreachable with rigid leaves."""
+    return DIFFICULTIES if track == "brush" else protocol.difficulty
 
 
 def submit(
@@ -208,8 +215,8 @@ def _run(
 
 
 def _settings(protocol: Protocol, track: str) -> dict[str, Any]:
-    rules = {name: getattr(protocol, name) for name in ("bank", "split", "difficulty", "start")}
-    return {**rules, **TRACKS[track]}
+    rules = {name: getattr(protocol, name) for name in ("bank", "split", "start")}
+    return {**rules, "difficulty": difficulty_of(protocol, track), **TRACKS[track]}
 
 
 def _check_rules(agent: str, changed: str) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 
 from greenhouse_gym.agents import Agent
 from greenhouse_gym.agents.named import agent_of
-from greenhouse_gym.common.executors import completed, require_portable, workers_of
+from greenhouse_gym.common.executors import WorkerLostError, completed, require_portable, workers_of
 from greenhouse_gym.common.own_code import described
 from greenhouse_gym.common.progress import progress as progress_of
 from greenhouse_gym.envs import EnvSettings, make_vec_env
@@ -154,13 +154,14 @@ def compare(
 ) -> Evaluations:
     """Evaluate several agents, or agents by name, on the same episodes, one after the other; see `evaluate`.
 
-    An agent that cannot be evaluated gets an evaluation with an error and no records; the others continue.
+    An agent that cannot be evaluated, or that ends the process of an executor in which it runs, gets an evaluation with
+    an error and no records; the others continue.
     """
 
     def one(agent: Agent) -> Evaluation:
         try:
             return evaluate(agent, split, episodes, seed, **options)
-        except AgentError as error:
+        except (AgentError, WorkerLostError) as error:
             return Evaluation(agent.name, (), str(error))
 
     return Evaluations([one(agent_of(agent)) for agent in ([agents] if isinstance(agents, str) else agents)])

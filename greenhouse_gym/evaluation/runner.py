@@ -114,7 +114,7 @@ class EpisodeRunner:
     ):
         self._agent, self._env, self._chosen, self._seed = agent, env, chosen, seed
         self._simulation: Simulation = env.simulation
-        self._space = env.simulation.action_rule.space
+        self._space = env.simulation.action_space
         self._shared = hasattr(agent, "act_many")
         self._seconds, self._replaced = timeout, 0
         self._players = [_Player(agent, Deadline(timeout))] * env.num_envs
@@ -163,8 +163,9 @@ class EpisodeRunner:
         env, seed = self._env, self._seed + index
         alone = np.arange(env.num_envs) == i
         env.reset(seed=[seed if mine else None for mine in alone], options={**where, "reset_mask": alone})
-        problem = Problem.of(self._simulation, i, seed)
-        run = _Run(index, problem, self._player(i), joints=[self._simulation.joints[i].copy()])
+        player = self._player(i)
+        problem = Problem.of(self._simulation, i, seed, player.agent)
+        run = _Run(index, problem, player, joints=[self._simulation.joints[i].copy()])
         began = time.perf_counter()
         try:
             run.player.deadline.call(run.player.agent.reset, problem)
@@ -257,13 +258,13 @@ class EpisodeRunner:
             action_time=run.action_time / max(1, steps),
             joint_length=path_length(path),
             tip_length=path_length(tips),
-            clearance=smallest_clearance(compiled, model, target, path),
+            clearance=smallest_clearance(compiled, model, target, path, simulation.worlds.leaves),
             roughness=float(np.linalg.norm(np.diff(path, n=2, axis=0), axis=-1).mean()) if steps > 1 else 0.0,
             total_reward=run.total_reward,
             distance=float(info["distance"]),
             status=_status(run.player),
             failure=run.failure,
-            measures={name: float(info[name]) for name in simulation.task.memory},
+            measures={name: float(info[name]) for name in simulation.measures},
         )
         return EpisodeResult(run.index, record, path)
 

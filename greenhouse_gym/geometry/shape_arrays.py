@@ -38,7 +38,7 @@ class ShapeArrays(NamedTuple):
         starts, ends, sizes = np.zeros((3, count, 3))
         return cls(np.zeros(count, np.int8), starts, ends, sizes, np.tile(np.eye(3), (count, 1, 1)))
 
-    def select(self, chosen: slice) -> ShapeArrays:
+    def select(self, chosen: slice | npt.NDArray[np.integer]) -> ShapeArrays:
         """Return some of the shapes."""
         return ShapeArrays._make(array[chosen] for array in self)
 

@@ -174,6 +174,23 @@ def transformed(shape: AnyShape, target_from_source: Array) -> AnyShape:
     return replace(shape, center=center, rotation=target_from_source[:3, :3] @ shape.rotation)
 
 
+def mirrored(shape: AnyShape, flip: Array, shift: Array) -> AnyShape:
+    """Return a mirrored and then shifted shape.
+
+    Args:
+        shape: The shape.
+        flip: (3,) -1 for each mirrored axis, else 1.
+        shift: (3,) shift, metres.
+    """
+    if isinstance(shape, Capsule):
+        return replace(shape, start=shape.start * flip + shift, end=shape.end * flip + shift)
+    center = shape.center * flip + shift
+    if isinstance(shape, Sphere):
+        return replace(shape, center=center)
+    # a box or an ellipsoid is its own mirror image, so mirroring its frame on both sides gives a rotation
+    return replace(shape, center=center, rotation=shape.rotation * np.outer(flip, flip))
+
+
 def centered_at(shape: Sphere | Box, center: Array) -> Sphere | Box:
     """Return a sphere or box moved to a center (3,); its other fields are not checked again."""
     moved = copy.copy(shape)

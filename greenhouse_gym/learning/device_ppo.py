@@ -21,6 +21,7 @@ from greenhouse_gym.envs.rewards import DenseReward
 from greenhouse_gym.envs.settings import EnvSettings
 from greenhouse_gym.errors import InvalidValueError, check_whole, require_seed
 from greenhouse_gym.learning.settings import DevicePpoSettings
+from greenhouse_gym.scene import SceneBank
 
 with needs("train"):
     import torch
@@ -112,10 +113,13 @@ class DevicePpo:
 
         self.settings, self.steps, self.learning_rate = settings, 0, settings.learning_rate
         torch.manual_seed(settings.seed)
+        self._bank = rows = SceneBank.open(settings.bank)
+        if settings.sources:
+            rows = self._bank.select(settings.split, source=settings.sources)
         self.env = WarpVectorEnv(
             settings.num_envs,
             EnvSettings(
-                settings.bank, settings.split, settings.robot, action=settings.action, difficulty=settings.difficulty,
+                rows, settings.split, settings.robot, action=settings.action, difficulty=settings.difficulty,
                 reward=DenseReward(collision=settings.collision), scene=settings.scene, target=settings.target,
             ),
             device=settings.device, arrays="torch",
@@ -211,7 +215,7 @@ class DevicePpo:
                 "algorithm": "PPO on a device",
                 "steps": self.steps,
                 "settings": json.loads(json.dumps(asdict(self.settings))),
-                "bank_sha256": simulation.sampler.bank.sha256,
+                "bank_sha256": self._bank.sha256,
             },
         )  # fmt: skip
 

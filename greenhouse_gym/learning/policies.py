@@ -163,4 +163,4 @@ def save_policy(model: Any, path: str | Path, training: Mapping[str, Any] | None
     if simulation is None:
         raise InvalidValueError("the model has no environment of this package, so its arm and action are unknown")
     notes = {"algorithm": type(model).__name__, "steps": int(model.num_timesteps), **(training or {})}
-    return policy_of(model, simulation.env_options, simulation.observe.layout, notes).save(path)
+    return policy_of(model, simulation.settings.agent_options(), simulation.observe.layout, notes).save(path)

@@ -98,7 +98,7 @@ def train_ppo(
             prepare(model)
         options = {
             "num_envs": min(settings.num_envs, settings.validation_episodes),
-            **{name: getattr(settings, name) for name in ("bank", "robot", "difficulty", "threads", "task")},
+            **{name: getattr(settings, name) for name in ("bank", "robot", "difficulty", "threads", "task", "plants")},
         }
         report = TrainingReport(
             out, described, model, settings.num_envs * settings.rollout_steps, (VALIDATION_SPLIT,), options,

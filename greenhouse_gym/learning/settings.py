@@ -38,6 +38,7 @@ class PpoSettings:
         action: Action of the environment, by name or your own.
         reward: Reward of the environment, by name or your own; "path" has a planner in it.
         task: Task of the environment, by name or your own.
+        plants: "rigid", or "brush" for leaves that give way.
         difficulty: Difficulties of the targets.
         scene: Name of the only scene to train on; all scenes of the split if None.
         target: Index of its only tomato to train on; needs a scene.
@@ -71,6 +72,7 @@ class PpoSettings:
     action: Choice = "joint"
     reward: Choice = "dense"
     task: Choice = "reach"
+    plants: str = "rigid"
     difficulty: str | tuple[str, ...] | dict[str, float] = ("easy", "medium", "hard")
     scene: SceneChoice = None
     target: int | None = None
@@ -106,6 +108,7 @@ class DevicePpoSettings:
     Attributes:
         bank: Name or folder of the scene bank.
         split: Split to train on.
+        sources: Sources of the rows to train on, such as "own" or "helios"; all if empty.
         robot: The arm.
         action: "joint", "joint_velocity" or "tip_velocity".
         difficulty: Difficulties of the targets.
@@ -113,8 +116,8 @@ class DevicePpoSettings:
         target: The only tomato of the scene to train on.
         device: "cpu" or "cuda".
         total_steps: Steps of all simulations together.
-        num_envs: Number of simulations.
-        rollout_steps: Steps of each simulation between updates.
+        num_envs: Number of simulations; 0 for 4,096 on a GPU and 256 on a CPU.
+        rollout_steps: Steps of each simulation between updates; 0 for 24 on a GPU and 64 on a CPU.
         minibatches: Gradient steps per pass over a rollout.
         epochs: Passes over a rollout.
         learning_rate: Learning rate at the start. It follows the divergence of the policy from the one before the
@@ -131,6 +134,7 @@ class DevicePpoSettings:
 
     bank: str = "default"
     split: str = "train"
+    sources: tuple[str, ...] = ()
     robot: str = "ur5e"
     action: str = "joint"
     difficulty: tuple[str, ...] = ("easy", "medium", "hard")
@@ -138,8 +142,8 @@ class DevicePpoSettings:
     target: int | None = None
     device: str = "cpu"
     total_steps: int = 100_000_000
-    num_envs: int = 4096
-    rollout_steps: int = 24
+    num_envs: int = 0
+    rollout_steps: int = 0
     minibatches: int = 8
     epochs: int = 4
     learning_rate: float = 5e-4
@@ -151,6 +155,11 @@ class DevicePpoSettings:
     log_std: float = -0.5
     hidden: tuple[int, ...] = (256, 256)
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        sizes = (256, 64) if self.device == "cpu" else (4096, 24)
+        for name, size in zip(("num_envs", "rollout_steps"), sizes, strict=True):
+            object.__setattr__(self, name, getattr(self, name) or size)
 
 
 @dataclass(frozen=True)
@@ -167,6 +176,7 @@ class SacSettings:
         reward: "dense", "sparse" or your own. With the sparse one a collision costs what a success pays, so arms that
             still collide often learn to keep away from the plants; it learned little.
         task: Task of the environment, by name or your own; one with goals.
+        plants: As for PPO.
         scene: Name of the only scene to train on; all scenes of the split if None.
         target: Index of its only tomato to train on; needs a scene.
         num_envs: Number of simulations.
@@ -200,6 +210,7 @@ class SacSettings:
     action: Choice = "joint"
     reward: Choice = "dense"
     task: Choice = "reach"
+    plants: str = "rigid"
     scene: SceneChoice = None
     target: int | None = None
     num_envs: Simulations = 32

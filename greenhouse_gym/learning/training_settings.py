@@ -48,5 +48,5 @@ def check_settings(settings: object) -> None:
 
 def env_options(settings: Any) -> dict[str, Any]:
     """Return the keywords of the environment that is trained on, except those that only the trainers know."""
-    names = ("bank", "robot", "difficulty", "observation", "action", "reward", "task", "scene", "target")
+    names = ("bank", "robot", "difficulty", "observation", "action", "reward", "task", "scene", "target", "plants")
     return {name: getattr(settings, name) for name in names}

@@ -14,8 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.crops.crop import PlantMotion
-from greenhouse_gym.geometry import Array, Capsule, Sphere
-from greenhouse_gym.geometry.shapes import AnyShape
+from greenhouse_gym.geometry.shapes import mirrored
 from greenhouse_gym.scene import Scene, SceneBank, Target
 from greenhouse_gym.scene.bank import write_bank
 from greenhouse_gym.scene.plant_motion import move_plants
@@ -57,11 +56,11 @@ def varied_scene(scene: Scene, rng: np.random.Generator, name: str, variation: V
     )
     parts = {
         "tomatoes": tuple(
-            replace(tomato, shape=_transformed(tomato.shape, flip, shift))
+            replace(tomato, shape=mirrored(tomato.shape, flip, shift))
             for tomato in (plants.tomatoes[k] for k in tomatoes)
         ),
-        "stems": tuple(_transformed(stem, flip, shift) for stem in plants.stems),
-        "clutter": tuple(_transformed(plants.clutter[k], flip, shift) for k in clutter),
+        "stems": tuple(mirrored(stem, flip, shift) for stem in plants.stems),
+        "clutter": tuple(mirrored(plants.clutter[k], flip, shift) for k in clutter),
         "targets": tuple(targets),
     }
     return scene.model_copy(update={**parts, "name": name, "truth": None, "occupancy": None})
@@ -89,14 +88,3 @@ def varied_bank(
 
 def _subset(count: int, thinning: float, rng: np.random.Generator) -> npt.NDArray[np.int64]:
     return np.flatnonzero(rng.random(count) >= rng.uniform(0.0, thinning))
-
-
-def _transformed(shape: AnyShape, flip: Array, shift: Array) -> AnyShape:
-    """Return a mirrored and shifted shape."""
-    if isinstance(shape, Capsule):
-        return replace(shape, start=shape.start * flip + shift, end=shape.end * flip + shift)
-    center = shape.center * flip + shift
-    if isinstance(shape, Sphere):
-        return replace(shape, center=center)
-    # a box or an ellipsoid is its own mirror image, so mirroring its frame on both sides gives a rotation
-    return replace(shape, center=center, rotation=shape.rotation * np.outer(flip, flip))

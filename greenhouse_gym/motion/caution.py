@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -10,9 +11,10 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from greenhouse_gym.crops.parts import is_leaf
 from greenhouse_gym.errors import InvalidValueError, is_number
 from greenhouse_gym.geometry import Box, bounding_balls, distance_to_nearest
-from greenhouse_gym.motion.collision import planning_model
+from greenhouse_gym.motion.collision import LEAVES, planning_model
 from greenhouse_gym.motion.goals import GoalSampler
 from greenhouse_gym.motion.roadmap import Roadmap, SceneRoadmaps
 from greenhouse_gym.motion.unknown_space import ByIdentity, boxes_around_arm, guarded
@@ -79,7 +81,7 @@ def cautious_roadmap(
     return next((each for each in map(search, more[:-1]) if each[0].nodes.connected), last)
 
 
-def with_margin(scene: Scene, robot: Robot, start: npt.ArrayLike, margin: float) -> Scene:
+def with_margin(scene: Scene, robot: Robot, start: npt.ArrayLike, margin: float, leaves: str = LEAVES[0]) -> Scene:
     """Return a scene whose boxes are enlarged on every side, except those that would then touch the arm at its start.
 
     Stereo cameras measure the rims of leaves worst: in rows of organ meshes most leaves that planned paths hit in
@@ -90,13 +92,15 @@ def with_margin(scene: Scene, robot: Robot, start: npt.ArrayLike, margin: float)
         robot: The arm.
         start: (joints,) its configuration, radians.
         margin: Metres; with 0 the scene is returned unchanged.
+        leaves: With "brush", the boxes of leaves, which give way, keep their size.
 
     Raises:
         InvalidValueError: The margin is negative or not finite.
     """
     if not check_margin(margin):
         return scene
-    return _with_margin(ByIdentity(scene), robot, tuple(np.asarray(start, dtype=np.float64).tolist()), float(margin))
+    place = tuple(np.asarray(start, dtype=np.float64).tolist())
+    return _with_margin(ByIdentity(scene), robot, place, float(margin), leaves)
 
 
 def check_margin(margin: float) -> float:
@@ -111,12 +115,14 @@ def check_margin(margin: float) -> float:
 
 
 @lru_cache(maxsize=4)
-def _with_margin(key: ByIdentity, robot: Robot, start: tuple[float, ...], margin: float) -> Scene:
+def _with_margin(key: ByIdentity, robot: Robot, start: tuple[float, ...], margin: float, leaves: str) -> Scene:
     scene = key.scene
+    brush = leaves == "brush"
     enlarged = [
-        Box(shape.center, shape.half_extents + margin, shape.rotation) if isinstance(shape, Box) else shape
+        shape if not isinstance(shape, Box) or (brush and is_leaf(shape))
+        else replace(shape, half_extents=shape.half_extents + margin)
         for shape in scene.clutter
-    ]
+    ]  # fmt: skip
     compiled = compile_scene(scene.model_copy(update={"clutter": tuple(enlarged)}), robot)
     model = planning_model(compiled, 0)
     data = mujoco.MjData(model)

@@ -14,6 +14,7 @@ import math
 from collections.abc import Collection, Iterable
 from functools import cached_property, lru_cache
 from itertools import pairwise
+from typing import TypeAlias
 
 import mujoco
 import numpy as np
@@ -43,6 +44,12 @@ COARSE = 0.05
 COLLISION_PAIRS = ("tomatoes", "stems", "clutter", "fixture", "self")
 """Groups of geoms that an arm can be checked against; the fixture is the floor and the cart."""
 
+LEAVES = ("rigid", "brush")
+"""Treatments of leaves: they are obstacles, or give way to an arm that brushes them."""
+
+Leaves: TypeAlias = str | npt.NDArray[np.int64]
+"""One of `LEAVES`, or indices (k,) into the leaves of a scene of those that give way."""
+
 CLEARANCE_RANGE = 0.1
 """Largest clearance that is measured, metres."""
 
@@ -51,7 +58,11 @@ _CLEARANCE_STEP = 0.01  # metres that any point of the arm moves between two mea
 
 
 def planning_model(
-    compiled: CompiledScene, target: int, margin: float = MARGIN, pairs: Collection[str] = COLLISION_PAIRS
+    compiled: CompiledScene,
+    target: int,
+    margin: float = MARGIN,
+    pairs: Collection[str] = COLLISION_PAIRS,
+    leaves: Leaves = LEAVES[0],
 ) -> mujoco.MjModel:
     """Copy a scene's model for planning: the cup may touch the target, and obstacles have a margin.
 
@@ -60,29 +71,52 @@ def planning_model(
         target: Index of the target tomato.
         margin: Metres; 0 gives the same contacts as the simulator.
         pairs: Groups of `COLLISION_PAIRS` to check the arm against. The simulator checks all.
+        leaves: "rigid"; "brush" to let the arm pass through all leaves; or indices (k,) of the leaves that it may pass.
 
     Raises:
         InvalidValueError: The scene has no such tomato.
-        UnknownNameError: No such pair.
+        UnknownNameError: No such pair, or no such treatment of leaves.
     """
     count = len(compiled.scene.tomatoes)
     if not isinstance(target, int | np.integer) or isinstance(target, bool) or not 0 <= target < count:
         raise InvalidValueError(f"target {target!r}: scene {compiled.scene.name!r} has tomatoes 0 to {count - 1}")
-    model = _with_world_at_rest(compiled.model)
+    model = with_world_at_rest(compiled.model)
     compiled.allow_cup_on(model, target)
     set_margin(model, np.flatnonzero(model.geom_bodyid == 0), margin)
     for pair in pairs:
         require_choice("collision pair", pair, COLLISION_PAIRS)
     _leave_out(compiled, model, set(COLLISION_PAIRS) - set(pairs))
+    pass_through(model, _yielding_geoms(compiled, leaves))
     return model
 
 
-def checker_of(compiled: CompiledScene, target: int, pairs: Collection[str] = COLLISION_PAIRS) -> CollisionChecker:
-    """Return the checker for planning a path to a target, with the usual margin."""
-    return CollisionChecker(planning_model(compiled, target, pairs=pairs), arm_reaches(compiled.robot))
+def _yielding_geoms(compiled: CompiledScene, leaves: Leaves) -> npt.NDArray[np.int64]:
+    """Return the ids of the leaves that give way.
+
+    Raises:
+        InvalidValueError: There is no such leaf.
+        UnknownNameError: No such treatment of leaves.
+    """
+    geoms = compiled.leaf_geoms
+    if isinstance(leaves, str):
+        return geoms if require_choice("leaves", leaves, LEAVES) == "brush" else geoms[:0]
+    chosen = np.asarray(leaves)
+    wrong = chosen[(chosen < 0) | (chosen >= len(geoms))] if chosen.dtype.kind in "iu" else chosen
+    if chosen.ndim != 1 or (len(wrong) and len(chosen)):
+        expected = f"scene {compiled.scene.name!r} has leaves 0 to {len(geoms) - 1}"
+        raise InvalidValueError(f"leaves {', '.join(map(str, wrong.ravel()))}: {expected}")
+    return geoms[chosen.astype(np.int64)]
 
 
-def _with_world_at_rest(model: mujoco.MjModel) -> mujoco.MjModel:
+def checker_of(
+    compiled: CompiledScene, target: int, pairs: Collection[str] = COLLISION_PAIRS, leaves: Leaves = LEAVES[0]
+) -> CollisionChecker:
+    """Return the checker for planning a path to a target, with the usual margin; arguments as for `planning_model`."""
+    model = planning_model(compiled, target, pairs=pairs, leaves=leaves)
+    return CollisionChecker(model, arm_reaches(compiled.robot))
+
+
+def with_world_at_rest(model: mujoco.MjModel) -> mujoco.MjModel:
     """Copy a model so that its kinematics skip the geoms of the world body, which MuJoCo places once per `MjData`.
 
     This is part of MuJoCo's sleeping, which affects nothing else as long as nothing is stepped. Checks of a scene with
@@ -91,6 +125,11 @@ def _with_world_at_rest(model: mujoco.MjModel) -> mujoco.MjModel:
     copied = copy.copy(model)
     copied.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
     return copied
+
+
+def pass_through(model: mujoco.MjModel, geoms: npt.NDArray[np.int64]) -> None:
+    """Let the arm pass through some geoms of the world body."""
+    model.geom_contype[geoms] = model.geom_conaffinity[geoms] = 0
 
 
 def _leave_out(compiled: CompiledScene, model: mujoco.MjModel, pairs: Collection[str]) -> None:
@@ -106,40 +145,48 @@ def _leave_out(compiled: CompiledScene, model: mujoco.MjModel, pairs: Collection
         "self": np.empty(0, dtype=np.int64),
     }
     for pair in pairs:
-        model.geom_contype[geoms[pair]] = model.geom_conaffinity[geoms[pair]] = 0
+        pass_through(model, geoms[pair])
     if "self" in pairs:
         # obstacles offer contacts to the arm's affinity, and the arm offers none to itself
         model.geom_contype[model.geom_bodyid > 0] = 0
 
 
-def path_clearance(compiled: CompiledScene, target: int, path: npt.ArrayLike) -> float:
+def path_clearance(compiled: CompiledScene, target: int, path: npt.ArrayLike, leaves: str = LEAVES[0]) -> float:
     """Return the smallest distance of the arm from obstacles along a path (k, joints), up to `CLEARANCE_RANGE`, metres.
 
-    The target, the floor and the cart do not count. It is measured at configurations between which no point of the arm
-    moves farther than 1 cm; negative inside an obstacle.
+    The target, the floor, the cart, and leaves that give way (``leaves="brush"``) do not count. It is measured at
+    configurations between which no point of the arm moves farther than 1 cm; negative inside an obstacle.
     """
     configurations = along_path(np.asarray(path, dtype=np.float64), arm_reaches(compiled.robot), _CLEARANCE_STEP)
-    return smallest_clearance(compiled, compiled.model, target, configurations)
+    return smallest_clearance(compiled, compiled.model, target, configurations, leaves)
 
 
-def smallest_clearance(compiled: CompiledScene, model: mujoco.MjModel, target: int, configurations: Array) -> float:
+def smallest_clearance(
+    compiled: CompiledScene,
+    model: mujoco.MjModel,
+    target: int,
+    configurations: Array,
+    leaves: str = LEAVES[0],
+) -> float:
     """Return the smallest distance of the arm from obstacles in some configurations, up to `CLEARANCE_RANGE`.
 
-    The target, the floor, the cart and the arm itself do not count.
+    The target, the floor, the cart, the arm itself, and leaves that give way do not count.
 
     Args:
         compiled: The scene.
         model: Its model, or a copy with the arm at another position.
         target: Index of the target tomato.
         configurations: (k, joints) radians.
+        leaves: One of `LEAVES`.
 
     Returns:
         Metres; negative inside an obstacle.
     """
-    model = _with_world_at_rest(model)
+    model = with_world_at_rest(model)
     set_margin(model, np.arange(compiled.obstacle_geoms.start, compiled.obstacle_geoms.stop), CLEARANCE_RANGE)
     _leave_out(compiled, model, ("fixture", "self"))
-    model.geom_contype[compiled.tomato_geom(target)] = model.geom_conaffinity[compiled.tomato_geom(target)] = 0
+    ignored = [compiled.tomato_geom(target), *(compiled.leaf_geoms if leaves == "brush" else ())]
+    pass_through(model, np.array(ignored))
     checker, smallest, safe = CollisionChecker(model), CLEARANCE_RANGE, 0.0
     moved = np.abs(np.diff(configurations, axis=0, prepend=configurations[:1])) @ arm_reaches(compiled.robot)
     for configuration, motion in zip(configurations, moved.tolist(), strict=True):
@@ -152,8 +199,8 @@ def smallest_clearance(compiled: CompiledScene, model: mujoco.MjModel, target: i
 
 
 def set_margin(model: mujoco.MjModel, geoms: npt.NDArray[np.int64], margin: float) -> None:
-    """Set the margin of some geoms of the world body, metres."""
-    model.geom_margin[geoms] = margin
+    """Set the distance at which contacts with some geoms of the world body are found and push, metres."""
+    model.geom_margin[geoms], model.geom_gap[geoms] = margin, 0.0
     # the broad phase uses the compiler's maximum over a body's geoms
     model.body_margin[0] = model.geom_margin[model.geom_bodyid == 0].max()
 

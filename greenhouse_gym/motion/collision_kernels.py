@@ -246,8 +246,8 @@ def _frames(joints, q, frames):
 
 
 @inlined
-def _in_contact(joints, capsules, pairs, geoms, nodes, planes, q, frames, ends, stack):
-    """Return whether a configuration is in collision; the last three arguments are memory."""
+def _place(joints, capsules, q, frames, ends):
+    """Write both ends of each capsule in a configuration; the frames are memory."""
     _frames(joints, q, frames)
     for k in range(len(capsules)):
         c, j = capsules[k], int(capsules[k, 0])
@@ -261,6 +261,12 @@ def _in_contact(joints, capsules, pairs, geoms, nodes, planes, q, frames, ends, 
                     f[11] + (f[6] * x + f[7] * y + f[8] * z),
                 )
             ends[k, 3 * end], ends[k, 3 * end + 1], ends[k, 3 * end + 2] = x, y, z
+
+
+@inlined
+def _in_contact(joints, capsules, pairs, geoms, nodes, planes, q, frames, ends, stack):
+    """Return whether a configuration is in collision; the last three arguments are memory."""
+    _place(joints, capsules, q, frames, ends)
     for p in range(len(pairs)):
         i, k = pairs[p, 0], pairs[p, 1]
         a, b = (ends[i, 0], ends[i, 1], ends[i, 2]), (ends[i, 3], ends[i, 4], ends[i, 5])
@@ -323,6 +329,44 @@ def contacts(
     frames, ends, stack = np.empty((len(joints), 18)), np.empty((len(capsules), 6)), np.empty(_STACK, np.int64)
     for k in range(len(configurations)):
         touching[k] = _in_contact(joints, capsules, pairs, geoms, nodes, planes, configurations[k], frames, ends, stack)
+
+
+@kernel(f"void({_WORLD}, f8[:, ::1], b1[::1])", writes=("hit",))
+def geoms_in_contact(
+    joints: Array,
+    capsules: Array,
+    pairs: Pairs,
+    geoms: Array,
+    nodes: Array,
+    planes: Array,
+    configurations: Array,
+    hit: npt.NDArray[np.bool_],
+) -> None:
+    """Mark the geoms (g,), except planes, that the arm touches in some of the configurations (k, n)."""
+    frames, ends, stack = np.empty((len(joints), 18)), np.empty((len(capsules), 6)), np.empty(_STACK, np.int64)
+    for i in range(len(configurations)):
+        _place(joints, capsules, configurations[i], frames, ends)
+        for k in range(len(capsules)):
+            if capsules[k, 0] < 0 or len(nodes) == 0:
+                continue
+            a, b = (ends[k, 0], ends[k, 1], ends[k, 2]), (ends[k, 3], ends[k, 4], ends[k, 5])
+            radius, offered, accepted = capsules[k, 7] + capsules[k, 8], int(capsules[k, 9]), int(capsules[k, 10])
+            mx, my, mz = (a[0] + b[0]) / 2, (a[1] + b[1]) / 2, (a[2] + b[2]) / 2
+            hx, hy, hz = abs(a[0] - b[0]) / 2 + radius, abs(a[1] - b[1]) / 2 + radius, abs(a[2] - b[2]) / 2 + radius
+            stack[0] = 0
+            size = 1
+            while size > 0:
+                size -= 1
+                n = nodes[stack[size]]
+                if abs(n[0] - mx) > n[3] + hx or abs(n[1] - my) > n[4] + hy or abs(n[2] - mz) > n[5] + hz:
+                    continue
+                if n[8] < 0:
+                    stack[size], stack[size + 1] = int(n[6]), int(n[7])
+                    size += 2
+                    continue
+                g, leaf = geoms[int(n[8])], int(n[8])
+                if not hit[leaf] and (int(g[17]) & offered or int(g[16]) & accepted):
+                    hit[leaf] = _near(g, a, b, radius + g[18])
 
 
 @kernel(f"i8({_WORLD}, f8[::1], f8[::1], i8)")

@@ -11,6 +11,7 @@ from __future__ import annotations
 import os
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -165,6 +166,35 @@ class FieldStore:
         length[(distance >= _NEARLY_MAX) | (length <= _TINY)] = np.inf
         direction = slopes / -length
         return np.minimum(distance, _MAX).reshape(n, k), direction.reshape(3, n, k).transpose(1, 2, 0)
+
+
+class FieldsOfSimulations(NamedTuple):
+    """Distance fields of the scenes of n simulations, valid until a simulation's next episode.
+
+    Attributes:
+        store: The fields.
+        slots: (n,) slots.
+        ignored: (n,) index of the tomato that is not an obstacle, or `NO_TOMATO`.
+    """
+
+    store: FieldStore
+    slots: npt.NDArray[np.int64]
+    ignored: npt.NDArray[np.int64]
+
+    def select(self, ids: npt.NDArray[np.int64]) -> FieldsOfSimulations:
+        """Return the fields of some simulations."""
+        return self._replace(slots=self.slots[ids], ignored=self.ignored[ids])
+
+    def replaced(self, ids: npt.NDArray[np.int64], fresh: FieldsOfSimulations) -> FieldsOfSimulations:
+        """Return a copy with the ``fresh`` fields of some simulations."""
+        copies = self.slots.copy(), self.ignored.copy()
+        for old, new in zip(copies, fresh[1:], strict=True):
+            old[ids] = new
+        return FieldsOfSimulations(self.store, *copies)
+
+    def lookup(self, points: npt.NDArray[np.float64]) -> tuple[Float32, Float32]:
+        """Return distances and directions at points (n, k, 3), as `FieldStore.lookup` does."""
+        return self.store.lookup(self.slots, self.ignored, points)
 
 
 @lru_cache(maxsize=1)

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from greenhouse_gym.errors import InvalidValueError, check_whole, is_number, require_seed
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.motion.collision import CollisionChecker, checker_of
+from greenhouse_gym.motion.collision import LEAVES, CollisionChecker, Leaves, checker_of
 from greenhouse_gym.motion.inverse_kinematics import Approach, inverse_kinematics
 from greenhouse_gym.motion.kernel_checker import search_checker
 from greenhouse_gym.motion.unknown_space import depths_of, guarded
@@ -155,6 +155,7 @@ def goal_configurations(
     seed: int = 0,
     approach: Approach | None = None,
     unknown: str | float = "free",
+    leaves: Leaves = LEAVES[0],
 ) -> Goals:
     """Find collision-free configurations that bring the grasp point to a tomato's center; only the cup may touch it.
 
@@ -173,6 +174,7 @@ def goal_configurations(
         unknown: "free", or "forbid" configurations with a part of the arm in space that the scan did not observe;
             "avoid" accepts those only if there are no others. The space that the arm occupies at its own start counts
             as observed.
+        leaves: "rigid", "brush" for configurations that may touch leaves, or indices (k,) of the leaves to touch.
 
     Raises:
         InvalidValueError: No such tomato, or a number out of range.
@@ -180,7 +182,7 @@ def goal_configurations(
     arm = get_robot(robot)
     for depth in depths_of(unknown):
         compiled = guarded(scene, arm, arm.start, depth)
-        checker = checker_of(compiled, target)
+        checker = checker_of(compiled, target, leaves=leaves)
         budget = sample_budget(depth)
         found = search_goals(compiled, checker, target, count, threshold, min_difference, seed, approach, budget)
         if len(found.configurations):

@@ -15,8 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from greenhouse_gym.errors import require_choice
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.motion.collision import CollisionChecker, planning_model
+from greenhouse_gym.motion.collision import LEAVES, CollisionChecker, planning_model
 from greenhouse_gym.motion.goals import GoalSampler, nearest_free_goals
 from greenhouse_gym.motion.joint_reaches import arm_reaches
 from greenhouse_gym.motion.kernel_checker import search_checker
@@ -45,7 +46,7 @@ MAX_TRIES, ENOUGH_PATHS = 1500, 4
 NEAREST = 8
 """Number of goals nearest to the start that are kept even if no path leads to them."""
 
-_CACHE_SIZE = 10_000  # roadmaps kept per scene
+_CACHE_SIZE = 256  # roadmaps kept per scene, about 6 KB each; random starts make a new one in every episode
 _MAX_MOTIONS = 30  # of a path
 
 
@@ -122,28 +123,37 @@ class SceneRoadmaps:
 
     Args:
         compiled: The scene.
+        leaves: "rigid"; or "brush" to search through leaves where no path leads around them.
     """
 
-    def __init__(self, compiled: CompiledScene):
-        self.compiled = compiled
-        self._postures: dict[bytes, Array] = {}  # by start
-        self._nodes: dict[bytes, RoadmapNodes] = {}  # by target, its center, and start
+    def __init__(self, compiled: CompiledScene, leaves: str = LEAVES[0]):
+        self.compiled, self._leaves = compiled, LEAVES[: LEAVES.index(require_choice("leaves", leaves, LEAVES)) + 1]
+        self._postures: dict[bytes, Array] = {}  # by treatment of leaves and start
+        self._nodes: dict[bytes, RoadmapNodes] = {}  # likewise, and by target and its center
 
     def roadmap(self, goals: GoalSampler) -> Roadmap:
         """Return the roadmap from the start of a sampler to the goals that it samples."""
-        model = planning_model(self.compiled, goals.target, ROADMAP_MARGIN)
+        roadmap = self._searched(goals, self._leaves[0])
+        for leaves in self._leaves[1:]:
+            if not roadmap.nodes.connected:
+                roadmap = self._searched(goals, leaves)
+        return roadmap
+
+    def _searched(self, goals: GoalSampler, leaves: str) -> Roadmap:
+        model = planning_model(self.compiled, goals.target, ROADMAP_MARGIN, leaves=leaves)
         checker = search_checker(model, arm_reaches(self.compiled.robot))
-        key = np.concatenate([[goals.target], goals.center, goals.start]).tobytes()
+        key = leaves.encode() + np.concatenate([[goals.target], goals.center, goals.start]).tobytes()
         if key not in self._nodes:
             if len(self._nodes) >= _CACHE_SIZE:
                 self._nodes.clear()
-            free, postures = nearest_free_goals(checker, goals), self._postures_around(checker, goals.start)
+                self._postures.clear()
+            free, postures = nearest_free_goals(checker, goals), self._postures_around(checker, goals.start, leaves)
             self._nodes[key] = search_nodes(checker, free, postures, goals.start, self.compiled.robot)
         return Roadmap(self._nodes[key], checker, goals.start)
 
-    def _postures_around(self, checker: CollisionChecker, start: Array) -> Array:
+    def _postures_around(self, checker: CollisionChecker, start: Array, leaves: str) -> Array:
         """Return postures (k, j) that a free straight motion leads to from the start, in random order."""
-        key = start.tobytes()
+        key = leaves.encode() + start.tobytes()
         if key not in self._postures:
             robot = self.compiled.robot
             samples = start + SPREAD * np.random.default_rng(0).normal(size=(POSTURES, len(start)))

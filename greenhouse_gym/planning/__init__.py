@@ -5,6 +5,7 @@ from greenhouse_gym.motion.goals import Goals, GoalStatistics, goal_configuratio
 from greenhouse_gym.motion.inverse_kinematics import Approach
 from greenhouse_gym.motion.path import follow_path, path_length, resample
 from greenhouse_gym.planning.certify import certify_target, certify_targets
+from greenhouse_gym.planning.composed_bank import ComposedBank
 from greenhouse_gym.planning.own_planners import OutOfBudget, PlanningProblem
 from greenhouse_gym.planning.parameters import Parameter
 from greenhouse_gym.planning.planners import PAPER_PLANNERS, PLANNERS, PlannerInfo, register_planner
@@ -18,6 +19,7 @@ __all__ = [
     "PLANNERS",
     "Approach",
     "CollisionChecker",
+    "ComposedBank",
     "GoalStatistics",
     "Goals",
     "OutOfBudget",

@@ -76,24 +76,28 @@ def witness_faults(scene: Scene) -> Iterator[str]:
         label = f"{scene.name}, tomato {target.tomato} ({target.difficulty}, {target.robot})"
         if (target.witness is None) != (target.difficulty == "unreachable"):
             yield f"{label}: {'no' if target.witness is None else 'a'} witness"
-        elif target.witness is not None:
+        brush = None if target.brush is None else target.brush.witness
+        witnesses = {"rigid": target.witness, "brush": brush}
+        for leaves, witness in witnesses.items():
+            if witness is None:
+                continue
             try:
                 known = compiled.get(target.robot) or compile_scene(scene, target.robot)
             except UnknownNameError:
                 continue
             compiled[target.robot] = known
-            if fault := _fault(known, target, np.array(target.witness)):
-                yield f"{label}: {fault}"
+            if fault := _fault(known, target, np.array(witness), leaves):
+                yield f"{label}: {fault}" + ("" if leaves == "rigid" else ", though leaves give way")
 
 
-def _fault(compiled: CompiledScene, target: Target, path: Array) -> str:
+def _fault(compiled: CompiledScene, target: Target, path: Array, leaves: str) -> str:
     """Return the first fault of a witness, or an empty text."""
     robot, tomato = compiled.robot, compiled.scene.tomatoes[target.tomato]
     if path.shape[1] != len(robot.joints) or np.abs(path[0] - robot.rating_start).max() > _TOLERANCE:
         return "the witness does not begin at the start that targets are rated from"
     if ((path < robot.lower - _TOLERANCE) | (path > robot.upper + _TOLERANCE)).any():
         return "the witness leaves the joints' limits"
-    if not ProvingChecker(planning_model(compiled, target.tomato, margin=0.0)).path_is_free(path, STEP):
+    if not ProvingChecker(planning_model(compiled, target.tomato, margin=0.0, leaves=leaves)).path_is_free(path, STEP):
         return "the witness touches something"
     grasp = tool_state(tool_chain(compiled.model, compiled.tip_site), path[-1:], tomato.radius).point[0]
     return "" if is_reached(float(np.linalg.norm(grasp - tomato.center))) else "the witness does not end at the tomato"

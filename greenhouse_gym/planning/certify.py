@@ -22,7 +22,7 @@ import numpy as np
 
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, require_seed
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.motion.collision import PROOF, CollisionChecker, path_clearance, planning_model
+from greenhouse_gym.motion.collision import LEAVES, PROOF, CollisionChecker, path_clearance, planning_model
 from greenhouse_gym.motion.goals import search_goals
 from greenhouse_gym.motion.joint_reaches import arm_reaches
 from greenhouse_gym.motion.kernel_checker import search_checker
@@ -98,9 +98,12 @@ def certify_targets(
     return _with_unknown_fractions(scene, arm, [targets[tomato] for tomato in chosen])
 
 
-def certify_target(compiled: CompiledScene, tomato: int, seed: int = 0) -> Target:
-    """Rate one tomato as `certify_targets` does, without the fraction in unknown space."""
-    checker = ProvingChecker(planning_model(compiled, tomato), arm_reaches(compiled.robot))
+def certify_target(compiled: CompiledScene, tomato: int, seed: int = 0, leaves: str = LEAVES[0]) -> Target:
+    """Rate one tomato as `certify_targets` does, without the fraction in unknown space.
+
+    With ``leaves="brush"``, the arm passes through leaves as if there were none.
+    """
+    checker = ProvingChecker(planning_model(compiled, tomato, leaves=leaves), arm_reaches(compiled.robot))
     goals = search_goals(compiled, checker, tomato, GOALS, seed=seed, budget=SAMPLES).configurations
     rating = _straight(checker, compiled.robot, goals) or _planned(checker, compiled, tomato, goals, seed)
     target = Target(tomato=tomato, difficulty=rating.difficulty, robot=compiled.robot.name, goals=len(goals))
@@ -110,9 +113,21 @@ def certify_target(compiled: CompiledScene, tomato: int, seed: int = 0) -> Targe
         update={
             "witness": tuple(tuple(configuration) for configuration in rating.path.tolist()),
             "checks": rating.checks,
-            "clearance": round(path_clearance(compiled, tomato, rating.path), 4),
+            "clearance": round(path_clearance(compiled, tomato, rating.path, leaves), 4),
         }
     )
+
+
+def new_folder(bank: str | Path | SceneBank, out: str | Path) -> Path:
+    """Return the folder of a bank that is made from another one.
+
+    Raises:
+        InvalidValueError: It is the folder of that bank.
+    """
+    folder = Path(out).resolve()
+    if folder == SceneBank.open(bank).path.resolve():
+        raise InvalidValueError(f"{folder}: the rated bank needs another folder than the bank it is made from")
+    return folder
 
 
 def rate_bank(
@@ -139,9 +154,7 @@ def rate_bank(
     Raises:
         InvalidValueError: ``out`` is the bank's own folder, or the arm's start is in collision in every scene.
     """
-    opened, arm, folder = SceneBank.open(bank), get_robot(robot), Path(out).resolve()
-    if folder == opened.path.resolve():
-        raise InvalidValueError(f"{folder}: the rated bank needs another folder than the bank it is made from")
+    opened, arm, folder = SceneBank.open(bank), get_robot(robot), new_folder(bank, out)
     if per_scene is not None and per_scene < 1:
         raise InvalidValueError(f"per_scene must be at least 1 or None, got {per_scene!r}")
     checksum = sha256(arm.path.read_bytes()).hexdigest()
@@ -152,7 +165,7 @@ def rate_bank(
     for name in opened.names():
         scene = opened.scene(name)
         source = {**rating, "scene_sha256": sha256(scene.model_dump_json().encode()).hexdigest()}
-        result = _load_rated(folder / f"{name}.json", source)
+        result = load_rated(folder / f"{name}.json", source)
         if result is None:
             compiled = compile_scene(scene, arm)
             contacts = _start_contacts(compiled)
@@ -199,19 +212,19 @@ def _planned(checker: CollisionChecker, compiled: CompiledScene, tomato: int, go
     results: list[PlanResult] = []
     while len(results) < SEEDS and not _decided(results):
         results.append(_search(checker, compiled, tomato, goals, seed + len(results), MAX_CHECKS))
-    path = _shortest(checker, compiled.robot, results)
+    path = shortest_free(checker, compiled.robot, results)
     if path is not None:
         needed = sorted(map(_needed, results))[len(results) // 2]
         return _Rating("hard" if needed > HARD else "medium", path, None if math.isinf(needed) else int(needed))
     for run in range(SEEDS):
         last = _search(checker, compiled, tomato, goals, seed + run, LAST_CHECKS)
-        path = _shortest(checker, compiled.robot, [last])
+        path = shortest_free(checker, compiled.robot, [last])
         if path is not None:
             return _Rating("hard", path)
     return _Rating("unreachable")
 
 
-def _shortest(checker: CollisionChecker, robot: Robot, results: Sequence[PlanResult]) -> Array | None:
+def shortest_free(checker: CollisionChecker, robot: Robot, results: Sequence[PlanResult]) -> Array | None:
     """Return the shortest path that is still free after rounding, or None."""
     for result in sorted(results, key=lambda r: r.length if r.path is not None else math.inf):
         if result.path is not None:
@@ -279,20 +292,24 @@ def _spread(scene: Scene, count: int | None, min_radius: float) -> list[int]:
     return sorted(by_distance[np.linspace(0, len(rows) - 1, count).round().astype(int)].tolist())
 
 
-def _load_rated(path: Path, source: dict[str, Any]) -> Scene | None:
-    """Load a scene if it exists and was rated from this source."""
+def load_rated(path: Path, source: dict[str, Any], key: str = RATING) -> Scene | None:
+    """Load a scene if it exists and was rated from this source; ``key`` is that of the rating."""
     try:
         scene = Scene.load(path)
     except FileFormatError:
         return None
-    return scene if scene.provenance.settings.get(RATING) == source else None
+    return scene if scene.provenance.settings.get(key) == source else None
 
 
 def _with_targets(scene: Scene, targets: list[Target], source: dict[str, Any]) -> Scene:
     others = [target for target in scene.targets if target.robot != source["robot"]]
-    settings = {**scene.provenance.settings, RATING: source}
-    provenance = scene.provenance.model_copy(update={"settings": settings})
-    return scene.model_copy(update={"targets": (*others, *targets), "provenance": provenance})
+    return with_source(scene.model_copy(update={"targets": (*others, *targets)}), source, RATING)
+
+
+def with_source(scene: Scene, source: dict[str, Any], key: str) -> Scene:
+    """Return a scene whose provenance holds the source of a rating."""
+    settings = {**scene.provenance.settings, key: source}
+    return scene.model_copy(update={"provenance": scene.provenance.model_copy(update={"settings": settings})})
 
 
 def _start_contacts(compiled: CompiledScene) -> str:

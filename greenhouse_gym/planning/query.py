@@ -11,21 +11,25 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.errors import InvalidValueError, check_whole, is_number, require_seed
+from greenhouse_gym.errors import InvalidValueError, check_whole, is_number, require_choice, require_seed
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.caution import with_margin, with_unexplained_cells
 from greenhouse_gym.motion.collision import (
     COARSE,
     COLLISION_PAIRS,
+    LEAVES,
     PROOF,
     CollisionChecker,
+    Leaves,
     checker_of,
     path_clearance,
 )
-from greenhouse_gym.motion.goals import Goals, sample_budget, search_goals
+from greenhouse_gym.motion.goals import Goals, goal_configurations, sample_budget, search_goals
+from greenhouse_gym.motion.leaf_contacts import LeafContacts
 from greenhouse_gym.motion.path import path_length
 from greenhouse_gym.motion.proof import ProvingChecker
 from greenhouse_gym.motion.unknown_space import depths_of, guarded, occupancy_of, unknown_length
+from greenhouse_gym.planning.brushing import plan_brushing
 from greenhouse_gym.planning.own_planners import PlannerFailedError, run_own_planner
 from greenhouse_gym.planning.parameters import Value
 from greenhouse_gym.planning.planners import PLANNERS, PlannerInfo
@@ -68,6 +72,7 @@ def plan(
     unknown: str | float = "free",
     margin: float = 0.0,
     unexplained: bool = False,
+    leaves: Leaves = LEAVES[0],
 ) -> PlanResult:
     """Plan a path that brings the tool to a tomato without touching anything else.
 
@@ -101,9 +106,11 @@ def plan(
             beyond their scan, see `greenhouse_gym.motion.caution`.
         unexplained: True to avoid cells where the scan saw a surface that no shape explains, see
             `greenhouse_gym.motion.caution`.
+        leaves: "rigid" for leaves as obstacles; "brush" to plan around them and, where that fails, through few of them,
+            see `greenhouse_gym.planning.brushing`; or indices (k,) into `Shapes.leaves` of those that may be brushed.
 
     Raises:
-        UnknownNameError: No such planner, parameter, arm or collision pair.
+        UnknownNameError: No such planner, parameter, arm, collision pair or treatment of leaves.
         InvalidValueError: No such tomato; a limit that is not positive and finite, or no limit; a negative seed or
             margin; an invalid parameter; a start or goals outside the limits; a scene without an occupancy grid where
             ``unknown`` or ``unexplained`` needs one.
@@ -114,28 +121,49 @@ def plan(
     if isinstance(pairs, str) or not isinstance(pairs, Collection):
         raise InvalidValueError(f"pairs must be some of {', '.join(COLLISION_PAIRS)}, got {pairs!r}")
     seed = require_seed(seed)
+    if isinstance(leaves, str):
+        require_choice("leaves", leaves, LEAVES)
     arm, depths = get_robot(robot), depths_of(unknown)
     if unknown != "free" or unexplained:
         occupancy_of(scene)
     _seconds(time_limit, max_checks)  # raises before anything is searched
     origin = _configurations("start", [arm.configuration(start)], arm)[0]
-    scene = with_margin(scene, arm, origin, margin)
+    if isinstance(leaves, str) and leaves == "brush":
+
+        def search(some: Leaves, ends: Array | None, seconds: float | None, checks: int | None) -> PlanResult:
+            return plan(
+                scene, target, arm, planner, seconds, checks, goals if ends is None else ends, seed, origin, settings,
+                first_solution, pairs, unknown, margin, unexplained, some,
+            )  # fmt: skip
+
+        def find_goals() -> Array:
+            if not isinstance(goals, int | np.integer):
+                return _given_goals(goals, arm)
+            pool = max(int(goals), _POOL)
+            return goal_configurations(
+                scene, target, arm, pool, seed=seed, unknown=depths[-1], leaves="brush"
+            ).configurations
+
+        contacts = LeafContacts(guarded(scene, arm, origin, math.inf))
+        return plan_brushing(search, find_goals, contacts, time_limit, max_checks, seed)
+    treatment = "rigid" if isinstance(leaves, str) else "brush"
+    scene = with_margin(scene, arm, origin, margin, treatment)
     scene = with_unexplained_cells(scene, arm, origin) if unexplained else scene
     began = time.perf_counter()
     statistics = None
     if isinstance(goals, int | np.integer):
         count, widest = check_whole("count of goals", goals, 1), guarded(scene, arm, origin, depths[-1])
-        checker = checker_of(widest, target, pairs)
+        checker = checker_of(widest, target, pairs, leaves)
         pool = max(count, _POOL) if len(depths) > 1 else count
         searched = search_goals(widest, checker, target, pool, seed=seed, budget=sample_budget(depths[-1]))
         ends, statistics = searched.configurations, searched.statistics
     else:
-        ends = _configurations("goals", goals.configurations if isinstance(goals, Goals) else goals, arm)
+        ends = _given_goals(goals, arm)
         count = len(ends)
     goal_time = time.perf_counter() - began
     for depth in depths:
         around = guarded(scene, arm, origin, depth)
-        checker = checker_of(around, target, pairs)
+        checker = checker_of(around, target, pairs, leaves)
         free = ends[[checker.is_free(end) for end in ends]][:count]
         fraction = 1.0 if depth == depths[-1] else _FRACTION
         seconds = None if time_limit is None else time_limit * fraction
@@ -149,7 +177,10 @@ def plan(
     path = result.path
     if path is None:
         return result
-    result = replace(result, clearance=path_clearance(guarded(scene, arm, origin, math.inf), target, path))
+    known = guarded(scene, arm, origin, math.inf)
+    result = replace(result, clearance=path_clearance(known, target, path, treatment))
+    if treatment == "brush":
+        result = replace(result, brushed_leaves=len(LeafContacts(known).brushed(path)))
     if unknown == "free":
         return result
     length = unknown_length(scene, arm, path)
@@ -272,6 +303,10 @@ def _flaw(checker: CollisionChecker, query: PlannerQuery, path: Array) -> str:
     if not ProvingChecker(checker.model, checker.reaches).path_is_free(path, PROOF):
         return f"{query.planner}: the path is not free"
     return ""
+
+
+def _given_goals(goals: Goals | npt.ArrayLike, arm: Robot) -> Array:
+    return _configurations("goals", goals.configurations if isinstance(goals, Goals) else goals, arm)
 
 
 def _configurations(name: str, values: Any, arm: Robot) -> Array:

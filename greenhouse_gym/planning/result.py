@@ -47,6 +47,7 @@ class PlanResult:
         message: Details that the status does not give.
         unknown_length: Length of the tip's path while part of the arm is in unknown space, metres; nan without a path,
             or if unknown space counts as free.
+        brushed_leaves: Number of shapes of leaves that the path brushes; 0 if leaves are rigid.
     """
 
     status: Status
@@ -65,6 +66,7 @@ class PlanResult:
     goals: GoalStatistics | None = None
     message: str = ""
     unknown_length: float = math.nan
+    brushed_leaves: int = 0
 
     def __repr__(self) -> str:
         path = "" if self.path is None else (

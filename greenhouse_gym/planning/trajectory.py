@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.motion.collision import MARGIN, CollisionChecker, planning_model
+from greenhouse_gym.motion.collision import LEAVES, MARGIN, CollisionChecker, planning_model
 from greenhouse_gym.motion.path import CORNER_TOLERANCE, follow_path
 from greenhouse_gym.scene.mjcf import CompiledScene
 
@@ -20,6 +20,7 @@ def free_commands(
     velocity_limits: npt.ArrayLike,
     acceleration_limits: npt.ArrayLike,
     interval: float,
+    leaves: str = LEAVES[0],
 ) -> Array:
     """Return commands at equal intervals along a path such that the straight motions between them are free.
 
@@ -33,12 +34,13 @@ def free_commands(
         velocity_limits: (n,) rad/s.
         acceleration_limits: (n,) rad/s^2.
         interval: Seconds from one command to the next.
+        leaves: "brush" if the path may touch leaves.
 
     Returns:
         (m, n) commands of `follow_path`; the slowest ones if even those are not free.
     """
     start, lag = np.asarray(path, dtype=np.float64)[:1], compiled.robot.lag
-    checker = CollisionChecker(planning_model(compiled, target, margin=MARGIN / 2))
+    checker = CollisionChecker(planning_model(compiled, target, margin=MARGIN / 2, leaves=leaves))
     for halving in range(_MAX_HALVINGS + 1):
         tolerance = CORNER_TOLERANCE / 2**halving
         commands = follow_path(path, velocity_limits, acceleration_limits, interval, tolerance, lag)

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 Float32 = npt.NDArray[np.float32]
 Bytes = npt.NDArray[np.uint8]
+Geoms = npt.NDArray[np.int64]
 
 CAMERAS = ("wrist", "mast")
 """Camera mounts: behind the tool, looking along it; on a mast next to the arm, looking at the plants."""
@@ -89,11 +90,13 @@ class Images(NamedTuple):
     Attributes:
         depth: (n, c, h, w) depth along the optical axis, metres; 0 without a reading.
         color: (n, c, h, w, 3) RGB, 0 to 255; c is 0 if no color images are rendered.
+        geom: (n, c, h, w) ids of the geoms in the compiled model, -1 without a hit; c is 0 unless requested.
         views: (n, c, 4, 4) camera poses, base_from_camera.
     """
 
     depth: Float32
     color: Bytes
+    geom: Geoms
     views: Array
 
     def first(self, count: int) -> Images:
@@ -104,7 +107,10 @@ class Images(NamedTuple):
 def no_images(count: int) -> Images:
     """Return the empty images of n simulations without cameras."""
     return Images(
-        np.empty((count, 0, 0, 0), np.float32), np.empty((count, 0, 0, 0, 3), np.uint8), np.empty((count, 0, 4, 4))
+        np.empty((count, 0, 0, 0), np.float32),
+        np.empty((count, 0, 0, 0, 3), np.uint8),
+        np.empty((count, 0, 0, 0), np.int64),
+        np.empty((count, 0, 4, 4)),
     )
 
 
@@ -117,6 +123,7 @@ class CameraRig:
         threads: Number of threads for ray casting.
         renders_arm: Render the arm in depth images; otherwise its pixels have no reading.
         renders_color: Render color images as well; they always show the arm.
+        renders_geoms: Render images of geoms as well; they always show the arm.
     """
 
     def __init__(
@@ -126,11 +133,14 @@ class CameraRig:
         threads: int,
         renders_arm: bool,
         renders_color: bool = False,
+        renders_geoms: bool = False,
     ):
         self.cameras = tuple(cameras)
         self._renders_arm, self._renders_color = renders_arm, renders_color
+        self._renders_geoms = renders_geoms
         self._rays = [camera.rays for camera in self.cameras]
         self._lengths = [np.linalg.norm(rays, axis=1) for rays in self._rays]
+        self._first_of_arm = compiled.obstacle_geoms.stop
         self._casters = [RayCaster(compiled) for _ in range(max(1, threads))]
         self._pool = ThreadPoolExecutor(len(self._casters)) if len(self._casters) > 1 else None
 
@@ -153,25 +163,24 @@ class CameraRig:
             tool: (n, 3, 3) tool rotations, scene_from_tool.
             noises: Generator of each simulation's depth noise; None for noise-free images.
         """
-        scene_from_base, scene_from_tip = np.zeros((2, len(tip), 4, 4))
-        scene_from_base[:, 0, 0] = scene_from_base[:, 1, 1] = frame[:, 3]
-        scene_from_base[:, 1, 0], scene_from_base[:, 0, 1] = frame[:, 4], -frame[:, 4]
-        scene_from_base[:, 2, 2] = scene_from_base[:, 3, 3] = 1.0
-        scene_from_base[:, :3, 3] = frame[:, :3]
+        scene_from_base, scene_from_tip = scene_from_bases(frame), np.zeros((len(tip), 4, 4))
         scene_from_tip[:, :3, :3], scene_from_tip[:, :3, 3], scene_from_tip[:, 3, 3] = tool, tip, 1.0
         views = _camera_poses(self.cameras, invert(scene_from_base) @ scene_from_tip)
-        depth, color = self._render_clean(models, qpos, scene_from_base[:, None] @ views)
+        depth, color, geom = self._render_clean(models, qpos, scene_from_base[:, None] @ views)
         for own, noise in zip(depth, noises, strict=True):
             if noise is not None:
                 for c, camera in enumerate(self.cameras):
                     own[c] = _with_noise(own[c], camera, noise)
-        return Images(depth, color, views)
+        return Images(depth, color, geom, views)
 
-    def _render_clean(self, models: Sequence[mujoco.MjModel], qpos: Array, views: Array) -> tuple[Float32, Bytes]:
-        """Return noise-free depth and color from camera poses scene_from_camera (n, c, 4, 4)."""
+    def _render_clean(
+        self, models: Sequence[mujoco.MjModel], qpos: Array, views: Array
+    ) -> tuple[Float32, Bytes, Geoms]:
+        """Return noise-free depth, color and geoms from camera poses scene_from_camera (n, c, 4, 4)."""
         first = self.cameras[0]
         shape = (len(models), len(self.cameras), first.height, first.width)
         depths = np.empty(shape, dtype=np.float32)
+        geoms = np.empty(shape if self._renders_geoms else (len(models), 0, 0, 0), dtype=np.int64)
         colors = np.empty((*shape, 3) if self._renders_color else (len(models), 0, 0, 0, 3), dtype=np.uint8)
 
         def shoot(part: int) -> None:
@@ -179,6 +188,8 @@ class CameraRig:
                 for k in range(len(self.cameras)):
                     hits, directions = self._cast(self._casters[part], models[i], qpos[i], k, views[i, k])
                     depths[i, k] = self._depth(hits, k).reshape(shape[2:])
+                    if self._renders_geoms:
+                        geoms[i, k] = hits.geom.reshape(shape[2:])
                     if self._renders_color:
                         shown = surface_colors(hits.rgba, hits.normal, directions, hits.distance)
                         colors[i, k] = (shown * 255.0 + 0.5).astype(np.uint8).reshape(*shape[2:], 3)
@@ -187,7 +198,7 @@ class CameraRig:
             shoot(0)
         else:
             list(self._pool.map(shoot, range(len(self._casters))))
-        return depths, colors
+        return depths, colors, geoms
 
     def _cast(
         self, caster: RayCaster, model: mujoco.MjModel, joints: Array, camera: int, view: Array
@@ -199,7 +210,9 @@ class CameraRig:
         return caster.cast(model, joints, view[:3, 3].copy(), directions, reach, self._renders_color), directions
 
     def _depth(self, hits: Hits, camera: int) -> Array:
-        visible = hits.distance >= 0 if self._renders_arm else (hits.distance >= 0) & ~hits.on_arm
+        visible = hits.distance >= 0
+        if not self._renders_arm:
+            visible &= hits.geom < self._first_of_arm
         depth = np.where(visible, hits.distance / self._lengths[camera], 0.0)
         depth[depth > MAX_RANGE] = 0.0
         return depth
@@ -208,6 +221,16 @@ class CameraRig:
         """Shut down the threads."""
         if self._pool is not None:
             self._pool.shutdown()
+
+
+def scene_from_bases(frame: Array) -> Array:
+    """Return (n, 4, 4) poses scene_from_base for base frames (n, 5): position, cosine and sine of the heading."""
+    result = np.zeros((len(frame), 4, 4))
+    result[:, 0, 0] = result[:, 1, 1] = frame[:, 3]
+    result[:, 1, 0], result[:, 0, 1] = frame[:, 4], -frame[:, 4]
+    result[:, 2, 2] = result[:, 3, 3] = 1.0
+    result[:, :3, 3] = frame[:, :3]
+    return result
 
 
 def _camera_poses(cameras: Sequence[DepthCamera], base_from_tip: Array) -> Array:

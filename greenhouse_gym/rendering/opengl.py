@@ -35,7 +35,7 @@ from greenhouse_gym.rendering.renderer import (
 
 Float32 = npt.NDArray[np.float32]
 
-_MAX_GEOMS = 4000
+_MAX_LINES = 2000  # pieces of lines that a picture holds in addition to the geoms of its model
 _QUALITY = {"offsamples": 0, "shadowsize": 1024, "numslices": 12, "numstacks": 8, "numquads": 1}
 """Drawing quality: in software, MuJoCo's own (4 samples, 4096, 28, 16, 4) takes seven times as long per image."""
 
@@ -82,7 +82,7 @@ class OpenGLRenderer:
                 f"OpenGL is not available ({error}); on Debian and Ubuntu: apt install libegl1 libgl1"
             ) from error
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
-        self._scene = mujoco.MjvScene(model, maxgeom=_MAX_GEOMS)
+        self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + _MAX_LINES)
         self._option = mujoco.MjvOption()
         self._area = mujoco.MjrRect(0, 0, width, height)
 

@@ -21,7 +21,7 @@ from greenhouse_gym.rendering.task_pictures import PINK, RED
 PICTURES = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg"}
 """Formats of pictures by the suffix of their files."""
 
-FILMS = (".mp4", ".gif")
+FILMS = (".mp4", ".gif", ".webp")
 """Suffixes of films."""
 
 _COLORS = 256  # of a GIF
@@ -53,10 +53,10 @@ def write_picture(image: Image, path: str | Path) -> Path:
 
 
 def write_film(images: Iterable[Image], path: str | Path, fps: float) -> Path:
-    """Write images (height, width, 3) as MP4 or GIF, with as many in a second as given."""
+    """Write images (height, width, 3) as MP4, GIF or WebP, with as many in a second as given."""
     frames = iter(images)
-    if Path(path).suffix.lower() == ".gif":
-        return write_atomically(path, _gif(frames, fps))
+    if animated := {".gif": _gif, ".webp": _webp}.get(Path(path).suffix.lower()):
+        return write_atomically(path, animated(frames, fps))
     with tempfile.TemporaryDirectory() as folder:
         made = Path(folder) / "film.mp4"
         _write_mp4(frames, made, fps)
@@ -86,6 +86,14 @@ def _gif(frames: Iterator[Image], fps: float) -> bytes:
     )
     written = io.BytesIO()
     next(images).save(written, "gif", save_all=True, append_images=images, duration=round(1000 / fps), loop=0)
+    return written.getvalue()
+
+
+def _webp(frames: Iterator[Image], fps: float) -> bytes:
+    images, written = map(PillowImage.fromarray, frames), io.BytesIO()
+    next(images).save(
+        written, "webp", save_all=True, append_images=images, duration=round(1000 / fps), loop=0, quality=70, method=4
+    )
     return written.getvalue()
 
 

@@ -36,13 +36,13 @@ class Hits(NamedTuple):
 
     Attributes:
         distance: (m,) distance along the ray, metres; -1 without a hit.
-        on_arm: (m,) whether the ray hits the arm.
+        geom: (m,) id of the geom in the compiled model; -1 without a hit.
         rgba: (m, 4) surface colors, 0 to 1; m is 0 unless requested.
         normal: (m, 3) unit surface normals; m is 0 unless requested.
     """
 
     distance: Array
-    on_arm: npt.NDArray[np.bool_]
+    geom: npt.NDArray[np.int64]
     rgba: npt.NDArray[np.float32]
     normal: Array
 
@@ -82,15 +82,15 @@ class RayCaster:
             surfaces: Return colors and normals as well.
         """
         obstacles = first_world_geom(model) + np.arange(self._obstacles.start, self._obstacles.stop)
-        distance, on_arm = np.empty(len(directions)), np.empty(len(directions), dtype=np.bool_)
+        distance, geom = np.empty(len(directions)), np.empty(len(directions), dtype=np.int64)
         count = len(directions) if surfaces else 0
         rgba, normal = np.empty((count, 4), dtype=np.float32), np.empty((count, 3))
         for rays, visible in _split(model, origin, directions, reach, np.arange(len(directions)), obstacles):
             hits = self._cast(model, joints, origin, directions[rays], reach, surfaces, visible)
-            distance[rays], on_arm[rays] = hits.distance, hits.on_arm
+            distance[rays], geom[rays] = hits.distance, hits.geom
             if surfaces:
                 rgba[rays], normal[rays] = hits.rgba, hits.normal
-        return Hits(distance, on_arm, rgba, normal)
+        return Hits(distance, geom, rgba, normal)
 
     def _cast(
         self,
@@ -120,7 +120,10 @@ class RayCaster:
             view, data, origin, directions.reshape(-1), None, True, -1, geom, distance,
             normal.reshape(-1) if surfaces else None, count, reach,
         )  # fmt: skip
-        return Hits(distance, geom >= first + capacity, view.geom_rgba[geom[: len(normal)]], normal)
+        ids = np.arange(-1, view.ngeom)  # of the view's geoms in the compiled model, after that of no geom
+        ids[1 + first : 1 + first + len(visible)] = visible - first_world_geom(model)
+        ids[1 + first + capacity :] += self._obstacles.stop - first - capacity
+        return Hits(distance, ids[1 + geom], view.geom_rgba[geom[: len(normal)]], normal)
 
 
 def _split(

@@ -11,7 +11,7 @@ from greenhouse_gym.agents.named import make_agent
 from greenhouse_gym.common.progress import progress
 from greenhouse_gym.errors import GreenhouseError, InvalidValueError
 from greenhouse_gym.evaluation import retrace
-from greenhouse_gym.evaluation.leaderboard import TRACKS, V1, Entry, Protocol, follows, is_current
+from greenhouse_gym.evaluation.leaderboard import TRACKS, V1, Entry, Protocol, difficulty_of, follows, is_current
 from greenhouse_gym.evaluation.records import Evaluation, Record
 from greenhouse_gym.reporting.comparison_figures import colors_of
 from greenhouse_gym.reporting.comparison_page import comparison_page
@@ -88,14 +88,15 @@ def leaderboard_report(entries: Sequence[Entry], rules: Protocol = V1) -> str:
             agents[entry.agent] = make_agent(entry.agent)
         except GreenhouseError as error:
             notes.append(f"{entry.agent} is not shown in 3-D: {error}")
+    tracks = {track: evaluations for track, evaluations in tracks.items() if evaluations}
     return comparison_report(
         f"Leaderboard, protocol {rules.version}",
-        {track: evaluations for track, evaluations in tracks.items() if evaluations},
+        tracks,
         agents,
         rules.split,
         rules.bank,
         notes,
-        difficulty=rules.difficulty,
+        difficulty=difficulty_of(rules, next(iter(tracks))),
         timeout=rules.timeout,
         start=rules.start,
     )

@@ -14,6 +14,7 @@ _WORLDS = {
     "reconstruction": "Agents know the reconstruction, and their contacts are with it.",
     "truth": "Agents know the reconstruction; their contacts are with the scanned row.",
     "moved": "Agents know the reconstruction; their contacts are with the scanned row, after its plants moved.",
+    "brush": "Agents know the reconstruction; their contacts are with the scanned row, whose leaves give way.",
 }
 
 

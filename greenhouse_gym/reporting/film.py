@@ -52,12 +52,12 @@ def film(
     on_progress: Callable[[int], None] = lambda steps: None,
     **options: Any,
 ) -> list[FilmedEpisode]:
-    """Film episodes of an agent in real time, as MP4 or GIF; each ends with a caption of its outcome.
+    """Film episodes of an agent in real time, as MP4, GIF or WebP; each ends with a caption of its outcome.
 
     Args:
         agent: The agent, or a name that `greenhouse_gym.agents.make_agent` takes; its ``env_options`` choose the
             environment.
-        out: The file; its suffix, .mp4 or .gif, chooses the format.
+        out: The file; its suffix, .mp4, .gif or .webp, chooses the format.
         seed: Seed of the first episode, as in `greenhouse_gym.evaluation.evaluate`; each further episode adds one.
         episodes: Number of episodes.
         fps: Images per second, at most one for each action, which is the default.
@@ -107,7 +107,7 @@ class _Take(NamedTuple):
         env, simulation = self.env, self.env.simulation
         observation, info = env.reset(seed=seed)
         title = f"{self.agent.name}: {info['scene']}, tomato {info['target']} ({info['difficulty']})"
-        problem = Problem.of(simulation, 0, seed)
+        problem = Problem.of(simulation, 0, seed, self.agent)
         trace, failure, over = [simulation.tip(0)], "", False
         yield self._image(trace, title)
         try:
@@ -117,7 +117,7 @@ class _Take(NamedTuple):
         while not over:
             try:
                 answer = np.asarray(self.agent.act(observation))
-                action = check_actions(answer[None], 1, simulation.action_rule.space)[0]
+                action = check_actions(answer[None], 1, simulation.action_space)[0]
             except Exception as error:
                 failure = f"{type(error).__name__}: {error}"
                 if not info["steps"] and not filmed:

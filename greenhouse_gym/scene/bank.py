@@ -194,17 +194,20 @@ class SceneBank(Sequence[Scene]):
             return self._homes[name].scene(name)
         scene = self._alive.get(name)
         if scene is None:
-            path = inside(self.path, entry.file, named_in=self.path / MANIFEST)
-            content = read_bytes(path, "scene")
-            known = hashlib.sha256(content).hexdigest() == entry.sha256
-            scene = Scene.parse(content, path, defer=known)
-            if not known:  # whatever else is wrong with the file is more telling
-                raise FileFormatError(path, f"checksum differs from the one in {self.path / MANIFEST}")
-            self._alive[name] = scene
+            scene = self._alive[name] = self._read(entry)
         self._scenes[name] = scene
         self._scenes.move_to_end(name)
         if len(self._scenes) > SCENES_KEPT:
             self._scenes.popitem(last=False)
+        return scene
+
+    def _read(self, entry: SceneEntry) -> Scene:
+        path = inside(self.path, entry.file, named_in=self.path / MANIFEST)
+        content = read_bytes(path, "scene")
+        known = hashlib.sha256(content).hexdigest() == entry.sha256
+        scene = Scene.parse(content, path, defer=known)
+        if not known:  # whatever else is wrong with the file is more telling
+            raise FileFormatError(path, f"checksum differs from the one in {self.path / MANIFEST}")
         return scene
 
     def _entry(self, name: str) -> SceneEntry:

@@ -20,7 +20,7 @@ from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.robots.robot import CUP_GEOM, TIP_SITE
 from greenhouse_gym.robots.start import CART_HALF_WIDTH, cart_drop
 from greenhouse_gym.scene.obstacle_slots import TYPES, fill_slots, geoms_of
-from greenhouse_gym.scene.obstacles import ArmPlacement, Surroundings
+from greenhouse_gym.scene.obstacles import ArmPlacement, Shapes, Surroundings
 
 DEFAULT_CAPACITY = 600
 """Number of obstacle slots of a padded model."""
@@ -30,6 +30,9 @@ MAX_CAPACITY = 30_000
 
 ARM_AND_CUP, ARM_ONLY = 3, 1
 """Collision masks of an obstacle, and of the target (which the cup may touch)."""
+
+YIELDING = 1.0
+"""Depth up to which a geom that gives way exerts no force, metres: more than an arm can enter a leaf."""
 
 TIMESTEP = 0.01
 _PARKED = (0.0, 0.0, -50.0)
@@ -65,6 +68,11 @@ class CompiledScene:
     obstacle_geoms: slice
     cup_geom: int
 
+    @property
+    def leaf_geoms(self) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+        """(k,) ids of the geoms of leaves."""
+        return np.asarray(self.obstacle_geoms.start + self.scene.leaves)
+
     def tomato_geom(self, tomato: int) -> int:
         """Return the geom id of a tomato, by its index in the scene."""
         return int(self.obstacle_geoms.start) + tomato
@@ -86,6 +94,15 @@ class CompiledScene:
         geom = int(model.body_geomadr[0]) + self.tomato_geom(tomato)
         model.geom_contype[geom] = mask
         model.geom_conaffinity[geom] = mask
+
+
+def make_yielding(model: mujoco.MjModel, geoms: np.ndarray[tuple[int], np.dtype[np.int64]]) -> None:
+    """Let geoms of the world body give way: MuJoCo finds contacts with them, which exert no force.
+
+    MuJoCo finds the contacts of two geoms that are nearer than the sums of their margins and gaps, and lets those
+    push that are nearer than the sum of their margins.
+    """
+    model.geom_margin[geoms], model.geom_gap[geoms] = -YIELDING, YIELDING
 
 
 def scene_spec(
@@ -125,7 +142,7 @@ def scene_spec(
     names = [f"tomato_{i}" for i in range(len(scene.tomatoes))]
     names += [f"stem_{i}_{stem.kind}" for i, stem in enumerate(scene.stems)]
     names += [f"clutter_{i}" for i in range(len(scene.clutter))]
-    for name, kind, pos, size, quat, color in zip(names, *geoms_of(scene.arrays), _colors(scene), strict=True):
+    for name, kind, pos, size, quat, color in zip(names, *geoms_of(scene.arrays), colors_of(scene), strict=True):
         world.add_geom(
             name=name, type=TYPES[kind], pos=pos, size=size, quat=quat, rgba=color,
             contype=ARM_AND_CUP, conaffinity=ARM_AND_CUP,
@@ -169,7 +186,7 @@ def compile_scene(
     if scene.count > capacity:
         raise InvalidValueError(f"scene {scene.name!r} has {scene.count} obstacles, more than the {capacity} allowed")
     model = copy.copy(empty.model)
-    fill_slots(model, empty.obstacle_geoms.start, scene.arrays, _colors(scene))
+    fill_slots(model, empty.obstacle_geoms.start, scene.arrays, colors_of(scene))
     return replace(empty, scene=scene, model=model)
 
 
@@ -232,7 +249,8 @@ def _place_arm(spec: mujoco.MjSpec, scene: Surroundings, robot: Robot) -> None:
         )  # fmt: skip
 
 
-def _colors(scene: Surroundings) -> list[tuple[float, float, float, float]]:
+def colors_of(scene: Shapes) -> list[tuple[float, float, float, float]]:
+    """Return the colors of all shapes of a scene, in their order."""
     colors = [_tomato_color(tomato.ripeness) for tomato in scene.tomatoes]
     return colors + [_STEM_COLORS[stem.kind] for stem in scene.stems] + [_CLUTTER_COLOR] * len(scene.clutter)
 

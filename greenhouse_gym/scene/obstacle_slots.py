@@ -36,7 +36,19 @@ def fill_slots(model: mujoco.MjModel, first: int, shapes: ShapeArrays, colors: S
         shapes: At most as many shapes as there are slots.
         colors: (n, 4) their colors.
     """
-    slots = slice(first, first + len(shapes.kinds))
+    write_geoms(model, slice(first, first + len(shapes.kinds)), shapes, colors)
+    build_tree(model)
+
+
+def write_geoms(model: mujoco.MjModel, slots: slice, shapes: ShapeArrays, colors: Sequence[Sequence[float]]) -> None:
+    """Turn geoms into shapes, given in the frame of their body; `build_tree` has to follow.
+
+    Args:
+        model: The model.
+        slots: Ids of as many geoms as there are shapes.
+        shapes: The shapes.
+        colors: (n, 4) their colors.
+    """
     kinds, positions, sizes, quats = geoms_of(shapes)
     boxes = np.zeros((len(kinds), 6))
     boxes[:, 3:] = sizes
@@ -53,7 +65,6 @@ def fill_slots(model: mujoco.MjModel, first: int, shapes: ShapeArrays, colors: S
     model.geom_sameframe[slots] = np.where(
         rotated, frame.mjSAMEFRAME_NONE, np.where(shifted, frame.mjSAMEFRAME_BODYROT, frame.mjSAMEFRAME_BODY)
     )
-    _build_tree(model)
 
 
 def geoms_of(shapes: ShapeArrays) -> tuple[np.ndarray[tuple[int], np.dtype[np.int8]], Array, Array, Array]:
@@ -74,13 +85,31 @@ def geoms_of(shapes: ShapeArrays) -> tuple[np.ndarray[tuple[int], np.dtype[np.in
     return kinds, (shapes.starts + shapes.ends) / 2, sizes, quats
 
 
-def _build_tree(model: mujoco.MjModel) -> None:
-    """Build the bounding-volume tree of the world body, without which MuJoCo misses contacts."""
+def build_tree(model: mujoco.MjModel, body: int = 0) -> None:
+    """Build the bounding-volume tree of a body, by default of the world, without which MuJoCo misses contacts."""
     from greenhouse_gym.scene.tree_kernel import tree_over
 
-    geoms, first = int(model.body_geomnum[0]), int(model.body_bvhadr[0])
-    nodes = slice(first, first + int(model.body_bvhnum[0]))
+    geoms, first = int(model.body_geomadr[body]), int(model.body_bvhadr[body])
+    own = slice(geoms, geoms + int(model.body_geomnum[body]))
+    nodes = slice(first, first + int(model.body_bvhnum[body]))
+    positions, quats = model.geom_pos[own], model.geom_quat[own]
+    if body:
+        positions, quats = _in_inertial_frame(positions, quats, model.body_ipos[body], model.body_iquat[body])
     tree_over(
-        model.geom_pos[:geoms], model.geom_quat[:geoms], model.geom_aabb[:geoms],
-        model.bvh_depth[nodes], model.bvh_child[nodes], model.bvh_nodeid[nodes], model.bvh_aabb[nodes],
+        positions, quats, model.geom_aabb[own], model.bvh_depth[nodes], model.bvh_child[nodes],
+        model.bvh_nodeid[nodes], model.bvh_aabb[nodes],
     )  # fmt: skip
+    if geoms:
+        ids = model.bvh_nodeid[nodes]
+        ids[ids >= 0] += geoms
+
+
+def _in_inertial_frame(positions: Array, quats: Array, center: Array, rotation: Array) -> tuple[Array, Array]:
+    """Return positions (n, 3) and quaternions (n, 4) in the inertial frame of a body, that of its tree."""
+    back = np.empty(4)
+    mujoco.mju_negQuat(back, rotation)
+    moved, turned = np.empty_like(positions), np.empty_like(quats)
+    for k, (position, quat) in enumerate(zip(positions - center, quats, strict=True)):
+        mujoco.mju_rotVecQuat(moved[k], position, back)
+        mujoco.mju_mulQuat(turned[k], back, quat)
+    return moved, turned

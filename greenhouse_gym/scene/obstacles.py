@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
+import numpy.typing as npt
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -21,7 +22,7 @@ from pydantic import (
 )
 
 from greenhouse_gym.common.files import checked_name, parsing
-from greenhouse_gym.crops.parts import Stem, Tomato
+from greenhouse_gym.crops.parts import Stem, Tomato, is_leaf
 from greenhouse_gym.crops.shape_tables import arrays_of_tables, from_tables, pack, unpack
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Box, Capsule, Shape, ShapeArrays, Sphere, Vector, arrays_of
@@ -121,8 +122,15 @@ class Shapes(Part):
         """Copy the model with some fields changed, which are not validated."""
         copied = super().model_copy(update=update, deep=deep)
         if not {"tomatoes", "stems", "clutter"}.isdisjoint(update or ()):
-            vars(copied).pop("arrays", None)
+            for name in ("arrays", "leaves"):
+                vars(copied).pop(name, None)
         return copied
+
+    @cached_property
+    def leaves(self) -> npt.NDArray[np.int64]:
+        """(k,) indices into `obstacles` of the pieces of leaves; see `greenhouse_gym.crops.parts.is_leaf`."""
+        first = len(self.tomatoes) + len(self.stems)
+        return np.array([first + k for k, shape in enumerate(self.clutter) if is_leaf(shape)], dtype=np.int64)
 
     @property
     def obstacles(self) -> tuple[Shape, ...]:

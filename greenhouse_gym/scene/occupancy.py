@@ -11,9 +11,10 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, model_validator
 
 from greenhouse_gym.common.compression import compress, decompress
+from greenhouse_gym.crops.parts import SpaceBox
 from greenhouse_gym.crops.shape_tables import axis_aligned_boxes
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.geometry import Array, Box, Vector
+from greenhouse_gym.geometry import Array, Vector, unchecked
 
 UNKNOWN, FREE, OCCUPIED = 0, 1, 2
 """States of a voxel."""
@@ -117,7 +118,7 @@ def require_occupancy(grid: OccupancyGrid | None, scene: str, user: str, instead
     return grid
 
 
-def boxes_covering(cells: Cells, origin: npt.ArrayLike, voxel: float, optional: Cells | None = None) -> list[Box]:
+def boxes_covering(cells: Cells, origin: npt.ArrayLike, voxel: float, optional: Cells | None = None) -> list[SpaceBox]:
     """Cover the marked cells (x, y, z) of a grid by few boxes that do not overlap.
 
     Runs of cells along y are joined with equal neighbors along z, and then along x.
@@ -138,7 +139,7 @@ def boxes_covering(cells: Cells, origin: npt.ArrayLike, voxel: float, optional: 
     return _boxes_of_blocks(runs, (2, 0), origin, voxel)
 
 
-def boxes_around_points(points: npt.ArrayLike, voxel: float) -> list[Box]:
+def boxes_around_points(points: npt.ArrayLike, voxel: float) -> list[SpaceBox]:
     """Cover the voxels (sides in metres) that contain points (n, 3) by few boxes that do not overlap."""
     p = np.asarray(points, dtype=np.float64).reshape(-1, 3)
     if not len(p):
@@ -151,13 +152,15 @@ def boxes_around_points(points: npt.ArrayLike, voxel: float) -> list[Box]:
 
 def _boxes_of_blocks(
     blocks: npt.NDArray[np.int64], axes: Sequence[int], origin: npt.ArrayLike, voxel: float
-) -> list[Box]:
+) -> list[SpaceBox]:
     """Return the boxes of blocks (n, 6) of cells after joining them along one axis after the other."""
     for axis in axes:
         blocks = _joined(blocks, axis)
     low, high = blocks[:, ::2], blocks[:, 1::2]
     centers = np.asarray(origin, dtype=np.float64) + (low + high) * (voxel / 2)
-    return axis_aligned_boxes(centers, np.asarray((high - low) * (voxel / 2), dtype=np.float64))
+    boxes = axis_aligned_boxes(centers, np.asarray((high - low) * (voxel / 2), dtype=np.float64))
+    rows = ((box.center, box.half_extents, box.rotation) for box in boxes)
+    return unchecked(SpaceBox, ("center", "half_extents", "rotation"), rows)
 
 
 def _joined(blocks: npt.NDArray[np.int64], axis: int) -> npt.NDArray[np.int64]:

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from greenhouse_gym.crops.crop import PlantMotion
-from greenhouse_gym.crops.parts import Stem, Tomato
+from greenhouse_gym.crops.parts import Stem, Tomato, is_leaf
 from greenhouse_gym.geometry import (
     Array,
     Box,
@@ -29,7 +29,6 @@ from greenhouse_gym.scene.obstacles import Shapes
 
 _WAVELENGTHS = (0.4, 1.2)  # range of the wavelengths of the displacement fields, metres
 _WAVES = 6
-_FIXED = 0.15  # minimum half length of a box that is a fixed gutter and not a leaf, metres
 
 Field = Callable[[Array], Array]
 
@@ -48,7 +47,7 @@ def move_plants(shapes: Shapes, motion: PlantMotion, rng: np.random.Generator) -
     hanging = [k for k, stem in enumerate(stems) if stem.kind in ("peduncle", "pedicel")]
     trusses = sorted({tomato.truss for tomato in shapes.tomatoes})
     rotations = {truss: _sample_rotation(motion, rng) for truss in trusses}
-    owners = dict(zip(hanging, _nearest_truss([stems[k] for k in hanging], shapes.tomatoes), strict=True))
+    owners = dict(zip(hanging, nearest_truss([stems[k] for k in hanging], shapes.tomatoes), strict=True))
     roots = {
         truss: _root([stems[k] for k in hanging if owners[k] == truss], stems, shapes.tomatoes, truss)
         for truss in trusses
@@ -96,7 +95,7 @@ def _sample_rotation(motion: PlantMotion, rng: np.random.Generator) -> Array:
     return np.asarray(swing @ rotation_about([0.0, 0.0, 1.0], float(about)))
 
 
-def _nearest_truss(stems: list[Stem], tomatoes: tuple[Tomato, ...]) -> list[int]:
+def nearest_truss(stems: list[Stem], tomatoes: tuple[Tomato, ...]) -> list[int]:
     """Return the truss of the tomato nearest to the middle of each stem, or -1 without tomatoes."""
     if not stems or not tomatoes:
         return [-1] * len(stems)
@@ -132,10 +131,8 @@ def _move_leaves(shapes: Sequence[Sphere | Capsule | Box], field: Field) -> tupl
     ends_after = field(ends.reshape(-1, 3)).reshape(-1, 2, 3)
 
     def move(shape: Sphere | Capsule | Box, start: Array, end: Array) -> Sphere | Capsule | Box:
-        if isinstance(shape, Capsule):
-            return replace(shape, start=start, end=end)
-        if isinstance(shape, Box) and shape.half_extents.max() > _FIXED:
+        if not is_leaf(shape):
             return shape
-        return centered_at(shape, start)
+        return replace(shape, start=start, end=end) if isinstance(shape, Capsule) else centered_at(shape, start)
 
     return tuple(move(shape, *after) for shape, after in zip(shapes, ends_after, strict=True))

@@ -20,6 +20,21 @@ Difficulty = Literal["easy", "medium", "hard", "unreachable"]
 DIFFICULTIES: tuple[str, ...] = get_args(Difficulty)
 
 
+class BrushCertificate(Part):
+    """Rating of a target where leaves give way to an arm that brushes them.
+
+    Attributes:
+        difficulty: One of `DIFFICULTIES`, by the same rule.
+        witness: As `Target.witness`; None if none was found, or if the target's own witness holds, which brushes no
+            leaf.
+        leaves: Number of shapes of leaves that the witness brushes.
+    """
+
+    difficulty: Difficulty
+    witness: tuple[tuple[float, ...], ...] | None = Field(default=None, repr=False)
+    leaves: int = Field(default=0, ge=0)
+
+
 class Target(Part):
     """A tomato as a reaching target.
 
@@ -36,6 +51,8 @@ class Target(Part):
         clearance: Minimum distance of the arm to any obstacle except the target along the witness, metres.
         unknown: Fraction of the tip's path along the witness during which part of the arm is in unknown space; None
             without an occupancy grid.
+        brush: Rating where leaves give way, or None if it is unknown. A target that is unreachable by both ratings is
+            out of reach or behind fruit, stems or fixtures; one by its own rating alone is behind leaves.
     """
 
     tomato: int = Field(ge=0)
@@ -46,6 +63,7 @@ class Target(Part):
     checks: int | None = Field(default=None, ge=0, exclude_if=is_none)
     clearance: float | None = Field(default=None, exclude_if=is_none)
     unknown: float | None = Field(default=None, ge=0, le=1, exclude_if=is_none)
+    brush: BrushCertificate | None = Field(default=None, exclude_if=is_none)
 
 
 class Provenance(Part):

@@ -45,6 +45,11 @@ def known_scene(scene: Scene) -> Scene:
     )
 
 
+def without_plants(scene: Scene) -> Scene:
+    """Return a scene without obstacles and occupancy: only where the arm stands."""
+    return scene.model_copy(update={"tomatoes": (), "stems": (), "clutter": (), "targets": (), "occupancy": None})
+
+
 def start_is_collision_free(scene: Scene, robot: str | Robot) -> bool:
     """Return whether an arm touches no plant of the true row at its own start and at `Robot.rating_start`.
 

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
+from tempfile import mkdtemp
 from typing import Any
 
 import numpy as np
@@ -66,7 +68,7 @@ def test_the_environment_is_recovered(bank: SceneBank, tmp_path: Path, monkeypat
     assert env.unwrapped.settings.step_limit == 2
 
 
-def test_a_data_set_grows_and_an_existing_one_is_refused_before_the_first_episode(
+def test_a_data_set_grows_and_one_of_other_settings_is_refused_before_the_first_episode(
     bank: SceneBank, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(demonstrations, "SAVE_SECONDS", 0.0)
@@ -81,8 +83,48 @@ def test_a_data_set_grows_and_an_existing_one_is_refused_before_the_first_episod
     assert seen == [0, 2, 3]
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     assert [episode.id for episode in minari.load_dataset(name).iterate_episodes()] == [0, 1, 2]
-    with pytest.raises(InvalidValueError, match="already holds"):
-        record_demonstrations(RandomAgent(), tmp_path, 1, on_progress=lambda done: pytest.fail("ran"), **options)
+    assert record_demonstrations(RandomAgent(), tmp_path, 3, on_progress=pytest.fail, **options) == name
+    for changed in ({"seed": 1}, {"step_limit": 3}, {"successes_only": True}, {"split": "validation"}):
+        with pytest.raises(InvalidValueError, match="of other settings"):
+            record_demonstrations(RandomAgent(), tmp_path, 3, on_progress=pytest.fail, **{**options, **changed})
+
+
+@pytest.mark.parametrize("at", [1, 2, 4], ids=["first episodes", "episodes", "after their number"])
+def test_a_killed_recording_resumes_to_the_same_data_set(
+    bank: SceneBank, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: int
+) -> None:
+    """The process ends between the file of the episodes and that of their number, too, and leaves its files behind."""
+    options: dict[str, Any] = {"successes_only": False, "bank": bank, "step_limit": 2}
+    name = record_demonstrations(RandomAgent(), tmp_path / "whole", 4, **options)
+    monkeypatch.setattr(demonstrations, "SAVE_SECONDS", 0.0)
+    moved: list[Path] = []
+
+    class Killed(BaseException):
+        pass
+
+    def move(path: Path, target: Path) -> None:
+        if len(moved) == at:
+            raise Killed
+        path.rename(target)
+        moved.append(target)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(demonstrations.tempfile, "TemporaryDirectory", lambda **given: nullcontext(mkdtemp(
+            given["suffix"], given["prefix"], given["dir"])))  # fmt: skip
+        patched.setattr(Path, "replace", move)
+        with pytest.raises(Killed):
+            record_demonstrations(RandomAgent(), tmp_path / "killed", 4, **options)
+    record_demonstrations(RandomAgent(), tmp_path / "killed", 4, **options)
+    columns = []
+    for folder in ("whole", "killed"):
+        monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / folder))
+        data = minari.load_dataset(name)
+        columns.append([(e.id, e.rewards.tolist(), e.actions.tolist()) for e in data.iterate_episodes()])
+        assert (data.total_episodes, data.total_steps) == (4, sum(len(each[1]) for each in columns[-1]))
+        assert {path.name for path in (tmp_path / folder / name).rglob("*")} == {
+            "data", "main_data.hdf5", "metadata.json",
+        }  # fmt: skip
+    assert columns[0] == columns[1]
 
 
 @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), RuntimeError("Can't flush")])

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.agents import Problem
-from greenhouse_gym.agents.depth_reading import MAX_UNCERTAINTY, perfect_reading, stereo_reading
 from greenhouse_gym.agents.local_map import LocalMap
 from greenhouse_gym.agents.occupancy_map import OccupancyMap, wrist_camera, wrist_reading
 from greenhouse_gym.agents.watchful import WatchfulAgent
@@ -14,6 +13,7 @@ from greenhouse_gym.capture import sense_depth
 from greenhouse_gym.envs import GreenhouseEnv, Randomization
 from greenhouse_gym.motion.arm_spheres import arm_spheres
 from greenhouse_gym.rendering.cameras import MAX_RANGE, DepthCamera, stereo_noise
+from greenhouse_gym.rendering.depth_reading import MAX_UNCERTAINTY, perfect_reading, stereo_reading
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -357,7 +358,8 @@ def test_a_surface_without_a_shape_is_dark_until_the_camera_has_looked(scene: Sc
 
 def test_a_view_shows_what_is_before_the_camera_and_not_hidden(arm: ArmSpheres) -> None:
     places = np.random.default_rng(1).uniform([0.4, -0.3, 0.1], [0.7, 0.3, 0.6], (40, 3))
-    found = list(viewpoints(arm, ARM, START, places, lambda at: np.zeros(len(at), bool), np.random.default_rng(0)))
+    sees = partial(visible, arm, points=places, occluder=lambda at: np.zeros(len(at), bool))
+    found = list(viewpoints(ARM, START, sees, np.random.default_rng(0)))
     assert len(found) > 10
     assert all(seen.mean() >= MIN_GAIN for _, seen in found)
     best = np.array([view for view, _ in found])
@@ -380,5 +382,5 @@ def test_the_initial_view_moves_the_wrist_only(arm: ArmSpheres) -> None:
 
 def first_viewpoint(point: np.ndarray) -> np.ndarray:
     """The best configuration (j,) to look at a point (3,) that nothing occludes."""
-    rng = np.random.default_rng(0)
-    return next(viewpoints(arm_spheres(ARM), ARM, START, point[None], lambda at: np.zeros(len(at), bool), rng))[0]
+    sees = partial(visible, arm_spheres(ARM), points=point[None], occluder=lambda at: np.zeros(len(at), bool))
+    return next(viewpoints(ARM, START, sees, np.random.default_rng(0)))[0]

@@ -252,11 +252,11 @@ class Calls:
         self.reconstructed.append(recording.name)
         return made_up_row(len(recording))
 
-    def certify(self, scene: Scene, robot: str, most: int | None, smallest: float) -> tuple[Target, ...]:
+    def certify(self, scene: Scene, robot: str, *, max_targets: int | None, min_radius: float) -> tuple[Target, ...]:
         if scene.name == self.fail_at:
             raise KeyboardInterrupt
         self.certified.append(scene.name)
-        return tuple(Target(tomato=i, difficulty="easy", robot=robot) for i in range(len(scene.tomatoes))[:most])
+        return tuple(Target(tomato=i, difficulty="easy", robot=robot) for i in range(len(scene.tomatoes))[:max_targets])
 
 
 @pytest.fixture

@@ -11,6 +11,7 @@ from pathlib import Path
 from threading import Event
 
 import pytest
+from parallel_helpers import Elsewhere
 
 from greenhouse_gym.common.executors import WorkerLostError, completed, processes
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError
@@ -121,9 +122,18 @@ def test_an_error_in_a_worker_is_told_as_itself(pool: Executor) -> None:
     assert sorted(completed(squared, range(3), pool)) == [(0, 0), (1, 1), (2, 4)]
 
 
-def test_a_lost_process_is_told() -> None:
-    with pytest.raises(WorkerLostError, match="ended before its task was done"), processes(1) as executor:
-        list(completed(killed, range(3), executor))
+def test_a_lost_process_is_told_and_replaced() -> None:
+    with processes(1) as executor:
+        with pytest.raises(WorkerLostError, match="ended before its task was done"):
+            list(completed(killed, range(3), executor))
+        assert sorted(completed(squared, range(2), executor)) == [(0, 0), (1, 1)]
+
+
+def test_what_is_finished_comes_before_an_error_of_the_same_moment() -> None:
+    results = completed(spoiled, [3, 0, 1], Elsewhere())
+    assert {next(results), next(results)} == {0, 1}
+    with pytest.raises(FileFormatError):
+        next(results)
 
 
 def test_an_executor_that_was_shut_down_is_told() -> None:
@@ -154,7 +164,7 @@ def test_an_interruption_ends_the_processes_at_once(tmp_path: Path) -> None:
 SCRIPT = """
 import sys
 from pathlib import Path
-sys.path.insert(0, sys.argv[1])
+sys.path[:0] = [sys.argv[1], sys.argv[1] + "/.."]
 from test_parallel import asleep
 from greenhouse_gym.common.executors import completed, processes
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ KINDS: list[dict[str, Any]] = [
     {"robot": "iiwa14", "observation": "goal", "step_limit": 40},
     {"observation": "depth", "randomization": Randomization(0.03, 0.05, 0.02, 0.01, depth_noise=True)},
     {"observation": "roadmap"},
+    {"task": "look", "observation": "task", "randomization": Randomization(depth_noise=True)},
     {"render_mode": "rgb_array"},
 ]
 

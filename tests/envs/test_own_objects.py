@@ -30,12 +30,14 @@ from greenhouse_gym.envs import (
     SparseReward,
 )
 from greenhouse_gym.errors import InvalidValueError, UnknownNameError
+from greenhouse_gym.motion.distance_field import MAX_DISTANCE
 from greenhouse_gym.scene import SceneBank
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 OWN = {
     "own_reward": ("reward", "careful"),
     "own_observation": ("observation", "Feelers"),
+    "own_distances": ("observation", "Ahead"),
     "own_action": ("action", "TwoJoints"),
 }
 
@@ -51,7 +53,7 @@ def example(name: str) -> ModuleType:
 def keyword(name: str) -> dict[str, Any]:
     what, thing = OWN[name]
     own = getattr(example(name), thing)
-    return {what: own() if name == "own_action" else own}
+    return {what: own() if name in ("own_action", "own_distances") else own}
 
 
 @pytest.mark.parametrize("name", OWN)
@@ -90,6 +92,26 @@ def test_own_objects_give_the_same_in_vector_and_single(name: str, bank: SceneBa
         return drift + random.uniform(-0.3, 0.3, (3, size))
 
     assert compare_with_singles(3, 60, actions, "SameStep", bank=bank, **keyword(name)) > 0
+
+
+def test_distances_at_points_are_those_of_each_simulation_alone(bank: SceneBank) -> None:
+    """Also after an episode of some of the simulations began again; wrong points raise an error."""
+    env, states = GreenhouseVectorEnv(3, bank=bank, autoreset_mode="SameStep"), []
+    env.reset(seed=0)
+    for i in (0, 1, 2):
+        env.reset(seed=i, options={"reset_mask": np.arange(3) == i})
+        states.append(env.simulation.state)
+    state = states[-1]
+    tip = state.tip[:, None]
+    distance, direction = state.distances_at(tip + 0.4 * np.eye(3)[0])
+    for i in range(3):
+        alone = state.select(np.array([i])).distances_at(tip[i : i + 1] + 0.4 * np.eye(3)[0])
+        assert np.array_equal(alone[0][0], distance[i])
+        assert np.array_equal(alone[1][0], direction[i])
+    assert (distance <= MAX_DISTANCE).all()
+    for points in (tip[:2], state.tip, np.full((3, 1, 3), np.nan)):
+        with pytest.raises(InvalidValueError, match="points must be finite numbers of shape"):
+            state.distances_at(points)
 
 
 def test_rgb_and_rgbd_give_the_same_in_vector_and_single(bank: SceneBank) -> None:

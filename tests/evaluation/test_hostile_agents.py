@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -16,6 +17,7 @@ from typer.testing import CliRunner
 
 from greenhouse_gym.agents import Problem, WaypointAgent
 from greenhouse_gym.cli.main import app
+from greenhouse_gym.common.executors import processes
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.evaluation import Evaluation, compare, comparison_table, evaluate, leaderboard, retrace
 from greenhouse_gym.evaluation.entry import columns_of
@@ -109,6 +111,52 @@ def test_no_agent_ends_a_comparison(bank: SceneBank, fault: str, timeout: float 
     journal = RecordJournal(tmp_path / "records.jsonl", {})
     journal.add(0, late.records[0])
     assert RecordJournal(tmp_path / "records.jsonl", {}).records == {0: late.records[0]}
+
+
+class Forking(StillAgent):
+    """Forks in its second action."""
+
+    name = "forking"
+    steps = 0
+
+    def act(self, observation: Any) -> Any:
+        self.steps += 1
+        if self.steps == 2:
+            os.fork()
+        return super().act(observation)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+@pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork")
+@pytest.mark.parametrize("timeout", [None, 60.0])
+def test_only_one_process_goes_on_if_an_agent_forks(bank: SceneBank, timeout: float | None) -> None:
+    process, (ours, theirs) = os.getpid(), os.pipe()
+    evaluation = evaluate(Forking(), episodes=2, bank=bank, timeout=timeout, step_limit=4)
+    os.write(theirs, b"x")
+    if os.getpid() != process:
+        os._exit(0)
+    assert [record.failure for record in evaluation.records] == ["", ""]
+    assert os.wait()[1]  # the copy has ended
+    assert os.read(ours, 2) == b"x"
+    os.close(ours)
+    os.close(theirs)
+
+
+class Ending(StillAgent):
+    """Ends its process."""
+
+    name = "ending"
+
+    def act(self, observation: Any) -> Any:
+        os._exit(7)
+
+
+@pytest.mark.slow
+def test_an_agent_that_ends_its_process_ends_no_comparison_in_processes(bank: SceneBank) -> None:
+    with processes(2) as executor:
+        ending, still = compare([Ending(), StillAgent()], episodes=4, bank=bank, step_limit=4, executor=executor)
+    assert "a worker process ended" in ending.error
+    assert [record.failure for record in still.records] == [""] * 4
 
 
 def test_ctrl_c_still_ends_it(bank: SceneBank) -> None:

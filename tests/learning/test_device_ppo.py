@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.learning import DevicePpoSettings, train_ppo_on_device
 from greenhouse_gym.learning.device_ppo import DevicePpo
 from greenhouse_gym.learning.training_files import CURVE, read_curve
+from greenhouse_gym.scene import SceneBank
 
 SMALL = DevicePpoSettings(
     bank="mini", num_envs=32, rollout_steps=16, minibatches=4, epochs=2, total_steps=2048, hidden=(32, 32)
@@ -47,3 +50,13 @@ def test_interrupted_training_leaves_a_policy(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         train_ppo_on_device(SMALL, tmp_path / "run", on_progress=stop)
     assert PolicyAgent.load(tmp_path / "run" / "policy").policy.training["algorithm"] == "PPO on a device"
+
+
+def test_sizes_follow_the_device_and_sources_choose_the_rows():
+    assert (DevicePpoSettings().num_envs, DevicePpoSettings().rollout_steps) == (256, 64)
+    assert (DevicePpoSettings(device="cuda").num_envs, DevicePpoSettings(device="cuda").rollout_steps) == (4096, 24)
+    assert DevicePpoSettings(num_envs=32).num_envs == 32
+    training = DevicePpo(replace(SMALL, sources=("own",), action="tip_velocity"))
+    bank = training.env.simulation.sampler.bank
+    assert {entry.source for entry in bank.manifest.scenes} == {"own"}
+    assert training.policy().training["bank_sha256"] == SceneBank.open("mini").sha256

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import copy
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -12,10 +13,11 @@ pytest.importorskip("stable_baselines3")
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.vec_env import VecNormalize
 
-from greenhouse_gym.agents import Agent, Problem
+from greenhouse_gym.agents import Agent, PolicyAgent, Problem
 from greenhouse_gym.envs import GreenhouseEnv
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.evaluation import evaluate
+from greenhouse_gym.learning.policies import save_policy
 from greenhouse_gym.learning.sb3 import Sb3Agent, make_sb3_vec_env
 from greenhouse_gym.scene import SceneBank
 
@@ -49,6 +51,46 @@ def test_episodes_end_with_everything_stable_baselines_reads(bank: SceneBank) ->
     assert infos[0]["episode"] == pytest.approx({"r": total, "l": 200, "t": infos[0]["episode"]["t"]}, abs=1e-3)
     np.testing.assert_array_equal(observations[0], single.reset()[0])
     assert ended > 5
+
+
+def test_warp_ends_episodes_as_mujoco_does(bank: SceneBank) -> None:
+    pytest.importorskip("warp")
+    envs = [make_sb3_vec_env(3, bank=bank, backend=backend, action="joint") for backend in ("warp", "mujoco")]
+    warp, mujoco = envs
+    names = warp.get_attr("scene_names")[0]
+    warp.seed(1)
+    first = warp.reset()
+    mujoco.set_options(
+        [{"scene": names[info["scene"]], "target": info["target"]} for info in warp.venv.reset_infos]
+    )  # the same episodes, since the backends draw others
+    np.testing.assert_allclose(first, mujoco.reset(), atol=1e-4)
+    actions = np.zeros((3, 6), dtype=np.float32)
+    actions[1:, 1] = 1.0  # the first stands still until truncated, the others fall into the plants
+    running = np.ones(3, dtype=np.bool_)
+    for _ in range(200):
+        steps = [env.step(actions) for env in envs]
+        assert (steps[0][2][running] == steps[1][2][running]).all()
+        for i in np.flatnonzero(running & steps[0][2]):
+            one, other = (step[3][i] for step in steps)
+            accuracy = 0.2 if one["collision"] else 1e-3  # contacts push the arm in MuJoCo alone
+            if not one["collision"]:
+                np.testing.assert_allclose(one["terminal_observation"], other["terminal_observation"], atol=1e-4)
+            assert one["episode_terms"] == pytest.approx(other["episode_terms"], abs=accuracy)
+            assert one["reward_terms"] == pytest.approx(other["reward_terms"], abs=accuracy)
+            for key in ("TimeLimit.truncated", "is_success", "collision", "steps"):
+                assert one[key] == other[key]
+        running &= ~steps[0][2]
+    assert not running.any()
+
+
+def test_a_model_of_warp_becomes_a_policy(bank: SceneBank, tmp_path: Path) -> None:
+    pytest.importorskip("warp")
+    env = make_sb3_vec_env(4, bank=bank, backend="warp", action="tip_velocity", seed=0)
+    model = PPO("MlpPolicy", env, n_steps=4, batch_size=16, n_epochs=1, seed=0).learn(16)
+    agents = [PolicyAgent.load(save_policy(model, tmp_path / "policy")), Sb3Agent(model)]
+    assert all(agent.env_options["action"] == "tip_velocity" for agent in agents)
+    one, other = (evaluate(agent, episodes=2, bank=bank, progress=False) for agent in agents)
+    assert [record.steps for record in one.records] == [record.steps for record in other.records]
 
 
 def test_seeding_again_repeats_the_episodes(bank: SceneBank) -> None:

@@ -29,7 +29,8 @@ START = get_robot("ur5e").start
 def test_planned_paths_are_free_in_the_simulator(scene: Scene, planner: str) -> None:
     if planner not in PLANNERS:
         pytest.skip(f"this OMPL has no {planner}")
-    result = plan(scene, 0, planner=planner, time_limit=20.0, max_checks=30_000)
+    lazy = planner == "AITstar"  # checks so little that only the time limit would end it
+    result = plan(scene, 0, planner=planner, time_limit=20.0, max_checks=30_000, first_solution=lazy)
     assert result.status == "solved"
     assert result.path is not None
     assert np.array_equal(result.path[0], START)

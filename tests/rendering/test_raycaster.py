@@ -38,12 +38,13 @@ def test_what_is_left_out_is_not_seen(bank: SceneBank, robot: str, many: int, mo
             model, data, origin, directions.reshape(-1), None, True, -1, geom, expected, normals.reshape(-1),
             len(spread), 2.0,
         )  # fmt: skip
-        distance, arm_hit, rgba, normal = caster.cast(model, data.qpos, origin, directions, 2.0, surfaces=True)
+        distance, found, rgba, normal = caster.cast(model, data.qpos, origin, directions, 2.0, surfaces=True)
         there = expected >= 0
         np.testing.assert_array_equal(normal[there], normals[there])
         np.testing.assert_array_equal(rgba[there], model.geom_rgba[geom[there]])
         np.testing.assert_array_equal(distance, expected)
-        np.testing.assert_array_equal(arm_hit, (geom >= 0) & (model.geom_bodyid[geom] > 0))
+        np.testing.assert_array_equal(found, geom)
+        arm_hit = (geom >= 0) & (model.geom_bodyid[geom] > 0)
         hits, on_the_arm = hits + (distance >= 0).sum(), on_the_arm + arm_hit.sum()
     assert hits > 1000
     assert on_the_arm > 20

@@ -19,11 +19,12 @@ SMALL: dict[str, Any] = {"picture": Picture(96, 72), "split": "train", "step_lim
 
 
 def frames(path: Path) -> list[tuple[np.ndarray, float]]:
-    """The images of a GIF and the milliseconds that each stays."""
+    """The images of a GIF or WebP and the milliseconds that each stays."""
     with Image.open(path) as picture:
         found = []
         for k in range(picture.n_frames):
             picture.seek(k)
+            picture.load()
             found.append((np.asarray(picture.convert("RGB")), picture.info["duration"]))
     return found
 
@@ -49,9 +50,10 @@ def test_a_gif_is_one_and_holds_the_outcome_for_a_second(bank: SceneBank, tmp_pa
     assert sum(duration for _, duration in shown) == pytest.approx(2 * (4 * 50 + 1000))
 
 
-def test_images_per_second_leave_the_time_as_it_is(bank: SceneBank, tmp_path: Path) -> None:
-    film(StillAgent(), tmp_path / "still.gif", bank=bank, fps=10, **SMALL)
-    assert sum(duration for _, duration in frames(tmp_path / "still.gif")) == pytest.approx(2 * 100 + 1000)
+@pytest.mark.parametrize("name", ["still.gif", "still.webp"])
+def test_images_per_second_leave_the_time_as_it_is(name: str, bank: SceneBank, tmp_path: Path) -> None:
+    film(StillAgent(), tmp_path / name, bank=bank, fps=10, **SMALL)
+    assert sum(duration for _, duration in frames(tmp_path / name)) == pytest.approx(2 * 100 + 1000)
 
 
 def test_one_scene_and_one_target(bank: SceneBank, tmp_path: Path) -> None:

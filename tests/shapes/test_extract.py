@@ -347,8 +347,9 @@ def test_tomatoes_of_a_simulated_row_against_the_truth() -> None:
     assert_nothing_swallows(shapes, cloud.points)
     for tomato in shapes.tomatoes:
         assert isinstance(tomato.shape, Sphere)
-    again = extract_shapes(cloud.points, cloud.colors, cloud.normals)
-    assert [t.center.tolist() for t in again.tomatoes] == [t.center.tolist() for t in shapes.tomatoes]
+    part = np.abs(cloud.points[:, 1] - np.median(cloud.points[:, 1])) < 0.1
+    first, again = (extract_shapes(cloud.points[part], cloud.colors[part], cloud.normals[part]) for _ in range(2))
+    assert [t.center.tolist() for t in again.tomatoes] == [t.center.tolist() for t in first.tomatoes] != []
 
 
 def test_matching_is_one_to_one_within_a_radius() -> None:

@@ -23,6 +23,7 @@ from concurrent.futures import (
     wait,
 )
 from contextlib import contextmanager
+from functools import partial
 from itertools import islice
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
@@ -72,7 +73,7 @@ def completed(
             if not running:
                 return
             done, running = wait(running, return_when=FIRST_COMPLETED)
-            for future in done:
+            for future in sorted(done, key=_failed):  # what was finished is not lost with a worker
                 yield _result(future)
     finally:
         for future in running:
@@ -126,6 +127,10 @@ def _result(future: Future[Result]) -> Result:
         raise _lost(error) from error
 
 
+def _failed(future: Future[Any]) -> bool:
+    return future.cancelled() or future.exception() is not None
+
+
 def _lost(error: BaseException) -> WorkerLostError:
     return WorkerLostError(
         "a worker process ended before its task was done: killed, out of memory, crashed, or started by a "
@@ -133,13 +138,34 @@ def _lost(error: BaseException) -> WorkerLostError:
     )
 
 
+class _Processes(Executor):
+    """Pool of processes that is replaced once it has lost one."""
+
+    def __init__(self, count: int, lifeline: Connection[Any, Any]):
+        self._max_workers = count
+        self._make = partial(ProcessPoolExecutor, count, get_context("spawn"), _begin, (lifeline,))
+        self._pool = self._make()
+
+    def submit(self, fn: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:
+        """See `concurrent.futures.Executor.submit`."""
+        try:
+            return self._pool.submit(fn, *args, **kwargs)
+        except BrokenExecutor:
+            self._pool = self._make()
+            return self._pool.submit(fn, *args, **kwargs)
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """See `concurrent.futures.Executor.shutdown`."""
+        self._pool.shutdown(wait, cancel_futures=cancel_futures)
+
+
 @contextmanager
-def processes(count: int | None = None) -> Iterator[ProcessPoolExecutor]:
+def processes(count: int | None = None) -> Iterator[Executor]:
     """Provide a pool of new processes on this machine for the duration of a ``with`` block.
 
     The processes end with the block: at once if it ends by an error or an interruption, and also if the caller is
-    killed. Scripts that use it keep their commands below ``if __name__ == "__main__":``, since each process imports
-    them.
+    killed. If one dies, the work that was scheduled is lost, and later work gets new processes. Scripts that use it
+    keep their commands below ``if __name__ == "__main__":``, since each process imports them.
 
     Args:
         count: Number of processes; None for one per core.
@@ -153,10 +179,8 @@ def processes(count: int | None = None) -> Iterator[ProcessPoolExecutor]:
     count = usable_cores() if count is None else count
     if isinstance(count, bool) or not isinstance(count, Integral) or count < 1:
         raise InvalidValueError(f"the number of processes must be a whole number from 1 up, got {count!r}")
-    context = get_context("spawn")
-    count = int(count)
-    theirs, ours = context.Pipe(duplex=False)
-    with theirs, ours, ProcessPoolExecutor(count, context, _begin, (theirs,)) as executor:
+    theirs, ours = get_context("spawn").Pipe(duplex=False)
+    with theirs, ours, _Processes(int(count), theirs) as executor:
         try:
             yield executor
         except BaseException:

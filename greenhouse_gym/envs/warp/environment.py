@@ -44,7 +44,8 @@ class WarpVectorEnv(EnvMixin, VectorEnv[Any, Any, Any]):  # type: ignore[misc]
     Infos have the keys of `GreenhouseEnv` as arrays (n, ...), with a mask ``_key`` each. Names are indices: ``scene``
     into `scene_names`, ``difficulty`` into `RATINGS`, and ``contact`` (n, 2) holds an arm's part and its counterpart,
     which `contact_names` names. ``reward_terms`` holds arrays by name. Contacts are not counted by group. With
-    autoreset in the same step, ``final_obs`` and ``final_info`` hold arrays of all simulations as well.
+    autoreset in the same step, ``final_obs`` and ``final_info`` hold arrays of all simulations as well, with masks of
+    those whose episode has ended.
 
     Args:
         num_envs: Number of simulations.
@@ -178,7 +179,7 @@ class WarpVectorEnv(EnvMixin, VectorEnv[Any, Any, Any]):  # type: ignore[misc]
         wp.synchronize_device(self.simulation.device)
         state.ended.assign(waiting.astype(np.int32))
         self._began = True
-        return self._observation(self._observed), self._infos(self._info)
+        return self._observation(self._observed), self._infos(self._info, self._everyone)
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:  # type: ignore[override]
         """Apply an action in every simulation.
@@ -201,12 +202,14 @@ class WarpVectorEnv(EnvMixin, VectorEnv[Any, Any, Any]):  # type: ignore[misc]
                 wp.copy(self._final[key], array, stream=stream)
             simulation.launch(resets_only=True, stream=stream)
         terms = dict(zip(TERMS, self._array(out.terms).T, strict=True))
-        infos = self._infos(self._info) | {"reward_terms": terms, "_reward_terms": self._everyone}
+        infos = self._infos(self._info, self._everyone) | {"reward_terms": terms, "_reward_terms": self._everyone}
         if same_step:
             ended = self._array(out.ended)
+            final = {"reward_terms": terms, "_reward_terms": ended}
             infos |= {
+                "_reward_terms": ~ended,  # the others have the info of a reset
                 "final_obs": self._observation({key: self._final[key] for key in self._observed}), "_final_obs": ended,
-                "final_info": self._infos({key: self._final[key] for key in self._info}) | {"reward_terms": terms},
+                "final_info": self._infos({key: self._final[key] for key in self._info}, ended) | final,
                 "_final_info": ended,
             }  # fmt: skip
         observation = self._observation(self._observed)
@@ -272,9 +275,9 @@ class WarpVectorEnv(EnvMixin, VectorEnv[Any, Any, Any]):  # type: ignore[misc]
         observed = {key: self._array(array) for key, array in arrays.items()}
         return observed.get("", observed)
 
-    def _infos(self, arrays: dict[str, Any]) -> dict[str, Any]:
+    def _infos(self, arrays: dict[str, Any], mask: Any) -> dict[str, Any]:
         infos = {key: self._array(array) for key, array in arrays.items()}
-        return infos | {f"_{key}": self._everyone for key in infos}
+        return infos | {f"_{key}": mask for key in infos}
 
 
 def _torch() -> Any:

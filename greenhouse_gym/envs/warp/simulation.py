@@ -201,6 +201,8 @@ def check_settings(settings: EnvSettings) -> None:
         raise unsupported("reward", settings.reward, "dense, sparse, a DenseReward or SparseReward")
     if settings.task != "reach":
         raise unsupported("task", settings.task, '"reach"')
+    if settings.plants != "rigid":
+        raise unsupported("plants", settings.plants, '"rigid"')
     if settings.randomization != NO_RANDOMIZATION:
         raise unsupported("randomization", settings.randomization, "none")
 

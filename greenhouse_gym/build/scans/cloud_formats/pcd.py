@@ -108,9 +108,12 @@ def _compressed(path: Path, file: IO[bytes], header: _Header) -> Callable[[int],
             path,
             f"cut short or damaged: {len(content)} of {packed} bytes, for {size} unpacked ones; expected {expected}",
         )
-    data = _unpacked(content, size)
-    if len(data) != size:
-        raise FileFormatError(path, f"damaged: unpacked it has {len(data)} bytes; expected {size}")
+    from greenhouse_gym.build.scans.cloud_formats.lzf_kernel import unpack
+
+    data = np.empty(size, dtype=np.uint8)
+    if (filled := unpack(np.frombuffer(content, dtype=np.uint8), data)) != size:
+        end = "it cannot be unpacked" if filled < 0 else f"unpacked it has {filled} bytes"
+        raise FileFormatError(path, f"damaged: {end}; expected {size}")
     starts = np.cumsum([0, *(field.size * header.points for field in header.fields)])
 
     def column(k: int) -> npt.NDArray[Any]:
@@ -119,35 +122,3 @@ def _compressed(path: Path, file: IO[bytes], header: _Header) -> Callable[[int],
         return values.reshape(-1, field.length)[:: every(header.points), 0]
 
     return column
-
-
-def _unpacked(packed: bytes, size: int) -> bytearray:
-    """Return the content of a block that LZF packed; one that is damaged ends early or exceeds ``size``.
-
-    The block is a sequence of literal bytes, and of repetitions of bytes at a distance of up to 8 KiB.
-    """
-    result, at = bytearray(), 0
-    try:
-        while at < len(packed):
-            control = packed[at]
-            at += 1
-            if control < 32:
-                stop = at + control + 1
-                result += packed[at:stop]
-                at = stop
-                continue
-            length = (control >> 5) + 2
-            if length == 9:
-                if len(result) > size:
-                    break
-                length += packed[at]
-                at += 1
-            start = len(result) - ((control & 31) << 8) - packed[at] - 1
-            at += 1
-            if start < 0:
-                break
-            again = result[start : start + length]
-            result += again if len(again) == length else (again * length)[:length]
-    except IndexError:  # the block ends within a repetition
-        pass
-    return result

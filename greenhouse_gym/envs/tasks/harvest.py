@@ -1,0 +1,242 @@
+"""Task `harvest`: pick ripe tomatoes and put them into a crate. It is the task of ``TomatoHarvest-v0``."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any, ClassVar
+
+import numpy as np
+
+from greenhouse_gym.envs.episodes import Episode, EpisodeSampler
+from greenhouse_gym.envs.features import FEATURES, MAX_OFFSET, Feature
+from greenhouse_gym.envs.rewards import Reward, Transition
+from greenhouse_gym.envs.state import Bools, State, lengths
+from greenhouse_gym.envs.task import TARGET_FEATURES, Outcome, Task
+from greenhouse_gym.errors import InvalidValueError, require_choice
+from greenhouse_gym.geometry import Array
+from greenhouse_gym.plants.layout import ATTACHED, Layout
+from greenhouse_gym.plants.mechanics import PlantMechanics
+from greenhouse_gym.scene import Scene
+
+RIPE = 0.6
+"""Ripeness from which a tomato is picked."""
+
+MATCHED = 0.02
+"""Maximum distance of a reconstructed tomato from the true one that it stands for, metres."""
+
+MAX_FORCE = 50.0
+"""Bound of observed forces along each axis, N."""
+
+_DRAWS = 256  # draws of an episode until one fits into the slots
+
+SIZES: Mapping[str, Layout] = MappingProxyType(
+    {"pick": Layout(1, 8, 8), "truss": Layout(1, 20, 8), "stand": Layout(4, 6, 8)}
+)
+"""Sizes of the task with their slots: one fruit, all ripe fruit of a truss, those of up to four trusses."""
+
+STEP_LIMITS: Mapping[str, int] = MappingProxyType({"pick": 400, "truss": 4000, "stand": 6000})
+"""Steps after which an episode of each size is truncated: 20, 200 and 300 s."""
+
+COUNTED = ("detached", "crated", "dropped", "knocked", "damaged")
+"""Counts of an episode, see `greenhouse_gym.envs.state.PLANTS`."""
+
+
+@dataclass(frozen=True)
+class HarvestReward:
+    """Reward of a harvest.
+
+    Attributes:
+        crated: Reward for each fruit that comes to rest in the crate.
+        detached: Reward for each fruit to be picked that comes off in the cup.
+        dropped: Reward for each fruit that came off in the cup and was lost.
+        knocked: Reward for each fruit that came off otherwise.
+        damage: Reward for each organ that is damaged.
+        collision: Reward for an episode that a contact or too much damage ends.
+        progress: Reward per metre of progress of the fruit in work, from the tip to it and with it to the crate.
+        time: Reward per step.
+    """
+
+    crated: float = 10.0
+    detached: float = 2.0
+    dropped: float = -5.0
+    knocked: float = -5.0
+    damage: float = -2.0
+    collision: float = -5.0
+    progress: float = 2.0
+    time: float = -0.01
+
+    def __call__(self, step: Transition) -> dict[str, Array]:
+        """Return the terms of n steps."""
+        start, end = step.start, step.end
+        same = start.plants["work"] == end.plants["work"]
+        return {
+            "crated": self.crated * end.plants["crated"],
+            "detached": self.detached * end.plants["detached"],
+            "dropped": self.dropped * end.plants["dropped"],
+            "knocked": self.knocked * end.plants["knocked"],
+            "damage": self.damage * end.plants["damaged"],
+            "collision": np.where(end.failure, self.collision, 0.0),
+            "progress": np.where(same, self.progress * (step.before - step.after), 0.0),
+            "time": np.full(len(step.after), self.time),
+        }
+
+
+def _bounds(*pairs: tuple[float, float]) -> tuple[Array, Array]:
+    low, high = np.array(pairs).T
+    return low, high
+
+
+HARVEST_FEATURES: Mapping[str, Feature] = MappingProxyType(
+    {
+        **{name: FEATURES[name] for name in TARGET_FEATURES},
+        "gripper": Feature(
+            lambda s: np.stack([s.plants["held"], s.plants["vacuum"]], axis=1), lambda r: _bounds((0, 1), (0, 1))
+        ),
+        "wrist_force": Feature(lambda s: s.plants["force"], lambda r: _bounds(*[(-MAX_FORCE, MAX_FORCE)] * 3)),
+        "fruit": Feature(
+            lambda s: np.stack([s.plants["radius"], s.plants["left"]], axis=1), lambda r: _bounds((0, 0.2), (0, 100))
+        ),
+        "crate_offset": Feature(
+            lambda s: s.plants["crate"] - s.tip, lambda r: _bounds(*[(-MAX_OFFSET, MAX_OFFSET)] * 3)
+        ),
+    }
+)
+"""Features of the task: the fruit in work, the gripper, the force of the held fruit and the crate."""
+
+
+@dataclass(frozen=True)
+class TomatoHarvest(Task):
+    """Pick the ripe tomatoes of a size of task and put them into the crate.
+
+    Plants give way, fruit comes off when it is pulled and bent, and falls when the cup lets go. The task needs
+    ``plants="compliant"`` and ``physics="truth"``.
+
+    **Action.** As the setting ``action`` moves the arm, and a last entry for the vacuum: on above 0. With vacuum, the
+    cup holds a fruit that it touches, up to a force of 18 N.
+
+    **Success.** All fruit to be picked lie in the crate. An episode also ends, without success, when none of them is
+    left to pick, when more than ``max_damage`` organs are damaged, when the arm touches itself or a fixture (floor,
+    cart, crate, pipes and strings), and at the step limit.
+
+    **Reward.** The terms of `HarvestReward`, in ``info["reward_terms"]``; ``sparse`` has ``crated`` alone.
+
+    Attributes:
+        size: "pick" (one fruit), "truss" (all ripe fruit of its truss) or "stand" (the ripe fruit within reach of the
+            ripest trusses, as many as have a slot).
+        ripe: Ripeness from which a fruit is picked.
+        max_damage: Number of damaged organs that an episode survives.
+        layout: Slots for compliant plants, and the crate; None for those of the size.
+        mechanics: Mechanics of the plants.
+    """
+
+    ends_on: ClassVar[Collection[str]] = ("fixture", "self")
+    features: ClassVar[Mapping[str, Feature]] = HARVEST_FEATURES
+    rewards: ClassVar[Mapping[str, Reward]] = MappingProxyType(
+        {
+            "dense": HarvestReward(),
+            "sparse": HarvestReward(detached=0, dropped=0, knocked=0, damage=0, collision=0, progress=0, time=0),
+        }
+    )
+    memory: ClassVar[Mapping[str, float]] = MappingProxyType(dict.fromkeys(("wanted", *COUNTED), 0.0))
+
+    controls: ClassVar[tuple[str, ...]] = ("vacuum",)  # type: ignore[misc]
+
+    size: str = "pick"
+    ripe: float = RIPE
+    max_damage: int = 3
+    layout: Layout | None = None
+    mechanics: PlantMechanics = field(default=PlantMechanics())
+
+    def __post_init__(self) -> None:
+        require_choice("size", self.size, SIZES)
+        if self.layout is None:
+            object.__setattr__(self, "layout", SIZES[self.size])
+
+    def holds(self, controls: Array) -> Bools:
+        """Return (n,) where the vacuum is on."""
+        return np.asarray(controls[:, 0] > 0)
+
+    def sample(self, sampler: EpisodeSampler, rng: np.random.Generator, options: Mapping[str, Any] | None) -> Episode:
+        """Draw a scene and the fruit to be picked; reset options may fix the scene and one of the fruit.
+
+        Raises:
+            InvalidValueError: No episode fits: no true ripe fruit is where the scan shows one, or they do not fit into
+                the slots.
+        """
+        problem = ""
+        for _ in range(_DRAWS):
+            episode = sampler.draw(rng, options)
+            fruit, problem = self._fruit(episode, sampler)
+            if not problem:
+                return replace(episode, fruit=fruit)
+        raise InvalidValueError(f"no episode of size {self.size!r} in {_DRAWS} draws; the last: {problem}")
+
+    def _fruit(self, episode: Episode, sampler: EpisodeSampler) -> tuple[tuple[int, ...], str]:
+        """Return the fruit of an episode among those of the scene's truth, or why there are none."""
+        scene = episode.scene
+        ripe = ripe_targets(scene, self.ripe)
+        anchor = ripe.get(episode.targets[0])
+        if anchor is None:
+            where = f"scene {scene.name!r}, tomato {episode.targets[0]}"
+            return (
+                (),
+                f"{where} is not ripe (from {self.ripe}) in the truth, or not within {1000 * MATCHED:.0f} mm of it",
+            )
+        if self.size == "pick":
+            return (anchor,), ""
+        assert self.layout is not None
+        assert scene.truth is not None
+        tomatoes = scene.truth.tomatoes
+        if self.size == "truss":
+            chosen = [tomatoes[anchor].truss]
+            fruit = [k for k, t in enumerate(tomatoes) if t.truss in chosen and (t.ripeness or 0) >= self.ripe]
+        else:
+            reachable = set(sampler.targets(scene))
+            within = [k for tomato, k in ripe.items() if tomato in reachable]
+            trusses = Counter(tomatoes[k].truss for k in within)
+            chosen = [truss for truss, count in trusses.most_common() if count <= self.layout.fruit]
+            chosen = chosen[: self.layout.trusses]
+            fruit = sorted(k for k in within if tomatoes[k].truss in chosen)
+        largest = max((sum(t.truss == truss for t in tomatoes) for truss in chosen), default=0)
+        most = max((sum(tomatoes[k].truss == truss for k in fruit) for truss in chosen), default=0)
+        if not fruit or most > self.layout.fruit or largest > self.layout.fruit + ATTACHED:
+            return (), (
+                f"scene {scene.name!r}: trusses with {most} ripe of {largest} fruit do not fit into slots of "
+                f"{self.layout.fruit}; choose another scene, another size or a larger layout"
+            )
+        return tuple(fruit), ""
+
+    def evaluate(self, state: State) -> Outcome:
+        """Return the outcome of n simulations."""
+        plants = state.plants
+        memory = {name: state.memory[name] + plants[name] for name in COUNTED}
+        success = memory["crated"] >= plants["wanted"]
+        failure = state.collided | (memory["damaged"] > self.max_damage) | ((plants["left"] == 0) & ~success)
+        held = plants["held"] > 0
+        to_crate = lengths(plants["crate"] - plants["fruit"])
+        distance = np.where(held, 0.0, lengths(plants["fruit"] - state.tip)) + to_crate
+        return Outcome(distance, success & ~failure, failure, memory=memory | {"wanted": plants["wanted"]})
+
+
+def ripe_targets(scene: Scene, ripe: float) -> dict[int, int]:
+    """Return the ripe fruit of a scene's truth by the reconstructed tomatoes that stand for them.
+
+    Raises:
+        InvalidValueError: The scene carries no truth.
+    """
+    if scene.truth is None or not scene.truth.tomatoes:
+        raise InvalidValueError(
+            f"scene {scene.name!r} carries no truth, which a harvest needs: fruit comes off true plants; use a scene "
+            "built from simulated recordings"
+        )
+    centers = np.array([tomato.center for tomato in scene.truth.tomatoes])
+    result: dict[int, int] = {}
+    for k, tomato in enumerate(scene.tomatoes):
+        apart = lengths(centers - tomato.center)
+        nearest = int(apart.argmin())
+        if apart[nearest] <= MATCHED and (scene.truth.tomatoes[nearest].ripeness or 0.0) >= ripe:
+            result[k] = nearest
+    return result

@@ -1,0 +1,104 @@
+"""Scenes without end: a bank whose training scenes are composed when they are first used."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from greenhouse_gym.errors import InvalidValueError, check_whole, require_seed
+from greenhouse_gym.motion.collision import CollisionChecker, planning_model
+from greenhouse_gym.planning.certify import certify_targets
+from greenhouse_gym.robots import Robot, get_robot
+from greenhouse_gym.scene import Scene, SceneBank, compile_scene
+from greenhouse_gym.scene.composition import composed_scene, plants_of
+from greenhouse_gym.scene.manifest import SceneEntry, make_manifest
+
+SPLIT = "train"
+"""Split of the scenes of a `ComposedBank`, and of the scenes that give their plants."""
+
+_ATTEMPTS = 100
+
+
+class ComposedBank(SceneBank):
+    """Training scenes composed of the plants of a bank's training scenes, about a second of computing each.
+
+    Scene i depends on the bank, the seed and i alone. Its row is new (`greenhouse_gym.scene.composition`), its targets
+    are rated by `certify_targets`, and the arm's starts are free. Pass it as ``bank=``: an environment of the MuJoCo
+    backend draws from a few scenes at a time and composes the next one when it needs it. The Warp backend composes all
+    of them first, so give it a bank of some hundreds, or write them with ``greenhouse-gym bank compose``.
+
+    Args:
+        source: Bank that gives the plants: name, folder or `SceneBank`, for example a selection.
+        count: Number of scenes.
+        seed: Seed.
+        robot: The arm.
+        targets: Number of tomatoes to rate in each scene.
+
+    Raises:
+        InvalidValueError: The bank has no training scene with a complete plant.
+    """
+
+    def __init__(
+        self,
+        source: str | Path | SceneBank = "default",
+        count: int = 10_000,
+        seed: int = 0,
+        robot: str | Path | Robot = "ur5e",
+        targets: int = 10,
+    ):
+        self._source, self._robot = SceneBank.open(source), get_robot(robot)
+        self._seed, self._targets = require_seed(seed), check_whole("targets", targets, 1)
+        count = check_whole("count", count, 1)
+        donors: dict[tuple[str | None, str | None], list[str]] = {}
+        for entry in self._source.manifest.scenes:
+            if entry.split == SPLIT and plants_of(self._source.scene(entry.name)):
+                donors.setdefault((entry.source, entry.style), []).append(entry.name)
+        if not donors:
+            raise InvalidValueError(f"bank {self._source.path} has no training scene with a complete plant")
+        self._donors = donors
+        self._bases = sorted(name for names in donors.values() for name in names)
+        self._largest = max(self._source.scene(name).count for name in self._bases)
+        name = f"{self._source.manifest.name}-composed"
+        entries = (f"{name}-{self._seed}-{i:06}" for i in range(count))
+        described = f"Composed with seed {self._seed} of {self._source.manifest.name}, {self._source.sha256}."
+        manifest = make_manifest(
+            name,
+            described,
+            tuple(SceneEntry(e, "", "", e, None, SPLIT, self._largest) for e in entries),
+            self._source.path,
+        )
+        super().__init__(self._source.path, manifest)
+
+    def __reduce__(self) -> tuple[Callable[..., ComposedBank], tuple[Any, ...]]:
+        return ComposedBank, (self._source, len(self), self._seed, self._robot, self._targets)
+
+    def _read(self, entry: SceneEntry) -> Scene:
+        """Compose a scene.
+
+        Raises:
+            InvalidValueError: No attempt gave a stand in which the arm starts free and reaches a tomato.
+        """
+        rng = np.random.default_rng([self._seed, int(entry.name.rpartition("-")[2])])
+        for _ in range(_ATTEMPTS):
+            base = self._source.scene(self._bases[int(rng.integers(len(self._bases)))])
+            names = self._donors[base.provenance.source, base.provenance.style]
+
+            def draw(names: list[str] = names) -> Scene:
+                return self._source.scene(names[int(rng.integers(len(names)))])
+
+            scene = composed_scene(base, draw, rng, entry.name)
+            if not scene.tomatoes or scene.count > self._largest or not _starts_free(scene, self._robot):
+                continue
+            targets = certify_targets(scene, self._robot, max_targets=self._targets)
+            if any(target.witness for target in targets):
+                return scene.model_copy(update={"targets": targets})
+        raise InvalidValueError(f"{entry.name}: the arm {self._robot.name} starts free in none of {_ATTEMPTS} stands")
+
+
+def _starts_free(scene: Scene, robot: Robot) -> bool:
+    """Return whether the arm touches nothing at its start and at the start of ratings."""
+    checker = CollisionChecker(planning_model(compile_scene(scene, robot), 0))
+    return not any(checker.contacts(start) for start in (robot.start, robot.rating_start))

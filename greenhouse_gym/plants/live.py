@@ -1,0 +1,277 @@
+"""Plants of one running simulation: what the arm does to them in an action, and what becomes of each fruit."""
+
+from __future__ import annotations
+
+import copy
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from greenhouse_gym.geometry import Array
+from greenhouse_gym.plants.detachment import (
+    detach,
+    first_geom,
+    held_force,
+    let_go,
+    load_of,
+    park,
+    settle,
+    stress,
+    weld,
+)
+from greenhouse_gym.plants.layout import Crate, Layout
+from greenhouse_gym.plants.slots import Planted
+
+EMPTY, HANGING, LOOSE, CRATED, LOST = -1, 0, 1, 2, 3
+"""States of a fruit: no fruit in the slot, on its truss, off it and on the move, at rest in the crate, at rest or on
+the floor elsewhere."""
+
+SEAL_GAP, SEAL_ANGLE = 0.005, 0.7
+"""Maximum gap between cup and skin, metres, and angle between tool and skin normal, radians, to suck a fruit."""
+
+REST_SPEED = 0.05
+"""Speed of a fruit at rest, m/s."""
+
+FLOOR_HEIGHT = 0.02
+"""Gap to the floor below which a fruit has been dropped, metres."""
+
+
+class Felt(NamedTuple):
+    """Events among the plants of a simulation in an action.
+
+    Attributes:
+        force: (3,) mean force of the held fruit on the cup, N, in the scene.
+        detached: Number of fruit to be picked that came off in the cup.
+        knocked: Number of fruit that came off otherwise.
+        crated: Number of fruit to be picked that came to rest in the crate.
+        dropped: Number of fruit that came off in the cup and were lost.
+        damaged: Number of organs damaged for the first time.
+    """
+
+    force: Array
+    detached: int = 0
+    knocked: int = 0
+    crated: int = 0
+    dropped: int = 0
+    damaged: int = 0
+
+
+class LivePlants:
+    """Plants of one simulation.
+
+    Args:
+        model: The simulation's own model.
+        data: Its state.
+        scratch: Further data of a model of this layout.
+        planted: Organs in the slots.
+        layout: The layout.
+
+    Attributes:
+        state: (fruit,) state of each fruit in a slot.
+        held: Index of the fruit in the cup, or -1.
+    """
+
+    def __init__(
+        self, model: mujoco.MjModel, data: mujoco.MjData, scratch: mujoco.MjData, planted: Planted, layout: Layout
+    ):
+        self.model, self.data, self._scratch = model, data, scratch
+        self.planted, self._layout, self._ids = planted, layout, planted.ids
+        self.state = np.where(planted.fruit.ravel() >= 0, HANGING, EMPTY)
+        self.wanted = planted.wanted.ravel()
+        self.held = -1
+        self._bodies = planted.ids.fruit.ravel()
+        self._loose_of = np.full(layout.loose, -1)
+        self._by_cup = np.zeros(len(self.state), dtype=np.bool_)
+        self._settled = 0
+        self._damaged: set[int] = set()
+        self._press: dict[int, float] = {}
+        self._pull, self._force, self._substeps = np.zeros(len(self.state)), np.zeros(3), 0
+        axes = model.geom_pos[[first_geom(model, body) for body in self._bodies]]
+        norms = np.linalg.norm(axes, axis=1, keepdims=True)
+        self._axes = np.where(norms > 0, axes / np.maximum(norms, 1e-9), [0.0, 0.0, -1.0])
+        self._organs = [*planted.ids.truss, *planted.ids.leaf]
+        self._hinges = np.array([model.jnt_qposadr[model.body_jntadr[body]] for body in self._organs])
+        limits = [planted.mechanics.truss_bend_limit] * len(planted.ids.truss)
+        self._limits = np.array(limits + [planted.mechanics.leaf_bend_limit] * len(planted.ids.leaf))
+
+    def twin(self, model: mujoco.MjModel, data: mujoco.MjData) -> LivePlants:
+        """Return a copy for a copied model and state."""
+        other = copy.copy(self)
+        other.model, other.data = model, data
+        for name in ("state", "_loose_of", "_by_cup", "_damaged", "_press", "_pull", "_force"):
+            setattr(other, name, copy.copy(getattr(self, name)))
+        return other
+
+    def suck(self, on: bool) -> None:
+        """Switch the vacuum on, which holds the fruit at the cup if there is one, or off, which lets go."""
+        if on and self.held < 0:
+            self._catch()
+        elif not on and self.held >= 0:
+            self._release()
+
+    def after_step(self, pressed: dict[int, float]) -> None:
+        """Record what a physics step did.
+
+        Args:
+            pressed: Forces of the arm on other things, N, by geom.
+        """
+        self._substeps += 1
+        for geom, force in pressed.items():
+            self._press[geom] = self._press.get(geom, 0.0) + force
+        if self.data.ntree_awake > 1:
+            mujoco.mj_rnePostConstraint(self.model, self.data)
+            pull, _ = stress(self.model, self.data, self._bodies, self._axes)
+            self._pull += pull
+        if self.held >= 0:
+            self._force += held_force(self.data, self._ids)
+
+    def finish_action(self) -> Felt:
+        """Decide what came off, came to rest or was damaged, with current kinematics."""
+        steps, force = max(self._substeps, 1), self._force / max(self._substeps, 1)
+        detached, knocked = self._part(self._pull / steps)
+        if self.held >= 0 and np.linalg.norm(force) > self.planted.mechanics.cup_limit:
+            self._release()
+        crated, dropped = self._follow_loose()
+        damaged = self._damage(steps)
+        self._pull[:], self._substeps, self._press = 0.0, 0, {}
+        self._force = np.zeros(3)
+        return Felt(force, detached, knocked, crated, dropped, damaged)
+
+    def vacuum(self, force: Array) -> float:
+        """Return the reading of the vacuum: 1 at rest on a fruit, down to 0 at the cup's limit; 0 without one."""
+        limit = self.planted.mechanics.cup_limit
+        return 0.0 if self.held < 0 else max(0.0, 1.0 - float(np.linalg.norm(force)) / limit)
+
+    @property
+    def crate(self) -> Crate:
+        """The crate."""
+        return self._layout.crate
+
+    @property
+    def left(self) -> int:
+        """Number of fruit to be picked that are neither in the crate nor lost."""
+        return int(np.count_nonzero(self.wanted & ((self.state == HANGING) | (self.state == LOOSE))))
+
+    def body_of(self, fruit: int) -> int:
+        """Return the body of a fruit that is not at rest."""
+        loose = np.flatnonzero(self._loose_of == fruit)
+        return int(self._ids.loose[loose[0]]) if len(loose) else int(self._bodies[fruit])
+
+    def center(self, fruit: int) -> Array:
+        """Return the middle (3,) of a fruit that is not at rest, metres."""
+        return self.data.geom_xpos[first_geom(self.model, self.body_of(fruit))].copy()
+
+    def radius(self, fruit: int) -> float:
+        """Return the radius of the sphere of the same volume as a fruit, metres."""
+        geom = first_geom(self.model, int(self._bodies[fruit]))
+        size = self.model.geom_size[geom]
+        ellipsoid = self.model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_ELLIPSOID
+        return float(np.cbrt(size.prod()) if ellipsoid else size[0])
+
+    def in_work(self, tip: Array) -> int:
+        """Return the held fruit, or the fruit to be picked that hangs nearest to the tip (3,); -1 if there is none."""
+        if self.held >= 0:
+            return self.held
+        left = np.flatnonzero(self.wanted & (self.state == HANGING))
+        if not len(left):
+            return -1
+        geoms = self.model.body_geomadr[self._bodies[left]]
+        offsets = self.data.geom_xpos[geoms] - tip
+        return int(left[(offsets * offsets).sum(axis=1).argmin()])
+
+    def _catch(self) -> None:
+        """Hold the nearest fruit that the cup seals on."""
+        model, data = self.model, self.data
+        site = data.site("tip")
+        tip, axis = site.xpos, site.xmat.reshape(3, 3)[:, 2]
+        best, found = SEAL_GAP, -1
+        for fruit in np.flatnonzero((self.state == HANGING) | (self.state == LOOSE)).tolist():
+            geom = first_geom(model, self.body_of(fruit))
+            apart = data.geom_xpos[geom] - tip
+            distance = float(np.linalg.norm(apart))
+            if distance > model.geom_rbound[geom] + SEAL_GAP or axis @ apart < np.cos(SEAL_ANGLE) * distance:
+                continue
+            gap = mujoco.mj_geomDistance(model, data, self._cup_geom, geom, 2 * SEAL_GAP, None)
+            if gap < best:
+                best, found = gap, fruit
+        if found >= 0:
+            self.held = found
+            weld(model, data, self._ids, self.body_of(found))
+
+    @property
+    def _cup_geom(self) -> int:
+        """Geom at the tip, in the order of this model."""
+        world = int(self.model.body_geomnum[0])
+        return (self._ids.cup_geom - world) % self.model.ngeom if self.model.body_geomadr[0] else self._ids.cup_geom
+
+    def _release(self) -> None:
+        let_go(self.model, self.data, self._ids)
+        self.held = -1
+
+    def _part(self, pull: Array) -> tuple[int, int]:
+        """Take off the fruit whose pedicels part; return how many the cup held, and how many it did not."""
+        _, bend = stress(self.model, self.data, self._bodies, self._axes)
+        parting = (load_of(pull, bend, self.planted.mechanics) >= 1) & (self.state == HANGING)
+        detached = knocked = 0
+        for fruit in np.flatnonzero(parting).tolist():
+            free = np.flatnonzero(self._loose_of < 0)
+            if not len(free):
+                break  # it comes off when another one has come to rest
+            slot = int(free[0])
+            detach(
+                self.model, self.data, self._scratch, int(self._bodies[fruit]), int(self._ids.loose[slot]),
+                self.planted.mechanics.density,
+            )  # fmt: skip
+            self._loose_of[slot], self.state[fruit] = fruit, LOOSE
+            if fruit == self.held:
+                weld(self.model, self.data, self._ids, int(self._ids.loose[slot]))
+                self._by_cup[fruit] = True
+                detached += int(self.wanted[fruit])
+            else:
+                knocked += 1
+        return detached, knocked
+
+    def _follow_loose(self) -> tuple[int, int]:
+        """Park the fruit that have come to rest; return how many lie in the crate, and how many the arm dropped."""
+        model, data = self.model, self.data
+        crated = dropped = 0
+        for slot, fruit in enumerate(self._loose_of.tolist()):
+            if fruit < 0 or fruit == self.held:
+                continue
+            body = int(self._ids.loose[slot])
+            dof = int(model.jnt_dofadr[model.body_jntadr[body]])
+            geom = first_geom(model, body)
+            still = float(np.linalg.norm(data.qvel[dof : dof + 3])) < REST_SPEED
+            fallen = data.geom_xpos[geom, 2] - model.geom_size[geom].max() < FLOOR_HEIGHT
+            inside = self._in_crate(data.geom_xpos[geom])
+            if self.state[fruit] == LOOSE and ((still and not inside) or fallen):
+                self.state[fruit] = LOST
+                dropped += int(self._by_cup[fruit])
+            if still and inside and self.state[fruit] == LOOSE:
+                self.state[fruit] = CRATED
+                crated += int(self.wanted[fruit])
+            if still or data.geom_xpos[geom, 2] < -1:
+                if self._settled < self._layout.settled and still:
+                    boxes = len(self._layout.crate.boxes)
+                    settle(model, data, body, self._ids.crate, boxes + self._settled)
+                    self._settled += 1
+                else:
+                    park(model, data, body)
+                self._loose_of[slot] = -1
+        return crated, dropped
+
+    def _in_crate(self, point: Array) -> bool:
+        crate, half = self._ids.crate, np.array(self._layout.crate.half_extents)
+        local = self.data.xmat[crate].reshape(3, 3).T @ (point - self.data.xpos[crate])
+        return bool((np.abs(local[:2]) < half[:2]).all() and 0 < local[2] < 2 * half[2] + 0.03)
+
+    def _damage(self, steps: int) -> int:
+        """Return the number of organs that are damaged for the first time: bent or pressed too far."""
+        hinges = self.data.qpos[self._hinges[:, None] + [0, 1]]
+        bent = {-1 - int(k) for k in np.flatnonzero(np.sqrt((hinges * hinges).sum(axis=1)) > self._limits)}
+        limit = self.planted.mechanics.press_limit * steps
+        pressed = {geom for geom, force in self._press.items() if force > limit}
+        fresh = (bent | pressed) - self._damaged
+        self._damaged |= fresh
+        return len(fresh)

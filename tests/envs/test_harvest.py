@@ -1,0 +1,154 @@
+"""The task of harvesting: spaces, checkers, copies, equality of single and vector environments, and errors."""
+
+import copy
+import pickle
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from greenhouse_gym.agents import Problem
+from greenhouse_gym.agents.harvester import OracleHarvester
+from greenhouse_gym.envs import make_env, make_vec_env
+from greenhouse_gym.envs.tasks.harvest import COUNTED, SIZES, TomatoHarvest, ripe_targets
+from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.plants.layout import Crate, Layout
+from greenhouse_gym.scene import SceneBank, Shapes
+
+SCENE = "own-cluster-2000-w00-02"
+OPTIONS = {"bank": "mini", "task": "harvest", "plants": "compliant", "physics": "truth", "scene": SCENE}
+
+
+@pytest.fixture(scope="module")
+def env():
+    return make_env(**OPTIONS)
+
+
+def play(env, seed, agent=None, limit=400):
+    """Run an episode and return its observations, rewards and last info."""
+    agent = agent or OracleHarvester()
+    observation, info = env.reset(seed=seed)
+    agent.reset(Problem.of(env.simulation, 0, seed, agent))
+    observations, rewards, over = [observation], [], False
+    while not over and len(rewards) < limit:
+        observation, reward, terminated, truncated, info = env.step(agent.act(observation))
+        observations.append(observation)
+        rewards.append(reward)
+        over = terminated or truncated
+    return np.array(observations), np.array(rewards), info
+
+
+def test_gymnasium_makes_every_size_with_its_own_step_limit():
+    limits = []
+    for size in SIZES:
+        made = gymnasium.make("TomatoHarvest-v0", size=size, bank="mini")
+        limits.append(made.spec.max_episode_steps)
+        assert made.action_space.shape == (7,)
+        made.close()
+    assert limits == [400, 4000, 6000]
+
+
+def test_passes_the_checkers(env):
+    check_env(env, skip_render_check=True)
+
+
+def test_an_oracle_picks_a_fruit_into_the_crate(env):
+    _, rewards, info = play(env, 0)
+    assert info["is_success"]
+    assert (info["detached"], info["crated"], info["dropped"], info["knocked"]) == (1, 1, 0, 0)
+    assert rewards.sum() > 10
+
+
+def test_same_seed_gives_the_same_episode(env):
+    first, second = play(env, 3, limit=120), play(env, 3, limit=120)
+    np.testing.assert_array_equal(first[0], second[0])
+    np.testing.assert_array_equal(first[1], second[1])
+
+
+def test_vector_equals_single_bit_for_bit(env):
+    both = make_vec_env(2, **OPTIONS)
+    rng = np.random.default_rng(0)
+    actions = rng.uniform(-1, 1, (40, 2, 7)).astype(np.float32)
+    observations, _ = both.reset(seed=5)
+    trace = [observations]
+    for action in actions:
+        trace.append(both.step(action)[0])
+    for i in range(2):
+        alone, _ = env.reset(seed=5 + i)
+        np.testing.assert_array_equal(alone, trace[0][i])
+        for k, action in enumerate(actions):
+            alone, _, terminated, _, _ = env.step(action[i])
+            np.testing.assert_array_equal(alone, trace[k + 1][i])
+            if terminated:
+                break
+
+
+def test_a_copy_goes_on_independently_from_the_same_state(env):
+    agent = OracleHarvester()
+    observation, _ = env.reset(seed=0)
+    agent.reset(Problem.of(env.simulation, 0, 0, agent))
+    for _ in range(45):
+        observation, *_ = env.step(agent.act(observation))
+    twin = copy.deepcopy(env)
+    action = np.full(7, 0.3, dtype=np.float32)
+    ahead = [twin.step(action)[0] for _ in range(10)]
+    again = [env.step(action)[0] for _ in range(10)]
+    np.testing.assert_array_equal(ahead, again)
+
+
+def test_a_pickled_environment_begins_the_same_episodes(env):
+    other = pickle.loads(pickle.dumps(env))
+    np.testing.assert_array_equal(env.reset(seed=2)[0], other.reset(seed=2)[0])
+
+
+def test_counts_and_reward_terms_are_named(env):
+    env.reset(seed=0)
+    *_, info = env.step(np.zeros(7))
+    assert set(COUNTED) | {"wanted"} <= info.keys()
+    assert list(info["reward_terms"]) == [
+        "crated", "detached", "dropped", "knocked", "damage", "collision", "progress", "time",
+    ]  # fmt: skip
+
+
+def test_rigid_plants_are_refused():
+    with pytest.raises(InvalidValueError, match='needs plants="compliant"'):
+        make_env(bank="mini", task="harvest")
+
+
+def test_compliance_without_truth_is_refused():
+    with pytest.raises(InvalidValueError, match='plants="compliant" needs physics="truth"'):
+        make_env(bank="mini", plants="compliant")
+
+
+def test_a_scene_without_truth_is_refused():
+    bare = SceneBank.open("mini").scene(SCENE).model_copy(update={"truth": None})
+    with pytest.raises(InvalidValueError, match="carries no truth"):
+        make_env(**OPTIONS | {"scene": bare}).reset(seed=0)
+
+
+def test_truth_without_stems_is_refused():
+    scene = SceneBank.open("mini").scene(SCENE)
+    truth = Shapes(tomatoes=scene.truth.tomatoes, clutter=scene.truth.clutter)
+    with pytest.raises(InvalidValueError, match="has no topology"):
+        make_env(**OPTIONS | {"scene": scene.model_copy(update={"truth": truth})}).reset(seed=0)
+
+
+def test_more_fruit_than_slots_are_refused():
+    task = TomatoHarvest("truss", layout=Layout(trusses=1, fruit=1))
+    scene = SceneBank.open("mini").scene(SCENE)
+    trusses = {tomato: scene.truth.tomatoes[fruit].truss for tomato, fruit in ripe_targets(scene, 0.6).items()}
+    target = next(k for k, truss in trusses.items() if list(trusses.values()).count(truss) > 1)
+    with pytest.raises(InvalidValueError, match="do not fit into slots of 1"):
+        make_env(**OPTIONS | {"task": task, "target": target}).reset(seed=0)
+
+
+def test_a_crate_in_the_way_of_the_arm_is_refused():
+    task = TomatoHarvest(layout=Layout(crate=Crate(position=(0.0, 0.0, 0.9), half_extents=(0.3, 0.3, 0.2))))
+    with pytest.raises(InvalidValueError, match="crate is in the arm's way"):
+        make_env(**OPTIONS | {"task": task}).reset(seed=0)
+
+
+def test_a_size_of_another_task_is_refused():
+    with pytest.raises(InvalidValueError, match='size belongs to task="harvest"'):
+        make_env(bank="mini", size="pick")
