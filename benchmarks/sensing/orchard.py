@@ -86,7 +86,7 @@ def measure_orchard(frame: OrchardFrame, shapes: RowShapes) -> dict[str, Any]:
 
 
 def draw_orchard(frame: OrchardFrame, runs: Sequence[RowShapes], file: Path) -> None:
-    """Draw the fruit of each run over the image, beside each other; circles are dark blue within a label's box."""
+    """Draw the fruit of each run over a copy of the image, from left to right; blue if its center is in a label's box."""
     pictures = []
     for shapes in runs:
         picture = (255 * frame.image[..., ::-1]).astype(np.uint8)

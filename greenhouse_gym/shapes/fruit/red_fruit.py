@@ -106,7 +106,7 @@ def find_red(surface: SurfaceCloud, found: Sequence[Sphere], settings: ShapeSett
 
     Args:
         surface: The cloud with a point per voxel of ``settings.voxel``.
-        found: Fruit found before. A ball may cover smaller ones, which `sits_on` then tells apart from real fruit.
+        found: Fruit found before. A ball may cover smaller ones; `sits_on` says which.
         settings: All settings.
     """
     smallest = max(settings.radii[0], _NOISE_REACH * surface.noise)
