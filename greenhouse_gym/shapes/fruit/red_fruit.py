@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from greenhouse_gym.geometry import Array, Sphere
@@ -21,7 +22,7 @@ from greenhouse_gym.shapes.colors import redness
 from greenhouse_gym.shapes.evidence import SHELL, nearest_shapes
 from greenhouse_gym.shapes.fruit.spheres import SphereFit
 from greenhouse_gym.shapes.settings import ShapeSettings
-from greenhouse_gym.shapes.surface_cloud import SurfaceCloud
+from greenhouse_gym.shapes.surface_cloud import Mask, SurfaceCloud
 
 RED = 0.22
 """(R - G) / (R + G) above which skin is red: about half way from leaves to ripe fruit."""
@@ -47,6 +48,9 @@ _BATCH = 400
 _TICKS = (np.arange(_GRID) + 0.5) / _GRID * 2 * _REACH - _REACH
 _FROM_CENTER = np.hypot(*np.meshgrid(_TICKS, _TICKS)).ravel()
 _DISC, _RING = _FROM_CENTER < 1.0, (_FROM_CENTER >= 1.05) & (_FROM_CENTER < 1.3)
+
+
+Rows = npt.NDArray[np.int64]
 
 
 class RedFruit(NamedTuple):
@@ -97,8 +101,12 @@ class _Balls(NamedTuple):
         area, faked = np.pi * self.radii**2, np.pi * (_NOISE_REACH * noise) ** 2
         return np.asarray(area * self.skin / (area * (self.skin + self.other) + faked))
 
-    def select(self, rows: Sequence[int] | Array) -> _Balls:
+    def select(self, rows: Rows) -> _Balls:
         return _Balls(*(values[rows] for values in self))
+
+
+def _joined(parts: Sequence[_Balls]) -> _Balls:
+    return _Balls(*(np.concatenate(values) for values in zip(*parts, strict=True)))
 
 
 def find_red(surface: SurfaceCloud, found: Sequence[Sphere], settings: ShapeSettings) -> RedFruit:
@@ -124,7 +132,7 @@ def find_red(surface: SurfaceCloud, found: Sequence[Sphere], settings: ShapeSett
     steps = 1 + int(np.log(settings.radii[1] / smallest) / np.log(_RADIUS_STEP))
     radii = np.geomspace(smallest, settings.radii[1], steps)
     laid = [_lay(scene, is_red, unexplained, float(radius), seen_from) for radius in radii]
-    balls = _Balls(*map(np.concatenate, zip(*laid, strict=True)))
+    balls = _joined(laid)
     tree = cKDTree(scene.points[is_red])
     owned = ~unexplained[is_red]
     chosen = _select(balls, tree, owned)
@@ -135,7 +143,7 @@ def find_red(surface: SurfaceCloud, found: Sequence[Sphere], settings: ShapeSett
     spheres = np.column_stack([chosen.centers, chosen.radii])
     largest = 1.1 * settings.radii[1]
     refined = [_refine(scene, is_red, sphere, seen_from, usual, largest) for sphere in spheres]
-    chosen = _select(_Balls(*map(np.concatenate, zip(*refined, strict=True))), tree, owned, usual)
+    chosen = _select(_joined(refined), tree, owned, usual)
     chosen = chosen.select(np.flatnonzero(chosen.radii < 0.99 * largest))  # the others would have grown on
     rows = around[is_red]
     fits = [_as_fit(chosen, k, tree, rows, scene.normals[is_red]) for k in range(len(chosen.radii))]
@@ -165,12 +173,12 @@ class _Views:
         return np.asarray(self._views[self._tree.query(points)[1]])
 
 
-def _cells(cloud: Cloud, red: Array, size: float) -> Cloud:
+def _cells(cloud: Cloud, red: Mask, size: float) -> Cloud:
     """Return the cloud's mean points per cell, with the fraction of red points as color."""
     return voxel_means(Cloud(cloud.points, np.repeat(red[:, None], 3, axis=1).astype(float), cloud.normals), size)[0]
 
 
-def _lay(cloud: Cloud, red: Array, start: Array, radius: float, seen_from: _Views) -> _Balls:
+def _lay(cloud: Cloud, red: Mask, start: Mask, radius: float, seen_from: _Views) -> _Balls:
     """Lay balls behind the red points at ``start``: against the view, and half way to their normals."""
     poles = _cells(cloud.select(start), red[start], _SPACING * radius)
     views = seen_from(poles.points)
@@ -180,7 +188,7 @@ def _lay(cloud: Cloud, red: Array, start: Array, radius: float, seen_from: _View
     return _compare(_cells(cloud, red, _CELL * radius), centers, np.concatenate([views, views]), radius)
 
 
-def _refine(cloud: Cloud, red: Array, ball: Array, seen_from: _Views, usual: float, largest: float) -> _Balls:
+def _refine(cloud: Cloud, red: Mask, ball: Array, seen_from: _Views, usual: float, largest: float) -> _Balls:
     """Move and scale a ball (4,) to where its rank is highest."""
     view = seen_from(ball[None, :3])
     near = np.flatnonzero(np.linalg.norm(cloud.points - ball[:3], axis=1) < 4 * ball[3])
@@ -191,8 +199,8 @@ def _refine(cloud: Cloud, red: Array, ball: Array, seen_from: _Views, usual: flo
             centers = ball[:3] + 0.7**k * ball[3] * _SHIFTS @ _picture_axes(view)[:, 0]
             radius = min(float(ball[3] * scale), largest)
             tried.append(_compare(cells, centers, np.repeat(view, len(centers), axis=0), radius))
-        balls = _Balls(*map(np.concatenate, zip(*tried, strict=True)))
-        best = balls.select([int(np.argmax(balls.rank(usual)))])
+        balls = _joined(tried)
+        best = balls.select(np.array([np.argmax(balls.rank(usual))]))
         ball = np.append(best.centers[0], best.radii[0])
     return best
 
@@ -233,7 +241,7 @@ def _pictures(cells: Cloud, tree: cKDTree, centers: Array, views: Array, radius:
     ahead_of = (distance > 1 + shell) & (depth**2 > 1 - x**2 - y**2) & (depth > 0)
     other = ~skin & ~ahead_of & (depth > -1.4) & ((depth > -0.2) | (distance < 1 - shell))
 
-    def counts(mask: Array) -> Array:
+    def counts(mask: Mask) -> Rows:
         return np.bincount(pixel[mask], minlength=len(centers) * _GRID**2).reshape(len(centers), -1)
 
     skins, others, hiding = counts(skin), counts(other), counts(ahead_of) > 0
@@ -241,9 +249,9 @@ def _pictures(cells: Cloud, tree: cKDTree, centers: Array, views: Array, radius:
     hidden = ~filled & hiding
     continues = (counts(red & (np.abs(depth) < 0.6)) > 0) & ~hidden
 
-    def mean(mask: Array, values: Array) -> Array:
+    def mean(mask: Mask, values: Array) -> Array:
         count = np.bincount(owner[mask], minlength=len(centers))
-        return np.bincount(owner[mask], values[mask], len(centers)) / np.maximum(count, 1)
+        return np.asarray(np.bincount(owner[mask], values[mask], len(centers)) / np.maximum(count, 1))
 
     aside = x**2 + y**2
     patch = red & (aside < 1) & (np.abs(depth - 0.5) < 0.8)  # skin and, on a wall, what is no skin
@@ -263,7 +271,7 @@ def _usual_radius(balls: _Balls) -> float:
     return float(balls.radii[order[np.searchsorted(total, total[-1] / 2)]])
 
 
-def _select(balls: _Balls, tree: cKDTree, owned: Array, usual: float | None = None) -> _Balls:
+def _select(balls: _Balls, tree: cKDTree, owned: Mask, usual: float | None = None) -> _Balls:
     """Select balls greedily by their rank, separate from each other and with most of their skin to themselves."""
     purity = balls.skin / np.maximum(balls.skin + balls.other, 1e-9)
     is_ball = (balls.outside < _MAX_OUTSIDE) & (balls.bulge > _MIN_BULGE)
@@ -279,7 +287,7 @@ def _select(balls: _Balls, tree: cKDTree, owned: Array, usual: float | None = No
     return balls.select(np.array(chosen, dtype=np.int64))
 
 
-def _as_fit(balls: _Balls, k: int, tree: cKDTree, rows: Array, normals: Array) -> SphereFit:
+def _as_fit(balls: _Balls, k: int, tree: cKDTree, rows: Rows, normals: Array) -> SphereFit:
     """Return a ball with its points among ``rows``, the red points in the tree, with normals."""
     center, radius = balls.centers[k], float(balls.radii[k])
     near = np.array(tree.query_ball_point(center, 1.2 * radius), dtype=np.int64)
