@@ -68,9 +68,14 @@ def test_the_wheel_is_small(wheel: Path) -> None:
     assert wheel.stat().st_size < LARGEST
 
 
-def test_an_installed_package_uses_its_own_data(unpacked: Path, tmp_path: Path) -> None:
+def test_an_installed_package_uses_its_own_data_and_writes_nothing_beside_itself(
+    unpacked: Path, tmp_path: Path
+) -> None:
+    """It may lie in a folder that cannot be written; this one has spaces and other letters in its path."""
     code = (
         "import greenhouse_gym, gymnasium\n"
+        "from greenhouse_gym.planning import plan\n"
+        "from greenhouse_gym.robots import get_robot, load_robot\n"
         "from greenhouse_gym.scene import SceneBank\n"
         "env = gymnasium.make('TomatoReach-v0', bank='mini')\n"
         "env.reset(seed=0)\n"
@@ -78,26 +83,17 @@ def test_an_installed_package_uses_its_own_data(unpacked: Path, tmp_path: Path) 
         "print(greenhouse_gym.__file__)\n"
         "print(SceneBank.open('mini').path)\n"
         "print(len([scene for scene in SceneBank.open('mini')]))\n"
-    )
-    module, bank, count = run(code, unpacked, tmp_path).splitlines()
-    assert Path(module).is_relative_to(unpacked)
-    assert Path(bank) == (unpacked / "greenhouse_gym" / "_scenes" / "mini").resolve()
-    assert int(count) == 8
-
-
-def test_an_installed_package_plans_and_writes_nothing_beside_itself(unpacked: Path, tmp_path: Path) -> None:
-    """It may lie in a folder that cannot be written; this one has spaces and other letters in its path."""
-    code = (
-        "from greenhouse_gym.planning import plan\n"
-        "from greenhouse_gym.robots import get_robot, load_robot\n"
-        "from greenhouse_gym.scene import SceneBank\n"
         "scene = SceneBank.open('mini')[0]\n"
         "arm = load_robot(get_robot('ur5e').path)\n"
         "print(plan(scene, 0, robot=arm, planner='RRTConnect', max_checks=20_000, goals=10).status)\n"
         "scene.save('Szene é.json')\n"
     )
     before = sorted(unpacked.rglob("*"))
-    assert run(code, unpacked, tmp_path).strip() == "solved"
+    module, bank, count, status = run(code, unpacked, tmp_path).splitlines()
+    assert Path(module).is_relative_to(unpacked)
+    assert Path(bank) == (unpacked / "greenhouse_gym" / "_scenes" / "mini").resolve()
+    assert int(count) == 8
+    assert status == "solved"
     assert (tmp_path / "Szene é.json").is_file()
     assert sorted(unpacked.rglob("*")) == before
 

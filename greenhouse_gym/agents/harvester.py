@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.agents.agent import NamedAgent, Problem
-from greenhouse_gym.agents.planner_agent import path_commands, safe_commands
+from greenhouse_gym.agents.planner_agent import safe_commands
 from greenhouse_gym.envs.compliant_physics import CompliantSimulation
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
@@ -30,12 +30,12 @@ CANDIDATES = 3
 TRIES = 2
 """Number of attempts to pick a fruit."""
 
-_CHECKS = 20_000  # collision checks of a plan
+_CHECKS = 60_000  # collision checks of a plan
 _GUESSES = 400  # configurations from which inverse kinematics starts above the crate
 _CLOSING, _PULLING = 0.12, 0.12  # m/s
 _TURNING = 1.6  # rad/s
 _REACHES, _PULLS, _DROPS = 24, 40, 3  # actions at most to close the gap, to part the pedicel, to let go
-_RETREAT = 0.12  # metres that the tip withdraws with a fruit before a path to the crate is planned
+_RETREAT, _BACK, _RETREATS = 0.05, 0.25, 16  # metres and m/s by which the tip withdraws, and actions at most
 _DAMPING = 0.05
 _ABOVE, _SPREAD = 0.02, 0.07  # metres: height of the tip above the rim, and spread of the fruit in the crate
 
@@ -100,7 +100,7 @@ class _Harvest:
             off = self._plants.held == fruit and self._plants.state[fruit] != HANGING
             if not off:
                 self._vacuum = -1.0
-            yield from self._withdraw(path)
+            yield from self._withdraw()
             if off:
                 yield from self._deliver()
                 self._picked += 1
@@ -123,7 +123,7 @@ class _Harvest:
         return np.append(np.clip(change / self._problem.joint_steps, -1, 1), self._vacuum).astype(np.float32)
 
     def _next(self) -> tuple[int, Array] | None:
-        """Return a fruit to pick next and a path to it; None if there is none."""
+        """Return a fruit to pick next and a path to it; None without one."""
         plants = self._plants
         left = [k for k in np.flatnonzero(plants.wanted & (plants.state == HANGING)) if self._tried.get(k, 0) < TRIES]
         tip, _ = self._tip
@@ -197,14 +197,15 @@ class _Harvest:
         near = [offset / max(offset @ offset, 1e-4) for offset in offsets if np.linalg.norm(offset) < 0.12]
         return -1.0 if float(np.sum(near, axis=0) @ sideways if near else 0.0) > 0 else 1.0
 
-    def _withdraw(self, path: Array) -> Iterator[Action]:
-        """Go back along the path to a fruit until the tip is clear of the plants."""
-        start, _ = self._tip
-        back = np.concatenate([self._command[None], path[::-1][1:]])
-        for command in path_commands(back, self._problem):
-            yield self._action(command - self._command)
-            if np.linalg.norm(self._tip[0] - start) > _RETREAT + 2 * self._plants.radius(max(self._plants.held, 0)):
+    def _withdraw(self) -> Iterator[Action]:
+        """Pull the tool straight back until the tip, and the fruit at it, is clear of the truss."""
+        start, axis = self._tip
+        clear = _RETREAT + 2 * self._plants.radius(max(self._plants.held, 0))
+        for _ in range(_RETREATS):
+            tip, _ = self._tip
+            if (start - tip) @ axis > clear:
                 return
+            yield self._twist(-axis * _BACK, np.zeros(3))
 
     def _deliver(self) -> Iterator[Action]:
         """Carry the held fruit to the crate and let go."""
@@ -237,7 +238,7 @@ class _Harvest:
         found, _ = inverse_kinematics(self._chain, guesses, point, 0.0, self._robot, down)
         near = np.argsort(np.abs(found - self._command).max(axis=1), kind="stable")
         self._robot.keep_tool_roll(found, self._command)
-        return np.asarray(found[near[:20]])
+        return np.clip(found[near[:20]], self._robot.lower, self._robot.upper)
 
     def _twist(self, velocity: Array, spin: Array) -> Action:
         """Return the action that moves the tip at a velocity, m/s, and turns it, rad/s, in the scene."""

@@ -19,7 +19,7 @@ from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.plants.layout import Layout, SlotIds
 from greenhouse_gym.plants.live import Felt, LivePlants
-from greenhouse_gym.scene.geom_order import ShortGeomLists, compiled_geom_id, put_arm_first
+from greenhouse_gym.scene.geom_order import ShortGeomLists, compiled_geom_id, put_arm_first, put_world_first
 
 _FRUIT, _STEM, _LEAF, _FIXTURE, _SELF = range(len(CONTACT_GROUPS))
 _PRESSED = (_FRUIT, _STEM)  # groups that a pressing force damages
@@ -191,10 +191,16 @@ class CompliantPhysics:
     def model_and_data(
         self, i: int, targets: Sequence[int], disturbance: Disturbance
     ) -> tuple[mujoco.MjModel, mujoco.MjData]:
-        """Return copies of the model and the state of a simulation; its geoms' names are wrong."""
-        sim = _copied(self.simulation(i))
-        mujoco.mj_forward(sim.model, sim.data)
-        return sim.model, sim.data
+        """Return a copy of the model of a simulation, its geoms in the compiled order, and its state."""
+        sim = self.simulation(i)
+        model = copy.copy(sim.model)
+        put_world_first(model)
+        model.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
+        data = mujoco.MjData(model)
+        for name in ("time", "qpos", "qvel", "act", "ctrl", "eq_active", "qacc_warmstart"):
+            setattr(data, name, getattr(sim.data, name))
+        mujoco.mj_forward(model, data)
+        return model, data
 
     def _read(self, i: int, sim: CompliantSimulation) -> None:
         joints = self._joints

@@ -70,7 +70,7 @@ class EnvSettings:
         capacity: Maximum number of obstacles of a scene; if None, 600 or as many as the largest scene of the bank has.
         success_radius: Maximum distance of the grasp point from the target's center for a success, metres. It belongs
             to the task "reach"; your own task has its own settings.
-        step_limit: Steps after which an episode is truncated; 0 for the task's own, 200 except for harvests.
+        step_limit: Steps after which an episode is truncated; None for the task's own, 200 except for harvests.
         start: Start configuration: the name of one of the arm's, "ready", "upright" or "folded", or a joint angle for
             each joint, radians; the arm's own if None, which is "ready". The options of a reset may choose another.
         rate: Actions per second; the time between two actions must be a multiple of 10 ms: 100, 50, 25, 20, 10 and so
@@ -96,7 +96,7 @@ class EnvSettings:
     randomization: Randomization = field(default=NO_RANDOMIZATION)
     capacity: int | None = None
     success_radius: float = SUCCESS_RADIUS
-    step_limit: int = 0
+    step_limit: int = None  # type: ignore[assignment]  # replaced by a number at once
     rate: float = RATE
     start: str | Sequence[float] | None = None
     task: str | Task | type[Task] | Mapping[str, Any] = "reach"
@@ -126,8 +126,9 @@ class EnvSettings:
                 f'size belongs to task="harvest" and is one of {", ".join(SIZES)}, got {self.size!r} with task='
                 f"{self.task!r}"
             )
-        if check_whole("step_limit", self.step_limit, 0) == 0:
+        if self.step_limit is None:
             object.__setattr__(self, "step_limit", self._own_step_limit())
+        check_whole("step_limit", self.step_limit, 1)
         kinds = (str, Task, Mapping)
         if not isinstance(self.task, kinds) and not (isinstance(self.task, type) and issubclass(self.task, Task)):
             raise InvalidValueError(f"task must be a name, a Task or a subclass of Task, got {self.task!r}")
@@ -150,7 +151,7 @@ class EnvSettings:
 
     def with_fields(self, keywords: Mapping[str, Any]) -> EnvSettings:
         """Return the settings with other values; the task's own step limit follows the task."""
-        kept = {} if self.step_limit != self._own_step_limit() else {"step_limit": 0}
+        kept = {} if self.step_limit != self._own_step_limit() else {"step_limit": None}
         return replace(self, **(kept | dict(keywords)))
 
     def agent_options(self) -> dict[str, Any]:

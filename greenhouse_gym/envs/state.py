@@ -71,8 +71,8 @@ def control_timing(rate: float) -> ControlTiming:
 
 PLANTS: Mapping[str, str] = MappingProxyType(
     {
-        "work": "number of the fruit in work: the held one, else the nearest one to be picked; -1 if there is none",
-        "fruit": "(3,) its middle in the base frame, metres; the tip if there is none",
+        "work": "number of the fruit in work: the held one, else the nearest one to be picked; -1 without one",
+        "fruit": "(3,) its middle in the base frame, metres; the tip without one",
         "radius": "its radius, metres",
         "held": "1 while the cup holds a fruit",
         "vacuum": "reading of the vacuum: 1 at rest on a fruit, falling to 0 at the force at which the cup lets go",

@@ -170,7 +170,7 @@ class LivePlants:
         return float(np.cbrt(size.prod()) if ellipsoid else size[0])
 
     def in_work(self, tip: Array) -> int:
-        """Return the held fruit, or the fruit to be picked that hangs nearest to the tip (3,); -1 if there is none."""
+        """Return the held fruit, or the fruit to be picked that hangs nearest to the tip (3,); -1 without one."""
         if self.held >= 0:
             return self.held
         left = np.flatnonzero(self.wanted & (self.state == HANGING))

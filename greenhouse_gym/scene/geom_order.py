@@ -32,7 +32,17 @@ def put_arm_first(model: mujoco.MjModel) -> None:
     """
     if model.npair or model.nwrap or model.nskin or (model.sensor_objtype == mujoco.mjtObj.mjOBJ_GEOM).any():
         return
-    count, world = model.ngeom, int(model.body_geomnum[0])
+    _move_geoms(model, int(model.body_geomnum[0]))
+
+
+def put_world_first(model: mujoco.MjModel) -> None:
+    """Undo `put_arm_first`."""
+    _move_geoms(model, first_world_geom(model))
+
+
+def _move_geoms(model: mujoco.MjModel, world: int) -> None:
+    """Move the first ``world`` geoms of a model behind all others."""
+    count = model.ngeom
     for name in dir(model):
         if name.startswith("geom_"):
             table = getattr(model, name)

@@ -347,7 +347,7 @@ def test_tomatoes_of_a_simulated_row_against_the_truth() -> None:
     assert_nothing_swallows(shapes, cloud.points)
     for tomato in shapes.tomatoes:
         assert isinstance(tomato.shape, Sphere)
-    part = np.abs(cloud.points[:, 1] - np.median(cloud.points[:, 1])) < 0.1
+    part = np.abs(cloud.points[:, 1] - np.median(cloud.points[:, 1])) < 0.05
     first, again = (extract_shapes(cloud.points[part], cloud.colors[part], cloud.normals[part]) for _ in range(2))
     assert [t.center.tolist() for t in again.tomatoes] == [t.center.tolist() for t in first.tomatoes] != []
 

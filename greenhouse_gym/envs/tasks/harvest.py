@@ -201,10 +201,10 @@ class TomatoHarvest(Task):
             chosen = chosen[: self.layout.trusses]
             fruit = sorted(k for k in within if tomatoes[k].truss in chosen)
         largest = max((sum(t.truss == truss for t in tomatoes) for truss in chosen), default=0)
-        most = max((sum(tomatoes[k].truss == truss for k in fruit) for truss in chosen), default=0)
-        if not fruit or most > self.layout.fruit or largest > self.layout.fruit + ATTACHED:
+        ripest = max((sum(tomatoes[k].truss == truss for k in fruit) for truss in chosen), default=0)
+        if not fruit or ripest > self.layout.fruit or largest > self.layout.fruit + ATTACHED:
             return (), (
-                f"scene {scene.name!r}: trusses with {most} ripe of {largest} fruit do not fit into slots of "
+                f"scene {scene.name!r}: trusses with {ripest} ripe of {largest} fruit do not fit into slots of "
                 f"{self.layout.fruit}; choose another scene, another size or a larger layout"
             )
         return tuple(fruit), ""

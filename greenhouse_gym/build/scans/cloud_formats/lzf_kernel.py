@@ -23,7 +23,7 @@ def unpack(packed: Bytes, result: Bytes) -> int:
     """
     at = filled = 0
     while at < len(packed):
-        control = np.int64(packed[at])
+        control = int(np.int64(packed[at]))
         at += 1
         if control < 32:
             length = control + 1
@@ -37,9 +37,9 @@ def unpack(packed: Bytes, result: Bytes) -> int:
             if at + (2 if length == 9 else 1) > len(packed):
                 return -1
             if length == 9:
-                length += packed[at]
+                length += int(np.int64(packed[at]))
                 at += 1
-            start = filled - ((control & 31) << 8) - np.int64(packed[at]) - 1
+            start = filled - ((control & 31) << 8) - int(np.int64(packed[at])) - 1
             at += 1
             if start < 0 or filled + length > len(result):
                 return -1
