@@ -88,7 +88,7 @@ def figures_of(evaluation: Evaluation) -> dict[str, Any]:
     }
 
 
-def played(part: dict[str, Any], episodes: int, bank: SceneBank) -> dict[str, Any]:
+def run_part(part: dict[str, Any], episodes: int, bank: SceneBank) -> dict[str, Any]:
     """Run the episodes of a part and return its figures."""
     keywords: dict[str, Any] = {"max_checks": CHECKS, "attempts": 2}
     agent = PlannerAgent(**keywords) if part["known"] == "reconstruction" else KnowsTruth(bank, "test", **keywords)
@@ -135,7 +135,7 @@ def main() -> None:
         settings = {"episodes": arguments.episodes, "bank_sha256": bank.sha256}
         figures = read_entry(path, name, settings)
         if not figures:
-            figures = {**played(PARTS[name], arguments.episodes, bank), **settings}
+            figures = {**run_part(PARTS[name], arguments.episodes, bank), **settings}
             write_entry(path, name, figures)
         rates = (
             f"{figures[key]:.1%} [{figures[f'{key}_95'][0]:.1%}, {figures[f'{key}_95'][1]:.1%}]"
