@@ -17,7 +17,7 @@ from greenhouse_gym.envs.state import ControlTiming, Ids
 from greenhouse_gym.envs.worlds import World
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.plants.layout import Layout, SlotIds
+from greenhouse_gym.plants.layout import CRATE_BOXES, Layout, SlotIds
 from greenhouse_gym.plants.live import Felt, LivePlants
 from greenhouse_gym.scene.geom_order import ShortGeomLists, compiled_geom_id, put_arm_first, put_world_first
 
@@ -261,7 +261,9 @@ def geom_groups(world: World, ids: SlotIds) -> npt.NDArray[np.int8]:
         mark(int(body), _FRUIT)
     for body in ids.leaf:
         mark(int(body), _LEAF)
-    mark(ids.crate, _FIXTURE)
+    mark(ids.crate, _FRUIT)
+    first = int(model.body_geomadr[ids.crate])
+    groups[first : first + CRATE_BOXES] = _FIXTURE
     return groups
 
 

@@ -26,6 +26,7 @@ from greenhouse_gym.plants.layout import (
 )
 from greenhouse_gym.plants.mechanics import PlantMechanics, mass_properties
 from greenhouse_gym.plants.topology import Branch, Fruit, Leaf, Topology, Truss
+from greenhouse_gym.robots.robot import CUP_GEOM
 from greenhouse_gym.scene import CompiledScene
 from greenhouse_gym.scene.mjcf import colors_of
 from greenhouse_gym.scene.obstacle_slots import build_tree, write_geoms
@@ -89,12 +90,17 @@ def plant(
         mechanics: Mechanical parameters.
 
     Raises:
-        InvalidValueError: The fruit do not fit into the slots.
+        InvalidValueError: The fruit do not fit into the slots, or the arm has no cup.
     """
     model, scene = compiled.model, compiled.scene
     trusses = check_fits(topology, wanted, layout, scene.name)
     leaves = _nearest_leaves(topology, scene.arrays, wanted, layout.leaves)
     ids = SlotIds(model, layout)
+    if ids.cup_geom < 0:
+        raise InvalidValueError(
+            f"robot {compiled.robot.name!r} has no gripper that can hold: its file needs a geom {CUP_GEOM!r} at the "
+            "tip, such as greenhouse_gym.robots.tool.mount_tool adds"
+        )
     filler = _Filler(compiled, mechanics)
     fruit = np.full((layout.trusses, layout.fruit), -1)
     _make_static(compiled, topology)

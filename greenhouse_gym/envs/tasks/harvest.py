@@ -30,6 +30,9 @@ MATCHED = 0.02
 MAX_FORCE = 50.0
 """Bound of observed forces along each axis, N."""
 
+MOVING = 0.01
+"""Joint speed above which a step counts as work, rad/s."""
+
 _DRAWS = 256  # draws of an episode until one fits into the slots
 
 SIZES: Mapping[str, Layout] = MappingProxyType(
@@ -140,7 +143,7 @@ class TomatoHarvest(Task):
             "sparse": HarvestReward(detached=0, dropped=0, knocked=0, damage=0, collision=0, progress=0, time=0),
         }
     )
-    memory: ClassVar[Mapping[str, float]] = MappingProxyType(dict.fromkeys(("wanted", *COUNTED), 0.0))
+    memory: ClassVar[Mapping[str, float]] = MappingProxyType(dict.fromkeys(("wanted", "worked", *COUNTED), 0.0))
 
     controls: ClassVar[tuple[str, ...]] = ("vacuum",)  # type: ignore[misc]
 
@@ -218,7 +221,9 @@ class TomatoHarvest(Task):
         held = plants["held"] > 0
         to_crate = lengths(plants["crate"] - plants["fruit"])
         distance = np.where(held, 0.0, lengths(plants["fruit"] - state.tip)) + to_crate
-        return Outcome(distance, success & ~failure, failure, memory=memory | {"wanted": plants["wanted"]})
+        memory["wanted"] = plants["wanted"]
+        memory["worked"] = state.memory["worked"] + (np.abs(state.velocities).max(axis=1) > MOVING)
+        return Outcome(distance, success & ~failure, failure, memory=memory)
 
 
 def ripe_targets(scene: Scene, ripe: float) -> dict[int, int]:
