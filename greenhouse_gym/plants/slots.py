@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, ShapeArrays
-from greenhouse_gym.geometry.shape_arrays import BOX, CAPSULE
+from greenhouse_gym.geometry.shape_arrays import BOX
 from greenhouse_gym.plants.layout import (
     ALL,
     ARM,
@@ -242,7 +242,7 @@ class _Filler:
         shapes = shapes._replace(starts=shapes.starts - origin, ends=shapes.ends - origin)
         first = int(model.body_geomadr[body])
         own = slice(first, first + len(shapes.kinds))
-        write_geoms(model, own, shapes, colors)
+        write_geoms(model, own, shapes, colors.tolist())
         model.geom_conaffinity[own] = ALL
         mass, center, inertia, quat = mass_properties(shapes, self._mechanics)
         model.body_mass[body], model.body_inertia[body] = mass, inertia
@@ -289,12 +289,5 @@ def _chosen(arrays: ShapeArrays, rows: Sequence[int]) -> ShapeArrays:
     return ShapeArrays._make(array[list(rows)] for array in arrays)
 
 
-def _joined(first: ShapeArrays, second: ShapeArrays) -> ShapeArrays:
-    return ShapeArrays._make(np.concatenate(pair) for pair in zip(first, second, strict=True))
-
-
-def _straight(starts: Array, ends: Array, radius: float) -> ShapeArrays:
-    """Return capsules between points (n, 3)."""
-    result = ShapeArrays.empty(len(starts))
-    result.kinds[:], result.starts[:], result.ends[:], result.sizes[:, 0] = CAPSULE, starts, ends, radius
-    return result
+def _joined(*parts: ShapeArrays) -> ShapeArrays:
+    return ShapeArrays._make(np.concatenate(arrays) for arrays in zip(*parts, strict=True))
