@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, ShapeArrays
-from greenhouse_gym.geometry.shape_arrays import BOX
+from greenhouse_gym.geometry.shape_arrays import BOX, CAPSULE
 from greenhouse_gym.plants.layout import (
     ALL,
     ARM,
@@ -291,3 +291,10 @@ def _chosen(arrays: ShapeArrays, rows: Sequence[int]) -> ShapeArrays:
 
 def _joined(*parts: ShapeArrays) -> ShapeArrays:
     return ShapeArrays._make(np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+
+
+def _straight(starts: Array, ends: Array, radius: float) -> ShapeArrays:
+    """Return capsules between points (n, 3)."""
+    result = ShapeArrays.empty(len(starts))
+    result.kinds[:], result.starts[:], result.ends[:], result.sizes[:, 0] = CAPSULE, starts, ends, radius
+    return result
