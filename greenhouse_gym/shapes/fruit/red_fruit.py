@@ -152,10 +152,8 @@ def find_red(surface: SurfaceCloud, found: Sequence[Sphere], settings: ShapeSett
 
 def sits_on(small: Sphere, balls: Sequence[Sphere]) -> bool:
     """Return whether a sphere is a bump on a much larger ball."""
-    gaps = [
-        np.linalg.norm(small.center - ball.center) - ball.radius for ball in balls if ball.radius > 2 * small.radius
-    ]
-    return bool(gaps) and min(gaps) < small.radius
+    larger = (ball for ball in balls if ball.radius > 2 * small.radius)
+    return any(np.linalg.norm(small.center - ball.center) < ball.radius + small.radius for ball in larger)
 
 
 class _Views:
