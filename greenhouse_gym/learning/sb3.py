@@ -93,7 +93,7 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
     """
 
     def __init__(self, env: VectorEnv[Any, Any, Any]):
-        self.env = env  # before the base class, which reads the render mode
+        self.env: Any = env  # before the base class, which reads the render mode
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
         self._actions: Any = None
         self._term_sums: dict[str, npt.NDArray[np.float64]] = {}  # of the running episodes
@@ -137,8 +137,7 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
 
     def get_images(self) -> Sequence[npt.NDArray[np.uint8] | None]:
         """Return a picture of each simulation."""
-        images: Sequence[npt.NDArray[np.uint8] | None] | None = self.env.render() if self.render_mode else None
-        return images or [None] * self.num_envs
+        return (self.env.render() if self.render_mode else None) or [None] * self.num_envs
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """Return the vector environment's attribute, once per index."""

@@ -14,9 +14,9 @@ from greenhouse_gym.planning.certify import certify_targets
 from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.scene import Scene, SceneBank, compile_scene
 from greenhouse_gym.scene.composition import composed_scene, plants_of
-from greenhouse_gym.scene.manifest import SceneEntry, make_manifest
+from greenhouse_gym.scene.manifest import SceneEntry, Split, make_manifest
 
-SPLIT = "train"
+SPLIT: Split = "train"
 """Split of the scenes of a `ComposedBank`, and of the scenes that give their plants."""
 
 _ATTEMPTS = 100
