@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.motion.collision import smallest_clearance
+from greenhouse_gym.motion.clearance import smallest_clearance
 from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.robots.start import ready_start
 from greenhouse_gym.scene import Scene, SceneBank, compile_scene

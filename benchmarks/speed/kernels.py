@@ -22,7 +22,8 @@ import numpy as np
 
 from benchmarks.common import RESULTS, in_own_process, parser, processor_seconds, seconds_of, write_entry
 from greenhouse_gym.envs.worlds import Worlds, capacity_of
-from greenhouse_gym.motion.collision import CollisionChecker, checker_of
+from greenhouse_gym.motion.collision import CollisionChecker
+from greenhouse_gym.motion.proof import checker_of
 from greenhouse_gym.planning import plan
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import DIFFICULTIES, Scene, SceneBank, compile_scene

@@ -6,6 +6,7 @@ modules therefore import them on their first call, so that ``import greenhouse_g
 
 from __future__ import annotations
 
+import hashlib
 import inspect
 import logging
 import os
@@ -26,7 +27,10 @@ _logger = logging.getLogger(__name__)
 
 if not numba.config.CACHE_DIR:  # by default compiled code lies next to the sources, which a package should not touch
     _caches = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")  # noqa: PTH111  works without a home
-    numba.config.CACHE_DIR = str(Path(_caches) / "greenhouse-gym" / "numba")
+    # numba compares the source of a kernel's own module only, but kernels use helpers of other modules
+    _sources = sorted(Path(__file__).parents[1].glob("*/*kernel*.py"))
+    _digest = hashlib.sha256(b"".join(source.read_bytes() for source in _sources)).hexdigest()[:12]
+    numba.config.CACHE_DIR = str(Path(_caches) / "greenhouse-gym" / "numba" / _digest)
 
 
 def kernel(signature: str, writes: Collection[str] = ()) -> Callable[[Function], Function]:
@@ -61,7 +65,7 @@ def kernel(signature: str, writes: Collection[str] = ()) -> Callable[[Function],
 
 
 def inlined(function: Function) -> Function:
-    """Decorate a helper that kernels of the same module call; it is compiled as a part of them."""
+    """Decorate a helper that kernels call; it is compiled as a part of them."""
     result: Function = numba.njit(nogil=True, error_model="numpy")(function)
     return result
 

@@ -221,7 +221,9 @@ class Simulation:
         if self.task.costs:
             terms = with_contact_cost(terms, self.task.costs, contacts.counts)
         if self.brush_cost is not None:
-            terms = with_brush_cost(terms, self.brush_cost, TIMESTEP * contacts.leaf_steps)
+            terms = with_brush_cost(
+                terms, self.brush_cost, np.multiply(TIMESTEP, contacts.leaf_steps, dtype=np.float64)
+            )
         terminated = after.success | after.failure
         if outcome.next_target is not None:
             self._advance_targets(np.flatnonzero(outcome.next_target & ~terminated & (after.remaining > 1)))
@@ -347,7 +349,7 @@ class Simulation:
     def physical(self, i: int) -> tuple[CompiledScene, int]:
         """Return the simulated scene, the true row or the scene itself, and the index of the current target in it."""
         world = self._setup(i).world
-        return world.compiled, int(world.bodies[self.target(i)])
+        return world.rigid, int(world.bodies[self.target(i)])
 
     def tip(self, i: int) -> Array:
         """Return (3,) the tip in the scene, metres."""

@@ -31,6 +31,7 @@ from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import CompiledScene, Scene, SceneBank, Shapes, compile_scene
 from greenhouse_gym.scene.geom_order import first_world_geom
 from greenhouse_gym.scene.mjcf import DEFAULT_CAPACITY, MAX_CAPACITY, base_position, make_yielding
+from greenhouse_gym.scene.obstacles import Surroundings
 from greenhouse_gym.scene.plant_motion import move_plants
 from greenhouse_gym.scene.truth import known_scene, true_scene
 
@@ -131,6 +132,14 @@ class World:
     def leaf_contacts(self) -> LeafContacts:
         """Finds the leaves of the simulated scene that the arm touches."""
         return LeafContacts(self.compiled)
+
+    @cached_property
+    def rigid(self) -> CompiledScene:
+        """The simulated scene without slots, all its organs where they were at the start."""
+        if self.planted is None:
+            return self.compiled
+        scene = self.compiled.scene
+        return compile_scene(scene, self.compiled.robot, capacity_for(scene.count))
 
     @cached_property
     def topology(self) -> Topology:
@@ -273,7 +282,7 @@ class Worlds:
             self._planted.popitem(last=False)
         return self._planted[key][1]
 
-    def _compile(self, scene: Scene) -> CompiledScene:
+    def _compile(self, scene: Surroundings) -> CompiledScene:
         compiled = compile_scene(scene, self.robot, self.capacity, self._edit)
         if self.leaves == "brush":
             make_yielding(compiled.model, compiled.leaf_geoms)

@@ -3,7 +3,7 @@
 from greenhouse_gym.evaluation.records import Evaluation, Evaluations, Record, comparison_table, wilson_interval
 from greenhouse_gym.evaluation.rollouts import Trace, compare, evaluate, retrace
 from greenhouse_gym.evaluation.runner import AgentError
-from greenhouse_gym.motion.collision import CLEARANCE_RANGE
+from greenhouse_gym.motion.clearance import CLEARANCE_RANGE
 
 __all__ = [
     "CLEARANCE_RANGE",

@@ -22,7 +22,7 @@ from greenhouse_gym.errors import GreenhouseError, InvalidValueError
 from greenhouse_gym.evaluation.deadline import Deadline, describe, printable
 from greenhouse_gym.evaluation.records import Record
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.motion.collision import smallest_clearance
+from greenhouse_gym.motion.clearance import smallest_clearance
 from greenhouse_gym.planning import path_length
 from greenhouse_gym.robots.kinematics import tool_chain, tool_state
 
@@ -244,6 +244,8 @@ class EpisodeRunner:
         path = np.array(run.joints)
         model, _ = simulation.model_and_data(i)
         compiled, target = simulation.physical(i)
+        if model.nq > compiled.model.nq:  # clearance is that to the plants as they hung at the start
+            model = compiled.model
         tips = tool_state(tool_chain(model, compiled.tip_site), path).point
         record = Record(
             seed=run.problem.seed,

@@ -22,8 +22,7 @@ import numpy.typing as npt
 
 from greenhouse_gym.errors import InvalidValueError, require_choice
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.motion.joint_reaches import arm_reaches, joint_reaches
-from greenhouse_gym.motion.path import along_path
+from greenhouse_gym.motion.joint_reaches import joint_reaches
 from greenhouse_gym.scene.mjcf import CompiledScene
 
 MARGIN = 0.005
@@ -44,17 +43,13 @@ COARSE = 0.05
 COLLISION_PAIRS = ("tomatoes", "stems", "clutter", "fixture", "self")
 """Groups of geoms that an arm can be checked against; the fixture is the floor and the cart."""
 
+
 LEAVES = ("rigid", "brush")
 """Treatments of leaves: they are obstacles, or give way to an arm that brushes them."""
 
+
 Leaves: TypeAlias = str | npt.NDArray[np.int64]
 """One of `LEAVES`, or indices (k,) into the leaves of a scene of those that give way."""
-
-CLEARANCE_RANGE = 0.1
-"""Largest clearance that is measured, metres."""
-
-
-_CLEARANCE_STEP = 0.01  # metres that any point of the arm moves between two measurements of a path's clearance
 
 
 def planning_model(
@@ -108,14 +103,6 @@ def _yielding_geoms(compiled: CompiledScene, leaves: Leaves) -> npt.NDArray[np.i
     return geoms[chosen.astype(np.int64)]
 
 
-def checker_of(
-    compiled: CompiledScene, target: int, pairs: Collection[str] = COLLISION_PAIRS, leaves: Leaves = LEAVES[0]
-) -> CollisionChecker:
-    """Return the checker for planning a path to a target, with the usual margin; arguments as for `planning_model`."""
-    model = planning_model(compiled, target, pairs=pairs, leaves=leaves)
-    return CollisionChecker(model, arm_reaches(compiled.robot))
-
-
 def with_world_at_rest(model: mujoco.MjModel) -> mujoco.MjModel:
     """Copy a model so that its kinematics skip the geoms of the world body, which MuJoCo places once per `MjData`.
 
@@ -151,51 +138,19 @@ def _leave_out(compiled: CompiledScene, model: mujoco.MjModel, pairs: Collection
         model.geom_contype[model.geom_bodyid > 0] = 0
 
 
-def path_clearance(compiled: CompiledScene, target: int, path: npt.ArrayLike, leaves: str = LEAVES[0]) -> float:
-    """Return the smallest distance of the arm from obstacles along a path (k, joints), up to `CLEARANCE_RANGE`, metres.
+def clearance_model(
+    compiled: CompiledScene, model: mujoco.MjModel, target: int, margin: float, leaves: str = LEAVES[0]
+) -> mujoco.MjModel:
+    """Copy a model so that only contacts of the arm with obstacles other than a target count, with a margin.
 
-    The target, the floor, the cart, and leaves that give way (``leaves="brush"``) do not count. It is measured at
-    configurations between which no point of the arm moves farther than 1 cm; negative inside an obstacle.
-    """
-    configurations = along_path(np.asarray(path, dtype=np.float64), arm_reaches(compiled.robot), _CLEARANCE_STEP)
-    return smallest_clearance(compiled, compiled.model, target, configurations, leaves)
-
-
-def smallest_clearance(
-    compiled: CompiledScene,
-    model: mujoco.MjModel,
-    target: int,
-    configurations: Array,
-    leaves: str = LEAVES[0],
-) -> float:
-    """Return the smallest distance of the arm from obstacles in some configurations, up to `CLEARANCE_RANGE`.
-
-    The target, the floor, the cart, the arm itself, and leaves that give way do not count.
-
-    Args:
-        compiled: The scene.
-        model: Its model, or a copy with the arm at another position.
-        target: Index of the target tomato.
-        configurations: (k, joints) radians.
-        leaves: One of `LEAVES`.
-
-    Returns:
-        Metres; negative inside an obstacle.
+    With ``leaves="brush"``, leaves do not count either.
     """
     model = with_world_at_rest(model)
-    set_margin(model, np.arange(compiled.obstacle_geoms.start, compiled.obstacle_geoms.stop), CLEARANCE_RANGE)
+    set_margin(model, np.arange(compiled.obstacle_geoms.start, compiled.obstacle_geoms.stop), margin)
     _leave_out(compiled, model, ("fixture", "self"))
     ignored = [compiled.tomato_geom(target), *(compiled.leaf_geoms if leaves == "brush" else ())]
     pass_through(model, np.array(ignored))
-    checker, smallest, safe = CollisionChecker(model), CLEARANCE_RANGE, 0.0
-    moved = np.abs(np.diff(configurations, axis=0, prepend=configurations[:1])) @ arm_reaches(compiled.robot)
-    for configuration, motion in zip(configurations, moved.tolist(), strict=True):
-        safe -= motion  # no point has moved farther
-        if safe <= 0:
-            clearance = min(CLEARANCE_RANGE, checker.clearance(configuration))
-            smallest = min(smallest, clearance)
-            safe = clearance - max(smallest, 0.0)
-    return smallest
+    return model
 
 
 def set_margin(model: mujoco.MjModel, geoms: npt.NDArray[np.int64], margin: float) -> None:

@@ -1,8 +1,8 @@
 """Kernels of collision checks and inverse kinematics: an arm of capsules among the shapes of a scene.
 
 The arm is a chain of joints with capsules; spheres are capsules without length. The world is a tree of boxes over
-spheres, capsules, ellipsoids, boxes and planes. Both are a few arrays, so that a single call takes a microsecond; the
-kernels share their first arguments:
+spheres, capsules, ellipsoids, boxes and planes. Both are a few arrays, so that a single call takes a microsecond. The
+first argument of most kernels is a tuple of:
 
 - joints (n, 16): fixed pose before each joint as 3x4 by rows, unit axis in the frame after it, 1 for slides;
 - capsules (c, 11): index of the last joint before the capsule or -1, both ends in that joint's frame, radius, margin,
@@ -26,13 +26,14 @@ from greenhouse_gym.common.jit import inlined, kernel
 
 Array = npt.NDArray[np.float64]
 Pairs = npt.NDArray[np.int32]
+World = tuple[Array, Array, Pairs, Array, Array, Array]
 
 _PLANE, _SPHERE = int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_SPHERE)
 _CAPSULE, _BOX = int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_BOX)
 _STACK = 128  # deeper than any tree with a median split
 _GOLDEN, _SEARCHES = (math.sqrt(5.0) - 1) / 2, 24
 _NEWTON_STEPS = 9
-_WORLD = "f8[:, ::1], f8[:, ::1], i4[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1]"
+WORLD = "Tuple((f8[:, ::1], f8[:, ::1], i4[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1]))"
 
 
 @inlined
@@ -171,8 +172,10 @@ def _local(p, g):
 
 
 @inlined
-def _near(g, a, b, radius):
+def near(g, a, b, radius):
     """Return whether the segment from a to b is nearer to a geom than a radius."""
+    if radius <= 0.0:
+        return False
     kind, size = int(g[0]), (g[13], g[14], g[15])
     if kind == _SPHERE:
         center, limit = (g[1], g[2], g[3]), radius + size[0]
@@ -190,6 +193,22 @@ def _near(g, a, b, radius):
     if apart >= radius + max(size[0], max(size[1], size[2])):
         return False
     return apart < radius + min(size[0], min(size[1], size[2])) or segment_to_ellipsoid(u, v, size) < radius
+
+
+@inlined
+def _distance(g, a, b):
+    """Return the distance of the segment from a to b to a geom; inside a box it is 0."""
+    kind, size, origin = int(g[0]), (g[13], g[14], g[15]), (0.0, 0.0, 0.0)
+    u, v = _local(a, g), _local(b, g)
+    if kind == _SPHERE:
+        return math.sqrt(segments_apart(u, v, origin, origin)) - size[0]
+    if kind == _CAPSULE:
+        return math.sqrt(segments_apart(u, v, (0.0, 0.0, -size[1]), (0.0, 0.0, size[1]))) - size[0]
+    if kind == _PLANE:
+        return min(u[2], v[2])
+    if kind == _BOX:
+        return math.sqrt(segment_to_box(u, v, size))
+    return segment_to_ellipsoid(u, v, size)
 
 
 @inlined
@@ -246,7 +265,14 @@ def _frames(joints, q, frames):
 
 
 @inlined
-def _place(joints, capsules, q, frames, ends):
+def memory_for(world):
+    """Return the memory that checks need: joint frames, ends of capsules, a stack, a configuration and a motion."""
+    n, frames, ends = len(world[0]), np.empty((len(world[0]), 18)), np.empty((len(world[1]), 6))
+    return frames, ends, np.empty(_STACK, np.int64), np.empty(n), np.empty(n)
+
+
+@inlined
+def place(joints, capsules, q, frames, ends):
     """Write both ends of each capsule in a configuration; the frames are memory."""
     _frames(joints, q, frames)
     for k in range(len(capsules)):
@@ -264,16 +290,24 @@ def _place(joints, capsules, q, frames, ends):
 
 
 @inlined
-def _in_contact(joints, capsules, pairs, geoms, nodes, planes, q, frames, ends, stack):
-    """Return whether a configuration is in collision; the last three arguments are memory."""
-    _place(joints, capsules, q, frames, ends)
+def gap(world, q, limit, first, memory):
+    """Return the smallest distance beyond the margins in a configuration if it is below a limit, else the limit.
+
+    With ``first``, the search ends with -1 at any distance below the limit. ``memory`` is that of `memory_for`.
+    """
+    joints, capsules, pairs, geoms, nodes, planes = world
+    frames, ends, stack = memory[0], memory[1], memory[2]
+    place(joints, capsules, q, frames, ends)
     for p in range(len(pairs)):
         i, k = pairs[p, 0], pairs[p, 1]
         a, b = (ends[i, 0], ends[i, 1], ends[i, 2]), (ends[i, 3], ends[i, 4], ends[i, 5])
         c, d = (ends[k, 0], ends[k, 1], ends[k, 2]), (ends[k, 3], ends[k, 4], ends[k, 5])
-        limit = capsules[i, 7] + capsules[k, 7] + capsules[i, 8] + capsules[k, 8]
-        if segments_apart(a, b, c, d) < limit * limit:
-            return True
+        radius = capsules[i, 7] + capsules[k, 7] + capsules[i, 8] + capsules[k, 8]
+        reach, squared = radius + limit, segments_apart(a, b, c, d)
+        if reach > 0.0 and squared < reach * reach:
+            if first:
+                return -1.0
+            limit = math.sqrt(squared) - radius
     for k in range(len(capsules) - 1, -1, -1):  # the tool first: most collisions are its
         if capsules[k, 0] < 0 or len(nodes) == 0:
             continue
@@ -283,111 +317,55 @@ def _in_contact(joints, capsules, pairs, geoms, nodes, planes, q, frames, ends, 
         hx, hy, hz = abs(a[0] - b[0]) / 2 + radius, abs(a[1] - b[1]) / 2 + radius, abs(a[2] - b[2]) / 2 + radius
         for p in range(len(planes)):
             g = planes[p]
-            if (int(g[17]) & offered or int(g[16]) & accepted) and _near(g, a, b, radius + g[18]):
-                return True
+            if (int(g[17]) & offered or int(g[16]) & accepted) and near(g, a, b, radius + g[18] + limit):
+                if first:
+                    return -1.0
+                limit = _distance(g, a, b) - radius - g[18]
         stack[0] = 0
         size = 1
         while size > 0:
             size -= 1
             n = nodes[stack[size]]
-            if abs(n[0] - mx) > n[3] + hx or abs(n[1] - my) > n[4] + hy or abs(n[2] - mz) > n[5] + hz:
+            if (
+                abs(n[0] - mx) > n[3] + hx + limit
+                or abs(n[1] - my) > n[4] + hy + limit
+                or abs(n[2] - mz) > n[5] + hz + limit
+            ):
                 continue
             if n[8] < 0:
                 stack[size], stack[size + 1] = int(n[6]), int(n[7])
                 size += 2
                 continue
             g = geoms[int(n[8])]
-            if (int(g[17]) & offered or int(g[16]) & accepted) and _near(g, a, b, radius + g[18]):
-                return True
-    return False
+            if (int(g[17]) & offered or int(g[16]) & accepted) and near(g, a, b, radius + g[18] + limit):
+                if first:
+                    return -1.0
+                limit = _distance(g, a, b) - radius - g[18]
+    return limit
 
 
-@kernel(f"i8({_WORLD}, f8[:, ::1])")
-def first_contact(
-    joints: Array, capsules: Array, pairs: Pairs, geoms: Array, nodes: Array, planes: Array, configurations: Array
-) -> int:
+@kernel(f"i8({WORLD}, f8[:, ::1])")
+def first_contact(world: World, configurations: Array) -> int:
     """Return the index of the first of some configurations (k, n) that is in collision, or -1."""
-    frames, ends, stack = np.empty((len(joints), 18)), np.empty((len(capsules), 6)), np.empty(_STACK, np.int64)
+    memory = memory_for(world)
     for k in range(len(configurations)):
-        if _in_contact(joints, capsules, pairs, geoms, nodes, planes, configurations[k], frames, ends, stack):
+        if gap(world, configurations[k], 0.0, True, memory) < 0.0:
             return k
     return -1
 
 
-@kernel(f"void({_WORLD}, f8[:, ::1], b1[::1])", writes=("touching",))
-def contacts(
-    joints: Array,
-    capsules: Array,
-    pairs: Pairs,
-    geoms: Array,
-    nodes: Array,
-    planes: Array,
-    configurations: Array,
-    touching: npt.NDArray[np.bool_],
-) -> None:
+@kernel(f"void({WORLD}, f8[:, ::1], b1[::1])", writes=("touching",))
+def contacts(world: World, configurations: Array, touching: npt.NDArray[np.bool_]) -> None:
     """Write which of some configurations (k, n) are in collision, (k,)."""
-    frames, ends, stack = np.empty((len(joints), 18)), np.empty((len(capsules), 6)), np.empty(_STACK, np.int64)
+    memory = memory_for(world)
     for k in range(len(configurations)):
-        touching[k] = _in_contact(joints, capsules, pairs, geoms, nodes, planes, configurations[k], frames, ends, stack)
+        touching[k] = gap(world, configurations[k], 0.0, True, memory) < 0.0
 
 
-@kernel(f"void({_WORLD}, f8[:, ::1], b1[::1])", writes=("hit",))
-def geoms_in_contact(
-    joints: Array,
-    capsules: Array,
-    pairs: Pairs,
-    geoms: Array,
-    nodes: Array,
-    planes: Array,
-    configurations: Array,
-    hit: npt.NDArray[np.bool_],
-) -> None:
-    """Mark the geoms (g,), except planes, that the arm touches in some of the configurations (k, n)."""
-    frames, ends, stack = np.empty((len(joints), 18)), np.empty((len(capsules), 6)), np.empty(_STACK, np.int64)
-    for i in range(len(configurations)):
-        _place(joints, capsules, configurations[i], frames, ends)
-        for k in range(len(capsules)):
-            if capsules[k, 0] < 0 or len(nodes) == 0:
-                continue
-            a, b = (ends[k, 0], ends[k, 1], ends[k, 2]), (ends[k, 3], ends[k, 4], ends[k, 5])
-            radius, offered, accepted = capsules[k, 7] + capsules[k, 8], int(capsules[k, 9]), int(capsules[k, 10])
-            mx, my, mz = (a[0] + b[0]) / 2, (a[1] + b[1]) / 2, (a[2] + b[2]) / 2
-            hx, hy, hz = abs(a[0] - b[0]) / 2 + radius, abs(a[1] - b[1]) / 2 + radius, abs(a[2] - b[2]) / 2 + radius
-            stack[0] = 0
-            size = 1
-            while size > 0:
-                size -= 1
-                n = nodes[stack[size]]
-                if abs(n[0] - mx) > n[3] + hx or abs(n[1] - my) > n[4] + hy or abs(n[2] - mz) > n[5] + hz:
-                    continue
-                if n[8] < 0:
-                    stack[size], stack[size + 1] = int(n[6]), int(n[7])
-                    size += 2
-                    continue
-                g, leaf = geoms[int(n[8])], int(n[8])
-                if not hit[leaf] and (int(g[17]) & offered or int(g[16]) & accepted):
-                    hit[leaf] = _near(g, a, b, radius + g[18])
-
-
-@kernel(f"i8({_WORLD}, f8[::1], f8[::1], i8)")
-def contact_along(
-    joints: Array,
-    capsules: Array,
-    pairs: Pairs,
-    geoms: Array,
-    nodes: Array,
-    planes: Array,
-    start: Array,
-    motion: Array,
-    steps: int,
-) -> int:
-    """Check the inner points of a straight motion from a configuration, in `collision.halving_order`.
-
-    Returns:
-        Number of checks up to the first collision, or 0 without a collision.
-    """
-    frames, ends, stack = np.empty((len(joints), 18)), np.empty((len(capsules), 6)), np.empty(_STACK, np.int64)
-    q, checks, bits = np.empty(len(start)), 0, 0
+@inlined
+def contacts_along(world, start, motion, steps, memory):
+    """Check the inner points of a motion; see `contact_along`."""
+    q, checks, bits = memory[3], 0, 0
     while (1 << bits) <= steps - 1:
         bits += 1
     for index in range(1, 1 << bits):
@@ -399,9 +377,19 @@ def contact_along(
             for j in range(len(q)):
                 q[j] = start[j] + fraction * motion[j]
             checks += 1
-            if _in_contact(joints, capsules, pairs, geoms, nodes, planes, q, frames, ends, stack):
+            if gap(world, q, 0.0, True, memory) < 0.0:
                 return checks
     return 0
+
+
+@kernel(f"i8({WORLD}, f8[::1], f8[::1], i8)")
+def contact_along(world: World, start: Array, motion: Array, steps: int) -> int:
+    """Check the inner points of a straight motion from a configuration, in `collision.halving_order`.
+
+    Returns:
+        Number of checks up to the first collision, or 0 without a collision.
+    """
+    return contacts_along(world, start, motion, steps, memory_for(world))
 
 
 @inlined

@@ -17,9 +17,9 @@ import numpy.typing as npt
 
 from greenhouse_gym.errors import InvalidValueError, check_whole, is_number, require_seed
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.motion.collision import LEAVES, CollisionChecker, Leaves, checker_of
+from greenhouse_gym.motion.collision import LEAVES, CollisionChecker, Leaves
 from greenhouse_gym.motion.inverse_kinematics import Approach, inverse_kinematics
-from greenhouse_gym.motion.kernel_checker import search_checker
+from greenhouse_gym.motion.proof import ProvingChecker, checker_of
 from greenhouse_gym.motion.unknown_space import depths_of, guarded
 from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.robots.kinematics import tool_chain
@@ -197,7 +197,7 @@ def sample_budget(depth: float) -> int:
 
 def search_goals(
     compiled: CompiledScene,
-    checker: CollisionChecker,
+    checker: ProvingChecker,
     target: int,
     count: int = 60,
     threshold: float = 0.65,
@@ -216,7 +216,6 @@ def search_goals(
             f"expected threshold > 0 and min_difference >= 0, got {threshold!r} and {min_difference!r}"
         )
     sampler = GoalSampler(compiled, target, threshold=threshold, approach=approach, seed=require_seed(seed))
-    search = search_checker(checker.model)
     accepted = np.empty((count, len(compiled.robot.joints)))
     found = samples = within = converged = duplicate = colliding = 0
     while found < count and samples < budget:
@@ -224,7 +223,7 @@ def search_goals(
         samples += BATCH_SIZE
         within += batch.within_threshold
         converged += len(batch.configurations)
-        free = batch.configurations[search.are_free(batch.configurations)]
+        free = batch.configurations[checker.search.are_free(batch.configurations)]
         colliding += len(batch.configurations) - len(free)
         for configuration in free:
             if (np.abs(accepted[:found] - configuration) < min_difference).all(-1).any():

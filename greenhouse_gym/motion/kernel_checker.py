@@ -7,7 +7,7 @@ them; whatever a search finds is proven by MuJoCo afterwards.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -19,35 +19,33 @@ from greenhouse_gym.motion.proof import ProvingChecker
 from greenhouse_gym.robots.kinematics import Chain, joint_frames, tool_chain
 from greenhouse_gym.robots.robot import TIP_SITE
 
+if TYPE_CHECKING:
+    from greenhouse_gym.motion.collision_kernels import World
+
 _PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
 _ARM_TYPES = (int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM_CAPSULE))
+_ARM_FIELDS = (
+    "body_parentid", "body_weldid", "body_pos", "body_quat", "body_jntadr", "body_jntnum", "jnt_type", "jnt_pos",
+    "jnt_axis", "site_bodyid", "site_pos", "site_quat", "exclude_signature",
+)  # fmt: skip
+_GEOM_FIELDS = ("bodyid", "type", "pos", "quat", "size", "contype", "conaffinity", "margin")
+_CACHE_SIZE = 256  # arms, about 2 MB
 _WORLD_TYPES = (*_ARM_TYPES, _PLANE, int(mujoco.mjtGeom.mjGEOM_ELLIPSOID), int(mujoco.mjtGeom.mjGEOM_BOX))
-
-
-class KernelWorld(NamedTuple):
-    """An arm and the world around it as arrays, see `greenhouse_gym.motion.collision_kernels`."""
-
-    joints: Array
-    capsules: Array
-    pairs: npt.NDArray[np.int32]
-    geoms: Array
-    nodes: Array
-    planes: Array
 
 
 class KernelChecker(CollisionChecker):
     """A `CollisionChecker` by kernels; `search_checker` makes them."""
 
-    def __init__(self, model: mujoco.MjModel, reaches: Array | None, world: KernelWorld):
+    def __init__(self, model: mujoco.MjModel, reaches: Array | None, world: World):
         from greenhouse_gym.motion import collision_kernels
 
         super().__init__(model, reaches)
-        self._world, self._kernels = world, collision_kernels
+        self.world, self._kernels = world, collision_kernels
 
     def are_free(self, configurations: Array) -> npt.NDArray[np.bool_]:
         """Return whether each of some configurations (k, joints) is collision-free, (k,)."""
         touching = np.empty(len(configurations), dtype=np.bool_)
-        self._kernels.contacts(*self._world, np.ascontiguousarray(configurations, dtype=np.float64), touching)
+        self._kernels.contacts(self.world, np.ascontiguousarray(configurations, dtype=np.float64), touching)
         self.checks += len(touching)
         return ~touching
 
@@ -57,13 +55,13 @@ class KernelChecker(CollisionChecker):
             start, end = end, start
         motion = end - start
         steps = self._steps(motion, resolution)
-        checks = self._kernels.contact_along(*self._world, np.ascontiguousarray(start), motion, steps)
+        checks = self._kernels.contact_along(self.world, np.ascontiguousarray(start), motion, steps)
         self.checks += checks or max(steps - 1, 0)
         return checks == 0
 
     def _all_free(self, configurations: Iterable[npt.ArrayLike]) -> bool:
         q = configurations if isinstance(configurations, np.ndarray) else np.array(tuple(configurations))
-        first = self._kernels.first_contact(*self._world, np.ascontiguousarray(q, dtype=np.float64))
+        first = self._kernels.first_contact(self.world, np.ascontiguousarray(q, dtype=np.float64))
         self.checks += len(q) if first < 0 else first + 1
         return first < 0
 
@@ -74,8 +72,8 @@ def search_checker(model: mujoco.MjModel, reaches: Array | None = None) -> Colli
     return ProvingChecker(model, reaches) if world is None else KernelChecker(model, reaches, world)
 
 
-def kernel_world(model: mujoco.MjModel) -> KernelWorld | None:
-    """Return a model for the kernels, or None if they cannot compute it."""
+def kernel_world(model: mujoco.MjModel) -> World | None:
+    """Return a model as `collision_kernels` wants it, or None if they cannot compute it."""
     colliding = (model.geom_contype | model.geom_conaffinity) > 0
     arm = np.flatnonzero((model.geom_bodyid > 0) & colliding)
     count = int(model.body_geomnum[0])
@@ -83,8 +81,8 @@ def kernel_world(model: mujoco.MjModel) -> KernelWorld | None:
     simple = np.isin(model.geom_type[arm], _ARM_TYPES).all() and np.isin(model.geom_type[:count], _WORLD_TYPES).all()
     if tip < 0 or not simple or model.npair or model.body_geomadr[0] != 0:
         return None
-    chain = tool_chain(model, tip)
-    if not len(chain.axes) == model.njnt == model.nq:
+    own_arm = _arm_of(model, arm, tip)
+    if own_arm is None:
         return None
     geoms = np.column_stack(
         [
@@ -98,7 +96,28 @@ def kernel_world(model: mujoco.MjModel) -> KernelWorld | None:
     own = slice(int(model.body_bvhadr[0]), int(model.body_bvhadr[0]) + int(model.body_bvhnum[0]))
     nodes = np.column_stack([model.bvh_aabb[own], model.bvh_child[own], model.bvh_nodeid[own]])
     nodes[:, 3:6] += model.geom_margin[:count].max(initial=0.0)
-    return KernelWorld(chain.table, _capsules(model, chain, arm), _pairs(model, arm), geoms, nodes, planes)
+    return (*own_arm, geoms, nodes, planes)
+
+
+_Arm = tuple[Array, Array, npt.NDArray[np.int32]]
+_arms: dict[bytes, _Arm | None] = {}
+
+
+def _arm_of(model: mujoco.MjModel, arm: npt.NDArray[np.int64], tip: int) -> _Arm | None:
+    """Return the joints, capsules and pairs of a model, or None if a joint does not move the tip.
+
+    Few arms are used with many scenes, so the results are cached by all that they depend on.
+    """
+    fields = [np.ravel(getattr(model, name)).view(np.uint8) for name in _ARM_FIELDS]
+    fields += [np.ravel(getattr(model, f"geom_{name}")[arm]).view(np.uint8) for name in _GEOM_FIELDS]
+    key = np.concatenate(fields).tobytes()
+    if key not in _arms:
+        if len(_arms) >= _CACHE_SIZE:
+            _arms.clear()
+        chain = tool_chain(model, tip)
+        reached = len(chain.axes) == model.njnt == model.nq
+        _arms[key] = (chain.table, _capsules(model, chain, arm), _pairs(model, arm)) if reached else None
+    return _arms[key]
 
 
 def _capsules(model: mujoco.MjModel, chain: Chain, arm: npt.NDArray[np.int64]) -> Array:

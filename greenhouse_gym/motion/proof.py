@@ -9,13 +9,23 @@ Environments, 2005).
 from __future__ import annotations
 
 import copy
+from collections.abc import Collection
 from functools import cached_property
 
 import mujoco
 import numpy as np
 
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.motion.collision import CollisionChecker, halving_order
+from greenhouse_gym.motion.collision import (
+    COLLISION_PAIRS,
+    LEAVES,
+    CollisionChecker,
+    Leaves,
+    halving_order,
+    planning_model,
+)
+from greenhouse_gym.motion.joint_reaches import arm_reaches
+from greenhouse_gym.scene.mjcf import CompiledScene
 
 LOOK_AHEAD = 0.04
 """Range of distance queries beyond the margins (m). With a larger one they would always report the adjacent link."""
@@ -23,11 +33,26 @@ LOOK_AHEAD = 0.04
 _TOLERANCE = 1e-4  # metres: distances closer to the margin than this are decided by the exact model
 
 
+def checker_of(
+    compiled: CompiledScene, target: int, pairs: Collection[str] = COLLISION_PAIRS, leaves: Leaves = LEAVES[0]
+) -> ProvingChecker:
+    """Return the checker for planning a path to a target, with the usual margin; arguments as for `planning_model`."""
+    model = planning_model(compiled, target, pairs=pairs, leaves=leaves)
+    return ProvingChecker(model, arm_reaches(compiled.robot))
+
+
 class ProvingChecker(CollisionChecker):
     """A `CollisionChecker` with the same results and counts that is about twice as fast along fine motions.
 
     ``checks`` counts the configurations decided, including those covered by a distance query nearby.
     """
+
+    @cached_property
+    def search(self) -> CollisionChecker:
+        """The fastest checker of the same model: what it finds free is to be proven by this one."""
+        from greenhouse_gym.motion.kernel_checker import search_checker
+
+        return search_checker(self.model, self._known_reaches)
 
     @cached_property
     def _wide_model(self) -> mujoco.MjModel:

@@ -13,9 +13,9 @@ import numpy.typing as npt
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
-from greenhouse_gym.crops.parts import Tomato
+from greenhouse_gym.crops.parts import SpaceBox, Tomato
 from greenhouse_gym.errors import InvalidValueError, is_number, require_choice
-from greenhouse_gym.geometry import Array, Box, bounding_balls, distance_to_shapes
+from greenhouse_gym.geometry import Array, bounding_balls, distance_to_shapes
 from greenhouse_gym.motion.collision import CollisionChecker, planning_model
 from greenhouse_gym.motion.joint_reaches import arm_reaches
 from greenhouse_gym.motion.path import along_path
@@ -72,7 +72,7 @@ def occupancy_of(scene: Scene) -> OccupancyGrid:
     )
 
 
-def unknown_boxes(scene: Scene, robot: Robot, start: npt.ArrayLike, depth: float = 0.0) -> list[Box]:
+def unknown_boxes(scene: Scene, robot: Robot, start: npt.ArrayLike, depth: float = 0.0) -> list[SpaceBox]:
     """Return boxes over the unknown space within reach that the arm must not enter.
 
     The space of the arm and its cart at the start counts as known, and so does the inside of tomatoes. Beyond the reach

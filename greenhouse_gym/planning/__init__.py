@@ -1,6 +1,7 @@
 """Motion planning: goal configurations, planners on the simulator's own collision model, commands in time."""
 
-from greenhouse_gym.motion.collision import COLLISION_PAIRS, CollisionChecker, path_clearance, planning_model
+from greenhouse_gym.motion.clearance import path_clearance
+from greenhouse_gym.motion.collision import COLLISION_PAIRS, CollisionChecker, planning_model
 from greenhouse_gym.motion.goals import Goals, GoalStatistics, goal_configurations
 from greenhouse_gym.motion.inverse_kinematics import Approach
 from greenhouse_gym.motion.path import follow_path, path_length, resample

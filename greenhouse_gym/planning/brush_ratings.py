@@ -63,18 +63,11 @@ def _certificate(compiled: CompiledScene, scene: Scene, target: Target, seed: in
         return BrushCertificate(difficulty=free.difficulty)
     robot, start, contacts = compiled.robot, compiled.robot.rating_start, LeafContacts(compiled)
     planned = plan(
-        compiled.scene,
-        target.tomato,
-        robot,
-        time_limit=None,
-        max_checks=MAX_CHECKS,
-        seed=seed,
-        start=start,
-        leaves="brush",
+        scene, target.tomato, robot, time_limit=None, max_checks=MAX_CHECKS, seed=seed, start=start, leaves="brush"
     )
     checker = ProvingChecker(planning_model(compiled, target.tomato, leaves="brush"), arm_reaches(robot))
-    few = shortest_free(checker, robot, [planned])
-    paths = [path for path in (few, np.array(free.witness)) if path is not None]
+    shortest = shortest_free(checker, robot, [planned])
+    paths = [path for path in (shortest, np.array(free.witness)) if path is not None]
     leaves = [len(contacts.brushed(path)) for path in paths]
     best = int(np.argmin(leaves))
     witness = tuple(tuple(configuration) for configuration in paths[best].tolist())

@@ -76,7 +76,7 @@ class _Budget:
 
     @property
     def is_used_up(self) -> bool:
-        """Whether next to nothing is left."""
+        """True once nothing is left."""
         return (self._time is not None and self._time <= 0) or (self._checks is not None and self._checks <= 0)
 
     def search(self, leaves: str | npt.NDArray[np.int64], goals: Array | None, fraction: float) -> PlanResult:

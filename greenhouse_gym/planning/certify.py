@@ -22,11 +22,10 @@ import numpy as np
 
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, require_seed
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.motion.collision import LEAVES, PROOF, CollisionChecker, path_clearance, planning_model
+from greenhouse_gym.motion.clearance import path_clearance
+from greenhouse_gym.motion.collision import LEAVES, PROOF, CollisionChecker, planning_model
 from greenhouse_gym.motion.goals import search_goals
-from greenhouse_gym.motion.joint_reaches import arm_reaches
-from greenhouse_gym.motion.kernel_checker import search_checker
-from greenhouse_gym.motion.proof import ProvingChecker
+from greenhouse_gym.motion.proof import ProvingChecker, checker_of
 from greenhouse_gym.motion.unknown_space import depths_of, guarded, unknown_lengths
 from greenhouse_gym.planning.own_planners import PlannerFailedError
 from greenhouse_gym.planning.query import plan_with
@@ -103,7 +102,7 @@ def certify_target(compiled: CompiledScene, tomato: int, seed: int = 0, leaves: 
 
     With ``leaves="brush"``, the arm passes through leaves as if there were none.
     """
-    checker = ProvingChecker(planning_model(compiled, tomato, leaves=leaves), arm_reaches(compiled.robot))
+    checker = checker_of(compiled, tomato, leaves=leaves)
     goals = search_goals(compiled, checker, tomato, GOALS, seed=seed, budget=SAMPLES).configurations
     rating = _straight(checker, compiled.robot, goals) or _planned(checker, compiled, tomato, goals, seed)
     target = Target(tomato=tomato, difficulty=rating.difficulty, robot=compiled.robot.name, goals=len(goals))
@@ -194,9 +193,9 @@ class _Rating:
     checks: int | None = None
 
 
-def _straight(checker: CollisionChecker, robot: Robot, goals: Array) -> _Rating | None:
+def _straight(checker: ProvingChecker, robot: Robot, goals: Array) -> _Rating | None:
     """Rate by the shortest free straight motion to a goal; None without one."""
-    start, search = robot.rating_start, search_checker(checker.model, checker.reaches)
+    start, search = robot.rating_start, checker.search
     for goal in sorted(goals, key=lambda end: float(np.linalg.norm(end - start))):
         if search.motion_is_free(start, goal, PROOF):
             path = _rounded(robot, np.stack([start, goal]))
@@ -205,7 +204,7 @@ def _straight(checker: CollisionChecker, robot: Robot, goals: Array) -> _Rating 
     return None
 
 
-def _planned(checker: CollisionChecker, compiled: CompiledScene, tomato: int, goals: Array, seed: int) -> _Rating:
+def _planned(checker: ProvingChecker, compiled: CompiledScene, tomato: int, goals: Array, seed: int) -> _Rating:
     """Rate by runs of RRTConnect."""
     if not len(goals):
         return _Rating("unreachable")
@@ -235,12 +234,17 @@ def shortest_free(checker: CollisionChecker, robot: Robot, results: Sequence[Pla
 
 
 def _search(
-    checker: CollisionChecker, compiled: CompiledScene, tomato: int, goals: Array, seed: int, checks: int
+    checker: ProvingChecker, compiled: CompiledScene, tomato: int, goals: Array, seed: int, checks: int
 ) -> PlanResult:
-    """Run RRTConnect once, limited by the number of checks alone."""
+    """Run RRTConnect once, limited by the number of checks alone.
+
+    Up to `MAX_CHECKS`, which rate a target, it takes up the goals one by one, so that ratings stay comparable.
+    """
     for _ in range(_ATTEMPTS):
         start = compiled.robot.rating_start
-        result = plan_with(compiled, checker, goals, "RRTConnect", None, checks, seed, start)
+        result = plan_with(
+            compiled, checker, goals, "RRTConnect", None, checks, seed, start, gradual_goals=checks <= MAX_CHECKS
+        )
         if result.status not in ("crashed", "timeout"):
             return result
     raise PlannerFailedError(f"{compiled.scene.name}, tomato {tomato}: it cannot be rated. {result.message}")

@@ -77,6 +77,8 @@ class PlannerInfo:
         return {**self.settings, **values}
 
 
+_COMPILED = PlannerInfo("RRTConnect", "two rapidly exploring random trees that grow towards each other", _SHORT_RANGE)
+
 _KNOWN = (
     PlannerInfo("ABITstar", "advanced batch informed trees: truncated, inflated search over batches", optimizing=True),
     PlannerInfo("AITstar", "adaptively informed trees: a lazy reverse search guides the forward one", optimizing=True),
@@ -109,7 +111,7 @@ _KNOWN = (
                 optimizing=True, single_goal=True, reproducible=False),
     PlannerInfo("ProjEST", "expansive space trees on a projection of the space"),
     PlannerInfo("RRT", "rapidly exploring random tree"),
-    PlannerInfo("RRTConnect", "two rapidly exploring random trees that grow towards each other", _SHORT_RANGE),
+    _COMPILED,
     PlannerInfo("RRTXstatic", "RRT* with a cascade of rewirings that keeps the tree consistent", optimizing=True),
     PlannerInfo("RRTsharp", "RRT# : RRT* that keeps every promising vertex consistent", optimizing=True),
     PlannerInfo("RRTstar", "asymptotically optimal rapidly exploring random tree", optimizing=True),
@@ -153,6 +155,8 @@ class _Planners(Mapping[str, PlannerInfo]):
     def __getitem__(self, name: str) -> PlannerInfo:
         if name in self.registered:
             return self.registered[name]
+        if name == _COMPILED.name and find_spec("ompl") is not None:
+            return _COMPILED  # needs no planning process
         try:
             return self._of_ompl[name]
         except KeyError:

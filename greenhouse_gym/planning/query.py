@@ -14,22 +14,21 @@ import numpy.typing as npt
 from greenhouse_gym.errors import InvalidValueError, check_whole, is_number, require_choice, require_seed
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.caution import with_margin, with_unexplained_cells
+from greenhouse_gym.motion.clearance import path_clearance
 from greenhouse_gym.motion.collision import (
     COARSE,
     COLLISION_PAIRS,
     LEAVES,
     PROOF,
-    CollisionChecker,
     Leaves,
-    checker_of,
-    path_clearance,
 )
 from greenhouse_gym.motion.goals import Goals, goal_configurations, sample_budget, search_goals
 from greenhouse_gym.motion.leaf_contacts import LeafContacts
 from greenhouse_gym.motion.path import path_length
-from greenhouse_gym.motion.proof import ProvingChecker
+from greenhouse_gym.motion.proof import ProvingChecker, checker_of
 from greenhouse_gym.motion.unknown_space import depths_of, guarded, occupancy_of, unknown_length
 from greenhouse_gym.planning.brushing import plan_brushing
+from greenhouse_gym.planning.connect import compiled_checker, rrt_connect
 from greenhouse_gym.planning.own_planners import PlannerFailedError, run_own_planner
 from greenhouse_gym.planning.parameters import Value
 from greenhouse_gym.planning.planners import PLANNERS, PlannerInfo
@@ -76,9 +75,10 @@ def plan(
 ) -> PlanResult:
     """Plan a path that brings the tool to a tomato without touching anything else.
 
-    OMPL's planners run in a process of its own; any failure there ends in a status. Their path is shortened; the path
-    of a planner of `register_planner` is not. A path counts only after every motion has been proven free in the
-    caller's process.
+    OMPL's planners run in a process of its own; any failure there ends in a status. RRTConnect is compiled and runs in
+    the caller's process if the arm is made of capsules and spheres. The paths of all these are shortened; the path of a
+    planner of `register_planner` is not. A path counts only after every motion has been proven free in the caller's
+    process.
 
     Args:
         scene: The scene.
@@ -88,7 +88,8 @@ def plan(
         time_limit: Seconds the planner may search; with None, ``max_checks`` alone ends the search.
         max_checks: Number of collision checks after which the search ends. If this and not the time ends it, the same
             seed gives the same path (for planners that are reproducible, such as RRTConnect).
-        goals: Number of goal configurations to find, or the configurations (k, joints) themselves, radians.
+        goals: Number of goal configurations to find, or the configurations (k, joints) themselves, radians; RRTConnect
+            takes up given ones one by one, in their order.
         seed: Seed of the goal search and of the planner.
         start: (joints,) start configuration, radians, or its name in `Robot.starts`; None for the arm's own.
         settings: Parameters to change, such as ``{"range": 0.5}``; ``PLANNERS[planner].parameters`` lists them with
@@ -130,10 +131,10 @@ def plan(
     origin = _configurations("start", [arm.configuration(start)], arm)[0]
     if isinstance(leaves, str) and leaves == "brush":
 
-        def search(some: Leaves, ends: Array | None, seconds: float | None, checks: int | None) -> PlanResult:
+        def search(passable: Leaves, ends: Array | None, seconds: float | None, checks: int | None) -> PlanResult:
             return plan(
                 scene, target, arm, planner, seconds, checks, goals if ends is None else ends, seed, origin, settings,
-                first_solution, pairs, unknown, margin, unexplained, some,
+                first_solution, pairs, unknown, margin, unexplained, passable,
             )  # fmt: skip
 
         def find_goals() -> Array:
@@ -150,12 +151,12 @@ def plan(
     scene = with_margin(scene, arm, origin, margin, treatment)
     scene = with_unexplained_cells(scene, arm, origin) if unexplained else scene
     began = time.perf_counter()
-    statistics = None
+    statistics, goal_checker = None, None
     if isinstance(goals, int | np.integer):
         count, widest = check_whole("count of goals", goals, 1), guarded(scene, arm, origin, depths[-1])
-        checker = checker_of(widest, target, pairs, leaves)
+        goal_checker = checker_of(widest, target, pairs, leaves)
         pool = max(count, _POOL) if len(depths) > 1 else count
-        searched = search_goals(widest, checker, target, pool, seed=seed, budget=sample_budget(depths[-1]))
+        searched = search_goals(widest, goal_checker, target, pool, seed=seed, budget=sample_budget(depths[-1]))
         ends, statistics = searched.configurations, searched.statistics
     else:
         ends = _given_goals(goals, arm)
@@ -163,12 +164,18 @@ def plan(
     goal_time = time.perf_counter() - began
     for depth in depths:
         around = guarded(scene, arm, origin, depth)
-        checker = checker_of(around, target, pairs, leaves)
-        free = ends[[checker.is_free(end) for end in ends]][:count]
+        if goal_checker is not None and depth == depths[-1]:
+            checker, free = goal_checker, ends[:count]
+        else:
+            checker = checker_of(around, target, pairs, leaves)
+            free = ends[[checker.is_free(end) for end in ends]][:count]
         fraction = 1.0 if depth == depths[-1] else _FRACTION
         seconds = None if time_limit is None else time_limit * fraction
         checks = None if max_checks is None else max(1, int(max_checks * fraction))
-        result = plan_with(around, checker, free, planner, seconds, checks, seed, origin, settings, first_solution)
+        result = plan_with(
+            around, checker, free, planner, seconds, checks, seed, origin, settings, first_solution,
+            gradual_goals=goal_checker is None or treatment == "brush",  # those that touch few leaves come first
+        )  # fmt: skip
         if result.path is not None:
             break
         time_limit = None if time_limit is None else time_limit - min(time_limit / 2, result.planning_time)
@@ -190,7 +197,7 @@ def plan(
 
 def plan_with(
     compiled: CompiledScene,
-    checker: CollisionChecker,
+    checker: ProvingChecker,
     goals: Array,
     planner: str = "RRTConnect",
     time_limit: float | None = 5.0,
@@ -199,10 +206,12 @@ def plan_with(
     start: str | npt.ArrayLike | None = None,
     settings: Mapping[str, Value] | None = None,
     first_solution: bool = False,
+    gradual_goals: bool = False,
 ) -> PlanResult:
     """Plan to collision-free goals (k, joints) with a compiled scene and its checker, as `plan` does.
 
-    The path's clearance is not measured.
+    The path's clearance is not measured. With ``gradual_goals``, RRTConnect needs as many checks as OMPL's, see
+    `PlannerQuery`.
     """
     info = PLANNERS[planner]
     chosen = info.with_settings(settings or {})
@@ -232,6 +241,7 @@ def plan_with(
         max_checks=max_checks,
         optimizing=info.optimizing and not first_solution,
         seed=seed,
+        gradual_goals=gradual_goals,
     )
     return _run_planner(info, checker, query)
 
@@ -249,8 +259,8 @@ def _seconds(time_limit: float | None, max_checks: int | None) -> float:
     return min(float(time_limit), _LONGEST)
 
 
-def _run_planner(info: PlannerInfo, checker: CollisionChecker, query: PlannerQuery) -> PlanResult:
-    """Run a planner, OMPL's in the planning process, and verify its path."""
+def _run_planner(info: PlannerInfo, checker: ProvingChecker, query: PlannerQuery) -> PlanResult:
+    """Run a planner, here or in the planning process, and verify its path."""
     began = time.perf_counter()
 
     def failed(status: Status, error: Exception) -> PlanResult:
@@ -260,8 +270,11 @@ def _run_planner(info: PlannerInfo, checker: CollisionChecker, query: PlannerQue
 
     answer: PlannerAnswer
     try:
+        search = compiled_checker(query, checker.search)
         if info.solve is not None:
             answer = run_own_planner(info.solve, query)
+        elif search is not None:
+            answer = rrt_connect(query, search)
         else:
             answer = shared_worker().call("solve", query, query.time_limit + GRACE)
     except WorkerTimeoutError as error:
@@ -290,7 +303,7 @@ def _run_planner(info: PlannerInfo, checker: CollisionChecker, query: PlannerQue
     )
 
 
-def _flaw(checker: CollisionChecker, query: PlannerQuery, path: Array) -> str:
+def _flaw(checker: ProvingChecker, query: PlannerQuery, path: Array) -> str:
     """Return a description of a path's first flaw, or an empty text."""
     if path.ndim != 2 or path.shape[1:] != query.start.shape or not len(path) or not np.isfinite(path).all():
         return f"{query.planner}: the path has the shape {path.shape} or entries that are not numbers"
@@ -300,7 +313,7 @@ def _flaw(checker: CollisionChecker, query: PlannerQuery, path: Array) -> str:
         return f"{query.planner}: the path ends at {path[-1].tolist()}, which is none of the goals"
     if ((path < query.lower) | (path > query.upper)).any():
         return f"{query.planner}: the path leaves the joint limits"
-    if not ProvingChecker(checker.model, checker.reaches).path_is_free(path, PROOF):
+    if not checker.path_is_free(path, PROOF):
         return f"{query.planner}: the path is not free"
     return ""
 

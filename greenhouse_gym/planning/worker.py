@@ -57,6 +57,7 @@ class PlannerQuery:
         optimizing: True if the planner uses all its time; motions are then checked at `PROOF` from the start. Otherwise
             it stops at its first path, if it reports that it has one.
         seed: Seed of the planner's random numbers.
+        gradual_goals: True if the compiled RRTConnect takes up the goals one by one, as OMPL's does.
     """
 
     model: mujoco.MjModel
@@ -71,6 +72,7 @@ class PlannerQuery:
     max_checks: int | None
     optimizing: bool
     seed: int
+    gradual_goals: bool = False
 
 
 @dataclass(frozen=True, eq=False)

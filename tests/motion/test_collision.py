@@ -8,13 +8,12 @@ import pytest
 from conftest import with_ellipsoids
 
 from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.motion.clearance import CLEARANCE_RANGE, path_clearance
 from greenhouse_gym.motion.collision import (
-    CLEARANCE_RANGE,
     MARGIN,
     PROOF,
     CollisionChecker,
     halving_order,
-    path_clearance,
     planning_model,
     set_margin,
 )

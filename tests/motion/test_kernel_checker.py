@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from conftest import with_ellipsoids
 
-from greenhouse_gym.motion.collision import PROOF, CollisionChecker, checker_of, planning_model
+from greenhouse_gym.motion.collision import PROOF, CollisionChecker, planning_model
+from greenhouse_gym.motion.joint_reaches import arm_reaches
 from greenhouse_gym.motion.kernel_checker import KernelChecker, kernel_world, search_checker
-from greenhouse_gym.motion.proof import ProvingChecker
+from greenhouse_gym.motion.proof import ProvingChecker, checker_of
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene, SceneBank
 from greenhouse_gym.scene.mjcf import compile_scene
@@ -80,7 +81,8 @@ def test_verdicts_are_mujocos(scene: Scene, robot: str) -> None:
 
 def test_motions_are_checked_alike_and_counted_alike(scene: Scene) -> None:
     arm = get_robot("ur5e")
-    exact = checker_of(compile_scene(scene, arm), 4)
+    model = checker_of(compile_scene(scene, arm), 4).model
+    exact = CollisionChecker(model, arm_reaches(arm))
     checker, back = (search_checker(exact.model, exact.reaches) for _ in range(2))
     rng, verdicts = np.random.default_rng(3), []
     for _ in range(60):

@@ -10,7 +10,8 @@ from conftest import make_scene
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Box
 from greenhouse_gym.motion.caution import with_margin
-from greenhouse_gym.motion.collision import CollisionChecker, path_clearance, planning_model
+from greenhouse_gym.motion.clearance import path_clearance
+from greenhouse_gym.motion.collision import CollisionChecker, planning_model
 from greenhouse_gym.motion.joint_reaches import arm_reaches
 from greenhouse_gym.planning import plan
 from greenhouse_gym.robots import get_robot

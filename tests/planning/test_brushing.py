@@ -108,7 +108,7 @@ def test_wrong_leaves_are_refused(closed: Scene) -> None:
     with pytest.raises(UnknownNameError, match="leaves"):
         plan(closed, 0, leaves="soft")
     for wrong in ([6], [-1], [0.5], ["a"], 3):
-        with pytest.raises(InvalidValueError, match="leaves .*: scene 'curtain' has leaves 0 to 5"):
+        with pytest.raises(InvalidValueError, match=r"leaves .*: scene 'curtain' has leaves 0 to 5"):
             plan(closed, 0, leaves=np.array(wrong))
     with pytest.raises(UnknownNameError, match="leaves"):
         PlannerAgent(leaves="soft")

@@ -7,7 +7,7 @@ import pytest
 
 from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.geometry import Sphere
-from greenhouse_gym.motion.collision import path_clearance
+from greenhouse_gym.motion.clearance import path_clearance
 from greenhouse_gym.planning import CollisionChecker, PlanResult, certify, certify_targets, planning_model
 from greenhouse_gym.planning.own_planners import PlannerFailedError
 from greenhouse_gym.planning.result import Status
@@ -121,8 +121,8 @@ def test_a_planner_that_dies_rates_nothing(small: Scene, monkeypatch: pytest.Mon
     deaths: list[Status] = ["crashed", "timeout"]
     planned = certify.plan_with
 
-    def dying(*given: Any) -> PlanResult:
-        return PlanResult(deaths.pop(), None, "RRTConnect", message="it died") if deaths else planned(*given)
+    def dying(*given: Any, **named: Any) -> PlanResult:
+        return PlanResult(deaths.pop(), None, "RRTConnect", message="it died") if deaths else planned(*given, **named)
 
     monkeypatch.setattr(certify, "plan_with", dying)
     assert certify.certify_target(compiled, 0) == expected

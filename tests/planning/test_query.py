@@ -247,7 +247,7 @@ def test_every_path_of_the_worker_is_verified(
         path = np.insert(path, 1, np.nan, axis=0)
     answer = PlannerAnswer("solved", path, path, 0.1, 0.0, 10, 5, np.empty((0, 2)))
     monkeypatch.setattr(query.shared_worker(), "call", lambda *_: answer)
-    result: PlanResult = plan(scene, 7)
+    result: PlanResult = plan(scene, 7, planner="RRT")
     assert result.status == "invalid"
     assert result.path is None
     assert message in result.message

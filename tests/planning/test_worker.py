@@ -89,7 +89,7 @@ def test_killed_from_outside_while_planning(scene: Scene) -> None:
     assert result.status == "crashed"
     assert result.path is None
     assert "signal 9" in result.message
-    assert plan(scene, 0).status == "solved"
+    assert plan(scene, 0, planner="SBL").status == "solved"
 
 
 def test_a_planner_that_ignores_its_limit_times_out(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -100,7 +100,7 @@ def test_a_planner_that_ignores_its_limit_times_out(scene: Scene, monkeypatch: p
     assert result.status == "timeout"
     assert result.path is None
     assert 0.4 < result.planning_time < 5.0
-    assert plan(scene, 0).status == "solved"
+    assert plan(scene, 0, planner="SBL").status == "solved"
 
 
 def test_an_error_in_ompl_is_a_status(scene: Scene) -> None:
@@ -123,11 +123,11 @@ def test_too_much_memory_is_refused_and_the_next_call_works() -> None:
 
 @pytest.mark.usefixtures("ctrl_c")
 def test_ctrl_c_while_planning(scene: Scene) -> None:
-    assert plan(scene, 0).status == "solved"
+    assert plan(scene, 0, planner="SBL").status == "solved"
     threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()
     with pytest.raises(KeyboardInterrupt):
         plan(scene, 0, planner="RRTstar", time_limit=30.0)
-    assert plan(scene, 0).status == "solved"
+    assert plan(scene, 0, planner="SBL").status == "solved"
 
 
 @pytest.mark.usefixtures("ctrl_c")
@@ -161,7 +161,7 @@ import sys
 from greenhouse_gym.planning import plan
 from greenhouse_gym.planning.worker import shared_worker
 from greenhouse_gym.scene import Scene
-result = plan(Scene.load(sys.argv[1]), 0)
+result = plan(Scene.load(sys.argv[1]), 0, planner="SBL")
 assert not any(name.split(".")[0] == "ompl" for name in sys.modules)
 print(result.status, shared_worker().pid)
 """
@@ -188,7 +188,7 @@ def test_ompl_stays_out_of_the_process_that_plans(scene: Scene, tmp_path: Path) 
     code = (
         "import sys; from greenhouse_gym.planning import plan; from greenhouse_gym.scene import Scene\n"
         "print([m for m in sys.modules if 'ompl_' in m])\n"
-        f"print(plan(Scene.load({str(scene.save(tmp_path / 'scene.json'))!r}), 1).status)\n"
+        f"print(plan(Scene.load({str(scene.save(tmp_path / 'scene.json'))!r}), 1, planner='SBL').status)\n"
         "print([m for m in sys.modules if m.split('.')[0] == 'ompl'])\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
@@ -242,7 +242,7 @@ def test_queries_leave_no_memory_behind(scene: Scene) -> None:
     def megabytes_after(queries: int, kind: str) -> list[float]:
         found = []
         for seed in range(queries):
-            assert plan(scene, 0, goals=goals, seed=seed).status == "solved"
+            assert plan(scene, 0, planner="SBL", goals=goals, seed=seed).status == "solved"
             status = Path(f"/proc/{shared_worker().pid}/status").read_text()
             found.append(int(status.split(f"{kind}:")[1].split()[0]) / 1024)
         return found
