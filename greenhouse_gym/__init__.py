@@ -13,7 +13,7 @@ ENV_IDS: tuple[str, ...] = ("TomatoReach-v0", "TomatoLook-v0", "TomatoHarvest-v0
 """Ids of the environments this package registers."""
 
 drop_broken_opengl_choice()
-_TASKS = (
+_TASKS: tuple[dict[str, str], ...] = (
     {},
     {"task": "look", "observation": "task"},
     {"task": "harvest", "plants": "compliant", "physics": "truth"},

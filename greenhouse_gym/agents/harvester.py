@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
+import mujoco
 import numpy as np
 import numpy.typing as npt
 
@@ -14,13 +16,17 @@ from greenhouse_gym.agents.planner_agent import safe_commands
 from greenhouse_gym.envs.compliant_physics import CompliantSimulation
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.motion.collision import CollisionChecker
 from greenhouse_gym.motion.inverse_kinematics import Approach, inverse_kinematics
 from greenhouse_gym.motion.path import path_length
+from greenhouse_gym.motion.proof import checker_of
 from greenhouse_gym.planning import plan
 from greenhouse_gym.plants.live import HANGING
 from greenhouse_gym.plants.live_scene import LiveScene, live_scene
+from greenhouse_gym.robots import Robot
 from greenhouse_gym.robots.kinematics import tool_chain
-from greenhouse_gym.scene import Scene
+from greenhouse_gym.robots.robot import TIP_SITE
+from greenhouse_gym.scene import Scene, compile_scene
 
 Action = npt.NDArray[np.float32]
 
@@ -30,13 +36,15 @@ CANDIDATES = 3
 TRIES = 2
 """Number of attempts to pick a fruit."""
 
+_ATTEMPTS = 4  # withdrawals with a fruit before it is given up
 _CHECKS = 60_000  # collision checks of a plan
 _GUESSES = 400  # configurations from which inverse kinematics starts above the crate
 _CLOSING, _PULLING = 0.12, 0.12  # m/s
 _TURNING = 1.6  # rad/s
 _REACHES, _PULLS, _DROPS = 24, 40, 3  # actions at most to close the gap, to part the pedicel, to let go
+_AROUND = 0.04  # metres: distance from the crate that paths to fruit keep where they can
 _RETREAT, _BACK, _RETREATS = 0.05, 0.25, 16  # metres and m/s by which the tip withdraws, and actions at most
-_DAMPING = 0.05
+_DAMPING, _SHRUNK = 0.05, 0.9  # of the inverse kinematics; radius of a held fruit in plans over its own
 _ABOVE, _SPREAD = 0.02, 0.07  # metres: height of the tip above the rim, and spread of the fruit in the crate
 
 
@@ -82,6 +90,7 @@ class _Harvest:
         self._vacuum, self._seed, self._picked = -1.0, problem.seed, 0
         self._chain = tool_chain(live.world.compiled.model, live.world.compiled.tip_site)
         self._tried: dict[int, int] = {}
+        self._guard = self._fixtures()
         self._scene: LiveScene
         self._failure = ""
 
@@ -105,6 +114,13 @@ class _Harvest:
                 yield from self._deliver()
                 self._picked += 1
 
+    def _fixtures(self) -> CollisionChecker:
+        """Return the checker for motions among the plants, which must not touch fixtures, main stems and the crate."""
+        scene = live_scene(self._live.plants, self._live.world.compiled, leaves=False, around_crate=_AROUND / 2).scene
+        rigid = tuple(stem for stem in scene.stems if stem.kind not in ("peduncle", "pedicel"))
+        scene = scene.model_copy(update={"tomatoes": scene.tomatoes[:1], "stems": rigid})
+        return checker_of(compile_scene(scene, self._robot), 0)
+
     @property
     def _plants(self) -> Any:
         return self._live.plants
@@ -125,15 +141,19 @@ class _Harvest:
     def _next(self) -> tuple[int, Array] | None:
         """Return a fruit to pick next and a path to it; None without one."""
         plants = self._plants
-        left = [k for k in np.flatnonzero(plants.wanted & (plants.state == HANGING)) if self._tried.get(k, 0) < TRIES]
+        left = [
+            k
+            for k in np.flatnonzero(plants.wanted & (plants.state == HANGING)).tolist()
+            if self._tried.get(k, 0) < TRIES
+        ]
         tip, _ = self._tip
 
         def rank(fruit: int) -> tuple[int, float]:
             return self._tried.get(fruit, 0), float(np.linalg.norm(plants.center(fruit) - tip))
 
         order = sorted(map(int, left), key=rank)
-        for leaves in (True, False):
-            scene = live_scene(plants, self._live.world.compiled, leaves)
+        for leaves, around in ((True, _AROUND), (True, 0.0), (False, 0.0)):
+            scene = live_scene(plants, self._live.world.compiled, leaves, around)
             best: tuple[float, int, Array] | None = None
             for count, fruit in enumerate(order, start=1):
                 path = self._plan(scene, scene.tomatoes[fruit], None)
@@ -149,10 +169,10 @@ class _Harvest:
         self._tried.update(dict.fromkeys(order, TRIES))
         return None
 
-    def _plan(self, scene: LiveScene, target: int, goals: Array | None) -> Array | None:
+    def _plan(self, scene: LiveScene, target: int, goals: Array | None, robot: Robot | None = None) -> Array | None:
         start = np.clip(self._command, self._robot.lower, self._robot.upper)
         result = plan(
-            scene.scene, target, self._robot, self._agent.planner, time_limit=None, max_checks=_CHECKS,
+            scene.scene, target, robot or self._robot, self._agent.planner, time_limit=None, max_checks=_CHECKS,
             goals=30 if goals is None else goals, seed=self._seed, start=start,
         )  # fmt: skip
         self._failure = f"{result.status} {result.message}".strip()
@@ -209,19 +229,30 @@ class _Harvest:
 
     def _deliver(self) -> Iterator[Action]:
         """Carry the held fruit to the crate and let go."""
-        scene = live_scene(self._plants, self._live.world.compiled, leaves=True)
-        goals = self._above_crate()
-        path = self._plan(scene, 0, goals) if len(goals) else None
-        if path is None:
-            scene = live_scene(self._plants, self._live.world.compiled, leaves=False)
-            path = self._plan(scene, 0, goals) if len(goals) else None
-        if path is None:
-            self._agent.status = "no path to the crate"
-        else:
-            yield from self._follow(scene.scene, 0, path)
+        found = None
+        for _ in range(_ATTEMPTS):
+            found = self._path_to_crate()
+            if found is not None or self._plants.held < 0:
+                break
+            yield from self._withdraw()  # the fruit is still too close to others
+        if found is not None:
+            yield from self._follow(found[0], 0, found[1])
+        elif self._plants.held >= 0:
+            self._agent.status = f"no path to the crate: {self._failure}"
         self._vacuum = -1.0
         for _ in range(_DROPS):
             yield self._action(np.zeros(len(self._robot.joints)))
+
+    def _path_to_crate(self) -> tuple[Scene, Array] | None:
+        """Return a path to the crate, with the held fruit clear of everything where one exists, and its scene."""
+        goals = self._above_crate()
+        loaded = with_fruit(self._robot, self._plants.radius(max(self._plants.held, 0)))
+        for leaves, robot in ((True, loaded), (False, loaded), (False, self._robot)):
+            scene = live_scene(self._plants, self._live.world.compiled, leaves)
+            path = self._plan(scene, 0, goals, robot) if len(goals) else None
+            if path is not None:
+                return scene.scene, path
+        return None
 
     def _above_crate(self) -> Array:
         """Return configurations with the tool pointing down into the crate."""
@@ -250,4 +281,20 @@ class _Harvest:
         wanted = np.concatenate([velocity, spin]) * self._problem.interval
         square = jacobian @ jacobian.T + _DAMPING**2 * np.eye(6)
         change = jacobian.T @ np.linalg.solve(square, wanted)
-        return self._action(change / max(1.0, float((np.abs(change) / self._problem.joint_steps).max())))
+        change /= max(1.0, float((np.abs(change) / self._problem.joint_steps).max()))
+        command = self._command
+        blocked = self._guard.is_free(command) and not self._guard.is_free(command + change)
+        return self._action(change * 0.0 if blocked else change)
+
+
+def with_fruit(robot: Robot, radius: float) -> Robot:
+    """Return an arm with a fruit at its cup, for planning."""
+    spec = robot.spec()
+    tip = spec.site(TIP_SITE)
+    middle = np.empty(3)
+    mujoco.mju_rotVecQuat(middle, np.array([0.0, 0.0, radius]), np.array(tip.quat))
+    tip.parent.add_geom(
+        name="held_fruit", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[_SHRUNK * radius, 0, 0], pos=tip.pos + middle,
+        mass=0, contype=1, conaffinity=3,
+    )  # fmt: skip
+    return replace(robot, specification=spec)

@@ -17,7 +17,7 @@ from greenhouse_gym.envs.state import ControlTiming, Ids
 from greenhouse_gym.envs.worlds import World
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.plants.layout import Layout, SlotIds
+from greenhouse_gym.plants.layout import CRATE_BOXES, Layout, SlotIds
 from greenhouse_gym.plants.live import Felt, LivePlants
 from greenhouse_gym.scene.geom_order import ShortGeomLists, compiled_geom_id, put_arm_first, put_world_first
 
@@ -130,7 +130,8 @@ class CompliantPhysics:
         """Run one action: commands move at constant speed to new ones (n, j), and the vacuum is on or off (n,)."""
         count = len(self._sims)
         counts = np.zeros((count, len(CONTACT_GROUPS)), dtype=np.int64)
-        collided, first = np.zeros(count, dtype=np.bool_), {}
+        collided = np.zeros(count, dtype=np.bool_)
+        first: dict[int, Contact] = {}
         leaf_steps = np.zeros(count, dtype=np.int64)
         for i in range(count):
             sim = self.simulation(i)
@@ -213,7 +214,8 @@ class CompliantPhysics:
         geoms = data.contact.geom
         groups = sim.groups[geoms]
         of_arm = np.flatnonzero((groups == _SELF).any(axis=1))
-        counts, pressed, ending = np.zeros(len(CONTACT_GROUPS), dtype=np.int64), {}, -1
+        counts, ending = np.zeros(len(CONTACT_GROUPS), dtype=np.int64), -1
+        pressed: dict[int, float] = {}
         force = np.zeros(6)
         for k in of_arm.tolist():
             group = int(groups[k].min())
@@ -261,7 +263,9 @@ def geom_groups(world: World, ids: SlotIds) -> npt.NDArray[np.int8]:
         mark(int(body), _FRUIT)
     for body in ids.leaf:
         mark(int(body), _LEAF)
-    mark(ids.crate, _FIXTURE)
+    mark(ids.crate, _FRUIT)
+    first = int(model.body_geomadr[ids.crate])
+    groups[first : first + CRATE_BOXES] = _FIXTURE
     return groups
 
 

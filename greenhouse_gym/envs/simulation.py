@@ -349,7 +349,7 @@ class Simulation:
     def physical(self, i: int) -> tuple[CompiledScene, int]:
         """Return the simulated scene, the true row or the scene itself, and the index of the current target in it."""
         world = self._setup(i).world
-        return world.compiled, int(world.bodies[self.target(i)])
+        return world.rigid, int(world.bodies[self.target(i)])
 
     def tip(self, i: int) -> Array:
         """Return (3,) the tip in the scene, metres."""

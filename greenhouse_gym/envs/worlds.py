@@ -134,6 +134,14 @@ class World:
         return LeafContacts(self.compiled)
 
     @cached_property
+    def rigid(self) -> CompiledScene:
+        """The simulated scene without slots, all its organs where they were at the start."""
+        if self.planted is None:
+            return self.compiled
+        scene = self.compiled.scene
+        return compile_scene(scene, self.compiled.robot, capacity_for(scene.count))
+
+    @cached_property
     def topology(self) -> Topology:
         """Organs of the simulated scene."""
         return topology_of(self.compiled.scene, self.scene.name)

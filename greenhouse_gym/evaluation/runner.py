@@ -244,6 +244,8 @@ class EpisodeRunner:
         path = np.array(run.joints)
         model, _ = simulation.model_and_data(i)
         compiled, target = simulation.physical(i)
+        if model.nq > compiled.model.nq:  # clearance is that to the plants as they hung at the start
+            model = compiled.model
         tips = tool_state(tool_chain(model, compiled.tip_site), path).point
         record = Record(
             seed=run.problem.seed,

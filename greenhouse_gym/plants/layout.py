@@ -25,6 +25,9 @@ petiole, and plates of a leaf. Each costs time, used or not; a leaf of more plat
 SUCTION = "suction"
 """Name of the weld between the cup and a fruit."""
 
+CRATE_BOXES = 6
+"""Number of boxes of the crate: bottom, walls and shelf."""
+
 _PARKED_HEIGHT = 40.0
 
 

@@ -20,7 +20,7 @@ from greenhouse_gym.plants.detachment import (
     stress,
     weld,
 )
-from greenhouse_gym.plants.layout import Crate, Layout
+from greenhouse_gym.plants.layout import CRATE_BOXES, Crate, Layout
 from greenhouse_gym.plants.slots import Planted
 
 EMPTY, HANGING, LOOSE, CRATED, LOST = -1, 0, 1, 2, 3
@@ -32,6 +32,9 @@ SEAL_GAP, SEAL_ANGLE = 0.005, 0.7
 
 REST_SPEED = 0.05
 """Speed of a fruit at rest, m/s."""
+
+REST_ACTIONS = 4
+"""Number of actions in a row after which a slow fruit lies still: at the top of a bounce it is slow as well."""
 
 FLOOR_HEIGHT = 0.02
 """Gap to the floor below which a fruit has been dropped, metres."""
@@ -84,6 +87,7 @@ class LivePlants:
         self._loose_of = np.full(layout.loose, -1)
         self._by_cup = np.zeros(len(self.state), dtype=np.bool_)
         self._settled = 0
+        self._still = np.zeros(layout.loose, dtype=np.int64)
         self._damaged: set[int] = set()
         self._press: dict[int, float] = {}
         self._pull, self._force, self._substeps = np.zeros(len(self.state)), np.zeros(3), 0
@@ -99,7 +103,7 @@ class LivePlants:
         """Return a copy for a copied model and state."""
         other = copy.copy(self)
         other.model, other.data = model, data
-        for name in ("state", "_loose_of", "_by_cup", "_damaged", "_press", "_pull", "_force"):
+        for name in ("state", "_loose_of", "_by_cup", "_damaged", "_press", "_pull", "_force", "_still"):
             setattr(other, name, copy.copy(getattr(self, name)))
         return other
 
@@ -242,7 +246,9 @@ class LivePlants:
             body = int(self._ids.loose[slot])
             dof = int(model.jnt_dofadr[model.body_jntadr[body]])
             geom = first_geom(model, body)
-            still = float(np.linalg.norm(data.qvel[dof : dof + 3])) < REST_SPEED
+            slow = float(np.linalg.norm(data.qvel[dof : dof + 3])) < REST_SPEED
+            self._still[slot] = self._still[slot] + 1 if slow else 0
+            still = self._still[slot] >= REST_ACTIONS
             fallen = data.geom_xpos[geom, 2] - model.geom_size[geom].max() < FLOOR_HEIGHT
             inside = self._in_crate(data.geom_xpos[geom])
             if self.state[fruit] == LOOSE and ((still and not inside) or fallen):
@@ -253,12 +259,11 @@ class LivePlants:
                 crated += int(self.wanted[fruit])
             if still or data.geom_xpos[geom, 2] < -1:
                 if self._settled < self._layout.settled and still:
-                    boxes = len(self._layout.crate.boxes)
-                    settle(model, data, body, self._ids.crate, boxes + self._settled)
+                    settle(model, data, body, self._ids.crate, CRATE_BOXES + self._settled)
                     self._settled += 1
                 else:
                     park(model, data, body)
-                self._loose_of[slot] = -1
+                self._loose_of[slot], self._still[slot] = -1, 0
         return crated, dropped
 
     def _in_crate(self, point: Array) -> bool:

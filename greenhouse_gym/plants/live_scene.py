@@ -23,13 +23,14 @@ class LiveScene(NamedTuple):
     tomatoes: dict[int, int]
 
 
-def live_scene(plants: LivePlants, compiled: CompiledScene, leaves: bool) -> LiveScene:
+def live_scene(plants: LivePlants, compiled: CompiledScene, leaves: bool, around_crate: float = 0.0) -> LiveScene:
     """Return the true scene with the plants as they hang now.
 
     Args:
         plants: The plants.
         compiled: The simulated scene.
         leaves: Whether the leaves that give way are obstacles. Other leaves let the arm pass and are left out.
+        around_crate: Distance by which the walls of the crate are thickened, metres.
     """
     scene, planted, data = compiled.scene, plants.planted, plants.data
     assert isinstance(scene, Scene)
@@ -60,7 +61,7 @@ def live_scene(plants: LivePlants, compiled: CompiledScene, leaves: bool) -> Liv
     tomatoes, stems = len(scene.tomatoes), len(scene.stems)
     left = [row for row in range(tomatoes) if row not in gone]
     turn, at = data.xmat[planted.ids.crate].reshape(3, 3), data.xpos[planted.ids.crate]
-    crate = [Box(turn @ middle + at, half, turn) for middle, half in plants.crate.boxes]
+    crate = [Box(turn @ middle + at, half + around_crate, turn) for middle, half in plants.crate.boxes]
     parts = {
         "tomatoes": tuple(shapes[row] for row in left),
         "stems": tuple(shapes[row] for row in range(tomatoes, tomatoes + stems) if row not in gone),

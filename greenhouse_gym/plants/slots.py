@@ -26,6 +26,7 @@ from greenhouse_gym.plants.layout import (
 )
 from greenhouse_gym.plants.mechanics import PlantMechanics, mass_properties
 from greenhouse_gym.plants.topology import Branch, Fruit, Leaf, Topology, Truss
+from greenhouse_gym.robots.robot import CUP_GEOM
 from greenhouse_gym.scene import CompiledScene
 from greenhouse_gym.scene.mjcf import colors_of
 from greenhouse_gym.scene.obstacle_slots import build_tree, write_geoms
@@ -89,12 +90,17 @@ def plant(
         mechanics: Mechanical parameters.
 
     Raises:
-        InvalidValueError: The fruit do not fit into the slots.
+        InvalidValueError: The fruit do not fit into the slots, or the arm has no cup.
     """
     model, scene = compiled.model, compiled.scene
     trusses = check_fits(topology, wanted, layout, scene.name)
     leaves = _nearest_leaves(topology, scene.arrays, wanted, layout.leaves)
     ids = SlotIds(model, layout)
+    if ids.cup_geom < 0:
+        raise InvalidValueError(
+            f"robot {compiled.robot.name!r} has no gripper that can hold: its file needs a geom {CUP_GEOM!r} at the "
+            "tip, such as greenhouse_gym.robots.tool.mount_tool adds"
+        )
     filler = _Filler(compiled, mechanics)
     fruit = np.full((layout.trusses, layout.fruit), -1)
     _make_static(compiled, topology)
@@ -236,7 +242,7 @@ class _Filler:
         shapes = shapes._replace(starts=shapes.starts - origin, ends=shapes.ends - origin)
         first = int(model.body_geomadr[body])
         own = slice(first, first + len(shapes.kinds))
-        write_geoms(model, own, shapes, colors)
+        write_geoms(model, own, shapes, colors.tolist())
         model.geom_conaffinity[own] = ALL
         mass, center, inertia, quat = mass_properties(shapes, self._mechanics)
         model.body_mass[body], model.body_inertia[body] = mass, inertia
@@ -283,8 +289,8 @@ def _chosen(arrays: ShapeArrays, rows: Sequence[int]) -> ShapeArrays:
     return ShapeArrays._make(array[list(rows)] for array in arrays)
 
 
-def _joined(first: ShapeArrays, second: ShapeArrays) -> ShapeArrays:
-    return ShapeArrays._make(np.concatenate(pair) for pair in zip(first, second, strict=True))
+def _joined(*parts: ShapeArrays) -> ShapeArrays:
+    return ShapeArrays._make(np.concatenate(arrays) for arrays in zip(*parts, strict=True))
 
 
 def _straight(starts: Array, ends: Array, radius: float) -> ShapeArrays:

@@ -1,0 +1,66 @@
+"""Harvests by an oracle: fruit an hour, success, losses and damage per 100 fruit.
+
+python -m benchmarks.agents.harvest --sizes pick stand --episodes 100 --workdir /tmp/harvest
+python -m benchmarks.agents.harvest --bank mini --split train --sizes pick --episodes 4 --results /tmp/harvest.json
+
+Episodes take place in the true rows of a split, with compliant plants; each draws its scene and fruit from its seed.
+Intervals are 95 % bootstrap intervals over the episodes. Records are kept below ``--workdir``, so an interrupted run
+resumes. An oracle knows the true plants as they hang, so its figures bound those of agents that have to see.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from benchmarks.common import RESULTS, add_workdir, kept_or_temporary, parser, table, write_entry
+from greenhouse_gym.agents.harvester import OracleHarvester
+from greenhouse_gym.envs.tasks.harvest import SIZES
+from greenhouse_gym.evaluation import evaluate
+from greenhouse_gym.evaluation.harvest import METRICS, harvest_metrics
+from greenhouse_gym.evaluation.journal import RecordJournal
+
+STEP_LIMITS = {"pick": 400, "truss": 1200, "stand": 2400}
+"""Shorter than the task's: an oracle that has given up only waits."""
+
+
+def main() -> None:
+    """Harvest, print and write the figures."""
+    command = parser(__doc__)
+    command.add_argument("--bank", default="default")
+    command.add_argument("--split", default="test")
+    command.add_argument("--sizes", nargs="+", choices=SIZES, default=["pick", "stand"])
+    command.add_argument("--episodes", type=int, default=100)
+    command.add_argument("--seed", type=int, default=0)
+    command.add_argument("--results", type=Path, default=RESULTS / "harvest.json")
+    add_workdir(command)
+    given = command.parse_args()
+    rows = []
+    with kept_or_temporary(given.workdir) as folder:
+        folder.mkdir(parents=True, exist_ok=True)
+        for size in given.sizes:
+            settings = {"bank": given.bank, "split": given.split, "seed": given.seed, "size": size}
+            journal = RecordJournal(folder / f"{given.bank}-{given.split}-{given.seed}-{size}.jsonl", settings)
+            agent = OracleHarvester()
+            found = evaluate(
+                agent, given.split, given.episodes, given.seed, journal=journal, bank=given.bank, size=size,
+                step_limit=STEP_LIMITS[size], **agent.env_options,
+            )  # fmt: skip
+            metrics = harvest_metrics(found.records)
+            figures = {name: [round(value, 4) for value in values] for name, values in metrics.items()}
+            fruit = sum(record.measures["wanted"] for record in found.records)
+            entry = settings | {
+                "agent": agent.name, "world": "truth, compliant", "episodes": len(found.records), "fruit": fruit,
+                "collisions": sum(record.collision for record in found.records), **figures,
+            }  # fmt: skip
+            write_entry(given.results, f"{given.split}, {size}, {agent.name}", entry)
+            rows.append([size, len(found.records), int(fruit), *(shown(metrics[name]) for name in METRICS)])
+    print(table(["size", "episodes", "fruit", *METRICS], rows))
+
+
+def shown(values: tuple[float, float, float]) -> str:
+    """Return a figure with its interval as text."""
+    return f"{values[0]:.3g} [{values[1]:.3g}, {values[2]:.3g}]"
+
+
+if __name__ == "__main__":
+    main()

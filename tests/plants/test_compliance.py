@@ -1,0 +1,199 @@
+"""Compliant plants against theory: masses, a beam under load, a pendulum, rest, and random shoving."""
+
+import copy
+from functools import lru_cache, partial
+
+import mujoco
+import numpy as np
+import pytest
+
+from greenhouse_gym.envs import make_env
+from greenhouse_gym.envs.stepping import drive_and_record
+from greenhouse_gym.geometry import Box, Capsule, Ellipsoid, Sphere, arrays_of
+from greenhouse_gym.plants.detachment import load_of
+from greenhouse_gym.plants.layout import Layout
+from greenhouse_gym.plants.mechanics import GRAVITY, HINGE_ARMATURE, PlantMechanics, mass_properties
+from greenhouse_gym.plants.slots import merged, plant
+from greenhouse_gym.plants.topology import topology_of
+from greenhouse_gym.scene import SceneBank, compile_scene
+from greenhouse_gym.scene.obstacle_slots import TYPES, geoms_of
+from greenhouse_gym.scene.truth import true_scene
+
+SCENE = "own-cluster-2000-w00-02"
+LAYOUT = Layout(trusses=1, fruit=6, leaves=3)
+
+
+def add(spec):
+    drive_and_record(spec, 5)
+    LAYOUT.add(spec)
+
+
+@lru_cache
+def planted():
+    scene = true_scene(SceneBank.open("mini").scene(SCENE))
+    topology = topology_of(scene, SCENE)
+    compiled = compile_scene(scene, "ur5e", scene.count, add)
+    truss = max(topology.trusses, key=lambda one: len(one.fruit))
+    found = plant(compiled, topology, [fruit.row for fruit in truss.fruit][:1], LAYOUT, PlantMechanics())
+    return compiled.model, found
+
+
+@pytest.fixture
+def model():
+    return copy.copy(planted()[0])
+
+
+@pytest.fixture
+def ids():
+    return planted()[1].ids
+
+
+def test_every_fruit_of_the_small_bank_finds_its_truss():
+    bank = SceneBank.open("mini")
+    for name in bank.names()[:3]:
+        truth = bank.scene(name).truth
+        topology = topology_of(truth, name)
+        rows = [fruit.row for truss in topology.trusses for fruit in truss.fruit]
+        assert sorted(rows) == list(range(len(truth.tomatoes)))
+        assert all(len({truth.tomatoes[f.row].truss for f in truss.fruit}) == 1 for truss in topology.trusses)
+
+
+def test_mass_properties_equal_those_of_the_compiler():
+    turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    shapes = [
+        Sphere(np.array([0.1, 0, 0]), 0.03), Capsule(np.zeros(3), np.array([0.1, 0.05, 0.02]), 0.004),
+        Ellipsoid(np.array([0, 0.1, 0]), np.array([0.03, 0.04, 0.05]), turn),
+    ]  # fmt: skip
+    found = mass_properties(arrays_of(shapes), PlantMechanics())
+    spec = mujoco.MjSpec()
+    body = spec.worldbody.add_body()
+    body.add_freejoint()
+    for kind, position, size, quat in zip(*geoms_of(arrays_of(shapes)), strict=True):
+        body.add_geom(type=TYPES[kind], pos=position, size=size, quat=quat, density=950)
+    expected = spec.compile()
+    assert found.mass == pytest.approx(expected.body_mass[1])
+    np.testing.assert_allclose(found.center, expected.body_ipos[1], atol=1e-12)
+    np.testing.assert_allclose(np.sort(found.inertia), np.sort(expected.body_inertia[1]))
+
+
+def test_merged_plates_cover_those_of_the_leaf():
+    rng = np.random.default_rng(0)
+    boxes = arrays_of([Box(rng.normal(size=3) * 0.1, np.array([0.02, 0.01, 0.001]), np.eye(3)) for _ in range(40)])
+    few = merged(boxes, 5)
+
+    def covers(k, center):
+        return (np.abs((center - few.starts[k]) @ few.rotations[k]) <= few.sizes[k] + 1e-9).all()
+
+    assert len(few.kinds) == 5
+    assert all(any(covers(k, center) for k in range(5)) for center in boxes.starts)
+
+
+def test_plants_rest_where_they_were_scanned(model):
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, 200)
+    plants = slice(6, model.nq - 7 * LAYOUT.loose)
+    np.testing.assert_allclose(data.qpos[plants], model.qpos0[plants], atol=1e-9)
+
+
+def test_a_beam_under_load_bends_as_theory_says(model, ids):
+    leaf = int(ids.leaf[0])
+    swing = int(model.body_jntadr[leaf]) + 1
+    stiffness, lever, force = float(model.jnt_stiffness[swing]), 0.1, 0.1
+    data = mujoco.MjData(model)
+    outward = np.cross(model.jnt_axis[swing - 1], model.jnt_axis[swing])
+    side = np.cross([0.0, 0.0, 1.0], outward)
+    expected = 0.0
+    for _ in range(50):
+        expected = force * lever * np.cos(expected) / stiffness
+    angle = int(model.jnt_qposadr[swing])
+    mujoco.mj_kinematics(model, data)
+    for _ in range(1500):
+        data.qfrc_applied[:] = 0
+        point = data.xpos[leaf] + lever * (data.xmat[leaf].reshape(3, 3) @ outward)
+        mujoco.mj_applyFT(model, data, force * side, np.zeros(3), point, leaf, data.qfrc_applied)
+        mujoco.mj_step(model, data)
+    assert abs(data.qpos[angle]) == pytest.approx(expected, rel=0.05)
+
+
+def test_a_fruit_swings_at_the_frequency_of_a_pendulum(model, ids):
+    fruit = int(ids.fruit[0, 0])
+    joint, truss = int(model.body_jntadr[fruit]), int(ids.truss[0])
+    hinges = model.jnt_dofadr[model.body_jntadr[truss]]
+    model.dof_armature[hinges : hinges + 2] = 1e6  # the truss stands still
+    dof, at = int(model.jnt_dofadr[joint]), int(model.jnt_qposadr[joint])
+    model.dof_damping[dof : dof + 3] = 0
+    model.opt.timestep = 0.002
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    drop = data.xanchor[joint][2] - data.xipos[fruit][2]
+    full = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, full)
+    stiffness = model.jnt_stiffness[joint] + model.body_mass[fruit] * GRAVITY * drop
+    # swings about the horizontal axes, of which the inertia couples both: the exact modes of the linear pendulum
+    inertia = full[dof : dof + 3, dof : dof + 3]
+    gravity = np.diag([stiffness, stiffness, model.jnt_stiffness[joint]])
+    modes, shapes = np.linalg.eig(np.linalg.solve(inertia, gravity))
+    mode = int(np.abs(shapes[2]).argmin())
+    data.qvel[dof : dof + 3] = 0.2 * np.real(shapes[:, mode])
+    trace = []
+    for _ in range(2000):
+        mujoco.mj_step(model, data)
+        trace.append(data.qpos[at + 1 : at + 4] @ np.real(shapes[:, mode]))
+    signs = np.flatnonzero(np.diff(np.sign(trace)))
+    period = 2 * float(np.diff(signs).mean()) * model.opt.timestep
+    assert 2 * np.pi / period == pytest.approx(float(np.sqrt(np.real(modes[mode]))), rel=0.05)
+
+
+def test_hinges_keep_a_minimum_inertia(model, ids):
+    for body in (*ids.truss, *ids.leaf):
+        first = int(model.jnt_dofadr[model.body_jntadr[body]])
+        assert (model.dof_armature[first : first + 2] >= HINGE_ARMATURE).all()
+
+
+def test_pull_and_bend_add_up():
+    mechanics = PlantMechanics()
+    load = partial(load_of, mechanics=mechanics)
+    assert load(mechanics.pull_limit, 0.0) == pytest.approx(1)
+    assert load(0.0, mechanics.bend_limit) == pytest.approx(1)
+    assert load(mechanics.pull_limit / 2, mechanics.bend_limit / 2) == pytest.approx(1)
+
+
+def shove(scene, seconds, seed):
+    """Move an arm at random among plants, then let them swing; return bends (rad) at the end and warnings."""
+    env = make_env(
+        bank="mini", task="harvest", plants="compliant", physics="truth", scene=scene, action="tip_velocity",
+        step_limit=10**6,
+    )  # fmt: skip
+    env.reset(seed=seed)
+    simulation = env.simulation
+    rng = np.random.default_rng(seed)
+    for _ in range(round(20 * seconds)):
+        if rng.random() < 0.1 or not _:
+            action = np.append(rng.uniform(-1, 1, 6) + [0.3, 0, 0, 0, 0, 0], -1.0)[None]
+        simulation.step(action)
+    live = simulation.live(0)
+    for start in np.linspace(simulation.joints[0], simulation.robot.start, 60):
+        live.data.act[:] = start
+        simulation.step(np.zeros((1, 7)))
+    for _ in range(120):
+        simulation.step(np.zeros((1, 7)))
+    plants = live.plants
+    hinges = live.data.qpos[plants._hinges[:, None] + [0, 1]][1:]  # of leaves, which no fruit has left
+    return hinges, sum(warning.number for warning in live.data.warning), live.data
+
+
+def test_random_shoving_is_stable_and_leaves_swing_back():
+    hinges, warnings, data = shove(SCENE, 8, 0)
+    assert warnings == 0
+    assert np.isfinite(data.qpos).all()
+    assert np.abs(hinges).max() < np.radians(1)
+
+
+@pytest.mark.slow
+def test_half_an_hour_of_shoving_in_six_scenes():
+    for seed, scene in enumerate(SceneBank.open("mini").names()[:6]):
+        hinges, warnings, data = shove(scene, 300, seed)
+        assert warnings == 0
+        assert np.isfinite(data.qpos).all()
+        assert np.abs(hinges).max() < np.radians(1), scene
